@@ -8,7 +8,7 @@ as well; "uncut" counts the combinations without them. Flights are read once, an
 (healthy/baselines.py); `--check N` asks `diagnose` itself for N of the cases, and ends with 1 where it answers otherwise.
 
 right, wrong: one set of rotors named with certainty. part: some of several damaged rotors. among: `ambiguous`, the damaged rotors among
-those that it may be. not among: `ambiguous`, with other rotors or the centre of mass alone. not told: healthy, or the baseline was
+those that it may be. not among: `ambiguous`, with other rotors or the centre of mass alone. not announced: healthy, or the baseline was
 refused. Of flights without damage: fault, ambiguous, not flagged; a hung weight is no damage, but something is wrong with it.
 """
 
@@ -33,7 +33,7 @@ from rotorwatch.healthy.baselines import Candidate, healthy
 FLIGHTS = Path(__file__).resolve().parents[1] / "../shared/flights"
 GROUPS = ("ardupilot-real-rrc", "crazypad")
 LIKE_HEALTHY = re.compile("within flight-to-flight spread|very small effect")
-DAMAGED = ("right", "wrong", "part", "among", "not among", "not told")
+DAMAGED = ("right", "wrong", "part", "among", "not among", "not announced")
 HEALTHY = ("fault", "ambiguous", "not flagged")
 
 
@@ -76,7 +76,7 @@ def outcome(found: whole_flight.WholeFlight | None, damaged: tuple[int, ...]) ->
     if not damaged:
         return {"fault": "fault", "ambiguous": "ambiguous"}.get(verdict, "not flagged")
     if not found or verdict in ("healthy", "inconclusive"):
-        return "not told"
+        return "not announced"
     if verdict == "fault":
         return "right" if found.rotors == damaged else "part" if set(found.rotors) < set(damaged) else "wrong"
     named = {r for c in found.causes if c.probability > CREDIBLE for r in c.rotors} | set(found.rotors)

@@ -394,7 +394,7 @@ class Deaf(LinearHover):
             lambda: Intermediate(object(), DT),
             "The intermediate observer is not defined for the plant object: it needs f",
         ),
-        (lambda: Intermediate(Deaf(F450.B), DT), "cannot be told from them"),
+        (lambda: Intermediate(Deaf(F450.B), DT), "not observable from them"),
         (lambda: LinearHover(np.ones((3, 4))), "B must have the shape"),
         (lambda: LinearHover(F450.B, measured_sd=(0.0,) * 8), "measured_sd must be above zero"),
         (lambda: design.rates(-1.0), "settling_time_s must be above zero"),

@@ -145,7 +145,7 @@ def test_simulation_parameters_are_dropped():
     "change, words",
     [
         ({"gyro_x_rpm": np.zeros(100)}, "unknown column gyro_x_rpm"),
-        ({"accel_x_m_s2": np.zeros(100)}, "accel_y_m_s2, accel_z_m_s2 is missing beside accel_x_m_s2"),
+        ({"accel_x_m_s2": np.zeros(100)}, "accel_y_m_s2, accel_z_m_s2 is missing next to accel_x_m_s2"),
         ({"motor_6": np.zeros(100)}, "without gaps"),
         ({"motor_1_us": np.zeros(100)}, "same rotor"),
         ({"motor_5_us": np.zeros(100)}, "all end in _us"),

@@ -1,1 +1,1 @@
-"""What every room stands on: settings checked, plug-ins found, files and streams within limits, libraries that may be missing."""
+"""Shared by every room: settings checked, plug-ins found, files and streams within limits, libraries that may be missing."""

@@ -77,7 +77,7 @@ def covariance(name: str, P: Any, n: int, definite: bool = False) -> Any:
 
 
 def has(system: Any, method: str, *parts: str, why: str = "") -> None:
-    """Nothing when the plant offers all these parts; else says that the method is not defined for it, and why."""
+    """Raise ConfigError, with the reason, where the plant lacks one of these parts: the method is not defined for it then."""
     missing = [part for part in parts if not hasattr(system, part)]
     if missing:
         kind = plant_name(system)

@@ -96,7 +96,7 @@ def title(spec: Any) -> str:
 
 
 def _keywords(instance: Any) -> dict[str, Any]:
-    """The keywords that an instance was made with, beyond system and dt, as its attributes say."""
+    """The keywords that an instance was made with, beyond system and dt, from its attributes."""
     found = {}
     for name, parameter in list(inspect.signature(type(instance)).parameters.items())[2:]:
         if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):

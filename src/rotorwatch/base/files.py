@@ -1,5 +1,5 @@
-"""Where results are written: checked before the work that makes them, in one step, all of it or nothing. TOML files read; and texts from
-outside (logs, links, file names, addresses) as they may be shown."""
+"""Writing results: the place is checked before the work, and a file is written whole or not at all. Also TOML files, and foreign texts (of
+logs, links, file names, addresses) made safe to show."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Logs that come from outside: streams (a pipe, an address) kept in a file, within limits of size and time; a folder that goes with the
+"""Foreign logs: streams (a pipe, an address) written to a file, within limits of size and time; a temporary folder of the
 process; and limits of time and memory for work on files that have not been checked yet, set by the process that does it."""
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _spool: dict[int, Path] = {}
 
 
 def spool() -> Path:
-    """The folder of this process for what is only needed while it runs. Processes that it starts keep theirs in it."""
+    """The temporary folder of this process. Processes that it starts keep theirs in it."""
     if os.getpid() not in _spool:  # after a fork the parent's is not ours to remove
         _spool.clear()
         _spool[os.getpid()] = Path(tempfile.mkdtemp(prefix="rotorwatch-"))

@@ -1,4 +1,4 @@
-"""Libraries that only some of what rotorwatch does needs: imported where they are, one sentence where they are not."""
+"""Optional libraries: imported where they are installed, else a ConfigError that says how to install them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The commands that fly many flights: a table with intervals out."""
+"""The commands of campaigns: many simulated flights, summarised in a table with intervals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command line: arguments in, a table or JSON out. Whatever it does, the Python API does under the same name.
+"""The command line: arguments in, a table or JSON out. Each command is a function of the same name in the Python API.
 
 Standard output carries the answer and nothing else; progress, warnings and errors go to standard error.
 Exit codes: 0 healthy, 1 fault found, 3 inconclusive or ambiguous only, 2 error.

@@ -24,7 +24,7 @@ KEYS = ("path", "exit_code", "size", "sha256")  # that a line of --jsonl begins 
 
 @dataclass(frozen=True)
 class Request:
-    """The options of `rotorwatch diagnose` by their names, and what was made of them. logs: those found; others: how many files were none;
+    """The options of `rotorwatch diagnose` by their names, and their values. logs: those found; others: how many files were none;
     tuned: what --tuning holds; pages, recordings: where --report and --mcap put each log's."""
 
     logs: Sequence[Any]
@@ -49,7 +49,7 @@ class Request:
 
 
 def settings(estimator: str, *files: Path | None) -> str:
-    """A short name of all that the answers depend on but the logs: this version, the estimator, and files."""
+    """A digest of everything but the logs that the answers depend on: this version, the estimator, and files."""
     digest = hashlib.sha256(f"{__version__}\0{estimator}".encode())
     for path in files:
         digest.update(b"\0" + (path.read_bytes() if path and path.is_file() else b"-"))
@@ -173,7 +173,7 @@ def _recorded(path: str) -> str:
 
 @dataclass(frozen=True)
 class _Line:
-    """A line that is there already. known: None where it has to be made again."""
+    """A line of an earlier call. known: None where it has to be made again."""
 
     code: int
     row: Any
@@ -181,7 +181,7 @@ class _Line:
 
 
 class _Lines:
-    """Where lines go, if anywhere, and those that are there."""
+    """The output of lines, if any, and the lines of an earlier call."""
 
     def __init__(self, out: IO[bytes] | None, how: str, there: dict[str, _Line]):
         self.out, self.how, self.there = out, how, there

@@ -1,4 +1,4 @@
-"""What all commands share: their arguments and common options, the progress bar, tables and messages."""
+"""Shared by all commands: arguments and common options, the progress bar, tables and messages."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def _standard_input() -> Path:
 
 
 def _spooled(stream: Any, name: str) -> Path:
-    """All of a stream in a file of that name, in a folder that goes with the process."""
+    """All of a stream in a file of that name, in the temporary folder of the process."""
     import tempfile
 
     path = Path(tempfile.mkdtemp(dir=incoming.spool())) / name
@@ -147,7 +147,7 @@ def spread(command: Callable) -> Callable:
 
 
 def resumable(command: Callable) -> Callable:
-    """The option of long work that goes on where it was broken off."""
+    """The option --keep of long work that can be interrupted and resumed."""
     text = "Keep in DIR what is finished; the same call goes on from it."
     return click.option("--keep", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help=text)(command)
 
@@ -171,7 +171,7 @@ def shares(option: str, text: str) -> tuple[float, ...]:
 
 
 def vehicle_of(path: Path | None) -> Any:
-    """What a vehicle file holds; None without one."""
+    """The Vehicle of a vehicle file; None without one."""
     from rotorwatch.flight.vehicle_file import read
 
     return read(path) if path else None
@@ -202,7 +202,7 @@ def answer(as_json: bool, value: Any, text: str) -> None:
 
 
 def written(quiet: bool, **paths: Path | None) -> None:
-    """Says which files were written: what=path."""
+    """Messages on the files that were written: what=path."""
     for what, path in paths.items():
         if path and not quiet:
             say(f"{what.replace('_', ' ')} written to {path}")

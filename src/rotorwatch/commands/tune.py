@@ -1,4 +1,4 @@
-"""Commands that fit estimators to an aircraft and hold them against each other: tune, compare."""
+"""Commands that fit estimators to an aircraft and compare them: tune, compare."""
 
 from __future__ import annotations
 

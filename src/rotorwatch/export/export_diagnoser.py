@@ -37,7 +37,7 @@ QUEUE_S = 6.0  # ticks that wait: airborne.CONFIRM_S, and room
 
 
 class Found(NamedTuple):
-    """What the events are made of: the estimator's outputs of a tick."""
+    """The estimator's outputs of a tick that events are made of."""
 
     theta: Array
     theta_sd: Array

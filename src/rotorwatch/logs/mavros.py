@@ -287,7 +287,7 @@ def _esc(log: _Log, count: int) -> Signal | None:
 
 
 def _parameters(log: _Log) -> dict[str, float]:
-    """What param/event says, but for the simulator's parameters: SIM_* can give a fault away."""
+    """Parameters of param/event, but for the simulator's: SIM_* would reveal a fault."""
     found, out = log.get("param/event"), {}
     if found is None:
         return out

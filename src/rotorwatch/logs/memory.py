@@ -141,7 +141,7 @@ def _group(kind, ways, time, table, notes):
     for names, _ in ways:
         present = [n for n in names if n in table]
         if present:
-            raise LogError(f"column {_list([n for n in names if n not in table])} is missing beside {_list(present)}")
+            raise LogError(f"column {_list([n for n in names if n not in table])} is missing next to {_list(present)}")
     return None
 
 

@@ -160,7 +160,7 @@ class _File:
 
     Where the parser meets damage it goes back to one byte after the place where it was. One that goes back to where it has been before,
     again and again, is lost, as is one that seeks more often than one time in eight bytes. Then this file stays at its end. cut: a read
-    got less than it asked.
+    got less than it requested.
     """
 
     def __init__(self, data, progress=None):

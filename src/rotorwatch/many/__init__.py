@@ -1,8 +1,8 @@
-"""One way to do many things: the same function over many items, here, in processes of this computer, or on a Dask cluster.
+"""The same function over many items: in this process, in processes of this computer, or on a Dask cluster.
 
-spread.py         `run`, `in_order`, `ordered`: what everybody calls; they choose between the three
-result_cache.py   values of finished items in a folder, for a call that is broken off
-done.py           what comes back, and errors that travel
+spread.py         `run`, `in_order`, `ordered`: the interface; they choose between the three
+result_cache.py   values of finished items in a folder, for a call that was interrupted
+done.py           the result of an item, and errors that can be sent between processes
 processes.py      processes of this computer, by the standard library alone
 cluster.py        the workers of a Dask scheduler (the extra `cluster`)
 gathering.py      which logs a call is about: files, folders, patterns, addresses

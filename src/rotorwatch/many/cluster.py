@@ -113,7 +113,7 @@ def _connected(scheduler: str, patience_s: float) -> Any:
 
 
 def _close(client: Any, timeout: float) -> None:
-    """Leave the scheduler. A client whose scheduler is lost may be connecting again meanwhile, which then fails: that is no concern."""
+    """Leave the scheduler. A client whose scheduler is lost may be connecting again meanwhile, which then fails; that error is ignored."""
     with suppress(OSError, asyncio.TimeoutError, RuntimeError):
         client.close(timeout=timeout)
 
@@ -157,7 +157,7 @@ def _function(work: bytes) -> Callable:
 
 
 def _do(work: bytes, item: Any, version: str) -> bytes:
-    """What a worker does with an item: (value, error), packed."""
+    """An item's work in a worker: (value, error), packed."""
     if version != __version__:
         text = f"A worker of the cluster has rotorwatch {__version__}, here it is {version}: install the same."
         return packed(None, ConfigError(text))

@@ -32,8 +32,8 @@ class Known:
 
 @dataclass(frozen=True)
 class Answer:
-    """What became of one log. index: its place among the logs; path: its full path, or its address. diagnosis: without the trace; None
-    where there is an error. size, sha256: of the content, where it was asked for. page: the HTML report, where it was asked for.
+    """The result of one log. index: its place among the logs; path: its full path, or its address. diagnosis: without the trace; None
+    where there is an error. size, sha256: of the content, where requested. page: the HTML report, where requested.
     recording: the MCAP file, likewise. unchanged: it is as it was known, and was not judged again."""
 
     index: int
@@ -131,7 +131,7 @@ def read(path: str | PathLike, progress: Any = None) -> Flight:
 
 @dataclass(frozen=True)
 class _Judge:
-    """What is done with a log, wherever that is; baselines are read and judged once by each process."""
+    """The work on one log, in any process; baselines are read and judged once by each process."""
 
     vehicle: Vehicle | None
     baseline: tuple[Flight | str, ...]

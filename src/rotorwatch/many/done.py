@@ -1,4 +1,4 @@
-"""What comes back of one item: its value, or the exception that it ended with."""
+"""The result of one item: its value, or the exception that it ended with."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Done:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """An item on its way. tries: how often a worker has died of it."""
+    """An item that is worked on. tries: how often a worker has died of it."""
 
     index: int
     item: Any
@@ -44,7 +44,7 @@ def attempt(function: Callable, item: Any) -> tuple[Any, Exception | None]:
 
 
 def packed(value: Any, error: Exception | None) -> bytes:
-    """Both as bytes; what cannot be packed becomes an error that says so."""
+    """(value, error) as bytes; what cannot be packed becomes an error that says so."""
     try:
         return pickle.dumps((value, None if error is None else portable(error)))
     except Exception as why:

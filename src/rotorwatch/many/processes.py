@@ -34,7 +34,7 @@ READY = b"ready"
 def run(
     function: Callable, tasks: Iterator[Task], jobs: int, limit_s: float | None, tries: int, prepare: Callable | None
 ) -> Iterator[Done]:
-    """As `spread.run`. One item at a time in each process: what is in flight is as much as there are processes."""
+    """As `spread.run`. One item at a time in each process: as many items are in flight as there are processes."""
     work = pickle.dumps((function, prepare))
     again: deque[Task] = deque()
     team: list[Worker] = []
@@ -122,7 +122,7 @@ class Worker:
         self.deadline = time.monotonic() + START_S
 
     def call(self, item: Any) -> Any:
-        """function(item), waited for. Raises what the function raises; WorkerError when the process dies or hangs: it is gone then."""
+        """function(item), waited for. Raises what the function raises; WorkerError when the process dies or hangs; it has ended then."""
         self.task = Task(0, item)
         value, error = None, None
         if not self.ready:
@@ -184,7 +184,7 @@ class Worker:
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """What is started meanwhile computes in one thread, unless the user's environment says otherwise."""
+    """Processes that are started inside compute in one thread, unless the user's environment sets another number."""
     ours = [name for name in ONE_THREAD if name not in os.environ]
     os.environ.update(dict.fromkeys(ours, "1"))
     try:

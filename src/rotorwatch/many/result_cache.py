@@ -1,4 +1,4 @@
-"""Values of finished items in a folder, so that a call that was broken off goes on where it was.
+"""Values of finished items in a folder, so that a call that was interrupted goes on where it was.
 
 One file an item, named by the hash of what it depends on: version, function with its arguments, the item, and size and time of the logs
 it names. Files appear whole or not at all.

@@ -164,8 +164,8 @@ def riccati_gains(F, G, E, H, Q, R) -> tuple[np.ndarray, np.ndarray]:
         stable = False
     if not stable:
         raise ConfigError(
-            "The intermediate observer is not defined for these measurements: what the losses do to the state cannot be "
-            "told from them; measure the states that rotors drive, or their integrals."
+            "The intermediate observer is not defined for these measurements: the effect of the losses on the state is not "
+            "observable from them; measure the states that rotors drive, or their integrals."
         )
     return K[:n], E @ K[n:]
 

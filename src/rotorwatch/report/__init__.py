@@ -1,4 +1,4 @@
-"""What people read: terminal tables and HTML pages. No estimation here; the words that both use are below."""
+"""The answer as terminal tables and HTML pages. No estimation here; the words that both use are below."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def rotors_title(diagnosis: Diagnosis) -> str:
     if all(r.status == "unobservable" for r in diagnosis.rotors):
         if diagnosis.story and any(r.note for r in diagnosis.rotors):
             return "Rotors: until when each was seen to work"
-        return "Rotors: nothing can be said of them"
+        return "Rotors: none could be judged"
     if diagnosis.story:
         return "Rotors, up to the loss of control and after it"
     return "Rotors at the end of the judged flight"
@@ -139,7 +139,7 @@ def health_scale(diagnosis: Diagnosis) -> str:
 
 
 def event_rows(event: Event, diagnosis: Diagnosis) -> dict[str, str]:
-    """What is known of an event, by name, in the order of importance. Only what there is."""
+    """Label -> text of an event's fields, in the order of importance; only fields that it has."""
     lasts = event.end_s is None and event.kind in ("loss_of_effectiveness", "output_override")
     later = event.detected_s - event.onset_s
     rows = {
@@ -176,13 +176,13 @@ def common_mode(diagnosis: Diagnosis) -> str:
     if low <= 0.0 <= high or within < SMALL_SHIFT:
         if within > VARIED:
             return "The thrust of all rotors together varied too much in this flight to compare its end with its beginning."
-        same = "All rotors together were asked for the same thrust at the end as at the beginning"
+        same = "All rotors together were commanded the same thrust at the end as at the beginning"
         return f"{same}, within {percent(max(within, SMALL_SHIFT))}."
     more, why = "less", "a lighter vehicle, denser air or a fresher battery"
     if share > 0:
         more, why = "more", "a tired battery, more weight or thinner air, or a loss that all rotors share"
     return (
-        f"For the same motion all rotors together were asked for {percent(abs(share))} {more} thrust at the end than at the beginning "
+        f"For the same motion all rotors together were commanded {percent(abs(share))} {more} thrust at the end than at the beginning "
         f"(95 % interval {percent(min(abs(low), abs(high)))} to {percent(within)}): {why}. No single rotor is meant."
     )
 

@@ -73,7 +73,7 @@ def _rotor(x: float, y: float, radius: float, place: Rotor, state, tint: str) ->
 
 
 def geometry(diagnosis: Diagnosis) -> tuple[Rotor, ...]:
-    """Where the rotors are: as the diagnosis says (flight.geometry), as the frame's name says, or none."""
+    """Places of the rotors: from the diagnosis (flight.geometry), else from the frame's name, or none."""
     from rotorwatch import airframes
     from rotorwatch.errors import RotorwatchError
 

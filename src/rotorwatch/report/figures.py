@@ -196,7 +196,7 @@ def blank(x_range, height: int, y_label: str, tooltips: list[tuple[str, str]], *
 
 
 def words(size: str, baseline: str = "middle") -> dict[str, Any]:
-    """How labels in a plot look."""
+    """Font and colour of a plot's labels."""
     return dict(text_font="system-ui, sans-serif", text_font_size=size, text_color=INK, text_baseline=baseline)
 
 

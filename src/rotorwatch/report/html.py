@@ -135,8 +135,8 @@ def _moment(diagnosis: Diagnosis, divs: Mapping[str, str]) -> str:
         for r in diagnosis.rotors
     )
     return (
-        '<section class="moment" id="moment"><h2>The moment in one picture</h2><p>Attitude and rates: blue as it flew, dashed as it was '
-        "asked to. Commands: what each rotor was asked for, in percent of full thrust; a thick line is the rotor that is named above.</p>"
+        '<section class="moment" id="moment"><h2>The moment in one picture</h2><p>Attitude and rates: blue as it flew, dashed the '
+        "setpoint. Commands: of each rotor, in percent of full thrust; a thick line is the rotor that is named above.</p>"
         + "".join(_plot(name, divs) for name in names)
         + f'<p class="note">{keys}</p></section>'
     )
@@ -234,7 +234,7 @@ def _messages(diagnosis: Diagnosis) -> str:
 
 MOST_MESSAGES = 300
 PLOTS = (
-    (("command",), "Motor commands", "What the autopilot asked of each rotor: a weak rotor is asked for more."),
+    (("command",), "Motor commands", "The autopilot's command of each rotor: a weak rotor gets a higher one."),
     (
         ("evidence",),
         "Evidence",
@@ -244,13 +244,13 @@ PLOTS = (
     (
         tuple(f"rate_{axis}" for axis in figures.ANGLES),
         "Rates: sticks and gyro",
-        "Blue: as it turned. Dashed: as the sticks asked it to, after rates and expo (setpoint). A vehicle with a weak motor lags behind, "
+        "Blue: as it turned. Dashed: the pilot's setpoint, after rates and expo. A vehicle with a weak motor lags behind, "
         "or shakes, on the axes of that motor.",
     ),
     (
         tuple(f"angle_{angle}" for angle in figures.ANGLES),
         "Attitude: wanted and flown",
-        "Blue: as it flew. Dashed: as the controller was asked to. A vehicle that is at its limit no longer follows.",
+        "Blue: as it flew. Dashed: the controller's setpoint. A vehicle that is at its limit no longer follows.",
     ),
     (
         figures.CHANNELS,

@@ -67,11 +67,11 @@ _WHY = {
     "motors": "No motor commands: without them no rotor can be judged.",
     "gyro": "No angular rates: they can only be derived from the attitude, where that is logged.",
     "accel": "No accelerations: thrust cannot be checked, so a loss common to all rotors stays unseen.",
-    "control": "No rate controller output: an overridden output cannot be told from a commanded one.",
+    "control": "No rate controller output: an overridden output cannot be distinguished from a commanded one.",
     "attitude": "No attitude: take-off, landing and flips are found less reliably.",
-    "battery": "No battery voltage: battery sag cannot be told from a loss common to all rotors.",
+    "battery": "No battery voltage: battery sag cannot be distinguished from a loss common to all rotors.",
     "lift": "No battery compensation of the autopilot: it is estimated from the voltage.",
-    "esc": "No motor speeds: a short desync is less certain, and a slow motor cannot be told from a damaged propeller.",
+    "esc": "No motor speeds: a short desync is less certain, and a slow motor cannot be distinguished from a damaged propeller.",
 }
 _ONLY = {"lift": "ardupilot", "esc": "blackbox"}
 """Signals that are missed in logs of one autopilot alone."""
@@ -210,7 +210,7 @@ def _missing(flight: Flight, frame: str, stop: Obstacle | None) -> list[dict]:
         name, setting = _OBSTACLES[stop.what]
         # Of an unknown frame the whole sentence is among the warnings.
         unknown = stop.what == "frame" and not frame
-        why = "The airframe cannot be told from this log." if unknown else stop.why
+        why = "The airframe is not known from this log." if unknown else stop.why
         gaps.append(_gap(name, why[:1].upper() + why[1:], setting, True))
     return sorted(gaps, key=lambda gap: not gap["needed"])
 
@@ -232,7 +232,7 @@ def _family(flight: Flight) -> str:
 
 
 def _messages(flight: Flight) -> list[dict]:
-    """What a reader wants to know happened: errors, modes, arming, landing, dropouts, texts on motors and failsafes."""
+    """Messages that matter to a reader: errors, modes, arming, landing, dropouts, texts on motors and failsafes."""
     words = "thrust motor esc crash failsafe fail-safe vibration battery error emergency lost".split()
     shown = [m for m in flight.messages if m.kind != "text" or any(w in m.text.lower() for w in words)]
     return [{"time_s": round(float(m.time), 3), "kind": m.kind, "text": m.text} for m in shown[:MESSAGES_SHOWN]]

@@ -162,7 +162,7 @@ def _fields(names: list[str], row: list[float], of: list[int]) -> str:
 
 
 def _phases(trace: Trace) -> Iterator[Row]:
-    """Where what is done with the flight changes."""
+    """A message at each change of phase: on the ground, judged, or why blind."""
     phase = np.full(trace.time.size, ON_GROUND, object)
     for start, end in trace.airborne:
         phase[(trace.time >= start) & (trace.time <= end)] = JUDGED

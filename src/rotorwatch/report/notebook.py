@@ -1,4 +1,4 @@
-"""What a notebook shows of a diagnosis: a few lines of HTML without scripts, in the colours of the page around them."""
+"""A diagnosis in a notebook: a few lines of HTML without scripts, in the colours of the page around them."""
 
 from __future__ import annotations
 

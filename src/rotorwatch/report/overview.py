@@ -98,7 +98,7 @@ class Rows:
             self._rows = self.worst()
 
     def worst(self) -> list[Row]:
-        """Those that are kept, worst first."""
+        """Rows that are shown, worst first."""
         return sorted(self._rows, key=lambda row: row.rank)[:MOST]
 
     def title(self) -> str:

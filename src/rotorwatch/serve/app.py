@@ -1,4 +1,4 @@
-"""The routes: the page and its files, the stream of what is watched, the list of flights, their reports, and uploads."""
+"""The routes: the page and its files, the stream of live vehicles, the list of flights, their reports, and uploads."""
 
 from __future__ import annotations
 

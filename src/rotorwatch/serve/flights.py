@@ -28,7 +28,7 @@ SHOWN = ("hash", "name", "utc", "verdict", "headline", "frame", "duration_s", "a
 
 
 class Flights:
-    """The store, and where pages lie. url: as for `Store`. Raises StoreError or ConfigError where they cannot be had."""
+    """The store, and the folder of pages. url: as for `Store`. Raises StoreError or ConfigError where they cannot be had."""
 
     def __init__(self, url: str | None = None):
         self._store = Store(url)
@@ -41,7 +41,7 @@ class Flights:
         return files.folder(self._folder / name, "--store")
 
     def page(self, digest: str) -> Path:
-        """Where the page of a flight lies, or will."""
+        """The path of a flight's page, whether it exists or not."""
         return self._folder / f"{digest}.html"
 
     def rows(self, search: str, limit: int, offset: int) -> dict[str, Any]:
@@ -82,7 +82,7 @@ class Flights:
             return page(Diagnosis.from_dict(found))
 
     def close(self) -> None:
-        """Let go of the store."""
+        """Close the store."""
         self._store.close()
 
 
@@ -133,7 +133,7 @@ class StoreWriter:
         return self._waiting / f"{entry.hash}.json"
 
     def _put_by(self, entry: Entry) -> None:
-        """Write it down, once. Where that cannot be done either, it is only tried again."""
+        """Write the entry to disk, once. Where that fails too, storing is only tried again."""
         if not self._path(entry).exists():
             with suppress(Exception), files.replacing(self._path(entry)) as part:
                 part.write_text(as_json(asdict(entry)), "utf-8")

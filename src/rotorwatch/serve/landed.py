@@ -42,7 +42,7 @@ class Landings:
 
 
 def answer(name: str, session: Session, rows: Sequence[tuple], hop: tuple[float, float]) -> Diagnosis:
-    """What the live judge found in one flight. rows: of its band (`live.Band`). hop: (start, end) [s]."""
+    """The Diagnosis of one flight from the live judge's events. rows: of its band (`live.Band`). hop: (start, end) [s]."""
     assert session.vehicle is not None
     start, end = hop
     vehicle, about = session.vehicle, session.about

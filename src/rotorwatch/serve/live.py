@@ -82,7 +82,7 @@ class Band:
 
 
 class Shown:
-    """One vehicle as the page knows it."""
+    """One vehicle as the page shows it."""
 
     def __init__(self, key: int, watched: Watched):
         self.key, self.watched = key, watched
@@ -225,7 +225,7 @@ class Guarded(loop.Guarded):
 
 
 class Feed:
-    """All endpoints, watched from `start` to `stop`; hub: sends it to the pages. ended: called with each flight that was heard over a
+    """All endpoints, watched from `start` to `stop`; hub: sends it to the pages. ended: called with each flight that was received over a
     link and has ended; it must not wait."""
 
     def __init__(self, ended: Callable[[Entry], None] = lambda entry: None):
@@ -282,7 +282,7 @@ class Feed:
         self.notify({"type": "error", "vehicle": "rotorwatch", "text": text})
 
     def stop(self) -> None:
-        """Watch no longer: links are left as they were found, pages are let go."""
+        """Stop watching: links are left as they were found, pages are disconnected."""
         if self.stopped:
             return
         self.stopped = True
@@ -345,6 +345,6 @@ class Feed:
             self.hub.publish("tick", {"endpoints": self._endpoints, "vehicles": vehicles_now})
 
     def state(self) -> dict[str, Any]:
-        """All that a new page has to know; as of the last tick, since the thread that watches is at work meanwhile."""
+        """The whole state for a new page; as of the last tick, since the thread that watches is at work meanwhile."""
         vehicles = [{**now, "frame": shown.frame, "points": shown.band.rows} for shown, now in self._vehicles]
         return {"endpoints": self._endpoints, "vehicles": vehicles, "said": list(self._messages)}

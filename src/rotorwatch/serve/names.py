@@ -1,4 +1,4 @@
-"""Names that come from elsewhere, made harmless: shown as text, and never a path."""
+"""Foreign names, made harmless: shown as text, and never a path."""
 
 from __future__ import annotations
 

@@ -124,7 +124,7 @@ def _server(app: Any, feed: Any, ready: Callable[[], None]) -> Any:
 
         @contextmanager
         def capture_signals(self):
-            """Being stopped is how this ends: no signal is raised again afterwards."""
+            """A signal is the normal end: none is raised again afterwards."""
             if threading.current_thread() is not threading.main_thread():
                 yield
                 return

@@ -1,4 +1,4 @@
-"""Logs that are sent here: taken within bounds of size and time, judged in processes of their own, and stored as flights."""
+"""Uploaded logs: received within limits of size and time, judged in processes of their own, and stored as flights."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Log:
 
 
 def judge(what: tuple[Log, str]) -> Entry | str:
-    """What a worker does with (log, path of the page): writes the page, returns the flight for the store, or why the log holds none.
+    """A worker's job on (log, path of the page): writes the page, returns the flight for the store, or why the log holds none.
     Raises what the log is not to blame for."""
     from rotorwatch.diagnose import diagnose
     from rotorwatch.fleet.judge import of_flight
@@ -87,7 +87,7 @@ def judge(what: tuple[Log, str]) -> Entry | str:
 
 @dataclass(frozen=True)
 class _Limited:
-    """A job within a time that the process looks after itself."""
+    """A job with a time limit that its process keeps itself."""
 
     job: Callable[[Any], Any]
     timeout_s: float
@@ -132,7 +132,7 @@ class Uploads:
             self._begin(log)
 
     def stop(self) -> None:
-        """End what is at work; what was not judged is there for the next start."""
+        """End the workers; logs that are not judged yet stay for the next start."""
         self._stopping = True
         for worker in self._all:
             worker.stop()
@@ -235,7 +235,7 @@ class Uploads:
             self._begin(log, waited_s)
 
     async def _finish(self, log: Log) -> None:
-        """It is in the store, or refused."""
+        """Remove a log that is stored or refused."""
         del self._logs[log.digest]
         shutil.rmtree(log.path.parent, ignore_errors=True)
         async with self._freed:
@@ -295,7 +295,7 @@ def _too_large(name: str, most: int) -> str:
 
 
 async def _drain(body: AsyncIterator[bytes]) -> None:
-    """Read on for a while without keeping anything."""
+    """Read and discard for a while."""
 
     async def rest() -> None:
         async for _ in body:
@@ -325,7 +325,7 @@ def _locked(file: Any) -> bool:
 
 
 def _left(incoming: Path, own: Path) -> list[Log]:
-    """What servers before this one had received and not judged, moved to the folder of this run; the rest of theirs is removed."""
+    """Logs that earlier servers had received and not judged, moved to the folder of this run; the rest of theirs is removed."""
     found = []
     for run in incoming.glob("run-*"):
         if run == own:

@@ -1,6 +1,6 @@
 /* The whole: samples in, events out. Which rotor lost effectiveness, how much, since when, how sure.
 
-   Feed every sample in the order of its time, of all kinds together, then ask. Feeding a sample of time t says that all older ones have
+   Feed every sample in the order of its time, of all kinds together, then poll. Feeding a sample of time t says that all older ones have
    come. The judgement of a moment is final, but for events that a poll reports as changed or withdrawn: ticks that may still turn out to lie on
    the ground (a descent on little thrust, a knock) wait until that is known, up to some seconds, and are judged then.
 

@@ -35,7 +35,7 @@ DSHOT_OFF, DSHOT_SPAN = 47.0, 2000.0
 MIXED = 1000.0  # of the controller's output, full range of an output
 POLES = 14.0
 MOST_ROTORS = 16
-ENOUGH = 20_000  # rows that say what the mixer does
+ENOUGH = 20_000  # rows that the mixer is fitted to
 LEAST_ROWS, LEAST_STD, FITS = 200, 2.0, 0.8
 USED = re.compile(
     r"(time|(gyroADC|gyroUnfilt|gyroRaw|accSmooth|setpoint|axisRate|axis[PIDFS]|rcCommand|motor|eRPM|escRPM|imuQuaternion|attitude|navVel"

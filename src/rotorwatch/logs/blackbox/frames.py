@@ -1,6 +1,6 @@
 """Frames of a Blackbox log, as a definition (`compiling.structs`): bytes in, rows of whole numbers out.
 
-A session's header says of each kind of frame which fields it has, how they are encoded and what is predicted for them. I frames stand
+A session's header lists for each kind of frame its fields, their encodings and their predictors. I frames stand
 alone; P frames hold the difference to a prediction from the frames before. S: slow-changing states, G: GPS, H: its home, E: events.
 
 Only its fields show where a frame ends, and there is no checksum. So a frame counts if another begins where it
