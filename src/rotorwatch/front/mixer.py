@@ -167,7 +167,7 @@ class Mixer(Struct):
             inside = inside and 0.005 < demanded < 0.99 * top
             thrust[k] = (1.0 - v.expo) * drive + v.expo * drive * drive
         for k in range(v.rotors):
-            valid_thrust[k] = inside and self.trusted[k]
+            valid_thrust[k] = inside and self.confirmed[k]
             some = some or valid_thrust[k]
         return some
 
@@ -196,7 +196,7 @@ class Mixer(Struct):
             self._deviations(v, control, c)
         for k in range(v.rotors):
             good = abs(c.deviation[k]) < PART
-            self.trusted[k] = good and self.good[k]
+            self.confirmed[k] = good and self.good[k]
             self.good[k] = good
         self.time = time
         c.gain = self.gain
