@@ -229,7 +229,7 @@ class Front(Struct):
             self.count += 1
             self.newest = row.when
             if self.start < LASTS and self.start <= row.when < self.start + HOVER_LEARN_S:
-                self.ticks.learn_hover(v, row, self.start)
+                self.ticks.learn_hover_thrust(v, row, self.start)
 
     def _aloft(self, time: Time) -> bool:
         return time >= self.start or self.before_start <= time < self.before_end

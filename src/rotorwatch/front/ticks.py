@@ -74,7 +74,7 @@ class Ticks(Struct):
     tumbled: bool = False  # the vehicle has tumbled in this flight: what follows is a fall
     begun: bool = False
 
-    def learn_hover(self, v: Vehicle, row: Sensed, start: Time) -> None:
+    def learn_hover_thrust(self, v: Vehicle, row: Sensed, start: Time) -> None:
         """Before the first tick of a flight is made: every row with start <= when < start + 1 s, in order. What carries the vehicle is
         learned from them."""
         if self.flight < start or self.flight > start:

@@ -136,7 +136,7 @@ def assemble(
             flight = lifted[i]
             while ahead < n and rows[ahead].when < flight + HOVER_LEARN_S:
                 if rows[ahead].when >= flight:
-                    t.learn_hover(v, rows[ahead], flight)
+                    t.learn_hover_thrust(v, rows[ahead], flight)
                 ahead += 1
         t.make(v, p, rows[i], start[i], made[i])
 
