@@ -146,7 +146,7 @@ def _concluded(seen: Evidence, verdict, reason, headline, main, doubts) -> Concl
         verdict, seen.events, main, states, bool(seen.whole) or not seen.comparable, seen.places, doubts, stays
     )
     story_lines = story.narrate(seen.events, main, seen.n, seen.places, seen.hops, not doubts)
-    return Conclusion(verdict, reason, headline, main, states, next_steps, seen.events, story_lines)
+    return Conclusion(verdict, reason, headline, main, states, next_steps, tuple(seen.events), story_lines)
 
 
 def main_event(events: Sequence[Event]) -> int | None:
