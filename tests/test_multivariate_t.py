@@ -73,15 +73,6 @@ def test_means_of_what_is_known_better_count_more():
     np.testing.assert_allclose(variance, [2.0 / 3.0, 0.5])
 
 
-def test_a_robust_mean_stays_where_most_are():
-    values = np.concatenate([RNG.standard_normal((95, 2)), np.full((5, 2), 100.0)])
-    assert np.abs(student.robust_mean(values)).max() < 0.5
-    rest = np.array([-3.0, -1.0, 0.0, 1.0, 30.0])
-    weight, scale = student.huber(rest, 0.0)
-    assert scale == pytest.approx(1.4826)
-    np.testing.assert_allclose(weight * np.maximum(np.abs(rest), student.HUBER * scale), student.HUBER * scale)
-
-
 def test_intervals_of_masses_in_any_order():
     values, mass = np.linspace(-6.0, 6.0, 4001), np.exp(-0.5 * np.linspace(-6.0, 6.0, 4001) ** 2)
     order = RNG.permutation(4001)

@@ -16,7 +16,7 @@ import numpy as np
 
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.maths.huber import huber
+from rotorwatch.maths import huber
 from rotorwatch.motion.allocation import Spans, motor_thrusts, within
 
 WIDTH_S = 0.004
@@ -127,7 +127,7 @@ def _surprise(y, drive, motion, flies, width) -> tuple[np.ndarray, np.ndarray, n
     X = np.column_stack([_late(drive.sum(axis=1), range(LAGS)), _late(y, range(1, PAST + 1)), motion])
     if not np.ptp(y[flies]) > 0.0:
         return None
-    fitted = huber(X[flies], y[flies]).theta
+    fitted = huber.regression(X[flies], y[flies]).theta
     left = y - X @ fitted
     left[~flies] = 0.0
     scale = np.hypot(_scale(np.abs(left), flies, width), _unsure(drive, fitted[:LAGS], width))

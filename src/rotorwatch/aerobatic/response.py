@@ -16,7 +16,7 @@ import numpy as np
 
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.maths.huber import huber
+from rotorwatch.maths import huber
 from rotorwatch.motion.allocation import Spans, motor_thrusts, within
 
 WINDOW_S = 0.02
@@ -126,5 +126,5 @@ def _fit(torque: np.ndarray, turning: np.ndarray, motion: np.ndarray, axis: int,
     """((gain, damping, coupling), scale of what is left) of one axis."""
     i, j = OTHERS[axis]
     X = _fast(np.column_stack([torque, motion[:, axis], motion[:, i] * motion[:, j]]))[flies]
-    fit = huber(X, _fast(turning)[flies])
+    fit = huber.regression(X, _fast(turning)[flies])
     return fit.theta, fit.scale

@@ -45,6 +45,7 @@ from rotorwatch import airframes
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.maths import huber
 from rotorwatch.maths import multivariate_t as student
 
 AFTER_TAKE_OFF_S, BEFORE_LANDING_S = 3.0, 1.0
@@ -195,7 +196,7 @@ def features(flight: Flight, vehicle: Vehicle, airborne: Sequence[tuple[float, f
     rest = w - of_wind(force, slope)
     covariance = _covariance_of_mean(rest - intercept)
     half = np.arange(len(time)) >= len(time) / 2
-    first, second = student.robust_mean(rest[~half]), student.robust_mean(rest[half])
+    first, second = huber.mean(rest[~half]), huber.mean(rest[half])
     noise = _covariance_of_mean(rest[~half] - first) + _covariance_of_mean(rest[half] - second)
     push = force[half].mean(axis=0) - force[~half].mean(axis=0)
     noise += np.diag(of_wind(np.square(push), np.square(slope_sd)))
@@ -206,7 +207,7 @@ def features(flight: Flight, vehicle: Vehicle, airborne: Sequence[tuple[float, f
     battery, logged = _block_means(flight.signals.get("battery"), time, 1)
     return Features(
         name=flight.name,
-        share=_frozen(student.robust_mean(share)),
+        share=_frozen(huber.mean(share)),
         wrench=_frozen(intercept + of_wind(force.mean(axis=0), slope)),
         force=_frozen(force.mean(axis=0)),
         slope=_frozen(slope),
@@ -285,13 +286,13 @@ def of_wind(force: Any, slope: Any) -> np.ndarray:
 
 def _wind_fit(w: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Intercept (3,), slopes and their sd (2,) of w (k, 3) on the crosswise force; robust, with the prior SLOPE_SD."""
-    intercept, slope, sd = student.robust_mean(w), np.zeros(2), np.full(2, SLOPE_SD)
+    intercept, slope, sd = huber.mean(w), np.zeros(2), np.full(2, SLOPE_SD)
     for axis, cause in ((0, 1), (1, 0)):
         centre = force[:, cause].mean()
         x, y = force[:, cause] - centre, w[:, axis]
         level, s = np.median(y), 0.0
         for _ in range(student.ROUNDS):
-            weight, scale = student.huber(y - level - s * x, 1e-6)
+            weight, scale = huber.weights(y - level - s * x, 1e-6)
             level = np.average(y - s * x, weights=weight)
             precision = np.sum(weight * x * x) / scale**2 / 4.0  # neighbouring blocks are alike: count every fourth
             s = np.sum(weight * x * (y - level)) / scale**2 / 4.0 / (precision + SLOPE_SD**-2)

@@ -1,11 +1,11 @@
-"""Statistics of flights compared with one another: Student's t of several variables, robust means and intervals on grids.
+"""Statistics of flights compared with one another: Student's t of several variables and intervals on grids.
 
 A row x of d numbers with scale matrix S and nu degrees of freedom has the density ~ |S|^-1/2 (1 + q / nu)^-((nu + d) / 2), q = x' S^-1 x.
 q / d follows F(d, nu) (Hotelling), and a row's weight in a robust fit is (nu + d) / (nu + q).
 
 Sources: K. L. Lange, R. J. A. Little and J. M. G. Taylor, Robust statistical modeling using the t distribution, Journal of the American
 Statistical Association 84 (1989) 881-896, for the weights; A. Gelman et al., Bayesian Data Analysis, 3rd ed., section 3.6, for the
-distribution of a new row; P. J. Huber, Robust Statistics (1981), for the robust mean.
+distribution of a new row.
 """
 
 from __future__ import annotations
@@ -16,9 +16,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from rotorwatch.maths.tails import f_tail
-
-HUBER = 1.5  # standard deviations from which a value counts less
-ROUNDS = 10
 
 
 def squared_distance(
@@ -72,22 +69,6 @@ def weighted_mean(values: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray,
     """Column means (d,) of values (m, d), each weighed with one over its variance (m, d), and the variance of the means."""
     precision = 1.0 / variance
     return (precision * values).sum(axis=0) / precision.sum(axis=0), 1.0 / precision.sum(axis=0)
-
-
-def huber(rest: np.ndarray, least: float) -> tuple[np.ndarray, np.ndarray]:
-    """Weights of what is left of a fit (m, ...), and its scale by the median, `least` more than that."""
-    size = np.abs(rest)
-    scale = 1.4826 * np.median(size, axis=0) + least
-    return np.minimum(1.0, HUBER * scale / np.maximum(size, 1e-12)), scale
-
-
-def robust_mean(values: np.ndarray) -> np.ndarray:
-    """Column means of values (m, d) with Huber's weights."""
-    centre = np.median(values, axis=0)
-    for _ in range(ROUNDS):
-        weight, _ = huber(values - centre, 1e-9)
-        centre = np.sum(weight * values, axis=0) / np.sum(weight, axis=0)
-    return centre
 
 
 def mean_and_interval(values: np.ndarray, mass: np.ndarray) -> tuple[float, tuple[float, float]]:
