@@ -38,7 +38,7 @@ CAUSES = {  # of a loss of control without a rotor, in the few characters there 
 class _Vehicle:
     """sent: event -> (rotors, alternatives, over, losses) as sent last; waiting: event -> the latest alert."""
 
-    text_of: dict[int, tuple] = field(default_factory=dict)
+    sent: dict[int, tuple] = field(default_factory=dict)
     waiting: dict[int, dict] = field(default_factory=dict)
     texts: list[float] = field(default_factory=list)  # when they were sent
     values: float = -math.inf

@@ -100,7 +100,7 @@ class Watched:
             self._limits = self.session.limits
             if self._limits:
                 self.say(self._limits)
-        revision = self.session.said
+        revision = self.session.revision
         if revision != self._revision or ((revision or self.changes.now) and self.session.now - self._looked > LOOK_S):
             self._look()
         return stepped
@@ -127,7 +127,7 @@ class Watched:
 
     def _look(self, final: bool = False) -> None:
         assert self.session is not None
-        self._revision, self._looked = self.session.said, self.session.now
+        self._revision, self._looked = self.session.revision, self.session.now
         for change in self.changes.of(self.session.events(), final):
             self._alert(change)
 
