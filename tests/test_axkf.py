@@ -149,7 +149,7 @@ def half_a_loss(plain):
 
 
 def twice_the_noise(plain):
-    return lambda *a, **k: plain(*a[:8], 2.0 * a[8], *a[9:], **k)
+    return lambda *a, **k: plain(*a[:6], 2.0 * a[6], *a[7:], **k)
 
 
 def forgets_the_state_too(plain):

@@ -128,7 +128,7 @@ def test_a_motor_turns_to_what_it_is_told_with_a_lag():
     keep, slow = np.exp(-0.004 / innovation.TURNING_S), told.copy()
     for k in range(1, len(told)):
         slow[k] = keep * slow[k - 1] + (1.0 - keep) * told[k]
-    assert innovation._slow(told, 0.004) == pytest.approx(slow, abs=1e-12)
+    assert innovation._slow(told, 0.004) == pytest.approx(slow, abs=1e-8)
 
 
 def one(rotor=0, start=10.0, lasting=0.1, ratio=5.0, others=()):

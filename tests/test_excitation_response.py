@@ -106,7 +106,7 @@ def test_the_information_of_ticks_finds_the_losses_and_the_lag():
     noise = excitation.Noise(np.array([0.02**2, 0.0, 0.0, 1e-6]), np.array(TAU))
     model = excitation_response._Model(e, np.zeros(6), 0.0, noise)
     table = type("Table", (), {"time": time, "dt": dt})
-    one = excitation_response._asked(np.arange(2, T), (0.0, 5.0), q, model, table, B)
+    one = excitation_response._response(np.arange(2, T), (0.0, 5.0), q, model, table, B)
     best = [
         excitation_response._gaussian(J, z, np.zeros(6), np.full(6, 0.3))[0] for J, z in zip(one.J, one.z, strict=True)
     ]

@@ -84,8 +84,8 @@ def test_an_innovation_counts_as_six_standard_deviations_at_most():
         assert found[0] == pytest.approx(variance) and new == pytest.approx(P @ h * y / variance)
 
 
-def predict(b, flying=True, doubt=1.0):
-    return kalman.predict(b, SYSTEM.decay(DT), QUIET, doubt, flying, DT)
+def predict(b, flying=True, burst_factor=1.0):
+    return kalman.predict(b, SYSTEM.decay(DT), QUIET, burst_factor, flying, DT)
 
 
 def test_disturbances_fade_and_walk_while_a_loss_is_refined_it_walks_too():

@@ -269,7 +269,7 @@ def test_the_view_says_what_is_wrong_first():
     assert crash.events[0] == "loss of control at 31.2 s (0 s ago), rotor 2: a rotor lost its thrust"
     fell = hexa_event(kind="loss_of_control", rotors=(), loss=(), interval=(), extra={"cause": "disarmed"})
     assert view.line(watched_with([fell])).state == "LOST"
-    silent = view.line(watched_with([], heard=-100.0))
+    silent = view.line(watched_with([], last_frame=-100.0))
     assert silent.state == "SILENT" and "silent for" in silent.link
     knock = hexa_event(kind="contact", rotors=(), loss=(), interval=(), end_s=31.2)
     assert view.line(watched_with([knock])).events == ("knock or contact at 31.2 s (0 s ago)",)

@@ -165,7 +165,7 @@ def tune(
     kept, aside = baselines.healthy(logs)
     for one in kept:
         aerobatic.decline(one.flight, "the published methods model hover, so that there is nothing to tune to.")
-    taught, held, held_name = _kept_back([(one.name, _hops(one)) for one in kept])
+    taught, held, held_name = _held_out([(one.name, _hops(one)) for one in kept])
     found = fit(estimator, taught, rounds=rounds, progress=progress)
     notes = [*aside, *found.notes]
     if held:
@@ -192,7 +192,7 @@ def _hops(one: baselines.Candidate) -> list[LogPlant]:
     return [hop for hop in hops if len(hop.u) >= LEAST_ROWS]
 
 
-def _kept_back(flights: Sequence[tuple[str, list[LogPlant]]]) -> tuple[list[LogPlant], list[LogPlant], str]:
+def _held_out(flights: Sequence[tuple[str, list[LogPlant]]]) -> tuple[list[LogPlant], list[LogPlant], str]:
     """Hops to fit to, hops to check on, and what those are called: the last flight, or the last quarter of a single long hop."""
     flights = [(name, hops) for name, hops in flights if hops]
     if len(flights) > 1:

@@ -291,7 +291,7 @@ def _wind_fit(w: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray,
         centre = force[:, cause].mean()
         x, y = force[:, cause] - centre, w[:, axis]
         level, s = np.median(y), 0.0
-        for _ in range(student.ROUNDS):
+        for _ in range(huber.ROUNDS):
             weight, scale = huber.weights(y - level - s * x, 1e-6)
             level = np.average(y - s * x, weights=weight)
             precision = np.sum(weight * x * x) / scale**2 / 4.0  # neighbouring blocks are alike: count every fourth

@@ -197,7 +197,7 @@ def surrogate(source: Source, rng: np.random.Generator, flight_s: float = FLIGHT
         * (np.abs((np.arange(count) + rng.integers(2) * length) % (2 * length) - length) - 0.5 * length)[:, None]
     )
     wrench = (source.gains * _regressors(rate, rate_dot, load, side, n)).sum(axis=2) + drift + e
-    learning = ready_s(source.vehicle) - ticks.SETTLE_S
+    learning = ready_s(source.vehicle) - ticks.HOVER_LEARN_S
     time = dt * np.arange(count)
     accelerometer = bool(np.median(source.table.valid[source.table.mode == JUDGE, 3]))
     table = Ticks(
