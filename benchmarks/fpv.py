@@ -47,7 +47,7 @@ def batch(number: int, healthy: bool, curves: bool = False) -> list[dict]:
     rng = np.random.default_rng((7, number, healthy))
     wrong = [[] if healthy else drawn(rng, j) for j in range(BATCH)]
     rpm = bool(number % 2)
-    expo = rng.uniform(0.0, 1.0, BATCH) if curves else fpv.EXPO
+    expo = rng.uniform(0.0, 1.0, BATCH).tolist() if curves else fpv.EXPO
     flights = fpv.fly(
         BATCH, DURATION_S, 10_000 * (1 + healthy) + number, tuple(m for ms in wrong for m in ms), rpm, expo
     )

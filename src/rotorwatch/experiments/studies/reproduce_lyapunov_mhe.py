@@ -168,7 +168,9 @@ def judge(estimator, flown: flights.Flight):
     jax = load_jax()
     size = flown.t.shape
     table = [a.reshape(-1, *a.shape[3:]) for a in (flown.u, flown.y)]
-    program = jax.jit(lambda *table: jax.lax.map(lambda flight: tools.stepped(estimator, *flight, tools.losses), table))
+    program = jax.jit(
+        lambda *table: jax.lax.map(lambda flight: tools.stepped(estimator, flight[0], flight[1], tools.losses), table)
+    )
     program = program.lower(*table).compile()
     began = time.process_time()  # not the clock on the wall: other programs may be running
     theta = np.asarray(program(*table))

@@ -44,7 +44,7 @@ def flight(estimator=None, seed: int = 0):
             tilting = ATTITUDE_GAIN * (jnp.stack([roll, pitch]) - attitude) - RATE[:2] * y[3:5]
             nu = jnp.concatenate([CLIMB * climb[None], tilting, RATE[2] * (turn - y[5])[None]])
             at_trim = system.derivative(y, jnp.concatenate([trim, attitude]), jnp.zeros(8))[MOVED]
-            known = (jnp.where(informed, a, b) for a, b in ((gain, 1.0), (half, 0.0), (displaced, 0.0)))
+            known = jnp.where(informed, gain, 1.0), jnp.where(informed, half, 0.0), jnp.where(informed, displaced, 0.0)
             wanted = inverse @ (nu - at_trim) + trim
             U = ruav_control.trim_command(trim, *known, wanted)
             u, truth = truth.moved(system, jnp.clip(U + dither, 0.0, 1.0), push, now, ruav_flight.FAULT)
