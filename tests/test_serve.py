@@ -246,7 +246,7 @@ def listening(monkeypatch):
     sock, begun, hub = server.listen("127.0.0.1", 0), threading.Event(), Hub(dict)
     feed = types.SimpleNamespace(hub=hub)
     app = Starlette(routes=[Route("/", plain, methods=["GET", "POST"]), Route("/slow", slow)])
-    serving = server._server(app, feed, begun.set)
+    serving = server.http_server(app, begun.set, feed.hub.close)
     serving.config.lifespan = "off"
     thread = threading.Thread(target=lambda: asyncio.run(serving.serve([sock])), daemon=True)
     thread.start()
@@ -556,7 +556,7 @@ def test_stopping_a_server_leaves_what_it_judges_to_the_next(quick, monkeypatch)
 
     async def action(here):
         sent = asyncio.create_task(here.take("a.bin", None, body(b"a log")))
-        await until(lambda: here._all and here._all[0].ready)
+        await until(lambda: here._workers._all and here._workers._all[0].ready)
         here.stop()
         await asyncio.wait([sent])
         why = sent.exception()

@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import re
 import tempfile
+import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -119,6 +120,14 @@ def printable(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+
+
+def one_line(text: str, most: int) -> str:
+    """The text in one line of at most `most` letters (40 or more), its end kept, without signs that control a terminal, turn the direction
+    of writing around or are no letters at all."""
+    words = " ".join(text.split())
+    plain = " ".join("".join(c for c in words if unicodedata.category(c)[0] != "C").split())
+    return plain if len(plain) <= most else f"{plain[: most - 30]}…{plain[-29:]}"
 
 
 def public(text: str) -> str:

@@ -4,6 +4,7 @@ spread.py         `run`, `in_order`, `ordered`: the interface; they choose betwe
 result_cache.py   values of finished items in a folder, for a call that was interrupted
 done.py           the result of an item, and errors that can be sent between processes
 processes.py      processes of this computer, by the standard library alone
+limited.py        a job on files of strangers: processes with limits of time and memory
 cluster.py        the workers of a Dask scheduler (the extra `cluster`)
 gathering.py      which logs a call is about: files, folders, patterns, addresses
 diagnose_many.py  `diagnose` of every one of them

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-import unicodedata
 from urllib.parse import unquote_to_bytes
+
+from rotorwatch.base.files import one_line
 
 MOST = 200  # letters of a name
 
@@ -14,13 +15,8 @@ def shown(header: str) -> str:
     direction of writing around or are no letters at all. header: percent-encoded UTF-8, as it stands in a header."""
     text = unquote_to_bytes(header[: 20 * MOST]).decode("utf-8", "replace")
     last = re.split(r"[/\\]", text)[-1]
-    plain = "".join(
-        c for c in last if unicodedata.category(c)[0] != "C" and unicodedata.category(c) not in ("Zl", "Zp")
-    )
-    plain = " ".join(plain.split())
-    if not plain.strip(". "):
-        return "flight"
-    return plain if len(plain) <= MOST else f"{plain[: MOST - 30]}…{plain[-29:]}"
+    plain = one_line(last, MOST)
+    return plain if plain.strip(". ") else "flight"
 
 
 def on_disk(name: str) -> str:

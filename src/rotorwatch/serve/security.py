@@ -86,7 +86,7 @@ class Guard:
         if len(headers.getlist("host")) != 1 or not self._known(headers["host"]):
             why = "This address is not this server's; open it by the name or the address it was started with."
             return refused(request, 421, why)
-        if request.method not in ("GET", "HEAD") and not _from_here(headers):
+        if request.method not in ("GET", "HEAD") and not from_here(headers):
             return refused(request, 403, "This came from the page of another site; open rotorwatch's own page.")
         if not self._token:
             return RedirectResponse("/", 303) if request.url.path == "/login" else None
@@ -161,7 +161,7 @@ def _cookie(request: Request) -> str:
     return f"rotorwatch-{request.url.port or 80}"
 
 
-def _from_here(headers: Headers) -> bool:
+def from_here(headers: Headers) -> bool:
     """Whether a request that changes something was not made by the page of another site."""
     origin = headers.get("origin")
     if headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none"):

@@ -67,7 +67,7 @@ def serve(
         name = socket.gethostname() if host in ("0.0.0.0", "::", "") else f"[{host}]" if ":" in host else host
         address = f"http://{name}:{listening.getsockname()[1]}/"
         app = application(feed, flights, limits, host, known)
-        server = _server(app, feed, lambda: ready(address) if ready else None)
+        server = http_server(app, lambda: ready(address) if ready else None, feed.hub.close)
         asyncio.run(server.serve([listening]))
         if not server.started:
             raise ConfigError("The server did not start; run it with --debug to see why.")
@@ -109,7 +109,8 @@ def listen(host: str, port: int) -> socket.socket:
     return sock
 
 
-def _server(app: Any, feed: Any, ready: Callable[[], None]) -> Any:
+def http_server(app: Any, ready: Callable[[], None], stopping: Callable[[], None] = lambda: None) -> Any:
+    """A server of an ASGI application, with the limits of connections.py. ready: called when it serves; stopping: when a signal ends it."""
     import uvicorn
 
     from rotorwatch.serve.connections import Connection
@@ -136,7 +137,7 @@ def _server(app: Any, feed: Any, ready: Callable[[], None]) -> Any:
                     signal.signal(sig, handler)
 
         def handle_exit(self, sig: int, frame: Any) -> None:
-            feed.hub.close()
+            stopping()
             super().handle_exit(sig, frame)
 
     config = uvicorn.Config(

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import functools
 import hashlib
 import json
-import pickle
 import shutil
 import tempfile
 import time
@@ -16,10 +14,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from rotorwatch.base import incoming as limited
-from rotorwatch.errors import ConfigError, LogError, RotorwatchError, VehicleError, WorkerError
+from rotorwatch.errors import ConfigError, LogError, RotorwatchError, VehicleError
 from rotorwatch.fleet.store import Entry
-from rotorwatch.many.processes import Worker
+from rotorwatch.many.limited import TooMuch, Workers
 from rotorwatch.serve import names
 from rotorwatch.serve.flights import Flights, wrong
 
@@ -85,21 +82,6 @@ def judge(what: tuple[Log, str]) -> Entry | str:
     return entry
 
 
-@dataclass(frozen=True)
-class _Limited:
-    """A job with a time limit that its process keeps itself."""
-
-    job: Callable[[Any], Any]
-    timeout_s: float
-
-    def __call__(self, what: Any) -> Any:
-        try:
-            with limited.within(self.timeout_s):
-                return self.job(what)
-        except limited.TooLong as why:
-            raise WorkerError(str(why), "took too long") from None
-
-
 class Uploads:
     """Uploaded logs. on_stored: called with each new flight, once it is stored; trouble: with a sentence when a log has to wait.
 
@@ -122,20 +104,18 @@ class Uploads:
         self._judging: dict[str, asyncio.Task[tuple[dict[str, Any], bool]]] = {}
         self._freed = asyncio.Condition()
         self._turn = asyncio.Semaphore(limits.jobs)
-        self._idle: list[Worker] = []
-        self._all: list[Worker] = []
+        self._workers = Workers(judge, limits.judge_s, limits.memory_mb, LOADS)
 
     def start(self) -> None:
         """Make a worker ready, and judge what was complete when an earlier server was stopped."""
-        self._idle.append(self._worker())
+        self._workers.start()
         for log in _left(self._incoming, self._run):
             self._begin(log)
 
     def stop(self) -> None:
         """End the workers; logs that are not judged yet stay for the next start."""
         self._stopping = True
-        for worker in self._all:
-            worker.stop()
+        self._workers.stop()
         self._lock.close()
 
     async def take(self, encoded_name: str, length: int | None, body: AsyncIterator[bytes]) -> tuple[dict, bool]:
@@ -259,35 +239,11 @@ class Uploads:
         return self._flights.keep(found)
 
     def _answer(self, log: Log) -> Entry | str:
-        """A worker's result. After a process that died it is tried a second time: something else may have ended the first."""
-        for last in (False, True):
-            worker = self._idle.pop() if self._idle else self._worker()
-            try:
-                return worker.call((log, str(self._flights.page(log.digest))))
-            except (WorkerError, MemoryError) as why:
-                if self._stopping or not worker.ready:
-                    raise
-                died = isinstance(why, WorkerError) and why.how.startswith("died")
-                if last or not died:
-                    raise Refused(422, f"{log.name}: {self._too_much(why)}") from None
-            finally:
-                if worker.alive:
-                    self._idle.append(worker)
-                else:
-                    self._all.remove(worker)
-        raise AssertionError
-
-    def _too_much(self, why: Exception) -> str:
-        if isinstance(why, WorkerError) and not why.how.startswith("died"):
-            return f"judging it took longer than {self.limits.judge_s:g} s and was given up; try `rotorwatch diagnose`."
-        return f"judging it needed more than {self.limits.memory_mb} MB of memory and was given up; try `rotorwatch diagnose`."
-
-    def _worker(self) -> Worker:
-        prepare = functools.partial(limited.cap_memory, self.limits.memory_mb, LOADS)
-        work = pickle.dumps((_Limited(judge, self.limits.judge_s), prepare))
-        worker = Worker(work, self.limits.judge_s + limited.GRACE_S)
-        self._all.append(worker)
-        return worker
+        """A worker's result."""
+        try:
+            return self._workers.call((log, str(self._flights.page(log.digest))))
+        except TooMuch as why:
+            raise Refused(422, f"{log.name}: {why}") from None
 
 
 def _too_large(name: str, most: int) -> str:
