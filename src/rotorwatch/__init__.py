@@ -44,6 +44,7 @@ _HOMES = {
     "simulate": "simulation",
     "simulate_system": "simulation.any_system",
     "serve": "serve.server",
+    "mcp": "assistants.server",
     "Flight": "flight",
     "Message": "flight",
     "Signal": "flight",
@@ -65,6 +66,7 @@ _SHORT = {"checks": "base.checks", "detectors": "published.detectors", "systems"
 __all__ = ["__version__", "read", *_VERBS, *(n for n in _HOMES if n != "read")]
 
 if TYPE_CHECKING:
+    from rotorwatch.assistants.server import mcp as mcp
     from rotorwatch.compiling.run import run as run
     from rotorwatch.diagnose import diagnose as diagnose
     from rotorwatch.errors import ConfigError as ConfigError

@@ -27,6 +27,7 @@ from rotorwatch.commands import (
     campaign,
     export,
     fleet,
+    mcp,
     research,
     serve,
     several,
@@ -441,7 +442,7 @@ def _read(path: Any, report: Callable | None) -> Any:
 for module in (research, simulate, campaign, benchmark):
     module.register(cli)
 for command in (
-    ask.ask, ask.ask_flights, tune.tune, tune.compare, export.export_c, survive.survive, watch.watch, fleet.fleet, serve.serve,
+    ask.ask, ask.ask_flights, tune.tune, tune.compare, export.export_c, survive.survive, watch.watch, fleet.fleet, serve.serve, mcp.mcp,
 ):  # fmt: skip
     cli.add_command(command)
 

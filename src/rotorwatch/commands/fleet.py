@@ -50,7 +50,6 @@ def _store(make: bool) -> Callable:
 
 
 STORE = _store(make=False)
-ORDER = {"damaged": 0, "worn": 1, "suspect": 2}
 
 
 @click.group(short_help="Remember flights; follow every rotor of a fleet over time.")
@@ -122,6 +121,8 @@ def _print_outcome(outcome) -> None:
 @common
 def list_(store, flights, search, aircraft, limit, as_json, quiet) -> None:
     """List the aircraft of the store, those first whose rotors need attention; or its flights."""
+    from rotorwatch.fleet import assess
+
     if flights or search or aircraft:
         rows = store.flights(search=search, aircraft=aircraft, limit=limit)
         total = store.count(search=search, aircraft=aircraft)
@@ -134,7 +135,7 @@ def list_(store, flights, search, aircraft, limit, as_json, quiet) -> None:
             cells.append((r["hash"][:8], r["aircraft_name"] or "-", _day(r["utc"]), r["verdict"], found))
         _table(f"{len(rows)} of {total} flights", ("flight", "aircraft", "time", "verdict", "what was found"), cells)
         return
-    found = sorted(store.aircraft(), key=_urgency)
+    found = assess.by_urgency(store.aircraft())
     nobody = store.count() - sum(a["flights"] for a in found)
     if as_json:
         print_json({"aircraft": found, "flights_of_no_aircraft": nobody})
@@ -149,12 +150,6 @@ def list_(store, flights, search, aircraft, limit, as_json, quiet) -> None:
         say(f"{nobody} flights name no aircraft: add such logs with --aircraft NAME.")
     if any(a["stale"] for a in found) and not quiet:
         say("The store has changed since this was worked out; `rotorwatch fleet assess` does it again.")
-
-
-def _urgency(a: dict) -> tuple:
-    assessment = a["standing"] or {}
-    worst = min((ORDER.get(r["status"], 9) for r in assessment.get("rotors", ())), default=9)
-    return worst, -float(assessment.get("worst") or 0.0), a["name"]
 
 
 @fleet.command("show", short_help="One aircraft: every rotor, what changed and when.")

@@ -29,6 +29,9 @@ INFLATION = (scatter.NU + 5.0) / (scatter.NU + 3.0)
 TELLS = 0.05  # probability from which another explanation is worth a word
 
 
+URGENT = {"damaged": 0, "worn": 1, "suspect": 2}
+
+
 @dataclass(frozen=True)
 class History:
     """An aircraft's flights in order. rows: as `Store.trims` yields them. left_out (K,): why a flight is not used, or "". ended (K,): hours
@@ -327,6 +330,17 @@ def _size(atom: Any, value: np.ndarray, found: Found) -> Any:
     if atom.kind != STEP:
         return value.tolist() if atom.kind == CENTRE else float(value[0])
     return float(np.copysign(explain.loss(abs(value[0]), len(found.now)), value[0]))
+
+
+def by_urgency(aircraft: Iterable[Mapping]) -> list[Mapping]:
+    """Aircraft as `Store.aircraft` gives them, those first whose rotors need attention."""
+
+    def urgency(a: Mapping) -> tuple:
+        standing = a["standing"] or {}
+        worst = min((URGENT.get(r["status"], len(URGENT)) for r in standing.get("rotors", ())), default=len(URGENT))
+        return worst, -float(standing.get("worst") or 0.0), a["name"]
+
+    return sorted(aircraft, key=urgency)
 
 
 def _headline(table: Mapping) -> str:

@@ -28,10 +28,13 @@ class Screen:
     Peaks survive because each bucket of ticks becomes two rows that hold its extremes, in the order of its trend.
     """
 
-    def __init__(self, time: np.ndarray, windows: list[tuple[float, float]]):
-        inside = _within(time, windows)
+    def __init__(
+        self, time: np.ndarray, windows: list[tuple[float, float]], overview: int = OVERVIEW_ROWS, detail: int = DETAIL_ROWS
+    ):
+        """time (T,): of the ticks. windows: stretches that get `detail` rows, all else `overview` rows, at most."""
+        inside = within(time, windows)
         close, wide = (
-            max(1.0, 2.0 * k / rows) for k, rows in ((inside.sum(), DETAIL_ROWS), ((~inside).sum(), OVERVIEW_ROWS))
+            max(1.0, 2.0 * k / rows) for k, rows in ((inside.sum(), detail), ((~inside).sum(), overview))
         )
         stride = np.where(inside, close, wide)
         bucket = np.floor(np.cumsum(1.0 / stride) - 1.0 / stride + 1e-9)
@@ -92,7 +95,7 @@ def plots(diagnosis: Diagnosis) -> dict[str, Any]:
         data[name] = screen.line(np.where(flying, trace.residual[:, i], np.nan))
         data[f"{name}_band"] = screen.greatest(np.where(flying, 2 * trace.residual_sd[:, i], np.nan))
         data[f"{name}_bottom"] = -data[f"{name}_band"]
-    shown = _hypotheses(diagnosis)
+    shown = hypotheses(diagnosis)
     for i, name in enumerate(shown):
         data[f"odds{i}"] = screen.line(np.where(flying, trace.evidence[name], np.nan))
     attitudes, rates = _attitudes(trace), _rates(trace)
@@ -151,7 +154,7 @@ def _unwrapped(degrees: np.ndarray) -> np.ndarray:
 
 def _flying(trace: Trace) -> np.ndarray:
     """(T,) bool: in the air, where estimates mean something. All of it when no part was found airborne."""
-    return _within(trace.time, trace.airborne or [(-np.inf, np.inf)])
+    return within(trace.time, trace.airborne or [(-np.inf, np.inf)])
 
 
 def _windows(diagnosis: Diagnosis) -> list[tuple[float, float]]:
@@ -161,7 +164,7 @@ def _windows(diagnosis: Diagnosis) -> list[tuple[float, float]]:
     return out + [(e.end_s - before, e.end_s + before) for e in diagnosis.events if e.end_s is not None]
 
 
-def _hypotheses(diagnosis: Diagnosis) -> list[str]:
+def hypotheses(diagnosis: Diagnosis) -> list[str]:
     """The hypotheses worth a line: those with the highest peaks."""
     evidence = diagnosis.trace.evidence if diagnosis.trace is not None else {}
     peak = {name: float(np.max(odds, initial=-np.inf, where=np.isfinite(odds))) for name, odds in evidence.items()}
@@ -256,7 +259,7 @@ def _loss(diagnosis: Diagnosis, source, x_range, n: int, looks) -> Any:
     from bokeh.models import Range1d
 
     tips = [(f"rotor {k}", f"@loss{k}{{0.0}} % (@low{k}{{0}} to @high{k}{{0}})") for k in range(1, n + 1)]
-    top = _top(diagnosis)
+    top = highest_loss(diagnosis)
     y_range = Range1d(start=-0.03 * top, end=top, bounds=(-10, 110))
     p = blank(x_range, 340, "loss of effectiveness [%]", tips, y_range=y_range)
     p.name = "loss"
@@ -273,12 +276,12 @@ def _loss(diagnosis: Diagnosis, source, x_range, n: int, looks) -> Any:
     return p
 
 
-def _top(diagnosis: Diagnosis) -> float:
+def highest_loss(diagnosis: Diagnosis) -> float:
     """Upper end of the loss axis [%]: room for everything that was found, closer for small losses."""
     trace = diagnosis.trace
     assert trace is not None
     flying = _flying(trace)
-    blind = _within(trace.time, [(start, end) for start, end, _ in trace.blind])
+    blind = within(trace.time, [(start, end) for start, end, _ in trace.blind])
     seen = trace.loss[flying & ~blind]
     high = [0.12, *(i[1] for e in diagnosis.events for i in e.interval), *(r.loss for r in diagnosis.rotors)]
     if seen.size:
@@ -286,7 +289,7 @@ def _top(diagnosis: Diagnosis) -> float:
     return min(105.0, 125 * max(high))
 
 
-def _within(time: np.ndarray, spans: Iterable[tuple[float, float]]) -> np.ndarray:
+def within(time: np.ndarray, spans: Iterable[tuple[float, float]]) -> np.ndarray:
     """(T,) bool: which times lie in one of the spans."""
     return np.any([np.zeros(time.size, bool), *((time >= a) & (time <= b) for a, b in spans)], axis=0)
 
@@ -400,5 +403,5 @@ def _mark(figure, diagnosis: Diagnosis) -> None:
                 figure.add_layout(Span(location=float(when), line_dash=dash, **style))
         if figure.name == "loss":
             text = f"{number}: {report.rotors(event.rotors) if event.rotors else report.kind(event)}"
-            where: dict[str, Any] = dict(x=float(event.detected_s), y=_top(diagnosis), x_offset=5)
+            where: dict[str, Any] = dict(x=float(event.detected_s), y=top(diagnosis), x_offset=5)
             figure.add_layout(Label(text=text, y_offset=-4 - 16 * ((number - 1) % 4), **where, **words("12px", "top")))

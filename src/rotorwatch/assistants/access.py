@@ -1,0 +1,65 @@
+"""Who may ask over HTTP: a program on this computer that knows the token, and no page of a browser."""
+
+from __future__ import annotations
+
+import hmac
+from urllib.parse import urlsplit
+
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from rotorwatch.errors import ConfigError
+from rotorwatch.serve import security
+
+
+def checked(host: str, token: str) -> str:
+    """The token, if it will do and the address is this computer's own. Raises ConfigError."""
+    if not security.loopback(host):
+        raise ConfigError(
+            f"--host {host}: other computers can reach this address; only loopback addresses are served, such as 127.0.0.1."
+        )
+    if not token:
+        raise ConfigError(
+            "Over HTTP a token is needed: set the environment variable ROTORWATCH_TOKEN, for instance to what `openssl rand -hex 16` prints."
+        )
+    return security.checked(host, token)
+
+
+class Access:
+    """Around the whole application. token: that every request has to bring."""
+
+    def __init__(self, app: ASGIApp, token: str):
+        self._app, self._token = app, token
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        refusal = self._refusal(Request(scope, receive)) if scope["type"] == "http" else None
+        await (refusal or self._app)(scope, receive, send)
+
+    def _refusal(self, request: Request) -> Response | None:
+        """What is answered instead, or None for a request that may pass."""
+        headers = request.headers
+        if len(headers.getlist("host")) != 1 or not _own(headers["host"]):
+            return _refused(421, "This address is not this server's; use the one that it printed.")
+        if not security.from_here(headers):
+            return _refused(403, "This came from the page of another site.")
+        kind, _, token = headers.get("authorization", "").partition(" ")
+        given = token.strip().encode("utf-8", "replace")
+        if kind.lower() != "bearer" or not hmac.compare_digest(given, self._token.encode()):
+            answer = _refused(401, security.WRONG if kind else security.NEEDED)
+            answer.headers["WWW-Authenticate"] = "Bearer"
+            return answer
+        return None
+
+
+def _own(host: str) -> bool:
+    """Whether a Host header names this computer and nothing else: any other name was turned towards us by somebody's name server."""
+    try:
+        parts = urlsplit(f"//{host}")
+        return parts.username is None and security.loopback(parts.hostname or "") and (parts.port or 1) > 0
+    except ValueError:
+        return False
+
+
+def _refused(code: int, why: str) -> Response:
+    return JSONResponse({"error": why}, code)

@@ -1,0 +1,112 @@
+"""The fleet's store as short answers, as models.py has them. It is only read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from rotorwatch.assistants import answers
+from rotorwatch.assistants.quoted import label, quoted, utc
+from rotorwatch.errors import ConfigError, StoreError
+from rotorwatch.fleet.store import Store
+from rotorwatch.flight.diagnosis import Diagnosis
+
+MOST = 30  # rows of an answer
+NONE = "No store of a fleet was named: start the server with --store, as of `rotorwatch fleet add`."
+
+
+class Fleet:
+    """The store of that address; "" for none. It is opened for each question."""
+
+    def __init__(self, url: str):
+        self._url = url
+
+    @contextmanager
+    def _open(self) -> Iterator[Store]:
+        if not self._url:
+            raise ConfigError(NONE)
+        with Store(self._url, make=False) as store:
+            yield store
+
+    def aircraft(self, search: str, limit: int) -> dict[str, Any]:
+        """`Fleet` of models.py. search: words that name, key, frame or state hold."""
+        from rotorwatch.fleet import assess
+
+        with self._open() as store:
+            found = assess.by_urgency(store.aircraft())
+        words = search.lower().split()
+        found = [a for a in found if all(word in _text(a) for word in words)]
+        rows = [_aircraft(a) for a in found[: min(limit, MOST)]]
+        return {"total": len(found), "aircraft": rows, "note": _left(len(found) - len(rows), "aircraft")}
+
+    def flights(self, search: str, aircraft: str | None, limit: int, offset: int) -> dict[str, Any]:
+        """`Flights` of models.py."""
+        with self._open() as store:
+            key = self._key(store, aircraft)
+            rows = store.flights(search=search, aircraft=key, limit=min(limit, MOST), offset=offset)
+            total = store.count(search=search, aircraft=key)
+        left = total - offset - len(rows)
+        return {"total": total, "flights": [_flight(row) for row in rows], "note": _left(left, "flights")}
+
+    def flight(self, flight: str) -> tuple[Diagnosis, str]:
+        """(the diagnosis that is stored of a flight, the name of its log). flight: its hash, or the first 6 digits and more."""
+        with self._open() as store:
+            found = store.flight(flight.lower())
+        if found is None:
+            raise ConfigError("flight: the store holds no flight, or several, with such a hash; `fleet_flights` lists them.")
+        return Diagnosis.from_dict(found["diagnosis"]), found["name"]
+
+    @staticmethod
+    def _key(store: Store, aircraft: str | None) -> str | None:
+        if aircraft is None:
+            return None
+        try:
+            return store.find(aircraft)["key"]
+        except StoreError:  # its sentence holds names that others gave
+            raise ConfigError("aircraft: the store knows none of that name or key; `fleet` lists them.") from None
+
+
+def _left(count: int, what: str) -> str | None:
+    return f"{count} more {what}; search for words, or give a larger limit (at most {MOST}) or an offset." if count > 0 else None
+
+
+def _text(a: Mapping) -> str:
+    states = [r["status"] for r in (a["standing"] or {}).get("rotors", ())]
+    return " ".join(map(str, (a["name"], a["key"], a["frame"], *a["identities"], *states))).lower()
+
+
+def _aircraft(a: Mapping) -> dict[str, Any]:
+    standing = a["standing"] or {}
+    return {
+        "key": a["key"],
+        "name": quoted(a["name"], 60),
+        "frame": label(a["frame"]),
+        "flights": a["flights"],
+        "airborne_h": round(a["airborne_s"] / 3600.0, 1),
+        "last_utc": utc(a["last"]),
+        "headline": answers.cut(standing.get("headline", "Not worked out yet: `rotorwatch fleet assess`.")),
+        "out_of_date": bool(a["stale"]),
+        "rotors": [_rotor(r) for r in standing.get("rotors", ()) if r["status"] in ("damaged", "worn", "suspect")],
+    }
+
+
+def _rotor(r: Mapping) -> dict[str, Any]:
+    outlook = r.get("prognosis") or {}
+    return {name: r[name] for name in ("rotor", "status", "loss", "interval")} | {
+        "outlook": outlook.get("word"),
+        "hours_left": outlook.get("hours_left"),
+    }
+
+
+def _flight(row: Mapping) -> dict[str, Any]:
+    return {
+        "flight": row["hash"][:12],
+        "log": quoted(row["name"], 60),
+        "aircraft": quoted(row["aircraft_name"], 60) if row["aircraft_name"] else None,
+        "utc": utc(row["utc"]),
+        "verdict": row["verdict"],
+        "headline": answers.cut(row["headline"], 200),
+        "frame": label(row["frame"]),
+        "duration_s": round(row["duration_s"], 1),
+    }

@@ -1,0 +1,205 @@
+"""What the processes with limits do: read a log, judge it, draw it. A log lies there under a name of ours, so that no sentence holds its
+own name; the last few diagnoses are kept, because questions about one log come one after the other."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections import OrderedDict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from rotorwatch.assistants import answers, quoted, series
+from rotorwatch.assistants.folders import Allowed
+from rotorwatch.errors import ConfigError, LogError, VehicleError
+from rotorwatch.flight import Flight
+from rotorwatch.flight.diagnosis import Diagnosis
+from rotorwatch.flight.vehicle import Vehicle
+
+KEPT = 4  # diagnoses
+LARGEST = 400_000  # bytes of a picture
+LOADS = ("rotorwatch.diagnose", "rotorwatch.report.info", "rotorwatch.assistants.answers", "rotorwatch.report.figures")
+PLANNING_LOADS = ("jax", "scipy.optimize", "rotorwatch.planning.survive")
+_kept: OrderedDict[Any, Diagnosis] = OrderedDict()
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked. verb: one of VERBS; log, healthy, vehicle: files that may be read; more: the tool's other parameters."""
+
+    verb: str
+    log: Allowed | None = None
+    healthy: tuple[Allowed, ...] = ()
+    vehicle: Allowed | str | None = None
+    more: tuple[tuple[str, Any], ...] = ()
+
+
+@dataclass(frozen=True)
+class Failed:
+    """Why there is no answer: a sentence of ours, and, where a file is to blame, its reader's words, which may quote it."""
+
+    sentence: str
+    reader: str = ""
+
+
+def answer(question: Question) -> dict[str, Any] | Failed | tuple[dict[str, Any], bytes]:
+    """The answer, as models.py has it; of a picture with its bytes."""
+    try:
+        return VERBS[question.verb](question, dict(question.more))
+    except _Ours as why:
+        return Failed(str(why))
+    except (LogError, VehicleError, ConfigError) as why:
+        what = "vehicle" if question.log is None else "log"
+        return Failed(f"This {what} cannot be used; what its reader says is quoted.", quoted.quoted(why, 300)["quoted_from_log"])
+
+
+def away() -> None:
+    """Work in an empty folder, where no name of an airframe can be that of a file."""
+    os.chdir(tempfile.mkdtemp())
+
+
+class _Ours(ConfigError):
+    """A sentence that holds nothing of a file."""
+
+
+def _ours(do: Callable[..., Any], *what: Any) -> Any:
+    """do(*what), whose ConfigErrors hold nothing of a file."""
+    try:
+        return do(*what)
+    except ConfigError as why:
+        raise _Ours(str(why)) from None
+
+
+@contextmanager
+def _here(file: Allowed, name: str) -> Iterator[Path]:
+    """The file under a name of ours: a link in a folder of its own, or a copy where there are no links."""
+    folder = Path(tempfile.mkdtemp())
+    place = folder / f"{name}{file.ending}"
+    try:
+        try:
+            place.symlink_to(file.path)
+        except (OSError, NotImplementedError):
+            shutil.copyfile(file.path, place)
+        yield place if file.part is None else place.with_name(f"{place.name}#{file.part}")
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _read(file: Allowed, name: str) -> Flight:
+    from rotorwatch import logs
+
+    with _here(file, name) as path:
+        return logs.read(path)
+
+
+def _vehicle(file: Allowed | str | None) -> Vehicle | None:
+    """The vehicle of a file; its name and notes, which are texts of others, are left away."""
+    if not isinstance(file, Allowed):
+        return None
+    from rotorwatch.flight import vehicle_file
+
+    with _here(file, "vehicle") as path:
+        return replace(vehicle_file.read(path), name="vehicle-file", assumptions=(), source="vehicle file")
+
+
+def _judged(question: Question) -> Diagnosis:
+    """The diagnosis, as `rotorwatch diagnose` makes it."""
+    key = question.log, question.healthy, question.vehicle
+    if key in _kept:
+        _kept.move_to_end(key)
+        return _kept[key]
+    from rotorwatch.diagnose import diagnose
+
+    assert question.log is not None
+    healthy = [_read(file, f"healthy-{k}") for k, file in enumerate(question.healthy, 1)]
+    found = diagnose(_read(question.log, "log"), vehicle=_vehicle(question.vehicle), baseline=healthy)
+    _kept[key] = found
+    while len(_kept) > KEPT:
+        _kept.popitem(last=False)
+    return found
+
+
+def _diagnose(question: Question, more: dict) -> dict[str, Any]:
+    return answers.diagnosis(_judged(question), _name(question))
+
+
+def _compare(question: Question, more: dict) -> dict[str, Any]:
+    return answers.compared(_judged(question), _name(question), [file.name for file in question.healthy])
+
+
+def _event(question: Question, more: dict) -> dict[str, Any]:
+    found = answers.event(_judged(question), _name(question), more["number"])
+    if isinstance(found, str):
+        raise _Ours(found)
+    return found
+
+
+def _series(question: Question, more: dict) -> dict[str, Any]:
+    found = _judged(question)
+    wanted = [more[name] for name in ("what", "rotor", "start_s", "end_s", "most")]
+    return {"log": quoted.quoted(_name(question))} | _ours(series.sampled, found, *wanted)
+
+
+def _picture(question: Question, more: dict) -> tuple[dict[str, Any], bytes]:
+    from rotorwatch.report import still
+
+    found = _judged(question)
+    kind = _ours(still.shows, found, more["what"])
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "picture.png"
+        drawn = _ours(still.figure, found, kind, path)
+        data = path.read_bytes()
+    if len(data) > LARGEST:
+        raise _Ours("The picture is too large to be sent; `rotorwatch diagnose --report` writes it as a page.")
+    width, height = (round(side) for side in drawn.get_size_inches() * drawn.dpi)
+    size = {"width": width, "height": height, "bytes": len(data)}
+    return {"log": quoted.quoted(_name(question)), "shows": answers.caption(found, kind)} | size, data
+
+
+def _facts(question: Question) -> dict[str, Any]:
+    from rotorwatch.report.info import info
+
+    assert question.log is not None
+    return info(_read(question.log, "log"))
+
+
+def _log(question: Question, more: dict) -> dict[str, Any]:
+    return answers.log(_facts(question), _name(question))
+
+
+def _what_to_log(question: Question, more: dict) -> dict[str, Any]:
+    return answers.what_to_log(_facts(question), _name(question))
+
+
+def _survive(question: Question, more: dict) -> dict[str, Any]:
+    from rotorwatch.planning.survive import survive
+
+    file = question.vehicle
+    name = file.name if isinstance(file, Allowed) else str(file)
+    subject = _vehicle(file) or name
+    try:
+        return answers.survival(survive(subject, **more), name)
+    except ModuleNotFoundError:
+        raise _Ours(
+            "What a vehicle survives is computed with JAX and SciPy, which are not installed: pip install 'rotorwatch[mcp,research]'."
+        ) from None
+
+
+def _name(question: Question) -> str:
+    return "" if question.log is None else question.log.name
+
+
+VERBS: dict[str, Callable[[Question, dict], Any]] = {
+    "diagnose": _diagnose,
+    "compare": _compare,
+    "event": _event,
+    "series": _series,
+    "picture": _picture,
+    "info": _log,
+    "what_to_log": _what_to_log,
+    "survive": _survive,
+}
