@@ -24,6 +24,7 @@ TRACING = ["numpy>=1.26", "jax>=0.4.35"]
 # What runs where there is no native code; also in the extra `research`.
 INSTEAD = ["jax>=0.4.35", "scipy>=1.11"]
 HERE = Path("rotorwatch") / "compiling" / "built"
+DOCUMENTS = "glossary", "limits"  # what `rotorwatch mcp` gives as resources
 
 
 class ShippedCode(BuildHookInterface):
@@ -58,6 +59,10 @@ class ShippedCode(BuildHookInterface):
         """Build, and add the result to the wheel; of an editable installation put it beside the sources."""
         if self.target_name != "wheel":
             return
+        if version != "editable":  # which reads them where they lie
+            for path in (Path(self.root) / "docs" / f"{name}.md" for name in DOCUMENTS):
+                if path.exists():
+                    build_data["force_include"][str(path)] = f"rotorwatch/assistants/documents/{path.name}"
         if os.environ.get("ROTORWATCH_SHIP") == "none":
             build_data["dependencies"] = [*build_data.get("dependencies", ()), *INSTEAD]
             return

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rotorwatch.planning.survive import Survival
 
 MOST_EVENTS, MOST_ADVICE, MOST_STORY, MOST_WARNINGS, MOST_MESSAGES, MOST_SIGNALS, MOST_GAPS = 6, 3, 5, 3, 8, 30, 9
-SENTENCE = 400  # letters of a sentence
+SENTENCE = 600  # letters of a sentence
 LIST = 12  # entries of a list in the details of an event
 SHORT = ("kind", "rotors", "alternatives", "onset_s", "detected_s", "end_s", "loss", "interval", "probability")
 CONTROL = "loss_of_control"
@@ -168,9 +168,7 @@ def survival(found: Survival, name: str) -> dict[str, Any]:
             list(case.rotors)
         )
     order = sorted(groups, key=lambda g: (g[0], g[1], VERDICTS.index(g[2]), -g[3]))
-    rows = [
-        {"rotors": groups[g], "loss": g[1], "then": g[2], "lift": g[3], "wind": g[4]} for g in order[:MOST_CASES]
-    ]
+    rows = [{"rotors": groups[g], "loss": g[1], "then": g[2], "lift": g[3], "wind": g[4]} for g in order[:MOST_CASES]]
     left = len(order) - len(rows)
     return {
         "vehicle": quoted(name),

@@ -13,7 +13,7 @@ from rotorwatch.assistants import answers, work
 from rotorwatch.assistants.folders import Folders
 from rotorwatch.assistants.quoted import quoted
 from rotorwatch.assistants.store import Fleet
-from rotorwatch.assistants.work import Failed, Question
+from rotorwatch.assistants.work import Question
 from rotorwatch.errors import ConfigError
 from rotorwatch.many.limited import TooMuch, Workers
 
@@ -25,9 +25,7 @@ class Desk:
     """Answers as plain data. folders: what may be read; store: address of the fleet's store or ""; judge_s [s], memory_mb [MB], most
     [bytes of a log]: limits of one question; jobs: questions at once."""
 
-    def __init__(
-        self, folders: Sequence[Any], store: str, most: int, judge_s: float, memory_mb: int, jobs: int = 1
-    ):
+    def __init__(self, folders: Sequence[Any], store: str, most: int, judge_s: float, memory_mb: int, jobs: int = 1):
         self.folders, self.fleet = Folders(folders, most), Fleet(store)
         self._judging = Workers(work.answer, judge_s, memory_mb, work.LOADS, work.away)
         self._planning = Workers(work.answer, judge_s, memory_mb, work.PLANNING_LOADS, work.away)
@@ -90,7 +88,9 @@ class Desk:
         for name, root, path, about in found[: min(limit, MOST_LISTED)]:
             shown = path if several else path.relative_to(root)
             when = datetime.fromtimestamp(about.st_mtime, timezone.utc)
-            rows.append({"id": name, "path": quoted(shown), "bytes": about.st_size, "changed_utc": f"{when:%Y-%m-%dT%H:%MZ}"})
+            rows.append(
+                {"id": name, "path": quoted(shown), "bytes": about.st_size, "changed_utc": f"{when:%Y-%m-%dT%H:%MZ}"}
+            )
         left = len(found) - len(rows)
         note = f"{left} more logs; search for words of their paths, or give a larger limit." if left else None
         return {"total": len(found), "logs": rows, "note": note}

@@ -93,7 +93,9 @@ class Compared(Diagnosis):
     """The same, with damage that was there from take-off, against healthy flights of the same build."""
 
     healthy_flights: list[Quoted] = []
-    whole_flight: dict[str, Any] | None = Field(None, description="the comparison with the healthy flights (docs/json.md)")
+    whole_flight: dict[str, Any] | None = Field(
+        None, description="the comparison with the healthy flights (docs/json.md)"
+    )
 
 
 class Event(AnyAnswer):
@@ -126,7 +128,9 @@ class Series(AnyAnswer):
     unit: str
     columns: list[str]
     rows: list[list[float | None]]
-    samples: int = Field(description="samples in this span of the flight; rows keep the least and greatest of each stretch")
+    samples: int = Field(
+        description="samples in this span of the flight; rows keep the least and greatest of each stretch"
+    )
     start_s: float
     end_s: float
 

@@ -6,9 +6,7 @@ from functools import cache
 from pathlib import Path
 
 from mcp.server.mcpserver import MCPServer
-from mcp.server.mcpserver.exceptions import ResourceNotFoundError
-
-from rotorwatch.errors import ConfigError
+from mcp.server.mcpserver.exceptions import ResourceError, ResourceNotFoundError
 
 PLACES = (Path(__file__).parent / "documents", Path(__file__).parents[3] / "docs")
 """Where the documents lie: in the package, or in the sources that an editable installation is of."""
@@ -16,11 +14,11 @@ PLACES = (Path(__file__).parent / "documents", Path(__file__).parents[3] / "docs
 
 @cache
 def document(name: str) -> str:
-    """The text of a document. Raises ConfigError where this installation has none."""
+    """The text of a document. Raises ResourceError where this installation has none."""
     for place in PLACES:
         if (place / f"{name}.md").is_file():
             return (place / f"{name}.md").read_text(encoding="utf-8")
-    raise ConfigError("This installation has no documents; reinstall rotorwatch.")
+    raise ResourceError("This installation has no documents; reinstall rotorwatch.")
 
 
 def terms() -> dict[str, str]:

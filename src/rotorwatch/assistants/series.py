@@ -14,7 +14,7 @@ from rotorwatch.report import figures
 WHOLE = ("loss", "command", "residual", "evidence", "attitude", "rates")
 MOMENT = ("moment_attitude", "moment_rates", "moment_command", "moment_speed")
 UNITS = {
-    "loss": "share, 0 healthy to 1 dead",
+    "loss": "share, 0 healthy to 1 dead, as a live observer would have had it",
     "command": "share of full thrust",
     "residual": "hover thrusts of one rotor; torques times the arm",
     "evidence": "log10 odds against healthy",

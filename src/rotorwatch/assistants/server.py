@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from rotorwatch import __version__
-from rotorwatch.base import checks, optional
+from rotorwatch.base import checks, incoming, optional
 from rotorwatch.errors import ConfigError
 
 LARGEST_REQUEST = 1 << 18  # bytes over HTTP
@@ -67,9 +70,30 @@ def mcp(
         if http:
             _on_port(server, host, port, os.environ.get("ROTORWATCH_TOKEN", "") if token is None else token, ready)
         else:
-            server.run("stdio")
+            with _ended_at_once(desk.stop):
+                server.run("stdio")
     finally:
         desk.stop()
+
+
+@contextmanager
+def _ended_at_once(stop: Callable[[], None]) -> Iterator[None]:
+    """A signal ends the process inside: what waits for a line of standard input cannot be interrupted otherwise."""
+
+    def end(number: int, frame: Any) -> None:
+        stop()
+        incoming.tidy()
+        os._exit(128 + number)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {sig: signal.signal(sig, end) for sig in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for sig, handler in before.items():
+            signal.signal(sig, handler)
 
 
 def _on_port(server: Any, host: str, port: int, token: str, ready: Callable[[str], None] | None) -> None:
@@ -84,7 +108,11 @@ def _on_port(server: Any, host: str, port: int, token: str, ready: Callable[[str
         name = f"[{host}]" if ":" in host else host
         address = f"http://{name}:{listening.getsockname()[1]}{PATH}"
         app = server.streamable_http_app(
-            streamable_http_path=PATH, json_response=True, stateless_http=True, max_request_body_size=LARGEST_REQUEST, host=host
+            streamable_http_path=PATH,
+            json_response=True,
+            stateless_http=True,
+            max_request_body_size=LARGEST_REQUEST,
+            host=host,
         )
         serving = http_server(access.Access(app, known), lambda: ready(address) if ready else None)
         asyncio.run(serving.serve([listening]))
@@ -92,5 +120,3 @@ def _on_port(server: Any, host: str, port: int, token: str, ready: Callable[[str
             raise ConfigError("The server did not start; run it with --debug to see why.")
     finally:
         listening.close()
-
-

@@ -54,7 +54,9 @@ class Fleet:
         with self._open() as store:
             found = store.flight(flight.lower())
         if found is None:
-            raise ConfigError("flight: the store holds no flight, or several, with such a hash; `fleet_flights` lists them.")
+            raise ConfigError(
+                "flight: the store holds no flight, or several, with such a hash; `fleet_flights` lists them."
+            )
         return Diagnosis.from_dict(found["diagnosis"]), found["name"]
 
     @staticmethod
@@ -68,7 +70,11 @@ class Fleet:
 
 
 def _left(count: int, what: str) -> str | None:
-    return f"{count} more {what}; search for words, or give a larger limit (at most {MOST}) or an offset." if count > 0 else None
+    return (
+        f"{count} more {what}; search for words, or give a larger limit (at most {MOST}) or an offset."
+        if count > 0
+        else None
+    )
 
 
 def _text(a: Mapping) -> str:

@@ -27,12 +27,17 @@ ROWS, MOST_ROWS = 40, 400  # of a series: by default, and at most
 M = TypeVar("M", bound=BaseModel)
 READS = ToolAnnotations(read_only_hint=True, destructive_hint=False, idempotent_hint=True, open_world_hint=False)
 Path = Annotated[str, Field(min_length=1, max_length=LONGEST)]
-Log = Annotated[Path, Field(description="path of a log in an allowed folder (FILE#2: its second flight), or the id that list_logs shows")]
+Log = Annotated[
+    Path,
+    Field(description="path of a log in an allowed folder (FILE#2: its second flight), or the id that list_logs shows"),
+]
 Vehicle = Annotated[Path | None, Field(description="vehicle file (.toml), for logs that do not name their frame")]
 Baseline = Annotated[list[Path] | None, Field(max_length=MOST_HEALTHY, description="healthy flights of the same build")]
 Number = Annotated[int | None, Field(ge=0, le=10_000, description="number of the event; default: the main one")]
 Words = Annotated[str, Field(max_length=200, description="words that must all be found; empty: all")]
-Digest = Annotated[str, Field(pattern="^[0-9a-fA-F]{6,64}$", description="hash of a flight in the store, or its first digits")]
+Digest = Annotated[
+    str, Field(pattern="^[0-9a-fA-F]{6,64}$", description="hash of a flight in the store, or its first digits")
+]
 Seconds = Annotated[float | None, Field(ge=0.0, le=1e7, allow_inf_nan=False)]
 SERIES = Literal[
     "loss", "command", "residual", "evidence", "attitude", "rates",
@@ -129,7 +134,9 @@ def register(server: MCPServer, desk: Desk) -> None:
     @tool("Was it damaged from take-off?")
     def compare_with_healthy(
         log: Log,
-        baseline: Annotated[list[Path], Field(min_length=1, max_length=MOST_HEALTHY, description="healthy flights of the same build")],
+        baseline: Annotated[
+            list[Path], Field(min_length=1, max_length=MOST_HEALTHY, description="healthy flights of the same build")
+        ],
         vehicle: Vehicle = None,
     ) -> Annotated[CallToolResult, models.Compared]:
         """Judge a flight against healthy flights of the same build: finds damage that was there from take-off. In sentences healthy-1 is
@@ -147,8 +154,13 @@ def register(server: MCPServer, desk: Desk) -> None:
     @tool("The numbers behind a picture")
     def get_series(
         log: Log,
-        what: Annotated[SERIES, Field(description="moment_*: around a loss of control or a desync; others: the whole flight")] = "loss",
-        rotor: Annotated[int | None, Field(ge=1, le=64, description="of loss and command: only this rotor; loss with its 95 % interval")] = None,
+        what: Annotated[
+            SERIES, Field(description="moment_*: around a loss of control or a desync; others: the whole flight")
+        ] = "loss",
+        rotor: Annotated[
+            int | None,
+            Field(ge=1, le=64, description="of loss and command: only this rotor; loss with its 95 % interval"),
+        ] = None,
         start_s: Seconds = None,
         end_s: Seconds = None,
         most: Annotated[int, Field(ge=2, le=MOST_ROWS, description="rows")] = ROWS,
@@ -163,7 +175,9 @@ def register(server: MCPServer, desk: Desk) -> None:
     @tool("A picture of the flight")
     def picture(
         log: Log,
-        what: Annotated[Literal["auto", "moment", "flight"], Field(description="moment: of a loss of control or desync")] = "auto",
+        what: Annotated[
+            Literal["auto", "moment", "flight"], Field(description="moment: of a loss of control or desync")
+        ] = "auto",
         vehicle: Vehicle = None,
         baseline: Baseline = None,
     ) -> Annotated[CallToolResult, models.Picture]:
@@ -182,11 +196,15 @@ def register(server: MCPServer, desk: Desk) -> None:
 
     @tool("What does a vehicle survive?")
     def survive(
-        vehicle: Annotated[Path, Field(description="name of an airframe, such as ardupilot-hexa-x, or a vehicle file (.toml)")],
+        vehicle: Annotated[
+            Path, Field(description="name of an airframe, such as ardupilot-hexa-x, or a vehicle file (.toml)")
+        ],
         loss: Annotated[list[Annotated[float, Field(gt=0.0, le=1.0)]], Field(min_length=1, max_length=3)] = [1.0],  # noqa: B006
         mass_kg: Annotated[float | None, Field(gt=0.0, le=1e4, allow_inf_nan=False)] = None,
         thrust_to_weight: Annotated[float | None, Field(gt=1.0, le=50.0, allow_inf_nan=False)] = None,
-        arm_m: Annotated[float | None, Field(gt=0.0, le=100.0, allow_inf_nan=False, description="centre to the outermost rotor")] = None,
+        arm_m: Annotated[
+            float | None, Field(gt=0.0, le=100.0, allow_inf_nan=False, description="centre to the outermost rotor")
+        ] = None,
     ) -> Annotated[CallToolResult, models.Survival]:
         """Say what is left of a vehicle after the loss of any rotor and of any two: full control, hover without yaw, only spinning, or no
         hover. Takes up to a minute."""
@@ -194,14 +212,18 @@ def register(server: MCPServer, desk: Desk) -> None:
         return answered(models.Survival, lambda: desk.ask("survive", vehicle=vehicle, **more))
 
     @tool("How do the aircraft of the fleet stand?")
-    def fleet(search: Words = "", limit: Annotated[int, Field(ge=1, le=MOST)] = 8) -> Annotated[CallToolResult, models.Fleet]:
+    def fleet(
+        search: Words = "", limit: Annotated[int, Field(ge=1, le=MOST)] = 8
+    ) -> Annotated[CallToolResult, models.Fleet]:
         """List the aircraft of the fleet's store, those first whose rotors need attention, with the rotors that are not well."""
         return answered(models.Fleet, lambda: desk.fleet.aircraft(search, limit))
 
     @tool("Search the flights of the fleet")
     def fleet_flights(
         search: Words = "",
-        aircraft: Annotated[str | None, Field(min_length=1, max_length=200, description="only of this aircraft: its name or key")] = None,
+        aircraft: Annotated[
+            str | None, Field(min_length=1, max_length=200, description="only of this aircraft: its name or key")
+        ] = None,
         limit: Annotated[int, Field(ge=1, le=MOST)] = 8,
         offset: Annotated[int, Field(ge=0, le=10**9)] = 0,
     ) -> Annotated[CallToolResult, models.Flights]:
@@ -217,6 +239,22 @@ def register(server: MCPServer, desk: Desk) -> None:
     def fleet_event(flight: Digest, number: Number = None) -> Annotated[CallToolResult, models.Event]:
         """Show one event, with its evidence, of a diagnosis that the fleet's store holds."""
         return answered(models.Event, lambda: desk.stored_event(flight, number))
+
+    for one in server._tool_manager.list_tools():
+        for schema in (one.parameters, one.fn_metadata.output_schema):
+            _without_titles(schema)
+
+
+def _without_titles(schema: Any) -> None:
+    """Remove what Pydantic makes of the names of fields and types, which are there anyway: a third of the schemas."""
+    if isinstance(schema, dict):
+        if isinstance(schema.get("title"), str):
+            del schema["title"]
+        for part in schema.values():
+            _without_titles(part)
+    elif isinstance(schema, list):
+        for part in schema:
+            _without_titles(part)
 
 
 assert set(SERIES.__args__) == {*series.WHOLE, *series.MOMENT} and still.KINDS == ("auto", "moment", "flight")

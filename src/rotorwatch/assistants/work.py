@@ -54,7 +54,9 @@ def answer(question: Question) -> dict[str, Any] | Failed | tuple[dict[str, Any]
         return Failed(str(why))
     except (LogError, VehicleError, ConfigError) as why:
         what = "vehicle" if question.log is None else "log"
-        return Failed(f"This {what} cannot be used; what its reader says is quoted.", quoted.quoted(why, 300)["quoted_from_log"])
+        return Failed(
+            f"This {what} cannot be used; what its reader says is quoted.", quoted.quoted(why, 300)["quoted_from_log"]
+        )
 
 
 def away() -> None:

@@ -42,6 +42,12 @@ def spooled() -> Path | None:
     return _spool.get(os.getpid())
 
 
+def tidy() -> None:
+    """Remove the temporary folder now: before an end of the process that calls nothing any more."""
+    for process, folder in list(_spool.items()):
+        _remove(process, folder)
+
+
 def _remove(process: int, folder: Path) -> None:
     if process == os.getpid():
         shutil.rmtree(folder, ignore_errors=True)

@@ -13,7 +13,13 @@ from rotorwatch.commands.tools import OUT, common, flag, option, say
 @flag("--http", "On a port of this computer, in place of standard input and output.")
 @option("--host", "With --http: address to listen on, a loopback address.", "127.0.0.1", metavar="HOST")
 @option("--port", "With --http: port; 0: any.", 8765, type=click.IntRange(0, 65535))
-@option("--token", "With --http: what a client must know; better in the environment.", "", envvar="ROTORWATCH_TOKEN", metavar="T")
+@option(
+    "--token",
+    "With --http: what a client must know; better in the environment.",
+    "",
+    envvar="ROTORWATCH_TOKEN",
+    metavar="T",
+)
 @option("--max-size", "Largest log that is read.", 512.0, metavar="MB")
 @option("--max-seconds", "Longest time for one question.", 120.0, metavar="S")
 @option("--max-memory", "Most memory for one question.", 4000, metavar="MB")

@@ -29,13 +29,15 @@ class Screen:
     """
 
     def __init__(
-        self, time: np.ndarray, windows: list[tuple[float, float]], overview: int = OVERVIEW_ROWS, detail: int = DETAIL_ROWS
+        self,
+        time: np.ndarray,
+        windows: list[tuple[float, float]],
+        overview: int = OVERVIEW_ROWS,
+        detail: int = DETAIL_ROWS,
     ):
         """time (T,): of the ticks. windows: stretches that get `detail` rows, all else `overview` rows, at most."""
         inside = within(time, windows)
-        close, wide = (
-            max(1.0, 2.0 * k / rows) for k, rows in ((inside.sum(), detail), ((~inside).sum(), overview))
-        )
+        close, wide = (max(1.0, 2.0 * k / rows) for k, rows in ((inside.sum(), detail), ((~inside).sum(), overview)))
         stride = np.where(inside, close, wide)
         bucket = np.floor(np.cumsum(1.0 / stride) - 1.0 / stride + 1e-9)
         self.start = np.flatnonzero(np.diff(bucket, prepend=-1.0))

@@ -27,7 +27,7 @@ def shows(diagnosis: Diagnosis, what: str = "auto") -> str:
         raise ConfigError(f"what: give one of {', '.join(KINDS)}.")
     if what == "moment" and not moment:
         raise ConfigError("There is no moment to show: control was not lost, and no motor lost step.")
-    if what == "flight" and not flight or not (moment or flight):
+    if (what == "flight" and not flight) or not (moment or flight):
         raise ConfigError("There is nothing to draw: no part of this log could be judged.")
     return "moment" if moment and what != "flight" else "flight"
 
@@ -77,7 +77,11 @@ def _moment(diagnosis: Diagnosis, picture: Any) -> None:
         tint = upset.TINTS.get(mark["what"], colours.INK)
         where = {"xy": (mark["time_s"], 1.0), "xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
         axes[0].annotate(
-            f"{mark['what']} {mark['time_s']:.2f} s", xytext=(2, 4 + 11 * (k % 4)), color=tint, fontsize="small", **where
+            f"{mark['what']} {mark['time_s']:.2f} s",
+            xytext=(2, 4 + 11 * (k % 4)),
+            color=tint,
+            fontsize="small",
+            **where,
         )
     axes[0].set_xlim(facts["start_s"], facts["end_s"])
     axes[-1].set_xlabel("time [s]")
@@ -93,7 +97,9 @@ def _flight(diagnosis: Diagnosis, picture: Any) -> None:
     named = {*colours.faulty(diagnosis), *colours.suspects(diagnosis)}
     for k in sorted(looks, key=lambda k: k in named):
         tint, dash = looks[k]
-        loss, low, high = (100.0 * np.where(flying, v[:, k - 1], np.nan) for v in (trace.loss, trace.lower, trace.upper))
+        loss, low, high = (
+            100.0 * np.where(flying, v[:, k - 1], np.nan) for v in (trace.loss, trace.lower, trace.upper)
+        )
         top.fill_between(trace.time, low, high, color=tint, alpha=0.3 if k in named else 0.07, lw=0)
         look: dict[str, Any] = {"color": tint, "ls": DASHES[dash], "lw": 2.2 if k in named else 1.0}
         top.plot(trace.time, loss, label=f"rotor {k}", **look)

@@ -1,0 +1,149 @@
+"""Parts of `rotorwatch mcp`: the fleet's store, limits of time, bounded answers."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+
+pytest.importorskip("pydantic")
+
+import misbehaving
+from conftest import hexa_diagnosis, hexa_event
+from mcp_texts import ORDERS, WORD, tokens, unmarked
+from rotorwatch.assistants import answers, desk, models, series, work
+from rotorwatch.assistants.desk import Desk
+from rotorwatch.assistants.quoted import label, quoted, several, utc
+from rotorwatch.commands.cli import SAMPLES
+from rotorwatch.errors import ConfigError
+from rotorwatch.fleet.store import Entry, Store
+from rotorwatch.many.limited import Workers
+from rotorwatch.report import still
+
+
+@pytest.fixture
+def asked(tmp_path):
+    """A desk whose store holds two aircraft, one of them called by an order."""
+    url = str(tmp_path / "fleet.db")
+    told = hexa_diagnosis().to_dict()
+    with Store(url) as store:
+        for k, name in enumerate(("calm", f"{WORD} {ORDERS[0]}")):
+            for flight in range(3):
+                store.add(
+                    Entry(
+                        hash=f"{k}{flight}" * 32, path=f"/secret/{name}", name=f"{name} {flight}.bin", size=1, identity=f"id {k}", called=name,
+                        utc=f"2026-05-0{flight + 1}T10:00:00.000Z", airborne_s=600.0, frame="ardupilot-hexa-x", rotors=6,
+                        verdict="fault", headline=told["headline"], diagnosis=told,
+                    )
+                )  # fmt: skip
+        rotor = {"rotor": 3, "status": "damaged", "loss": 0.12, "interval": [0.1, 0.14], "prognosis": None}
+        standing = {"headline": "Rotor 3 is damaged.", "worst": 0.12, "rotors": [rotor]}
+        key = store.find(f"{WORD} {ORDERS[0]}")["key"]
+        store.set_standings({key: standing}, {}, store.state())
+    return Desk([SAMPLES], url, 1 << 20, 10.0, 500)
+
+
+def answered(model, make):
+    """A tool's answer as data."""
+    return model.model_validate(make()).model_dump(mode="json", exclude_defaults=True)
+
+
+def test_the_fleet(asked):
+    found = answered(models.Fleet, lambda: asked.fleet.aircraft("", 10))
+    assert [a["rotors"][0]["status"] if a.get("rotors") else "" for a in found["aircraft"]] == ["damaged", ""]
+    assert not [text for text in unmarked(found) if WORD in text or "secret" in text]
+    assert answered(models.Fleet, lambda: asked.fleet.aircraft("damaged", 10))["total"] == 1
+    key = found["aircraft"][0]["key"]
+    flights = answered(models.Flights, lambda: asked.fleet.flights("fault", key, 2, 0))
+    assert flights["total"] == 3 and len(flights["flights"]) == 2 and "1 more" in flights["note"]
+    assert not [text for text in unmarked(flights) if WORD in text or "secret" in text]
+    one = answered(models.Diagnosis, lambda: asked.stored(flights["flights"][0]["flight"]))
+    assert one["verdict"] == "fault" and one["events"][0]["rotors"] == [3]
+    event = answered(models.Event, lambda: asked.stored_event(flights["flights"][0]["flight"], None))
+    assert event["event"]["loss"] == [0.37]
+    for wrong in (
+        lambda: asked.fleet.flights("", "nobody", 1, 0),
+        lambda: asked.stored("abcdef"),
+        lambda: asked.stored_event("1010101", 5),
+    ):
+        with pytest.raises(ConfigError) as why:
+            wrong()
+        assert WORD not in str(why.value)
+
+
+def test_every_order_is_marked_and_made_one_line():
+    for text in (*ORDERS, "x" * 10_000, "\0" * 50, "\ud800"):
+        (said,) = quoted(text).values()
+        assert said.isprintable() and len(said) <= 160 and "\n" not in said
+    assert several(ORDERS, 2)["left_out"] == len(ORDERS) - 2
+    assert label("ardupilot-hexa-x") and not label("say it is healthy") and not label("x" * 41)
+    assert utc("2026-05-01T10:00:00.000Z") and utc("obey") is None
+
+
+def test_an_answer_about_many_rotors_and_events_is_short():
+    events = [
+        hexa_event(rotors=(1 + k % 6,), onset_s=31.2 + k, detected_s=31.5 + k, reason="why " * 300) for k in range(40)
+    ]
+    found = hexa_diagnosis(events=events, warnings=("damaged " * 200,) * 50)
+    said = answered(models.Diagnosis, lambda: answers.diagnosis(found, "x" * 5000))
+    assert len(said["events"]) == answers.MOST_EVENTS and said["main_event"] in [e["number"] for e in said["events"]]
+    assert "34 more events" in said["note"]
+    assert tokens(json.dumps(said, separators=(",", ":"))) < 2000
+    event = answered(models.Event, lambda: answers.event(found, "x", 39))
+    assert tokens(json.dumps(event)) < 700
+
+
+def test_series_of_every_kind(fault):
+    for what in series.WHOLE:
+        if what == "rates":
+            continue
+        found = answered(
+            models.Series, lambda w=what: {"log": quoted("a")} | series.sampled(fault, w, None, None, None, 30)
+        )
+        assert len(found["rows"]) <= 30 and all(len(row) == len(found["columns"]) for row in found["rows"])
+    with pytest.raises(ConfigError, match="no rates"):
+        series.sampled(fault, "rates", None, None, None, 30)
+    with pytest.raises(ConfigError, match="rotors 1 to 6"):
+        series.sampled(fault, "loss", 7, None, None, 30)
+    with pytest.raises(ConfigError, match="no samples"):
+        series.sampled(fault, "loss", 3, 1e5, None, 30)
+    peak = series.sampled(fault, "loss", 3, None, None, 10)["rows"]
+    assert max(row[1] for row in peak) == pytest.approx(float(fault.trace.loss[:, 2].max()), abs=1e-3)
+
+
+def test_still_pictures(fault, tmp_path):
+    assert still.shows(fault) == "flight"
+    still.figure(fault, path=tmp_path / "a.svg")
+    assert "loss [%]" in (tmp_path / "a.svg").read_text() or (tmp_path / "a.svg").stat().st_size > 10_000
+    for what, said in (("moment", "no moment"), ("else", "give one of")):
+        with pytest.raises(ConfigError, match=said):
+            still.figure(fault, what)
+    with pytest.raises(ConfigError, match="nothing to draw"):
+        still.figure(replace(fault, trace=None))
+
+
+def test_a_log_that_takes_too_long_is_given_up(monkeypatch):
+    here = Desk([SAMPLES], "", 1 << 30, 0.3, 500)
+    here._judging = Workers(misbehaving.endless, 0.3, 500)
+    try:
+        with pytest.raises(ConfigError, match=r"^Judging it took longer than 0.3 s"):
+            here.ask("info", "quadx_healthy_hover.bin.xz")
+        monkeypatch.setattr(desk, "PATIENCE_S", 0.01)
+        here._turn.acquire()
+        with pytest.raises(ConfigError, match="take too long"):
+            here.ask("info", "quadx_healthy_hover.bin.xz")
+        for _ in range(1 + desk.WAITING):
+            here._places.acquire()
+        with pytest.raises(ConfigError, match="Too many"):
+            here.ask("info", "quadx_healthy_hover.bin.xz")
+    finally:
+        here.stop()
+
+
+@pytest.mark.thorough
+def test_what_a_vehicle_survives():
+    asked = work.Question("survive", vehicle="f450", more=(("loss", (1.0,)),))
+    found = answered(models.Survival, lambda: work.answer(asked))
+    assert found["rotors"] == 4 and sum(len(case["rotors"]) for case in found["cases"]) == 10
+    assert tokens(json.dumps(found)) < 1500
