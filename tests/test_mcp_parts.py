@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -12,14 +15,19 @@ pytest.importorskip("pydantic")
 import misbehaving
 from conftest import hexa_diagnosis, hexa_event
 from mcp_texts import ORDERS, WORD, tokens, unmarked
+from rotorwatch import __version__
 from rotorwatch.assistants import answers, desk, models, series, work
 from rotorwatch.assistants.desk import Desk
 from rotorwatch.assistants.quoted import label, quoted, several, utc
+from rotorwatch.base.optional import tomllib
+from rotorwatch.commands import cli
 from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.errors import ConfigError
 from rotorwatch.fleet.store import Entry, Store
 from rotorwatch.many.limited import Workers
 from rotorwatch.report import still
+
+ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture
@@ -32,7 +40,8 @@ def asked(tmp_path):
             for flight in range(3):
                 store.add(
                     Entry(
-                        hash=f"{k}{flight}" * 32, path=f"/secret/{name}", name=f"{name} {flight}.bin", size=1, identity=f"id {k}", called=name,
+                        hash=f"{k}{flight}" * 32, path=f"/secret/{name}", name=f"{name} {flight}.bin", size=1, identity=f"id {k}",
+                        called=name,
                         utc=f"2026-05-0{flight + 1}T10:00:00.000Z", airborne_s=600.0, frame="ardupilot-hexa-x", rotors=6,
                         verdict="fault", headline=told["headline"], diagnosis=told,
                     )
@@ -139,6 +148,45 @@ def test_a_log_that_takes_too_long_is_given_up(monkeypatch):
             here.ask("info", "quadx_healthy_hover.bin.xz")
     finally:
         here.stop()
+
+
+def understood(words):
+    """The command line takes these words."""
+    assert words[0] == "mcp"
+    cli.cli.commands["mcp"].make_context("mcp", list(words[1:]))
+
+
+def test_the_manifest_is_that_of_the_package():
+    manifest = json.loads((ROOT / "server.json").read_text())
+    (package,) = manifest["packages"]
+    assert manifest["version"] == package["version"] == __version__ and package["identifier"] == "rotorwatch"
+    assert re.fullmatch(r"[a-zA-Z0-9.-]+/[a-zA-Z0-9._-]+", manifest["name"]) and len(manifest["description"]) <= 100
+    assert f"<!-- mcp-name: {manifest['name']} -->" in (ROOT / "README.md").read_text()
+    assert package["runtimeArguments"][0]["value"] == f"rotorwatch[mcp]=={__version__}"
+    understood([argument.get("value", "/logs") for argument in package["packageArguments"]])
+
+
+def test_pages_of_clients_give_a_command_that_is_understood():
+    pages = sorted((ROOT / "docs" / "mcp").glob("*.md"))
+    overview = (ROOT / "docs" / "mcp.md").read_text()
+    assert len(pages) >= 6
+    for page in pages:
+        text, found = page.read_text(), []
+        assert f"(mcp/{page.name})" in overview and "(../mcp.md)" in text and text.count("\n- ") >= 3
+        for kind, block in re.findall(r"```(\w+)\n(.*?)```", text, re.DOTALL):
+            if kind == "sh":
+                found += [["mcp", *shlex.split(line)] for line in re.findall(r"rotorwatch mcp (.*)", block)]
+            else:
+                table = json.loads(block) if kind == "json" else tomllib.loads(block)
+                servers = table.get("mcpServers") or table.get("servers") or table["mcp_servers"]
+                found += [s["args"] for s in servers.values() if "args" in s]
+                assert all(
+                    s.get("url", s.get("httpUrl", "127.0.0.1:8765/mcp")).endswith("127.0.0.1:8765/mcp")
+                    for s in servers.values()
+                )
+        assert found, page.name
+        for words in found:
+            understood(words)
 
 
 @pytest.mark.thorough

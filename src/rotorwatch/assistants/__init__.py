@@ -1,4 +1,4 @@
-"""A server of the Model Context Protocol: assistants ask about logs, the fleet and vehicles, and get the product's own answers (docs/mcp.md).
+"""A server of the Model Context Protocol: assistants ask about logs, the fleet and vehicles (docs/mcp.md).
 
 quoted.py     texts of others (logs, file names), marked as data
 folders.py    which files may be read

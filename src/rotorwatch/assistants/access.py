@@ -17,11 +17,11 @@ def checked(host: str, token: str) -> str:
     """The token, if it will do and the address is this computer's own. Raises ConfigError."""
     if not security.loopback(host):
         raise ConfigError(
-            f"--host {host}: other computers can reach this address; only loopback addresses are served, such as 127.0.0.1."
+            f"--host {host}: other computers can reach this address; give a loopback address, such as 127.0.0.1."
         )
     if not token:
         raise ConfigError(
-            "Over HTTP a token is needed: set the environment variable ROTORWATCH_TOKEN, for instance to what `openssl rand -hex 16` prints."
+            "Over HTTP a token is needed: set the environment variable ROTORWATCH_TOKEN, say to what `openssl rand -hex 16` prints."
         )
     return security.checked(host, token)
 

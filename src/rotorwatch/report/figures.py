@@ -405,5 +405,5 @@ def _mark(figure, diagnosis: Diagnosis) -> None:
                 figure.add_layout(Span(location=float(when), line_dash=dash, **style))
         if figure.name == "loss":
             text = f"{number}: {report.rotors(event.rotors) if event.rotors else report.kind(event)}"
-            where: dict[str, Any] = dict(x=float(event.detected_s), y=top(diagnosis), x_offset=5)
+            where: dict[str, Any] = dict(x=float(event.detected_s), y=highest_loss(diagnosis), x_offset=5)
             figure.add_layout(Label(text=text, y_offset=-4 - 16 * ((number - 1) % 4), **where, **words("12px", "top")))
