@@ -69,7 +69,7 @@ def estimator(
         loss = float(kept.theta[k, rotor])
         sd = float(events.sd_of(kept.theta[k, rotor], kept.theta_sd[k, rotor], f.vehicle.effectiveness()))
         row |= {"estimate": loss, "lower": max(0.0, loss - 1.96 * sd), "upper": min(1.0, loss + 1.96 * sd)}
-    row |= _peaks(f, statistic, row["onset_s"], np.array(certain))
+    row |= _peaks(f, statistic, row["onset_s"], certain)
     return row
 
 
@@ -130,15 +130,15 @@ def _compared(f) -> int:
     return int(usable[-1]) if usable.size else 0
 
 
-def _peaks(f, statistic: np.ndarray, onset: float | None, certain: np.ndarray) -> dict[str, float]:
-    """Largest statistic that lasted as long as an announcement needs, in healthy time and in windows after the onset. certain (K,): times at
-    which it is CERTAIN."""
+def _peaks(f, statistic: np.ndarray, onset: float | None, certain: Sequence[float] = ()) -> dict[str, float]:
+    """Largest statistic that lasted as long as an announcement needs, in healthy time and in windows after the onset. certain (K,): when
+    it is CERTAIN."""
     low = np.where(f.ticks.mode == JUDGE, statistic, NOTHING)
     lasting = low.copy()
     for k in range(1, TICKS):
         lasting[k:] = np.minimum(lasting[k:], low[:-k])
     lasting[: TICKS - 1] = NOTHING
-    time, start = np.append(f.ticks.time, certain), np.inf if onset is None else onset
+    time, start = np.append(f.ticks.time, np.array(certain, float)), np.inf if onset is None else onset
     lasting = np.append(lasting, np.full(len(certain), CERTAIN))
 
     def peak(where):
