@@ -272,6 +272,12 @@ def test_fast_start():
     assert done.stdout == f"rotorwatch {rotorwatch.__version__}\n[]\n", done.stderr
 
 
+def test_python_m_is_the_command_line():
+    """For whoever has installed it where scripts are not on PATH."""
+    done = subprocess.run([sys.executable, "-m", "rotorwatch", "--version"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, f"rotorwatch {rotorwatch.__version__}\n"), done.stderr
+
+
 def test_help_of_every_command_is_complete(run):
     _, out, _ = run("--help")
     for name, command in cli.cli.commands.items():

@@ -65,6 +65,17 @@ def test_a_healthy_flight_has_healthy_time_and_no_fault():
     assert set(found) == set(score.COLUMNS)
 
 
+def test_what_is_announced_without_a_statistic_counts_at_any_threshold():
+    """A loss of control that accuses a rotor: found after the onset, a false alarm before it."""
+    f = flown(fault())
+    kept = SimpleNamespace(theta=f.theta, theta_sd=np.full(f.theta.shape, 0.01))
+    low = np.full(f.ticks.time.size, -3.0)
+    found = score.estimator("default", f, kept, low, (event((3,), 31.2),), None, PLAN, certain=[31.2])
+    assert (found["peak"], found["peak_1s"], found["peak_2s"]) == (-3.0, -3.0, score.CERTAIN)
+    found = score.estimator("default", f, kept, low, (event((3,), 20.0),), None, PLAN, certain=[20.0])
+    assert (found["peak"], found["peak_2s"]) == (score.CERTAIN, -3.0)
+
+
 def test_before_the_onset_an_event_is_a_false_alarm_and_after_it_a_detection_or_wrong():
     found = row(flown(fault()), event((3,), 12.0), event((1,), 31.0), event((3,), 31.5), event((2,), 40.0))
     assert (found["false_alarms"], found["wrong"], found["detected"]) == (1, 2, True)

@@ -1,11 +1,11 @@
 """Motors that lose step for a moment: commanded up, they give nothing for 30 to 500 ms, and come back. Events `desync`.
 
-In windows of 4 ms each axis, and each motor's speed where it is logged, follows what it is told with a lag (innovation.py). Where rotor i
+In windows of 4 ms each axis, and each motor's speed where it is logged, follows what is commanded with a lag (innovation.py). Where rotor i
 gives nothing from s to e, what comes as a surprise is
 
     z = - theta answer * (drive_i inside [s, e)) / scale + noise,      theta about 1, noise as Student's t
 
-of all channels at once: the direction must be the rotor's, the size what it was told, the shape that of its command. Two steps: a matched
+of all channels at once: the direction must be the rotor's, the size what was commanded, the shape that of its command. Two steps: a matched
 filter over (rotor, start, length) finds candidates; each gets its exact log likelihood ratio, theta by its prior. If the noise is as
 described, exp of that has the mean 1 in a healthy flight, so that a threshold of log(windows in ten hours x rotors x lengths) is passed
 there once in ten hours at most (the bound of Markov and Boole).
@@ -39,7 +39,7 @@ REFINED = 20.0  # nats that moves of single windows may add to the best start an
 ALONG, POINTS = 8, 16  # windows by which a short one's ends are moved at least; moves each way of a longer one's
 SIZES = np.linspace(-1.2, 2.4, 19)  # theta
 LEAST_SIZE, MOST_SIZE = 0.5, 1.4
-SLOWER_S = (0.0, 0.015, 0.03)  # than a motor that is told to
+SLOWER_S = (0.0, 0.015, 0.03)  # than a motor that is commanded to
 YAW = 2
 FITS = 0.7  # of what each axis would explain with a size of its own: gains of the axes are known to some 20 %
 RETURNS_S = (0.15, 0.3)  # after its end: by then it is clear that the motor is back
@@ -250,7 +250,7 @@ def _ratios(seen: list[Channel], i: int, start: int, length: int, until: int | N
 
 @functools.cache
 def _kernels(width: float) -> tuple[np.ndarray, ...]:
-    """How a motor that lost step runs down and up, against one that is told to: so much slower."""
+    """How a motor that lost step runs down and up, against one that is commanded to: so much slower."""
     out = []
     for slower in SLOWER_S:
         x = np.exp(-np.arange(max(1, round(3.0 * slower / width))) * width / max(slower, 1e-9))

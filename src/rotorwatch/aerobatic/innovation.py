@@ -1,4 +1,4 @@
-"""What comes as a surprise in the angular motion and the motors' speeds, in windows of 4 ms, given what was told and how it had been.
+"""What comes as a surprise in the angular motion and the motors' speeds, in windows of 4 ms, given what was commanded and how it had been.
 
     y_k = sum_l answer_l x_{k-l} + sum_l past_l y_{k-l} + motion + e_k
 
@@ -36,7 +36,7 @@ SPEEDS = 0.7  # share of the time that a motor's speed is reported
 class Channel:
     """K windows of an axis or of a motor's speed. rotor: the motor, None for an axis.
 
-    time (K,) s, of their beginnings; width s; flies (K,) bool; thrust (K, n): share of full thrust that was told, without lag; left (K,):
+    time (K,) s, of their beginnings; width s; flies (K,) bool; thrust (K, n): commanded share of full thrust, without lag; left (K,):
     surprises over their scale; scale (K,): of y; drive (K, n): what of x is each rotor's; answer (LAGS,).
     """
 
@@ -55,11 +55,11 @@ def channels(flight: Flight, vehicle: Vehicle, air: Spans) -> list[Channel]:
     """The three axes, and the motors whose speed is logged; empty where the log is too slow or too short."""
     if not flight.has("motors", "gyro"):
         return []
-    told, gyro = motor_thrusts(flight, vehicle), flight["gyro"]
-    known = told.valid.all(axis=1)
+    thrusts, gyro = motor_thrusts(flight, vehicle), flight["gyro"]
+    known = thrusts.valid.all(axis=1)
     if known.sum() < 100 or gyro.valid.all(axis=1).sum() < 100:
         return []
-    time, share = told.time[known], told.values[known]
+    time, share = thrusts.time[known], thrusts.values[known]
     dt = float(np.median(np.diff(time)))
     if not 0.0 < dt < 1.0 / LEAST_HZ or gyro.rate_hz < LEAST_HZ:
         return []
@@ -135,7 +135,7 @@ def _surprise(y, drive, motion, flies, width) -> tuple[np.ndarray, np.ndarray, n
 
 
 def _unsure(drive: np.ndarray, answer: np.ndarray, width: float) -> np.ndarray:
-    """(K,) how much of y is in doubt because motors are still turning to what they were told."""
+    """(K,) how much of y is in doubt because motors are still turning to what was commanded."""
     total = np.zeros(len(drive))
     for turning in (UNSURE * (drive - _slow(drive, width))).T:
         total += np.convolve(turning, answer)[: len(total)] ** 2

@@ -86,9 +86,9 @@ def _valid(time: np.ndarray, values: np.ndarray, valid: np.ndarray) -> tuple[np.
 def _lagged(share: np.ndarray, dt: float, lags: Sequence[float]) -> Iterator[np.ndarray]:
     """Thrusts (N, n) that follow their commands, dt s apart, with each lag of first order: the filter's response at each frequency."""
     size = 1 << (2 * len(share) - 1).bit_length()  # a prime number of samples takes ten times as long
-    told, turn = np.fft.rfft(share, size, axis=0), 2j * np.pi * np.fft.rfftfreq(size, dt)
+    spectrum, turn = np.fft.rfft(share, size, axis=0), 2j * np.pi * np.fft.rfftfreq(size, dt)
     for lag in lags:
-        yield np.fft.irfft(told / (1.0 + turn * lag)[:, None], size, axis=0)[: len(share)]
+        yield np.fft.irfft(spectrum / (1.0 + turn * lag)[:, None], size, axis=0)[: len(share)]
 
 
 def _means(x: np.ndarray, edges: np.ndarray) -> np.ndarray:

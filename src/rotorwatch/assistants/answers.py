@@ -47,11 +47,11 @@ def diagnosis(found: Diagnosis, name: str) -> dict[str, Any]:
         "exit_code": found.exit_code,
         "headline": cut(d["headline"]),
         "reason": cut(d["reason"]),
-        "story": [cut(line["text"]) for line in d["story"][:MOST_STORY]],
+        "story": [cut(line["text"], 300) for line in d["story"][:MOST_STORY]],
         "main_event": d["main_event"],
         "events": [_line(k, d["events"][k]) for k in chosen],
         "rotors": [_rotor(r) for r in d["rotors"]],
-        "advice": [cut(a) for a in d["advice"][:MOST_ADVICE]],
+        "advice": [cut(a, 300) for a in d["advice"][:MOST_ADVICE]],
         "warnings": several(d["warnings"], MOST_WARNINGS, 120),
         "note": f"{left} more events; `event` shows one by its number." if left > 0 else None,
     }

@@ -259,7 +259,8 @@ class Aircraft(BaseModel):
     last_utc: str | None
     headline: str
     out_of_date: bool = Field(description="flights came since this was worked out")
-    rotors: list[FleetRotor] = Field([], description="those that are not well")
+    rotors: list[FleetRotor] = Field([], description="those that are not well, the worst first")
+    rotors_left_out: int = 0
 
 
 class Fleet(AnyAnswer):

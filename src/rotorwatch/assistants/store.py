@@ -12,7 +12,7 @@ from rotorwatch.errors import ConfigError, StoreError
 from rotorwatch.fleet.store import Store
 from rotorwatch.flight.diagnosis import Diagnosis
 
-MOST = 30  # rows of an answer
+MOST, MOST_ROTORS = 30, 3  # rows of an answer; rotors of an aircraft
 NONE = "No store of a fleet was named: start the server with --store, as of `rotorwatch fleet add`."
 
 
@@ -83,7 +83,11 @@ def _text(a: Mapping) -> str:
 
 
 def _aircraft(a: Mapping) -> dict[str, Any]:
+    from rotorwatch.fleet import assess
+
     standing = a["standing"] or {}
+    unwell = [r for r in standing.get("rotors", ()) if r["status"] in assess.URGENT]
+    unwell.sort(key=lambda r: (assess.URGENT[r["status"]], -r["loss"]))
     return {
         "key": a["key"],
         "name": quoted(a["name"], 60),
@@ -91,9 +95,10 @@ def _aircraft(a: Mapping) -> dict[str, Any]:
         "flights": a["flights"],
         "airborne_h": round(a["airborne_s"] / 3600.0, 1),
         "last_utc": utc(a["last"]),
-        "headline": answers.cut(standing.get("headline", "Not worked out yet: `rotorwatch fleet assess`.")),
+        "headline": answers.cut(standing.get("headline", "Not worked out yet: `rotorwatch fleet assess`."), 300),
         "out_of_date": bool(a["stale"]),
-        "rotors": [_rotor(r) for r in standing.get("rotors", ()) if r["status"] in ("damaged", "worn", "suspect")],
+        "rotors": [_rotor(r) for r in unwell[:MOST_ROTORS]],
+        "rotors_left_out": len(unwell[MOST_ROTORS:]),
     }
 
 

@@ -168,7 +168,7 @@ def register(server: MCPServer, desk: Desk) -> None:
         baseline: Baseline = None,
     ) -> Annotated[CallToolResult, models.Series]:
         """Samples over time of losses, commands, residuals, evidence, attitude, rates or motor speeds, thinned so that peaks stay. 400 rows
-        are about 9,000 tokens."""
+        are up to 9,000 tokens."""
         more = {"what": what, "rotor": rotor, "start_s": start_s, "end_s": end_s, "most": most}
         return answered(models.Series, lambda: desk.ask("series", log, baseline or (), vehicle, **more))
 
@@ -213,7 +213,7 @@ def register(server: MCPServer, desk: Desk) -> None:
 
     @tool("How do the aircraft of the fleet stand?")
     def fleet(
-        search: Words = "", limit: Annotated[int, Field(ge=1, le=MOST)] = 8
+        search: Words = "", limit: Annotated[int, Field(ge=1, le=MOST)] = 6
     ) -> Annotated[CallToolResult, models.Fleet]:
         """List the aircraft of the fleet's store, those first whose rotors need attention, with the rotors that are not well."""
         return answered(models.Fleet, lambda: desk.fleet.aircraft(search, limit))

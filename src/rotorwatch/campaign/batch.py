@@ -96,8 +96,13 @@ def rows(
     published = [name for name in plan.estimators if name != "default"]
 
     def row(label: str, f: Flown, kept, statistic, bound) -> dict:
-        seen = all_events(f, events.read(kept, f.ticks, B), f.upsets if label == "default" else ())
-        return score.estimator(label, f, kept, statistic, seen, bound, plan)
+        losses = events.read(kept, f.ticks, B)
+        seen = all_events(f, losses)
+        if label != "default" or not f.upsets:
+            return score.estimator(label, f, kept, statistic, seen, bound, plan)
+        by_motion, seen = {e.detected_s for e in seen}, all_events(f, losses, f.upsets)
+        certain = [e.detected_s for e in seen if e.detected_s not in by_motion]  # losses of control have no threshold
+        return score.estimator(label, f, kept, statistic, seen, bound, plan, certain)
 
     if "default" in plan.estimators:
         for f, bound, out in zip(flown, bounds, by_default(flown, B, size), strict=True):

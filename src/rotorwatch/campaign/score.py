@@ -28,7 +28,10 @@ RISE_S = (
     *(k / 10 for k in range(1, 10)), *(k / 10 for k in range(10, 20, 2)), *(k / 2 for k in range(4, 10)), *map(float, range(5, 11)),
 )  # fmt: skip
 """Windows in which the largest statistic is kept: from these follows the delay at any threshold."""
-NOTHING = -50.0  # statistic where there is none
+NOTHING, CERTAIN = (
+    -50.0,
+    50.0,
+)  # statistic where there is none, and of what is announced without one, whatever the threshold
 
 
 def read_columns(table: str) -> dict[str, tuple[str, str]]:
@@ -54,9 +57,11 @@ def clear_fault(scenario: Scenario) -> Mapping[str, Any] | None:
     return fault if plain and fault["kind"] in ("loss", "complete loss", "chipped") else None
 
 
-def estimator(name: str, f, kept, statistic: np.ndarray, seen: Sequence[Event], bound, plan: Plan) -> dict[str, Any]:
+def estimator(
+    name: str, f, kept, statistic: np.ndarray, seen: Sequence[Event], bound, plan: Plan, certain: Sequence[float] = ()
+) -> dict[str, Any]:
     """The row of an estimator. f: batch.Flown. kept: program.TickOutput. statistic (T,): above 0 it announces. bound:
-    (T,) information of `limits`, or None."""
+    (T,) information of `limits`, or None. certain: when something was announced without the statistic [s]."""
     found = [(e.detected_s, {tuple(sorted(e.rotors)), *map(tuple, map(sorted, e.alternatives))}, e) for e in seen]
     row = _row(name, f, found, bound, plan)
     if row["fault"]:
@@ -64,7 +69,7 @@ def estimator(name: str, f, kept, statistic: np.ndarray, seen: Sequence[Event], 
         loss = float(kept.theta[k, rotor])
         sd = float(events.sd_of(kept.theta[k, rotor], kept.theta_sd[k, rotor], f.vehicle.effectiveness()))
         row |= {"estimate": loss, "lower": max(0.0, loss - 1.96 * sd), "upper": min(1.0, loss + 1.96 * sd)}
-    row |= _peaks(f, statistic, row["onset_s"])
+    row |= _peaks(f, statistic, row["onset_s"], certain)
     return row
 
 
@@ -125,14 +130,16 @@ def _compared(f) -> int:
     return int(usable[-1]) if usable.size else 0
 
 
-def _peaks(f, statistic: np.ndarray, onset: float | None) -> dict[str, float]:
-    """Largest statistic that lasted as long as an announcement needs, in healthy time and in windows after the onset."""
+def _peaks(f, statistic: np.ndarray, onset: float | None, certain: Sequence[float] = ()) -> dict[str, float]:
+    """Largest statistic that lasted as long as an announcement needs, in healthy time and in windows after the onset. certain (K,): when
+    it is CERTAIN."""
     low = np.where(f.ticks.mode == JUDGE, statistic, NOTHING)
     lasting = low.copy()
     for k in range(1, TICKS):
         lasting[k:] = np.minimum(lasting[k:], low[:-k])
     lasting[: TICKS - 1] = NOTHING
-    time, start = f.ticks.time, np.inf if onset is None else onset
+    time, start = np.append(f.ticks.time, np.array(certain, float)), np.inf if onset is None else onset
+    lasting = np.append(lasting, np.full(len(certain), CERTAIN))
 
     def peak(where):
         return float(max(lasting[where].max(initial=NOTHING), NOTHING))

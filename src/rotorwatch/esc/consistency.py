@@ -139,7 +139,7 @@ def _entry(rotor: int, loss: float, interval: tuple[float, float], seen: ratios.
 
 
 def in_words(entry: dict) -> str:
-    """What an ESC reports, in words: 'ESC 3: it turns as told and draws 20 % less than ..., so the propeller (97 %)'."""
+    """What an ESC reports, in words: 'ESC 3: it turns as commanded and draws 20 % less than ..., so the propeller (97 %)'."""
     share = entry["thrust_of_speed"]
     high = 1.0 - entry["speed_loss_interval"][0]
     if share < ratios.STANDS:
@@ -147,7 +147,7 @@ def in_words(entry: dict) -> str:
     elif high < 1.0:
         phrases = [f"its speed gives {percent(share)} of the thrust asked for"]
     else:
-        phrases = ["it turns as told"]
+        phrases = ["it turns as commanded"]
     draws = entry["current_ratio"]
     if draws is not None and abs(draws - 1.0) >= 0.1:
         more = "more" if draws > 1.0 else "less"

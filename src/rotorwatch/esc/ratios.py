@@ -10,7 +10,7 @@ with f_k the commanded share of full thrust; a_k, alpha_k are the rotor's own; b
 autopilot's thrust curve is right); c and gamma are common to all at that moment (battery, air density): the median over the other
 rotors. From that, for a time after an onset,
 
-    S = W_k^2 / told         1: the rotor turns as told          told: exp(a_k + b log f_k + c)
+    S = W_k^2 / commanded    1: the rotor turns as commanded     commanded: exp(a_k + b log f_k + c)
     D = (I_k - expected) / I_healthy      0: it draws what such a speed needs          expected: exp(alpha_k + beta log W_k + gamma)
 
 With theta the loss of effectiveness that commands and motion show, 1 - theta = S (1 - loss of the propeller). Causes predict

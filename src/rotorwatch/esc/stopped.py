@@ -102,7 +102,7 @@ def _explained(events: Sequence[Event], rotor: int, onset: float) -> bool:
 
 def _stands(rotor: int, onset: float, known: float) -> Event:
     parts = {"speed": (1.0, LEAST_LOSS, 1.0), "propeller": (0.0, 0.0, 1.0)}
-    sentence = f"it stands from {seconds(onset)} on though it is told to turn, "
+    sentence = f"it stands from {seconds(onset)} on though it is commanded to turn, "
     return evidence.loss(rotor, onset, known, (1.0, LEAST_LOSS, 1.0), (0.0, 0.95, 0.04, 0.01), parts, sentence, 0.0)
 
 

@@ -68,7 +68,7 @@ def look(bins: Binned, usable: np.ndarray) -> tuple[tuple[Event, ...], list[str]
 def _notice(kind: str, rotor: int, onset: float, announced: float, size: float, bounds, sure: float) -> Event:
     who, much = rotors([rotor]), f"{percent(size)} ({interval(*bounds)})"
     phrases = {
-        SLOW: f"the speed of {who} gives {much} less thrust than told",
+        SLOW: f"the speed of {who} gives {much} less thrust than commanded",
         HIGH: f"{who} draws {much} more current at the same speed than before",
         LOW: f"{who} draws {much} less current at the same speed than before",
     }[kind]
@@ -80,8 +80,8 @@ def _notice(kind: str, rotor: int, onset: float, announced: float, size: float, 
 def lost_speed(rotor: int, onset: float, announced: float, size: float, bounds) -> Event:
     """A loss that speed and current show and commands and motion do not."""
     sentence = (
-        f"since {seconds(onset)} its speed gives {percent(size)} less thrust than told, and its current fell with it; commands and motion "
-        "alone do not show it; "
+        f"since {seconds(onset)} its speed gives {percent(size)} less thrust than commanded, and its current fell with it; commands and "
+        "motion alone do not show it; "
     )
     parts = {"speed": (size, *bounds), "propeller": (0.0, 0.0, 1.0)}
     return evidence.loss(rotor, onset, announced, (size, *bounds), (0.0, 0.95, 0.02, 0.03), parts, sentence, 1.0 - size)

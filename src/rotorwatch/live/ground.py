@@ -30,7 +30,7 @@ SLOW_S, FAST_S = 5.0, 1.0  # between two values of a rotor, on serial ports and 
 TOTAL_LOSS = "loss_of_control"
 WORDS = {"output_override": "output overridden", "contact": "knock or contact", "motor_order": "in the wrong order"}
 CAUSES = {  # of a loss of control without a rotor, in the few characters there are
-    "disarmed": "motors stopped", "knock": "knock", "controller": "told wrong", "saturated": "no thrust left", "power": "power failed",
+    "disarmed": "motors stopped", "knock": "knock", "controller": "wrong commands", "saturated": "no thrust left", "power": "power failed",
 }  # fmt: skip
 
 

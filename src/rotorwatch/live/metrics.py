@@ -107,7 +107,7 @@ class Metrics:
                 ("_upper", "Upper end of the 95 % interval of the loss."),
             )
         ]
-        events = Gauge("rotorwatch_events", "Events that were told and hold.", labels=["vehicle", "kind"])
+        events = Gauge("rotorwatch_events", "Events that were announced and hold.", labels=["vehicle", "kind"])
         ticks = Counter("rotorwatch_ticks_judged", "Ticks that were judged.", labels=by_name)
         taken = Counter("rotorwatch_messages", "Messages that came.", labels=by_name)
         lost = Counter("rotorwatch_messages_lost", "Messages missing by their running numbers.", labels=by_name)

@@ -34,7 +34,10 @@ FLAT = 0.8  # (Jz - Jy) / Jx of a vehicle that is nearly flat; 1 for a plate
 # Standard deviations: hover thrusts of one rotor; share of each rotor's thrust; of a command that changes, of its step within the tick; of
 # damping and gyroscopic terms; of the whole thrust, which air that flows along the axis changes; of the load factor, by drag.
 FLOOR, THRUST_SHARE, STEP_SHARE, MOTION_SHARE, LOAD_SHARE, LOAD_FLOOR = 0.07, 0.08, 0.35, 0.3, 0.1, 0.1
-BELOW_LIMIT, AT_LIMIT = 0.6, 0.95  # shares of full thrust, from and to which less and less is given than was told:
+BELOW_LIMIT, AT_LIMIT = (
+    0.6,
+    0.95,
+)  # shares of full thrust, from and to which less and less is delivered than was commanded:
 LACKS, LACKS_SD = 0.15, 0.15  # at the limit so much less, hardly more than 40 %, and never the other way
 STRANGE_S = 1.0  # after the onset: the longer a vehicle tumbles, the stranger is the air that its rotors meet
 OUTLIERS, OUTLIER_SD = 0.05, 4.0

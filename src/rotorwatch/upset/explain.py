@@ -1,6 +1,6 @@
 """What the rotors of a vehicle did around the moment it left control: every explanation at every onset, by the balance (`balance`).
 
-Explanations: all rotors gave what they were told; one of them lost a share theta from a tick on; all of them did alike (battery); something
+Explanations: all rotors gave what was commanded; one of them lost a share theta from a tick on; all of them did alike (battery); something
 turned the vehicle from outside (a torque that lasts); two outputs went to each other's motor; yaw works the wrong way round. Sizes and
 onsets are summed over a grid, with the prior of each.
 """

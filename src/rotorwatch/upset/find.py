@@ -37,7 +37,7 @@ USUAL_HOVER = 0.35
 LOSS, OVERRIDE = "loss_of_effectiveness", "output_override"
 SURE, CREDIBLE = 0.9, 0.03  # probabilities: a cause that is named alone; one that is named at all
 FITS = 1.7  # standard deviations, root mean square: beyond, even the best explanation does not explain the motion
-TURNED = 1.4  # the same, of torques: the rotors turned the vehicle as they were told
+TURNED = 1.4  # the same, of torques: the rotors turned the vehicle as commanded
 STRAYS, STRAYS_THRUST = 3.0, 1.5  # standard deviations of torque and of thrust: the motion leaves the commands
 JOINS_S = 0.5  # a departure that began earlier in the residuals is the same
 KNOCK_S = 0.3
@@ -141,7 +141,7 @@ def _cause(
         best.kind == "common" and rotor < 1.0 - SURE and turned and _level(flight, left, onset)
     ):
         return "controller", (
-            "all rotors turned the vehicle as they were told, so it was told wrong: by a sensor, an estimate or the pilot",
+            "all rotors turned the vehicle as commanded, so the commands were wrong: from a sensor, an estimate or the pilot",
         )
     return "unknown", ()
 
@@ -323,7 +323,7 @@ CAUSES = {
     "motor_order": "motors are connected in the wrong order",
     "disarmed": "the motors were stopped in the air",
     "knock": "something struck the vehicle",
-    "controller": "the vehicle did what it was told, and was told wrong",
+    "controller": "the vehicle did what was commanded, and the commands were wrong",
     "saturated": "the rotors had no more to give",
     "power": "the power failed",
     "unknown": "why is not known",
