@@ -252,7 +252,7 @@ def refused(answer) -> str:
     text = answer["error"]
     assert text.isprintable() and text.endswith(".") and len(text) < 400 and "Traceback" not in text
     assert WORD not in text and "secret" not in text and str(Path.home()) not in text and "/tmp" not in text
-    assert all(len(said) <= 300 and said.isprintable() for said in quoted(answer.data))
+    assert all(len(said) <= 300 and said.isprintable() and "/tmp" not in said for said in quoted(answer.data))
     return text
 
 

@@ -65,7 +65,7 @@ def _important(events: Sequence[Mapping], main: int | None) -> list[int]:
 
 
 def _line(number: int, event: Mapping) -> dict[str, Any]:
-    row = {"number": number} | {name: event[name] for name in SHORT}
+    row: dict[str, Any] = {"number": number} | {name: event[name] for name in SHORT}
     row["alternatives"] = row["alternatives"][:LIST]
     return row | {name: event[name] for name in ("cause", "count") if event.get(name) is not None}
 

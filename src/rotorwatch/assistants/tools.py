@@ -46,21 +46,29 @@ SERIES = Literal[
 
 
 class Server(MCPServer):
-    """Says in one sentence what is wrong with a call."""
+    """Says in one sentence what is wrong with a call, and lists its tools without what only costs room."""
+
+    async def list_tools(self) -> list[Any]:
+        """The tools, with schemas."""
+        tools = [tool.model_copy(deep=True) for tool in await super().list_tools()]
+        for tool in tools:
+            _without_titles(tool.input_schema)
+            _without_titles(tool.output_schema)
+        return tools
 
     async def call_tool(self, name: str, arguments: dict[str, Any], context: Any = None) -> Any:
         """Call a tool. Parameters that it does not have are refused."""
-        tool = self._tool_manager.get_tool(name)
-        if tool is None:
+        known = {tool.name: list(tool.input_schema.get("properties", {})) for tool in await super().list_tools()}
+        if name not in known:
             return failed(Failed("There is no such tool; tools/list names them."))
-        if unknown := sorted(set(arguments) - set(tool.parameters.get("properties", {}))):
-            known = ", ".join(tool.parameters.get("properties", {}))
-            return failed(Failed(f"{len(unknown)} parameter(s) that `{tool.name}` does not have; it has {known}."))
+        if unknown := set(arguments) - set(known[name]):
+            text = f"{len(unknown)} parameter(s) that `{name}` does not have; it has {', '.join(known[name])}."
+            return failed(Failed(text))
         try:
             return await super().call_tool(name, arguments, context)
         except ToolError as why:
             if isinstance(why.__cause__, ValidationError):
-                return failed(Failed(_wrong_parameters(tool.name, why.__cause__)))
+                return failed(Failed(_wrong_parameters(name, why.__cause__)))
             return failed(Failed(_own_error(why.__cause__ or why)))
 
 
@@ -239,10 +247,6 @@ def register(server: MCPServer, desk: Desk) -> None:
     def fleet_event(flight: Digest, number: Number = None) -> Annotated[CallToolResult, models.Event]:
         """Show one event, with its evidence, of a diagnosis that the fleet's store holds."""
         return answered(models.Event, lambda: desk.stored_event(flight, number))
-
-    for one in server._tool_manager.list_tools():
-        for schema in (one.parameters, one.fn_metadata.output_schema):
-            _without_titles(schema)
 
 
 def _without_titles(schema: Any) -> None:

@@ -4,6 +4,7 @@ own name; the last few diagnoses are kept, because questions about one log come 
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import tempfile
 from collections import OrderedDict
@@ -15,6 +16,7 @@ from typing import Any
 
 from rotorwatch.assistants import answers, quoted, series
 from rotorwatch.assistants.folders import Allowed
+from rotorwatch.base import optional
 from rotorwatch.errors import ConfigError, LogError, VehicleError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Diagnosis
@@ -54,9 +56,11 @@ def answer(question: Question) -> dict[str, Any] | Failed | tuple[dict[str, Any]
         return Failed(str(why))
     except (LogError, VehicleError, ConfigError) as why:
         what = "vehicle" if question.log is None else "log"
-        return Failed(
-            f"This {what} cannot be used; what its reader says is quoted.", quoted.quoted(why, 300)["quoted_from_log"]
-        )
+        said = re.sub(
+            re.escape(tempfile.gettempdir() + os.sep) + r"[^/\\\s]+[/\\]", "", str(why)
+        )  # where the link lies
+        reader = quoted.quoted(said, 300)["quoted_from_log"]
+        return Failed(f"This {what} cannot be used; what its reader says is quoted.", reader)
 
 
 def away() -> None:
@@ -91,7 +95,8 @@ def _here(file: Allowed, name: str) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _read(file: Allowed, name: str) -> Flight:
+def _read(file: Allowed | None, name: str) -> Flight:
+    assert file is not None
     from rotorwatch import logs
 
     with _here(file, name) as path:
@@ -116,9 +121,17 @@ def _judged(question: Question) -> Diagnosis:
         return _kept[key]
     from rotorwatch.diagnose import diagnose
 
-    assert question.log is not None
-    healthy = [_read(file, f"healthy-{k}") for k, file in enumerate(question.healthy, 1)]
-    found = diagnose(_read(question.log, "log"), vehicle=_vehicle(question.vehicle), baseline=healthy)
+    def judge() -> Diagnosis:
+        healthy = [_read(file, f"healthy-{k}") for k, file in enumerate(question.healthy, 1)]
+        return diagnose(_read(question.log, "log"), vehicle=_vehicle(question.vehicle), baseline=healthy)
+
+    try:
+        found = judge()
+    except MemoryError:  # what is kept counts, too
+        if not _kept:
+            raise
+        _kept.clear()
+        found = judge()
     _kept[key] = found
     while len(_kept) > KEPT:
         _kept.popitem(last=False)
@@ -165,7 +178,6 @@ def _picture(question: Question, more: dict) -> tuple[dict[str, Any], bytes]:
 def _facts(question: Question) -> dict[str, Any]:
     from rotorwatch.report.info import info
 
-    assert question.log is not None
     return info(_read(question.log, "log"))
 
 
@@ -178,17 +190,14 @@ def _what_to_log(question: Question, more: dict) -> dict[str, Any]:
 
 
 def _survive(question: Question, more: dict) -> dict[str, Any]:
-    from rotorwatch.planning.survive import survive
-
     file = question.vehicle
     name = file.name if isinstance(file, Allowed) else str(file)
     subject = _vehicle(file) or name
-    try:
-        return answers.survival(survive(subject, **more), name)
-    except ModuleNotFoundError:
-        raise _Ours(
-            "What a vehicle survives is computed with JAX and SciPy, which are not installed: pip install 'rotorwatch[mcp,research]'."
-        ) from None
+    for library in ("jax", "scipy"):
+        _ours(optional.library, library, "What a vehicle survives", "mcp,research")
+    from rotorwatch.planning.survive import survive
+
+    return answers.survival(survive(subject, **more), name)
 
 
 def _name(question: Question) -> str:
