@@ -160,15 +160,32 @@ QUESTIONS = [
 ]
 
 
+HELD_AGAINST_JSON = {HEXA, FPV, "quad-off-1.bin.xz", "hexa-opposite-2.bin.xz"}  # with --thorough all
+
+
 @pytest.mark.parametrize(("question", "log", "verdict", "rotors", "cause"), QUESTIONS, ids=[q[0] for q in QUESTIONS])
-def test_a_question_is_answered_in_one_call(session, question, log, verdict, rotors, cause):
+def test_a_question_is_answered_in_one_call(session, request, question, log, verdict, rotors, cause):
     if not log.exists():
         pytest.skip("no shared flights beside the checkout")
     answer = session.call("diagnose", log=log.name)
     assert not answer.failed and tokens(answer.text) < MOST_TOKENS, tokens(answer.text)
+    assert verdict in (None, answer["verdict"])
+    if rotors:
+        main = next(e for e in answer["events"] if e["number"] == answer["main_event"])
+        explanations = [tuple(main["rotors"]), *map(tuple, main.get("alternatives", ()))]
+        assert rotors in explanations and (verdict == "ambiguous" or len(explanations) == 1)
+    if cause:
+        assert any(cause in (e.get("cause"), e["kind"]) for e in answer["events"])
+        assert cause == "motor_order" or not any(e["kind"] == "loss_of_effectiveness" for e in answer["events"])
+    if log.name in HELD_AGAINST_JSON or request.config.getoption("thorough"):
+        has_the_figures_of_json(answer, log)
+
+
+def has_the_figures_of_json(answer, log):
+    """All that the answer says stands so in what `rotorwatch diagnose --json` prints."""
     truth = diagnose(log)
     d = truth.to_dict()
-    assert verdict in (None, answer["verdict"]) and answer["exit_code"] == truth.exit_code
+    assert answer["exit_code"] == truth.exit_code
     for name in ("verdict", "headline", "reason"):
         assert answer[name].replace("log.bin.xz", log.name) == d[name]
     assert answer.data.get("main_event") == d["main_event"]
@@ -177,13 +194,6 @@ def test_a_question_is_answered_in_one_call(session, question, log, verdict, rot
         assert all(whole[name] == value for name, value in line.items() if name != "number")
     for mine, theirs in zip(answer["rotors"], d["rotors"], strict=True):
         assert all(theirs[name] == value for name, value in mine.items())
-    if rotors:
-        main = next(e for e in answer["events"] if e["number"] == answer["main_event"])
-        explanations = [tuple(main["rotors"]), *map(tuple, main.get("alternatives", ()))]
-        assert rotors in explanations and (verdict == "ambiguous" or len(explanations) == 1)
-    if cause:
-        assert any(cause in (e.get("cause"), e["kind"]) for e in answer["events"])
-        assert cause == "motor_order" or not any(e["kind"] == "loss_of_effectiveness" for e in answer["events"])
 
 
 def test_every_answer_is_short_by_default(session):
