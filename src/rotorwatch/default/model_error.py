@@ -18,7 +18,7 @@ from rotorwatch.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS
 GARROTE = 2.5  # how many times its calm level motion must reach to stand out
 LEVEL_MEMORY_S = 10.0
 # Share by which the motion model may be wrong for a moment, and how many ticks such an error lasts.
-GAIN_ERROR, DAMPING_ERROR = (0.25, 0.25, 0.35, 0.15), 0.3
+GAIN_ERROR, DAMPING_ERROR = (0.0, 0.0, 0.35, 0.15), 0.3
 ERROR_TICKS = 4.0
 LAG_ERROR_S, SNAPSHOT = (
     0.015,
