@@ -56,7 +56,9 @@ def _quick_flags():
 
 # Before JAX is imported; processes that tests start inherit it.
 os.environ.setdefault("XLA_FLAGS", _quick_flags())
-os.environ["JAX_TRACEBACK_IN_LOCATIONS_LIMIT"] = "0"  # nobody reads where in our files an operation of a program came from
+os.environ["JAX_TRACEBACK_IN_LOCATIONS_LIMIT"] = (
+    "0"  # nobody reads where in our files an operation of a program came from
+)
 
 # JAX's tracing makes so many small objects that looking for cycles among all of them takes a third of its time.
 gc.set_threshold(50_000, 20, 50)
@@ -93,6 +95,12 @@ def pytest_collection_modifyitems(config, items):
     items[:] = [item for item in items if item not in left_out]
     if left_out:
         config.hook.pytest_deselected(items=list(left_out))
+
+
+@pytest.fixture
+def amount(request):
+    """amount(usual, thorough): one of the two numbers, of trials of a test that tries many."""
+    return lambda usual, thorough: thorough if request.config.getoption("thorough") else usual
 
 
 MAPS = 20_000

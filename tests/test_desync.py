@@ -66,6 +66,7 @@ def found(name, rpm):
     return desync.search(seen(name, rpm))
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize(("name", "rotor", "lasting", "rpm", "least"), [
     ("long", 2, 0.2, True, 6), ("long", 2, 0.2, False, 4), ("short", 0, 0.1, True, 5), ("short", 0, 0.1, False, 2),
 ])  # fmt: skip
@@ -90,7 +91,7 @@ def test_beginning_and_end_of_a_long_one_are_those_of_the_speed():
     ]
 
 
-@pytest.mark.thorough(keep=7)
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize(("name", "rpm"), [
     *((name, rpm) for name in ("healthy", "dead", "weak", "knocks", "gone") for rpm in (False, True)), ("second", True),
 ])  # fmt: skip
