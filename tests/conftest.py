@@ -76,12 +76,16 @@ def pytest_addoption(parser):
     )
 
 
+def _whole(config):
+    return config.getoption("thorough") or any("::" in arg for arg in config.args)
+
+
 def pytest_collection_modifyitems(config, items):
     """Without --thorough, of a test with @pytest.mark.thorough(keep=N) only N cases run, spread over all; none where N is left out.
 
     A test that is named on the command line (FILE::TEST) runs whole.
     """
-    if config.getoption("thorough") or any("::" in arg for arg in config.args):
+    if _whole(config):
         return
     cases = {}
     for item in items:
@@ -97,10 +101,10 @@ def pytest_collection_modifyitems(config, items):
         config.hook.pytest_deselected(items=list(left_out))
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def amount(request):
-    """amount(usual, thorough): one of the two numbers, of trials of a test that tries many."""
-    return lambda usual, thorough: thorough if request.config.getoption("thorough") else usual
+    """amount(usual, thorough): the one or the other, of what a test tries many of."""
+    return lambda usual, thorough: thorough if _whole(request.config) else usual
 
 
 MAPS = 20_000
