@@ -101,6 +101,19 @@ def pytest_collection_modifyitems(config, items):
         config.hook.pytest_deselected(items=list(left_out))
 
 
+_trials = 0.3
+
+
+def pytest_configure(config):
+    global _trials
+    _trials = 1.0 if _whole(config) else _trials
+
+
+def trials(most):
+    """How many examples of a property are tried: so many with --thorough."""
+    return max(1, round(_trials * most))
+
+
 @pytest.fixture(scope="session")
 def amount(request):
     """amount(usual, thorough): the one or the other, of what a test tries many of."""

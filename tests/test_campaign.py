@@ -15,6 +15,7 @@ from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conftest import trials
 from rotorwatch import campaign
 from rotorwatch.campaign import batch, page, score, store, summary, work
 from rotorwatch.campaign import plan as plans
@@ -166,7 +167,7 @@ JUNK = st.recursive(
 
 
 @given(where=st.sampled_from(sorted(paths_of(table()), key=str)), junk=JUNK, add=st.none() | st.text(max_size=3))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=trials(150), deadline=None)
 def test_junk_anywhere_is_one_sentence_or_a_plan_that_flies(where, junk, add):
     """A value, a draw, a table or a key that does not belong: refused by the name of its part, else every flight can be drawn."""
     try:

@@ -399,9 +399,19 @@ def test_law(name, make, law):
     law(case_of(name, make))
 
 
-@pytest.mark.thorough(keep=10)
-@pytest.mark.parametrize("law", SLOW_LAWS, ids=lambda law: law.__name__)
-@pytest.mark.parametrize(("name", "make"), SLOW_CASES, ids=lambda v: v if isinstance(v, str) else "")
+# Methods as different from each other as they are; the others with --thorough.
+USUAL = {
+    many_flights_at_once_are_the_same_as_one_by_one: ("ekf", "mh_lyapunov", "tsukf", "imm", "parity"),
+    compiled_is_the_same_as_not: ("adaptive_ekf", "mh_lyapunov", "ukf", "mhe", "rls"),
+}
+SLOW = [
+    pytest.param(name, make, law, marks=[] if name in USUAL[law] else pytest.mark.thorough, id=f"{name}-{law.__name__}")
+    for name, make in SLOW_CASES
+    for law in SLOW_LAWS
+]
+
+
+@pytest.mark.parametrize(("name", "make", "law"), SLOW)
 def test_slow_law(name, make, law):
     law(case_of(name, make))
 

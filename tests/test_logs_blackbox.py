@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 import blackbox_writer as writer
 from blackbox_writer import Field, Log
+from conftest import trials
 from embedded_c_parts import STRICT, compilers
 from rotorwatch import airframes, logs
 from rotorwatch.compiling.running import Definition
@@ -217,7 +218,7 @@ def sessions(draw):
     return log, made
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=trials(60), deadline=None)
 @given(sessions(), st.booleans())
 def test_what_is_written_is_read(pair, native):
     log, made = pair
@@ -443,7 +444,7 @@ def origin():
 
 
 @cache
-def hover(seconds: float = 60.0) -> bytes:
+def hover(seconds: float = 25.0) -> bytes:
     """The healthy sample as Betaflight logs it, 500 times a second: DShot, axes forward, left, up."""
     flight = origin()
     time = np.arange(0.0, seconds, 0.002)
@@ -490,7 +491,7 @@ def test_a_flight_comes_back_in_our_units_and_axes(file):
         "Betaflight 4.5.1 (77d01ba3b) STM32F7X2",
     )
     assert flight.warnings == () or all("do not fit" in w or "does not fit" in w for w in flight.warnings)
-    assert flight.start_us == 7_000_000 and flight.duration == pytest.approx(60.0, abs=0.01)
+    assert flight.start_us == 7_000_000 and flight.duration == pytest.approx(25.0, abs=0.01)
     for name, least in (
         ("gyro", np.radians(0.051)),
         ("rates", np.radians(0.051)),
