@@ -435,13 +435,13 @@ def test_a_shift_of_thrust_in_steady_hover_may_be_opposite_rotors_but_not_after_
     assert not climbed.announced.any()
 
 
-def test_false_alarms_are_as_rare_as_the_threshold_says():
+def test_false_alarms_are_as_rare_as_the_threshold_says(amount):
     """Without a fault the evidence, summed over onset times, grows by no more than one a tick and rotor set on average
     (a Shiryaev-Roberts statistic), so that the threshold bounds how often it is crossed: Markov's inequality."""
     method = make("ardupilot-quad-x")
     hyp = method.bank.hyp
     new = hyp.fault & (np.array(hyp.kinds) != "recovery")
-    runs = 24
+    runs = amount(10, 24)
     tables = [method.over(*hover(seed=1000 + r))[0] for r in range(runs)]
     total = np.exp(np.stack([out.decision.log_odds[READY:, new] for out in tables])).sum(axis=2)
     each = hyp.weight[new].sum()
