@@ -531,6 +531,7 @@ def test_curves_of_groups_are_those_of_their_flights():
     assert found["curves"]["frame"]["hexa-x"]["delay_curve"][0]["detected"] == 0.0
 
 
+@pytest.mark.thorough
 def test_the_page_shows_every_method_and_group(tmp_path, monkeypatch):
     """More methods than colours, a rule without a statistic, and pictures by frame, profile and wind."""
     monkeypatch.setattr(page, "COLOURS", page.COLOURS[:1])
