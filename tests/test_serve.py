@@ -729,7 +729,7 @@ def test_a_source_that_breaks_takes_nothing_with_it(why):
     feed = live.Feed()
     feed._sources = [live.Guarded("serial:x:1", Failing(why), feed)]
     feed.start()
-    feed._thread.join(0.3)
+    feed._thread.join(0.3 if isinstance(why, ValueError) else 10.0)
     assert feed._thread.is_alive() == isinstance(why, ValueError)
     feed.stop()
     state = feed.state()
