@@ -699,11 +699,11 @@ def balance_kalman(system, x, P, u, y, valid, Q, R):
 
     Q (T, n_x, n_x) and R (T, n_y) may change from step to step. Returns x (T, n_x) and P (T, n_x, n_x) after each.
     """
-    A = np.diag(system.decay(0.05))
+    A, given = np.diag(system.decay(0.05)), jax.jit(system.C)
     history = []
     for k in range(len(y)):
         x, P = A @ x, A @ P @ A.T + Q[k]
-        C, r = np.asarray(system.C(u[k]))[valid[k]], R[k][valid[k]]
+        C, r = np.asarray(given(u[k]))[valid[k]], R[k][valid[k]]
         S = C @ P @ C.T + np.diag(r)
         K = np.linalg.solve(S, C @ P).T
         x = x + K @ (y[k][valid[k]] - C @ x)
@@ -737,7 +737,8 @@ def test_default_is_the_kalman_filter_while_nothing_is_suspected(monkeypatch):
     learned = variances[:-1]  # what a tick works with was known before it
     flying = slice(TAKE_OFF, TICKS)
     R = learned[TAKE_OFF - 1 :, 0]
-    Q = np.stack([np.diag(np.asarray(noise.process_variance(v, 0.05))) for v in learned[TAKE_OFF - 1 :]])
+    variance = jax.jit(lambda v: noise.process_variance(v, 0.05))
+    Q = np.stack([np.diag(np.asarray(variance(v))) for v in learned[TAKE_OFF - 1 :]])
     x, P = balance_kalman(system, system.x0, system.P0, u[flying], y[flying], valid[flying], Q, R)
     assert learned[-1, 0].max() < 0.1 * learned[0, 0].min()  # the noise was learned: Q and R did change on the way
     np.testing.assert_allclose(estimate.x[flying], x, rtol=1e-7, atol=1e-9)
