@@ -1,5 +1,6 @@
 """What all tests share: how JAX compiles for them, and a fabricated but complete diagnosis, as the diagnoser would make it."""
 
+import gc
 import importlib.util
 import mmap
 import os
@@ -55,6 +56,35 @@ def _quick_flags():
 
 # Before JAX is imported; processes that tests start inherit it.
 os.environ.setdefault("XLA_FLAGS", _quick_flags())
+os.environ["JAX_TRACEBACK_IN_LOCATIONS_LIMIT"] = (
+    "0"  # nobody reads where in our files an operation of a program came from
+)
+
+# JAX's tracing makes so many small objects that looking for cycles among all of them takes a third of its time.
+gc.set_threshold(50_000, 20, 50)
+
+
+def _entry_points(read=metadata.entry_points):
+    """What packages offer is read again where a folder on the path has changed only: it takes 20 ms, and every plan asks for it."""
+    known = {}
+
+    def entry_points(**wanted):
+        there = [Path(folder) for folder in sys.path]
+        key = tuple((p, p.stat().st_mtime_ns) for p in there if p.exists()), tuple(sorted(wanted.items()))
+        if key not in known:
+            known[key] = read(**wanted)
+        return known[key]
+
+    return entry_points
+
+
+metadata.entry_points = _entry_points()
+
+
+def pytest_collection_finish():
+    """What has been imported and collected by now stays, and is not looked through again."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_addoption(parser):
@@ -63,12 +93,16 @@ def pytest_addoption(parser):
     )
 
 
+def _whole(config):
+    return config.getoption("thorough") or any("::" in arg for arg in config.args)
+
+
 def pytest_collection_modifyitems(config, items):
     """Without --thorough, of a test with @pytest.mark.thorough(keep=N) only N cases run, spread over all; none where N is left out.
 
     A test that is named on the command line (FILE::TEST) runs whole.
     """
-    if config.getoption("thorough") or any("::" in arg for arg in config.args):
+    if _whole(config):
         return
     cases = {}
     for item in items:
@@ -84,6 +118,25 @@ def pytest_collection_modifyitems(config, items):
         config.hook.pytest_deselected(items=list(left_out))
 
 
+_trials = 0.3
+
+
+def pytest_configure(config):
+    global _trials
+    _trials = 1.0 if _whole(config) else _trials
+
+
+def trials(most):
+    """How many examples of a property are tried: so many with --thorough."""
+    return max(1, round(_trials * most))
+
+
+@pytest.fixture(scope="session")
+def amount(request):
+    """amount(usual, thorough): the one or the other, of what a test tries many of."""
+    return lambda usual, thorough: thorough if _whole(request.config) else usual
+
+
 MAPS = 20_000
 
 
@@ -96,6 +149,27 @@ def _compiled_programs_go():
     yield
     if "jax" in sys.modules and len(Path("/proc/self/maps").read_bytes().splitlines()) > MAPS:
         sys.modules["jax"].clear_caches()
+
+
+GROWN = 1 << 30  # bytes
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _garbage_goes():
+    """What only a look through everything finds is looked for where memory has grown since the last time."""
+    yield
+    global _held
+    if _in_memory() > _held + GROWN:
+        gc.collect()
+        _held = _in_memory()
+
+
+def _in_memory():
+    told = Path("/proc/self/statm")
+    return int(told.read_text().split()[1]) * mmap.PAGESIZE if told.exists() else 0
+
+
+_held = _in_memory()
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import shutil
 from pathlib import Path
 
@@ -27,14 +28,16 @@ def config(n: int, dt: float = 0.05, hz: tuple[float, float, float] = (50.0, 400
     return "".join(f"#define RW_{name} {value}\n" for name, value in values.items())
 
 
+@functools.cache
+def _translated() -> tuple[str, str]:
+    made = Translation(PARTS, sizes)
+    return made.header("Of a test."), made.source("rw_front.h")
+
+
 def front(folder: Path, text: str) -> Path:
     """rw_config.h with this text, and the front end as the export writes it, into a folder; the C of the latter."""
-    made = Translation(PARTS, sizes)
-    for name, written in (
-        ("config.h", text),
-        ("front.h", made.header("Of a test.")),
-        ("front.c", made.source("rw_front.h")),
-    ):
+    header, source = _translated()
+    for name, written in (("config.h", text), ("front.h", header), ("front.c", source)):
         (folder / f"rw_{name}").write_text(written)
     return folder / "rw_front.c"
 

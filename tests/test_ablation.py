@@ -66,6 +66,7 @@ def test_constants_are_changed_only_for_a_while():
     assert before == kalman.OUTLIER
 
 
+@pytest.mark.thorough
 def test_constants_of_the_definition_are_built_in_and_given_back():
     table = hover(0.3)
     kept = ablation.judge(table, B, {})

@@ -1,6 +1,7 @@
 """Vehicles that never hover: the response of their angular motion, and losses that it shows over seconds."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -19,32 +20,61 @@ B = CRAFT.effectiveness()
 GAIN, DAMPING, LAG_S, DT, ALOFT = np.array([140.0, 90.0, 30.0]), np.array([0.5, 1.0, 0.5]), 0.03, 0.001, ((2.0, 59.0),)
 
 
-def flown(seed=0, losses=(), seconds=60.0, gust=0.03):
-    """A quad that rolls and pitches as it is told, with thrust from idle to full. losses: (rotor from 0, share, from s); gust: coloured
-    torque noise [full thrusts of a rotor]. A rate controller at 1 kHz, thrusts by the airframe's curve."""
-    rng, count, mix = np.random.default_rng(seed), round(seconds / DT), np.linalg.inv(B)
-    wanted = np.repeat(rng.normal(0.0, [6.0, 4.0, 1.0], (count // 400 + 1, 3)), 400, axis=0)[:count]
-    throttle = np.repeat(rng.uniform(0.15, 0.55, count // 700 + 1), 700)[:count]
-    time, noise, health = DT * np.arange(count), rng.normal(0.0, 1.0, (count, 3)), np.ones((count, 4))
-    for rotor, share, start in losses:
-        health[time >= start, rotor] = 1.0 - share
-    rate, thrust, integral, wind = np.zeros(3), np.full(4, 0.3), np.zeros(3), np.zeros(3)
-    asked, seen = np.zeros((count, 4)), np.zeros((count, 3))
+# Flights of one batch: a seed, and (rotor from 0, share, from s) of each loss.
+LOST = {
+    "healthy": (0, ()),
+    "first": (1, ((0, 0.3, 30.0),)),
+    "last": (4, ((3, 0.5, 30.0),)),
+    "weak": (1, ((0, 0.4, 30.0),)),
+    "two": (9, ((1, 0.4, 20.0), (2, 0.4, 40.0))),
+    "again": (5, ((1, 0.5, 20.0), (1, 0.0, 40.0))),
+}
+
+
+@cache
+def flights(seconds=60.0, gust=0.03):
+    """A quad that rolls and pitches as it is told, with thrust from idle to full. gust: coloured torque noise [full thrusts of a rotor].
+    A rate controller at 1 kHz, thrusts by the airframe's curve."""
+    count, many, mix = round(seconds / DT), len(LOST), np.linalg.inv(B)
+    time, health = DT * np.arange(count), np.ones((count, many, 4))
+    wanted, throttle, noise = np.zeros((count, many, 3)), np.zeros((count, many)), np.zeros((count, many, 3))
+    for j, (seed, losses) in enumerate(LOST.values()):
+        rng = np.random.default_rng(seed)
+        wanted[:, j] = np.repeat(rng.normal(0.0, [6.0, 4.0, 1.0], (count // 400 + 1, 3)), 400, axis=0)[:count]
+        throttle[:, j] = np.repeat(rng.uniform(0.15, 0.55, count // 700 + 1), 700)[:count]
+        noise[:, j] = rng.normal(0.0, 1.0, (count, 3))
+        for rotor, share, start in losses:
+            health[time >= start, j, rotor] = 1.0 - share
+    rate, thrust, integral, wind = (
+        np.zeros((many, 3)),
+        np.full((many, 4), 0.3),
+        np.zeros((many, 3)),
+        np.zeros((many, 3)),
+    )
+    asked, seen = np.zeros((count, many, 4)), np.zeros((count, many, 3))
     for k in range(count):
         seen[k] = rate + 0.02 * noise[k]
         integral = np.clip(integral + 0.1 * (wanted[k] - seen[k]) * DT, -0.5, 0.5)
         torque = np.clip(0.03 * (wanted[k] - seen[k]), -0.25, 0.25) + integral
-        asked[k] = np.clip(mix @ np.r_[torque, 4.0 * throttle[k]], 0.02, 1.0)
+        asked[k] = np.clip(torque @ mix[:, :3].T + 4.0 * throttle[k][:, None] * mix[:, 3], 0.02, 1.0)
         thrust += (asked[k] - thrust) * DT / LAG_S
         wind += -wind * DT / 0.4 + gust * np.sqrt(2.0 * DT / 0.4) * noise[k - 1]
-        rate = rate + DT * (GAIN * (B[:3] @ (thrust * health[k]) + wind) - DAMPING * rate)
+        rate = rate + DT * (GAIN * ((thrust * health[k]) @ B[:3].T + wind) - DAMPING * rate)
     expo, low, high = CRAFT.curve.expo, CRAFT.curve.u_min, CRAFT.curve.u_max
     drive = (np.sqrt((1.0 - expo) ** 2 + 4.0 * expo * asked) - (1.0 - expo)) / (2.0 * expo)
-    signals = {
-        "motors": Signal(time, low + drive * (high - low), tuple("0123"), "1"),
-        "gyro": Signal(time, seen, ("x", "y", "z"), "rad/s", "FRD"),
+    motors = low + drive * (high - low)
+    return {
+        name: Flight(
+            "Blackbox",
+            "Betaflight",
+            {
+                "motors": Signal(time, motors[:, j], tuple("0123"), "1"),
+                "gyro": Signal(time, seen[:, j], ("x", "y", "z"), "rad/s", "FRD"),
+            },
+            seconds,
+        )
+        for j, name in enumerate(LOST)
     }
-    return Flight("Blackbox", "Betaflight", signals, seconds)
 
 
 def judged(flight):
@@ -55,7 +85,7 @@ def judged(flight):
 
 @pytest.fixture(scope="module")
 def healthy():
-    return flown()
+    return flights()["healthy"]
 
 
 def test_the_response_is_that_of_the_vehicle(healthy):
@@ -79,9 +109,10 @@ def test_nothing_is_found_in_healthy_flight(healthy):
 
 
 @pytest.mark.thorough(keep=1)
-@pytest.mark.parametrize(("rotor", "share"), [(0, 0.3), (3, 0.5)])
-def test_a_loss_is_found_in_rolls_and_flips(rotor, share):
-    (event,), _, _ = judged(flown(seed=rotor + 1, losses=[(rotor, share, 30.0)]))
+@pytest.mark.parametrize("name", ["first", "last"])
+def test_a_loss_is_found_in_rolls_and_flips(name):
+    ((rotor, share, _),) = LOST[name][1]
+    (event,), _, _ = judged(flights()[name])
     assert event.rotors == (rotor + 1,) and event.end_s is None and event.alternatives == ()
     assert event.onset_s == pytest.approx(30.0, abs=2.5) and 30.0 < event.detected_s < 42.0
     low, high = event.interval[0]
@@ -89,14 +120,13 @@ def test_a_loss_is_found_in_rolls_and_flips(rotor, share):
 
 
 def test_a_second_loss_is_another_event():
-    found, _, _ = judged(flown(seed=9, losses=[(1, 0.4, 20.0), (2, 0.4, 40.0)]))
+    found, _, _ = judged(flights()["two"])
     assert [e.rotors for e in found] == [(2,), (3,)]
 
 
 def test_a_rotor_that_works_again_ends_its_event():
     """Half of its thrust is lost from 20 to 40 s."""
-    lost = flown(seed=5, losses=[(1, 0.5, 20.0), (1, 0.0, 40.0)])
-    (event,), _, _ = judged(lost)
+    (event,), _, _ = judged(flights()["again"])
     assert event.rotors == (2,) and event.end_s == pytest.approx(40.0, abs=3.0)
 
 
@@ -119,13 +149,13 @@ def test_it_is_what_diagnose_does_with_logs_of_such_firmware(healthy):
     answer = diagnose(healthy, vehicle=CRAFT)
     assert answer.verdict == "healthy" and any("commanded rates" in a for a in answer.assumptions)
     assert not any(e.kind == "contact" for e in answer.events)  # turning at 15 rad/s^2 is no knock
-    weak = diagnose(flown(seed=1, losses=[(0, 0.4, 30.0)]), vehicle=CRAFT)
+    weak = diagnose(flights()["weak"], vehicle=CRAFT)
     assert weak.verdict == "fault" and weak.rotors[0].loss > 0.2
 
 
 def test_flights_that_never_hover_are_not_compared_with_healthy_ones():
     """The balance of hover says nothing here: what was wrong from take-off on is not judged, and the answer says so."""
-    first, second = fpv.fly(2, 40.0, 3)
+    first, second = fpv.fly(2, 30.0, 3)
     known = calibrate([first])
     answer = diagnose(second, vehicle=known)
     assert known.identified and known.identified["whole_flight"]

@@ -34,6 +34,7 @@ def test_the_flight_keeps_its_bounds_and_its_fault(judged):
     assert ((w / ruav_flight.PROCESS[:6]) ** 2).sum(-1).max() <= 1.0
 
 
+@pytest.mark.thorough
 def test_no_actuator_reaches_a_stop(judged):
     flights, _ = judged
     commands = flights.u[..., :4]
@@ -41,6 +42,7 @@ def test_no_actuator_reaches_a_stop(judged):
     assert U.min() > 0.0 and U.max() < 1.0
 
 
+@pytest.mark.thorough
 def test_sets_and_a_generous_kalman_filter_cover(judged):
     _, result = judged
     assert result["esmf"]["containment_worst_seed"] == 1.0 and result["esmf"]["ellipsoid"] == 1.0
@@ -50,6 +52,7 @@ def test_sets_and_a_generous_kalman_filter_cover(judged):
     assert result["ekf"]["half_width_last_5s"] < 0.1 * result["esmf"]["half_width_last_5s"]
 
 
+@pytest.mark.thorough
 def test_no_certain_set_could_be_much_narrower(judged):
     """Coefficients d off the truth, with the noise that makes up for them, explain the same measurements while that noise keeps
     the filters' bounds: every guaranteed set holds them. To first order in d, a cone program for each coefficient."""
@@ -75,6 +78,7 @@ def test_no_certain_set_could_be_much_narrower(judged):
     assert 0.1 < np.mean(least) < result["esmf"]["half_width"] < 4 * np.mean(least)
 
 
+@pytest.mark.thorough
 def test_adapted_kalman_bounds_are_the_narrowest(judged):
     _, result = judged
     for name in ("aekf", "aukf"):

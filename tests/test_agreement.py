@@ -69,7 +69,7 @@ def test_simulated_flights(frame):
     assert {f"{k}: {fault}" for k, a in enumerate(plotted) for fault in walk(a)} == set()
 
 
-@pytest.mark.thorough(keep=4)
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("path", WILD or ["missing"], ids=lambda p: getattr(p, "name", p))
 def test_logs_as_people_leave_them_lying_about(path):
     if not WILD:

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conftest import trials
 from rotorwatch import airframes, logs
 from rotorwatch.airframes import ardupilot
 from rotorwatch.errors import VehicleError
@@ -282,7 +283,7 @@ SETTINGS += ["MOT_SPIN_MAX", "MOT_THST_EXPO", "THR_MIN", "MOT_THST_MAX", "CA_ROT
 SETTINGS += ["SYS_AUTOSTART", "MAV_TYPE", "CA_ROTOR0_PX", "CA_ROTOR1_PY", "CA_ROTOR2_KM", "CA_ROTOR0_CT"]
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=trials(200), deadline=None)
 @given(
     st.dictionaries(st.sampled_from(SETTINGS), st.one_of(st.floats(), st.integers(-3, 20), st.integers(900, 13000))),
     st.sampled_from(["ArduPilot", "PX4"]),

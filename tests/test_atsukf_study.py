@@ -80,6 +80,7 @@ def test_figures_of_the_reproduction(result):
     assert figures["tsukf_vs_augmented_quad"] < 3e-5
 
 
+@pytest.mark.thorough
 def test_noise_reverses_the_ranking_and_the_gate_restores_it(result):
     loud = result.figures["rmse_loud"]
     assert loud["atsukf_q2"] > 3 * loud["tsukf_q2"]
@@ -87,6 +88,7 @@ def test_noise_reverses_the_ranking_and_the_gate_restores_it(result):
     assert result.figures["rmse_gated_q2"] < 1.1 * result.figures["rmse"]["scenario_1"]["atsukf_q2"]
 
 
+@pytest.mark.thorough
 def test_claims_and_their_verdicts(result):
     verdicts = [claim.verdict for claim in result.claims]
     assert verdicts[:4] == ["holds", "not reproduced", "partly", "holds"]
@@ -95,11 +97,13 @@ def test_claims_and_their_verdicts(result):
     assert result.to_json()
 
 
+@pytest.mark.thorough
 def test_figures_are_drawn(result):
     drawn = study.figures(result)
     assert set(drawn) == {"atsukf-scenario-1", "atsukf-scenario-2", "atsukf-noise"}
 
 
+@pytest.mark.thorough
 def test_literal_readings_are_measured(result):
     found = result.figures["literal"]["no_redraw"]
     assert found["difference_q1"] > 1e-3 < found["difference_q2"]

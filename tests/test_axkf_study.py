@@ -31,6 +31,7 @@ def test_truth_and_stationary_gain(figures):
     assert figures["k41"] == pytest.approx(0.378, rel=1e-3)
 
 
+@pytest.mark.thorough
 def test_equal_thrusts_split_each_loss_between_opposite_motors(figures):
     split = [0.062, -0.062, 0.0675, -0.0675, 0.0, 0.0]
     np.testing.assert_allclose(figures["six_theta_final"], split, atol=5e-4)
@@ -39,6 +40,7 @@ def test_equal_thrusts_split_each_loss_between_opposite_motors(figures):
     np.testing.assert_allclose(figures["six_theta_excited_final"], flights.losses()[-1], atol=5e-3)
 
 
+@pytest.mark.thorough
 def test_two_suspects(figures):
     np.testing.assert_allclose(figures["motors_1_3_final"], [0.1242, 0.1351], atol=1e-4)
     np.testing.assert_allclose(figures["motors_1_3_settle_s"], [1.21, 0.474], atol=5e-3)
@@ -49,6 +51,7 @@ def test_two_suspects(figures):
     assert min(figures["noise_printed_R_std"]) > 1
 
 
+@pytest.mark.thorough
 def test_without_the_fault_term_the_observer_sees_no_momenta(figures):
     p = np.abs(figures["p_final"])
     np.testing.assert_allclose(figures["observer_p_error_without_fault_term"], p, rtol=1e-2)
@@ -56,11 +59,13 @@ def test_without_the_fault_term_the_observer_sees_no_momenta(figures):
     assert (np.array(figures["p_error"]) < 1e-3 * p).all()
 
 
+@pytest.mark.thorough
 def test_virtual_inputs(figures):
     assert np.abs(figures["virtual_multiplicative_final"]).max() < 1e-6
     assert figures["virtual_additive_error"] < 5e-7
 
 
+@pytest.mark.thorough
 def test_two_motors_are_excited_and_six_with_equal_thrusts_are_not(figures):
     """Eq. (16): with equal thrusts columns of opposite motors are negatives of each other."""
     alpha, most = figures["excitation_six"]
@@ -94,6 +99,7 @@ def test_what_a_step_tells_of_the_losses_is_the_textbooks():
     np.testing.assert_allclose(study.information(system, carry._replace(state=state, z=z), u), wanted, rtol=1e-5)
 
 
+@pytest.mark.thorough
 def test_theorem_and_wrong_starts(figures):
     assert figures["lmi_paper_max_eig"] == pytest.approx(1.47, abs=0.01)
     assert figures["lmi_best_eig_A_identity"] > 0 > figures["lmi_best_eig_A_kinematics"]
@@ -102,6 +108,7 @@ def test_theorem_and_wrong_starts(figures):
     assert figures["tumbles_after_s"] < 0.2
 
 
+@pytest.mark.thorough
 def test_claims_say_what_holds(result):
     verdicts = [claim.verdict for claim in result.claims]
     assert len(verdicts) == 14 and set(verdicts) == {"holds", "partly", "not reproduced"}
@@ -109,6 +116,7 @@ def test_claims_say_what_holds(result):
     assert theorem.verdict == "not reproduced" and "+1.474" in theorem.measured
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "claim, now, other, then",
     [
@@ -141,6 +149,7 @@ def test_verdicts_follow_from_the_figures(result, claim, now, other, then):
     assert verdict(result.figures) == now and verdict({**result.figures, **given}) == then
 
 
+@pytest.mark.thorough
 def test_figures_can_be_drawn(result, tmp_path):
     drawn = study.figures(result)
     assert {"fig4_faults", "fig7_momenta", "fig9_momenta_without_fault_term", "wrong_starts"} <= set(drawn)

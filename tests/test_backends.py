@@ -98,8 +98,7 @@ def test_the_command_says_in_one_line_that_there_is_no_compiler():
     assert done.returncode in (0, 1, 3) and line in done.stderr
 
 
-@needs_compiler
-def test_a_published_method_is_built_once_and_says_what_jax_says(monkeypatch):
+def test_a_published_methods_native_code_is_known_by_its_name():
     """Native code of a method is known by name and arguments; a stranger's, whose source may change, never is."""
     build = published.builder("ekf", 0.05, ())
     assert native._named(build) == native._named(published.builder.__wrapped__("ekf", 0.05, ()))
@@ -107,6 +106,11 @@ def test_a_published_method_is_built_once_and_says_what_jax_says(monkeypatch):
     assert native._named(published.builder("test_backends:Strange", 0.05, ())) is None
     assert native._named(functools.partial(published.watched, "ekf", 0.05, np.ones(2))) is None
 
+
+@pytest.mark.thorough
+@needs_compiler
+def test_a_published_methods_native_code_says_what_jax_says(monkeypatch):
+    """Of a whole flight; step by step every method's code is compared in test_export_estimators."""
     vehicle = airframes.named("ardupilot-quad-x")
     flight = simulate(vehicle, [0.4], [1], [20.0], np.random.default_rng(3))[0]
     table = _scene("one", flight, vehicle, ()).ticks

@@ -25,6 +25,7 @@ def run(capsys, *words):
     return code, shown.out, " ".join(shown.err.split())
 
 
+@pytest.mark.thorough
 def test_inject_judges_as_diagnose_does(log, capsys):
     """In hover's way nothing of such a flight is judged; a rotor that loses half of its thrust is found in most of it."""
     code, out, _ = run(capsys, "inject", log, "--loss", "0.5", "--repeats", "2", "--jobs", "1", "--json", "-q")

@@ -181,6 +181,7 @@ def test_a_file_is_there_whole_or_not_at_all(tmp_path):
 FULL = "rotorwatch: Reading or writing failed: No space left on device.\n"
 
 
+@pytest.mark.thorough(keep=5)
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 @pytest.mark.parametrize(
     "words, where, code, err",

@@ -120,6 +120,7 @@ def test_nothing_changes_before_the_first_belief():
     assert np.abs(later.command[~before] - never.command[~before]).max() > 0.01
 
 
+@pytest.mark.thorough
 def test_a_quad_that_cannot_hover_still_turns_and_stays():
     """60 % of a rotor at twice the weight: while it turns it holds its place, and without that it comes down."""
     s, numbers, B = planned()

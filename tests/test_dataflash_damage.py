@@ -8,13 +8,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from conftest import trials
 from rotorwatch.errors import LogError
 from rotorwatch.logs import dataflash
 from rotorwatch.logs.dataflash_binary import BinaryLog
 
 CORRUPT = Path(__file__).parents[2] / "shared" / "flights" / "corrupt"
 pytestmark = pytest.mark.skipif(not CORRUPT.exists(), reason=f"test flights are not at {CORRUPT}")
-RELAXED = settings(deadline=2000, max_examples=150, suppress_health_check=[HealthCheck.too_slow])
+RELAXED = settings(deadline=2000, max_examples=trials(150), suppress_health_check=[HealthCheck.too_slow])
 
 
 @cache

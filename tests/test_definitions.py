@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conftest import trials
 from embedded_c_parts import STRICT, compilers
 from rotorwatch import airframes, logs
 from rotorwatch.compiling import shipped, structs, toolchain
@@ -284,20 +285,20 @@ REAL = st.floats(-1e6, 1e6)
 ANY = st.one_of(REAL, st.sampled_from([np.nan, np.inf, -np.inf, 0.0, 1.0, 2.0]))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=trials(100), deadline=None)
 @given(REAL, REAL)
 def test_numbers(made, x, y):
     both(made, "numbers", "real", 8, x, y)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=trials(100), deadline=None)
 @given(st.integers(0, 10000), st.integers(1, 10000))
 def test_whole_numbers(made, a, b):
     """Quotients and remainders are those of numbers that are not negative: Python and C round others differently."""
     both(made, "whole_numbers", "int", 6, a, b)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=trials(100), deadline=None)
 @given(st.integers(0, 2**24), st.integers(0, 2**24), st.integers(0, 6))
 def test_bits(made, a, b, k):
     both(made, "bits", "int", 6, a, b, k)
@@ -306,13 +307,13 @@ def test_bits(made, a, b, k):
 WHOLE = st.integers(-(2**31), 2**31 - 1) | st.sampled_from([0, 1, -1, 2**31 - 1, -(2**31)])
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=trials(200), deadline=None)
 @given(WHOLE, WHOLE, st.integers(0, 31))
 def test_numbers_of_32_bits_go_on_from_the_other_end(made, a, b, k):
     both(made, "modulo", "int", 6, a, b, k)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=trials(100), deadline=None)
 @given(st.binary(max_size=20))
 def test_bytes(made, data):
     both(made, "from_bytes", "int", 6, np.frombuffer(data, np.uint8), len(data))
@@ -337,7 +338,7 @@ def test_several_definitions_are_shipped_side_by_side(made, tmp_path):
         assert told["library"] == [f"{name}.so", shipped.digest_of(tmp_path / f"{name}.so")]
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=trials(100), deadline=None)
 @given(ANY, ANY, st.integers(0, 5))
 def test_conditions(made, x, y, k):
     both(made, "truths", "flag", 6, x, y, k)
@@ -349,7 +350,7 @@ def test_conversions(made, x, k):
     both(made, "conversions", "real", 8, x, k)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=trials(100), deadline=None)
 @given(st.lists(st.floats(-20.0, 60.0), min_size=0, max_size=COUNT))
 def test_loops_and_local_arrays(made, x):
     both(made, "loops", "real", 3, len(x), np.array([*x, *[0.0] * (COUNT - len(x))]))

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conftest import trials
 from rotorwatch.esc import ratios
 
 LOSSES = st.floats(0.05, 0.95)
@@ -48,7 +49,7 @@ def test_what_is_common_to_all_does_not_count_and_what_is_one_rotors_does():
     sd=st.floats(0.001, 0.2),
     load=st.floats(0.1, 4.0),
 )
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=trials(200), deadline=None)
 def test_probabilities_are_probabilities(S, D, theta, sd, load):
     share = ratios.causes(ratios.Measured((S, 0.02), None if D is None else (D, 0.05), load, 20), theta, sd)
     assert set(share) == set(ratios.PRIOR) and sum(share.values()) == pytest.approx(1.0)
@@ -56,7 +57,7 @@ def test_probabilities_are_probabilities(S, D, theta, sd, load):
 
 
 @given(theta=st.floats(0.15, 0.9))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=trials(60), deadline=None)
 def test_each_cause_is_the_likeliest_where_it_predicts(theta):
     def best(S, D, load):
         share = ratios.causes(ratios.Measured((S, 0.01), (D, 0.04), load, 20), theta, 0.02)
@@ -69,7 +70,7 @@ def test_each_cause_is_the_likeliest_where_it_predicts(theta):
 
 
 @given(theta=LOSSES, low=st.floats(0.5, 1.0), step=st.floats(0.01, 0.3))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=trials(100), deadline=None)
 def test_a_slower_rotor_speaks_against_the_propeller(theta, low, step):
     """The odds of propeller against motor rise with the speed, wherever it lies between what both predict."""
 
@@ -82,7 +83,7 @@ def test_a_slower_rotor_speaks_against_the_propeller(theta, low, step):
 
 
 @given(theta=LOSSES, S=st.floats(0.3, 1.1))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=trials(100), deadline=None)
 def test_the_parts_make_the_whole(theta, S):
     split = ratios.parts(ratios.Measured((S, 0.01), None, 1.0, 20), theta, 0.02)
     for value, low, high in split.values():

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conftest import trials
 from rotorwatch import airframes
 from rotorwatch.answer.conclusion import main_event
 from rotorwatch.default import events
@@ -165,7 +166,7 @@ def test_what_ended_long_ago_and_is_forgotten_is_not_withdrawn():
     assert FRONT.call(whole.changes, known, one, 0, 20.0, -1, False, withdrawn, out) == 0
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=trials(60), deadline=None)
 @given(st.lists(st.lists(st.tuples(st.integers(0, 3), st.integers(1, 6), st.floats(0.1, 0.9)), max_size=5), max_size=8))
 def test_what_was_said_adds_up_to_the_list(steps):
     """Announced, changed and withdrawn give the events that hold, each with one number."""

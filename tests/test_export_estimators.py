@@ -35,9 +35,14 @@ SANITIZE = ("-O0", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
 
 
-@pytest.mark.thorough(keep=8)
-# aesmf has all of the step of esmf.
-@pytest.mark.parametrize("name", [name for name in NAMES if FULL or name != "esmf"])
+# The default's code is compared with JAX in test_shipped as well; aesmf has all of the step of esmf.
+USUAL = ("aesmf", "atsukf", "intermediate", "mhe", "imm", SINGLE)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=[] if n in USUAL else pytest.mark.thorough) for n in NAMES if FULL or n != "esmf"],
+)
 def test_a_step_in_c_is_the_step_in_python(name, tmp_path):
     program = exported(name)
     lib = library(program, tmp_path, "-O1" if FULL or name in FLOAT[:-1] else "-O0")

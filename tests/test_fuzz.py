@@ -81,10 +81,11 @@ def test_workers_that_die_hang_or_eat_memory_are_found_and_replaced(monkeypatch)
 
 @pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("name", ["intact_reference.bin", "intact_reference.ulg"])
-def test_damaged_logs_are_read_or_rejected_politely(name):
+def test_damaged_logs_are_read_or_rejected_politely(name, amount):
     if not CORRUPT.is_dir():
         pytest.skip("the flight logs for tests are not here (../shared/flights)")
-    result = fuzz.fuzz(CORRUPT / name, mutations=200, seed=5, jobs=0, diagnosed=0.0)
+    trials = amount(80, 200)
+    result = fuzz.fuzz(CORRUPT / name, mutations=trials, seed=5, jobs=0, diagnosed=0.0)
     assert result["failures"] == []
-    assert sum(result["outcomes"].values()) == 200 and result["outcomes"]["rejected with a sentence"] > 0
+    assert sum(result["outcomes"].values()) == trials and result["outcomes"]["rejected with a sentence"] > 0
     assert result["outcomes"]["read with warnings"] > 0

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -65,13 +62,10 @@ def commands(log: Path, folder: Path) -> list[list[str]]:
     ]
 
 
-def test_no_command_of_a_log_reaches_a_terminal(log, tmp_path):
+def test_no_command_of_a_log_reaches_a_terminal(log, tmp_path, run):
     for words in commands(log, tmp_path):
-        done = subprocess.run(
-            [sys.executable, "-m", "rotorwatch.commands.cli", *words], capture_output=True, timeout=120,
-            env={**os.environ, "TERM": "dumb"},
-        )  # fmt: skip
-        said = done.stdout.decode() + done.stderr.decode()
+        _, *told = run(*words)
+        said = "".join(told)
         assert said.strip(), words
         assert all(line.isprintable() for line in said.splitlines()), (words, said)
         assert not any(line.startswith("::") for line in said.splitlines()), (words, said)

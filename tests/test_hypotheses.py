@@ -139,9 +139,12 @@ def test_a_recovery_is_weighed_as_the_integral_around_the_known_loss(ended, back
     h = hyp.names.index("rotor 1 is well again")
     expected = evidence(lambda v: with_steps(C[0], z[0], 0, prior, v), -ended, sd)
     assert logbf[0, h] == pytest.approx(expected, abs=1e-4)
-    grid = np.linspace(-1.0, 0.5, 30001)
-    post = [with_steps(C[0], z[0], 0, prior, v) - 0.5 * ((v + ended) / sd) ** 2 for v in grid]
-    assert nu[0, h, 0] == pytest.approx(grid[int(np.argmax(post))], abs=1e-4) and nu[0, h, 1] == 0.0
+    best, around = -0.25, 0.75
+    for _ in range(2):  # coarse, then fine around the best
+        grid = np.linspace(best - around, best + around, 601)
+        post = [with_steps(C[0], z[0], 0, prior, v) - 0.5 * ((v + ended) / sd) ** 2 for v in grid]
+        best, around = grid[int(np.argmax(post))], 0.005
+    assert nu[0, h, 0] == pytest.approx(best, abs=1e-4) and nu[0, h, 1] == 0.0
 
 
 def test_a_loss_that_goes_back_to_nothing_is_a_recovery_rather_than_a_change():

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conftest import trials
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.compiling.run import run
@@ -128,7 +129,7 @@ def poles(gains, lp, lv, alpha, dt):
 rate = st.floats(0.1, 50.0)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=trials(60), deadline=None)
 @given(lp=rate, lv=rate, alpha=rate, dt=st.floats(1e-4, 10.0))
 def test_exact_steps_have_the_continuous_poles_and_are_stable_at_every_rate(lp, lv, alpha, dt):
     first, pair = poles(design.exact_gains, lp, lv, alpha, dt)
@@ -280,7 +281,7 @@ def test_losses_scatter_as_their_covariance_says():
 # The matrix inequality.
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=trials(80), deadline=None)
 @given(alpha=st.floats(0.05, 10.0), epsilon=st.floats(0.01, 100.0), lp=st.floats(0.01, 40.0), lv=st.floats(0.01, 40.0))
 def test_closed_form_says_what_eigenvalues_say(alpha, epsilon, lp, lv):
     A, C, E = design.double_integrators(1)

@@ -184,7 +184,7 @@ def published():
 
 
 # Methods whose laws are always tried on a hexacopter as well: as different from each other as they are.
-HEXA_TOO = ("ekf", "axkf", "mh_lyapunov", "tsukf", "aesmf", "imm")
+HEXA_TOO = ("ekf", "mh_lyapunov", "tsukf")
 CASES = [("default", wrench_quad)] + [(name, make) for name in published() for make in (rates_quad, rates_hexa)]
 
 
@@ -399,9 +399,19 @@ def test_law(name, make, law):
     law(case_of(name, make))
 
 
-@pytest.mark.thorough(keep=16)
-@pytest.mark.parametrize("law", SLOW_LAWS, ids=lambda law: law.__name__)
-@pytest.mark.parametrize(("name", "make"), SLOW_CASES, ids=lambda v: v if isinstance(v, str) else "")
+# Methods as different from each other as they are; the others with --thorough.
+USUAL = {
+    many_flights_at_once_are_the_same_as_one_by_one: ("ekf", "mh_lyapunov", "tsukf", "imm", "parity"),
+    compiled_is_the_same_as_not: ("adaptive_ekf", "mh_lyapunov", "ukf", "mhe", "rls"),
+}
+SLOW = [
+    pytest.param(name, make, law, marks=[] if name in USUAL[law] else pytest.mark.thorough, id=f"{name}-{law.__name__}")
+    for name, make in SLOW_CASES
+    for law in SLOW_LAWS
+]
+
+
+@pytest.mark.parametrize(("name", "make", "law"), SLOW)
 def test_slow_law(name, make, law):
     law(case_of(name, make))
 
@@ -543,7 +553,15 @@ def test_on_linear_plants_the_innovations_are_what_they_are_said_to_be(name):
     on_linear_plants_the_innovations_are_what_they_are_said_to_be(discovery.estimator(name))
 
 
-@pytest.mark.parametrize("name", [name for name, _ in SLOW_CASES if name != "default"])
+# What is the Kalman filter on linear plants is so with steps of any length.
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[] if discovery.estimator(name).not_kalman else pytest.mark.thorough)
+        for name, _ in SLOW_CASES
+        if name != "default"
+    ],
+)
 def test_the_length_of_a_step_counts(name):
     the_length_of_a_step_counts(case_of(name, rates_quad))
 
@@ -681,11 +699,11 @@ def balance_kalman(system, x, P, u, y, valid, Q, R):
 
     Q (T, n_x, n_x) and R (T, n_y) may change from step to step. Returns x (T, n_x) and P (T, n_x, n_x) after each.
     """
-    A = np.diag(system.decay(0.05))
+    A, given = np.diag(system.decay(0.05)), jax.jit(system.C)
     history = []
     for k in range(len(y)):
         x, P = A @ x, A @ P @ A.T + Q[k]
-        C, r = np.asarray(system.C(u[k]))[valid[k]], R[k][valid[k]]
+        C, r = np.asarray(given(u[k]))[valid[k]], R[k][valid[k]]
         S = C @ P @ C.T + np.diag(r)
         K = np.linalg.solve(S, C @ P).T
         x = x + K @ (y[k][valid[k]] - C @ x)
@@ -719,7 +737,8 @@ def test_default_is_the_kalman_filter_while_nothing_is_suspected(monkeypatch):
     learned = variances[:-1]  # what a tick works with was known before it
     flying = slice(TAKE_OFF, TICKS)
     R = learned[TAKE_OFF - 1 :, 0]
-    Q = np.stack([np.diag(np.asarray(noise.process_variance(v, 0.05))) for v in learned[TAKE_OFF - 1 :]])
+    variance = jax.jit(lambda v: noise.process_variance(v, 0.05))
+    Q = np.stack([np.diag(np.asarray(variance(v))) for v in learned[TAKE_OFF - 1 :]])
     x, P = balance_kalman(system, system.x0, system.P0, u[flying], y[flying], valid[flying], Q, R)
     assert learned[-1, 0].max() < 0.1 * learned[0, 0].min()  # the noise was learned: Q and R did change on the way
     np.testing.assert_allclose(estimate.x[flying], x, rtol=1e-7, atol=1e-9)

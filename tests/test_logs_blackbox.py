@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 import blackbox_writer as writer
 from blackbox_writer import Field, Log
+from conftest import trials
 from embedded_c_parts import STRICT, compilers
 from rotorwatch import airframes, logs
 from rotorwatch.compiling.running import Definition
@@ -217,7 +218,7 @@ def sessions(draw):
     return log, made
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=trials(60), deadline=None)
 @given(sessions(), st.booleans())
 def test_what_is_written_is_read(pair, native):
     log, made = pair
@@ -344,14 +345,14 @@ def test_a_pause_that_the_firmware_tells_is_believed_at_once(way):
     assert len(decoded(log).main) == 72
 
 
-def test_truncated_anywhere_it_is_read_or_refused_in_a_sentence(tmp_path):
+def test_truncated_anywhere_it_is_read_or_refused_in_a_sentence(tmp_path, amount):
     log = writer.betaflight()
     writer.fly(
         log, writer.rows(log, 60, time=np.arange(60) * 1000 + 5000, motor_0=np.arange(60) + 300, accSmooth_2=2048)
     )
     data = log.bytes()
     path, counts = tmp_path / "cut.bbl", []
-    for end in range(0, len(data), 7):
+    for end in range(0, len(data), amount(17, 7)):
         path.write_bytes(data[:end])
         try:
             counts.append(len(logs.read(path)["motors"]))
@@ -412,9 +413,10 @@ def test_files_without_a_session_or_frames(tmp_path):
         logs.read(tmp_path / "b.bfl")
 
 
-def test_damaged_copies_are_read_or_refused_politely(file):
-    result = fuzz.fuzz(file("LOG.BFL", three()), mutations=300, seed=5, jobs=0, diagnosed=0.0)
-    assert result["failures"] == [] and sum(result["outcomes"].values()) == 300
+def test_damaged_copies_are_read_or_refused_politely(file, amount):
+    trials = amount(120, 300)
+    result = fuzz.fuzz(file("LOG.BFL", three()), mutations=trials, seed=5, jobs=0, diagnosed=0.0)
+    assert result["failures"] == [] and sum(result["outcomes"].values()) == trials
     assert result["outcomes"]["read with warnings"] > result["outcomes"]["rejected with a sentence"] > 0
 
 
@@ -442,7 +444,7 @@ def origin():
 
 
 @cache
-def hover(seconds: float = 60.0) -> bytes:
+def hover(seconds: float = 25.0) -> bytes:
     """The healthy sample as Betaflight logs it, 500 times a second: DShot, axes forward, left, up."""
     flight = origin()
     time = np.arange(0.0, seconds, 0.002)
@@ -489,7 +491,7 @@ def test_a_flight_comes_back_in_our_units_and_axes(file):
         "Betaflight 4.5.1 (77d01ba3b) STM32F7X2",
     )
     assert flight.warnings == () or all("do not fit" in w or "does not fit" in w for w in flight.warnings)
-    assert flight.start_us == 7_000_000 and flight.duration == pytest.approx(60.0, abs=0.01)
+    assert flight.start_us == 7_000_000 and flight.duration == pytest.approx(25.0, abs=0.01)
     for name, least in (
         ("gyro", np.radians(0.051)),
         ("rates", np.radians(0.051)),

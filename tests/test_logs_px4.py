@@ -123,23 +123,23 @@ def outcome(data) -> str:
         assert time.perf_counter() - begin < 5
 
 
-def test_truncation_anywhere_is_read_or_refused():
+def test_truncation_anywhere_is_read_or_refused(amount):
     data = REFERENCE.read_bytes()
-    outcomes = [outcome(data[:end]) for end in range(1, len(data), 337)]
+    outcomes = [outcome(data[:end]) for end in range(1, len(data), amount(839, 337))]
     assert outcomes[-1] == "read" and outcomes.count("read") > 10
 
 
-def test_random_damage_is_read_or_refused(capfd):
+def test_random_damage_is_read_or_refused(capfd, amount):
     data = REFERENCE.read_bytes()
     rng = np.random.default_rng(7)
     outcomes = []
-    for _ in range(150):
+    for _ in range(amount(60, 150)):
         hurt = np.frombuffer(data, np.uint8).copy()
         # Half of the damage in the definitions, where it does most.
         where = rng.integers(0, rng.choice([3000, 30_000, hurt.size]), rng.integers(1, 30))
         hurt[where] = rng.integers(0, 256, where.size)
         outcomes.append(outcome(hurt.tobytes()))
-    assert outcomes.count("read") > 50
+    assert outcomes.count("read") > len(outcomes) / 3
     assert capfd.readouterr().out == ""
 
 

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conftest import trials
 from rotorwatch import logs
 from rotorwatch.errors import LogError
 from rotorwatch.logs import memory
@@ -177,7 +178,7 @@ def test_damaged_lines_cost_only_themselves(tmp_path):
     assert "2 lines" in flight.warnings[0] and "1 cell" in flight.warnings[1]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=trials(60), deadline=None)
 @given(
     st.lists(
         st.lists(st.one_of(st.none(), st.floats(-1e6, 1e6, width=32)), min_size=3, max_size=3), min_size=1, max_size=20

@@ -29,19 +29,25 @@ LEFT_OUT = {
 
 def mentions(tree):
     """The smallest call, comparison or statement around each string that names a truth; docstrings do not count."""
+    found = [n for n in ast.walk(tree) if isinstance(n, ast.Constant) and names_truth(n.value)]
+    if not found:
+        return
     prose = {
         id(node.body[0].value)
         for node in ast.walk(tree)
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node, clean=False)
     }
     parent = {child: node for node in ast.walk(tree) for child in ast.iter_child_nodes(node)}
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str | bytes) and id(node) not in prose:
-            text = node.value if isinstance(node.value, str) else node.value.decode("latin-1")
-            if TRUTH.search(text):
-                while not isinstance(node, ast.Call | ast.Compare | ast.stmt):
-                    node = parent[node]
-                yield ast.unparse(node)
+    for node in found:
+        if id(node) not in prose:
+            while not isinstance(node, ast.Call | ast.Compare | ast.stmt):
+                node = parent[node]
+            yield ast.unparse(node)
+
+
+def names_truth(value):
+    text = value.decode("latin-1") if isinstance(value, bytes) else value
+    return isinstance(text, str) and TRUTH.search(text)
 
 
 @pytest.mark.parametrize("path", sorted(SOURCE.rglob("*.py")), ids=lambda p: str(p.relative_to(SOURCE)))

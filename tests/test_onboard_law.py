@@ -17,7 +17,6 @@ from rotorwatch import logs
 from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.diagnose import diagnose
 from rotorwatch.errors import RotorwatchError
-from rotorwatch.export.export_diagnoser import export_diagnoser
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"
 FULL = bool(os.environ.get("ROTORWATCH_FULL_LAW"))
@@ -101,18 +100,18 @@ def test_every_log_has_the_same_events_on_board(path, single, tmp_path):
     same(told, what, tmp_path, single)
 
 
-def test_the_library_has_the_prefix_that_was_asked_for(tmp_path):
-    written = export_diagnoser(tmp_path / "lib", vehicle="px4-quad-x", prefix="mine")
+def test_the_command_writes_it_with_the_prefix_that_was_asked_for(run, tmp_path):
+    wanted = ("--vehicle", "px4-quad-x", "--rate-hz", "100", "--prefix", "mine")
+    code, out, _ = run("export-c", "--diagnoser", *wanted, "-o", tmp_path / "out")
+    assert code == 0 and "mine_diagnoser.c" in out
+    written = list((tmp_path / "out").iterdir())
     text = "\n".join(path.read_text() for path in written)
     assert {p.name for p in written} >= {"mine_diagnoser.h", "mine_config.c", "mine_estimator.c", "mine_front.h"}
     assert not re.search(r"\b(rw|RW)_", text) and "mine_diagnoser_init" in text
+    assert "#define MINE_TICK_S 0.05" in (tmp_path / "out" / "mine_config.h").read_text()
 
 
-def test_the_command_writes_it_and_refuses_what_does_not_fit(run, tmp_path):
-    code, out, _ = run("export-c", "--diagnoser", "--vehicle", "px4-quad-x", "--rate-hz", "100", "-o", tmp_path / "out")
-    assert (
-        code == 0 and "rw_diagnoser.c" in out and "#define RW_TICK_S 0.05" in (tmp_path / "out/rw_config.h").read_text()
-    )
+def test_the_command_refuses_what_does_not_fit(run, tmp_path):
     for words, said in (
         (("--diagnoser", "--estimator", "ekf"), "give one of"),
         (("--estimator", "ekf", "--prefix", "x"), "belong to --diagnoser"),

@@ -61,6 +61,7 @@ def test_the_check_sees_who_fell():
     assert out_of_control_s(logs.read(FLIGHTS / "crash" / "flips-1.bin.xz")) < LOST_S
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize("folder", sorted({p.parent.name for p in LOGS}) or ["missing"])
 def test_nobody_who_was_out_of_control_is_healthy(folder):
     if not LOGS:

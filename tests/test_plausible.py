@@ -5,11 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conftest import trials
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.logs import parameter_ranges, plausible
 
 HZ = 10.0
-MANY = settings(max_examples=150, deadline=None)
+MANY = settings(max_examples=trials(150), deadline=None)
 
 
 def times(n):

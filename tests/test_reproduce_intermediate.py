@@ -26,7 +26,7 @@ def result():
         return found
 
 
-@pytest.mark.thorough(keep=1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("k", range(1, 5))
 def test_losses_come_out_as_injected(result, k):
     found = result.figures[f"scenario_{k}"]
@@ -34,12 +34,14 @@ def test_losses_come_out_as_injected(result, k):
     np.testing.assert_allclose(found["final"], found["true"], atol=2e-3)
 
 
+@pytest.mark.thorough
 def test_settling_times(result):
     for k in (1, 2):
         settle = result.figures[f"scenario_{k}"]["settle_s"]
         assert settle["alpha_1"] == pytest.approx(2.2, abs=0.3) and settle["alpha_5"] == pytest.approx(0.4, abs=0.08)
 
 
+@pytest.mark.thorough
 def test_balance_changes_noise_and_no_mean(result):
     assert result.figures["balance_changes_mean"] is False
     noise = result.figures["balance_yaw_noise"]
@@ -47,16 +49,19 @@ def test_balance_changes_noise_and_no_mean(result):
     assert next(c for c in result.claims if c.claim.startswith("Without balance")).verdict == "not reproduced"
 
 
+@pytest.mark.thorough
 def test_inequality(result):
     found = result.figures
     assert found["lmi_paper_feasible"] is False and found["lmi_feasible"] is True
     assert found["lmi_max_eig"] < 0 and found["lmi_max_eig_10_20"] < 0
 
 
+@pytest.mark.thorough
 def test_filtered_commands_are_worth_more_than_a_factor_of_thirty(result):
     assert result.figures["manoeuvre"]["ratio"] > 30
 
 
+@pytest.mark.thorough
 def test_more_than_four_rotors(result):
     rules = result.figures["beyond_four_rules"]["hexa"]
     assert (rules["least_squares"] > 0.05).all()
@@ -65,6 +70,7 @@ def test_more_than_four_rotors(result):
     assert result.figures["beyond_four"]["hexa"] is rules["sparse"]
 
 
+@pytest.mark.thorough
 def test_it_can_be_written_down_and_drawn(result):
     assert set(json.loads(result.to_json())["figures"]) >= {
         "scenario_1",
@@ -82,6 +88,7 @@ def claim(result, start):
     return next(c for c in result.claims if c.claim.startswith(start))
 
 
+@pytest.mark.thorough
 def test_the_bound_of_the_theorem_is_held_and_wide(result):
     found = result.figures["bound"]
     assert found["sigma"] == pytest.approx(1.96, abs=1e-9) and all(row["held"] for row in found["flights"].values())
@@ -90,6 +97,7 @@ def test_the_bound_of_the_theorem_is_held_and_wide(result):
     assert claim(result, "The errors are uniformly").verdict == "holds"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("change", ["bound", "held"])
 def test_a_bound_that_is_not_held_is_said(result, change):
     """The verdict comes from the numbers."""
@@ -122,6 +130,7 @@ def test_the_bound_in_numbers():
     assert np.isnan(design.bound(A, C, E, E, L, 1.0, 0.02, 1.0, 2.0, 3.0).radius)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("k", range(1, 5))
 def test_all_channels_come_out_as_flown(result, k):
     found = result.figures["channels"][f"scenario_{k}"]
@@ -130,12 +139,14 @@ def test_all_channels_come_out_as_flown(result, k):
     assert size > 4.0 and claim(result, "The faults of roll").verdict == "holds"
 
 
+@pytest.mark.thorough
 def test_a_channel_that_is_off_is_said(result):
     channels = {name: {k: np.array(v) for k, v in row.items()} for name, row in result.figures["channels"].items()}
     channels["scenario_1"]["found"][2] += 1.0  # the yaw error that the paper has without balance
     assert study._channel_claim(channels).verdict == "partly"
 
 
+@pytest.mark.thorough
 def test_positions_and_what_of_them_depends_on_gains_that_are_not_printed(result):
     off = np.array(result.figures["position"]["scenario_2"]["off_m"])[:, 0]
     assert (np.diff(off[:, 0]) > 0).all()  # the slower the controller, the further
@@ -146,6 +157,7 @@ def test_positions_and_what_of_them_depends_on_gains_that_are_not_printed(result
     assert claim(result, "Scenario 4").verdict == "holds"
 
 
+@pytest.mark.thorough
 def test_other_positions_give_other_verdicts(result):
     given = json.loads(result.to_json())["figures"]["position"]
     given["scenario_2"]["off_m"][0] = [[0.6, 0.3, 0.05]]
@@ -156,6 +168,7 @@ def test_other_positions_give_other_verdicts(result):
     assert study._off_claims(given)[0].verdict == "not reproduced"
 
 
+@pytest.mark.thorough
 def test_pwm_rises_on_the_weak_motors_alone(result):
     found = result.figures["position"]
     np.testing.assert_allclose(found["scenario_2"]["counts_before"], 500.65, atol=0.01)
@@ -199,6 +212,7 @@ def test_the_simulated_flight_is_the_plant_for_small_motions():
     assert np.abs(y[0, :, 4:]).max() > 0.02
 
 
+@pytest.mark.thorough
 def test_without_matplotlib_it_says_what_to_install(result, monkeypatch):
     import sys
 

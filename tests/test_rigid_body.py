@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from conftest import trials
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
@@ -46,7 +47,7 @@ def test_a_weak_rotor_drops_its_corner_and_turns_against_its_spin():
     np.testing.assert_allclose(d[V], [0, 0, thrust / 1.4], atol=1e-12)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=trials(60))
 @given(
     st.tuples(*[small] * 3),
     st.tuples(*[small] * 3),

@@ -81,6 +81,7 @@ def test_progress_grows_to_one():
     assert told == sorted(told) and len(told) == 3 and told[-1] == 1.0
 
 
+@pytest.mark.thorough
 def test_the_default_estimator_is_run_the_same_in_any_chunks(monkeypatch):
     """The real thing: a made-up hover in chunks of 64 and of 1024 steps gives the same losses and announcements."""
     import rotorwatch.compiling.run as module

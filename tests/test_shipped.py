@@ -92,8 +92,10 @@ print("\\n".join(m.__file__ for name, m in sys.modules.items() if name.startswit
     assert used - set(files) <= {"default/shipping.py"}
 
 
+@pytest.mark.thorough(keep=1)
 @needs_compiler
-def test_shipped_code_says_what_the_definition_says(folder):
+@pytest.mark.parametrize("dt", [TICKS_S[0], TICKS_S[2]])
+def test_shipped_code_says_what_the_definition_says(folder, dt):
     """The numbers, against JAX running the definition itself."""
     rng = np.random.default_rng(2)
     B = airframes.named("ardupilot-hexa-x").effectiveness()
@@ -108,13 +110,12 @@ def test_shipped_code_says_what_the_definition_says(folder):
     found = shipped.find(key(), folder)
     assert found is not None
     library = native.Library(found[0], native.Layout(*json.loads(json.dumps(found[1]))))
-    for dt in (TICKS_S[0], TICKS_S[2]):
-        parameters, valid = program.parameters(B, dt), np.ones((T, 4), bool)
-        own = native.run(library, parameters, program.estimator(parameters).init(), u, y, valid)[1]
-        said = run_built(program.estimator, parameters, u, y, valid, program.tick_output, backend="jax")[1]
-        assert own.announced.any() == said.announced.any()
-        np.testing.assert_allclose(own.theta, said.theta, atol=1e-8)
-        np.testing.assert_allclose(own.log_odds, said.log_odds, rtol=1e-7, atol=1e-7)
+    parameters, valid = program.parameters(B, dt), np.ones((T, 4), bool)
+    own = native.run(library, parameters, program.estimator(parameters).init(), u, y, valid)[1]
+    said = run_built(program.estimator, parameters, u, y, valid, program.tick_output, backend="jax")[1]
+    assert own.announced.any() == said.announced.any()
+    np.testing.assert_allclose(own.theta, said.theta, atol=1e-8)
+    np.testing.assert_allclose(own.log_odds, said.log_odds, rtol=1e-7, atol=1e-7)
 
 
 @needs_compiler

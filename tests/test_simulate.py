@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conftest import trials
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.simulation import (
@@ -342,7 +343,7 @@ SHARES = st.floats(-1, 1)
     throttle=st.floats(0.05, 0.95),
     frame=st.sampled_from(["quad-x", "hexa-x", "octaquad-x"]),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=trials(60), deadline=None)
 def test_mixer(roll, pitch, yaw, throttle, frame):
     M = mixer_of(frame)
     out, free = (np.asarray(a) for a in mixed(M, np.array([roll, pitch, yaw]), throttle))

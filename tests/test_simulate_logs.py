@@ -12,6 +12,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import rotorwatch as rw
+from conftest import trials
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax
 from rotorwatch.commands.cli import cli
@@ -264,7 +265,7 @@ JUNK = st.recursive(
     junk=JUNK,
 )
 @example(part="duration_s", junk=5)  # the fault of the table begins later
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=trials(150), deadline=None)
 def test_junk_is_a_config_error_or_a_scenario(part, junk):
     try:
         scenario.from_table({**table(), part: junk})

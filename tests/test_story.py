@@ -36,6 +36,11 @@ def crash(case: str = "climb", rate: float = 50.0) -> Diagnosis:
     return diagnose(tumbling.fly("quad-x", case, seed, rate, duration, 9.0)[0], airframes.named("ardupilot-quad-x"))
 
 
+@cache
+def page(case: str = "climb", rate: float = 50.0) -> str:
+    return html.page(crash(case, rate))
+
+
 def printed(answer: Diagnosis) -> str:
     out = Console(width=200, color_system=None, highlight=False, markup=False, file=io.StringIO())
     with out.capture() as said:
@@ -182,22 +187,23 @@ def test_a_flight_under_control_has_no_story():
 
 @pytest.mark.parametrize("case", ["climb", "disarmed"])
 def test_no_view_of_a_crash_has_a_sign_that_all_was_well(case):
-    answer = crash(case, 50.0 if case == "climb" else 10.0)
-    text, page = printed(answer), html.page(answer)
+    given = case, 50.0 if case == "climb" else 10.0
+    answer = crash(*given)
+    text, shown = printed(answer), page(*given)
     assert answer.exit_code != 0
     assert "Health" not in text
-    assert "Health of every rotor" not in page
-    assert "✓" not in page + text
-    assert 'class="verdict healthy"' not in page
+    assert "Health of every rotor" not in shown
+    assert "✓" not in shown + text
+    assert 'class="verdict healthy"' not in shown
     assert not any("healthy" in r.grade or r.trend for r in answer.rotors)
     row = overview.Row("x.bin", answer.verdict, "", "", answer.headline)
     assert 'class="healthy"' not in overview._line(row)
 
 
 def test_each_rotor_has_the_time_until_which_it_worked():
-    notes = [r.note for r in crash("disarmed").rotors]
+    notes = [r.note for r in crash("disarmed", 10.0).rotors]
     assert all(note.startswith("seen to work until 9.") for note in notes)
-    assert all(note in html.page(crash("disarmed")).replace("\u00a0", " ") for note in notes)
+    assert all(note in page("disarmed", 10.0).replace("\u00a0", " ") for note in notes)
 
 
 def test_a_crash_teaches_a_fleet_nothing_and_its_page_says_so():

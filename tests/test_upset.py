@@ -77,6 +77,7 @@ def test_what_was_no_rotor_is_said(case, cause):
     assert "Not a rotor" in diagnosis.headline
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("case", tumbling.STAYS)
 def test_no_loss_of_control_is_claimed(case):
     flight, _ = tumbling.fly("quad-x", case, 4, duration=20.0, later=14.0)
