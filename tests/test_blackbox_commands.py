@@ -10,8 +10,9 @@ from rotorwatch.simulation import fpv
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory):
-    return str(writer.simulated(fpv.fly(1, 60.0, 11, rpm=True)[0], tmp_path_factory.mktemp("fpv") / "quad.bbl"))
+def log(tmp_path_factory, amount):
+    seconds = amount(25.0, 60.0)
+    return str(writer.simulated(fpv.fly(1, seconds, 11, rpm=True)[0], tmp_path_factory.mktemp("fpv") / "quad.bbl"))
 
 
 def run(capsys, *words):
