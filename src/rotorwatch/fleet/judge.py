@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Sequence
 
 from rotorwatch import __version__, airframes
-from rotorwatch.fleet import identity
+from rotorwatch.flight import identity
 from rotorwatch.fleet.store import Entry
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Diagnosis

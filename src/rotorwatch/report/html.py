@@ -13,12 +13,17 @@ from rotorwatch import __version__, report
 from rotorwatch.base import files, optional
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Diagnosis, RotorState
-from rotorwatch.report import colours, drawing, figures, upset, words
+from rotorwatch.report import colours, drawing, figures, markdown, upset, words
 
 UNIT = re.compile(r"(\d) (%|s|Hz|ms|V|g)(?![\w])")
 RANGE = re.compile(r"(\d)(–)(?=\d)")
 SYMBOLS = {"healthy": "✓", "fault": "✕", "ambiguous": "?", "inconclusive": "?"}
 # The page may run its own inline scripts and styles and nothing else; in particular it may not fetch anything.
+# For this the page holds the post as `diagnose --markdown` writes it; where a browser lets nothing be copied, it is shown selected.
+COPY = (
+    '<div class="copy"><button type="button" id="copy-markdown">Copy for a forum</button> <span role="status" id="copied"></span>'
+    '<textarea id="post" readonly hidden aria-label="Post for a forum, as Markdown" rows="8"></textarea></div>'
+)
 POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; font-src data:"
 )
@@ -60,7 +65,8 @@ def page(diagnosis: Diagnosis) -> str:
         "</main>",
         _footer(diagnosis, title),
     ]
-    data = diagnosis.to_json().replace("<", "\\u003c")  # inside a script element no tag may begin
+    data = diagnosis.to_json()
+    post = json.dumps(markdown.text(diagnosis))
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
@@ -68,8 +74,13 @@ def page(diagnosis: Diagnosis) -> str:
         f"<title>{escape(title)}: {escape(report.VERDICTS[diagnosis.verdict])} – rotorwatch</title>\n"
         f"<style>{_own('page.css')}</style>\n</head>\n<body>\n"
         + "\n".join(part for part in body if part)
-        + f'\n<script type="application/json" id="diagnosis">{data}</script>\n{scripts}\n</body>\n</html>\n'
+        + f"\n{_data('diagnosis', data)}\n{_data('markdown', post)}\n{scripts}\n</body>\n</html>\n"
     )
+
+
+def _data(name: str, text: str) -> str:
+    """JSON for the page's script; inside a script element no tag may begin."""
+    return f'<script type="application/json" id="{name}">{text.replace("<", "\\u003c")}</script>'
 
 
 def _own(name: str) -> str:
@@ -114,6 +125,7 @@ def _verdict(diagnosis: Diagnosis) -> str:
         f'<section class="verdict {escape(diagnosis.verdict)}"><div class="word">{escape(word)}</div>'
         f"<h1>{_text(diagnosis.headline)}</h1>{_story(diagnosis)}<p>{_text(report.sentence(diagnosis.reason))}</p>"
         + (f'<h2>What to do next</h2><ul class="advice">{steps}</ul>' if steps else "")
+        + COPY
         + "</section>"
     )
 
