@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Iterable, Mapping
@@ -18,12 +19,12 @@ from rotorwatch.report import colours, drawing, figures, markdown, upset, words
 UNIT = re.compile(r"(\d) (%|s|Hz|ms|V|g)(?![\w])")
 RANGE = re.compile(r"(\d)(–)(?=\d)")
 SYMBOLS = {"healthy": "✓", "fault": "✕", "ambiguous": "?", "inconclusive": "?"}
-# The page may run its own inline scripts and styles and nothing else; in particular it may not fetch anything.
-# For this the page holds the post as `diagnose --markdown` writes it; where a browser lets nothing be copied, it is shown selected.
+# A button; for it the page holds the post as `diagnose --markdown` writes it; where a browser lets nothing be copied, it is shown selected.
 COPY = (
     '<div class="copy"><button type="button" id="copy-markdown">Copy for a forum</button> <span role="status" id="copied"></span>'
     '<textarea id="post" readonly hidden aria-label="Post for a forum, as Markdown" rows="8"></textarea></div>'
 )
+# The page may run its own inline scripts and styles and nothing else; in particular it may not fetch anything.
 POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; font-src data:"
 )
@@ -80,7 +81,8 @@ def page(diagnosis: Diagnosis) -> str:
 
 def _data(name: str, text: str) -> str:
     """JSON for the page's script; inside a script element no tag may begin."""
-    return f'<script type="application/json" id="{name}">{text.replace("<", "\\u003c")}</script>'
+    safe = text.replace("<", "\\u003c")
+    return f'<script type="application/json" id="{name}">{safe}</script>'
 
 
 def _own(name: str) -> str:
@@ -109,7 +111,7 @@ def _embed(plots: Mapping[str, Any]) -> tuple[str, dict[str, str]]:
 
 def _masthead(title: str) -> str:
     brand = f'<span class="brand">rotorwatch {escape(__version__)}</span>'
-    return f'<div class="masthead"><b>{escape(title)}</b>{brand}</div>'
+    return f'<header class="masthead"><b>{escape(title)}</b>{brand}</header>'
 
 
 def _text(value: Any) -> str:

@@ -185,7 +185,8 @@ class _About:
         return table(("what", "rotor", "since", "found after", "loss (95 % interval)", "how sure"), rows) + more
 
     def _event(self, event: Event, main: bool) -> tuple[str, ...]:
-        until = f" until {report.seconds(event.end_s)}" if event.end_s is not None else ""
+        lasted = event.end_s is not None and event.end_s > event.onset_s
+        until = f" until {report.seconds(event.end_s)}" if lasted else ""
         loss = report.losses(event) if event.kind == "loss_of_effectiveness" else report.size(event)
         what = self.own(report.kind(event), 60)
         return (

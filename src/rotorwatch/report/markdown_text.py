@@ -9,13 +9,14 @@ from rotorwatch.base.files import one_line
 
 APART = "\u200b"  # without width: what it stands in is no mention, no link and no emoji any more
 HIDDEN = "…"
+LONGEST = 4_000  # letters of a text that are looked at
 # Commands and options of rotorwatch in its own sentences. Of these letters nothing can be made but code.
 COMMAND = re.compile(r"(`rotorwatch [\w .-]+`|(?<![\w-])--[a-z]+(?:-[a-z]+)*(?: [A-Z]+(?:\.[A-Z]+)?)?(?![\w-]))")
 SIGNS = re.compile(r"[\\`*_\[\]|~^$<>&]")
 NAMED = {"<": "&lt;", ">": "&gt;", "&": "&amp;", "$": "&#36;"}
 # Before the place where APART goes: mentions, issues, addresses and names of hosts, Reddit's users and rooms, emoji.
 LIVE = re.compile(
-    r"@(?=\w)|\#(?=\w)|\bGH-(?=\d)|:(?=//)|(?<=\w)\.(?=[^\W\d])|\b[ru]/(?=\w)|\b(?:mailto|xmpp):(?=\w)"
+    r"@(?=\w)|\#(?=\w)|\bww(?=w\.)|\bGH-(?=\d)|:(?=//)|(?<=\w)\.(?=[^\W\d])|\b[ru]/(?=\w)|\b(?:mailto|xmpp):(?=\w)"
     r"|:(?=[\w+-]*[A-Za-z+_-][\w+-]*:)|:(?=100:|1234:)",
     re.IGNORECASE,
 )
@@ -64,6 +65,8 @@ def private(text: object, aircraft: str = "", logged: bool = False) -> str:
     """The text without addresses, folders, serial numbers and positions. aircraft: what the aircraft is known by, of which no word stays;
     logged: it was written by the autopilot, whose long numbers are left out, too."""
     out = str(text)
+    if len(out) > LONGEST:
+        out = out[:LONGEST].rpartition(" ")[0]  # half a serial number would not be known as one
     for word in re.findall(r"[0-9A-Za-z]{8,}", aircraft):
         spaced = r"[ :_-]?".join(map(re.escape, word))
         out = re.sub(spaced, HIDDEN, out, flags=re.IGNORECASE)
