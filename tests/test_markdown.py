@@ -137,7 +137,8 @@ def test_a_fault(fault):
 
 
 def test_every_verdict_has_a_post(healthy):
-    answers = (healthy, *(hexa_diagnosis(events=(), doubts=("the log shows nothing.",)), hexa_diagnosis(events=(hexa_event(alternatives=((5,),)),))))
+    nothing = hexa_diagnosis(events=(), doubts=("the log shows nothing.",))
+    answers = (healthy, nothing, hexa_diagnosis(events=(hexa_event(alternatives=((5,),)),)))
     assert {a.verdict for a in answers} == {"healthy", "inconclusive", "ambiguous"}
     for answer in answers:
         made = answer.to_markdown()

@@ -272,7 +272,7 @@ else:
         comments.append([True, body])
     data.write_text(json.dumps(comments))
 """
-ROTORWATCH = "#!/bin/sh\nexec {python} -m rotorwatch \"$@\"\n"
+ROTORWATCH = '#!/bin/sh\nexec {python} -m rotorwatch "$@"\n'
 
 
 @pytest.fixture
@@ -306,7 +306,9 @@ def runner(tmp_path):
                 continue
             out = tmp_path / "output.txt"
             out.write_text("")
-            given = {k: re.sub(r"\$\{\{ *(.*?) *\}\}", lambda m: values.get(m[1], ""), v) for k, v in step["env"].items()}
+            given = {
+                k: re.sub(r"\$\{\{ *(.*?) *\}\}", lambda m: values.get(m[1], ""), v) for k, v in step["env"].items()
+            }
             done = subprocess.run(
                 ["bash", "-e", "-o", "pipefail", "-c", step["run"]], cwd=tmp_path, capture_output=True, text=True,
                 env={**clean, **given, "GITHUB_OUTPUT": str(out)},
@@ -337,7 +339,8 @@ def test_the_action_writes_a_summary_and_one_comment(runner, tmp_path):
         assert codes == {JUDGE: 2 if "broken" in logs else 0, COMMENT: 0}, printed
         assert len(comments) == 2, "the second time it is updated"
         assert comments[1][1].startswith("<!-- rotorwatch flights/logs -->\n### Flight logs\n\n**")
-        assert ("1 error" in comments[1][1]) == ("broken" in logs) and "[this run](https://github.com/them/drones/actions/runs/9)" in comments[1][1]
+        assert ("1 error" in comments[1][1]) == ("broken" in logs)
+        assert "[this run](https://github.com/them/drones/actions/runs/9)" in comments[1][1]
     assert comments[0][1].endswith("of somebody else") and len(comments[1][1]) < 65_536
 
 
@@ -346,7 +349,9 @@ def commented(runner, tmp_path):
     """The same with a rotorwatch that only answers."""
     tool = tmp_path / "bin" / "rotorwatch"
     tool.write_text("#!/bin/sh\necho '{}' > \"$4\"\necho '**2 logs**'\nexit 1\n")
-    return lambda inputs, base="", **environment: runner({"logs": "a.bin", "comment": "true", **inputs}, base, **environment)
+    return lambda inputs, base="", **environment: runner(
+        {"logs": "a.bin", "comment": "true", **inputs}, base, **environment
+    )
 
 
 @pytest.mark.parametrize(
@@ -365,14 +370,21 @@ def test_a_comment_that_cannot_be_written_fails_nothing(commented, tmp_path, env
 
 
 def test_a_comment_on_logs_that_are_gone_is_updated(commented, tmp_path):
-    for command in (["init", "-q"], ["-c", "user.name=x", "-c", "user.email=x@y.org", "commit", "-qm", "x", "--allow-empty"]):
+    for command in (
+        ["init", "-q"],
+        ["-c", "user.name=x", "-c", "user.email=x@y.org", "commit", "-qm", "x", "--allow-empty"],
+    ):
         subprocess.run(["git", *command], cwd=tmp_path, check=True)
-    head = subprocess.run(["git", "rev-parse", "HEAD"], cwd=tmp_path, check=True, capture_output=True, text=True).stdout.strip()
+    head = subprocess.run(
+        ["git", "rev-parse", "HEAD"], cwd=tmp_path, check=True, capture_output=True, text=True
+    ).stdout.strip()
     codes, _, comments = commented({"logs": ""}, head)
     assert codes == {JUDGE: 0, COMMENT: 0} and len(comments) == 1, "nothing was said, and there is nothing to say"
     codes, _, comments = commented({})
     assert codes == {JUDGE: 1, COMMENT: 0} and "**2 logs**" in comments[1][1]
     codes, _, comments = commented({"logs": ""}, head)
-    assert codes == {JUDGE: 0, COMMENT: 0} and "changes no flight logs any more" in comments[1][1] and len(comments) == 2
+    assert (
+        codes == {JUDGE: 0, COMMENT: 0} and "changes no flight logs any more" in comments[1][1] and len(comments) == 2
+    )
     codes, _, comments = commented({"fail-on": "sometimes"})
     assert codes == {JUDGE: 2, COMMENT: 0} and "could not be judged" in comments[1][1] and len(comments) == 2

@@ -223,7 +223,9 @@ def diagnose(context, **options) -> None:
         optional.library("bokeh", "--report" if pages else "--html")
     if recordings:
         optional.library("mcap", "--mcap")
-    request = replace(request, logs=logs, pages=pages, recordings=recordings, posts=posts, document=document, others=found.others)
+    request = replace(
+        request, logs=logs, pages=pages, recordings=recordings, posts=posts, document=document, others=found.others
+    )
     if request.tuning:
         from rotorwatch.healthy.tune import read
 
@@ -285,7 +287,9 @@ def _post_paths(logs: Sequence[Any], out: Path | None) -> tuple[list[Path], Path
     if out is None or str(out) == "-":
         return [], out
     each = "{name}" in str(out) or out.is_dir()
-    if not out.is_dir() and out.suffix.lower() not in ENDINGS:  # as a log that stands behind the option would be overwritten
+    if (
+        not out.is_dir() and out.suffix.lower() not in ENDINGS
+    ):  # as a log that stands behind the option would be overwritten
         raise ConfigError(f"--markdown {out}: give a name that ends in .md; --markdown - writes to standard output.")
     if each:
         return report_paths(logs, out, "--markdown", ".md"), None

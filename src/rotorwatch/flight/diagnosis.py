@@ -160,8 +160,8 @@ class Diagnosis:
     the method's name. comparison: what the autopilot's own checks found. whole_flight: damage from take-off, where it was judged. trace:
     what a picture needs. doubts: why the log may not be what flew, a sentence each (the first is the reason then). story: what happened
     when control was lost, four sentences in the order of time; empty where it was not. picture: attitude and commands around that
-    moment (docs/json.md), or None. aircraft: what it is known by, such as a serial number; empty where the log does not say. It is not in the
-    JSON.
+    moment (docs/json.md), or None. aircraft: what it is known by, such as a serial number; empty where the log does not say;
+    not in the JSON.
     """
 
     flight: Mapping[str, Any]

@@ -35,7 +35,8 @@ class Known:
 class Answer:
     """The result of one log. index: its place among the logs; path: its full path, or its address. diagnosis: without the trace; None
     where there is an error. size, sha256: of the content, where requested. page: the HTML report, where requested.
-    recording: the MCAP file, picture: a PNG, likewise. messages: the autopilot's around the main event. unchanged: it is as it was known, and was not judged again."""
+    recording: the MCAP file, picture: a PNG, likewise. messages: the autopilot's around the main event. unchanged: it is as it was known,
+    and was not judged again."""
 
     index: int
     path: str
@@ -82,9 +83,9 @@ def diagnose_many(
     installed. They may come from a generator: no more logs are taken than are worked on. vehicle, baseline, estimator, tuning: as for
     `diagnose`, for all logs. jobs, scheduler: as for `many.run`; by default a process per processor, fewer for few logs. The workers of
     a cluster have to find the same paths. pages: make HTML reports, too; recordings: MCAP files; pictures: PNGs, where there is
-    something to draw. hashed: size and SHA-256 of each log's content. known: full path -> what it was when it had its answer; those that did not change are not judged again. Raises ConfigError,
-    VehicleError or LogError where no log can be judged: a folder without logs, a wrong vehicle or baseline, a scheduler that does not
-    answer.
+    something to draw. hashed: size and SHA-256 of each log's content. known: full path -> what it was when it had its answer; those
+    that did not change are not judged again. Raises ConfigError, VehicleError or LogError where no log can be judged: a folder without
+    logs, a wrong vehicle or baseline, a scheduler that does not answer.
     """
     from rotorwatch.healthy.baselines import vehicle_of
 

@@ -206,10 +206,15 @@ class _About:
         assumed = (f"Baseline: {d.baseline}", *d.assumptions)
         yield _bullets("Assumed", (self.own(report.sentence(a), size.letters) for a in _first(assumed, size)))
         reasons = [
-            f"{report.seconds(e.onset_s)}: {self.own(e.reason, size.letters)}" for e in d.events[: size.events] if e.reason
+            f"{report.seconds(e.onset_s)}: {self.own(e.reason, size.letters)}"
+            for e in d.events[: size.events]
+            if e.reason
         ]
         yield _bullets("Evidence", reasons)
-        said = (f"{report.seconds(t)} {escaped(kind, 40)}: {self.quoted(words, 120, True)}" for t, kind, words in self.messages)
+        said = (
+            f"{report.seconds(t)} {escaped(kind, 40)}: {self.quoted(words, 120, True)}"
+            for t, kind, words in self.messages
+        )
         yield _bullets("Messages of the autopilot around the main event", said)
         checks = [[self.own(cell, 160) for cell in row] for row in report.comparison(d)[:8]]
         yield f"**Who found what, when**\n\n{table(('check', 'found', 'at', 'why'), checks)}" if checks else ""
@@ -227,7 +232,9 @@ class _About:
         ]  # fmt: skip
         made = table(("rotor", "where", "status", "loss", "95 % interval", ""), rows)
         scope = report.scope(d)
-        return f"**{escaped(report.rotors_title(d))}**\n\n{made}" + (f"\n\n{self.own(scope, size.letters)}" if scope else "")
+        return f"**{escaped(report.rotors_title(d))}**\n\n{made}" + (
+            f"\n\n{self.own(scope, size.letters)}" if scope else ""
+        )
 
 
 def _name(name: Any) -> str:

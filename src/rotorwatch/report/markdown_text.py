@@ -27,14 +27,23 @@ PRIVATE = tuple(
     for pattern, put in (
         (r"\b[a-z][a-z0-9+.-]*://\S+", HIDDEN),  # addresses
         (r"[\w.+-]+@[\w-]+(?:\.[\w-]+)+", HIDDEN),
-        (r"(?<![\w./\\])(?:[A-Za-z]:|~)?[\\/]+(?:[^\\/\s]*[\\/])*(?=[^\\/\s])", ""),  # folders: the file's own name stays
+        (
+            r"(?<![\w./\\])(?:[A-Za-z]:|~)?[\\/]+(?:[^\\/\s]*[\\/])*(?=[^\\/\s])",
+            "",
+        ),  # folders: the file's own name stays
         (rf"(?<![0-9A-Za-z]){HEX}{{2}}(?:[:-]{HEX}{{2}}){{5,}}(?![0-9A-Za-z])", HIDDEN),
         (rf"(?<![0-9A-Za-z]){HEX}{{8}}-(?:{HEX}{{4}}-){{3}}{HEX}{{12}}(?![0-9A-Za-z])", HIDDEN),
         (rf"(?<![0-9A-Za-z]){HEX}{{8}}(?:[ _-]{HEX}{{8}})+(?![0-9A-Za-z])", HIDDEN),
         (rf"(?<![0-9A-Za-z])(?=\w*\d){HEX}{{12,}}(?![0-9A-Za-z])", HIDDEN),
-        (r"\b((?:serial|s/n|sn|uid|uuid|unique id)(?: ?(?:number|no\.?))?\s*[:=#]?\s*)(?=\w*\d)[\w-]{4,}", rf"\g<1>{HIDDEN}"),
+        (
+            r"\b((?:serial|s/n|sn|uid|uuid|unique id)(?: ?(?:number|no\.?))?\s*[:=#]?\s*)(?=\w*\d)[\w-]{4,}",
+            rf"\g<1>{HIDDEN}",
+        ),
         (r"\b((?:lat|lon|lng|latitude|longitude)\s*[:=]?\s*)[-+]?\d[\d.]*", rf"\g<1>{HIDDEN}"),
-        (r"[-+]?\b\d{1,3}\.\d{4,}", HIDDEN),  # no number of rotorwatch's own sentences has so many digits; latitudes have
+        (
+            r"[-+]?\b\d{1,3}\.\d{4,}",
+            HIDDEN,
+        ),  # no number of rotorwatch's own sentences has so many digits; latitudes have
         (r"[-+]?\b\d{1,3}°\s*\d[\d.]*(?:['′]\s*[\d.]*(?:[\"″])?)?\s*[NSEW]?\b", HIDDEN),
     )
 )
