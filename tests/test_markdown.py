@@ -99,6 +99,7 @@ def test_foreign_text_is_code(text):
         ("serial number: AB12-99", "serial number: …"),
         ("MAC 00:1b:44:11:3a:b7", "MAC …"),
         (f"home {POSITION}", "home … …"),
+        ("home_47.39774_8.54559.bin", "home_…_….bin"),
         ("lat 47.39 lon=-8.5", "lat … lon=…"),
         ("47°23'51\"N", "…"),
         ("/home/me/My-Logs/a.bin: no", "a.bin: no"),
@@ -117,6 +118,9 @@ def test_what_only_the_owner_should_give_away(text, left):
 
 def test_what_an_autopilot_wrote_has_no_long_numbers():
     assert private("origin 473977418 -85455938", logged=True) == "origin … …"
+    for position in ("47.39 N, 8.54 E", "at 47.397,8.545", "at -35.36 149.16"):
+        assert not re.search(r"\d", private(position, logged=True))
+    assert private("50.00 to 51.00 s, 8.0kHz/1.0kHz", logged=True) == "50.00 to 51.00 s, 8.0kHz/1.0kHz"
     assert private("known as AB12CD34EF", aircraft="serial FC AB12CD34EF") == "known as …"
 
 

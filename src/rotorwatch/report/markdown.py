@@ -323,7 +323,7 @@ class Several:
             shown += 1
         left = sum(self.rows.counts.values()) - self.rows.counts["error"] - shown
         if left:
-            parts.append(f"{left} more {'log has' if left == 1 else 'logs have'} no section here, to keep this short.")
+            parts.append(f"{left} more {'log has' if left == 1 else 'logs have'} no section here.")
         return "\n\n".join(part.rstrip("\n") for part in parts) + "\n"
 
     def _picture(self, section: _Section, beside: Path | None, number: int) -> str | None:

@@ -27,10 +27,9 @@ PRIVATE = tuple(
     for pattern, put in (
         (r"\b[a-z][a-z0-9+.-]*://\S+", HIDDEN),  # addresses
         (r"[\w.+-]+@[\w-]+(?:\.[\w-]+)+", HIDDEN),
-        (
-            r"(?<![\w./\\])(?:[A-Za-z]:|~)?[\\/]+(?:[^\\/\s]*[\\/])*(?=[^\\/\s])",
-            "",
-        ),  # folders: the file's own name stays
+        # folders; the file's own name stays
+        (r"(?<![\w./\\])(?:[A-Za-z]:|~)?[\\/]+(?:[^\\/\s]*[\\/])*(?=[^\\/\s])", ""),
+        # addresses of networks, UUIDs, serial numbers of processors
         (rf"(?<![0-9A-Za-z]){HEX}{{2}}(?:[:-]{HEX}{{2}}){{5,}}(?![0-9A-Za-z])", HIDDEN),
         (rf"(?<![0-9A-Za-z]){HEX}{{8}}-(?:{HEX}{{4}}-){{3}}{HEX}{{12}}(?![0-9A-Za-z])", HIDDEN),
         (rf"(?<![0-9A-Za-z]){HEX}{{8}}(?:[ _-]{HEX}{{8}})+(?![0-9A-Za-z])", HIDDEN),
@@ -40,15 +39,15 @@ PRIVATE = tuple(
             rf"\g<1>{HIDDEN}",
         ),
         (r"\b((?:lat|lon|lng|latitude|longitude)\s*[:=]?\s*)[-+]?\d[\d.]*", rf"\g<1>{HIDDEN}"),
-        (
-            r"[-+]?\b\d{1,3}\.\d{4,}",
-            HIDDEN,
-        ),  # no number of rotorwatch's own sentences has so many digits; latitudes have
+        # latitudes; no number of rotorwatch's own sentences has so many digits
+        (r"[-+]?(?<![\d.])\d{1,3}\.\d{4,}", HIDDEN),
         (r"[-+]?\b\d{1,3}°\s*\d[\d.]*(?:['′]\s*[\d.]*(?:[\"″])?)?\s*[NSEW]?\b", HIDDEN),
     )
 )
-# Of texts of the autopilot also whole numbers as long as latitudes in 1e-7 degrees, and as serial numbers.
-LONG = re.compile(r"[-+]?(?<!\w)\d{7,}(?!\w)")
+# Of texts of the autopilot also whole numbers as long as latitudes in 1e-7 degrees and as serial numbers, and coarse positions.
+LOGGED = re.compile(
+    r"[-+]?(?<!\w)\d{7,}(?!\w)|[-+]?\d{1,3}\.\d+ ?[NSEW]\b|[-+]?\d{1,3}\.\d{2,}\s*[,;/ ]\s*[-+]?\d{1,3}\.\d{2,}"
+)
 
 
 def escaped(text: object, most: int = 600) -> str:
@@ -81,4 +80,4 @@ def private(text: object, aircraft: str = "", logged: bool = False) -> str:
         out = re.sub(spaced, HIDDEN, out, flags=re.IGNORECASE)
     for pattern, put in PRIVATE:
         out = pattern.sub(put, out)
-    return LONG.sub(HIDDEN, out) if logged else out
+    return LOGGED.sub(HIDDEN, out) if logged else out
