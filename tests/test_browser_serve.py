@@ -185,6 +185,41 @@ def test_the_report_opens_in_its_sandbox(tab, site, browser):
     report.page.wait_for_selector("#list tbody tr")
 
 
+def test_the_post_of_a_flight_is_copied(tab, site, browser):
+    """By keyboard on a phone's width: where the clipboard may be used, where it may not, and where a browser copies nothing at all."""
+    path = tab.page.locator("#list tbody a").first.get_attribute("href")
+    report = Tab(browser, site.address.rstrip("/") + path, viewport={"width": 390, "height": 844})
+    page = report.page
+    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    button = page.get_by_role("button", name="Copy for a forum")
+    box = page.locator("#post")
+    refuse = "void (navigator.clipboard.writeText = () => Promise.reject())"
+    for forbidden in ("0", refuse):
+        page.evaluate(forbidden)
+        button.focus()
+        page.keyboard.press("Enter")
+        page.wait_for_selector("#copied:has-text('Copied')")
+        assert box.is_hidden() and page.evaluate("document.activeElement.id") == "copy-markdown"
+        other = page.context.new_page()
+        other.goto(site.address)
+        other.bring_to_front()
+        other.focus("#search")
+        copied = other.evaluate("navigator.clipboard.readText()")
+        assert (
+            copied.startswith("**✓ Healthy: ")
+            and QUAD.name in copied
+            and copied.endswith("first record of the log.*\n")
+        )
+        other.evaluate("navigator.clipboard.writeText('nothing')")
+        other.close()
+        page.bring_to_front()
+    page.evaluate("void (document.execCommand = () => false)")
+    button.click()
+    page.wait_for_selector("#copied:has-text('Ctrl+C')")
+    assert box.is_visible() and page.evaluate("getSelection().toString()").startswith("**✓ Healthy")
+    assert report.violations() == [] and report.overflow() <= 0 and report.wrong == []
+
+
 def test_a_killed_server_loses_no_flight_and_pages_come_back(tab, other, site):
     site.kill()
     for one in (tab, other):

@@ -15,8 +15,8 @@ import pytest
 import rotorwatch
 from conftest import hexa_diagnosis
 from fleet_history import columns, wrench
-from rotorwatch.fleet import Store, add, identity
-from rotorwatch.flight import Flight, Message
+from rotorwatch.fleet import Store, add
+from rotorwatch.flight import Flight, Message, identity
 
 pytest.importorskip("sqlalchemy")
 

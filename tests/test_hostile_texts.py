@@ -56,6 +56,8 @@ def commands(log: Path, folder: Path) -> list[list[str]]:
         ["info", missing],
         ["diagnose", str(log)],
         ["diagnose", str(log), missing, "--jobs", "1"],
+        ["diagnose", str(log), "--markdown", "-"],
+        ["diagnose", str(log), missing, "--jobs", "1", "--markdown", "-", "--identify"],
         ["fleet", "add", str(log), "--store", store],
         ["fleet", "list", "--store", store],
         ["watch", str(log), "--speed", "max"],

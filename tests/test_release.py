@@ -3,6 +3,7 @@
 `tools/release.py` and `tools/image_steps.py` do the rest by hand: they build and install, which takes minutes.
 """
 
+import json
 import os
 import re
 import runpy
@@ -151,8 +152,9 @@ def judge(tmp_path):
     def run(code, **environment):
         (tmp_path / "bin").mkdir(exist_ok=True)
         tool = tmp_path / "bin" / "rotorwatch"
-        answer = '{"path": "logs/a|b.bin", "verdict": "fault", "headline": "Rotor 3 <b>lost</b> 36 %."}'
-        tool.write_text(f"#!/bin/sh\nprintf '%s\\n' \"$@\" > said.txt\necho '{answer}' > \"$4\"\nexit {code}\n")
+        tool.write_text(
+            f"#!/bin/sh\nprintf '%s\\n' \"$@\" > said.txt\necho '{{}}' > \"$4\"\necho '**Rotor 3 lost 36 %.**'\nexit {code}\n"
+        )
         tool.chmod(tool.stat().st_mode | stat.S_IEXEC)
         clean = {k: v for k, v in os.environ.items() if not k.startswith("GITHUB_")}
         path = f"{tmp_path / 'bin'}:{Path(sys.executable).parent}:{os.environ['PATH']}"
@@ -185,12 +187,13 @@ def test_the_action_hands_on_what_it_was_given(judge, tmp_path):
     done = judge(1, LOGS=logs, VEHICLE="v.toml", BASELINE="h1.bin\nh2.bin", REPORTS="r", GITHUB_OUTPUT="out.txt")
     words = (tmp_path / "said.txt").read_text().splitlines()
     assert words[words.index("--") + 1 :] == ["my logs/a.bin", "$(touch stolen)", "-x.bin"]
-    assert words[:6] == ["diagnose", "--jsonl", "--out", "r/verdicts.jsonl", "--html", "r"]
-    assert words[6:12] == ["--vehicle", "v.toml", "--baseline", "h1.bin", "--baseline", "h2.bin"]
-    understood([*words[:6], "--", "a.bin"])
+    assert words[:8] == ["diagnose", "--jsonl", "--out", "r/verdicts.jsonl", "--html", "r", "--markdown", "-"]
+    assert words[8:14] == ["--vehicle", "v.toml", "--baseline", "h1.bin", "--baseline", "h2.bin"]
+    understood([*words[:8], "--", "a.bin"])
     assert not (tmp_path / "stolen").exists()
     assert "exit-code=1" in (tmp_path / "out.txt").read_text()
-    assert "| a\\|b.bin | fault | Rotor 3 &lt;b&gt;lost&lt;/b&gt; 36 %. |" in done.stdout
+    assert "summary=r/summary.md" in (tmp_path / "out.txt").read_text()
+    assert (tmp_path / "r" / "summary.md").read_text() == "**Rotor 3 lost 36 %.**\n" in done.stdout
 
 
 def test_the_action_prints_no_commands_of_others(judge):
@@ -235,3 +238,153 @@ def test_the_action_judges_the_logs_that_a_pull_request_changes(judge, tmp_path)
     subprocess.run([*git, "commit", "-qm", "x"], cwd=tmp_path, check=True)
     assert judge(1, BASE_SHA=base).returncode == 1
     assert "./link.bin" not in (tmp_path / "said.txt").read_text().splitlines()
+
+
+# The action's steps, as a runner runs them, beside a gh that has one pull request with comments
+
+GH = """#!{python}
+import json, os, sys
+from pathlib import Path
+
+said, data = sys.argv[1:], Path(os.environ["PULL"])
+refused = os.environ.get("REFUSED", "")
+comments = json.loads(data.read_text())
+assert said[0] == "api" and os.environ["GH_TOKEN"] == "secret"
+with open(os.environ["PULL"] + ".said", "a") as file:
+    print(*said, file=file)
+if "graphql" in said:
+    if "read" in refused:
+        sys.exit("HTTP 403: Resource not accessible by integration")
+    assert "number=5" in said and "owner=them" in said and "name=drones" in said and "viewerDidAuthor" in said[said.index("--jq") + 1]
+    for n, (mine, body) in enumerate(comments):
+        if mine and body.startswith(os.environ["MARKER"]):
+            print(n)
+else:
+    if "write" in refused:
+        sys.exit("HTTP 403: Resource not accessible by integration")
+    body = Path(said[said.index("-F") + 1].removeprefix("body=@")).read_text()
+    where = next(w for w in said if w.startswith("repos/"))
+    if "PATCH" in said:
+        assert where.startswith("repos/them/drones/issues/comments/")
+        comments[int(where.rpartition("/")[2])][1] = body
+    else:
+        assert where == "repos/them/drones/issues/5/comments" and "POST" in said
+        comments.append([True, body])
+    data.write_text(json.dumps(comments))
+"""
+ROTORWATCH = '#!/bin/sh\nexec {python} -m rotorwatch "$@"\n'
+
+
+@pytest.fixture
+def runner(tmp_path):
+    """runner(inputs, **environment) -> (exit codes of the steps of action.yml that have a script, by name; what they printed; the
+    comments of the pull request). The installing step is left out."""
+    (tmp_path / "bin").mkdir()
+    for name, text in (("gh", GH), ("rotorwatch", ROTORWATCH)):
+        tool = tmp_path / "bin" / name
+        tool.write_text(text.replace("{python}", sys.executable))
+        tool.chmod(0o755)
+    pull = tmp_path / "pull.json"
+    pull.write_text(json.dumps([[False, "<!-- rotorwatch flights/logs -->\nof somebody else"]]))
+    action = pytest.importorskip("yaml").safe_load((ROOT / "action.yml").read_text())
+
+    def run(inputs, base="", **environment):
+        values = {f"inputs.{name}": str(about["default"]) for name, about in action["inputs"].items()}
+        values |= {f"inputs.{name}": text for name, text in inputs.items()}
+        values |= {"github.action_path": str(ROOT), "github.event.pull_request.number": "5", "github.token": "secret"}
+        values |= {"inputs.token": "secret", "github.event.pull_request.base.sha": base}
+        path = f"{tmp_path / 'bin'}:{Path(sys.executable).parent}:{os.environ['PATH']}"
+        clean = {k: v for k, v in os.environ.items() if not k.startswith(("GITHUB_", "GH_"))}
+        clean |= {"PATH": path, "PULL": str(pull), "GITHUB_REPOSITORY": "them/drones", "GITHUB_JOB": "logs", "GITHUB_WORKFLOW": "flights",
+                  "GITHUB_RUN_ID": "9", "GITHUB_STEP_SUMMARY": str(tmp_path / "summary.md"), **environment}  # fmt: skip
+        clean["PYTHONPATH"] = str(ROOT / "src")
+        codes, printed = {}, ""
+        for step in action["runs"]["steps"]:
+            if step.get("shell") != "bash" or step["name"].startswith("Install"):
+                continue
+            if "comment" in step.get("if", "") and values["inputs.comment"] != "true":
+                continue
+            out = tmp_path / "output.txt"
+            out.write_text("")
+            given = {
+                k: re.sub(r"\$\{\{ *(.*?) *\}\}", lambda m: values.get(m[1], ""), v) for k, v in step["env"].items()
+            }
+            done = subprocess.run(
+                ["bash", "-e", "-o", "pipefail", "-c", step["run"]], cwd=tmp_path, capture_output=True, text=True,
+                env={**clean, **given, "GITHUB_OUTPUT": str(out)},
+            )  # fmt: skip
+            codes[step["name"]] = done.returncode
+            printed += done.stdout + done.stderr
+            for line in out.read_text().splitlines():
+                values[f"steps.{step.get('id')}.outputs.{line.partition('=')[0]}"] = line.partition("=")[2]
+        return codes, printed, json.loads(pull.read_text())
+
+    return run
+
+
+JUDGE, COMMENT = "Judge the logs", "Comment on the pull request"
+SAMPLE = ROOT / "src" / "rotorwatch" / "samples" / "quadx_healthy_hover.bin.xz"
+
+
+def test_the_action_writes_a_summary_and_one_comment(runner, tmp_path):
+    (tmp_path / "flight.bin.xz").write_bytes(SAMPLE.read_bytes())
+    codes, printed, comments = runner({"logs": "flight.bin.xz"})
+    summary = (tmp_path / "summary.md").read_text(encoding="utf-8")
+    assert codes == {JUDGE: 0} and len(comments) == 1, printed
+    assert summary.startswith("## Flight logs\n\n**1 log: 1 healthy**") and "`flight.bin.xz`" in summary
+    assert str(tmp_path) not in summary and "![" not in summary
+    (tmp_path / "broken.bin").write_bytes(b"no log")
+    for logs in ("flight.bin.xz", "flight.bin.xz\nbroken.bin"):
+        codes, printed, comments = runner({"logs": logs, "comment": "true"})
+        assert codes == {JUDGE: 2 if "broken" in logs else 0, COMMENT: 0}, printed
+        assert len(comments) == 2, "the second time it is updated"
+        assert comments[1][1].startswith("<!-- rotorwatch flights/logs -->\n### Flight logs\n\n**")
+        assert ("1 error" in comments[1][1]) == ("broken" in logs)
+        assert "[this run](https://github.com/them/drones/actions/runs/9)" in comments[1][1]
+    assert comments[0][1].endswith("of somebody else") and len(comments[1][1]) < 65_536
+
+
+@pytest.fixture
+def commented(runner, tmp_path):
+    """The same with a rotorwatch that only answers."""
+    tool = tmp_path / "bin" / "rotorwatch"
+    tool.write_text("#!/bin/sh\necho '{}' > \"$4\"\necho '**2 logs**'\nexit 1\n")
+    return lambda inputs, base="", **environment: runner(
+        {"logs": "a.bin", "comment": "true", **inputs}, base, **environment
+    )
+
+
+@pytest.mark.parametrize(
+    ("environment", "words"),
+    [
+        ({"REFUSED": "read"}, "its comments cannot be read"),
+        ({"REFUSED": "write"}, "GitHub refused it"),
+        ({"GITHUB_REPOSITORY": ""}, "the repository is not known"),
+    ],
+)
+def test_a_comment_that_cannot_be_written_fails_nothing(commented, tmp_path, environment, words):
+    codes, printed, comments = commented({}, **environment)
+    assert codes == {JUDGE: 1, COMMENT: 0} and len(comments) == 1
+    assert f"::notice::No comment was written: {words}" in printed
+    assert "secret" not in printed
+
+
+def test_a_comment_on_logs_that_are_gone_is_updated(commented, tmp_path):
+    for command in (
+        ["init", "-q"],
+        ["-c", "user.name=x", "-c", "user.email=x@y.org", "commit", "-qm", "x", "--allow-empty"],
+    ):
+        subprocess.run(["git", *command], cwd=tmp_path, check=True)
+    head = subprocess.run(
+        ["git", "rev-parse", "HEAD"], cwd=tmp_path, check=True, capture_output=True, text=True
+    ).stdout.strip()
+    codes, _, comments = commented({"logs": ""}, head)
+    assert codes == {JUDGE: 0, COMMENT: 0} and len(comments) == 1, "nothing was said, and there is nothing to say"
+    codes, _, comments = commented({})
+    assert codes == {JUDGE: 1, COMMENT: 0} and "**2 logs**" in comments[1][1]
+    codes, _, comments = commented({"logs": ""}, head)
+    assert (
+        codes == {JUDGE: 0, COMMENT: 0} and "changes no flight logs any more" in comments[1][1] and len(comments) == 2
+    )
+    codes, _, comments = commented({"fail-on": "sometimes"})
+    assert codes == {JUDGE: 2, COMMENT: 0} and "could not be judged" in comments[1][1] and len(comments) == 2

@@ -19,7 +19,7 @@ from rotorwatch.default.announcement import threshold
 from rotorwatch.default.program import TickOutput, estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.esc import consistency
-from rotorwatch.flight import Flight
+from rotorwatch.flight import Flight, identity
 from rotorwatch.flight.diagnosis import Diagnosis, Event
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.healthy import baselines, population
@@ -274,7 +274,8 @@ def _answer(end: conclusion.Conclusion, ready: Prepared, common: dict, clock: _C
     return Diagnosis(
         _facts(flight, craft, ready.air, ready.table), end.verdict, end.reason, end.rotors, end.events, common, ready.source,
         tuple(ready.assumptions), tuple(ready.warnings), clock.stop(), headline=end.headline, main=end.main, advice=end.advice,
-        story=end.story, picture=picture.make(flight, craft, end.events, end.main, end.story), **more,
+        story=end.story, picture=picture.make(flight, craft, end.events, end.main, end.story),
+        aircraft=identity.identify(flight).text, **more,
     )  # fmt: skip
 
 

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Judges logs for action.yml. Reads LOGS, VEHICLE, BASELINE, FAIL_ON, REPORTS and BASE_SHA from the environment; writes pages and
-# verdicts.jsonl into REPORTS, a table into the job's summary, and leaves with 1 when FAIL_ON says so, with 2 after an error.
+# verdicts.jsonl and summary.md into REPORTS, the latter also into the job's summary, and leaves with 1 when FAIL_ON says so, with 2 after an error.
 set -uo pipefail
 
 say() { printf '%s\n' "$*"; }
@@ -54,21 +54,23 @@ then
     exit 2
 fi
 mkdir -p "$reports"
-rm -f "$reports/verdicts.jsonl"
+rm -f "$reports/verdicts.jsonl" "$reports/summary.md"
 # What is printed about a stranger's files is no command to the runner.
 quiet=$(python -c 'import secrets; print(secrets.token_hex(16))')
 say "::stop-commands::$quiet"
-rotorwatch diagnose --jsonl --out "$reports/verdicts.jsonl" --html "$reports" ${options[@]+"${options[@]}"} -- "${logs[@]}"
+rotorwatch diagnose --jsonl --out "$reports/verdicts.jsonl" --html "$reports" --markdown - ${options[@]+"${options[@]}"} \
+    -- "${logs[@]}" >"$reports/summary.md"
 code=$?
+[ -n "${GITHUB_STEP_SUMMARY:-}" ] || cat "$reports/summary.md"
 say "::$quiet::"
 
 if [ -n "${GITHUB_OUTPUT:-}" ]; then
     say "verdicts=$reports/verdicts.jsonl" >>"$GITHUB_OUTPUT"
     say "exit-code=$code" >>"$GITHUB_OUTPUT"
+    [ -s "$reports/summary.md" ] && say "summary=$reports/summary.md" >>"$GITHUB_OUTPUT"
 fi
-if [ -f "$reports/verdicts.jsonl" ]; then
-    table=$(python "$(dirname "$0")/summary.py" "$reports/verdicts.jsonl")
-    if [ -n "${GITHUB_STEP_SUMMARY:-}" ]; then say "$table" >>"$GITHUB_STEP_SUMMARY"; else say "$table"; fi
+if [ -s "$reports/summary.md" ] && [ -n "${GITHUB_STEP_SUMMARY:-}" ]; then
+    { say "## Flight logs"; say ""; cat "$reports/summary.md"; } >>"$GITHUB_STEP_SUMMARY"
 fi
 
 case $fail_on:$code in

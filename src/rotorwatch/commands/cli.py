@@ -181,6 +181,15 @@ def cli() -> None:
     type=OUT,
     metavar="OUT.mcap",
 )
+@option(
+    "--markdown",
+    "Write Markdown for a forum or an issue, and a picture beside it; without FILE.md, or for -, on standard output.",
+    is_flag=False,
+    flag_value="-",
+    type=OUT,
+    metavar="[FILE.md]",
+)
+@flag("--identify", "With --markdown: also the serial number, the time of day, and texts as they are in the log.")
 @flag("--json as_json", "Print JSON (docs/json.md): an object, or a list for several logs.")
 @flag("--jsonl", "Print JSON lines: one for each log, as soon as it is judged.")
 @option("-o --out", "With --jsonl: the file that lines are added to.", type=OUT, metavar="FILE")
@@ -203,16 +212,20 @@ def diagnose(context, **options) -> None:
         raise ConfigError("--json and --jsonl are two ways to say the same; give one.")
     if (request.out or request.resume) and not (request.jsonl and request.out):
         raise ConfigError("--out and --resume belong to --jsonl: write --jsonl -o FILE, and --resume to go on with it.")
+    _check_markdown(request)
     several_ways = request.jsonl or request.html or request.scheduler
     many = len(request.logs) > 1 or bool(several_ways) or gathering.is_several(request.logs[0])
     found = gathering.Gathered(request.logs)
     logs = tuple(found) if many else request.logs
     pages, recordings = report_paths(logs, request.report), report_paths(logs, request.mcap, "--mcap", ".mcap")
+    posts, document = _post_paths(logs, request.markdown)
     if pages or request.html:
         optional.library("bokeh", "--report" if pages else "--html")
     if recordings:
         optional.library("mcap", "--mcap")
-    request = replace(request, logs=logs, pages=pages, recordings=recordings, others=found.others)
+    request = replace(
+        request, logs=logs, pages=pages, recordings=recordings, posts=posts, document=document, others=found.others
+    )
     if request.tuning:
         from rotorwatch.healthy.tune import read
 
@@ -240,12 +253,47 @@ def _diagnose(request: several.Request) -> int:
         result.to_html(request.pages[0])
     if request.recordings:
         result.to_mcap(request.recordings[0])
+    post = next(iter(request.posts), request.document)
+    if post and not request.to_stdout:
+        from rotorwatch.report import markdown
+
+        why = markdown.write(result, post, request.identify).why
+        if why and not request.quiet:
+            say(f"No picture beside {post}: {why}")
     if request.as_json:
         click.echo(result.to_json())
+    elif request.to_stdout:
+        click.echo(result.to_markdown(identify=request.identify), nl=False)
     else:
         show(lambda terminal: terminal.diagnosis(result))
-        written(request.quiet, report=next(iter(request.pages), None), MCAP_file=next(iter(request.recordings), None))
+        files = (next(iter(paths), None) for paths in (request.pages, request.recordings))
+        written(request.quiet, **dict(zip(("report", "MCAP_file"), files)), post=post)
     return result.exit_code
+
+
+def _check_markdown(request: several.Request) -> None:
+    """Raises ConfigError for --markdown and --identify beside what they do not go with."""
+    if request.identify and not request.markdown:
+        raise ConfigError("--identify says what --markdown may tell; give both.")
+    if request.to_stdout and (request.as_json or (request.jsonl and not request.out)):
+        raise ConfigError("--markdown and JSON cannot both go to standard output: write --markdown FILE.md.")
+
+
+def _post_paths(logs: Sequence[Any], out: Path | None) -> tuple[list[Path], Path | None]:
+    """(a post for each log, the post of all): --markdown FILE.md is one post of all logs, a folder or a name with {name} one each."""
+    from rotorwatch.base import files
+    from rotorwatch.report.markdown import ENDINGS
+
+    if out is None or str(out) == "-":
+        return [], out
+    each = "{name}" in str(out) or out.is_dir()
+    if (
+        not out.is_dir() and out.suffix.lower() not in ENDINGS
+    ):  # as a log that stands behind the option would be overwritten
+        raise ConfigError(f"--markdown {out}: give a name that ends in .md; --markdown - writes to standard output.")
+    if each:
+        return report_paths(logs, out, "--markdown", ".md"), None
+    return [], files.writable(out, "--markdown", make=True)
 
 
 def report_paths(logs: Sequence[Any], out: Path | None, option: str = "--report", ending: str = ".html") -> list[Path]:

@@ -13,7 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
+import click
+
 from rotorwatch import __version__
+from rotorwatch.base import optional
 from rotorwatch.commands.tools import counting, label, print_json, say, show
 from rotorwatch.errors import ConfigError
 
@@ -25,7 +28,8 @@ KEYS = ("path", "exit_code", "size", "sha256")  # that a line of --jsonl begins 
 @dataclass(frozen=True)
 class Request:
     """The options of `rotorwatch diagnose` by their names, and their values. logs: those found; others: how many files were none;
-    tuned: what --tuning holds; pages, recordings: where --report and --mcap put each log's."""
+    tuned: what --tuning holds; pages, recordings, posts: where --report, --mcap
+    and --markdown put each log's; document: where --markdown puts one post of all, or -."""
 
     logs: Sequence[Any]
     baselines: Sequence[Path]
@@ -35,6 +39,8 @@ class Request:
     report: Path | None
     html: Path | None
     mcap: Path | None
+    markdown: Path | None
+    identify: bool
     as_json: bool
     jsonl: bool
     out: Path | None
@@ -46,6 +52,13 @@ class Request:
     tuned: Any = None
     pages: Sequence[Path] = ()
     recordings: Sequence[Path] = ()
+    posts: Sequence[Path] = ()
+    document: Path | None = None
+
+    @property
+    def to_stdout(self) -> bool:
+        """--markdown goes to standard output."""
+        return str(self.markdown) == "-"
 
 
 def settings(estimator: str, *files: Path | None) -> str:
@@ -60,11 +73,13 @@ def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
     """Judge them all; returns the exit code. explain: makes a sentence of an exception. Whatever ends it, what has been answered is
     shown."""
     from rotorwatch.many.diagnose_many import Answer, diagnose_many
-    from rotorwatch.report import overview
+    from rotorwatch.report import markdown, overview
 
     if request.others and not request.quiet:
         say(f"{request.others} other {'file is' if request.others == 1 else 'files are'} no flight logs and left out.")
     rows, codes, listed = overview.Rows(), set(), {}
+    together = markdown.Several(request.identify) if request.document else None
+    pictures = bool(request.markdown) and not request.to_stdout and _drawable(request.quiet)
     how = settings(request.estimator, request.vehicle, request.tuning, *request.baselines)
     with _lines(request, how) as lines, counting(request.quiet, "logs") as counter:
         known = {path: line.known for path, line in lines.there.items() if line.known}
@@ -75,6 +90,8 @@ def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
                 line = lines.there[answer.path]
                 codes.add(line.code)
                 rows.add(line.row)
+                if together:
+                    together.add(line.row)
                 return
             if answer.error is not None:
                 text = explain(answer.error)
@@ -89,7 +106,10 @@ def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
             lines.write(answer, found)
             if request.as_json:
                 listed[answer.index] = found
-            rows.add(overview.row(label(answer.path), found, page))
+            row = overview.row(label(answer.path), found, page)
+            rows.add(row)
+            if together:
+                together.add(row, answer.diagnosis, answer.messages, answer.picture)
             if counter and answer.diagnosis is not None and not (request.as_json or lines.streams):
                 from rotorwatch.report import terminal
 
@@ -98,6 +118,7 @@ def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
         answers = diagnose_many(
             request.logs, request.vehicle, request.baselines, request.estimator, request.tuned, request.jobs, request.scheduler,
             pages=bool(request.html or request.pages), recordings=bool(request.recordings), hashed=request.jsonl, known=known,
+            pictures=pictures,
         )  # fmt: skip
         try:
             for done, answer in enumerate(answers, start=1):
@@ -108,16 +129,31 @@ def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
             with suppress(ValueError):
                 answers.close()  # type: ignore[attr-defined]
             if codes:
-                _show(request, rows, [listed[k] for k in sorted(listed)])
+                _show(request, rows, [listed[k] for k in sorted(listed)], together)
     return next((code for code in SEVERITY if code in codes), 0)
 
 
-def _show(request: Request, rows: Any, listed: list[dict[str, Any]]) -> None:
+def _drawable(quiet: bool) -> bool:
+    """Whether pictures can be drawn; says why not."""
+    try:
+        optional.library("matplotlib.figure", "The picture of a post")
+    except ConfigError as why:
+        if not quiet:
+            say(str(why))
+        return False
+    return True
+
+
+def _show(request: Request, rows: Any, listed: list[dict[str, Any]], together: Any) -> None:
     """Print and write what comes after the last log."""
     from rotorwatch.report import overview
 
+    if together and not request.to_stdout:
+        together.write(request.document)
     if request.as_json:
         print_json(listed)
+    elif request.to_stdout:
+        click.echo(together.text(), nl=False)
     elif not request.jsonl:
         show(lambda terminal: terminal.overview(rows.title(), rows.worst()))
     if request.html:
@@ -130,6 +166,8 @@ def _show(request: Request, rows: Any, listed: list[dict[str, Any]]) -> None:
         say(f"pages written to {request.html / 'index.html'}")
     elif request.pages:
         say(f"report written to {request.pages[0].parent}")
+    if request.posts or (request.document and not request.to_stdout):
+        say(f"posts written to {request.posts[0].parent}" if request.posts else f"post written to {request.document}")
     if request.recordings:
         say(f"MCAP files written to {request.recordings[0].parent}")
 
@@ -144,9 +182,13 @@ def _page(request: Request, path: str) -> str | None:
 
 
 def _write_page(request: Request, answer: Any) -> str | None:
-    """Write the page and the MCAP file of an answer; returns the page's name below --html."""
+    """Write the page, the post and the MCAP file of an answer; returns the page's name below --html."""
     from rotorwatch.base import files
 
+    if request.posts and answer.diagnosis is not None:
+        from rotorwatch.report import markdown
+
+        markdown.write(answer.diagnosis, request.posts[answer.index], request.identify, answer.picture, answer.messages)
     if answer.recording is not None:
         with files.replacing(request.recordings[answer.index]) as unfinished:
             Path(unfinished).write_bytes(answer.recording)

@@ -1,6 +1,5 @@
 """A store that remembers flights, whose they are, and what all of them together say of every aircraft and rotor.
 
-identity.py         whose flight is it? what a log holds that tells its aircraft apart
 judge.py            a log judged: what the store keeps of it
 tables.py           the tables, and how an older store becomes one of today
 address.py          where the store lies

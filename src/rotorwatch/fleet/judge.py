@@ -6,9 +6,8 @@ import os
 from collections.abc import Callable, Sequence
 
 from rotorwatch import __version__, airframes
-from rotorwatch.fleet import identity
 from rotorwatch.fleet.store import Entry
-from rotorwatch.flight import Flight
+from rotorwatch.flight import Flight, identity
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.healthy import whole_flight

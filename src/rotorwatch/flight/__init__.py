@@ -1,6 +1,7 @@
 """The nouns: a flight as its log records it, the vehicle that flew, the answer. Data in SI units and known frames; no estimation in here.
 
 flight.py         signals, messages and parameters of a log
+identity.py       whose flight is it? what a log holds that tells its aircraft apart
 vehicle_kind.py   what a log is of, when it is no multirotor
 vehicle.py        rotors, thrust curve, mixer, and what was learned of them
 vehicle_file.py   the same as a TOML file

@@ -160,7 +160,8 @@ class Diagnosis:
     the method's name. comparison: what the autopilot's own checks found. whole_flight: damage from take-off, where it was judged. trace:
     what a picture needs. doubts: why the log may not be what flew, a sentence each (the first is the reason then). story: what happened
     when control was lost, four sentences in the order of time; empty where it was not. picture: attitude and commands around that
-    moment (docs/json.md), or None.
+    moment (docs/json.md), or None. aircraft: what it is known by, such as a serial number; empty where the log does not say;
+    not in the JSON.
     """
 
     flight: Mapping[str, Any]
@@ -183,6 +184,7 @@ class Diagnosis:
     doubts: tuple[str, ...] = ()
     story: tuple[StoryLine, ...] = ()
     picture: Mapping[str, Any] | None = None
+    aircraft: str = ""
 
     @property
     def exit_code(self) -> int:
@@ -226,6 +228,17 @@ class Diagnosis:
         from rotorwatch.report.html import write
 
         write(self, path)
+
+    def to_markdown(self, path=None, identify: bool = False) -> str:
+        """The answer as Markdown for a forum or an issue, below 10,000 letters, without positions, serial numbers and folders. path: also
+        write it there (atomically), and beside it the picture that it shows, NAME.png, where matplotlib is installed and there is something
+        to draw. identify: with the aircraft's serial number, the time of day, and texts as they are in the log. Raises ConfigError when the
+        place cannot be written to."""
+        from rotorwatch.report import markdown
+
+        if path is None:
+            return markdown.text(self, identify)
+        return markdown.write(self, path, identify).text
 
     def to_mcap(self, path) -> None:
         """Write the diagnosis as an MCAP file, for Foxglove and PlotJuggler, to `path` (atomically). Raises ConfigError where the package

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from os import PathLike
@@ -34,7 +35,8 @@ class Known:
 class Answer:
     """The result of one log. index: its place among the logs; path: its full path, or its address. diagnosis: without the trace; None
     where there is an error. size, sha256: of the content, where requested. page: the HTML report, where requested.
-    recording: the MCAP file, likewise. unchanged: it is as it was known, and was not judged again."""
+    recording: the MCAP file, picture: a PNG, likewise. messages: the autopilot's around the main event. unchanged: it is as it was known,
+    and was not judged again."""
 
     index: int
     path: str
@@ -44,6 +46,8 @@ class Answer:
     sha256: str | None = None
     page: str | None = None
     recording: bytes | None = None
+    picture: bytes | None = None
+    messages: tuple[tuple[float, str, str], ...] = ()
     unchanged: bool = False
 
     @property
@@ -71,16 +75,17 @@ def diagnose_many(
     recordings: bool = False,
     hashed: bool = False,
     known: Mapping[str, Known] | None = None,
+    pictures: bool = False,
 ) -> Iterator[Answer]:
     """`diagnose` of every log: an `Answer` for each as soon as it is there, in any order; an error of one stops no other.
 
     paths: logs, folders with all that is in them, quoted patterns, and addresses (s3://, http://, file:// ..), where fsspec is
     installed. They may come from a generator: no more logs are taken than are worked on. vehicle, baseline, estimator, tuning: as for
     `diagnose`, for all logs. jobs, scheduler: as for `many.run`; by default a process per processor, fewer for few logs. The workers of
-    a cluster have to find the same paths. pages: make HTML reports, too; recordings: MCAP files. hashed: size and SHA-256 of each log's
-    content. known: full path -> what it was when it had its answer; those that did not change are not judged again. Raises ConfigError,
-    VehicleError or LogError where no log can be judged: a folder without logs, a wrong vehicle or baseline, a scheduler that does not
-    answer.
+    a cluster have to find the same paths. pages: make HTML reports, too; recordings: MCAP files; pictures: PNGs, where there is
+    something to draw. hashed: size and SHA-256 of each log's content. known: full path -> what it was when it had its answer; those
+    that did not change are not judged again. Raises ConfigError, VehicleError or LogError where no log can be judged: a folder without
+    logs, a wrong vehicle or baseline, a scheduler that does not answer.
     """
     from rotorwatch.healthy.baselines import vehicle_of
 
@@ -90,7 +95,7 @@ def diagnose_many(
         if not isinstance(source, Flight):
             read(source)  # an error in it would be every log's
     healthy = tuple(source if isinstance(source, Flight) else _named(source, scheduler) for source in baseline)
-    judge = _Judge(craft, healthy, estimator, tuning, pages, recordings, hashed)
+    judge = _Judge(craft, healthy, estimator, tuning, pages, recordings, pictures, hashed)
     if isinstance(paths, Sequence):
         paths = list(gathering.Gathered(paths))
         if jobs is None and scheduler is None:
@@ -139,6 +144,7 @@ class _Judge:
     tuning: Any
     pages: bool
     recordings: bool
+    pictures: bool
     hashed: bool
 
     @cached_property
@@ -163,7 +169,9 @@ class _Judge:
             if gathering.is_address(path) and here is not None:
                 why = type(why)(str(why).replace(str(here), path))  # nobody knows the copy's name
             return Answer(0, path, error=why, size=size, sha256=sha256)
-        page = recording = None
+        from rotorwatch.report import markdown
+
+        page = recording = picture = None
         if self.pages:
             from rotorwatch.report import html
 
@@ -172,7 +180,13 @@ class _Judge:
             from rotorwatch.report import mcap_file
 
             recording = mcap_file.content(found)
-        return Answer(0, path, replace(found, trace=None), size=size, sha256=sha256, page=page, recording=recording)
+        if self.pictures:
+            with suppress(ConfigError):  # there is nothing to draw
+                picture = markdown.picture_of(found)
+        return Answer(
+            0, path, replace(found, trace=None), size=size, sha256=sha256, page=page, recording=recording, picture=picture,
+            messages=markdown.around(found),
+        )  # fmt: skip
 
 
 def timed(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Iterable, Mapping
@@ -13,11 +14,16 @@ from rotorwatch import __version__, report
 from rotorwatch.base import files, optional
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Diagnosis, RotorState
-from rotorwatch.report import colours, drawing, figures, upset, words
+from rotorwatch.report import colours, drawing, figures, markdown, upset, words
 
 UNIT = re.compile(r"(\d) (%|s|Hz|ms|V|g)(?![\w])")
 RANGE = re.compile(r"(\d)(–)(?=\d)")
 SYMBOLS = {"healthy": "✓", "fault": "✕", "ambiguous": "?", "inconclusive": "?"}
+# A button; for it the page holds the post as `diagnose --markdown` writes it; where a browser lets nothing be copied, it is shown selected.
+COPY = (
+    '<div class="copy"><button type="button" id="copy-markdown">Copy for a forum</button> <span role="status" id="copied"></span>'
+    '<textarea id="post" readonly hidden aria-label="Post for a forum, as Markdown" rows="8"></textarea></div>'
+)
 # The page may run its own inline scripts and styles and nothing else; in particular it may not fetch anything.
 POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; font-src data:"
@@ -60,7 +66,8 @@ def page(diagnosis: Diagnosis) -> str:
         "</main>",
         _footer(diagnosis, title),
     ]
-    data = diagnosis.to_json().replace("<", "\\u003c")  # inside a script element no tag may begin
+    data = diagnosis.to_json()
+    post = json.dumps(markdown.text(diagnosis))
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
@@ -68,8 +75,14 @@ def page(diagnosis: Diagnosis) -> str:
         f"<title>{escape(title)}: {escape(report.VERDICTS[diagnosis.verdict])} – rotorwatch</title>\n"
         f"<style>{_own('page.css')}</style>\n</head>\n<body>\n"
         + "\n".join(part for part in body if part)
-        + f'\n<script type="application/json" id="diagnosis">{data}</script>\n{scripts}\n</body>\n</html>\n'
+        + f"\n{_data('diagnosis', data)}\n{_data('markdown', post)}\n{scripts}\n</body>\n</html>\n"
     )
+
+
+def _data(name: str, text: str) -> str:
+    """JSON for the page's script; inside a script element no tag may begin."""
+    safe = text.replace("<", "\\u003c")
+    return f'<script type="application/json" id="{name}">{safe}</script>'
 
 
 def _own(name: str) -> str:
@@ -98,7 +111,7 @@ def _embed(plots: Mapping[str, Any]) -> tuple[str, dict[str, str]]:
 
 def _masthead(title: str) -> str:
     brand = f'<span class="brand">rotorwatch {escape(__version__)}</span>'
-    return f'<div class="masthead"><b>{escape(title)}</b>{brand}</div>'
+    return f'<header class="masthead"><b>{escape(title)}</b>{brand}</header>'
 
 
 def _text(value: Any) -> str:
@@ -114,6 +127,7 @@ def _verdict(diagnosis: Diagnosis) -> str:
         f'<section class="verdict {escape(diagnosis.verdict)}"><div class="word">{escape(word)}</div>'
         f"<h1>{_text(diagnosis.headline)}</h1>{_story(diagnosis)}<p>{_text(report.sentence(diagnosis.reason))}</p>"
         + (f'<h2>What to do next</h2><ul class="advice">{steps}</ul>' if steps else "")
+        + COPY
         + "</section>"
     )
 

@@ -1,4 +1,4 @@
-// The report page's own script: theme of the plots, rotor switches, touch, saving the JSON. Plots are Bokeh's.
+// The report page's own script: theme of the plots, rotor switches, touch, saving the JSON, copying the post. Plots are Bokeh's.
 (function () {
   "use strict";
   const dark = matchMedia("(prefers-color-scheme: dark)");
@@ -50,6 +50,41 @@
       link.href = URL.createObjectURL(new Blob([text], { type: "application/json" }));
       link.download = save.dataset.name;
       link.click();
+    });
+  }
+
+  const copy = document.getElementById("copy-markdown");
+  if (copy) {
+    const box = document.getElementById("post");
+    const status = document.getElementById("copied");
+    // Elsewhere than on a page that is safe against eavesdropping, browsers copy only what is selected.
+    const selected = () => {
+      box.hidden = false;
+      box.select();
+      let done = false;
+      try {
+        done = document.execCommand("copy");
+      } catch {
+        done = false;
+      }
+      box.hidden = done;
+      if (done) copy.focus();
+      return done;
+    };
+    copy.addEventListener("click", async () => {
+      box.value = JSON.parse(document.getElementById("markdown").textContent);
+      status.textContent = "";
+      let done = false;
+      try {
+        await navigator.clipboard.writeText(box.value);
+        done = true;
+      } catch {
+        done = selected();
+      }
+      if (done) box.hidden = true;
+      status.textContent = done
+        ? "Copied. It names no position and no serial number."
+        : "The browser does not let this page copy: the text is selected below, copy it with Ctrl+C.";
     });
   }
 

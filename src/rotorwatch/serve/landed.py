@@ -12,8 +12,8 @@ import numpy as np
 
 from rotorwatch import __version__
 from rotorwatch.answer import conclusion, places
-from rotorwatch.fleet import identity
 from rotorwatch.fleet.store import Entry
+from rotorwatch.flight import identity
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.live.session import Session
 

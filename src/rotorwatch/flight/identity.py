@@ -11,7 +11,7 @@ import hashlib
 import re
 from typing import NamedTuple
 
-from rotorwatch.flight import Flight
+from rotorwatch.flight.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 
 UID = re.compile(r"^(\S+) ((?:[0-9A-F]{8} ?){3})$")
