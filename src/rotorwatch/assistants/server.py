@@ -46,7 +46,7 @@ def mcp(
     [MB], max_seconds [s], max_memory [MB]: limits of each log; jobs: questions answered at once. ready: called with the address over HTTP.
     Raises ConfigError before anything is served.
     """
-    optional.library("mcp.server.mcpserver", "rotorwatch mcp", "mcp")
+    optional.library("mcp.server.mcpserver", "rotorwatch mcp")
     from rotorwatch.assistants import resources, tools
     from rotorwatch.assistants.desk import Desk
 

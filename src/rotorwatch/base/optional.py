@@ -14,13 +14,11 @@ else:  # the same, as a package
     import tomli as tomllib  # noqa: F401  # pyright: ignore[reportMissingImports]
 
 
-def library(name: str, what: str, extra: str = "") -> Any:
-    """The library of that name, imported. what: needs it; extra: of rotorwatch that brings it. Raises ConfigError that says how to
-    install it, where it is not."""
+def library(name: str, what: str) -> Any:
+    """The library of that name, imported. Raises ConfigError that says how to install it, where it is not: what needs it."""
     try:
         importlib.import_module(name.partition(".")[0])  # a part of it may be loaded already
         return importlib.import_module(name)
     except ImportError:
         package = name.partition(".")[0]
-        wanted = f"'rotorwatch[{extra}]'" if extra else package
-        raise ConfigError(f"{what} needs {package}, which is not installed: pip install {wanted}.") from None
+        raise ConfigError(f"{what} needs {package}, which is not installed: pip install {package}.") from None

@@ -36,7 +36,7 @@ def figure(diagnosis: Diagnosis, what: str = "auto", path: str | os.PathLike | N
     """The matplotlib figure; written to `path` (SVG, PNG, PDF) when given. what: moment, flight, or auto: the moment where there is one.
     Raises ConfigError where there is nothing to draw, or no matplotlib."""
     kind = shows(diagnosis, what)
-    picture = optional.library("matplotlib.figure", "A picture", "mcp").Figure(figsize=SIZE, layout="constrained")
+    picture = optional.library("matplotlib.figure", "A picture").Figure(figsize=SIZE, layout="constrained")
     (_moment if kind == "moment" else _flight)(diagnosis, picture)
     if path is not None:
         with files.replacing(path) as unfinished:
