@@ -36,6 +36,7 @@ def test_inject_judges_as_diagnose_does(log, capsys):
     assert row["injections"] == 8 and row["detected"] >= 0.75 and row["right"] == 1.0
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize(("words", "why"), [
     (("compare", "--seeds", "0"), "published methods model hover"),
     (("watch", "--speed", "max", "--jsonl"), "`rotorwatch diagnose`"),

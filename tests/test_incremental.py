@@ -54,7 +54,7 @@ def flown(amount):
     return found
 
 
-@pytest.mark.thorough(keep=1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("way", ["hover", "square", "wind", "payload"])
 def test_it_flies_as_well_as_gains_and_integrators(flown, way):
     (off, tilt, rates), (off_pid, tilt_pid, rates_pid) = flown[way, "indi"], flown[way, "pid"]
