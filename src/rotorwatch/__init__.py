@@ -61,7 +61,12 @@ _HOMES = {
     "VehicleError": "errors",
 }
 # Modules that users know by a shorter name than that of their room.
-_SHORT = {"checks": "base.checks", "detectors": "published.detectors", "systems": "maths.systems"}
+_SHORT = {
+    "checks": "base.checks",
+    "detectors": "published.detectors",
+    "service": "live.service",
+    "systems": "maths.systems",
+}
 
 __all__ = ["__version__", "read", *_VERBS, *(n for n in _HOMES if n != "read")]
 
