@@ -21,7 +21,7 @@ FAKE = """#!/bin/sh
 echo "$@" >> "$FAKE_LOG"
 case "$*" in
 *--property=Version*) echo "Version=${FAKE_VERSION:-252.38-1~deb12u1}" ;;
-*"show rotorwatch"*) printf 'ActiveState=%s\\nSubState=running\\nUnitFileState=enabled\\nNRestarts=2\\nActiveEnterTimestamp=today\\n' "${FAKE_STATE:-active}" ;;
+*"show "*.service*) printf 'ActiveState=%s\\nSubState=running\\nUnitFileState=enabled\\nNRestarts=2\\nActiveEnterTimestamp=today\\n' "${FAKE_STATE:-active}" ;;
 esac
 case "$*" in *"${FAKE_FAILS:-nothing fails}"*) echo "Failed as it was told to." >&2; exit 1 ;; esac
 """
@@ -339,9 +339,10 @@ def test_what_no_unit_can_hold(word):
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed here: it checks the unit")
 @pytest.mark.parametrize("system", [True, False])
-def test_systemd_itself_understands_the_unit(tmp_path, monkeypatch, system):
+@pytest.mark.parametrize("quotes", ["'dir'", "", '"'])
+def test_systemd_itself_understands_the_unit(tmp_path, monkeypatch, system, quotes):
     """Names of settings are known to it, and it finds the program behind an odd name."""
-    odd = tmp_path / "a 100%h $HOME 'dir' \"x\" é"
+    odd = tmp_path / f"a 100%h $HOME {quotes} é"
     odd.mkdir()
     program = odd / "python 3"
     program.symlink_to(os.path.realpath(sys.executable))
@@ -358,6 +359,9 @@ def test_systemd_itself_understands_the_unit(tmp_path, monkeypatch, system):
     about.unit.write_text(about.unit.read_text().replace("PrivateTmp", "PrivatTmp").replace("NoNewP", "NoNeP"))
     done = subprocess.run(command, capture_output=True, text=True, env=environment)
     assert "Unknown key" in done.stderr
+    if quotes:  # then it looks for env, not for Python
+        assert about.unit.read_text().count('ExecStart=:/usr/bin/env "') == 1
+        return
     about.unit.write_text(about.unit.read_text().replace("python 3", "python 4"))
     done = subprocess.run(command, capture_output=True, text=True, env=environment)
     assert done.returncode != 0 and "not executable" in done.stderr

@@ -90,9 +90,11 @@ def quoted(argument: str) -> str:
 
 def command(arguments: Sequence[str]) -> str:
     """The value of ExecStart: this Python with rotorwatch, and these arguments."""
-    program = os.path.abspath(sys.executable)
-    first = quoted(":" + program)  # ":": no variables are put in
-    return " ".join([first, "-m", "rotorwatch", *map(quoted, arguments)])
+    program = [os.path.abspath(sys.executable)]
+    if set(program[0]) & set("\"'\\") or not program[0].isprintable():  # systemd takes no program with such a name
+        program.insert(0, "/usr/bin/env")
+    program[0] = ":" + program[0]  # no variables are put in
+    return " ".join(map(quoted, [*program, "-m", "rotorwatch", *arguments]))
 
 
 def _line(text: str, path: Path) -> str:
