@@ -221,9 +221,12 @@ class Shown:
         self._drawn: set[int] = set()
         self._states: dict[str, tuple[str, str]] = {}
 
-    def news(self, one: News) -> None:
-        """A line, and a marker where its place is known."""
+    def line(self, one: News) -> None:
+        """A line of the console."""
         self._console().writeln(one.text, fg=_colour(one.severity))
+
+    def marker(self, one: News) -> None:
+        """A marker where its place is known; it stays where its event began."""
         if one.gone:
             self._markers.pop(one.key, None)
             for shown in self._maps():
@@ -295,8 +298,8 @@ def _module(base: type) -> type:
             self._guard = Guard(lambda text: self.console.writeln(f"rotorwatch: {text}", fg="red"))
             self._shown = Shown(lambda: self.console, self._maps)
             self._watcher = Watcher(self._handed, self._places, talks, None if vehicle is None else Path(vehicle).expanduser())
-            self._next = 0.0
-            self._next_map = 0.0
+            self._waiting: News | None = None
+            self._next = self._next_map = 0.0
             self.add_command("rotorwatch", self._command, "events of rotors", ["status", "clear"])
             if talks and getattr(self.settings, "streamrate", -1) != -1:
                 self.console.writeln(
@@ -351,8 +354,12 @@ def _module(base: type) -> type:
                 self._send()
 
         def _show(self) -> None:
-            for _ in range(min(AT_ONCE, len(self._watcher.news))):
-                self._shown.news(self._watcher.news.popleft())
+            for _ in range(min(AT_ONCE, len(self._watcher.news) + (self._waiting is not None))):
+                if self._waiting is None:
+                    self._waiting = self._watcher.news.popleft()
+                self._shown.line(self._waiting)  # where the console fails, it is tried again
+                one, self._waiting = self._waiting, None
+                self._guard.run("the map", self._shown.marker, one)
             now = time.monotonic()
             if now > self._next:
                 self._next = now + SHOW_S
@@ -360,7 +367,7 @@ def _module(base: type) -> type:
                 self._shown.states(self._watcher.states)
             if now > self._next_map:
                 self._next_map = now + MAP_S
-                self._shown.maps()
+                self._guard.run("the map", self._shown.maps)
 
         def _maps(self) -> list[Any]:
             return [one.map for one in self.module_matching("map*") if getattr(one, "map", None) is not None]
