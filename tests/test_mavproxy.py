@@ -455,9 +455,11 @@ def test_in_mavproxy_itself(tmp_path):
 
 # The marker as MAVProxy's map draws it, without its window.
 MARKER = """
+import importlib.machinery
 import sys
 from unittest.mock import MagicMock
-sys.modules["wx"] = MagicMock()
+wx = sys.modules["wx"] = MagicMock()  # the window's library
+wx.__spec__ = importlib.machinery.ModuleSpec("wx", None)
 import numpy as np
 from MAVProxy.modules.mavproxy_map import mp_tile
 from rotorwatch.live import mavproxy
