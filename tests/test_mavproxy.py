@@ -134,7 +134,11 @@ def flight():
 
 def state(*masters):
     return SimpleNamespace(
-        console=Console(), public_modules={}, command_map={}, mav_master=list(masters), settings=SimpleNamespace(streamrate=4)
+        console=Console(),
+        public_modules={},
+        command_map={},
+        mav_master=list(masters),
+        settings=SimpleNamespace(streamrate=4),
     )
 
 
@@ -252,6 +256,7 @@ def test_nothing_is_sent_when_it_only_listens(flight):
 
 def test_no_exception_reaches_mavproxy_and_its_loop_never_waits(flight, monkeypatch):
     """A console, a map and a master that fail, messages that are none, and judging that fails or hangs."""
+
     class Broken:
         def __getattr__(self, name):
             raise RuntimeError("broken")
@@ -418,19 +423,31 @@ print("loaded")
 
 def test_mavproxy_finds_it_by_its_name():
     done = subprocess.run(
-        [sys.executable, "-c", LOAD], capture_output=True, text=True, env={**os.environ, "PYTHONPATH": SOURCE}, timeout=120
+        [sys.executable, "-c", LOAD],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": SOURCE},
+        timeout=120,
     )
     assert done.stdout == "loaded\n", done.stderr
 
 
-@pytest.mark.skipif(importlib.util.find_spec("MAVProxy") is None, reason="MAVProxy is not installed here: `pip install MAVProxy`")
+@pytest.mark.skipif(
+    importlib.util.find_spec("MAVProxy") is None, reason="MAVProxy is not installed here: `pip install MAVProxy`"
+)
 def test_in_mavproxy_itself(tmp_path):
     script = shutil.which("mavproxy.py", path=os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
     assert script is not None
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    command = [sys.executable, script, f"--master=udpin:127.0.0.1:{port}", "--default-modules=link,param", "--force-connected"]
+    command = [
+        sys.executable,
+        script,
+        f"--master=udpin:127.0.0.1:{port}",
+        "--default-modules=link,param",
+        "--force-connected",
+    ]
     process = subprocess.Popen(
         [*command, "--cmd=module load rotorwatch", f"--logfile={tmp_path / 'm.tlog'}"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT, text=True, env={**os.environ, "PYTHONPATH": SOURCE, "HOME": str(tmp_path)}, cwd=tmp_path,
@@ -449,7 +466,9 @@ def test_in_mavproxy_itself(tmp_path):
     said += process.communicate(timeout=60)[0]
     assert "Loaded module rotorwatch" in said and "no vehicle is known yet" in said
     assert "Reloaded module rotorwatch" in said and "Unloaded module rotorwatch" in said and "Traceback" not in said
-    drawn = subprocess.run([sys.executable, "-c", MARKER], capture_output=True, text=True, env={**os.environ, "PYTHONPATH": SOURCE})
+    drawn = subprocess.run(
+        [sys.executable, "-c", MARKER], capture_output=True, text=True, env={**os.environ, "PYTHONPATH": SOURCE}
+    )
     assert drawn.stdout == "drawn\n", drawn.stderr
 
 

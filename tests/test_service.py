@@ -162,7 +162,9 @@ def test_from_install_to_remove(computer, tmp_path):
     assert variables((home / SECRETS).read_text()) == {"ROTORWATCH_WEBHOOK": URL}
 
     shown = watch("--service", "status")
-    assert shown.returncode == 0 and "rotor 3 lost 37 %\\x1b[31m" in shown.stdout and "restarted 2 times" in shown.stdout
+    assert (
+        shown.returncode == 0 and "rotor 3 lost 37 %\\x1b[31m" in shown.stdout and "restarted 2 times" in shown.stdout
+    )
     assert watch("--service", "status", FAKE_STATE="failed").returncode == 1
     assert "journal --user-unit rotorwatch.service" in told()[-1]
 
@@ -262,7 +264,9 @@ def test_what_could_not_run_is_not_installed(computer, arguments, words):
     assert files(home) == [] and told() == []
 
 
-@pytest.mark.parametrize("arguments", [["--system"], ["--name", "x"], ["--dry-run"], ["--service", "remove", "--dry-run"]])
+@pytest.mark.parametrize(
+    "arguments", [["--system"], ["--name", "x"], ["--dry-run"], ["--service", "remove", "--dry-run"]]
+)
 def test_options_of_a_service_without_one(computer, arguments):
     done = watch("udp:1", *arguments)
     assert done.returncode == 2 and "go with --service" in done.stderr
@@ -275,7 +279,9 @@ def test_a_service_of_the_system(computer, monkeypatch, tmp_path):
 
     def moved(name="rotorwatch", system=False):
         known = made(name, system)
-        assert known.unit == Path(f"/etc/systemd/system/{name}.service") and known.secrets == Path(f"/etc/rotorwatch/{name}.env")
+        assert known.unit == Path(f"/etc/systemd/system/{name}.service") and known.secrets == Path(
+            f"/etc/rotorwatch/{name}.env"
+        )
         return service.Service(name, system, tmp_path / "etc" / "unit.service", tmp_path / "etc" / "secrets.env")
 
     monkeypatch.setattr(service, "service", moved)
@@ -314,7 +320,30 @@ def test_it_is_reached_as_an_attribute():
 
 @settings(max_examples=300, deadline=None)
 @given(st.lists(st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"])), min_size=1))
-@example([";", "", " ", "%", "%%h", "$HOME", "${X}", "\\", "a\\ b", "'", '"', "\n", "\t", "\x7f", "é", "\u2028", "-", ":", "\\x41", "#"])
+@example(
+    [
+        ";",
+        "",
+        " ",
+        "%",
+        "%%h",
+        "$HOME",
+        "${X}",
+        "\\",
+        "a\\ b",
+        "'",
+        '"',
+        "\n",
+        "\t",
+        "\x7f",
+        "é",
+        "\u2028",
+        "-",
+        ":",
+        "\\x41",
+        "#",
+    ]
+)
 def test_systemd_reads_the_words_that_were_meant(words):
     line = service.command(words)
     assert "\n" not in line and "\r" not in line and len(line.splitlines()) == 1
@@ -337,7 +366,9 @@ def test_what_no_unit_can_hold(word):
         service.environment({"ROTORWATCH_WEBHOOK": "https://x\n.example"})
 
 
-@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed here: it checks the unit")
+@pytest.mark.skipif(
+    shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed here: it checks the unit"
+)
 @pytest.mark.parametrize("system", [True, False])
 @pytest.mark.parametrize("quotes", ["'dir'", "", '"'])
 def test_systemd_itself_understands_the_unit(tmp_path, monkeypatch, system, quotes):

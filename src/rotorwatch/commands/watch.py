@@ -39,7 +39,13 @@ OF_SERVICE = ("service", "system", "name", "dry_run")
 @flag("--listen-only", "Send nothing: neither ask for parameters nor for rates.")
 @click.option("--seconds", type=float, default=math.inf, metavar="S", help="Stop after so long.")
 @option("--patience", "Wait so long for a first vehicle on a link.", 30.0, type=float, metavar="S")
-@option("--webhook", "POST every alert as JSON to this address.", metavar="URL", envvar="ROTORWATCH_WEBHOOK", show_envvar=True)
+@option(
+    "--webhook",
+    "POST every alert as JSON to this address.",
+    metavar="URL",
+    envvar="ROTORWATCH_WEBHOOK",
+    show_envvar=True,
+)
 @option("--metrics", "Metrics for Prometheus, at http://HOST:PORT/metrics.", metavar="[HOST:]PORT")
 @flag("--tell-ground", "Tell the vehicles' ground stations, as STATUSTEXT and NAMED_VALUE_FLOAT.")
 @flag("--jsonl", "Alerts as JSON lines on standard output (docs/watch.md), no picture.")
@@ -136,7 +142,11 @@ def _service(context: click.Context, wanted: str | None) -> int:
     if wanted == "remove":
         there = service.remove(name, system)
         if not quiet:
-            say(f"the service {name} has been stopped and removed" if there else f"there is no service {name} to be removed")
+            say(
+                f"the service {name} has been stopped and removed"
+                if there
+                else f"there is no service {name} to be removed"
+            )
         return 0
     if not given["endpoints"]:
         raise click.MissingParameter(ctx=context, param=context.command.params[0])
@@ -153,7 +163,9 @@ def _service(context: click.Context, wanted: str | None) -> int:
             say("it ends when you log out; for a computer that nobody logs in to, run once: loginctl enable-linger")
         for device in service.devices(arguments):
             if not system and not os.access(device, os.R_OK | os.W_OK):
-                say(f"{device} is not there, or may not be opened: join the group that owns it (often dialout) and restart")
+                say(
+                    f"{device} is not there, or may not be opened: join the group that owns it (often dialout) and restart"
+                )
     return 0
 
 

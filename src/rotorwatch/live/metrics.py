@@ -67,9 +67,7 @@ class Metrics:
         self._pictures: tuple[Picture, ...] = ()
         self._taken = 0.0
         try:
-            self._server, self._thread = prometheus.start_http_server(
-                port, host, registry
-            )
+            self._server, self._thread = prometheus.start_http_server(port, host, registry)
         except (OSError, UnicodeError) as why:
             reason = getattr(why, "strerror", None) or why
             raise ConfigError(

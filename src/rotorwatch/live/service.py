@@ -68,7 +68,9 @@ def service(name: str = "rotorwatch", system: bool = False) -> Service:
     if not NAME.fullmatch(name):
         raise ConfigError(f"--name {printable(name)}: use letters, digits, - and _ only, as in rotorwatch-2.")
     if system:
-        return Service(name, True, Path("/etc/systemd/system", f"{name}.service"), Path("/etc/rotorwatch", f"{name}.env"))
+        return Service(
+            name, True, Path("/etc/systemd/system", f"{name}.service"), Path("/etc/rotorwatch", f"{name}.env")
+        )
     home = Path(os.path.abspath(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config"))
     return Service(name, False, home / "systemd" / "user" / f"{name}.service", home / "rotorwatch" / f"{name}.env")
 
@@ -154,7 +156,9 @@ def environment(secrets: Mapping[str, str], before: str = "") -> str:
     lines = [MARKER]
     for name, value in secrets.items():
         if not VARIABLE.fullmatch(name) or not value.isprintable():
-            raise ConfigError(f"{printable(name)}: its value has a control character, which no file of variables can hold.")
+            raise ConfigError(
+                f"{printable(name)}: its value has a control character, which no file of variables can hold."
+            )
         lines.append(f'{name}="{ESCAPED.sub(BEFORE, value)}"')
     ours = {MARKER, WEBHOOK, *secrets}
     lines += [line for line in before.splitlines() if line.split("=", 1)[0].strip() not in ours and line != MARKER]
@@ -244,15 +248,21 @@ def lingers() -> bool:
 
 def _allowed(about: Service) -> None:
     if about.system and os.geteuid() != 0:
-        raise ConfigError(f"--system writes to {about.unit.parent}, which needs root: run it with sudo, or leave out --system.")
+        raise ConfigError(
+            f"--system writes to {about.unit.parent}, which needs root: run it with sudo, or leave out --system."
+        )
     if not about.system and os.geteuid() == 0 and os.environ.get("SUDO_USER"):
-        raise ConfigError("With sudo this would be a service of root: leave out sudo, or give --system for one of the computer.")
+        raise ConfigError(
+            "With sudo this would be a service of root: leave out sudo, or give --system for one of the computer."
+        )
 
 
 def _run(words: Sequence[str]) -> subprocess.CompletedProcess | None:
     """What a program answers; None where it does not."""
     try:
-        return subprocess.run(words, capture_output=True, text=True, errors="replace", timeout=WAIT_S, stdin=subprocess.DEVNULL)
+        return subprocess.run(
+            words, capture_output=True, text=True, errors="replace", timeout=WAIT_S, stdin=subprocess.DEVNULL
+        )
     except (OSError, subprocess.TimeoutExpired):
         return None
 
@@ -261,7 +271,9 @@ def _systemctl(about: Service, *words: str) -> tuple[bool, str]:
     """(whether it did it, what it says)."""
     program = shutil.which("systemctl")
     if program is None or sys.platform != "linux":
-        raise ConfigError("There is no systemd on this computer (no systemctl), which --service needs: start `rotorwatch watch` in another way.")
+        raise ConfigError(
+            "There is no systemd on this computer (no systemctl), which --service needs: start `rotorwatch watch` in another way."
+        )
     done = _run([program, *(() if about.system else ("--user",)), "--no-pager", *words])
     if done is None:
         return False, "systemctl does not answer"
@@ -281,7 +293,9 @@ def _version(about: Service) -> int:
     done, said = _systemctl(about, "show", "--property=Version")
     if not done:
         whose = "of the system" if about.system else "of this user"
-        raise ConfigError(f"The systemd {whose}, which --service needs, does not run or cannot be reached ({said.rstrip('.')}).")
+        raise ConfigError(
+            f"The systemd {whose}, which --service needs, does not run or cannot be reached ({said.rstrip('.')})."
+        )
     number = re.search(r"Version=(\d+)", said)
     return int(number[1]) if number else 0
 
@@ -305,7 +319,9 @@ def _ours(path: Path) -> bytes | None:
     except OSError as why:
         raise ConfigError(f"{path} cannot be read ({why.strerror or why}).") from None
     if text.split(b"\n", 1)[0].decode(errors="replace") != MARKER:
-        raise ConfigError(f"{path} was not written by rotorwatch and is left alone: choose another --name, or move it away.")
+        raise ConfigError(
+            f"{path} was not written by rotorwatch and is left alone: choose another --name, or move it away."
+        )
     return text
 
 
@@ -355,7 +371,11 @@ def _groups(arguments: Sequence[str]) -> list[str]:
     found = set()
     for device in devices(arguments):
         with suppress(OSError, KeyError):
-            found.add(grp.getgrgid(os.stat(device).st_gid).gr_name if os.path.exists(device) else grp.getgrnam("dialout").gr_name)
+            found.add(
+                grp.getgrgid(os.stat(device).st_gid).gr_name
+                if os.path.exists(device)
+                else grp.getgrnam("dialout").gr_name
+            )
     return sorted(found - {"root"})
 
 
@@ -368,7 +388,11 @@ def _lines(about: Service) -> tuple[tuple[str, ...], str]:
     """(the last lines of its log, why there are none)."""
     program = shutil.which("journalctl")
     which = "-u" if about.system else "--user-unit"
-    done = None if program is None else _run([program, which, about.unit.name, "-n", str(LINES), "-o", "short-iso", "--no-pager", "-q"])
+    done = (
+        None
+        if program is None
+        else _run([program, which, about.unit.name, "-n", str(LINES), "-o", "short-iso", "--no-pager", "-q"])
+    )
     if done is None or done.returncode:
         return (), "the log cannot be read (journalctl)"
     return tuple(printable(line) for line in done.stdout.splitlines()), ""
