@@ -1,4 +1,4 @@
-"""`module load rotorwatch` in MAVProxy: against a stand-in with MAVProxy's own interface (1.8.75), and against MAVProxy where it is installed."""
+"""`module load rotorwatch` in MAVProxy: against a stand-in with its interface (1.8.75), and against MAVProxy where it is installed."""
 
 import importlib.util
 import os

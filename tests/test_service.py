@@ -21,7 +21,9 @@ FAKE = """#!/bin/sh
 echo "$@" >> "$FAKE_LOG"
 case "$*" in
 *--property=Version*) echo "Version=${FAKE_VERSION:-252.38-1~deb12u1}" ;;
-*"show "*.service*) printf 'ActiveState=%s\\nSubState=running\\nUnitFileState=enabled\\nNRestarts=2\\nActiveEnterTimestamp=today\\n' "${FAKE_STATE:-active}" ;;
+*"show "*.service*)
+  printf 'ActiveState=%s\\nSubState=running\\nUnitFileState=enabled\\nNRestarts=2\\n' "${FAKE_STATE:-active}"
+  echo ActiveEnterTimestamp=today ;;
 esac
 case "$*" in *"${FAKE_FAILS:-nothing fails}"*) echo "Failed as it was told to." >&2; exit 1 ;; esac
 """
@@ -222,7 +224,7 @@ def test_what_fails_leaves_all_as_it_was(computer, monkeypatch, step, first):
 
 
 def test_a_folder_that_cannot_be_written_is_found_before(computer):
-    home, told = computer
+    home, _ = computer
     (home / "file").write_text("")
     with pytest.raises(ConfigError, match="--record"):
         service.install(["udp:14550"], writes=[home / "file"])
@@ -274,7 +276,7 @@ def test_options_of_a_service_without_one(computer, arguments):
 
 def test_a_service_of_the_system(computer, monkeypatch, tmp_path):
     """As root with sudo. Its folders are moved below the test's own."""
-    home, told = computer
+    _, told = computer
     made = service.service
 
     def moved(name="rotorwatch", system=False):

@@ -36,8 +36,8 @@ CRITICAL, WARNING = 2, 4
 
 @dataclass(frozen=True)
 class News:
-    """Something to be shown. key, label: of its marker on the map; place: (latitude, longitude) [deg], None where it is not known; gone: the
-    marker is to be taken away."""
+    """Something to be shown. key, label: of its marker on the map; place: (latitude, longitude) [deg], None where it is not
+    known; gone: the marker is to be taken away."""
 
     text: str
     severity: int

@@ -51,8 +51,8 @@ class Service:
 
 @dataclass(frozen=True)
 class State:
-    """How a service is. installed: its unit is there. running, enabled (starts by itself), state: as systemd says it; lines: the last of its
-    log. trouble: what could not be found out, a sentence."""
+    """How a service is. installed: its unit is there. running, enabled (starts by itself), state: as systemd says it; lines: the last
+    of its log. trouble: what could not be found out, a sentence."""
 
     service: Service
     installed: bool
@@ -196,13 +196,15 @@ def install(
 
 
 def planned(arguments: Sequence[str], about: Service, version: int = 0, folders: Sequence[Path] = ()) -> str:
-    """The unit that `install` writes. arguments: of `rotorwatch watch`; about: the service; version: of systemd; folders: that it writes into."""
+    """The unit that `install` writes. arguments: of `rotorwatch watch`; about: the service; version: of systemd; folders: that it
+    writes into."""
     user = _user() if about.system else ""
     return unit(["watch", *arguments], about, version, user, folders, _groups(arguments) if about.system else ())
 
 
 def remove(name: str = "rotorwatch", system: bool = False) -> bool:
-    """Stop a service and delete what `install` wrote; whether there was anything. name, system: as given to `install`. Raises ConfigError."""
+    """Stop a service and delete what `install` wrote; whether there was anything. name, system: as given to `install`. Raises
+    ConfigError."""
     about = service(name, system)
     there = [path for path in (about.unit, about.secrets) if _ours(path) is not None]
     _version(about)
@@ -228,7 +230,7 @@ def status(name: str = "rotorwatch", system: bool = False) -> State:
     _version(about)
     wanted = "ActiveState,SubState,UnitFileState,NRestarts,ActiveEnterTimestamp"
     answer = _asked(about, "show", about.unit.name, f"--property={wanted}")
-    found = dict(line.partition("=")[::2] for line in answer.splitlines() if "=" in line)
+    found: dict[str, str] = dict(line.split("=", 1) for line in answer.splitlines() if "=" in line)
     active, since = found.get("ActiveState", ""), found.get("ActiveEnterTimestamp", "")
     restarts = found.get("NRestarts", "0")
     state = f"{active} ({found.get('SubState', '')})" + (f" since {since}" if active == "active" and since else "")
@@ -272,7 +274,7 @@ def _systemctl(about: Service, *words: str) -> tuple[bool, str]:
     program = shutil.which("systemctl")
     if program is None or sys.platform != "linux":
         raise ConfigError(
-            "There is no systemd on this computer (no systemctl), which --service needs: start `rotorwatch watch` in another way."
+            "There is no systemd on this computer (no systemctl), which --service needs: start it in another way."
         )
     done = _run([program, *(() if about.system else ("--user",)), "--no-pager", *words])
     if done is None:
