@@ -171,7 +171,7 @@ def install(
 ) -> Service:  # fmt: skip
     """Write the unit, start it now and whenever the user logs in or the computer starts. What was installed under this name is replaced.
 
-    arguments: of `rotorwatch watch`, with absolute paths. name: of the service. system: of the computer, which needs root, not of this user.
+    arguments: of `rotorwatch watch`, with absolute paths. name: of the service. system: of the computer (needs root), not of this user.
     secrets: variable -> value, for a file that only its owner can read. writes: folders that it writes into.
     Raises ConfigError; then all is as it was.
     """
