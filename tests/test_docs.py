@@ -206,7 +206,8 @@ def test_everything_imported_is_declared():
         for node in ast.walk(ast.parse(path.read_text())):
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
             names += [node.module] if isinstance(node, ast.ImportFrom) and node.module and not node.level else []
-            assert {n.partition(".")[0] for n in names} <= known, path
+            host = {"MAVProxy"} if path.name == "mavproxy.py" else set()  # it is what calls that module
+            assert {n.partition(".")[0] for n in names} <= known | host, path
 
 
 def test_version_is_one():

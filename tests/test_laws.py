@@ -554,7 +554,6 @@ def test_on_linear_plants_the_innovations_are_what_they_are_said_to_be(name):
 
 
 # What is the Kalman filter on linear plants is so with steps of any length.
-@pytest.mark.thorough(keep=6)
 @pytest.mark.parametrize(
     "name",
     [

@@ -61,7 +61,12 @@ _HOMES = {
     "VehicleError": "errors",
 }
 # Modules that users know by a shorter name than that of their room.
-_SHORT = {"checks": "base.checks", "detectors": "published.detectors", "systems": "maths.systems"}
+_SHORT = {
+    "checks": "base.checks",
+    "detectors": "published.detectors",
+    "service": "live.service",
+    "systems": "maths.systems",
+}
 
 __all__ = ["__version__", "read", *_VERBS, *(n for n in _HOMES if n != "read")]
 
@@ -139,6 +144,8 @@ def __getattr__(name: str) -> Any:
     if name in _VERBS:
         setattr(sys.modules[__name__], name, import_module(f"{__name__}.{_VERBS[name]}"))
         return sys.modules[__name__].__dict__[name]
+    if name == "init":  # what MAVProxy calls: `module load rotorwatch`
+        return import_module(f"{__name__}.live.mavproxy").init
     if name in _SHORT:
         return import_module(f"{__name__}.{_SHORT[name]}")
     if not name.startswith("_") and find_spec(f"{__name__}.{name}") is not None:

@@ -88,7 +88,7 @@ class Ground:
     def _texts(self, link: Link, name: str, vehicle: _Vehicle, now: float) -> None:
         vehicle.texts = [t for t in vehicle.texts if t > now - 60.0]
         for number, alert in list(vehicle.waiting.items()):
-            if not _worth_sending(vehicle.sent.get(number), alert):
+            if not worth_sending(vehicle.sent.get(number), alert):
                 del vehicle.waiting[number]
         if not vehicle.waiting or len(vehicle.texts) >= A_MINUTE:
             return
@@ -96,12 +96,13 @@ class Ground:
             return
         number, alert = min(vehicle.waiting.items(), key=lambda item: (text_of(item[1])[1], item[0]))
         del vehicle.waiting[number]
-        vehicle.sent[number] = _gist(alert)
+        vehicle.sent[number] = gist(alert)
         vehicle.texts.append(now)
         link.broadcast(name, text(alert))
 
 
-def _gist(alert: dict) -> tuple:
+def gist(alert: dict) -> tuple:
+    """What of an alert is worth a text when it changes."""
     if alert["type"] == "notice":
         return (alert["text"],), (), False, False, ()
     event = alert["event"]
@@ -116,9 +117,9 @@ def _over(event: dict) -> bool:
     return event["kind"] != "contact" and event["end_s"] is not None and not event.get("impact_s")
 
 
-def _worth_sending(reported: tuple | None, alert: dict) -> bool:
+def worth_sending(reported: tuple | None, alert: dict) -> bool:
     """Whether it is worth a text: something new, or a loss that has moved by STEP since it was sent."""
-    new = _gist(alert)
+    new = gist(alert)
     if reported is None:
         return not new[3]  # taken back before it was said
     if reported[:4] != new[:4]:

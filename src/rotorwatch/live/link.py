@@ -360,12 +360,14 @@ class Link:
         sender = self._tellers.setdefault(system, Sender(system, requests.COMPONENT))
         self.endpoint.send(sender.frame(message, self._first_version))
 
-    def boot_ms(self, name: str) -> int:
-        """The vehicle's own time, as its messages tell it."""
+    def boot_ms(self, name: str, time_s: float | None = None) -> int:
+        """The vehicle's own time, as its messages tell it; time_s: that of its flight, None for now."""
         clock = next(
             (vehicle.messages.clock for vehicle in self._vehicles.values() if vehicle.watched.name == name), None
         )
-        return 0 if clock is None or clock.start is None else int(clock.start * 1e-3 + clock.now * 1e3) % 2**32
+        if clock is None or clock.start is None:
+            return 0
+        return int(clock.start * 1e-3 + (clock.now if time_s is None else time_s) * 1e3) % 2**32
 
     def _take(self, peer: Any, data: bytes) -> None:
         parser = self._parsers.get(peer)

@@ -47,23 +47,27 @@ def picture(watched: Watched, waits_for: str = "") -> Picture:
     return Picture(watched.name, state, rotors, events, ticks, health.taken, health.lost, health.last_frame)
 
 
+def address(where: str) -> tuple[str, int]:
+    """(host, port) of [HOST:]PORT. Raises ConfigError."""
+    host, _, port = where.rpartition(":")
+    if not port.isdigit() or int(port) > 65535:
+        raise ConfigError(f"--metrics {where}: give a port, or HOST:PORT, as in 9110 or 0.0.0.0:9110.")
+    return host.strip("[]") or "127.0.0.1", int(port)
+
+
 class Metrics:
     """A page of metrics at http://HOST:PORT/metrics."""
 
     def __init__(self, where: str):
         """where: [HOST:]PORT; without a host only this computer can read it. Raises ConfigError."""
-        host, _, port = where.rpartition(":")
-        if not port.isdigit() or int(port) > 65535:
-            raise ConfigError(f"--metrics {where}: give a port, or HOST:PORT, as in 9110 or 0.0.0.0:9110.")
+        host, port = address(where)
         prometheus = library("prometheus_client", "--metrics")
         registry = prometheus.CollectorRegistry()
         registry.register(self)
         self._pictures: tuple[Picture, ...] = ()
         self._taken = 0.0
         try:
-            self._server, self._thread = prometheus.start_http_server(
-                int(port), host.strip("[]") or "127.0.0.1", registry
-            )
+            self._server, self._thread = prometheus.start_http_server(port, host, registry)
         except (OSError, UnicodeError) as why:
             reason = getattr(why, "strerror", None) or why
             raise ConfigError(

@@ -25,7 +25,7 @@ AGAIN = (408, 425, 429)  # answers of the kind "you are wrong" that mean "later"
 LAST_S = 5.0  # at the end for what has not been sent
 
 
-def _checked(url: str) -> str:
+def checked(url: str) -> str:
     """Whom an address is of, with nothing that only its owner may know. Raises ConfigError for what is no address."""
     try:
         where = urllib.parse.urlsplit(url)
@@ -52,7 +52,7 @@ class Webhook:
 
     def __init__(self, url: str, notify: Callable[[str], None] = lambda text: None, pause_s: float = FIRST_S):
         """Raises ConfigError for what is no address."""
-        self.name = _checked(url)
+        self.name = checked(url)
         self._url, self._notify, self._pause_s = url, notify, pause_s
         self.sent = self.refused = self.dropped = 0
         self._queue: deque[bytes] = deque()
