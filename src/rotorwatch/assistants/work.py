@@ -194,7 +194,7 @@ def _survive(question: Question, more: dict) -> dict[str, Any]:
     name = file.name if isinstance(file, Allowed) else str(file)
     subject = _vehicle(file) or name
     for library in ("jax", "scipy"):
-        _ours(optional.library, library, "What a vehicle survives", "mcp,research")
+        _ours(optional.library, library, "What a vehicle survives")
     from rotorwatch.planning.survive import survive
 
     return answers.survival(survive(subject, **more), name)
