@@ -10,11 +10,10 @@ from pathlib import Path
 
 from rotorwatch.answer.wording import listed
 from rotorwatch.base import files
-from rotorwatch.fleet.assess import FELL
+from rotorwatch.fleet.assess import FELL, by_urgency
 from rotorwatch.fleet.store import Store
 
 WIDTH, HEIGHT, LEFT, TOP, BOTTOM = 860, 120, 46, 8, 20
-WORST = {"damaged": 0, "worn": 1, "suspect": 2}
 STYLE = """
 :root { color-scheme: light dark; --line: #8886; --bad: #c0392b; --doubt: #b7791f; --good: #2f7d4f; }
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; }
@@ -30,19 +29,13 @@ def write(store: Store, folder: str | Path) -> list[Path]:
     """Write FOLDER/index.html and FOLDER/aircraft-KEY.html; returns the paths, index first. Raises ConfigError when they cannot be
     written."""
     folder = files.folder(folder, "--out")
-    aircraft = sorted(store.aircraft(), key=_rank)
+    aircraft = by_urgency(store.aircraft())
     made = [_put(folder / "index.html", _index(aircraft))]
     services = store.services()
     for a in aircraft:
         own = [s for s in services if s["aircraft"] == a["key"]]
         made.append(_put(folder / _file(a), _aircraft(a, store.points(a["key"]), own)))
     return made
-
-
-def _rank(a: Mapping) -> tuple:
-    standing = a["standing"] or {}
-    worst = min((WORST.get(r["status"], 9) for r in standing.get("rotors", ())), default=9)
-    return worst, -(standing.get("worst") or 0.0), a["name"]
 
 
 def _file(a: Mapping) -> str:
