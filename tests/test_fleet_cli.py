@@ -116,7 +116,7 @@ def test_processes_make_the_same_store(folder, tmp_path):
         with Store(tmp_path / f"{jobs}.db") as store:
             told, others = add.add(store, [folder], jobs=jobs)
             fates.append(sorted((str(t.path), t.state, t.aircraft) for t in told))
-            kept.append([store.flight(row["hash"]) for row in store.flights(newest_first=False)])
+            kept.append([store.flight(row["hash"]) for row in store.flights("date")])
             assert others == 1
     assert [state for _, state, _ in fates[0]] == ["added", "added", "added", "failed", "known"]
     assert fates[0] == fates[1] and kept[0] == kept[1] and len(kept[0]) == 3
