@@ -126,11 +126,11 @@ def test_flights_are_filtered(listed, filters, wanted):
 @pytest.mark.parametrize(
     ("asked", "says"),
     [
-        ({"sort": "size"}, "sort size: choose of date, verdict, loss"),
-        ({"sort": "f.utc; DROP TABLE flights"}, "choose of"),
-        ({"sort": "--date"}, "choose of"),
-        ({"sort": ""}, "choose of"),
-        ({"verdict": "fault,broken"}, "verdict broken: choose of healthy"),
+        ({"sort": "size"}, "sort size: choose from date, verdict, loss"),
+        ({"sort": "f.utc; DROP TABLE flights"}, "choose from"),
+        ({"sort": "--date"}, "choose from"),
+        ({"sort": ""}, "choose from"),
+        ({"verdict": "fault,broken"}, "verdict broken: choose from healthy"),
         ({"since": "yesterday"}, "since yesterday: give a day"),
         ({"until": "9999-12-31"}, "until 9999-12-31: give a day"),
         ({"until": "2026-13-01"}, "give a day"),
@@ -138,7 +138,7 @@ def test_flights_are_filtered(listed, filters, wanted):
         ({"min_loss": "nan"}, "0.1 for 10 %"),
         ({"min_loss": -0.1}, "0.1 for 10 %"),
         ({"min_duration": "1 min"}, "seconds, such as 60"),
-        ({"verdict": "\x1b[2J" + "x" * 500}, "choose of"),
+        ({"verdict": "\x1b[2J" + "x" * 500}, "choose from"),
     ],
 )
 def test_what_cannot_be_asked_is_one_sentence(listed, asked, says):
