@@ -34,7 +34,8 @@ def fill(flights):
         told = answer.to_dict() if answer else {"schema": 1}
         flights.keep(Entry(
             hash, "", name, 1, identity="uid 1" if answer else "", called="Quad <7>", utc=utc, duration_s=duration, frame="hexa X",
-            rotors=6, verdict=told.get("verdict", "inconclusive"), headline=told.get("headline", ""), diagnosis=told, trim={"voltage": 12.0},
+            rotors=6, verdict=told.get("verdict", "inconclusive"), headline=told.get("headline", ""), diagnosis=told,
+            trim={"voltage": 12.0},
         ))  # fmt: skip
     flights.page(FAULT).write_text("<html><body>\nas it was written</body></html>")
 

@@ -6,7 +6,7 @@ do not overlap, or where one rotor is called healthy and the other is not.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -70,7 +70,7 @@ def compare(store: Store, a: str, b: str) -> Comparison:
     facts = tuple(Row(what, (of(0), of(1)), differs) for what, of, differs in _facts(flights, answers))
     rotors = tuple(_rotors(answers))
     events = tuple(tuple(_events(one, other)) for one, other in (answers, answers[::-1]))
-    return Comparison(flights, answers, facts, rotors, events, _headline([*facts, *rotors], events))  # type: ignore[arg-type]
+    return Comparison(flights, answers, facts, rotors, events, _headline(facts, rotors, events))  # type: ignore[arg-type]
 
 
 def _found(store: Store, hash: str) -> dict[str, Any]:
@@ -144,9 +144,8 @@ def _events(answer: Diagnosis, other: Diagnosis) -> Iterable[Moment]:
         yield Moment(text, float(e.onset_s), mark(e) not in known)
 
 
-def _headline(rows: Iterable[Row], events: Any) -> str:
-    unlike = [row.what for row in rows if row.differs]
-    unlike += ["events"] if any(event.alone for of in events for event in of) else []
-    if not unlike:
-        return "The answers agree within their intervals."
-    return f"They differ in {report.listed(unlike)}."
+def _headline(facts: Sequence[Row], rotors: Sequence[Row], events: Any) -> str:
+    """Where they differ, what matters most first."""
+    alone = Row("events", ("", ""), any(event.alone for of in events for event in of))
+    unlike = [row.what for row in (*facts[:1], *rotors, alone, *facts[1:]) if row.differs]
+    return f"They differ in {report.listed(unlike)}." if unlike else "The answers agree within their intervals."

@@ -145,7 +145,8 @@ class Guard:
         path = "/" if request.url.path == "/login" else request.url.path + (f"?{rest}" if rest else "")
         answer = RedirectResponse("/" + path.lstrip("/\\"), 303)
         secure = request.url.scheme == "https"
-        answer.set_cookie(_cookie(request), self._secret, httponly=True, samesite="strict", secure=secure)
+        # Lax, not strict: links from reports (in a sandbox, of no origin) and from mails lead in. No GET changes anything.
+        answer.set_cookie(_cookie(request), self._secret, httponly=True, samesite="lax", secure=secure)
         return answer
 
 
