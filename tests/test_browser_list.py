@@ -230,7 +230,7 @@ def test_a_report_is_downloaded(tab):
 
 
 @pytest.mark.thorough(keep=2)
-@pytest.mark.parametrize(("width", "scheme"), [(1400, "light"), (390, "dark"), (1400, "dark"), (390, "light")])
+@pytest.mark.parametrize(("width", "scheme"), [(1400, "light"), (1400, "dark"), (390, "light"), (390, "dark")])
 def test_nobody_is_locked_out(site, browser, width, scheme):  # noqa: F811
     """axe-core on the list, with a choice, with each dialog, and on the comparison; nothing is wider than the page."""
     few = f"{site.address}?since=2026-05-03T08:00"
