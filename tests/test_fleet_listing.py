@@ -308,7 +308,7 @@ def test_an_older_store_gets_losses(url, monkeypatch):
             store.add(one)
         wanted = plain(store)
         with store._database.writing() as db:
-            for index in ("loss", "duration", "gravity"):
+            for index in ("loss", "duration", "name", "gravity"):
                 db.run(f"DROP INDEX flights_by_{index}")
             for column in ("loss", "onset_s"):
                 db.run(f"ALTER TABLE flights DROP COLUMN {column}")

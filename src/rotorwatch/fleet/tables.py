@@ -85,6 +85,7 @@ SORTED = tuple(
     for name, by in (
         ("loss", flights.c.loss),
         ("duration", flights.c.duration_s),
+        ("name", sa.func.lower(flights.c.name)),
         ("gravity", sa.text(f"({summary.GRAVITY.format(verdict='verdict')})")),
     )
 )
