@@ -261,6 +261,22 @@ def test_a_killed_deletion_leaves_all_or_nothing(store, monkeypatch, when):
     assert store.has(FLIGHTS[0].hash)
 
 
+def test_another_process_that_tidies_up_meanwhile_brings_nothing_back(store, monkeypatch):
+    """A server starts on the same store after the report was set aside, before the rows are gone."""
+    hash, run = FLIGHTS[1].hash, Queries.run
+    put_report(store, hash)
+
+    def tidied(db, sql, **given):
+        if "DELETE FROM flights" in sql:
+            store.reports.settle()
+            assert left(store) == [f"{hash}.html"]
+        return run(db, sql, **given)
+
+    monkeypatch.setattr(Queries, "run", tidied)
+    store.delete(hash)
+    assert left(store) == [] and not store.has(hash)
+
+
 def test_a_report_that_was_made_again_is_kept(store):
     hash = FLIGHTS[1].hash
     put_report(store, hash, "new")
