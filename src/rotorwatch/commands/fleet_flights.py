@@ -86,7 +86,9 @@ def compare(store, a, b, as_json, quiet) -> None:
     if as_json:
         print_json(found.to_dict())
         return
-    rows = [(_marked(row.what, row.differs), *row.values) for row in (*found.facts, *found.rotors)]
+    rows: list[tuple[str, ...]] = [
+        (_marked(row.what, row.differs), *row.values) for row in (*found.facts, *found.rotors)
+    ]
     for k in range(max(map(len, found.events))):
         pair = [events[k] if k < len(events) else None for events in found.events]
         alone = any(event and event.alone for event in pair)

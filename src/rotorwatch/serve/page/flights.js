@@ -106,7 +106,7 @@ function row(f) {
   const loss = f.loss ? percent(f.loss) : "–", duration = `${(f.duration_s ?? 0).toFixed(0)} s`;
   const at = f.onset_s === null ? null : Math.round(100 * f.onset_s) / 100;
   const inName = make("span", { class: "unseen" }, ` in ${f.name}`);
-  const moment = at === null ? null : make("a", { href: `/flights/${f.hash}#t=${at}`, class: "moment" }, `see it at ${at.toFixed(1)} s`, inName);
+  const moment = at === null ? null : make("a", { href: `/flights/${f.hash}#t=${at}`, class: "moment" }, `see it at ${at.toFixed(2)} s`, inName);
   const box = make("input", { type: "checkbox", "aria-label": `Choose ${f.name}` });
   chosen.bind(box, f);
   const brief = [f.utc && `${began} UTC`, f.aircraft_name, f.loss ? `worst loss ${loss}` : null, duration].filter(Boolean);
