@@ -312,6 +312,21 @@ def test_deletions_and_lists_at_once(made):
     assert sorted(p.name for p in flights.folder("").glob("*.*")) == [f"{FAULT}.html"] and flights.rows(1)["total"] == 3
 
 
+def test_a_database_that_the_environment_names_is_served(server, tmp_path, monkeypatch):
+    """Its reports lie where a store of this user would; each is deleted with its flight."""
+    monkeypatch.setenv("ROTORWATCH_STORE", server.url())
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    flights = Flights()
+    fill(flights)
+    assert (
+        flights.page(FAULT) == tmp_path / "rotorwatch" / "fleet-pages" / f"{FAULT}.html"
+        and flights.page(FAULT).exists()
+    )
+    assert flights.delete(FAULT)["hash"] == FAULT and not flights.page(FAULT).exists()
+    assert [f["hash"] for f in flights.rows(10, sort="-loss")["flights"]] == [HEALTHY, OLD]
+    flights.close()
+
+
 # The way in
 
 

@@ -52,8 +52,12 @@ export function none() {
 
 /** Open the comparison, or say what is missing. */
 export function compare() {
+  show();
   if (chosen.size === 2) location.assign(get("compare").href);
-  else say(get("alarm"), `Choose two flights to compare them; ${chosen.size} chosen.`);
+  else {
+    get("chosen").hidden = false;
+    say(get("chosen-count"), `Choose two flights to compare them; ${chosen.size || "none"} chosen.`);
+  }
 }
 
 /** Ask whether flights are to be deleted: those that are chosen, or this one. */

@@ -6,7 +6,9 @@ import * as keys from "./keys.js";
 import * as uploads from "./uploads.js";
 
 const PAGE = 50, MOST = 200; // flights that are shown first; of one answer
+const SOON_MS = 50;
 let shown = 0;
+let soon = null;
 let queries = 0;
 
 const body = () => document.querySelector("#list tbody");
@@ -23,13 +25,17 @@ export function start() {
     });
   document.getElementById("more").addEventListener("click", () => load(shown, PAGE));
   about();
-  refresh();
+  load(0, PAGE);
+  names();
 }
 
-/** A flight is new or gone, here or in another tab. */
+/** A flight is new or gone, here or in another tab. Many at once are looked up once. */
 export function refresh() {
-  load(0, Math.max(shown, PAGE));
-  names();
+  soon ??= setTimeout(() => {
+    soon = null;
+    load(0, Math.max(shown, PAGE));
+    names();
+  }, SOON_MS);
 }
 
 /** A flight is gone. */
