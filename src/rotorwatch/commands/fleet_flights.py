@@ -113,6 +113,7 @@ def delete(store, flights, yes, quiet) -> None:
     """
     from rotorwatch.fleet import assess
 
+    store.reports.settle()  # a deletion that was killed is finished first
     found = {row["hash"]: row for row in (store.flight(one) or unknown(one) for one in flights)}
     if not yes:
         if not sys.stdin.isatty():
