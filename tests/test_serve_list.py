@@ -115,6 +115,7 @@ def test_a_row_says_how_much_and_when(read):
         ("verdicts=fault", 400, "verdicts is no filter; choose from search, verdict"),
         ("limit=1.5", 400, "whole number"),
         ("aircraft=nobody", 404, "knows no aircraft nobody"),
+        (f"aircraft=a%0Ab%1B%00{'x' * 500}", 404, "knows no aircraft a b"),
     ],
 )
 def test_what_cannot_be_asked_gets_a_code_and_a_sentence(read, ask, code, says):

@@ -103,7 +103,7 @@ def find(db: Any, aircraft: str) -> dict[str, Any]:
     names = [row["name"] for row in db.rows("SELECT name FROM aircraft")]
     near = difflib.get_close_matches(wanted, names, 3, 0.4)
     hint = f"; did you mean {' or '.join(near)}?" if near else "; `rotorwatch fleet list` names them."
-    raise NotInStore(f"The store knows no aircraft {wanted}{hint}")
+    raise NotInStore(f"The store knows no aircraft {_quoted(wanted)}{hint}")
 
 
 def moment(name: str, given: str) -> tuple[str, str]:
