@@ -1,4 +1,5 @@
-"""A client of a store that says on standard output what it has added; run as a program with the store's URL, and killed in tests."""
+"""A client of a store that says on standard output what it has added, or with `delete` as second argument deleted; run as a program with
+the store's URL, and killed in tests."""
 
 from __future__ import annotations
 
@@ -25,6 +26,13 @@ def fill(store: Store, say: bool = False) -> None:
             print(k, flush=True)
 
 
+def empty(store: Store) -> None:
+    """Delete all flights, the oldest first."""
+    for row in store.flights("date", limit=None):
+        store.delete(row["hash"])
+        print(row["name"], flush=True)
+
+
 if __name__ == "__main__":
     with Store(sys.argv[1]) as store:
-        fill(store, say=True)
+        empty(store) if sys.argv[2:] == ["delete"] else fill(store, say=True)

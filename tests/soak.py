@@ -168,7 +168,7 @@ def soak(minutes: float, folder: Path, count: int = 8, seed: int = 0, flight_s: 
     keeper.stop()
     found.frames = sum(v.frames for v in vehicles)
     found.flights = sum(v.flights for v in vehicles)
-    found.stored = flights.rows("", 1, 0)["total"]
+    found.stored = flights.rows(1)["total"]
     flights.close()
     health = [watched.health for watched in link.vehicles]
     found.reboots, found.jumps = sum(h.reboots for h in health), sum(h.jumps for h in health)

@@ -57,6 +57,38 @@ def test_killed_at_random_moments(urls):
     assert tables(killed) == tables(whole)
 
 
+@pytest.mark.skipif(os.name != "posix", reason="kills by signal")
+def test_a_deletion_killed_at_random_moments(urls, tmp_path, monkeypatch):
+    """Of every flight row and report are there, or neither is."""
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))  # where the reports of a database lie
+    url, chance = urls[0], random.Random(7)
+    with Store(url) as store:
+        fill(store)
+        store.reports.folder.mkdir(parents=True)
+        for row in store.flights(limit=None):
+            store.reports.path(row["hash"]).write_text("a report")
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    counts = [FLIGHTS]
+    for _ in range(KILLS):
+        command = [sys.executable, CLIENT, url, "delete"]
+        client = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE)
+        assert client.stdout is not None
+        for _ in range(chance.randint(3, 18)):
+            client.stdout.readline()
+        time.sleep(chance.uniform(0.0, 0.01))
+        client.send_signal(signal.SIGKILL)
+        client.wait()
+        client.stdout.close()
+        with Store(url) as store:
+            store.reports.settle()
+            rows = {row["hash"] for row in store.flights(limit=None)}
+            assert {path.name for path in store.reports.folder.iterdir()} == {f"{hash}.html" for hash in rows}
+            assert all(store.flight(hash) for hash in rows), "diagnosis and trim are there"
+            assert len(list(store.rows("diagnoses"))) == len(list(store.rows("trims"))) == len(rows)
+            counts.append(len(rows))
+    assert counts == sorted(counts, reverse=True) and 0 < counts[-1] < FLIGHTS
+
+
 def test_a_full_disk(tmp_path):
     url = str(tmp_path / "full.db")
     with Store(url) as store:

@@ -116,7 +116,7 @@ def test_processes_make_the_same_store(folder, tmp_path):
         with Store(tmp_path / f"{jobs}.db") as store:
             told, others = add.add(store, [folder], jobs=jobs)
             fates.append(sorted((str(t.path), t.state, t.aircraft) for t in told))
-            kept.append([store.flight(row["hash"]) for row in store.flights(newest_first=False)])
+            kept.append([store.flight(row["hash"]) for row in store.flights("date")])
             assert others == 1
     assert [state for _, state, _ in fates[0]] == ["added", "added", "added", "failed", "known"]
     assert fates[0] == fates[1] and kept[0] == kept[1] and len(kept[0]) == 3
@@ -263,3 +263,138 @@ def test_a_fleet_is_flown_and_scored(monkeypatch, tmp_path, run):
     assert found["auc"] > 0.95 and found["right"] == 1.0 and found["false"] == 0.0
     again = run("fleet", "simulate", "-o", tmp_path / "sim", "--aircraft", 10, "--flights", 30, "--json")
     assert again[:2] == (0, out)
+
+
+# Flights: filters, comparison, deletion
+
+
+@pytest.fixture
+def three(call, folder, quick):
+    """A store of three flights, one of which is ambiguous and of another aircraft; the start of their hashes by name."""
+    call("add", folder / "a.bin", folder / "b.bin", "--aircraft", "quad 7")
+    quick["verdict"] = "ambiguous"
+    call("add", folder / "below" / "c.bin", "--aircraft", "quad 8")
+    rows = json.loads(call("list", "--flights", "--json")[1])["flights"]
+    return {row["name"]: row["hash"][:10] for row in rows}
+
+
+def test_flights_are_filtered_and_sorted_as_in_the_page(call, three):
+    def names(*words):
+        code, out, err = call("list", "--json", *words)
+        assert code == 0, err
+        found = json.loads(out)
+        return found["total"], [row["name"] for row in found["flights"]]
+
+    assert names("--verdict", "ambiguous,fault") == (1, ["c.bin"])
+    assert names("--aircraft", "quad 7", "--sort", "name") == (2, ["a.bin", "b.bin"])
+    assert names("--sort", "-verdict", "--limit", 1) == (3, ["c.bin"])
+    assert names("--sort", "name", "--limit", 1, "--offset", 1) == (3, ["b.bin"])
+    assert names("--min-loss", 0.5) == (0, []) and names("--min-duration", 1)[0] == 3
+    assert names("--since", "2000-01-01")[0] == 3 and names("--until", "2000-01-01")[0] == 0
+    _, out, _ = call("list", "--verdict", "ambiguous")
+    assert "1 of 1 flights" in out and "c.bin" in out and "duration" in out
+    for words, says in (
+        (("--sort", "size"), "sort size: choose from date"),
+        (("--verdict", "bad"), "choose from healthy"),
+        (("--since", "May"), "give a day"),
+        (("--min-loss", 10), "0.1 for 10 %"),
+        (("--aircraft", "quad 9"), "did you mean"),
+    ):
+        code, out, err = call("list", *words)
+        assert code == 2 and not out and says in err and len(err.strip().splitlines()) == 1
+
+
+def test_filters_have_the_same_names_everywhere():
+    from dataclasses import fields
+
+    from rotorwatch.commands.fleet_flights import list_
+    from rotorwatch.fleet.listing import NEWEST, ORDERS, Filters
+
+    page = Path(rotorwatch.__file__).parent / "serve" / "page"
+    names = [field.name for field in fields(Filters)]
+    options = {option.name: option for option in list_.params}
+    assert set(names) < set(options) and options["sort"].default == NEWEST
+    assert all(order in options["sort"].help for order in ORDERS)
+    said = (page / "address.js").read_text("utf-8").split("NAMES = ")[1].split(";")[0]
+    assert json.loads(said) == [*names, "sort"]
+    form = (page / "index.html").read_text("utf-8").split('id="sort"')[1].split("</select>")[0]
+    assert {text.split('"')[0] for text in form.split('value="')[1:]} == {
+        way + name for name in ORDERS for way in ("", "-")
+    }
+
+
+def test_two_flights_are_compared(call, three):
+    code, out, _ = call("compare", three["a.bin"], three["c.bin"], "--json")
+    found = json.loads(out)
+    assert code == 0 and found["headline"] == "They differ in verdict and aircraft."
+    assert [flight["name"] for flight in found["flights"]] == ["a.bin", "c.bin"] and len(found["rotors"]) == 6
+    code, out, _ = call("compare", three["a.bin"], three["c.bin"])
+    assert code == 0 and out.startswith(found["headline"]) and "! aircraft" in out and "quad 8" in out
+    code, out, _ = call("compare", three["a.bin"], three["b.bin"])
+    assert code == 0 and out.startswith("The answers agree within their intervals.") and "!" not in out
+    for words, says in (
+        (("a.bin", three["a.bin"]), "no flight with such a hash"),
+        ((three["a.bin"],) * 2, "two different"),
+    ):
+        code, out, err = call("compare", *words)
+        assert code == 2 and not out and says in err
+
+
+def test_flights_are_deleted_and_added_again(call, three, folder, tmp_path):
+    report = tmp_path / "fleet-pages" / "none.html"
+    with Store(tmp_path / "fleet.db") as store:
+        hash = store.flight(three["c.bin"])["hash"]
+        report = store.reports.path(hash)
+        report.parent.mkdir()
+        report.write_text("a report")
+    code, out, err = call("delete", three["c.bin"])
+    assert code == 2 and "--yes" in err and not out, "nobody can be asked here"
+    code, out, err = call("delete", three["c.bin"], "0123456789", "--yes")
+    assert code == 2 and "0123456789: the store holds no flight" in err and report.exists(), "all or none"
+    code, out, err = call("delete", three["c.bin"], three["c.bin"], "--yes")
+    assert (
+        code == 0
+        and out == f"deleted {hash[:8]}  c.bin\n"
+        and not report.exists()
+        and not list(report.parent.iterdir())
+    )
+    (only,) = json.loads(call("list", "--json")[1])["aircraft"]
+    assert only["name"] == "quad 7" and not only["stale"], "standings are worked out anew"
+    assert call("delete", three["c.bin"], "--yes")[0] == 2
+    assert (folder / "below" / "c.bin").exists(), "logs are not touched"
+    code, _, err = call("add", folder)
+    assert code == 0 and "1 added, 2 known already" in err
+
+
+def test_deletion_asks_first(three, monkeypatch, tmp_path):
+    from click.testing import CliRunner
+
+    from rotorwatch.commands import fleet_flights
+
+    class Terminal:
+        def isatty(self):
+            return True
+
+    monkeypatch.setattr(fleet_flights, "sys", type("Sys", (), {"stdin": Terminal()}))
+    words = ["delete", three["a.bin"], "--store", str(tmp_path / "fleet.db")]
+    no = CliRunner().invoke(fleet_flights.fleet, words, input="n\n")
+    assert no.exit_code == 1 and "Delete this flight for good?" in no.output and "a.bin" in no.output
+    with Store(tmp_path / "fleet.db") as store:
+        assert store.count() == 3
+    assert CliRunner().invoke(fleet_flights.fleet, words, input="y\n").exit_code == 0
+    with Store(tmp_path / "fleet.db") as store:
+        assert store.count() == 2
+
+
+def test_a_flight_that_is_deleted_while_all_are_judged_again(three, monkeypatch, tmp_path):
+    judge_again = Store.judge_again
+
+    def deleted_first(store, entry):
+        if entry.name == "b.bin":
+            store.delete(entry.hash)
+        judge_again(store, entry)
+
+    monkeypatch.setattr(Store, "judge_again", deleted_first)
+    with Store(tmp_path / "fleet.db") as store:
+        count, _ = add.rejudge(store, every=True, jobs=1)
+        assert count == 2 and store.count() == 2

@@ -48,6 +48,10 @@ class StoreError(RotorwatchError):
     """The store of a fleet cannot be opened, read or written, or lacks the wanted entry."""
 
 
+class NotInStore(StoreError):
+    """The store lacks the wanted entry."""
+
+
 class StoreFull(StoreError):
     """The disk of a store has no room."""
 

@@ -26,7 +26,7 @@ from rotorwatch.commands import (
     benchmark,
     campaign,
     export,
-    fleet,
+    fleet_flights,
     mcp,
     research,
     serve,
@@ -490,7 +490,8 @@ def _read(path: Any, report: Callable | None) -> Any:
 for module in (research, simulate, campaign, benchmark):
     module.register(cli)
 for command in (
-    ask.ask, ask.ask_flights, tune.tune, tune.compare, export.export_c, survive.survive, watch.watch, fleet.fleet, serve.serve, mcp.mcp,
+    ask.ask, ask.ask_flights, tune.tune, tune.compare, export.export_c, survive.survive, watch.watch, fleet_flights.fleet, serve.serve,
+    mcp.mcp,
 ):  # fmt: skip
     cli.add_command(command)
 

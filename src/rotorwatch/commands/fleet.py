@@ -5,8 +5,8 @@ from __future__ import annotations
 import functools
 import re
 from collections.abc import Callable
-from datetime import datetime, timezone
 from pathlib import Path
+from typing import NoReturn
 
 import click
 
@@ -111,47 +111,6 @@ def _print_outcome(outcome) -> None:
         click.echo(f"{outcome.verdict:<13}{outcome.aircraft or '(no aircraft)'}  {name}  {outcome.text}")
 
 
-@fleet.command("list", short_help="All aircraft, those that need attention first.")
-@flag("--flights", "Flights instead of aircraft, the newest first.")
-@option("--search", "Of flights: words that name, verdict, headline or aircraft hold.", "", metavar="WORDS")
-@option("--aircraft", "Of flights: only of this aircraft.", metavar="NAME")
-@option("--limit", "Of flights: how many.", 50, type=click.IntRange(1))
-@STORE
-@JSON
-@common
-def list_(store, flights, search, aircraft, limit, as_json, quiet) -> None:
-    """List the aircraft of the store, those first whose rotors need attention; or its flights."""
-    from rotorwatch.fleet import assess
-
-    if flights or search or aircraft:
-        rows = store.flights(search=search, aircraft=aircraft, limit=limit)
-        total = store.count(search=search, aircraft=aircraft)
-        if as_json:
-            print_json({"total": total, "flights": rows})
-            return
-        cells = []
-        for r in rows:
-            found = f"{label(r['name'])}: {r['headline']}"
-            cells.append((r["hash"][:8], r["aircraft_name"] or "-", _day(r["utc"]), r["verdict"], found))
-        _table(f"{len(rows)} of {total} flights", ("flight", "aircraft", "time", "verdict", "what was found"), cells)
-        return
-    found = assess.by_urgency(store.aircraft())
-    nobody = store.count() - sum(a["flights"] for a in found)
-    if as_json:
-        print_json({"aircraft": found, "flights_of_no_aircraft": nobody})
-        return
-    rows = []
-    for a in found:
-        headline = a["standing"]["headline"] if a["standing"] else "not worked out yet"
-        rows.append((a["name"], str(a["flights"]), f"{a['airborne_s'] / 3600:.1f}", _day(a["last"]), headline))
-    head = ("aircraft", "flights", "hours", "last flight", "how its rotors stand")
-    _table(f"{len(found)} aircraft", head, rows, right=(1, 2))
-    if nobody and not quiet:
-        say(f"{nobody} flights name no aircraft: add such logs with --aircraft NAME.")
-    if any(a["stale"] for a in found) and not quiet:
-        say("The store has changed since this was worked out; `rotorwatch fleet assess` does it again.")
-
-
 @fleet.command("show", short_help="One aircraft: every rotor, what changed and when.")
 @click.argument("aircraft")
 @STORE
@@ -177,7 +136,7 @@ def show_(store, aircraft, as_json, quiet) -> None:
     for r in assessment["rotors"]:
         loss, low, high = (f"{100 * v:.1f}" for v in (r["loss"], *r["interval"]))
         rows.append((str(r["rotor"]), r["status"], f"{loss} %", f"{low} to {high} %", _outlook(r["prognosis"])))
-    _table("", ("rotor", "state", "lost", "95 %", "outlook"), rows, right=(0, 2, 3))
+    table("", ("rotor", "state", "lost", "95 %", "outlook"), rows, right=(0, 2, 3))
     for c in assessment["changes"]:
         click.echo(_change_text(c))
     for s in assessment["services"]:
@@ -197,7 +156,7 @@ def show_(store, aircraft, as_json, quiet) -> None:
 def _change_text(c: dict) -> str:
     first, last = c["between"]
     when = f"flight {c['flight']}" + (f" ({first} to {last})" if first != last else "")
-    when += f", {_day(c['utc'])}" if c["utc"] else ""
+    when += f", {day(c['utc'])}" if c["utc"] else ""
     if c["from_the_first"]:
         when = "the first flight"
     if c["kind"] == "centre of mass":
@@ -219,7 +178,8 @@ def _outlook(p: dict | None) -> str:
     return f"{100 * p['limit']:.0f} % in {p['hours_left']:.1f} h ({until}), about {p['flights_left']} flights"
 
 
-def _day(utc: str | None) -> str:
+def day(utc: str | None) -> str:
+    """A time of the store, in minutes."""
     return utc[:16].replace("T", " ") if utc else "-"
 
 
@@ -237,35 +197,28 @@ def _day(utc: str | None) -> str:
 @common
 def service(store, aircraft, what, rotor, at, after, quiet) -> None:
     """Note that WHAT ("new propeller") was done to AIRCRAFT: the rotor's history begins anew there."""
-    from rotorwatch.fleet import assess
+    from rotorwatch.fleet import assess, listing
 
     if at and after:
         raise ConfigError("Give --at or --after, not both.")
-    utc = _time(at) if at else ""
+    utc = listing.moment("--at", at)[0] if at else ""
     number = None
     if after:
-        flight = store.flight(after)
-        if flight is None:
-            raise ConfigError(
-                f"--after {after}: the store holds no flight, or several, with such a hash; `rotorwatch fleet list --flights`."
-            )
+        flight = store.flight(after) or unknown(after)
         number = flight["ordinal"]
     row = store.service(aircraft, rotor or 0, what, utc, number)
     assess.refresh(store)
     name = store.find(row["aircraft"])["name"]
     who = f"rotor {rotor}" if rotor else "all rotors"
-    when = _day(utc) if utc else f"after flight {after}" if after else "after the last flight in the store"
+    when = day(utc) if utc else f"after flight {after}" if after else "after the last flight in the store"
     click.echo(f"{name}: {who}, {what}, {when}")
 
 
-def _time(text: str) -> str:
-    """A time as the store keeps it. Raises ConfigError."""
-    try:
-        moment = datetime.fromisoformat(text.replace("Z", "+00:00"))
-    except ValueError:
-        raise ConfigError(f"--at {text}: give a day or time such as 2026-05-01 or 2026-05-01T14:30.") from None
-    moment = moment.replace(tzinfo=timezone.utc) if moment.tzinfo is None else moment.astimezone(timezone.utc)
-    return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+def unknown(hash: str) -> NoReturn:
+    """Raises ConfigError for the hash of no flight."""
+    raise ConfigError(
+        f"{label(hash)}: the store holds no flight, or several, with such a hash; `rotorwatch fleet list --flights`."
+    )
 
 
 @fleet.command(short_help="Give an aircraft another name.")
@@ -387,9 +340,15 @@ def simulate(out, aircraft, flights, seed, logs, url, as_json, quiet) -> None:
             )
 
 
-def _table(title: str, head: tuple[str, ...], rows: list[tuple[str, ...]], right: tuple[int, ...] = ()) -> None:
-    """A table that fits the terminal: the last column is wrapped."""
+def table(
+    title: str,
+    head: tuple[str, ...],
+    rows: list[tuple[str, ...]],
+    right: tuple[int, ...] = (),
+    wide: tuple[int, ...] = (-1,),
+) -> None:
+    """A table that fits the terminal. right: columns of numbers; wide: columns that are wrapped."""
     from rich.text import Text
 
     clean = [[Text(re.sub(r"[\x00-\x1f\x7f]", " ", str(cell))) for cell in row] for row in rows]
-    show(lambda terminal: terminal.Fitted(title, head, clean, right, (len(head) - 1,)))
+    show(lambda terminal: terminal.Fitted(title, head, clean, right, wide))

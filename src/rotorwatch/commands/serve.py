@@ -17,6 +17,7 @@ from rotorwatch.commands.tools import RECORD, SPEED, WATCHED, common, flag, opti
 @option("--max-seconds", "Longest time for judging a log.", 120.0, metavar="S")
 @option("--max-memory", "Most memory for judging a log.", 4000, metavar="MB")
 @option("--jobs", "Logs judged at once.", 1, type=click.IntRange(1, 64))
+@flag("--allow-delete", "Who may open the page may delete flights.")
 @SPEED
 @WATCHED
 @RECORD

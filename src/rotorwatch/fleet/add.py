@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rotorwatch import __version__, many
-from rotorwatch.errors import LogError, RotorwatchError, StoreError
+from rotorwatch.errors import LogError, NotInStore, RotorwatchError, StoreError
 from rotorwatch.fleet import assess, judge
 from rotorwatch.fleet.store import Entry, Store
 from rotorwatch.flight.vehicle import Vehicle
@@ -196,7 +196,7 @@ def rejudge(
 ) -> tuple[int, list[Change]]:
     """Judge flights again that another version of rotorwatch has judged; every: all of them. Returns how many were, and what changed; a
     log that is gone or has another content keeps its judgement, and is among them. jobs, scheduler: as for `add`."""
-    rows = store.flights(aircraft=aircraft, limit=None, newest_first=False)
+    rows = store.flights("date", limit=None, aircraft=aircraft)
     rows = [r for r in rows if every or r["version"] != __version__]
     if jobs is None and scheduler is None:
         jobs = many.useful_jobs(len(rows))
@@ -207,7 +207,10 @@ def rejudge(
         _expected(done.error)
         before = after = row["verdict"], row["headline"]
         if done.error is None:
-            store.judge_again(done.value)
+            try:
+                store.judge_again(done.value)
+            except NotInStore:  # deleted meanwhile
+                continue
             count += 1
             after = done.value.verdict, done.value.headline
         if done.error is not None or after != before:

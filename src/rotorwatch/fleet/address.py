@@ -13,9 +13,12 @@ from rotorwatch.errors import ConfigError
 
 
 def default_url() -> str:
-    """ROTORWATCH_STORE, or a SQLite file in the user's folder of data, where the platform wants such."""
-    if given := os.environ.get("ROTORWATCH_STORE"):
-        return given
+    """ROTORWATCH_STORE, or `data_file`."""
+    return os.environ.get("ROTORWATCH_STORE") or str(data_file())
+
+
+def data_file() -> Path:
+    """A SQLite file in the user's folder of data, where the platform wants such."""
     home = Path.home()
     if sys.platform == "win32":
         folder = Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local")
@@ -23,7 +26,7 @@ def default_url() -> str:
         folder = home / "Library" / "Application Support"
     else:
         folder = Path(os.environ.get("XDG_DATA_HOME") or home / ".local" / "share")
-    return str(folder / "rotorwatch" / "fleet.db")
+    return folder / "rotorwatch" / "fleet.db"
 
 
 def resolve(url: str | os.PathLike | None) -> tuple[str, str]:

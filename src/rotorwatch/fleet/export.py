@@ -15,7 +15,7 @@ COLUMNS = {
     "flights": (
         "hash name path aircraft aircraft_name identity utc autopilot firmware frame build verdict headline version",
         "ordinal size clock_us count rotors",
-        "duration_s airborne_s",
+        "duration_s airborne_s loss onset_s",
     ),
     "aircraft": ("key name frame build firmware first last headline", "flights rotors", "airborne_s worst"),
     "rotors": (
@@ -48,7 +48,7 @@ def export(store: Store, folder: str | Path) -> list[Path]:
 def _parts(store: Store, table: str, aircraft: list[dict]):
     if table == "flights":
         for start in range(0, store.count(), PART):
-            yield store.flights(limit=PART, offset=start, newest_first=False)
+            yield store.flights("date", PART, start)
     elif table == "aircraft":
         yield [a | {k: (a["standing"] or {}).get(k) for k in ("headline", "worst")} for a in aircraft]
     elif table == "services":

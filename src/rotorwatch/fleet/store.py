@@ -9,15 +9,20 @@ import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from rotorwatch.base import optional
-from rotorwatch.errors import ConfigError, StoreError
+from rotorwatch.errors import ConfigError, NotInStore, StoreError
+from rotorwatch.fleet import listing, summary
+from rotorwatch.fleet.address import data_file
+from rotorwatch.fleet.reports import Reports
 
 SHOWN = (
     "hash", "ordinal", "path", "name", "size", "aircraft", "identity", "utc", "clock_us", "count", "duration_s",
-    "airborne_s", "autopilot", "firmware", "frame", "rotors", "build", "verdict", "headline", "version",
+    "airborne_s", "autopilot", "firmware", "frame", "rotors", "build", "verdict", "headline", "version", "loss", "onset_s",
 )  # fmt: skip
+NOT_OF_ENTRY = ("ordinal", "aircraft", "loss", "onset_s")
 COLUMNS = ", ".join(f"f.{name}" for name in SHOWN) + ", a.name AS aircraft_name"
 FLIGHTS = "FROM flights f LEFT JOIN aircraft a ON a.key = f.aircraft"
 # Frame, rotors, build and firmware are those of the flight that was added last.
@@ -34,9 +39,16 @@ LEFT JOIN flights f ON f.ordinal = s.latest
 LEFT JOIN standings t ON t.aircraft = a.key
 ORDER BY a.ordinal
 """
+# Whether an aircraft has flights, or people have said something of it.
+NEEDED = """SELECT 1 WHERE EXISTS (SELECT 1 FROM flights WHERE aircraft = :key)
+    OR EXISTS (SELECT 1 FROM services WHERE aircraft = :key)
+    OR (SELECT count(*) FROM identities WHERE aircraft = :key) > 1"""
 FIELDS = (  # of an aircraft
     "key name identities flights first last airborne_s frame rotors build firmware verdicts standing stale".split()
 )
+# Where flights were deleted, no new one gets a number that a service has seen.
+LAST = """SELECT max(last) FROM (SELECT coalesce(max(ordinal), 0) AS last FROM flights
+    UNION ALL SELECT coalesce(max(after), 0) FROM services) numbers"""
 ALL = 1 << 62  # rows: more than there can be
 
 
@@ -84,6 +96,7 @@ class Store:
         self._t = tables
         self._database = Database(url, make)
         self.url, self.label = self._database.url, self._database.label
+        self.reports = Reports(Path(self.label) if self.url.startswith("sqlite") else data_file(), self.has)
         with self._database.writing() as db:
             tables.upgrade(db.connection)
 
@@ -116,8 +129,8 @@ class Store:
         with self._database.writing() as db:
             if db.value("SELECT hash FROM flights WHERE hash = :hash", hash=entry.hash):
                 return False
-            last = db.value("SELECT max(ordinal) FROM flights") or 0
-            key = _aircraft_of(db, _text(entry.identity), entry.called)
+            last = db.value(LAST)
+            key = _aircraft_of(db, listing.text(entry.identity), entry.called)
             db.insert("flights", ordinal=last + 1, aircraft=key, **_row(entry))
             db.insert("diagnoses", hash=entry.hash, diagnosis=_json(entry.diagnosis))
             db.insert("trims", hash=entry.hash, trim=_json(entry.trim))
@@ -129,18 +142,35 @@ class Store:
         columns = ", ".join(f"{name} = :{name}" for name in row)
         with self._database.writing() as db:
             if not db.run(f"UPDATE flights SET {columns} WHERE hash = :hash", hash=entry.hash, **row):
-                raise StoreError(f"The store holds no flight {entry.hash[:12]}.")
+                raise NotInStore(f"The store holds no flight {entry.hash[:12]}.")
             for table, column, value in (("diagnoses", "diagnosis", entry.diagnosis), ("trims", "trim", entry.trim)):
                 db.run(f"UPDATE {table} SET {column} = :text WHERE hash = :hash", text=_json(value), hash=entry.hash)
             db.run("UPDATE standings SET seen = -1")
 
+    def delete(self, hash: str) -> dict:
+        """Remove a flight with its report, and its aircraft where that has no other flight, no service and one identity; returns the row.
+        hash: as for `flight`. Raises NotInStore when there is none, or several."""
+        found = self.flight(hash)
+        if found is None:
+            raise NotInStore(f"The store holds no flight {listing.text(hash)[:64]}, or several that begin so.")
+        with self.reports.removed(found["hash"]), self._database.writing() as db:
+            for table in ("diagnoses", "trims", "flights"):
+                gone = db.run(f"DELETE FROM {table} WHERE hash = :hash", hash=found["hash"])
+            if not gone:
+                raise NotInStore(f"The store holds no flight {found['hash'][:12]} any more.")
+            db.run("UPDATE standings SET seen = -1")
+            if found["aircraft"] and not db.value(NEEDED, key=found["aircraft"]):
+                for table, column in (("standings", "aircraft"), ("identities", "aircraft"), ("aircraft", "key")):
+                    db.run(f"DELETE FROM {table} WHERE {column} = :key", key=found["aircraft"])
+        return {name: found[name] for name in (*SHOWN, "aircraft_name")}
+
     def rename(self, aircraft: str, name: str) -> None:
         """Give an aircraft another name. Raises StoreError when it is not known or the name is another's."""
-        name = _text(name).strip()
+        name = listing.text(name).strip()
         if not name:
             raise ConfigError("An aircraft needs a name that is not empty.")
         with self._database.writing() as db:
-            key = _find(db, aircraft)["key"]
+            key = listing.find(db, aircraft)["key"]
             if db.value("SELECT key FROM aircraft WHERE name = :name AND key <> :key", name=name, key=key):
                 raise StoreError(f"Another aircraft is called {name} already; choose another name.")
             db.run("UPDATE aircraft SET name = :name WHERE key = :key", name=name, key=key)
@@ -149,7 +179,7 @@ class Store:
         """Note maintenance: rotor 1-based, 0 the whole aircraft. utc: when, ISO 8601; after: the number (`ordinal`) of the last flight
         before it. Without both: after the last flight in the store. Returns the row."""
         with self._database.writing() as db:
-            found = _find(db, aircraft)
+            found = listing.find(db, aircraft)
             rotors = db.value("SELECT max(rotors) FROM flights WHERE aircraft = :key", key=found["key"]) or 0
             if not 0 <= rotor <= rotors:
                 raise ConfigError(f"{found['name']} has rotors 1 to {rotors}, no rotor {rotor}.")
@@ -158,7 +188,7 @@ class Store:
                 "aircraft": found["key"],
                 "number": _services_of(db, found["key"]) + 1,
                 "rotor": int(rotor),
-                "what": _text(what),
+                "what": listing.text(what),
                 "utc": utc,
                 "after": int(last if after is None else after),
             }
@@ -168,7 +198,7 @@ class Store:
     def merge(self, aircraft: str, other: str) -> None:
         """Make two aircraft one: what was of `other` is of `aircraft` from now on (an autopilot was exchanged, say)."""
         with self._database.writing() as db:
-            keys = {"into": _find(db, aircraft)["key"], "old": _find(db, other)["key"]}
+            keys = {"into": listing.find(db, aircraft)["key"], "old": listing.find(db, other)["key"]}
             if keys["into"] == keys["old"]:
                 raise ConfigError(f"{aircraft} and {other} are one aircraft already.")
             last = _services_of(db, keys["into"])
@@ -191,26 +221,23 @@ class Store:
     # Reading
 
     def flights(
-        self,
-        search: str = "",
-        aircraft: str | None = None,
-        limit: int | None = 100,
-        offset: int = 0,
-        newest_first: bool = True,
+        self, sort: str = listing.NEWEST, limit: int | None = 100, offset: int = 0, **filters: Any
     ) -> list[dict]:
-        """Flights, the newest first (those without a time last): the columns of SHOWN and `aircraft_name`. search: words that must all be
-        found in name, path, headline, verdict, frame, firmware or the aircraft's name. aircraft: its key or name."""
-        order = "f.utc DESC, f.ordinal DESC" if newest_first else "f.utc, f.ordinal"
+        """Flights: the columns of SHOWN and `aircraft_name`. filters: those of `listing.Filters`; sort: as for `listing.order`, by default
+        the newest first (those without a time last). Raises ConfigError, and NotInStore for an aircraft that is not known."""
+        ordered = listing.order(sort)
         part = {"most": ALL if limit is None else int(limit), "first": int(offset)}
         with self._database.reading() as db:
-            where, given = _where(db, search, aircraft)
-            ask = f"SELECT {COLUMNS} {FLIGHTS} WHERE {where} ORDER BY {order} LIMIT :most OFFSET :first"
+            where, given = listing.condition(db, listing.Filters(**filters))
+            # Databases sort numbers of flights some times as fast as whole rows.
+            page = f"SELECT f.ordinal {FLIGHTS} WHERE {where} ORDER BY {ordered} LIMIT :most OFFSET :first"
+            ask = f"SELECT {COLUMNS} {FLIGHTS} WHERE f.ordinal IN ({page}) ORDER BY {ordered}"
             return [_plain(row) for row in db.rows(ask, **given, **part)]
 
-    def count(self, search: str = "", aircraft: str | None = None) -> int:
+    def count(self, **filters: Any) -> int:
         """How many flights `flights` would find."""
         with self._database.reading() as db:
-            where, given = _where(db, search, aircraft)
+            where, given = listing.condition(db, listing.Filters(**filters))
             return int(db.value(f"SELECT count(*) {FLIGHTS} WHERE {where}", **given))
 
     def flight(self, hash: str) -> dict | None:
@@ -257,12 +284,19 @@ class Store:
     def find(self, aircraft: str) -> dict:
         """key and name of an aircraft by key, name or identity. Raises StoreError with the names that come near."""
         with self._database.reading() as db:
-            return _find(db, aircraft)
+            return listing.find(db, aircraft)
+
+    def aircraft_names(self) -> list[dict]:
+        """Every aircraft, in the order of the names: key, name and how many flights. Quicker than `aircraft`, for lists to choose from."""
+        ask = """SELECT a.key, a.name, count(f.aircraft) AS flights FROM aircraft a LEFT JOIN flights f ON f.aircraft = a.key
+            GROUP BY a.key, a.name ORDER BY lower(a.name), a.name"""
+        with self._database.reading() as db:
+            return [dict(row) for row in db.rows(ask)]
 
     def services(self, aircraft: str | None = None) -> list[dict]:
         """Maintenance in the order in which it was noted: aircraft (key), number, rotor (0: all), what, utc or None, after."""
         with self._database.reading() as db:
-            where, given = _of(db, aircraft)
+            where, given = listing.of_aircraft(db, aircraft)
             return [
                 _plain(r) for r in db.rows(f"SELECT * FROM services f WHERE {where} ORDER BY aircraft, number", **given)
             ]
@@ -271,7 +305,7 @@ class Store:
         """Every flight of an aircraft that is known, in the order in which they were added, with `trim`: what histories are made of."""
         columns = "f.hash, f.ordinal, f.aircraft, f.utc, f.clock_us, f.count, f.airborne_s, f.rotors, f.frame, f.build, f.verdict, f.name"
         with self._database.reading() as db:
-            where, given = _of(db, aircraft)
+            where, given = listing.of_aircraft(db, aircraft)
             ask = f"""SELECT {columns}, t.trim FROM flights f JOIN trims t ON t.hash = f.hash
                 WHERE f.aircraft IS NOT NULL AND {where} ORDER BY f.ordinal"""
             for row in db.rows(ask, **given):
@@ -287,7 +321,7 @@ class Store:
 
     def _worked_out(self, aircraft: str, column: str) -> dict | None:
         with self._database.reading() as db:
-            key = _find(db, aircraft)["key"]
+            key = listing.find(db, aircraft)["key"]
             text = db.value(f"SELECT {column} FROM standings WHERE aircraft = :key", key=key)
         return json.loads(text) if text else None
 
@@ -311,12 +345,13 @@ def _aircraft_of(db: Any, identity: str, called: str) -> str | None:
         return known
     key = hashlib.sha256(identity.encode()).hexdigest()[:12]
     taken = {row["name"] for row in db.rows("SELECT name FROM aircraft")}
-    wanted = name = _text(called or identity)
+    last = db.value("SELECT max(ordinal) FROM aircraft") or 0
+    wanted = name = listing.text(called or identity)
     number = 1
     while name in taken:
         number += 1
         name = f"{wanted} ({number})"
-    db.insert("aircraft", key=key, name=name, ordinal=len(taken) + 1)
+    db.insert("aircraft", key=key, name=name, ordinal=last + 1)
     db.insert("identities", identity=identity, aircraft=key)
     return key
 
@@ -330,40 +365,11 @@ def _state(db: Any) -> int:
     return int(db.value("SELECT (SELECT count(*) FROM flights) + (SELECT count(*) FROM services)"))
 
 
-def _of(db: Any, aircraft: str | None) -> tuple[str, dict]:
-    """The condition on table f for rows of an aircraft, or of all, and its parameters."""
-    return ("1 = 1", {}) if aircraft is None else ("f.aircraft = :key", {"key": _find(db, aircraft)["key"]})
-
-
-def _where(db: Any, search: str, aircraft: str | None) -> tuple[str, dict]:
-    """The condition of a search and its parameters; f: flights, a: aircraft."""
-    where, given = _of(db, aircraft)
-    for k, word in enumerate(_text(search).lower().split()):
-        given[f"word{k}"] = "%" + re.sub("([/%_])", r"/\1", word) + "%"
-        where += f" AND (f.words LIKE :word{k} ESCAPE '/' OR lower(a.name) LIKE :word{k} ESCAPE '/')"
-    return where, given
-
-
-def _find(db: Any, aircraft: str) -> dict:
-    wanted = _text(aircraft)
-    of_identity = "key IN (SELECT aircraft FROM identities WHERE identity = :wanted)"
-    for where in ("key = :wanted", "name = :wanted", of_identity, "lower(name) = :low"):
-        given = {"low": wanted.lower()} if ":low" in where else {"wanted": wanted}
-        rows = db.rows(f"SELECT key, name FROM aircraft WHERE {where}", **given).all()
-        if len(rows) == 1:
-            return dict(rows[0])
-    import difflib
-
-    names = [row["name"] for row in db.rows("SELECT name FROM aircraft")]
-    near = difflib.get_close_matches(wanted, names, 3, 0.4)
-    hint = f"; did you mean {' or '.join(near)}?" if near else "; `rotorwatch fleet list` names them."
-    raise StoreError(f"The store knows no aircraft {wanted}{hint}")
-
-
 def _row(entry: Entry) -> dict:
     """The columns of `flights` but for ordinal and aircraft."""
-    row: dict[str, Any] = {name: getattr(entry, name) for name in SHOWN if name not in ("ordinal", "aircraft")}
-    row |= {k: _text(v) for k, v in row.items() if isinstance(v, str)} | {"utc": entry.utc or ""}
+    row: dict[str, Any] = {name: getattr(entry, name) for name in SHOWN if name not in NOT_OF_ENTRY}
+    row |= {"loss": summary.worst_loss(entry.diagnosis), "onset_s": summary.onset(entry.diagnosis)}
+    row |= {k: listing.text(v) for k, v in row.items() if isinstance(v, str)} | {"utc": entry.utc or ""}
     for kind, names in ((int, ("size", "clock_us", "rotors")), (float, ("duration_s", "airborne_s"))):
         row |= {name: kind(row[name]) for name in names}
     row["count"] = None if entry.count is None else int(entry.count)
@@ -373,11 +379,6 @@ def _row(entry: Entry) -> dict:
 
 def _plain(row: Mapping) -> dict:
     return dict(row) | {"utc": row["utc"] or None}
-
-
-def _text(text: str) -> str:
-    """Without what no database keeps: zero bytes, and bytes of file names that are no text."""
-    return str(text).replace("\0", "").encode("utf-8", "backslashreplace").decode()
 
 
 def _json(value: Mapping | Sequence) -> str:

@@ -6,13 +6,16 @@ same rows, however often the work was broken off in between. Texts that can be m
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from typing import Any
 
 import sqlalchemy as sa
 
 from rotorwatch.errors import StoreError
+from rotorwatch.fleet import summary
 
+SOME = 500  # diagnoses that are read at once
 metadata = sa.MetaData()
 
 
@@ -67,10 +70,24 @@ flights = sa.Table(
     _column("rotors", sa.Integer),
     # words: what a search looks through, in lower case.
     *(_column(name) for name in ("build", "verdict", "headline", "version", "words")),
+    # loss: the worst that the answer names, 0 for none. onset_s: when its main event began, or null. Both stand in the diagnosis, too.
+    _column("loss", sa.Float, server_default="0"),
+    _column("onset_s", sa.Float, nullable=True),
     # With airborne_s, so that sums over an aircraft read the index alone.
     sa.Index("flights_of_aircraft", "aircraft", "utc", "ordinal", "airborne_s"),
     sa.Index("flights_in_time", "utc", "ordinal"),
     sa.Index("flights_verdicts", "aircraft", "verdict"),
+)
+
+# By which a list is sorted.
+SORTED = tuple(
+    sa.Index(f"flights_by_{name}", by, flights.c.utc, flights.c.ordinal)
+    for name, by in (
+        ("loss", flights.c.loss),
+        ("duration", flights.c.duration_s),
+        ("name", sa.func.lower(flights.c.name)),
+        ("gravity", sa.text(f"({summary.GRAVITY.format(verdict='verdict')})")),
+    )
 )
 
 # Large texts lie apart: a list of flights never reads them.
@@ -106,7 +123,33 @@ def _add(*tables: sa.Table) -> Callable[[Any], None]:
     return lambda connection: metadata.create_all(connection, tables=tables, checkfirst=False)
 
 
-STEPS = (_add(meta, aircraft, identities, flights, diagnoses, trims, services), _add(standings))
+def _add_losses(connection: Any) -> None:
+    """The columns loss and onset_s of flights, worked out of the diagnoses, and the indexes for sorting; a store that is made anew has
+    them already."""
+    if any(column["name"] == "loss" for column in sa.inspect(connection).get_columns("flights")):
+        return
+    connection.exec_driver_sql("ALTER TABLE flights ADD COLUMN loss FLOAT DEFAULT 0 NOT NULL")
+    connection.exec_driver_sql("ALTER TABLE flights ADD COLUMN onset_s FLOAT")
+    some = sa.select(diagnoses).order_by(diagnoses.c.hash).limit(SOME)
+    into = sa.update(flights).where(flights.c.hash == sa.bindparam("of"))
+    last = ""
+    while rows := connection.execute(some.where(diagnoses.c.hash > last)).all():
+        found = [{"of": hash} | _worked_out(text) for hash, text in rows]
+        connection.execute(into, found)
+        last = rows[-1][0]
+    for index in SORTED:
+        index.create(connection)
+
+
+def _worked_out(text: str) -> dict[str, Any]:
+    try:
+        told = json.loads(text)
+        return {"loss": summary.worst_loss(told), "onset_s": summary.onset(told)}
+    except (ValueError, TypeError, AttributeError):  # a damaged row, which whoever reads it is told of
+        return {"loss": 0.0, "onset_s": None}
+
+
+STEPS = (_add(meta, aircraft, identities, flights, diagnoses, trims, services), _add(standings), _add_losses)
 """Step k makes version k + 1 of version k. Steps are never changed once stores were made with them."""
 
 

@@ -16,7 +16,8 @@ from typing import Any
 
 from rotorwatch.base import files
 from rotorwatch.errors import RotorwatchError, StoreError, StoreFull, WorkerError
-from rotorwatch.fleet.address import default_url
+from rotorwatch.fleet.compare import Comparison, compare
+from rotorwatch.fleet.listing import NEWEST
 from rotorwatch.fleet.store import Entry, Store
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.live.guard import as_json
@@ -24,7 +25,7 @@ from rotorwatch.report.html import page
 
 AGAIN_S = 30.0  # between two attempts to reach a store
 DIGEST = re.compile("[0-9a-f]{64}")
-SHOWN = ("hash", "name", "utc", "verdict", "headline", "frame", "duration_s", "aircraft_name")
+SHOWN = ("hash", "name", "utc", "verdict", "headline", "frame", "duration_s", "aircraft_name", "loss", "onset_s")
 
 
 class Flights:
@@ -32,9 +33,8 @@ class Flights:
 
     def __init__(self, url: str | None = None):
         self._store = Store(url)
-        lies = Path(self._store.label if self._store.url.startswith("sqlite") else default_url())
-        self._folder = lies.parent / f"{lies.stem}-pages"
-        files.folder(self._folder, "--store")
+        self._folder = files.folder(self._store.reports.folder, "--store")
+        self._store.reports.settle()
 
     def folder(self, name: str) -> Path:
         """A folder of that name next to the store, made when it is missing."""
@@ -42,12 +42,24 @@ class Flights:
 
     def page(self, digest: str) -> Path:
         """The path of a flight's page, whether it exists or not."""
-        return self._folder / f"{digest}.html"
+        return self._store.reports.path(digest)
 
-    def rows(self, search: str, limit: int, offset: int) -> dict[str, Any]:
-        """{total, flights}: the newest first. search: words that must all be found."""
-        found = self._store.flights(search=search, limit=limit, offset=offset)
-        return {"total": self._store.count(search=search), "flights": [_shown(row) for row in found]}
+    def rows(self, limit: int, offset: int = 0, sort: str = NEWEST, **filters: Any) -> dict[str, Any]:
+        """{total, flights}. sort, filters: as for `Store.flights`. Raises as that does."""
+        found = self._store.flights(sort, limit, offset, **filters)
+        return {"total": self._store.count(**filters), "flights": [_shown(row) for row in found]}
+
+    def aircraft(self) -> list[dict[str, Any]]:
+        """All aircraft by name: key, name and how many flights."""
+        return self._store.aircraft_names()
+
+    def compared(self, a: str, b: str) -> Comparison:
+        """Two flights next to each other. Raises as `compare` does."""
+        return compare(self._store, a, b)
+
+    def delete(self, digest: str) -> dict[str, Any]:
+        """Delete a flight with its report; what the list showed of it. Raises NotInStore."""
+        return _shown(self._store.delete(digest))
 
     def row(self, digest: str) -> dict[str, Any] | None:
         """One flight; None when it is not known."""

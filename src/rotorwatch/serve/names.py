@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from urllib.parse import unquote_to_bytes
+from urllib.parse import quote, unquote_to_bytes
 
 from rotorwatch.base.files import one_line
 
@@ -22,3 +22,11 @@ def shown(header: str) -> str:
 def on_disk(name: str) -> str:
     """A file name for it: its ending is kept, because some formats are known by it."""
     return "log-" + re.sub(r"[^A-Za-z0-9._]+", "_", name)[-60:]
+
+
+def attachment(name: str) -> str:
+    """The header Content-Disposition of the report of a log of that name: saved as NAME-report.html by all systems, whatever the name."""
+    stem = re.sub(r"(?i)(\.(xz|gz|bz2))?$", "", one_line(re.split(r"[/\\]", name)[-1], MOST))
+    stem = re.sub(r'[<>:"|?*%]+', "_", re.sub(r"\.\w{1,8}$", "", stem)).strip(". ") or "flight"
+    plain = re.sub(r"[^A-Za-z0-9 ._()+-]+", "_", stem)
+    return f"attachment; filename=\"{plain}-report.html\"; filename*=UTF-8''{quote(stem, safe='')}-report.html"

@@ -11,7 +11,7 @@ from rotorwatch import report
 OWN, SHARED = Path(__file__).parent / "page", Path(report.__file__).parent
 # All that is served as it lies in the package: by name from this table, never by a path.
 FILES = {"page.css": SHARED / "page.css"} | {
-    name: OWN / name for name in ("serve.css", "serve.js", "dom.js", "live.js", "flights.js", "icon.svg")
+    path.name: path for path in OWN.iterdir() if path.suffix in (".css", ".js", ".svg")
 }
 TYPES = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 
@@ -31,16 +31,24 @@ def index() -> str:
 
 
 def message(text: str, with_form: bool = False) -> str:
-    """A page with one sentence; with_form: and a form for the token."""
+    """A page with one sentence; with_form: and a form for the token, sent to the address that was asked for."""
     form = (
-        '<form method="post" action="/login"><label for="token">Token</label> '
+        '<form method="post"><label for="token">Token</label> '
         '<input id="token" name="token" type="password" autocomplete="current-password" required> <button>Open</button></form>'
-    )
-    head = (
-        '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1"><title>rotorwatch</title>'
-        '<link rel="stylesheet" href="/static/page.css"><link rel="stylesheet" href="/static/serve.css">'
     )
     body = f"<h1>rotorwatch</h1><p>{escape(text)}</p>{form if with_form else ''}"
     back = "" if with_form else '<p><a href="/">To the list of flights</a></p>'
-    main = f'<main class="only">{body}{back}</main>'
-    return f'<!doctype html>\n<html lang="en"><head>{head}</head><body>{main}</body></html>\n'
+    return page("rotorwatch", f'<main class="only">{body}{back}</main>')
+
+
+def page(title: str, body: str, *more: str) -> str:
+    """A page around a body. more: files of the page that it needs besides: styles, scripts."""
+    links = "".join(
+        f'<script type="module" src="/static/{name}"></script>'
+        if name.endswith(".js")
+        else f'<link rel="stylesheet" href="/static/{name}">'
+        for name in ("page.css", "serve.css", *more)
+    )
+    head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1"><title>{escape(title)}</title>'
+    head += f'<link rel="icon" href="/static/icon.svg">{links}'
+    return f'<!doctype html>\n<html lang="en"><head>{head}</head><body>{body}</body></html>\n'

@@ -90,7 +90,8 @@ class Guard:
             return refused(request, 403, "This came from the page of another site; open rotorwatch's own page.")
         if not self._token:
             return RedirectResponse("/", 303) if request.url.path == "/login" else None
-        if request.url.path == "/login" and request.method == "POST":
+        form = request.method == "POST" and not request.url.path.startswith("/api/")
+        if form and (request.url.path == "/login" or not self._may(request)):
             return await self._login(request)
         if self._may(request) or request.url.path in OPEN:
             return None
@@ -98,8 +99,7 @@ class Guard:
         if token is not None and self._same(token):
             if request.method != "GET":  # a program's; a browser gets a cookie
                 return None
-            rest = [(k, v) for k, v in request.query_params.multi_items() if k != "token"]
-            return self._let_in(request, request.url.path + ("?" + urlencode(rest) if rest else ""))
+            return self._let_in(request)
         return refused(request, 401, WRONG if token is not None or "authorization" in headers else NEEDED)
 
     def _known(self, host: str) -> bool:
@@ -137,12 +137,16 @@ class Guard:
         token = parse_qs(body.decode("utf-8", "replace")).get("token", [""])[0].strip()
         if not self._same(token):
             return refused(request, 401, WRONG)
-        return self._let_in(request, "/")
+        return self._let_in(request)
 
-    def _let_in(self, request: Request, path: str) -> Response:
+    def _let_in(self, request: Request) -> Response:
+        """Back to what was asked for. Browsers keep what stands behind a #, which no server sees."""
+        rest = urlencode([(k, v) for k, v in request.query_params.multi_items() if k != "token"])
+        path = "/" if request.url.path == "/login" else request.url.path + (f"?{rest}" if rest else "")
         answer = RedirectResponse("/" + path.lstrip("/\\"), 303)
         secure = request.url.scheme == "https"
-        answer.set_cookie(_cookie(request), self._secret, httponly=True, samesite="strict", secure=secure)
+        # Lax, not strict: links from reports (in a sandbox, of no origin) and from mails lead in. No GET changes anything.
+        answer.set_cookie(_cookie(request), self._secret, httponly=True, samesite="lax", secure=secure)
         return answer
 
 

@@ -32,6 +32,7 @@ def serve(
     max_seconds: float = 120.0,
     max_memory: int = 4000,
     jobs: int = 1,
+    allow_delete: bool = False,
     ready: Callable[[str], None] | None = None,
 ) -> None:
     """Serve the page until interrupted: vehicles at `endpoints` while they fly, uploaded logs, and the list of flights.
@@ -39,9 +40,9 @@ def serve(
     endpoints: those of `rotorwatch watch`, or recorded logs. speed: recorded logs are replayed so many times as fast as flown. host: to
     listen on; any but a loopback address needs a token. token: 16 letters or more; default: the environment variable ROTORWATCH_TOKEN.
     port: 0 for any that is free. store: of the fleet, a SQLite file or a URL. max_upload [MB], max_seconds [s], max_memory [MB]: limits
-    of each uploaded log; jobs: logs judged at once. vehicle: a Vehicle, or a vehicle file, of all that are watched; record: folder to
-    record links in; listen_only: nothing is sent to vehicles. ready: called with the page's address once it can be opened; every
-    RotorwatchError is raised before that.
+    of each uploaded log; jobs: logs judged at once. allow_delete: who may open the page may delete flights. vehicle: a Vehicle, or a
+    vehicle file, of all that are watched; record: folder to record links in; listen_only: nothing is sent to vehicles. ready: called with
+    the page's address once it can be opened; every RotorwatchError is raised before that.
     """
     for name in ("starlette", "uvicorn"):
         optional.library(name, "The page")
@@ -66,7 +67,7 @@ def serve(
         # Where all addresses are listened on, this computer's name stands in the page's.
         name = socket.gethostname() if host in ("0.0.0.0", "::", "") else f"[{host}]" if ":" in host else host
         address = f"http://{name}:{listening.getsockname()[1]}/"
-        app = application(feed, flights, limits, host, known)
+        app = application(feed, flights, limits, host, known, allow_delete)
         server = http_server(app, lambda: ready(address) if ready else None, feed.hub.close)
         asyncio.run(server.serve([listening]))
         if not server.started:

@@ -118,6 +118,10 @@ class Uploads:
         self._workers.stop()
         self._lock.close()
 
+    def waiting(self, digest: str) -> bool:
+        """Whether a log was received and neither stored nor refused yet."""
+        return digest in self._logs
+
     async def take(self, encoded_name: str, length: int | None, body: AsyncIterator[bytes]) -> tuple[dict, bool]:
         """(the flight of an upload, whether it is new). encoded_name: percent-encoded. length: as announced. Raises Refused."""
         name, most = names.shown(encoded_name), self.limits.most

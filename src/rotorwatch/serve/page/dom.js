@@ -1,4 +1,5 @@
 // Elements made of plain data: everything that comes from elsewhere goes in as text, never as HTML.
+export const SIGNS = { healthy: "✓ Healthy", fault: "✕ Fault found", ambiguous: "? Ambiguous", inconclusive: "? Inconclusive" };
 const SVG = "http://www.w3.org/2000/svg";
 
 function fill(element, attributes, children) {
@@ -34,4 +35,18 @@ export function mark(element, name, value) {
 /** 0.374 -> "37 %", as in reports. */
 export function percent(share, digits = 0) {
   return `${(100 * share).toFixed(digits)}\u00a0%`;
+}
+
+/** The JSON that an address answers; null where it cannot be had: `trouble` gets a sentence, and whether the server has refused it. */
+export async function fetched(address, trouble) {
+  try {
+    const answer = await fetch(address);
+    if (answer.status === 401) location.reload();
+    const data = await answer.json();
+    if (answer.ok) return data;
+    trouble(data.error, true);
+  } catch {
+    trouble("The server does not answer; is it still running?", false);
+  }
+  return null;
 }

@@ -1,169 +1,136 @@
-// The list of flights: logs are dropped, judged by the server, and found again.
-import { make, percent, say } from "./dom.js";
+// The list of flights: found, sorted, chosen and opened.
+import * as address from "./address.js";
+import * as chosen from "./chosen.js";
+import { fetched, make, percent, say, SIGNS } from "./dom.js";
+import * as keys from "./keys.js";
+import * as uploads from "./uploads.js";
 
-const SIGNS = { healthy: "✓ Healthy", fault: "✕ Fault found", ambiguous: "? Ambiguous", inconclusive: "? Inconclusive" };
-const PAGE = 50;
-let most = Infinity;
+const PAGE = 50, MOST = 200; // flights that are shown first; of one answer
+const SOON_MS = 50;
 let shown = 0;
+let soon = null;
 let queries = 0;
 
+const body = () => document.querySelector("#list tbody");
+
 export function start() {
-  const pick = (event) => {
-    send([...event.target.files]);
-    event.target.value = "";
-  };
-  document.getElementById("choose").addEventListener("change", pick);
-  document.getElementById("choose-folder").addEventListener("change", pick);
-  const drop = document.getElementById("drop");
-  addEventListener("dragover", (event) => {
-    event.preventDefault();
-    drop.classList.add("over");
-  });
-  addEventListener("dragleave", (event) => {
-    if (!event.relatedTarget) drop.classList.remove("over");
-  });
-  addEventListener("drop", async (event) => {
-    event.preventDefault();
-    drop.classList.remove("over");
-    send(await dropped(event.dataTransfer));
-  });
-  let wait;
-  document.getElementById("search").addEventListener("input", () => {
-    clearTimeout(wait);
-    wait = setTimeout(refresh, 200);
-  });
-  document.getElementById("find").addEventListener("submit", (event) => {
-    event.preventDefault();
-    refresh();
-  });
-  document.getElementById("more").addEventListener("click", () => load(shown));
+  uploads.start(refresh);
+  address.start(() => load(0, PAGE));
+  chosen.start(refresh);
+  keys.start();
+  for (const button of document.querySelectorAll("#list [data-sort]"))
+    button.addEventListener("click", () => {
+      const first = button.dataset.sort, now = address.sort();
+      address.change({ sort: now !== first ? first : first.startsWith("-") ? first.slice(1) : `-${first}` }, () => load(0, PAGE));
+    });
+  document.getElementById("more").addEventListener("click", () => load(shown, PAGE));
   about();
+  load(0, PAGE);
+  names();
+}
+
+/** A flight is new or gone, here or in another tab. Many at once are looked up once. */
+export function refresh() {
+  soon ??= setTimeout(() => {
+    soon = null;
+    load(0, Math.max(shown, PAGE));
+    names();
+  }, SOON_MS);
+}
+
+/** A flight is gone. */
+export function gone({ hash }) {
+  chosen.forget(hash);
   refresh();
 }
 
-/** A flight is new, here or in another tab. */
-export function refresh() {
-  load(0, Math.max(shown, PAGE));
-}
-
 async function about() {
-  const answer = await fetched("/api/about");
+  const answer = await fetched("/api/about", trouble);
   if (!answer) return;
-  most = answer.most;
+  uploads.limit(answer.most);
+  chosen.mayDelete(answer.may_delete);
   say(document.getElementById("version"), `rotorwatch ${answer.version}.`);
 }
 
-async function load(offset, limit = PAGE) {
-  const mine = ++queries;
-  const search = document.getElementById("search").value;
-  const found = await fetched(`/api/flights?${new URLSearchParams({ search, limit: String(Math.min(limit, 200)), offset: String(offset) })}`);
-  if (!found || mine !== queries) return; // a later query is on its way
-  const body = document.querySelector("#list tbody");
-  const rows = found.flights.map(row);
-  if (offset) body.append(...rows);
-  else body.replaceChildren(...rows);
+async function names() {
+  const answer = await fetched("/api/aircraft", trouble);
+  if (answer) address.aircraft(answer.aircraft);
+}
+
+/** refused: the list would be another one than what is asked for. */
+function trouble(text, refused = false) {
+  say(document.getElementById("found"), text);
+  if (!refused) return;
+  for (const id of ["list", "more"]) document.getElementById(id).hidden = true;
+}
+
+/** `count` flights from number `offset` on, in place of those or after those that are shown. */
+async function load(offset, count) {
+  const mine = ++queries, flights = [];
+  let total = 0;
+  do {
+    const asked = address.asked();
+    asked.set("limit", Math.min(count - flights.length, MOST));
+    asked.set("offset", offset + flights.length);
+    const found = await fetched(`/api/flights?${asked}`, trouble);
+    if (!found || mine !== queries) return; // a later query is on its way
+    flights.push(...found.flights);
+    total = found.total;
+    if (!found.flights.length) break;
+  } while (flights.length < Math.min(count, total - offset));
+  const rows = flights.map(row);
+  if (offset) body().append(...rows);
+  else replace(rows);
   shown = offset + rows.length;
   document.getElementById("list").hidden = !shown;
-  document.getElementById("more").hidden = shown >= found.total;
-  const count = `${found.total.toLocaleString("en")} flight${found.total === 1 ? "" : "s"}`;
-  say(document.getElementById("found"), found.total ? (search ? `${count} found` : count) : search ? "No flight has all these words." : "No flight yet: drop a log above.");
+  document.getElementById("more").hidden = shown >= total;
+  for (const button of document.querySelectorAll("#list [data-sort]")) {
+    const sort = address.sort(), own = button.dataset.sort.replace("-", "");
+    const way = sort === own ? "ascending" : sort === `-${own}` ? "descending" : null;
+    if (way) button.parentElement.setAttribute("aria-sort", way);
+    else button.parentElement.removeAttribute("aria-sort");
+  }
+  const many = `${total.toLocaleString("en")} flight${total === 1 ? "" : "s"}`;
+  if (total) trouble(address.filtered() ? `${many} found` : many);
+  else trouble(!address.filtered() ? "No flight yet: drop a log above." : address.asked().get("search") ? "No flight has all these words." : "No flight is like this.");
   if (offset && rows.length) rows[0].querySelector("a").focus();
 }
 
-async function fetched(address) {
-  try {
-    const answer = await fetch(address);
-    if (answer.status === 401) location.reload();
-    const data = await answer.json();
-    if (answer.ok) return data;
-    say(document.getElementById("found"), data.error);
-  } catch {
-    say(document.getElementById("found"), "The server does not answer; is it still running?");
-  }
-  return null;
+/** New rows for old; the focus stays with its flight, or where that is gone with the one that took its place. */
+function replace(rows) {
+  const at = document.activeElement?.closest?.("#list tbody tr");
+  const place = at?.rowIndex - 1, part = at && keys.parts(at).indexOf(document.activeElement);
+  body().replaceChildren(...rows);
+  if (!at) return;
+  const to = rows.find((one) => one.dataset.hash === at.dataset.hash) ?? rows[Math.min(place, rows.length - 1)];
+  if (to) (keys.parts(to)[part] ?? keys.parts(to)[1]).focus();
+  else document.getElementById("search").focus();
 }
 
 function row(f) {
-  const began = f.utc ? new Date(f.utc).toISOString().slice(0, 16).replace("T", " ") + " UTC" : "–";
+  const began = f.utc ? new Date(f.utc).toISOString().slice(0, 16).replace("T", " ") : "–";
+  const loss = f.loss ? percent(f.loss) : "–", duration = `${(f.duration_s ?? 0).toFixed(0)} s`;
+  const at = f.onset_s === null ? null : Math.round(100 * f.onset_s) / 100;
+  const inName = make("span", { class: "unseen" }, ` in ${f.name}`);
+  const moment = at === null ? null : make("a", { href: `/flights/${f.hash}#t=${at}`, class: "moment" }, `see it at ${at.toFixed(2)} s`, inName);
+  const box = make("input", { type: "checkbox", "aria-label": `Choose ${f.name}` });
+  chosen.bind(box, f);
+  const brief = [f.utc && `${began} UTC`, f.aircraft_name, f.loss ? `worst loss ${loss}` : null, duration].filter(Boolean);
   return make(
     "tr",
-    {},
+    { "data-hash": f.hash },
+    make("td", { class: "choice" }, make("label", {}, box)),
     make("td", { class: `outcome ${f.verdict}` }, SIGNS[f.verdict] ?? f.verdict),
-    make("td", {}, make("a", { href: `/flights/${f.hash}` }, make("bdi", {}, f.name)), make("div", { class: "why" }, f.headline)),
+    make(
+      "td",
+      {},
+      make("a", { href: `/flights/${f.hash}`, class: "name" }, make("bdi", {}, f.name)),
+      make("div", { class: "why" }, f.headline, moment && " ", moment),
+      make("div", { class: "why brief" }, make("bdi", {}, brief.join(" · "))),
+    ),
     make("td", { class: "wide" }, began),
-    make("td", { class: "wide" }, f.aircraft_name ? `${f.aircraft_name}, ${f.frame}` : f.frame),
-    make("td", { class: "n wide" }, `${(f.duration_s ?? 0).toFixed(0)} s`),
+    make("td", { class: "wide craft" }, make("bdi", {}, f.aircraft_name ?? "–"), make("div", { class: "why" }, f.frame)),
+    make("td", { class: "n wide" }, loss),
+    make("td", { class: "n wide" }, duration),
   );
-}
-
-/** All files of what was dropped, folders looked through. */
-async function dropped(transfer) {
-  const entries = [...transfer.items].map((item) => item.webkitGetAsEntry?.()).filter(Boolean);
-  if (!entries.length) return [...transfer.files];
-  const files = [];
-  for (const stack = [...entries].reverse(); stack.length; ) {
-    const entry = stack.pop();
-    if (entry.isFile) files.push(await new Promise((take, fail) => entry.file(take, fail)));
-    else {
-      const reader = entry.createReader();
-      for (let more; (more = await new Promise((take, fail) => reader.readEntries(take, fail))).length; ) stack.push(...more);
-    }
-  }
-  return files;
-}
-
-let line = Promise.resolve(); // one after the other
-
-function send(files) {
-  const hidden = files.filter((file) => file.name.startsWith("."));
-  for (const file of files) {
-    if (hidden.includes(file)) continue;
-    const text = make("span", {}, "waiting");
-    const item = make("li", {}, make("bdi", { class: "name" }, file.name), ": ", text);
-    const list = document.getElementById("uploads");
-    list.prepend(item);
-    while (list.children.length > 30 && list.lastElementChild.dataset.done) list.lastElementChild.remove();
-    line = line.then(() => upload(file, item, text)).catch(() => {});
-  }
-}
-
-function upload(file, item, text) {
-  const done = (words, kind) => {
-    say(text, words);
-    item.dataset.done = kind;
-    item.className = kind;
-    say(document.getElementById("alarm"), `${file.name}: ${words}`);
-  };
-  if (file.size > most) {
-    done(`this is more than the ${most / 2 ** 20} MB that are taken here; start the server with a larger --max-upload.`, "refused");
-    return Promise.resolve();
-  }
-  const bar = make("progress", { max: 1, value: 0, "aria-label": `Sending ${file.name}` });
-  item.append(" ", bar);
-  return new Promise((finished) => {
-    const request = new XMLHttpRequest();
-    request.open("POST", "/api/flights");
-    request.setRequestHeader("X-Rotorwatch-Name", encodeURIComponent(file.name.toWellFormed?.() ?? file.name));
-    request.setRequestHeader("Content-Type", "application/octet-stream");
-    request.responseType = "json";
-    say(text, "sending");
-    request.upload.addEventListener("progress", (event) => {
-      if (event.lengthComputable) bar.value = event.loaded / event.total;
-      if (event.loaded === event.total) {
-        bar.removeAttribute("value");
-        say(text, "judging");
-      } else say(text, `sending, ${percent(event.loaded / event.total)}`);
-    });
-    request.addEventListener("loadend", () => {
-      bar.remove();
-      const answer = request.response;
-      if (request.status === 200 || request.status === 201) {
-        done(`${SIGNS[answer.verdict] ?? answer.verdict}: ${answer.headline}${request.status === 200 ? " (judged before)" : ""} `, answer.verdict);
-        item.append(make("a", { href: `/flights/${answer.hash}`, "aria-label": `Report of ${file.name}` }, "Report"));
-        refresh();
-      } else done(answer?.error ?? "the server did not answer; send the log again when it runs.", "refused");
-      finished();
-    });
-    request.send(file);
-  });
 }

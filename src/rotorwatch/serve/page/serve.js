@@ -14,6 +14,7 @@ on("tick", live.tick);
 on("begun", live.begun);
 on("said", live.message);
 on("flight", flights.refresh);
+on("deleted", flights.gone);
 stream.addEventListener("open", () => {
   say(document.getElementById("connection"), "");
   document.body.classList.remove("lost");

@@ -1,0 +1,132 @@
+"""The commands of a fleet that list, compare and delete its flights; a list of flights is one of aircraft by default."""
+
+from __future__ import annotations
+
+import sys
+
+import click
+
+from rotorwatch.commands.fleet import JSON, STORE, day, fleet, table, unknown
+from rotorwatch.commands.tools import common, flag, label, option, print_json, say
+from rotorwatch.errors import ConfigError
+
+
+@fleet.command("list", short_help="All aircraft, those that need attention first; or flights.")
+@flag("--flights", "Flights instead of aircraft; so with any option of flights.")
+@option("--search", "Of flights: words that name, verdict, headline or aircraft hold.", "", metavar="WORDS")
+@option(
+    "--verdict", "Of flights: healthy, fault, ambiguous, inconclusive; several with commas.", "", metavar="VERDICT,..."
+)
+@option("--aircraft", "Of flights: only of this aircraft.", metavar="NAME")
+@option("--since", "Of flights: begun on this day or later, in UTC.", "", metavar="TIME")
+@option("--until", "Of flights: begun on this day or before.", "", metavar="TIME")
+@option("--min-loss", "Of flights: the worst loss is at least this share, 0..1.", 0.0, metavar="X")
+@option("--min-duration", "Of flights: at least so long.", 0.0, metavar="S")
+@option(
+    "--sort",
+    "Of flights: by date, verdict, loss, duration, aircraft or name; with - turned around.",
+    "-date",
+    metavar="ORDER",
+)
+@option("--limit", "Of flights: how many.", 50, type=click.IntRange(1))
+@option("--offset", "Of flights: how many of the first to leave out.", 0, type=click.IntRange(0))
+@STORE
+@JSON
+@common
+def list_(store, flights, sort, limit, offset, as_json, quiet, **filters) -> None:
+    """List the aircraft of the store, those first whose rotors need attention; or its flights."""
+    from rotorwatch.fleet import assess
+
+    if flights or any(filters.values()) or sort != "-date" or offset:
+        rows = store.flights(sort, limit, offset, **filters)
+        total = store.count(**filters)
+        if as_json:
+            print_json({"total": total, "flights": rows})
+            return
+        cells = []
+        for r in rows:
+            found = f"{label(r['name'])}: {r['headline']}"
+            worst = f"{100 * r['loss']:.0f} %" if r["loss"] else "-"
+            flown = f"{r['duration_s']:.0f} s"
+            cells.append((r["hash"][:8], r["aircraft_name"] or "-", day(r["utc"]), r["verdict"], worst, flown, found))
+        head = ("flight", "aircraft", "time", "verdict", "loss", "duration", "what was found")
+        table(f"{len(rows)} of {total} flights", head, cells, right=(4, 5))
+        return
+    found = assess.by_urgency(store.aircraft())
+    nobody = store.count() - sum(a["flights"] for a in found)
+    if as_json:
+        print_json({"aircraft": found, "flights_of_no_aircraft": nobody})
+        return
+    rows = []
+    for a in found:
+        headline = a["standing"]["headline"] if a["standing"] else "not worked out yet"
+        rows.append((a["name"], str(a["flights"]), f"{a['airborne_s'] / 3600:.1f}", day(a["last"]), headline))
+    head = ("aircraft", "flights", "hours", "last flight", "how its rotors stand")
+    table(f"{len(found)} aircraft", head, rows, right=(1, 2))
+    if nobody and not quiet:
+        say(f"{nobody} flights name no aircraft: add such logs with --aircraft NAME.")
+    if any(a["stale"] for a in found) and not quiet:
+        say("The store has changed since this was worked out; `rotorwatch fleet assess` does it again.")
+
+
+@fleet.command(short_help="Two flights next to each other, with their differences.")
+@click.argument("a", metavar="FLIGHT")
+@click.argument("b", metavar="FLIGHT")
+@STORE
+@JSON
+@common
+def compare(store, a, b, as_json, quiet) -> None:
+    """Show what the answers of two flights say, next to each other. FLIGHT: the start of its hash (`rotorwatch fleet list --flights`).
+
+    ! marks what differs: losses whose 95 % intervals do not overlap, and all but times and durations.
+    """
+    from rotorwatch.fleet.compare import compare as run
+
+    found = run(store, a, b)
+    if as_json:
+        print_json(found.to_dict())
+        return
+    rows: list[tuple[str, ...]] = [
+        (_marked(row.what, row.differs), *row.values) for row in (*found.facts, *found.rotors)
+    ]
+    for k in range(max(map(len, found.events))):
+        pair = [events[k] if k < len(events) else None for events in found.events]
+        alone = any(event and event.alone for event in pair)
+        rows.append((_marked(f"event {k + 1}", alone), *(event.text if event else "-" for event in pair)))
+    click.echo(found.headline)
+    table("", ("", *(label(flight["name"]) for flight in found.flights)), rows, wide=(-2, -1))
+
+
+def _marked(what: str, differs: bool) -> str:
+    return f"! {what}" if differs else what
+
+
+@fleet.command(short_help="Delete flights, with their reports.")
+@click.argument("flights", nargs=-1, required=True, metavar="FLIGHT...")
+@flag("--yes", "Do not ask first.")
+@STORE
+@common
+def delete(store, flights, yes, quiet) -> None:
+    """Delete flights from the store for good, with their reports. FLIGHT: the start of its hash (`rotorwatch fleet list --flights`).
+
+    Logs are not touched. An aircraft goes with its last flight, unless maintenance is noted for it or another aircraft was merged into it.
+    """
+    from rotorwatch.fleet import assess
+
+    store.reports.settle()  # a deletion that was killed is finished first
+    found = {row["hash"]: row for row in (store.flight(one) or unknown(one) for one in flights)}
+    if not yes:
+        if not sys.stdin.isatty():
+            raise ConfigError("Deleting cannot be undone: give --yes where nobody can be asked.")
+        for row in found.values():
+            say(
+                f"{row['hash'][:8]}  {row['aircraft_name'] or '(no aircraft)'}  {label(row['name'])}: {row['headline']}"
+            )
+        what = "this flight" if len(found) == 1 else f"these {len(found)} flights"
+        click.confirm(f"Delete {what} for good?", abort=True, err=True)
+    try:
+        for hash in found:
+            row = store.delete(hash)
+            click.echo(f"deleted {hash[:8]}  {label(row['name'])}")
+    finally:
+        assess.refresh(store)

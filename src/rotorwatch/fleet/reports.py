@@ -1,0 +1,58 @@
+"""The reports of flights: files in a folder next to the store. A flight and its report go together, whatever is interrupted."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from rotorwatch.errors import StoreError
+
+ASIDE = ".deleted"  # ending of a report whose flight is being deleted
+
+
+class Reports:
+    """The reports of a store. place: the store's file, or for a database that is none the file that a store here would be.
+
+    known: whether the store holds a flight, by hash. The folder is made by who writes into it."""
+
+    def __init__(self, place: Path, known: Callable[[str], bool]):
+        self.folder = place.parent / f"{place.stem}-pages"
+        self._known = known
+
+    def path(self, hash: str) -> Path:
+        """The path of a flight's report, whether it exists or not."""
+        return self.folder / f"{hash}.html"
+
+    @contextmanager
+    def removed(self, hash: str) -> Iterator[None]:
+        """Inside, the flight is deleted. Its report is set aside before, and gone or back afterwards as the flight is gone or still
+        there; where a kill comes between, `settle` does so later. Raises StoreError where the report cannot be touched."""
+        aside = self.folder / f"{hash}{ASIDE}"
+        try:
+            with suppress(FileNotFoundError):
+                os.replace(self.path(hash), aside)
+        except OSError as why:
+            raise StoreError(f"The report {self.path(hash)} cannot be removed ({why.strerror or why}).") from None
+        try:
+            yield
+        finally:
+            self._settle(aside)
+
+    def settle(self) -> None:
+        """Finish what deletions that were killed have left."""
+        for aside in self.folder.glob(f"*{ASIDE}"):
+            self._settle(aside)
+
+    def _settle(self, aside: Path) -> None:
+        """Where store or disk refuse, all stays for the next time."""
+        page = self.path(aside.stem)
+        with suppress(StoreError, OSError):
+            if not self._known(aside.stem):
+                page.unlink(missing_ok=True)
+                aside.unlink(missing_ok=True)
+            elif page.exists():  # judged again since
+                aside.unlink(missing_ok=True)
+            elif aside.exists():
+                os.replace(aside, page)
