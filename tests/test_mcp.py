@@ -76,6 +76,8 @@ WRONG: list[tuple[str, dict]] = [
     ("survive", {"vehicle": "ardupilot-quad-x", "arm_m": 1e9}), ("list_logs", {"limit": 0}), ("list_logs", {"limit": 10**9}),
     ("list_logs", {"search": "x" * 201}), ("list_logs", {"folder": "/etc"}), ("fleet", {"limit": -1}), ("fleet", {"search": 5}),
     ("fleet", {}), ("fleet_flights", {"offset": -1}), ("fleet_flights", {"limit": 31}), ("fleet_flights", {"search": "' OR 1=1 --"}),
+    ("fleet_flights", {"sort": "hash; DROP TABLE flights"}), ("fleet_flights", {"verdict": "crashed"}),
+    ("fleet_flights", {"since": "' OR 1=1 --"}), ("fleet_flights", {"min_loss": 2}), ("fleet_flights", {"min_duration": "nan"}),
     ("fleet_flights", {"aircraft": ""}), ("fleet_flight", {"flight": "../../x"}), ("fleet_flight", {"flight": "abc"}),
     ("fleet_flight", {"flight": "0' OR '1'='1"}), ("fleet_flight", {"flight": "a" * 65}),
     ("fleet_event", {"flight": "abcdef", "number": -3}), ("fleet_event", {}), ("delete_everything", {}), ("", {}), ("__init__", {}),

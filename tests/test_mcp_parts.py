@@ -64,15 +64,19 @@ def test_the_fleet(asked):
     assert not [text for text in unmarked(found) if WORD in text or "secret" in text]
     assert answered(models.Fleet, lambda: asked.fleet.aircraft("damaged", 10))["total"] == 1
     key = found["aircraft"][0]["key"]
-    flights = answered(models.Flights, lambda: asked.fleet.flights("fault", key, 2, 0))
+    flights = answered(models.Flights, lambda: asked.fleet.flights("-date", key, 2, 0, search="fault"))
     assert flights["total"] == 3 and len(flights["flights"]) == 2 and "1 more" in flights["note"]
     assert not [text for text in unmarked(flights) if WORD in text or "secret" in text]
+    worst = answered(models.Flights, lambda: asked.fleet.flights("-loss", None, 9, 0, verdict="fault", min_loss=0.2))
+    assert worst["total"] == 6
+    none = answered(models.Flights, lambda: asked.fleet.flights("name", key, 9, 0, min_loss=0.9))
+    assert not none["total"] and not none["flights"]
     one = answered(models.Diagnosis, lambda: asked.stored(flights["flights"][0]["flight"]))
     assert one["verdict"] == "fault" and one["events"][0]["rotors"] == [3]
     event = answered(models.Event, lambda: asked.stored_event(flights["flights"][0]["flight"], None))
     assert event["event"]["loss"] == [0.37]
     for wrong in (
-        lambda: asked.fleet.flights("", "nobody", 1, 0),
+        lambda: asked.fleet.flights("-date", "nobody", 1, 0),
         lambda: asked.stored("abcdef"),
         lambda: asked.stored_event("1010101", 5),
     ):

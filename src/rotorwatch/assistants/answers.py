@@ -18,7 +18,6 @@ MOST_EVENTS, MOST_ADVICE, MOST_STORY, MOST_WARNINGS, MOST_MESSAGES, MOST_SIGNALS
 SENTENCE = 600  # letters of a sentence
 LIST = 12  # entries of a list in the details of an event
 SHORT = ("kind", "rotors", "alternatives", "onset_s", "detected_s", "end_s", "loss", "interval", "probability")
-CONTROL = "loss_of_control"
 
 
 def cut(text: str, most: int = SENTENCE) -> str:
@@ -31,7 +30,6 @@ def diagnosis(found: Diagnosis, name: str) -> dict[str, Any]:
     d = found.to_dict()
     flight = d["flight"]
     left = len(d["events"]) - MOST_EVENTS
-    chosen = _important(d["events"], d["main_event"])
     return {
         "log": quoted(name),
         "firmware": quoted(flight.get("firmware") or "", 80),
@@ -49,19 +47,12 @@ def diagnosis(found: Diagnosis, name: str) -> dict[str, Any]:
         "reason": cut(d["reason"]),
         "story": [cut(line["text"], 300) for line in d["story"][:MOST_STORY]],
         "main_event": d["main_event"],
-        "events": [_line(k, d["events"][k]) for k in chosen],
+        "events": [_line(k, d["events"][k]) for k in found.important(MOST_EVENTS)],
         "rotors": [_rotor(r) for r in d["rotors"]],
         "advice": [cut(a, 300) for a in d["advice"][:MOST_ADVICE]],
         "warnings": several(d["warnings"], MOST_WARNINGS, 120),
         "note": f"{left} more events; `event` shows one by its number." if left > 0 else None,
     }
-
-
-def _important(events: Sequence[Mapping], main: int | None) -> list[int]:
-    """Numbers of the events that are shown: the main one, a loss of control, then the first ones."""
-    first = [k for k, e in enumerate(events) if k == main or e["kind"] == CONTROL]
-    rest = [k for k in range(len(events)) if k not in first]
-    return sorted([*first, *rest][:MOST_EVENTS])
 
 
 def _line(number: int, event: Mapping) -> dict[str, Any]:

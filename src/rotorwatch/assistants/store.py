@@ -40,12 +40,12 @@ class Fleet:
         rows = [_aircraft(a) for a in found[: min(limit, MOST)]]
         return {"total": len(found), "aircraft": rows, "note": _left(len(found) - len(rows), "aircraft")}
 
-    def flights(self, search: str, aircraft: str | None, limit: int, offset: int) -> dict[str, Any]:
-        """`Flights` of models.py."""
+    def flights(self, sort: str, aircraft: str | None, limit: int, offset: int, **filters: Any) -> dict[str, Any]:
+        """`Flights` of models.py. sort: one of listing.ORDERS; filters: other fields of listing.Filters."""
         with self._open() as store:
-            key = self._key(store, aircraft)
-            rows = store.flights(search=search, aircraft=key, limit=min(limit, MOST), offset=offset)
-            total = store.count(search=search, aircraft=key)
+            filters["aircraft"] = self._key(store, aircraft)
+            rows = store.flights(sort, limit=min(limit, MOST), offset=offset, **filters)
+            total = store.count(**filters)
         left = total - offset - len(rows)
         return {"total": total, "flights": [_flight(row) for row in rows], "note": _left(left, "flights")}
 

@@ -21,10 +21,12 @@ from rotorwatch.assistants.store import MOST
 from rotorwatch.assistants.work import Failed
 from rotorwatch.base import files
 from rotorwatch.errors import RotorwatchError
+from rotorwatch.fleet import listing
 from rotorwatch.report import still
 
 ROWS, MOST_ROWS = 40, 400  # of a series: by default, and at most
 M = TypeVar("M", bound=BaseModel)
+NEWEST, ORDERS = listing.NEWEST, (*listing.ORDERS, *(f"-{name}" for name in listing.ORDERS))
 READS = ToolAnnotations(read_only_hint=True, destructive_hint=False, idempotent_hint=True, open_world_hint=False)
 Path = Annotated[str, Field(min_length=1, max_length=LONGEST)]
 Log = Annotated[
@@ -232,11 +234,19 @@ def register(server: MCPServer, desk: Desk) -> None:
         aircraft: Annotated[
             str | None, Field(min_length=1, max_length=200, description="only of this aircraft: its name or key")
         ] = None,
+        verdict: Annotated[str, Field(max_length=60, description="one, or several with commas between")] = "",
+        since: Annotated[str, Field(max_length=40, description="UTC, such as 2026-05-01 or 2026-05-01T14:30")] = "",
+        until: Annotated[str, Field(max_length=40, description="that day or minute included")] = "",
+        min_loss: Annotated[float, Field(ge=0.0, le=1.0, description="of the worst loss")] = 0.0,
+        min_duration: Annotated[float, Field(ge=0.0, le=1e9, description="s")] = 0.0,
+        sort: Annotated[Literal[ORDERS], Field(description="-: the largest, gravest or newest first")] = NEWEST,
         limit: Annotated[int, Field(ge=1, le=MOST)] = 8,
         offset: Annotated[int, Field(ge=0, le=10**9)] = 0,
     ) -> Annotated[CallToolResult, models.Flights]:
-        """List flights of the fleet's store, the newest first; search in names, verdicts, headlines, frames and aircraft."""
-        return answered(models.Flights, lambda: desk.fleet.flights(search, aircraft, limit, offset))
+        """List flights of the fleet's store; search in names, verdicts, headlines, frames and aircraft."""
+        wanted = {"search": search, "verdict": verdict, "since": since, "until": until}
+        wanted |= {"min_loss": min_loss, "min_duration": min_duration}
+        return answered(models.Flights, lambda: desk.fleet.flights(sort, aircraft, limit, offset, **wanted))
 
     @tool("A stored diagnosis")
     def fleet_flight(flight: Digest) -> Annotated[CallToolResult, models.Diagnosis]:

@@ -191,6 +191,12 @@ class Diagnosis:
         """0 healthy, 1 fault found, 3 inconclusive or ambiguous only."""
         return EXIT_CODES[self.verdict]
 
+    def important(self, most: int) -> list[int]:
+        """Which events a short answer shows: indices in time order, at most so many; the main event, losses of control, then the first
+        ones."""
+        first = [k for k, e in enumerate(self.events) if k == self.main or e.kind == "loss_of_control"]
+        return sorted([*first, *(k for k in range(len(self.events)) if k not in first)][:most])
+
     def to_dict(self) -> dict:
         """The documented JSON structure (docs/json.md), without the trace."""
         own = {

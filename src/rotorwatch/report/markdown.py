@@ -177,8 +177,7 @@ class _About:
         d = self.diagnosis
         if not d.events or not size.events:
             return ""
-        first = [k for k, e in enumerate(d.events) if k == d.main or e.kind == "loss_of_control"]
-        chosen = sorted([*first, *(k for k in range(len(d.events)) if k not in first)][: size.events])
+        chosen = d.important(size.events)
         rows = (self._event(d.events[k], len(d.events) > 1 and k == d.main) for k in chosen)
         left = len(d.events) - len(chosen)
         more = f"\n\n{left} more {'event is' if left == 1 else 'events are'} not shown." if left else ""
