@@ -17,7 +17,7 @@ from rotorwatch.campaign import benchmark, closed_loop, ranking
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "comparison.md"
-FRAMES = ("quad-x", "hexa-x", "octa-x")
+FRAMES = ("quad-x", "hexa-x", "octa-x", "octaquad-x", "y6")
 UP_PLAN, UP_FLIGHTS = ROOT / "plans" / "survival-methods.toml", 240
 COLUMNS = {**ranking.COLUMNS, "own_detected": "found at its own threshold"}
 HEAD = """# Comparison
@@ -44,7 +44,10 @@ The columns:
 - **us a step**: microseconds of one step of a quad in a compiled loop.
 - **stays up**: the losses that the method estimates drive the allocation while the vehicle flies. The share is of vehicles that stay in
   the air, among those that the truth would keep in the air ([other flights](#does-the-vehicle-stay-up)).
-- `=`: these flights do not tell the method apart from the first. `over`: a rule without a threshold, with more false alarms than 2 an hour.
+- **pairs**: clear faults that only the first method of the table finds, and those that only this one finds, with the p of McNemar's exact
+  two-sided test. All methods judge the same flights, so only these flights count.
+- `=`: p is 0.05 or more: these flights do not distinguish the method from the first. `over`: a rule without a threshold, with more false
+  alarms than 2 an hour.
 
 [Benchmark](benchmark.md#scores) explains the scores and their limits. The flights are 50 s of hover, squares, figures of eight, climbs and
 turns, with wind to 8 m/s and vehicles of .8 to 8 kg. The logs are of ArduPilot and PX4 at their fast rates. 60 % of the flights have a
@@ -76,6 +79,14 @@ def percent(share: dict | None) -> str:
     )
 
 
+def pairs(paired: dict | None) -> str:
+    """What only the first method finds, what only this one finds, and how likely chance makes such a difference."""
+    if paired is None:
+        return "-"
+    found = paired["detected"]
+    return f"{found['only_first']} : {found['only_this']}, p {found['p']:.2g}"
+
+
 def number(value: dict | None) -> str:
     """A number with its interval."""
     return "-" if value is None else "{:.2f} ({:.2f} to {:.2f})".format(*(value[k] for k in ("value", "low", "high")))
@@ -104,9 +115,11 @@ def table(ranked: dict, up: dict) -> str:
         f"\n## {frame}\n",
         f"{count}; {'; '.join(ranked['machines'].values())}.\n",
     ]
-    lines += [f"| | method | {' | '.join(COLUMNS.values())} | stays up |", "|---" * (len(COLUMNS) + 3) + "|"]
+    heads = list(COLUMNS.values())
+    lines += [f"| | method | {heads[0]} | pairs | {' | '.join(heads[1:])} | stays up |", "|---" * (len(COLUMNS) + 4) + "|"]
     for row in rows:
-        cells = (ranking.cell(key, row["scores"].get(key)) for key in COLUMNS)
+        cells = [ranking.cell(key, row["scores"].get(key)) for key in COLUMNS]
+        cells.insert(1, pairs(row["paired"]) if row["place"] > 1 else "")
         stays = percent(up["drivers"].get(row["name"], {}).get("possible_by_frame", {}).get(frame))
         lines.append(f"| {ranking.mark(row)} | `{row['name']}` | {' | '.join(cells)} | {stays} |")
     return "\n".join(lines + [f"\nNot run: `{e['name']}`: {e['failed']}" for e in ranked["failed"]]) + "\n"

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy.stats import binomtest
 
 from rotorwatch.base.optional import tomllib
 from rotorwatch.campaign import batch, benchmark, benchmark_plan, public_data, ranking, results_file, score, summary
@@ -77,8 +78,10 @@ def test_a_plan_that_is_wrong_is_named_by_field(tmp_path, change, says):
 
 def columns(rows):
     full = [
-        dict.fromkeys(score.COLUMNS) | {"method": "x", "fault": "", "clear": False, "false_alarms": 0} | row
-        for row in rows
+        dict.fromkeys(score.COLUMNS)
+        | {"flight": k, "method": "x", "fault": "", "clear": False, "false_alarms": 0}
+        | row
+        for k, row in enumerate(rows)
     ]
     return {key: summary.column([row[key] for row in full], kind) for key, (kind, _) in score.COLUMNS.items()}
 
@@ -111,9 +114,8 @@ def test_a_rule_keeps_its_own_threshold_and_without_healthy_time_nothing_is_said
     found = summary.at_rate(columns([*rule, {**rule[1], "delay_s": 7.0}]), 1.0, 5.0)
     assert found["threshold"] is None and found["false_alarms_h"]["value"] == 4.0
     assert found["detected"]["value"] == 0.5 and found["delay_s"]["value"] == 3.0
-    assert summary.at_rate(columns([fault({1.0: 2.0})]), 1.0) == dict.fromkeys(
-        ("threshold", "false_alarms_h", "detected", "delay_s")
-    )
+    nothing = dict.fromkeys(("threshold", "false_alarms_h", "detected", "delay_s"))
+    assert summary.at_rate(columns([fault({1.0: 2.0})]), 1.0) == {**nothing, "found": []}
 
 
 def test_intervals_of_a_threshold_from_few_flights_are_wider_than_those_of_the_share():
@@ -185,6 +187,7 @@ QUICK = (benchmark_plan.SHIPPED / "quick.toml").read_text()
         (changed(["methods", 0, "scores", "detected", "low"], 0.99), r"scores.detected must hold value, low and high"),
         (changed(["methods", 0, "scores", "delay_s"], 3.0), r"scores.delay_s must hold value, low and high"),
         (changed(["methods", 0, "scores", "threshold"], "x"), "scores.threshold must be a number or null"),
+        (changed(["methods", 0, "scores", "found_flights"], [1, "2"]), "scores.found_flights must be a list of the numbers"),
         (changed(["methods"], [made()["methods"][0]] * 2), "the method one is there twice"),
         (changed(["data"], [{"name": "x"}]), r"data\[1\].index_sha256 is missing"),
         (changed(["methods"], {}), "methods has the wrong type"),
@@ -219,6 +222,7 @@ def test_the_schema_in_the_documents_names_every_field():
         *results_file.METHOD,
         *results_file.DATA,
         *results_file.MEASURES,
+        *results_file.FLIGHTS,
     ):
         assert f"`{key}`" in page, key
     for key in (*results_file.COUNTS, *results_file.NUMBERS, "format", "format_version"):
@@ -234,6 +238,27 @@ def written(folder, **results):
         paths.append(folder / f"{name}.json")
         paths[-1].write_text(json.dumps(content))
     return paths
+
+
+def test_methods_that_flew_the_same_flights_are_compared_in_pairs(tmp_path):
+    """What all methods find says nothing about which is better; intervals that overlap hide that one always finds more."""
+    first = made("first", 0.83, found_flights=list(range(83)), right_flights=list(range(40)))
+    never_better = made("never better", 0.73, found_flights=list(range(73)), right_flights=list(range(40)))
+    elsewhere = made("elsewhere", 0.78, found_flights=list(range(10, 88)), right_flights=list(range(5, 46)))
+    rows = {row["name"]: row for row in ranking.rank(written(tmp_path, a=first, b=never_better, c=elsewhere))["rows"]}
+    assert rows["never better"]["paired"]["detected"] == {"only_first": 10, "only_this": 0, "p": 2 / 2**10}
+    assert not rows["never better"]["like_first"] and rows["elsewhere"]["like_first"]
+    assert rows["elsewhere"]["paired"]["detected"]["p"] == pytest.approx(binomtest(10, 15).pvalue)
+    assert rows["elsewhere"]["paired"]["right"]["p"] == pytest.approx(binomtest(5, 11).pvalue)
+    assert rows["never better"]["paired"]["right"] == {"only_first": 0, "only_this": 0, "p": 1.0}
+
+
+def test_the_flights_behind_a_share_are_kept():
+    rng = np.random.default_rng(0)
+    rows = [{"flight": n, "peak": float(p), "healthy_s": 60.0} for n, p in enumerate(rng.standard_normal(20))]
+    rows += [fault({0.5: float(v)}) | {"flight": 100 + n} for n, v in enumerate(2.0 * rng.standard_normal(50))]
+    found = summary.at_rate(columns(rows), 3.0)
+    assert found["found"] == [r["flight"] for r in rows[20:] if r["peak_0.5s"] > found["threshold"]] != []
 
 
 def test_methods_of_several_files_are_ordered_by_what_they_find(tmp_path):

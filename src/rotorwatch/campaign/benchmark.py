@@ -235,6 +235,7 @@ def scores(d: dict[str, np.ndarray], benchmark: Benchmark) -> dict[str, Any]:
         "threshold": fair["threshold"], "false_alarms_h": fair["false_alarms_h"], "detected": fair["detected"],
         "delay_s": fair["delay_s"], "own_false_alarms_h": own["false_alarms_h"], "own_detected": own["detected"],
         "own_delay_s": own["delay_s"], "right": own["right"], "loss_rmse": own["loss_rmse"], "coverage": own["coverage"],
+        "found_flights": fair["found"], "right_flights": summary.numbers(d, d["clear"].astype(bool) & (d["right"] == True)),  # noqa: E712
     }  # fmt: skip
 
 

@@ -1,7 +1,8 @@
 """Ranks methods of several results files, and shows the ranking: a table in the terminal, a page for a browser.
 
 Methods are ordered by the share of clear faults that they find in time at the plan's false-alarm rate, then by their delay. A rule without
-a statistic has the rate that it has: where that is above the plan's it stands below those that keep to it.
+a statistic has the rate that it has: where that is above the plan's it stands below those that keep to it. All methods have flown the same
+flights: whether one differs from the first is tested in pairs (`summary.mcnemar`).
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Any
 
 from rotorwatch import __version__
 from rotorwatch.base import files
-from rotorwatch.campaign import results_file
+from rotorwatch.campaign import results_file, summary
 from rotorwatch.campaign.page import STYLE
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments.tools import interval
@@ -31,6 +32,7 @@ COLUMNS = {
 }
 SHARES = {"detected", "right", "coverage", "own_detected"}
 DIGITS = {"loss_rmse": 3, "delay_s": 2, "own_delay_s": 2}
+SURE = 0.05  # two methods differ where chance alone makes such a difference more seldom
 BAR = 150  # pixels of a share of 1
 MORE_STYLE = """caption{text-align:left;padding:.3rem 0}td.l,th.l{text-align:left}small{color:#555}"""
 
@@ -39,8 +41,9 @@ def rank(paths: Sequence[str | os.PathLike]) -> dict[str, Any]:
     """{"plan", "rows", "failed", "data": [{"name", "logs", "left_out", "rows", "failed"}], "machines"} of results files.
 
     rows: best first, each a method's entry with `place`, `file`, `machine`, `over` (it is above the plan's rate of false alarms) and
-    `like_first` (its interval and that of the first overlap). Raises ConfigError for no file, one that cannot be used, and files of
-    different plans.
+    `paired` ({"detected", "right"}: `summary.mcnemar` against the first) and `like_first` (the flights do not distinguish it from the
+    first: p >= SURE; for files without numbers of flights: the intervals overlap, and paired is None). Raises ConfigError for no file,
+    one that cannot be used, and files of different plans.
     """
     if not paths:
         raise ConfigError("There is nothing to rank: give the files that `rotorwatch benchmark -o` has written.")
@@ -84,11 +87,25 @@ def _entries(path: Path, results: dict[str, Any], methods: list[dict]) -> list[d
 def _ordered(entries: list[dict], limit: float) -> dict[str, list[dict]]:
     rows = [{**e, "over": _over(e["scores"], limit)} for e in entries if e["scores"] is not None]
     rows.sort(key=_key)
-    best = rows[0]["scores"]["detected"] if rows else None
     for k, row in enumerate(rows):
-        mine = row["scores"]["detected"]
-        row |= {"place": k + 1, "like_first": bool(best and mine and not row["over"] and mine["high"] >= best["low"])}
+        best, mine = rows[0]["scores"], row["scores"]
+        paired = _paired(best, mine)
+        alike = paired["detected"]["p"] >= SURE if paired else _overlap(best["detected"], mine["detected"])
+        row |= {"place": k + 1, "paired": paired, "like_first": alike and not row["over"]}
     return {"rows": rows, "failed": [e for e in entries if e["scores"] is None and e["failed"]]}
+
+
+def _paired(first: dict[str, Any], other: dict[str, Any]) -> dict[str, dict] | None:
+    if not all("found_flights" in scores and scores["detected"] for scores in (first, other)):
+        return None
+    return {
+        "detected": summary.mcnemar(first["found_flights"], other["found_flights"]),
+        "right": summary.mcnemar(first["right_flights"], other["right_flights"]),
+    }
+
+
+def _overlap(best: dict[str, float] | None, mine: dict[str, float] | None) -> bool:
+    return bool(best and mine and mine["high"] >= best["low"])
 
 
 def _over(scores: dict[str, Any], limit: float) -> bool:
@@ -130,7 +147,7 @@ def _rule(ranked: dict[str, Any]) -> str:
     within, rate = ranked["plan"]["within_s"], ranked["plan"]["false_alarms_h"]
     return (
         f"found: share of clear faults found within {within:g} s, thresholds set to {rate:g} false alarms an hour of healthy flight. "
-        "=: not told apart from the first. over: a rule with more false alarms than that. In brackets 95 % intervals."
+        "=: these flights do not distinguish it from the first (McNemar's test, p over 0.05). over: a rule with more false alarms than that. In brackets 95 % intervals."
     )
 
 

@@ -37,6 +37,8 @@ MEASURES = {
     "us_per_step": "microseconds of one step",
 }
 """Scores with an interval: {"value", "low", "high", "n"}, or None where it is not defined."""
+FLIGHTS = {"found_flights": "flights behind `detected`", "right_flights": "flights behind `right`"}
+"""Scores that are lists of numbers of flights, by which methods are compared in pairs. Files of before they existed have none."""
 PLAN: dict[str, Any] = {
     "name": str, "version": int, "sha256": str, "flights": int, "false_alarms_h": (int, float), "within_s": (int, float), "text": str,
 }  # fmt: skip
@@ -137,6 +139,9 @@ def _scores(scores: dict[str, Any], where: str, path: str) -> None:
         parts: list[Any] = [value.get(part) for part in ("low", "value", "high")] if isinstance(value, dict) else [None]
         if not all(map(_number, parts)) or parts != sorted(parts):
             raise ConfigError(f"{where}: {path}{key} must hold value, low and high, in that order of size, or be null.")
+    for key in FLIGHTS:
+        if not isinstance(scores.get(key, []), list) or not all(type(n) is int for n in scores.get(key, [])):
+            raise ConfigError(f"{where}: {path}{key} must be a list of the numbers of flights.")
 
 
 def _number(value: Any) -> bool:

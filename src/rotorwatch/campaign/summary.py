@@ -6,7 +6,8 @@ Missed detections are counted apart and never enter a delay or an error.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -59,12 +60,13 @@ def of_method(columns: dict[str, np.ndarray], method: str) -> dict[str, np.ndarr
 
 
 def at_rate(d: dict[str, np.ndarray], false_alarms_h: float, within_s: float = 10.0) -> dict[str, Any]:
-    """What a method finds when its threshold is set on healthy time: {"threshold", "false_alarms_h", "detected", "delay_s"}.
+    """What a method finds when its threshold is set on healthy time: {"threshold", "false_alarms_h", "detected", "delay_s", "found"}.
 
     The threshold [nats above the one in use] is the lowest at which at most `false_alarms_h` an hour are left, the first of each
     flight; a method without a statistic keeps its own (threshold None). detected: share of clear faults within `within_s` (one of
-    score.RISE_S), delay_s: median of those, read from score.RISE_S. Intervals: bootstrap of flights, the threshold set anew in each; for
-    the share Wilson's where that is wider. None where they are not defined: without healthy time, or without a clear fault.
+    score.RISE_S), delay_s: median of those, read from score.RISE_S; found: the numbers of those flights. Intervals: bootstrap of flights,
+    the threshold set anew in each; for the share Wilson's where that is wider. None where they are not defined: without healthy time, or
+    without a clear fault.
     """
     clear, hours = d["clear"].astype(bool), float(d["healthy_s"].sum() / 3600.0)
     if not np.isfinite(d["peak"]).any():
@@ -72,9 +74,11 @@ def at_rate(d: dict[str, np.ndarray], false_alarms_h: float, within_s: float = 1
             found = clear & (d["delay_s"] <= within_s)
         own = rate(int(d["false_alarms"].sum()), hours)
         delays = boot(d["delay_s"][found].astype(float), np.median)
-        return {"threshold": None, "false_alarms_h": own, "detected": share(found[clear]), "delay_s": delays}
+        return {
+            "threshold": None, "false_alarms_h": own, "detected": share(found[clear]), "delay_s": delays, "found": numbers(d, found),
+        }  # fmt: skip
     if hours <= 0.0 or not clear.any():
-        return {"threshold": None, "false_alarms_h": None, "detected": None, "delay_s": None}
+        return {"threshold": None, "false_alarms_h": None, "detected": None, "delay_s": None, "found": []}
     grid = [s for s in RISE_S if s <= within_s]
     rise = np.stack([d[f"peak_{s:g}s"] for s in grid], axis=1)
 
@@ -92,7 +96,8 @@ def at_rate(d: dict[str, np.ndarray], false_alarms_h: float, within_s: float = 1
         some = again[np.isfinite(again)]
         shares += [float(np.mean(np.isfinite(again)))] if again.size else []
         medians += [float(np.median(some))] if some.size else []
-    detected, hits = share(np.isfinite(delays)), delays[np.isfinite(delays)]
+    found = np.isfinite(delays)
+    detected, hits = share(found), delays[found]
     assert detected is not None
     low, high = np.quantile(shares, (0.025, 0.975))
     detected |= {"low": min(detected["low"], float(low)), "high": max(detected["high"], float(high))}
@@ -102,7 +107,26 @@ def at_rate(d: dict[str, np.ndarray], false_alarms_h: float, within_s: float = 1
         middle = float(np.median(hits))
         delay = {"value": middle, "low": min(float(low), middle), "high": max(float(high), middle), "n": int(hits.size)}
     alarms = rate(int((d["peak"] > least).sum()), hours)
-    return {"threshold": least, "false_alarms_h": alarms, "detected": detected, "delay_s": delay}
+    return {
+        "threshold": least, "false_alarms_h": alarms, "detected": detected, "delay_s": delay,
+        "found": numbers(d, np.flatnonzero(clear)[found]),
+    }  # fmt: skip
+
+
+def numbers(d: dict[str, np.ndarray], which: np.ndarray) -> list[int]:
+    """The numbers of some flights (indices or a mask), in ascending order."""
+    return sorted(int(n) for n in d["flight"][which])
+
+
+def mcnemar(first: Sequence[int], other: Sequence[int]) -> dict[str, Any]:
+    """Whether two methods differ in what they find in the same flights: {"only_first", "only_this", "p"}.
+
+    first, other: the numbers of the flights in which each succeeds. Flights in which both or neither do say nothing. p: two-sided and
+    exact, of the binomial distribution with 1/2 (McNemar, Psychometrika 12 (1947) 153).
+    """
+    a, b = len(set(first) - set(other)), len(set(other) - set(first))
+    tail = sum(math.comb(a + b, k) for k in range(min(a, b) + 1)) / 2 ** (a + b)
+    return {"only_first": a, "only_this": b, "p": min(1.0, 2.0 * tail)}
 
 
 def _threshold(peaks: np.ndarray, allowed: float) -> float:
