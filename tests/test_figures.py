@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from conftest import hexa_diagnosis, hexa_trace
-from rotorwatch.report import colours, figures, html
+from rotorwatch.report import colours, figures, html, lanes
 
 
 def event(**changes):
@@ -89,7 +89,7 @@ def test_the_lane_shows_modes_as_spans_and_what_was_said_as_marks(pictures):
     )
     assert sorted(said["time"]) == [3.5, 33.0]
     assert said["text"][0] == "33.0 s, error: crash check" and said["fill"] == ["#c1121f", colours.INK]
-    assert figures.lane(hexa_diagnosis(trace=replace(trace, messages=())), None) is None
+    assert lanes.messages(hexa_diagnosis(trace=replace(trace, messages=())), None) is None
 
 
 def test_the_lane_of_a_log_that_names_no_mode_shows_what_was_said():
