@@ -33,7 +33,9 @@ def make(flight: Flight, time: np.ndarray, air: tuple[tuple[float, float], ...])
 def _position(flight: Flight, time: np.ndarray, air) -> np.ndarray | None:
     """(T, 3) north, east, down [m] from the lift-off: as estimated on board, else by GPS; the height else by the barometer."""
     level = _first(flight, time, (("position", (0, 1)), ("gps", (0, 1))))
-    down = _first(flight, time, (("position", (2,)), ("gps", (2,)), ("baro", (0,))))
+    down = _first(flight, time, (("position", (2,)), ("gps", (2,))))
+    if down is None and (up := _columns(flight, "baro", (0,), time)) is not None:
+        down = -up
     if level is None and down is None:
         return None
     unknown = np.full(time.size, np.nan)

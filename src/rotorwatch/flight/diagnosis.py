@@ -146,7 +146,11 @@ class Trace:
         for k, axis in enumerate(("roll", "pitch", "yaw", "thrust")):
             columns |= {f"residual_{axis}": self.residual[:, k], f"residual_sd_{axis}": self.residual_sd[:, k]}
         columns |= {f"evidence_{name}": values for name, values in self.evidence.items()}
-        logged = {"position": ("north", "east", "down"), "battery": ("voltage", "current"), "vibration": ("x", "y", "z")}
+        logged = {
+            "position": ("north", "east", "down"),
+            "battery": ("voltage", "current"),
+            "vibration": ("x", "y", "z"),
+        }
         for name, parts in logged.items():
             if (values := getattr(self, name)) is not None:
                 columns |= {f"{name}_{part}": values[:, k] for k, part in enumerate(parts)}

@@ -6,7 +6,7 @@ What is read from which message (instance 0 where sensors come in several):
     control   RATE ROut POut YOut AOut         rates     RATE R P Y
     gyro      IMU GyrX..                       accel     IMU AccX..
     attitude, attitude_wanted  ANG or ATT, whichever is faster
-    velocity, position   XKF1, NKF1 or EKF1
+    velocity, position   XKF1, NKF1 or EKF1  gps, baro  GPS, BARO
     throttle  CTUN ThO or ThrOut               battery   BAT or CURR
     lift      MOTB                             esc       ESC, ESC1.., CESC: see dataflash_esc
 
@@ -22,7 +22,7 @@ import numpy as np
 
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Signal
-from rotorwatch.logs import dataflash_esc, parameter_ranges, wall_clock
+from rotorwatch.logs import dataflash_esc, parameter_ranges, series, wall_clock
 from rotorwatch.logs import dataflash_events as events
 from rotorwatch.logs import dataflash_rotors as rotors
 from rotorwatch.logs.dataflash_binary import SDLOG2, BinaryLog, amount
@@ -52,6 +52,7 @@ LIMITS = {
     "position": ((-1e5, 1e5),) * 3,
     "throttle": ((-0.1, 1.1),),
     "battery": ((0.0, 120.0), (-100.0, 2000.0)),
+    "baro": ((-1e4, 2e4),),
     "lift": ((0.0, 2.0), (0.0, 2.0), (0.0, 1.5)),
 }
 RAW_TORQUE = 4500.0  # APM:Copter 3.3: full roll, pitch or yaw output
@@ -95,6 +96,7 @@ def read(data, name: str, progress=None) -> Flight:
         reader.rate,
         reader.attitude,
         lambda: reader.navigation(parameters),
+        reader.place,
         reader.power,
         reader.esc,
     )
@@ -102,7 +104,7 @@ def read(data, name: str, progress=None) -> Flight:
         step()
         if progress:
             progress(0.5 + 0.5 * done / len(steps))
-    if not any(len(s) >= 2 for s in reader.signals.values()):
+    if not any(len(s) >= 2 for name, s in reader.signals.items() if name not in series.SHOWN):
         raise LogError(
             f"{name}: no data: the log names its messages and parameters but holds no flight; "
             "check that logging was on and the vehicle was armed."
@@ -374,6 +376,21 @@ class _Signals:
                 self.add("position", time, values[:, 3:], message)
         if (throttle := self.collective()) is not None:
             self.add("throttle", throttle[0], throttle[1][:, None], "CTUN")
+
+    def place(self) -> None:
+        """Where the GPS and the barometer say that it was. This is only shown: damage in it is nothing to warn of."""
+        said = list(self.warnings)
+        rows = self.instance("GPS", ("Lat", "Lng", "Alt", "Spd", "Status"))
+        if rows is not None:
+            time, (latitude, longitude, altitude, speed, status), _ = rows[0], rows[1].T, rows[2]
+            degrees = np.column_stack([latitude, longitude])
+            gps = series.gps(time, degrees, altitude, speed, status >= 3, "GPS")
+            if gps is not None:
+                self.signals["gps"] = gps
+        rows = self.instance("BARO", ("Alt",))
+        if rows is not None:
+            self.add("baro", *rows[:2], "BARO")
+        self.warnings = said
 
     def collective(self):
         """(time (n,), throttle (n,), 1 is full) of CTUN; None without it."""

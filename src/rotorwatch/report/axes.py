@@ -53,7 +53,6 @@ def stacked(name: str, last: bool, x_range, label: str, tips, **more) -> Any:
     return p
 
 
-
 def moment() -> Any:
     """The line of the moment that the page's address names: the page's script places it. One for all plots of a time axis."""
     from bokeh.models import Span

@@ -305,7 +305,8 @@ def _moment_form(diagnosis: Diagnosis) -> str:
     return (
         f'<form class="at" id="at"><label for="at-time">Moment</label> <input id="at-time" type="number" inputmode="decimal" step="0.1" '
         f'min="{first:.2f}" max="{last:.2f}" aria-describedby="at-help"> s <span id="at-set" hidden>'
-        '<button type="button" id="at-copy" aria-label="Copy link to this moment">Copy link</button> <button type="button" id="at-clear">Clear</button></span> '
+        '<button type="button" id="at-copy" aria-label="Copy link to this moment">Copy link</button> '
+        '<button type="button" id="at-clear">Clear</button></span> '
         '<span role="status" id="at-status"></span><span class="help" id="at-help">Click in a plot or type a time: all plots mark that '
         "moment, and the address of this page leads to it.</span></form>"
     )
@@ -329,7 +330,7 @@ def _context(diagnosis: Diagnosis, divs: Mapping[str, str]) -> str:
     _, north, east = track.flown(trace)
     facts = {"farthest from the lift-off": track.metres(track.reach(north, east))} if picture else {}
     about = _facts(facts | lanes.summary(trace))
-    drawn = f'<figure>{picture}<figcaption>{keys}</figcaption></figure>' if picture else ""
+    drawn = f"<figure>{picture}<figcaption>{keys}</figcaption></figure>" if picture else ""
     return (
         '<details class="context" id="context"><summary>Track, altitude, battery and vibration</summary>'
         f'<div class="where">{drawn}{about}</div>'

@@ -31,6 +31,8 @@ LANES: dict[str, tuple[str, str, tuple[tuple[str, str, str], ...]]] = {
 FROM_ZERO = ("ground_speed", "current", "vibration")
 LEAST_SPAN = {"altitude": 2.0, "ground_speed": 2.0, "voltage": 1.0, "current": 2.0, "vibration": 1.0}
 """What an axis shows at least: a calm flight is to look calm."""
+PEAK, USUAL = 3.0, 0.995
+"""Peaks are shown up to so many times what this share of the values stays below."""
 
 
 def messages(diagnosis: Diagnosis, x_range) -> Any:
@@ -119,21 +121,35 @@ def context(diagnosis: Diagnosis, x_range) -> dict[str, Any]:
             data[f"{name}{part}"] = screen.line(column)
     source = ColumnDataSource(data)
     last = "modes" if modes(trace) else next(reversed(found), "")
-    out = {name: _lane(name, values, source, x_range, name == last) for name, values in found.items()}
+    flying = airborne(trace)
+    out = {
+        name: _lane(name, values[flying] if np.isfinite(values[flying]).any() else values, source, x_range, name == last)
+        for name, values in found.items()
+    }
     return out | ({"modes": _modes(trace, x_range)} if last == "modes" else {})
 
 
+def _range(values: np.ndarray) -> tuple[float, float]:
+    """What an axis has to show of these values: all of them, but for peaks that would make the rest a flat line, as an impact has."""
+    seen = values[np.isfinite(values)]
+    low, high, usual = float(seen.min()), float(seen.max()), float(np.quantile(seen, USUAL))
+    return low, min(high, low + PEAK * max(usual - low, 1e-9))
+
+
 def _lane(name: str, values: np.ndarray, source, x_range, last: bool) -> Any:
+    """values: in the air, for which the axis has room."""
     from bokeh.models import Legend, LegendItem, Range1d
 
     _, label, lines = LANES[name]
     unit = label.partition("[")[2].rstrip("]")
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    low, high = _range(values)
     low = 0.0 if name in FROM_ZERO else low
     room = 0.06 * (high - low) + max(0.0, 0.5 * (LEAST_SPAN[name] - (high - low)))
     top = 1.3 * high if len(lines) > 1 else high  # room for the legend
     y_range = Range1d(start=low if name in FROM_ZERO else low - room, end=top + room)
-    p = stacked(name, last, x_range, label, [(part, f"@{name}{part}{{0.0}} {unit}") for part, *_ in lines], y_range=y_range)
+    p = stacked(
+        name, last, x_range, label, [(part, f"@{name}{part}{{0.0}} {unit}") for part, *_ in lines], y_range=y_range
+    )
     drawn = []
     for part, tint, dash in lines:
         look: dict[str, Any] = dict(color=tint, line_dash=dash, line_width=1.6, name=part or name)
@@ -187,7 +203,9 @@ def summary(trace: Trace) -> dict[str, str]:
         first, last, least = (float(v) for v in (seen["voltage"][0, 0], seen["voltage"][-1, 0], seen["voltage"].min()))
         steady = max(first, last) - least < 0.1
         out["battery"] = (
-            f"{first:.1f} V" if steady else f"{first:.1f} V at lift-off, {last:.1f} V at the end, never below {least:.1f} V"
+            f"{first:.1f} V"
+            if steady
+            else f"{first:.1f} V at lift-off, {last:.1f} V at the end, never below {least:.1f} V"
         )
     if "current" in seen:
         out["current"] = f"{float(seen['current'].mean()):.1f} A on average, up to {float(seen['current'].max()):.1f} A"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from html import escape
+from itertools import pairwise
 
 import numpy as np
 
@@ -126,7 +127,7 @@ def _pieces(time: np.ndarray, trace: Trace) -> list[slice]:
     """Stretches of the track without a gap."""
     step = float(np.median(np.diff(trace.time)))
     edges = [0, *(np.flatnonzero(np.diff(time) > 1.5 * step) + 1), time.size]
-    return [slice(a, b) for a, b in zip(edges, edges[1:]) if b > a]
+    return [slice(a, b) for a, b in pairwise(edges) if b > a]
 
 
 def _piece(time: np.ndarray, x: np.ndarray, y: np.ndarray) -> str:
@@ -159,7 +160,7 @@ def _foot(area: Map) -> str:
 def _events(diagnosis: Diagnosis, time: np.ndarray, x: np.ndarray, y: np.ndarray) -> list[str]:
     """Where each event began. Those that began at one place stand side by side."""
     out: list[str] = []
-    taken: list[tuple[float, float]] = []
+    taken = [(float(x[k]), float(y[k])) for k in (0, -1)]  # lift-off and end stay visible
     for number, event in enumerate(diagnosis.events, 1):
         k = int(np.clip(np.searchsorted(time, event.onset_s), 0, time.size - 1))
         a, b = float(x[k]), float(y[k])
