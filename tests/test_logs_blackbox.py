@@ -716,7 +716,7 @@ def test_flight_modes_have_names(file):
     log.event(30, 5, 1)
     flight = logs.read(file("x.bbl", log.bytes()))
     assert [m.text for m in flight.messages if m.kind == "mode"] == ["Acro", "Angle", "Acro", "Horizon"]
-    assert [m.text for m in flight.messages if m.kind == "event"][0] == "modes 0x5, before 0x1"
+    assert next(m.text for m in flight.messages if m.kind == "event") == "modes 0x5, before 0x1"
     log = writer.betaflight(**{"Firmware type": "INAV", "Firmware revision": "INAV 7.1.2 (abc) MATEKF405"})
     log.slow = [Field("activeFlightModeFlags", 0, writer.ZERO, writer.UNSIGNED), *log.slow[1:]]
     for flags in (0, 1, 1 | 1 << 3, 1 | 1 << 3 | 1 << 5, 1 | 1 << 3 | 1 << 4, 1 << 9 | 1 << 4):
