@@ -28,6 +28,8 @@ LANES: dict[str, tuple[str, str, tuple[tuple[str, str, str], ...]]] = {
         (("x", LINE, "solid"), ("y", "#009e73", "dashed"), ("z", "#9467bd", "dotted")),
     ),
 }  # fmt: skip
+ALOFT = ("altitude", "ground_speed", "vibration")
+"""Lanes whose axes have room for what was in the air: on the ground and after an impact estimates run away."""
 FROM_ZERO = ("ground_speed", "current", "vibration")
 LEAST_SPAN = {"altitude": 2.0, "ground_speed": 2.0, "voltage": 1.0, "current": 2.0, "vibration": 1.0}
 """What an axis shows at least: a calm flight is to look calm."""
@@ -122,10 +124,11 @@ def context(diagnosis: Diagnosis, x_range) -> dict[str, Any]:
     source = ColumnDataSource(data)
     last = "modes" if modes(trace) else next(reversed(found), "")
     flying = airborne(trace)
-    out = {
-        name: _lane(name, values[flying] if np.isfinite(values[flying]).any() else values, source, x_range, name == last)
-        for name, values in found.items()
-    }
+    out = {}
+    for name, values in found.items():
+        aloft = values[flying] if name in ALOFT else values
+        room = aloft if np.isfinite(aloft).any() else values
+        out[name] = _lane(name, room, source, x_range, name == last)
     return out | ({"modes": _modes(trace, x_range)} if last == "modes" else {})
 
 
@@ -137,7 +140,7 @@ def _range(values: np.ndarray) -> tuple[float, float]:
 
 
 def _lane(name: str, values: np.ndarray, source, x_range, last: bool) -> Any:
-    """values: in the air, for which the axis has room."""
+    """values: those for which the axis has room."""
     from bokeh.models import Legend, LegendItem, Range1d
 
     _, label, lines = LANES[name]
@@ -210,6 +213,6 @@ def summary(trace: Trace) -> dict[str, str]:
     if "current" in seen:
         out["current"] = f"{float(seen['current'].mean()):.1f} A on average, up to {float(seen['current'].max()):.1f} A"
     if "vibration" in seen:
-        usual = ", ".join(f"{axis} {float(np.median(column)):.1f}" for axis, column in zip("xyz", seen["vibration"].T))
+        usual = ", ".join(f"{axis} {float(np.median(column)):.2g}" for axis, column in zip("xyz", seen["vibration"].T))
         out["usual vibration"] = f"{usual} m/s²"
     return out

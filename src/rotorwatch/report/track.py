@@ -12,7 +12,7 @@ from rotorwatch import report
 from rotorwatch.flight.diagnosis import Diagnosis, Trace
 from rotorwatch.report import colours
 from rotorwatch.report.lanes import has_track
-from rotorwatch.report.thinning import airborne
+from rotorwatch.report.thinning import within
 
 WIDTH, LEAST_HEIGHT, MOST_HEIGHT, MARGIN, FOOT = 440.0, 180.0, 360.0, 22.0, 34.0  # SVG units; the foot is below the map
 LEAST_M = 2.0
@@ -56,11 +56,13 @@ def fitted(north: np.ndarray, east: np.ndarray) -> Map:
 
 
 def flown(trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(time s, north m, east m) of the ticks in the air at which the place is known; all empty where it never is."""
+    """(time s, north m, east m) of the ticks from the first lift-off to the last landing at which the place is known; else all empty."""
     if not has_track(trace):
         return np.zeros(0), np.zeros(0), np.zeros(0)
     assert trace.position is not None
-    known = airborne(trace) & np.isfinite(trace.position[:, :2]).all(axis=1)
+    known = np.isfinite(trace.position[:, :2]).all(axis=1)
+    if trace.airborne:
+        known &= within(trace.time, [(trace.airborne[0][0], trace.airborne[-1][1])])
     return trace.time[known], trace.position[known, 0], trace.position[known, 1]
 
 
