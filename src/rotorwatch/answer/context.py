@@ -106,7 +106,7 @@ def _vibration(flight: Flight, time: np.ndarray) -> np.ndarray | None:
 
 def _means(when: np.ndarray, values: np.ndarray, at: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
     """((m, k) means of values (n, k) within `width` s around the times `at` (m,), (m,) numbers of samples)."""
-    low, high = (np.searchsorted(when, at + side * width / 2, how) for side, how in ((-1, "left"), (1, "right")))
+    low, high = np.searchsorted(when, at - width / 2), np.searchsorted(when, at + width / 2, side="right")
     sums = np.zeros((when.size + 1, values.shape[1]))
     np.cumsum(values, axis=0, out=sums[1:])
     count = high - low

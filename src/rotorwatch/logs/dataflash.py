@@ -6,7 +6,7 @@ What is read from which message (instance 0 where sensors come in several):
     control   RATE ROut POut YOut AOut         rates     RATE R P Y
     gyro      IMU GyrX..                       accel     IMU AccX..
     attitude, attitude_wanted  ANG or ATT, whichever is faster
-    velocity, position   XKF1, NKF1 or EKF1  gps, baro  GPS, BARO
+    velocity, position   XKF1, NKF1 or EKF1  gps, baro  GPS; BARO where no EKF is logged
     throttle  CTUN ThO or ThrOut               battery   BAT or CURR
     lift      MOTB                             esc       ESC, ESC1.., CESC: see dataflash_esc
 
@@ -131,7 +131,7 @@ def read(data, name: str, progress=None) -> Flight:
             "frame_class": frame_class,
             "frame_type": frame_type,
             "clock_jumps": list(clock.jumps),
-            "utc_start": reader.utc_start(),
+            "utc_start": reader.utc_start,
         },
     )
 
@@ -144,6 +144,7 @@ class _Signals:
         self.signals: dict[str, Signal] = {}
         self.warnings: list[str] = []
         self.outputs: dict[int, int] = {}
+        self.utc_start: str | None = None
 
     # -- helpers ---------------------------------------------------------------------------------------------------
 
@@ -354,17 +355,6 @@ class _Signals:
         q[1:] *= np.where(np.cumsum(turned) % 2, -1.0, 1.0)[:, None]
         self.add(name, time, q, message, fine)
 
-    def utc_start(self) -> str | None:
-        """UTC of second 0 from the GPS's week and milliseconds, while it had a fix."""
-        columns = self.log.columns("GPS")
-        names = [next((c for c in aliases if c in columns), "") for aliases in (("GWk", "Week"), ("GMS", "TimeMS"))]
-        rows = self.instance("GPS", (*names, "Status")) if all(names) else None
-        if rows is None:
-            return None
-        time, (week, milliseconds, status), _ = rows[0], rows[1].T, rows[2]
-        fixed = (status >= 3) & (week > 0)
-        return wall_clock.start(time[fixed], wall_clock.of_gps(week[fixed], milliseconds[fixed]))
-
     def navigation(self, parameters) -> None:
         """Velocity and position of the first core of the EKF that flew (AHRS_EKF_TYPE); collective throttle."""
         estimators = ("NKF1", "XKF1", "EKF1") if parameters.get("AHRS_EKF_TYPE") == 2 else ("XKF1", "NKF1", "EKF1")
@@ -378,17 +368,23 @@ class _Signals:
             self.add("throttle", throttle[0], throttle[1][:, None], "CTUN")
 
     def place(self) -> None:
-        """Where the GPS and the barometer say that it was. This is only shown: damage in it is nothing to warn of."""
+        """Where the GPS and, without an EKF, the barometer say that it was; and the time by GPS. This is only shown: nothing warns of
+        damage in it."""
         said = list(self.warnings)
-        rows = self.instance("GPS", ("Lat", "Lng", "Alt", "Spd", "Status"))
+        columns = self.log.columns("GPS")
+        stamp = [next((c for c in aliases if c in columns), "") for aliases in (("GWk", "Week"), ("GMS", "TimeMS"))]
+        rows = self.instance("GPS", ("Status", "Lat", "Lng", "Alt", "Spd", *filter(None, stamp)))
         if rows is not None:
-            time, (latitude, longitude, altitude, speed, status), _ = rows[0], rows[1].T, rows[2]
-            degrees = np.column_stack([latitude, longitude])
-            gps = series.gps(time, degrees, altitude, speed, status >= 3, "GPS")
+            time, (status, latitude, longitude, altitude, speed, *clock), _ = rows[0], rows[1].T, rows[2]
+            fixed = status >= 3
+            gps = series.gps(time, np.column_stack([latitude, longitude]), altitude, speed, fixed, "GPS")
             if gps is not None:
                 self.signals["gps"] = gps
-        rows = self.instance("BARO", ("Alt",))
-        if rows is not None:
+            if all(stamp):  # week and milliseconds
+                week, milliseconds = clock
+                fixed &= week > 0
+                self.utc_start = wall_clock.start(time[fixed], wall_clock.of_gps(week[fixed], milliseconds[fixed]))
+        if "position" not in self.signals and (rows := self.instance("BARO", ("Alt",))) is not None:
             self.add("baro", *rows[:2], "BARO")
         self.warnings = said
 
