@@ -79,6 +79,14 @@ def test_the_address_shows_a_moment_in_every_plot(browser, address):
     corners = page.evaluate("[...document.querySelector('#track polyline').points].map((p) => [p.x, p.y])")
     (left, low), (right, high) = corners[0], corners[-1]
     assert x == pytest.approx(right, abs=0.7) and y == pytest.approx(0.5 * (low + high), abs=0.7), "half way north"
+    page.evaluate("scrollTo(0, 0)")
+    page.click("text=Show where it began")
+    page.wait_for_function(f"{SPANS}[0].location === 31.2 && scrollY > 500")
+    page.evaluate("scrollTo(0, 0)")
+    page.click("text=Show where it began")  # the address is the same now
+    page.wait_for_function("scrollY > 500")
+    page.go_back()
+    page.wait_for_function(f"{SPANS}[0].location === 32.5")
     assert left < right and tab.wrong == [] and tab.violations() == []
     page.evaluate("location.hash = '#t=20'")
     page.wait_for_function(f"{SPANS}[0].location === 20")

@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 
 from conftest import hexa_diagnosis, hexa_trace
+from rotorwatch import logs
 from rotorwatch.answer import context
+from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.report import colours, figures, html, lanes, thinning, track
 
+SAMPLE = SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"
 TICKS = np.arange(0.0, 60.0, 0.05)
 AIR = ((5.0, 55.0),)
 BARE = dict.fromkeys(("position", "ground_speed", "battery", "vibration"))
@@ -208,3 +211,14 @@ def test_the_series_are_in_the_table_of_a_trace():
     )
     assert {"ground_speed", "vibration_z", "position_north", "battery_current"} <= set(table.columns)
     assert "ground_speed" not in replace(hexa_trace(), **BARE).to_pandas().columns
+
+
+def test_no_place_on_earth_is_left_in_a_flight():
+    """The sample flew at 35.363 degrees south, 149.165 east; the signals are metres from the first fix."""
+    sample = logs.read(SAMPLE)
+    gps, position = sample["gps"], sample["position"]
+    assert np.abs(gps.values).max() < 1000 and np.abs(gps.values[0, :3]).max() == 0.0
+    late = gps.time[(gps.time > 20) & (gps.time < 100)]
+    for k in range(2):  # the same track as the estimate's
+        gps_m, estimated = (np.interp(late, s.time, s.values[:, k]) for s in (gps, position))
+        assert np.abs(gps_m - estimated).max() < 1.5

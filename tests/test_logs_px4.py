@@ -76,8 +76,8 @@ def test_the_fault_topic_and_ground_truth_are_never_decoded(monkeypatch):
 def test_the_gps_of_old_and_new_releases_in_metres(degrees):
     stamp = np.arange(4) * 200_000
     north, east, up = (
-        np.array([0, 47.0, 47.0001, 47.0]),
-        np.array([0, 8.0, 8.0, 8.0001]),
+        np.array([46.0, 47.0, 47.0001, 47.0]),
+        np.array([7.0, 8.0, 8.0, 8.0001]),
         np.array([0, 400.0, 410.0, 400.0]),
     )
     names = ("latitude_deg", "longitude_deg", "altitude_msl_m") if degrees else ("lat", "lon", "alt")

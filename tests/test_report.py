@@ -174,7 +174,8 @@ def test_page_holds_the_whole_answer(fault, page):
 def test_page_asks_for_nothing_from_outside(page):
     for tag, attrs in Tags(page).tags:
         assert tag not in ("link", "iframe", "img", "object", "embed"), tag
-        assert not {"src", "href", "srcset", "action"} & set(attrs), (tag, attrs)
+        assert not {"src", "srcset", "action"} & set(attrs), (tag, attrs)
+        assert attrs.get("href", "#t=").startswith("#t="), "a moment of this page, or nothing"
 
 
 def test_page_embeds_the_json(fault, page):

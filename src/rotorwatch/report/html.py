@@ -54,7 +54,7 @@ def page(diagnosis: Diagnosis) -> str:
         _moment(diagnosis, divs),
         _overview(diagnosis),
         _health(diagnosis),
-        _events(diagnosis),
+        _events(diagnosis, "loss" in divs),
         _baseline(diagnosis),
         _plots(diagnosis, divs),
         _context(diagnosis, divs),
@@ -217,7 +217,8 @@ def _facts(entries: Mapping[str, Any]) -> str:
     return f'<dl class="facts">{"".join(cells)}</dl>'
 
 
-def _events(diagnosis: Diagnosis) -> str:
+def _events(diagnosis: Diagnosis, shown: bool) -> str:
+    """shown: there are plots in which the moment of an event can be shown."""
     items = []
     for number, e in enumerate(diagnosis.events, 1):
         several = number - 1 == diagnosis.main and len(diagnosis.events) > 1
@@ -225,7 +226,9 @@ def _events(diagnosis: Diagnosis) -> str:
         items.append(
             f'<li style="--tint:{colours.of_event(e)}"><h3>{number}. {escape(report.sentence(report.kind(e)))}: '
             f"{_text(report.who(e, diagnosis))}{main}</h3>"
-            f"{_facts(report.event_rows(e, diagnosis))}<p>{_text(report.sentence(e.reason))}</p></li>"
+            f"{_facts(report.event_rows(e, diagnosis))}<p>{_text(report.sentence(e.reason))}</p>"
+            + (f'<p><a href="#t={e.onset_s:.2f}">Show where it began</a></p>' if shown else "")
+            + "</li>"
         )
     return f'<h2>Events</h2><ol class="events">{"".join(items)}</ol>' if items else ""
 

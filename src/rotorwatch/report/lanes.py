@@ -117,7 +117,7 @@ def context(diagnosis: Diagnosis, x_range) -> dict[str, Any]:
     if trace is None or trace.time.size < 2:
         return {}
     found, screen = logged(trace), Screen(trace.time, windows(diagnosis), OVERVIEW, DETAIL)
-    data = {"time": screen.time.astype(np.float32)}
+    data: dict[str, Any] = {"time": screen.time.astype(np.float32)}
     for name, values in found.items():
         for (part, *_), column in zip(LANES[name][2], values.T):
             data[f"{name}{part}"] = screen.line(column)

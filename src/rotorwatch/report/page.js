@@ -61,6 +61,7 @@
   const track = document.getElementById("track");
 
   function moments() {
+    if (!form) return; // only the picture of one moment
     const spans = new Set(figures().flatMap((f) => f.center.filter((thing) => thing.name === "moment")));
     const box = document.getElementById("at-set");
     const status = document.getElementById("at-status");
@@ -69,6 +70,7 @@
 
     /** Mark a moment, or none (null). */
     const mark = (time) => {
+      if (time === null) field.value = "";
       for (const span of spans) {
         if (time !== null) span.location = time;
         span.visible = time !== null;
@@ -126,7 +128,12 @@
       const done = await copied(location.href, document.getElementById("at-copy"));
       status.textContent = done ? "Copied." : "The browser does not let this page copy: take the link from the address bar.";
     });
-    addEventListener("hashchange", arrive);
+    addEventListener("hashchange", () => {
+      if (!location.hash) mark(null); // back to where no moment was named
+      arrive();
+    });
+    // The address of a link that is followed twice does not change.
+    document.addEventListener("click", (event) => event.target.closest?.('a[href^="#t="]') && setTimeout(arrive));
     arrive();
   }
 

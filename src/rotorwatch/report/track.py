@@ -108,7 +108,7 @@ def svg(diagnosis: Diagnosis) -> str:
         f'<g class="end"><title>end, {report.seconds(time[-1])}</title>'
         f'<rect x="{x[-1] - 4:.1f}" y="{y[-1] - 4:.1f}" width="8" height="8"/></g>',
         *_events(diagnosis, time, x, y),
-        '<circle class="moment" r="6" visibility="hidden"/></svg>',
+        '<circle class="moment" r="11" visibility="hidden"/></svg>',
     ]
     return "".join(parts)
 
