@@ -217,7 +217,7 @@ def _facts(entries: Mapping[str, Any]) -> str:
     return f'<dl class="facts">{"".join(cells)}</dl>'
 
 
-def _events(diagnosis: Diagnosis, shown: bool) -> str:
+def _events(diagnosis: Diagnosis, shown: bool = False) -> str:
     """shown: there are plots in which the moment of an event can be shown."""
     items = []
     for number, e in enumerate(diagnosis.events, 1):
