@@ -225,7 +225,24 @@ def hexa_trace(duration=60.0, rate=50.0, rotors=6, onset=31.2, detected=31.56, l
             (33.0, "error", "crash check"),
             (40.0, "mode", "LAND"),
         ),
+        **hexa_context(time, duration),
     )
+
+
+def hexa_context(time, duration=60.0):
+    """It climbs to 12 m, flies 40 m east, 20 m north, and comes down; with a battery that sags and a vibration that grows."""
+    up = np.interp(time, [4.0, 10.0, duration - 12.0, duration - 2.0], [0.0, 12.0, 12.0, 0.0])
+    east = np.interp(time, [10.0, 25.0], [0.0, 40.0])
+    north = np.interp(time, [25.0, 40.0], [0.0, 20.0])
+    flying = (time >= 4.0) & (time <= duration - 2.0)
+    battery = np.stack([16.6 - 0.02 * time, np.where(flying, 21.0, 0.4)], axis=1)
+    vibration = np.where(flying, 1.0 + 0.02 * time, 0.05)[:, None] * [0.5, 0.6, 1.4]
+    return {
+        "position": np.stack([north, east, -up], axis=1),
+        "ground_speed": np.hypot(np.gradient(north, time), np.gradient(east, time)),
+        "battery": battery,
+        "vibration": vibration,
+    }
 
 
 HEXA = airframes.named("ardupilot-hexa-x").rotors

@@ -3,14 +3,12 @@
 import os
 import subprocess
 import sys
-from importlib.util import find_spec
-from pathlib import Path
 
 import pytest
 
+from browser_tab import Tab, launched
 from rotorwatch.commands import cli
 
-sync_api = pytest.importorskip("playwright.sync_api", reason="no playwright (pip install -e '.[test]')")
 SAMPLES = cli.SAMPLES
 HEXA, QUAD = SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz", SAMPLES / "quadx_healthy_hover.bin.xz"
 HOSTILE = "<img src=x onerror=alert(1)>\u202e.bin"
@@ -60,39 +58,8 @@ def site(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def browser(chromium):
-    arguments = ["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--disable-background-networking"]
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=arguments)
+    with launched(chromium) as browser:
         yield browser
-        browser.close()
-
-
-class Tab:
-    """An open page. wrong: what the browser complained of; hosts: whom it asked."""
-
-    def __init__(self, browser, address, **looks):
-        self.page = browser.new_context(**looks).new_page()
-        self.wrong, self.hosts = [], set()
-        self.page.on("console", lambda m: self.wrong.append(m.text) if m.type in ("error", "warning") else None)
-        self.page.on("pageerror", lambda e: self.wrong.append(str(e)))
-        self.page.on("dialog", lambda d: (self.wrong.append(d.message), d.dismiss()))
-        self.page.on("request", lambda r: self.hosts.add(r.url.split("/")[2]))
-        self.page.goto(address)
-
-    def points(self):
-        """How many points the first rotor's line has."""
-        return self.page.evaluate(
-            "(document.querySelector('.bands .line')?.getAttribute('d') ?? '').split(/[ML]/).length - 1"
-        )
-
-    def violations(self):
-        """What axe-core finds: (rule, elements)."""
-        script = Path(find_spec("axe_playwright_python").submodule_search_locations[0], "axe.min.js").read_text()
-        self.page.context.new_cdp_session(self.page).send("Runtime.evaluate", {"expression": script})
-        return [(v["id"], [n["target"] for n in v["nodes"]]) for v in self.page.evaluate("axe.run()")["violations"]]
-
-    def overflow(self):
-        return self.page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
 
 
 @pytest.fixture(scope="module")
@@ -105,6 +72,12 @@ def other(site, browser):
     return Tab(browser, site.address, viewport={"width": 390, "height": 844}, color_scheme="dark")
 
 
+def points(tab):
+    """How many points the first rotor's line has."""
+    script = "(document.querySelector('.bands .line')?.getAttribute('d') ?? '').split(/[ML]/).length - 1"
+    return tab.page.evaluate(script)
+
+
 def test_a_live_fault_is_shown_and_a_reload_loses_nothing(tab):
     page = tab.page
     page.wait_for_selector(DRAWN, timeout=60_000, state="attached")
@@ -114,15 +87,15 @@ def test_a_live_fault_is_shown_and_a_reload_loses_nothing(tab):
     assert "degraded" in card.locator("g.rotor").nth(2).get_attribute("class")
     assert "rotor 3: lost" in card.locator("svg.airframe title").text_content()
     assert "fault" in page.locator("#alarm").text_content(), "a screen reader is told"
-    before = tab.points()
+    before = points(tab)
     page.reload()
     page.wait_for_selector(DRAWN, state="attached")
-    assert tab.points() >= before > 20, "the band from before the reload is there again"
+    assert points(tab) >= before > 20, "the band from before the reload is there again"
 
 
 def test_a_second_tab_shows_the_same(tab, other):
     other.page.wait_for_selector(DRAWN, state="attached")
-    assert other.points() > 20
+    assert points(other) > 20
     assert other.page.locator("article h3").all_inner_texts() == tab.page.locator("article h3").all_inner_texts()
 
 
@@ -181,6 +154,17 @@ def test_the_report_opens_in_its_sandbox(tab, site, browser):
     report.page.wait_for_selector("html[data-plots]")
     assert report.page.evaluate("self.origin") == "null"
     assert report.page.evaluate("fetch('/api/flights').then(() => 'let in', () => 'refused')") == "refused"
+    assert report.page.evaluate("document.getElementById('context').open") is False
+    moment = Tab(browser, report.page.url + "#t=30.5")
+    page = moment.page
+    page.wait_for_selector("html[data-plots]")
+    assert page.evaluate("document.getElementById('context').open") and page.input_value("#at-time") == "30.5"
+    page.fill("#at-time", "31.2")
+    assert page.evaluate("location.hash") == "#t=31.2", "the address may be changed in the sandbox"
+    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    page.click("#at-copy")
+    page.wait_for_selector("#at-status:has-text('Copied.')")
+    assert moment.wrong == []
     report.page.click("text=All flights")
     report.page.wait_for_selector("#list tbody tr")
 

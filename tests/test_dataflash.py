@@ -50,6 +50,41 @@ def pwm(**outputs):
     return [outputs.get(f"o{k}", 0) for k in range(1, 15)]
 
 
+def test_places_by_gps_and_barometer():
+    log = Writer()
+    log.define(*IMU)
+    log.define("GPS", "QBBLLeff", "TimeUS,I,Status,Lat,Lng,Alt,Spd,GCrs")
+    log.define("BARO", "QBf", "TimeUS,I,Alt")
+    for k in range(6):
+        log.add("IMU", 1_000_000 + 100_000 * k, 0, 0, 0, 0, 0, 0, -9.8)
+        for instance in (0, 1):
+            status, off = (1, 0) if k == 0 else (3, 1000 * k)
+            log.add(
+                "GPS",
+                1_000_000 + 100_000 * k,
+                instance,
+                status,
+                470_000_000 + off,
+                80_000_000 - off + 5 * instance,
+                40_000 + 100 * k,
+                1.5,
+                0,
+            )
+        log.add("BARO", 1_000_000 + 100_000 * k, 0, 0.5 * k)
+    flight = dataflash.read(log.data, "made.bin")
+    gps = flight["gps"]
+    assert len(gps) == 6 and gps.valid[:, 0].tolist() == [False] + [True] * 5
+    assert gps.values[1] == pytest.approx([0.0, 0.0, 0.0, 1.5]) and gps.unit == "m,m,m,m/s"
+    assert gps.values[5] == pytest.approx([4 * 11.118, -4 * 7.604, -4.0, 1.5], abs=0.02)
+    assert flight["baro"].values[:, 0] == pytest.approx(0.5 * np.arange(6))
+    alone = Writer()
+    alone.define("BARO", "QBf", "TimeUS,I,Alt")
+    for k in range(6):
+        alone.add("BARO", 1_000_000 + 100_000 * k, 0, 0.5 * k)
+    with pytest.raises(LogError, match="holds no flight"):
+        dataflash.read(alone.data, "made.bin")
+
+
 def flight_with(outputs, n=5, **parameters):
     log = Writer()
     log.parameters(**parameters)

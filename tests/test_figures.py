@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from conftest import hexa_diagnosis, hexa_trace
-from rotorwatch.report import colours, figures, html
+from rotorwatch.report import colours, figures, html, lanes
 
 
 def event(**changes):
@@ -89,7 +89,7 @@ def test_the_lane_shows_modes_as_spans_and_what_was_said_as_marks(pictures):
     )
     assert sorted(said["time"]) == [3.5, 33.0]
     assert said["text"][0] == "33.0 s, error: crash check" and said["fill"] == ["#c1121f", colours.INK]
-    assert figures.lane(hexa_diagnosis(trace=replace(trace, messages=())), None) is None
+    assert lanes.messages(hexa_diagnosis(trace=replace(trace, messages=())), None) is None
 
 
 def test_the_lane_of_a_log_that_names_no_mode_shows_what_was_said():
@@ -108,6 +108,7 @@ def test_headings_stand_above_plots_that_are_there(fault, pictures):
     ]  # of vehicles that are flown by rates
     assert shown == ["Loss of each rotor over the flight", *titles]
     few = {name: div for name, div in divs.items() if name not in ("evidence", "lane") and not name.startswith("angle")}
+    few = {name: div for name, div in few.items() if name not in (*lanes.LANES, "modes")}
     text = html._plots(fault, few)
     assert (
         re.findall(r"<h2>(.*?)</h2>", text) == [shown[0], "Motor commands", "Residuals"]

@@ -677,6 +677,72 @@ def test_velocity_from_gps_frames(file):
     np.testing.assert_allclose(flight["velocity"].time, [0.0291, 0.0293])
 
 
+def test_places_by_gps_frames_and_height_by_barometer(file):
+    """Betaflight from 4.0 logs altitudes in 0.1 m, INAV in m; of others the unit is not certain."""
+    for revision, unit in (
+        ("Betaflight 4.5.1 (abc) X", 0.1),
+        ("INAV 7.1.2 (abc) X", 1.0),
+        ("Betaflight 3.4.0 (abc) X", np.nan),
+    ):
+        log = writer.betaflight(
+            more=[Field("BaroAlt")], **{"Firmware revision": revision, "Firmware type": revision[:4]}
+        )
+        log.home = [Field("GPS_home[0]"), Field("GPS_home[1]")]
+        log.gps = [
+            Field("time", 0, writer.MAINTIME, writer.UNSIGNED), Field("GPS_numSat", 0),
+            *(Field(f"GPS_coord[{k}]", 1, writer.HOME) for k in range(2)), Field("GPS_altitude"), Field("GPS_speed"),
+        ]  # fmt: skip
+        log.add("H", [470_000_000, 80_000_000])
+        small(log, 60, BaroAlt=1234)
+        log.add("G", [64_100, 2, 470_000_000, 80_000_000, 4000, 0])
+        for k in range(3):
+            log.add("G", [64_200 + 100 * k, 9, 470_000_000 + 1000 * k, 80_000_000 - 1000 * k, 4000 + 50 * k, 250])
+        flight = logs.read(file("x.bbl", log.bytes()))
+        gps = flight["gps"]
+        assert gps.source == "GPS_coord" and gps.valid[:, 0].tolist() == [False, True, True, True]
+        assert gps.values[3, [0, 1, 3]] == pytest.approx([2 * 11.118, -2 * 7.604, 2.5], abs=0.01)
+        assert gps.valid[3, 2] == np.isfinite(unit) and (
+            not gps.valid[3, 2] or gps.values[3, 2] == pytest.approx(-100 * unit)
+        )
+        assert flight["baro"].values[0, 0] == pytest.approx(12.34) and len(flight["baro"]) <= 60
+        assert flight.duration == pytest.approx(0.059), "what is only shown does not prolong the flight"
+
+
+def test_flight_modes_have_names(file):
+    log = writer.betaflight()
+    for flags in (1, 3, 1 | 1 << 20, 5, 5 | 1 << 9):
+        log.add("S", [flags, 0, 0, 0, 0])
+        small(log, 4)
+    log.event(30, 5, 1)
+    flight = logs.read(file("x.bbl", log.bytes()))
+    assert [m.text for m in flight.messages if m.kind == "mode"] == ["Acro", "Angle", "Acro", "Horizon"]
+    assert next(m.text for m in flight.messages if m.kind == "event") == "modes 0x5, before 0x1"
+    log = writer.betaflight(**{"Firmware type": "INAV", "Firmware revision": "INAV 7.1.2 (abc) MATEKF405"})
+    log.slow = [Field("activeFlightModeFlags", 0, writer.ZERO, writer.UNSIGNED), *log.slow[1:]]
+    for flags in (0, 1, 1 | 1 << 3, 1 | 1 << 3 | 1 << 5, 1 | 1 << 3 | 1 << 4, 1 << 9 | 1 << 4):
+        log.add("S", [flags, 0, 0, 0, 0])
+        small(log, 4)
+    names = [m.text for m in logs.read(file("y.bbl", log.bytes())).messages if m.kind == "mode"]
+    assert names == ["Acro", "Angle", "Altitude hold", "Position hold", "Return home", "Failsafe"]
+    log = writer.betaflight(**{"Firmware type": "Cleanflight", "Firmware revision": "bdaf8ec"})
+    log.add("S", [1, 0, 0, 0, 0])
+    small(log, 4)
+    log.event(30, 5, 1)
+    assert [m.text for m in logs.read(file("z.bbl", log.bytes())).messages if m.kind == "mode"] == [
+        "modes 0x5, before 0x1"
+    ]
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="the flight logs for tests are not here (../shared/flights)")
+def test_the_gps_of_a_real_flight():
+    flight = logs.read(SHARED / "gimbal-ghost-btfl_002.bbl.xz")
+    gps = flight["gps"]
+    assert len(gps) == 234 and gps.valid.all() and gps.values[:, 3].max() == pytest.approx(25.6)
+    assert np.ptp(gps.values[:, :3], axis=0) == pytest.approx([113.9, 183.9, 97.8], abs=0.2)
+    height = logs.read(SHARED / "LOG00006.BFL.xz")["baro"]
+    assert height.rate_hz < 60 and np.ptp(height.values) < 60
+
+
 @pytest.mark.parametrize(
     "settings_, raw, volts",
     [({}, 1580, 15.8), ({"vbatcellvoltage": "33,35,43", "vbatref": 164}, 158, 15.8),

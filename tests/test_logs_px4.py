@@ -72,6 +72,24 @@ def test_the_fault_topic_and_ground_truth_are_never_decoded(monkeypatch):
     assert flight.vehicle_type == "quadrotor" and flight.parameter_changes[0][1] == "COM_RCL_EXCEPT"
 
 
+@pytest.mark.parametrize("degrees", [False, True])
+def test_the_gps_of_old_and_new_releases_in_metres(degrees):
+    stamp = np.arange(4) * 200_000
+    north, east, up = (
+        np.array([46.0, 47.0, 47.0001, 47.0]),
+        np.array([7.0, 8.0, 8.0, 8.0001]),
+        np.array([0, 400.0, 410.0, 400.0]),
+    )
+    names = ("latitude_deg", "longitude_deg", "altitude_msl_m") if degrees else ("lat", "lon", "alt")
+    units = (1.0, 1.0, 1.0) if degrees else (1e7, 1e7, 1e3)
+    place = {n: v if degrees else np.rint(v * u).astype(np.int32) for n, v, u in zip(names, (north, east, up), units)}
+    table = {"timestamp": stamp, **place, "vel_m_s": np.full(4, 2.5), "fix_type": np.array([1, 3, 3, 4])}
+    found, _ = px4_topics.signals(px4_topics.Topics({("vehicle_gps_position", 0): table}, 0), {})
+    assert found["gps"].valid[:, 0].tolist() == [False, True, True, True]
+    assert found["gps"].values[2] == pytest.approx([11.118, 0.0, -10.0, 2.5], abs=0.01)
+    assert found["gps"].values[3] == pytest.approx([0.0, 7.604, 0.0, 2.5], abs=0.01)
+
+
 def test_every_topic_that_is_read_is_loaded(monkeypatch):
     """A topic that is missing in TOPICS would never come from a ULog, whatever the log holds."""
     read, real = set(), px4_topics.Topics.table

@@ -159,6 +159,23 @@ def test_the_diagnosis_of_mavros_is_that_of_the_dataflash_log(arducopter, tmp_pa
     assert two.events[0].loss == pytest.approx(one.events[0].loss, abs=0.03)
 
 
+@pytest.mark.parametrize("storage, definitions", [("mcap", True), ("sqlite", False)])
+def test_a_fix_that_mavros_passes_on_is_read(arducopter, tmp_path, storage, definitions):
+    rows, store, found = arducopter[1], ros2_bags.types(), []
+    at = [row for row in rows if row[0] == "/mavros/rc/out"]
+    for k in range(40):
+        message = ros2_bags.blank(
+            *(store, "sensor_msgs/msg/NavSatFix"), header=at[5 * k][3].header, latitude=47.0 + 1e-4 * k, longitude=8.0,
+            altitude=400.0 + k, status=ros2_bags.blank(store, "sensor_msgs/msg/NavSatStatus", status=-1 if k < 3 else 0),
+        )  # fmt: skip
+        found.append(("/mavros/global_position/raw/fix", "sensor_msgs/msg/NavSatFix", at[5 * k][2], message))
+    with_fix = rw.read(ros2_bags.write(tmp_path / "flight", [*rows, *found], storage, definitions))
+    gps = with_fix["gps"]
+    assert not gps.valid[:3].any() and gps.valid[3:, :3].all() and not gps.valid[:, 3].any()
+    assert gps.values[10, :3] == pytest.approx([7 * 11.118, 0.0, -7.0], abs=0.01)
+    assert with_fix.duration == rw.read(ros2_bags.write(tmp_path / "without", rows, storage, definitions)).duration
+
+
 def test_odometry_gives_the_same_velocity():
     """Body velocity forward of a vehicle that faces east and climbs: east and up."""
     q = np.array([[0.0, 0.0, 0.0, 1.0]])  # ROS: facing east

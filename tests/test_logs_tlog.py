@@ -272,17 +272,48 @@ def test_arming_modes_and_landing_become_messages():
     states = [m[1:] for m in said if m[0] == "armed"]
     assert states == [("armed", 1.0), ("disarmed", 0.0), ("armed", 1.0), ("disarmed", 0.0)]
     assert [m[1] for m in said if m[0] == "mode"] == [
-        "mode 4",
-        "mode 5",
-        "mode 4",
-        "mode 5",
-        "mode 4",
-        "mode 9",
-        "mode 4",
-        "mode 9",
+        *("GUIDED", "LOITER") * 2,
+        *("GUIDED", "LAND") * 2,
     ]
     assert [m[1] for m in said if m[0] == "landed"] == ["landed", "in the air", "landed"]
     assert [m[0] for m in said if m[1] == "words"] == ["text", "error", "error", "text"]
+
+
+def test_modes_of_other_autopilots_are_named_or_numbered():
+    for autopilot, number, name in ((12, 4 << 16 | 5 << 24, "Return"), (12, 3 << 16, "Position"), (12, 77 << 16, "mode 5046272"),
+                                    (3, 99, "mode 99"), (4, 5, "mode 5")):  # fmt: skip
+        log = Writer().flight(samples=4, autopilot=autopilot)
+        log.add("heartbeat", 2, autopilot, 0x81, number, 4, 3)
+        assert [m.text for m in read(log).messages if m.kind == "mode"][-1] == name
+
+
+def test_the_gps_is_read_in_metres_from_its_first_fix():
+    """One ten-thousandth of a degree at 60 degrees north: 11.14 m to the north, 5.58 m to the east (WGS 84)."""
+    log = Writer().flight(samples=40)
+    for k, (fix, north, east) in enumerate([(0, 0, 0), (3, 600_000_000, 100_000_000), (3, 600_001_000, 100_001_000)]):
+        log.add("gps_raw_int", (6000 + 200 * k) * 1000, fix, north, east, 70_000 + 500 * k, 100, 100, 320, 0, 9)
+    gps = read(log)["gps"]
+    assert gps.source == "GPS_RAW_INT" and gps.valid[:, 0].tolist() == [False, True, True]
+    assert gps.values[1] == pytest.approx([0.0, 0.0, 0.0, 3.2]) and gps.values[2, 3] == pytest.approx(3.2)
+    assert gps.values[2, :3] == pytest.approx([11.141, 5.580, -0.5], abs=0.002)
+    log = Writer().flight(samples=40)
+    for k, east in enumerate((1_799_999_000, 1_800_000_000, -1_799_999_000)):
+        log.add("global_position_int", 6000 + 200 * k, -600_000_000, east, 0, 0, 300, 400, 0, 0)
+    far = read(log)["gps"]
+    assert far.values[:, 3] == pytest.approx(5.0) and far.values[2, 1] == pytest.approx(11.16, abs=0.01), (
+        "across the date line"
+    )
+
+
+@needs_flights
+def test_gps_and_estimate_of_a_flight_agree():
+    flight = logs.read(LOG)
+    gps, position = flight["gps"], flight["position"]
+    late = gps.time > 50.0
+    down = np.interp(gps.time[late], position.time, position.values[:, 2])
+    apart = gps.values[late, 2] - down
+    assert np.std(apart) < 0.5 and np.abs(gps.values[late, :2]).max() < 2.0
+    assert [m.text for m in flight.messages if m.kind == "mode"] == ["STABILIZE", "GUIDED"]
 
 
 def test_a_head_that_ends_where_the_second_frame_would_begin_is_believed():

@@ -13,7 +13,7 @@ from conftest import hexa_diagnosis, hexa_trace
 from rotorwatch import report
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Event, RotorState
-from rotorwatch.report import colours, drawing, figures, html, terminal
+from rotorwatch.report import colours, drawing, figures, html, terminal, thinning
 
 
 def text_of(diagnosis):
@@ -106,27 +106,27 @@ def test_thinning_keeps_every_peak_and_the_order_of_time():
     time = np.arange(60_000) / 100.0
     values = rng.standard_normal(time.size)
     values[12_345], values[50_001] = 40.0, -40.0
-    screen = figures.Screen(time, [])
+    screen = thinning.Screen(time, [])
     line = screen.line(values)
-    assert screen.time.size <= 2 * figures.OVERVIEW_ROWS
+    assert screen.time.size <= 2 * thinning.OVERVIEW_ROWS
     assert np.all(np.diff(screen.time) > 0)
     assert line.max() == 40.0 and line.min() == -40.0
-    assert abs(screen.time[line.argmax()] - 123.45) < 2 * 600 / figures.OVERVIEW_ROWS
+    assert abs(screen.time[line.argmax()] - 123.45) < 2 * 600 / thinning.OVERVIEW_ROWS
     assert np.all(screen.least(values) <= line) and np.all(line <= screen.greatest(values))
 
 
 def test_thinning_keeps_the_full_rate_around_events():
     time = np.arange(60_000) / 100.0
-    screen = figures.Screen(time, [(100.0, 110.0)])
+    screen = thinning.Screen(time, [(100.0, 110.0)])
     near = (screen.time >= 100.0) & (screen.time <= 110.0)
     assert near.sum() >= 1000
-    assert screen.time.size <= figures.OVERVIEW_ROWS + figures.DETAIL_ROWS
+    assert screen.time.size <= thinning.OVERVIEW_ROWS + thinning.DETAIL_ROWS
 
 
 def test_thinning_bridges_no_gap_and_survives_few_samples():
     time = np.arange(10.0)
     values = np.where(time < 5, np.nan, time)
-    screen = figures.Screen(time, [])
+    screen = thinning.Screen(time, [])
     assert np.array_equal(screen.time, time)
     assert np.isnan(screen.line(values)[:5]).all() and np.array_equal(screen.line(values)[5:], time[5:])
 
@@ -174,7 +174,8 @@ def test_page_holds_the_whole_answer(fault, page):
 def test_page_asks_for_nothing_from_outside(page):
     for tag, attrs in Tags(page).tags:
         assert tag not in ("link", "iframe", "img", "object", "embed"), tag
-        assert not {"src", "href", "srcset", "action"} & set(attrs), (tag, attrs)
+        assert not {"src", "srcset", "action"} & set(attrs), (tag, attrs)
+        assert attrs.get("href", "#t=").startswith("#t="), "a moment of this page, or nothing"
 
 
 def test_page_embeds_the_json(fault, page):

@@ -8,6 +8,7 @@ story.py        what happened when control was lost, in four sentences
 conclusion.py   verdict, reason, headline, main event, state of every rotor
 advice.py       what to do next
 common_mode.py  how much more thrust all rotors together need at the end
+context.py      where it flew, how fast, battery, vibration: what no verdict depends on
 traces.py       what a picture of the flight needs
 picture.py      what a picture of a loss of control needs
 """

@@ -1,4 +1,5 @@
-"""What a picture of the flight needs, on the estimator's ticks: estimates, evidence, residuals, commands, attitude, modes and messages.
+"""What a picture of the flight needs, on the estimator's ticks: estimates, evidence, residuals, commands, attitude, modes and messages,
+and what `context` adds.
 
 A tick without a sample has no value: over a short gap the line goes straight on, over a long one there is none.
 """
@@ -7,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rotorwatch.answer import context
 from rotorwatch.answer.conclusion import most
 from rotorwatch.answer.wording import explanations, rotors
 from rotorwatch.default import events
@@ -56,6 +58,7 @@ def make(
         _bridged(time, np.where(seen[:, None], table.thrust * table.hover[:, None], np.nan)),
         {k: np.clip(v, LEAST_ODDS, None) for k, v in evidence.items()}, tuple(blind), tuple(air), limit / LN10,
         actual, wanted, _messages(flight, float(time[-1])), *(_held(signal, time) for signal in rates(flight)),
+        **context.make(flight, time, air),
     )  # fmt: skip
 
 

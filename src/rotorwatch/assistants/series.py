@@ -10,6 +10,7 @@ import numpy as np
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.report import figures
+from rotorwatch.report.thinning import Screen
 
 WHOLE = ("loss", "command", "residual", "evidence", "attitude", "rates")
 MOMENT = ("moment_attitude", "moment_rates", "moment_command", "moment_speed")
@@ -40,7 +41,7 @@ def sampled(
     time, values = time[inside], values[inside]
     rows = [(t, *row) for t, row in zip(time, values)]
     if time.size > most:
-        screen = figures.Screen(time, [], overview=most)
+        screen = Screen(time, [], overview=most)
         columns = [screen.time, *(screen.line(column) for column in values.T)]
         rows = list(zip(*columns))[:most]
     digits = 0 if what == "moment_speed" else 1 if what.endswith(("attitude", "rates")) else 3

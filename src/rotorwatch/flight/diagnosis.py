@@ -111,7 +111,9 @@ class Trace:
     evidence: hypothesis name -> (T,) log10 odds against healthy; blind: ((start, end, why), ...) when the diagnoser could not judge;
     airborne: ((start, end), ...). attitude, wanted (T, 3): roll, pitch, yaw in degrees, as flown and as asked for, or None; messages:
     ((time, kind, text), ...), kinds as in `flight.Message`. rates, rates_wanted (T, 3): the same as attitude in degrees/s, of a vehicle
-    whose pilot commands rates.
+    whose pilot commands rates. position (T, 3): north, east, down in m from the lift-off; ground_speed (T,): m/s; battery (T, 2): V, A;
+    vibration (T, 3): standard deviation of the accelerometer above the motion, m/s^2, body x, y, z; each NaN where unknown, None where
+    nothing of it is logged.
     """
 
     time: np.ndarray
@@ -130,16 +132,30 @@ class Trace:
     messages: tuple[tuple[float, str, str], ...] = ()
     rates: np.ndarray | None = None
     rates_wanted: np.ndarray | None = None
+    position: np.ndarray | None = None
+    ground_speed: np.ndarray | None = None
+    battery: np.ndarray | None = None
+    vibration: np.ndarray | None = None
 
     def to_pandas(self):
         """A pandas DataFrame, a row for each tick, its index the time [s]: columns `loss_1`, `lower_1`, `upper_1`, `command_1` and so on
-        for each rotor, `residual_roll` and so on with their `residual_sd_...`, and the evidence by hypothesis. Raises ConfigError where
-        pandas is not installed."""
+        for each rotor, `residual_roll` and so on with their `residual_sd_...`, the evidence by hypothesis, and `position_north` and so on,
+        where logged. Raises ConfigError where pandas is not installed."""
         columns = {f"{name}_{k + 1}": getattr(self, name)[:, k]
                    for k in range(self.loss.shape[1]) for name in ("loss", "lower", "upper", "command")}  # fmt: skip
         for k, axis in enumerate(("roll", "pitch", "yaw", "thrust")):
             columns |= {f"residual_{axis}": self.residual[:, k], f"residual_sd_{axis}": self.residual_sd[:, k]}
         columns |= {f"evidence_{name}": values for name, values in self.evidence.items()}
+        logged = {
+            "position": ("north", "east", "down"),
+            "battery": ("voltage", "current"),
+            "vibration": ("x", "y", "z"),
+        }
+        for name, parts in logged.items():
+            if (values := getattr(self, name)) is not None:
+                columns |= {f"{name}_{part}": values[:, k] for k, part in enumerate(parts)}
+        if self.ground_speed is not None:
+            columns["ground_speed"] = self.ground_speed
         pd = optional.library("pandas", "to_pandas")
         return pd.DataFrame(columns, index=pd.Index(self.time, name="time_s"))
 

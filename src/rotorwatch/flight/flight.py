@@ -19,6 +19,8 @@ velocity   n e d                           m/s      world NED
 position   n e d                           m        world NED
 throttle   out                             1        collective the autopilot asked for (0..1)
 battery    voltage current                 V, A     (unit "V,A")
+gps        n e d speed                     m, m/s   world NED, from the first fix; speed over ground. Only shown
+baro       up                              m        barometric altitude. Only shown
 lift       lift_max voltage_ratio limit    1        ArduPilot's battery compensation (MOTB)
 esc        speed1 .. current1 ..           rad/s,A, ESC telemetry where logged, rotor order: speed of the rotor, current and
            voltage1 .. temperature1 ..     V,degC   voltage at the ESC's input, temperature of the ESC

@@ -23,7 +23,7 @@ from typing import Any
 from rotorwatch.base import discovery
 from rotorwatch.errors import LogError, RotorwatchError
 from rotorwatch.flight import Flight
-from rotorwatch.logs import plausible
+from rotorwatch.logs import plausible, series
 
 HEAD = 4096
 """Bytes that sniff sees."""
@@ -160,6 +160,6 @@ def _checked(job, module, path, warnings) -> Flight:
         raise LogError(
             f"{path}: the reader of {module.FORMAT} gave no Flight; mend or uninstall the package that it is from"
         )
-    if not any(len(s) >= 2 for s in flight.signals.values()):
+    if not any(len(s) >= 2 for name, s in flight.signals.items() if name not in series.SHOWN):
         raise LogError(f"{path}: this {module.FORMAT} holds no flight data; was logging switched on?")
     return plausible.checked(replace(flight, name=path.name, warnings=(*warnings, *flight.warnings)))

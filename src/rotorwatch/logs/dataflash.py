@@ -6,7 +6,7 @@ What is read from which message (instance 0 where sensors come in several):
     control   RATE ROut POut YOut AOut         rates     RATE R P Y
     gyro      IMU GyrX..                       accel     IMU AccX..
     attitude, attitude_wanted  ANG or ATT, whichever is faster
-    velocity, position   XKF1, NKF1 or EKF1
+    velocity, position   XKF1, NKF1 or EKF1  gps, baro  GPS; BARO where no EKF is logged
     throttle  CTUN ThO or ThrOut               battery   BAT or CURR
     lift      MOTB                             esc       ESC, ESC1.., CESC: see dataflash_esc
 
@@ -22,7 +22,7 @@ import numpy as np
 
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Signal
-from rotorwatch.logs import dataflash_esc, parameter_ranges, wall_clock
+from rotorwatch.logs import dataflash_esc, parameter_ranges, series, wall_clock
 from rotorwatch.logs import dataflash_events as events
 from rotorwatch.logs import dataflash_rotors as rotors
 from rotorwatch.logs.dataflash_binary import SDLOG2, BinaryLog, amount
@@ -52,6 +52,7 @@ LIMITS = {
     "position": ((-1e5, 1e5),) * 3,
     "throttle": ((-0.1, 1.1),),
     "battery": ((0.0, 120.0), (-100.0, 2000.0)),
+    "baro": ((-1e4, 2e4),),
     "lift": ((0.0, 2.0), (0.0, 2.0), (0.0, 1.5)),
 }
 RAW_TORQUE = 4500.0  # APM:Copter 3.3: full roll, pitch or yaw output
@@ -95,6 +96,7 @@ def read(data, name: str, progress=None) -> Flight:
         reader.rate,
         reader.attitude,
         lambda: reader.navigation(parameters),
+        reader.place,
         reader.power,
         reader.esc,
     )
@@ -102,7 +104,7 @@ def read(data, name: str, progress=None) -> Flight:
         step()
         if progress:
             progress(0.5 + 0.5 * done / len(steps))
-    if not any(len(s) >= 2 for s in reader.signals.values()):
+    if not any(len(s) >= 2 for name, s in reader.signals.items() if name not in series.SHOWN):
         raise LogError(
             f"{name}: no data: the log names its messages and parameters but holds no flight; "
             "check that logging was on and the vehicle was armed."
@@ -129,7 +131,7 @@ def read(data, name: str, progress=None) -> Flight:
             "frame_class": frame_class,
             "frame_type": frame_type,
             "clock_jumps": list(clock.jumps),
-            "utc_start": reader.utc_start(),
+            "utc_start": reader.utc_start,
         },
     )
 
@@ -142,6 +144,7 @@ class _Signals:
         self.signals: dict[str, Signal] = {}
         self.warnings: list[str] = []
         self.outputs: dict[int, int] = {}
+        self.utc_start: str | None = None
 
     # -- helpers ---------------------------------------------------------------------------------------------------
 
@@ -352,17 +355,6 @@ class _Signals:
         q[1:] *= np.where(np.cumsum(turned) % 2, -1.0, 1.0)[:, None]
         self.add(name, time, q, message, fine)
 
-    def utc_start(self) -> str | None:
-        """UTC of second 0 from the GPS's week and milliseconds, while it had a fix."""
-        columns = self.log.columns("GPS")
-        names = [next((c for c in aliases if c in columns), "") for aliases in (("GWk", "Week"), ("GMS", "TimeMS"))]
-        rows = self.instance("GPS", (*names, "Status")) if all(names) else None
-        if rows is None:
-            return None
-        time, (week, milliseconds, status), _ = rows[0], rows[1].T, rows[2]
-        fixed = (status >= 3) & (week > 0)
-        return wall_clock.start(time[fixed], wall_clock.of_gps(week[fixed], milliseconds[fixed]))
-
     def navigation(self, parameters) -> None:
         """Velocity and position of the first core of the EKF that flew (AHRS_EKF_TYPE); collective throttle."""
         estimators = ("NKF1", "XKF1", "EKF1") if parameters.get("AHRS_EKF_TYPE") == 2 else ("XKF1", "NKF1", "EKF1")
@@ -374,6 +366,27 @@ class _Signals:
                 self.add("position", time, values[:, 3:], message)
         if (throttle := self.collective()) is not None:
             self.add("throttle", throttle[0], throttle[1][:, None], "CTUN")
+
+    def place(self) -> None:
+        """Where the GPS and, without an EKF, the barometer say that it was; and the time by GPS. This is only shown: nothing warns of
+        damage in it."""
+        said = list(self.warnings)
+        columns = self.log.columns("GPS")
+        stamp = [next((c for c in aliases if c in columns), "") for aliases in (("GWk", "Week"), ("GMS", "TimeMS"))]
+        rows = self.instance("GPS", ("Status", "Lat", "Lng", "Alt", "Spd", *filter(None, stamp)))
+        if rows is not None:
+            time, (status, latitude, longitude, altitude, speed, *clock), _ = rows[0], rows[1].T, rows[2]
+            fixed = status >= 3
+            gps = series.gps(time, np.column_stack([latitude, longitude]), altitude, speed, fixed, "GPS")
+            if gps is not None:
+                self.signals["gps"] = gps
+            if all(stamp):  # week and milliseconds
+                week, milliseconds = clock
+                fixed &= week > 0
+                self.utc_start = wall_clock.start(time[fixed], wall_clock.of_gps(week[fixed], milliseconds[fixed]))
+        if "position" not in self.signals and (rows := self.instance("BARO", ("Alt",))) is not None:
+            self.add("baro", *rows[:2], "BARO")
+        self.warnings = said
 
     def collective(self):
         """(time (n,), throttle (n,), 1 is full) of CTUN; None without it."""

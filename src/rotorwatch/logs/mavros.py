@@ -4,6 +4,7 @@
     imu/data_raw         sensor_msgs/Imu             angular_velocity, linear_acceleration (about +9.8 up in hover)
     imu/data             sensor_msgs/Imu             orientation, angular_velocity
     local_position/odom  nav_msgs/Odometry           position in the world, velocity in the body
+    global_position/raw/fix, global_position/global                                      gps
     local_position/pose, local_position/velocity_local, battery (current is negative), esc_telemetry, esc_status, vfr_hud (throttle),
     setpoint_raw/target_attitude, state, extended_state, statustext, param/event
 
@@ -35,6 +36,8 @@ _TOPICS = {
     "local_position/odom": "nav_msgs/msg/Odometry",
     "local_position/pose": "geometry_msgs/msg/PoseStamped",
     "local_position/velocity_local": "geometry_msgs/msg/TwistStamped",
+    "global_position/global": "sensor_msgs/msg/NavSatFix",
+    "global_position/raw/fix": "sensor_msgs/msg/NavSatFix",
     "esc_telemetry": "mavros_msgs/msg/ESCTelemetry",
     "esc_telemetry/telemetry": "mavros_msgs/msg/ESCTelemetry",
     "esc_status": "mavros_msgs/msg/ESCStatus",
@@ -47,10 +50,12 @@ _TOPICS = {
 FIELDS = {
     "sensor_msgs/msg/Imu": ("header", "orientation", "angular_velocity", "linear_acceleration"),
     "sensor_msgs/msg/BatteryState": ("header", "voltage", "current"),
+    "sensor_msgs/msg/NavSatFix": ("header", "status", "latitude", "longitude", "altitude"),
     "nav_msgs/msg/Odometry": ("header", "pose", "twist"),
 }
 """The fields that are used, where a message has many others."""
 
+_PLACES = ("global_position/raw/fix", "global_position/global")
 _OUTPUTS = "rc/out"
 _FLU = np.array([1.0, -1.0, -1.0])  # forward, left, up -> forward, right, down
 _CHANNELS = 18
@@ -125,7 +130,8 @@ class _Log:
             others = ", ".join(sorted(s for s in spaces if s != chosen))
             notes.append(f"this bag is of several vehicles; {chosen} was read, {others} was not")
         self.topics = spaces[chosen]
-        self.start = min(float(t[series.steady(t)[0]]) for t, _ in self.topics.values())
+        flown = {name: t for name, (t, _) in self.topics.items() if name not in _PLACES}
+        self.start = min(float(t[series.steady(t)[0]]) for t in flown.values())
 
     def get(self, name: str) -> tuple[np.ndarray, Mapping[str, np.ndarray]] | None:
         found = self.topics.get(name)
@@ -192,6 +198,7 @@ def _signals(log: _Log, parameters, autopilot: str) -> tuple[dict, dict]:
         "position": log.signal("position", odom, _ned("pose.pose.position"))
         if odom
         else log.signal("position", "local_position/pose", _ned("pose.position")),
+        "gps": next(filter(None, (_gps(log, name) for name in _PLACES)), None),
         "throttle": log.signal("throttle", "vfr_hud", lambda t: series.stacked(t, ["throttle"])),
         "battery": log.signal("battery", "battery", _battery),
         "esc": _esc(log, len(motors.columns) if motors is not None else 0),
@@ -269,6 +276,16 @@ def _first(moving: Mapping[int, np.ndarray]) -> dict[int, np.ndarray]:
             break
         out[number] = moving[number]
     return out
+
+
+def _gps(log: _Log, name: str) -> Signal | None:
+    found = log.get(name)
+    if found is None:
+        return None
+    table = found[1]
+    degrees = series.stacked(table, ["latitude", "longitude"])
+    altitude = np.asarray(table["altitude"], float)
+    return series.gps(found[0], degrees, altitude, np.full(len(degrees), np.nan), table["status.status"] >= 0, name)
 
 
 def _battery(table) -> tuple[np.ndarray, np.ndarray]:

@@ -39,6 +39,19 @@ NAV_STATES = {
     **{19: "Follow", 20: "Precision land", 21: "Orbit"},
 }
 
+MAIN_MODES = {
+    **{1: "Manual", 2: "Altitude", 3: "Position", 5: "Acro", 6: "Offboard", 7: "Stabilized", 8: "Rattitude"},
+    **{10: "Termination", 11: "Altitude cruise"},
+}
+AUTO_MODES = {
+    **{1: "Ready", 2: "Takeoff", 3: "Hold", 4: "Mission", 5: "Return", 6: "Land", 8: "Follow", 9: "Precision land"},
+    **{10: "VTOL takeoff"},
+}
+"""px4_custom_mode.h: main modes, and the sub-modes of main mode 4."""
+
+_AUTO = 4
+_GPS_DEGREES = ("latitude_deg", "longitude_deg", "altitude_msl_m")  # as PX4 logs them from 1.14 on
+_FIX_3D = 3
 _ARMED = 2  # vehicle_status.arming_state
 
 
@@ -105,6 +118,7 @@ def signals(topics: Topics, parameters) -> tuple[dict, dict]:
             "position", "vehicle_local_position", ["x", "y", "z"], valid=["xy_valid", "xy_valid", "z_valid"]
         ),
         "battery": battery,
+        "gps": _gps(topics),
         "esc": _esc(topics, parameters),
     }
     motors, facts = _motors(topics, parameters)
@@ -218,6 +232,18 @@ def _utc_start(topics: Topics) -> str | None:
     return None
 
 
+def _gps(topics: Topics):
+    for name in ("vehicle_gps_position", "sensor_gps"):
+        for fields, units in ((("lat", "lon", "alt"), (1e-7, 1e-7, 1e-3)), (_GPS_DEGREES, (1.0, 1.0, 1.0))):
+            found = topics.table(name, *fields, "vel_m_s", "fix_type")
+            if found is not None and found[0].size:
+                latitude, longitude, altitude = (series.stacked(found[1], fields) * units).T
+                speed, fix = series.stacked(found[1], ("vel_m_s", "fix_type")).T
+                degrees = np.column_stack([latitude, longitude])
+                return series.gps(found[0], degrees, altitude, speed, fix >= _FIX_3D, name)
+    return None
+
+
 def _battery(topics: Topics):
     found = topics.table("battery_status", "voltage_v", "current_a")
     if found is None:
@@ -234,6 +260,12 @@ def _esc(topics: Topics, parameters):
 def modes(time, nav_state) -> list[Message]:
     """Messages of the flight modes that were entered."""
     return [Message(t, "mode", NAV_STATES.get(int(v), f"mode {int(v)}"), v) for t, v in series.changes(time, nav_state)]
+
+
+def custom_mode(number: int) -> str:
+    """The name of a flight mode as HEARTBEAT.custom_mode codes it: a main mode, and a sub-mode of those that fly by themselves."""
+    main, sub = number >> 16 & 0xFF, number >> 24 & 0xFF
+    return (AUTO_MODES.get(sub) if main == _AUTO else MAIN_MODES.get(main)) or f"mode {number}"
 
 
 def messages(topics: Topics) -> list[Message]:

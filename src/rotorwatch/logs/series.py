@@ -14,6 +14,9 @@ from rotorwatch.flight import Message, Signal
 G = 9.80665
 """Standard gravity, m/s^2."""
 
+EARTH_M, EARTH_E2 = 6_378_137.0, 6.69437999e-3
+"""WGS 84: equatorial radius, and the square of the eccentricity."""
+
 LARGEST = np.finfo(np.float64).max
 
 DAY_S = 86_400.0
@@ -36,6 +39,8 @@ SHAPES = {
     "position": (("n", "e", "d"), "m", "NED", 1e6),
     "throttle": (("out",), "1", "", 2.0),
     "battery": (("voltage", "current"), "V,A", "", 5000.0),
+    "gps": (("n", "e", "d", "speed"), "m,m,m,m/s", "NED", 1e6),
+    "baro": (("up",), "m", "", 1e5),
     "lift": (("lift_max", "voltage_ratio", "limit"), "1", "", 100.0),
 }
 
@@ -200,6 +205,26 @@ def stacked(table, fields) -> np.ndarray:
         return np.stack([np.asarray(table.get(f, none), np.float64) for f in fields], axis=1)
 
 
+def gps(time, degrees, altitude, speed, fixed, source) -> Signal | None:
+    """The Signal `gps` from latitude and longitude [degrees] (n, 2), altitude [m] and ground speed [m/s], (n,) each, NaN where unknown.
+
+    fixed (n,) bool: while there was a fix. Places are metres from the first one, so that no signal tells where on earth it was. Damage is
+    dropped without a note: no verdict depends on this signal.
+    """
+    degrees, fixed = np.asarray(degrees, float), np.asarray(fixed, bool)
+    with np.errstate(invalid="ignore"):
+        fixed = fixed & (np.abs(degrees) <= [90.0, 180.0]).all(axis=1) & degrees.any(axis=1)
+    if not fixed.any():
+        return None
+    first = int(np.argmax(fixed))
+    sine, cosine = np.sin(np.radians(degrees[first, 0])), np.cos(np.radians(degrees[first, 0]))
+    across = EARTH_M / np.sqrt(1.0 - EARTH_E2 * sine**2)  # radii of curvature, to the east and to the north
+    along = across * (1.0 - EARTH_E2) / (1.0 - EARTH_E2 * sine**2)
+    off = np.radians((degrees - degrees[first] + 180.0) % 360.0 - 180.0) * [along, across * cosine]
+    values = np.column_stack([off, altitude[first] - altitude, speed])
+    return make("gps", time, np.where(fixed[:, None], values, np.nan), source, [])
+
+
 def voltage_and_current(values: np.ndarray) -> np.ndarray:
     """(n, 2) bool: which of a battery's values (n, 2) were measured; autopilots log 0 V and -1 A for those that were not."""
     return np.column_stack([values[:, 0] > 0, values[:, 1] >= 0])
@@ -214,6 +239,10 @@ def fastest(*candidates: Signal | None) -> Signal | None:
     return best
 
 
+SHOWN = ("gps", "baro")
+"""Signals that are shown and nothing else: a log of them alone holds no flight, and they do not prolong one."""
+
+
 def end_of(signals) -> float:
-    """Time of the last sample of any signal, s; 0 without signals."""
-    return max((float(s.time[-1]) for s in signals.values() if len(s)), default=0.0)
+    """Time of the last sample of any signal that is not only shown, s; 0 without signals."""
+    return max((float(s.time[-1]) for name, s in signals.items() if len(s) and name not in SHOWN), default=0.0)

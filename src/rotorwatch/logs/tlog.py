@@ -14,7 +14,8 @@ from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.vehicle_kind import OTHERS
 from rotorwatch.logs import mavlink_esc, mavlink_frames, mavlink_messages, parameter_ranges, series, wall_clock
 from rotorwatch.logs.dataflash_clock import make_clock
-from rotorwatch.logs.px4_topics import MAV_TYPES
+from rotorwatch.logs.dataflash_text import MODES
+from rotorwatch.logs.px4_topics import MAV_TYPES, custom_mode
 
 FORMAT = "MAVLink tlog"
 
@@ -31,6 +32,7 @@ _WRAP_US = 2.0**32  # SERVO_OUTPUT_RAW.time_usec starts again there
 _SAME_MOMENT_US = (
     10e6  # between two messages of the same moment; a stamp further from its neighbours in the file is damaged
 )
+_FIX_3D, _UNKNOWN = 3, 65535  # of GPS_RAW_INT
 _MG = series.G / 1000
 
 
@@ -259,6 +261,10 @@ def readings(outputs: tuple[int, ...]) -> dict[str, tuple[Reading, ...]]:
             of("position", "LOCAL_POSITION_NED", ("x", "y", "z")),
             by("position", "GLOBAL_POSITION_INT", _height),
         ),
+        "gps": (
+            Reading("GPS_RAW_INT", lambda log: _gps(log, "GPS_RAW_INT")),
+            Reading("GLOBAL_POSITION_INT", lambda log: _gps(log, "GLOBAL_POSITION_INT")),
+        ),
         "throttle": (of("throttle", "VFR_HUD", ("throttle",), 0.01),),
         "battery": (by("battery", "SYS_STATUS", _battery), by("battery", "BATTERY_STATUS", _cells, _first_battery)),
     }
@@ -341,6 +347,20 @@ def _height(table):
     return np.column_stack([np.full((height.size, 2), np.nan), height])
 
 
+def _gps(log: Messages, name: str) -> Signal | None:
+    """The GPS's own message, or the estimate that follows it."""
+    found = log.get(name)
+    if found is None:
+        return None
+    table = found[1]
+    if "fix_type" in (table.dtype.names or ()):
+        fixed, speed = table["fix_type"] >= _FIX_3D, np.where(table["vel"] < _UNKNOWN, table["vel"] * 1e-2, np.nan)
+    else:
+        fixed, speed = np.ones(table.size, bool), np.hypot(table["vx"] * 1e-2, table["vy"] * 1e-2)
+    degrees = _columns(table, ("lat", "lon")) * 1e-7
+    return series.gps(found[0], degrees, table["alt"] * 1e-3, speed, fixed, name)
+
+
 def _battery(table):
     values = _columns(table, ("voltage_battery", "current_battery"))
     fine = np.column_stack([(values[:, 0] > 0) & (values[:, 0] < 65535), values[:, 1] >= 0])
@@ -380,13 +400,20 @@ def parameters_of(log: Messages):
     return values, changes
 
 
+def _mode(autopilot: str, number: int) -> str:
+    """The name of a flight mode (HEARTBEAT.custom_mode) of a multirotor."""
+    if autopilot == "PX4":
+        return custom_mode(number)
+    return MODES.get(number, f"mode {number}") if autopilot == "ArduPilot" else f"mode {number}"
+
+
 def messages_of(log: Messages) -> list[Message]:
     out = []
     beats = log.get("HEARTBEAT")
     if beats is not None:
         out += series.states("armed", beats[0], beats[1]["base_mode"] & _ARMED)
         for time, value in series.changes(beats[0], beats[1]["custom_mode"]):
-            out.append(Message(time, "mode", f"mode {int(value)}", value))
+            out.append(Message(time, "mode", _mode(log.autopilot, int(value)), value))
     states = log.get("EXTENDED_SYS_STATE")
     if states is not None:
         known = states[1]["landed_state"] > 0

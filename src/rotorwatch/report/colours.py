@@ -13,6 +13,7 @@ OTHERS = ("#0072b2", "#009e73", "#56b4e9", "#9467bd", "#8c8c8c", "#44727f", "#6a
 # For all that are no rotors.
 PALETTE = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c8c8c", "#9467bd")
 DASHES = ("solid", "dashed", "dotted", "dotdash", "dashdot")
+MOMENT = "#c2185b"  # the moment that the page shows; no event and no rotor has it
 INK = "#7a828a"  # reads on white and on black until the page's script has set the theme
 
 

@@ -2,79 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
 from rotorwatch import report
 from rotorwatch.flight.diagnosis import Diagnosis, Trace
-from rotorwatch.report import colours
+from rotorwatch.report import colours, lanes
+from rotorwatch.report.axes import blank, hover, moment, stacked, words
 from rotorwatch.report.colours import INK
+from rotorwatch.report.thinning import Screen, airborne, windows, within
 
 CHANNELS = ("roll", "pitch", "yaw", "thrust")
 ANGLES = ("roll", "pitch", "yaw")
-OVERVIEW_ROWS, DETAIL_ROWS = 1600, 2400  # a wide screen's worth of the whole flight, and full rate around events
-DETAIL_S = (5.0, 8.0)  # before an event's onset, after its announcement
 HYPOTHESES = 8
-SHADES = ("#56b4e9", "#009e73", "#9467bd", "#0072b2", "#8c8c8c", "#6aa84f")
-MARKS = 400  # of the lane: more are no help
-HEIGHTS = {"armed": 0.2, "landed": 0.35, "event": 0.5, "text": 0.65, "dropout": 0.8, "error": 0.9}
-
-
-class Screen:
-    """Thins a trace to what a screen can show: a least and a greatest value per bucket, every tick around events.
-
-    Peaks survive because each bucket of ticks becomes two rows that hold its extremes, in the order of its trend.
-    """
-
-    def __init__(
-        self,
-        time: np.ndarray,
-        windows: list[tuple[float, float]],
-        overview: int = OVERVIEW_ROWS,
-        detail: int = DETAIL_ROWS,
-    ):
-        """time (T,): of the ticks. windows: stretches that get `detail` rows, all else `overview` rows, at most."""
-        inside = within(time, windows)
-        close, wide = (max(1.0, 2.0 * k / rows) for k, rows in ((inside.sum(), detail), ((~inside).sum(), overview)))
-        stride = np.where(inside, close, wide)
-        bucket = np.floor(np.cumsum(1.0 / stride) - 1.0 / stride + 1e-9)
-        self.start = np.flatnonzero(np.diff(bucket, prepend=-1.0))
-        self.last = np.append(self.start[1:], time.size) - 1
-        twice = (self.last > self.start).astype(int) + 1
-        self.first = np.cumsum(twice) - twice  # row of each bucket's first value
-        self.second = self.first + twice - 1  # the same row where a bucket is one tick
-        self.time = np.empty(int(twice.sum()))
-        self.time[self.second] = time[(self.start + self.last + 1) // 2]
-        self.time[self.first] = time[self.start]
-
-    def least(self, values: np.ndarray) -> np.ndarray:
-        """The lower edge of a band."""
-        low = np.fmin.reduceat(values, self.start)
-        return self._rows(low, low)
-
-    def greatest(self, values: np.ndarray) -> np.ndarray:
-        """The upper edge of a band."""
-        high = np.fmax.reduceat(values, self.start)
-        return self._rows(high, high)
-
-    def line(self, values: np.ndarray) -> np.ndarray:
-        """Both extremes of each bucket; rising buckets start with the least."""
-        low, high = np.fmin.reduceat(values, self.start), np.fmax.reduceat(values, self.start)
-        rising = ~(values[self.last] < values[self.start])
-        return self._rows(np.where(rising, low, high), np.where(rising, high, low))
-
-    def _rows(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        out = np.empty(self.time.size, np.float32)
-        out[self.second] = second
-        out[self.first] = first
-        return out
 
 
 def plots(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Bokeh figures by name: loss, lane, command, evidence, rate_roll .. rate_yaw, angle_roll .. angle_yaw, roll, pitch, yaw, thrust.
-    Time axes and crosshairs are linked.
+    """Bokeh figures by name: loss, lane, command, evidence, rate_roll .. rate_yaw, angle_roll .. angle_yaw, roll, pitch, yaw, thrust,
+    and those of `lanes.context`. Time axes and crosshairs are linked.
 
     Empty without `diagnosis.trace`. Losses and commands in percent, residuals in units of
     hover thrust, evidence in log10 odds.
@@ -85,8 +31,8 @@ def plots(diagnosis: Diagnosis) -> dict[str, Any]:
     if trace is None or trace.time.size < 2:
         return {}
     n = trace.loss.shape[1]
-    flying = _flying(trace)
-    screen = Screen(trace.time, _windows(diagnosis))
+    flying = airborne(trace)
+    screen = Screen(trace.time, windows(diagnosis))
     data: dict[str, Any] = {"time": screen.time}
     for k in range(n):
         data[f"loss{k + 1}"] = screen.line(np.where(flying, 100 * trace.loss[:, k], np.nan))
@@ -113,16 +59,19 @@ def plots(diagnosis: Diagnosis) -> dict[str, Any]:
     looks = colours.looks(diagnosis, n)
     out = {
         "loss": _loss(diagnosis, source, x_range, n, looks),
-        "lane": lane(diagnosis, x_range),
+        "lane": lanes.messages(diagnosis, x_range),
         "command": _commands(source, x_range, n, looks),
         "evidence": _evidence(trace, source, x_range, shown, looks) if shown else None,
         **_followed(source, x_range, "rate", "°/s", rates),
         **_followed(source, x_range, "angle", "°", attitudes),
         **{name: _residual(trace, source, x_range, name, i) for i, name in enumerate(CHANNELS)},
+        **lanes.context(diagnosis, x_range),
     }
     figures = {name: figure for name, figure in out.items() if figure is not None}
+    at = moment()
     for figure in figures.values():
         figure.add_tools(cross)
+        figure.add_layout(at)
         _shade(figure, trace)
         _mark(figure, diagnosis)
     return figures
@@ -154,107 +103,11 @@ def _unwrapped(degrees: np.ndarray) -> np.ndarray:
     return out
 
 
-def _flying(trace: Trace) -> np.ndarray:
-    """(T,) bool: in the air, where estimates mean something. All of it when no part was found airborne."""
-    return within(trace.time, trace.airborne or [(-np.inf, np.inf)])
-
-
-def _windows(diagnosis: Diagnosis) -> list[tuple[float, float]]:
-    """Stretches to keep at full rate: around what happened."""
-    before, after = DETAIL_S
-    out = [(e.onset_s - before, e.detected_s + after) for e in diagnosis.events]
-    return out + [(e.end_s - before, e.end_s + before) for e in diagnosis.events if e.end_s is not None]
-
-
 def hypotheses(diagnosis: Diagnosis) -> list[str]:
     """The hypotheses worth a line: those with the highest peaks."""
     evidence = diagnosis.trace.evidence if diagnosis.trace is not None else {}
     peak = {name: float(np.max(odds, initial=-np.inf, where=np.isfinite(odds))) for name, odds in evidence.items()}
     return sorted(peak, key=lambda name: (-peak[name], name))[:HYPOTHESES]
-
-
-def blank(x_range, height: int, y_label: str, tooltips: list[tuple[str, str]], **more) -> Any:
-    """An empty plot in the report's look. tooltips: (name, value) pairs, shown for the renderers that are set later."""
-    from bokeh.models import BoxZoomTool, HoverTool, PanTool, ResetTool, SaveTool, WheelZoomTool
-    from bokeh.plotting import figure
-
-    box = BoxZoomTool(dimensions="width")
-    tools = [box, PanTool(dimensions="width"), WheelZoomTool(dimensions="width"), ResetTool(), SaveTool()]
-    look: dict[str, Any] = dict(background_fill_color=None, border_fill_color=None, outline_line_color=None)
-    look |= dict(sizing_mode="stretch_width", min_border_left=72, min_border_top=6, output_backend="canvas")
-    bar: dict[str, Any] = dict(tools=tools, active_drag=box, toolbar_location="above", toolbar_inner=True)
-    p = figure(height=height, x_range=x_range, **look, **bar, **more)
-    p.add_tools(HoverTool(tooltips=[("time", "@time{0.00} s"), *tooltips], mode="vline", renderers=[]))
-    p.toolbar.logo = None
-    p.toolbar.autohide = True
-    p.yaxis.axis_label = y_label
-    p.xaxis.axis_label = "time [s]"
-    for axis in (*p.xaxis, *p.yaxis):
-        axis.axis_label_text_font_style = "normal"
-        axis.update(axis_label_text_color=INK, major_label_text_color=INK, axis_line_color=INK)
-        axis.update(major_tick_line_color=INK, minor_tick_line_color=None)
-        axis.update(axis_label_text_font="system-ui, sans-serif", major_label_text_font="system-ui, sans-serif")
-        axis.update(axis_label_text_font_size="12px", major_label_text_font_size="11px")
-    for grid in (*p.xgrid, *p.ygrid):
-        grid.update(grid_line_color=INK, grid_line_alpha=0.22)
-    return p
-
-
-def words(size: str, baseline: str = "middle") -> dict[str, Any]:
-    """Font and colour of a plot's labels."""
-    return dict(text_font="system-ui, sans-serif", text_font_size=size, text_color=INK, text_baseline=baseline)
-
-
-def _hover(p, renderer) -> None:
-    """One tooltip per time, attached to one line."""
-    from bokeh.models import HoverTool
-
-    p.select_one(HoverTool).renderers = [renderer]
-
-
-def lane(diagnosis: Diagnosis, x_range) -> Any:
-    """Flight modes and messages of the autopilot, on the plots' time axis; None when the log holds neither."""
-    from bokeh.models import ColumnDataSource, HoverTool, Range1d
-
-    trace = diagnosis.trace
-    if trace is None or not trace.messages:
-        return None
-    p = blank(x_range, 120, "", [("", "@text")], y_range=Range1d(start=0.0, end=1.7))
-    p.name = "lane"
-    p.yaxis.visible = False
-    p.ygrid.visible = False
-    end = float(trace.time[-1])
-    modes = [(t, text) for t, kind, text in trace.messages if kind == "mode"]
-    spans = [(a, b, text) for (a, text), (b, _) in zip(modes, [*modes[1:], (end, "")]) if b > a]
-    shade = {name: SHADES[k % len(SHADES)] for k, name in enumerate(dict.fromkeys(text for _, _, text in spans))}
-    boxes = ColumnDataSource(
-        {
-            "left": [a for a, _, _ in spans],
-            "right": [b for _, b, _ in spans],
-            "text": [f"{text}: {a:.1f} to {b:.1f} s" for a, b, text in spans],
-            # The name is written where its box has room for it on a wide screen.
-            "name": [text if (b - a) > 0.008 * len(text) * end else "" for a, b, text in spans],
-            "fill": [shade[text] for _, _, text in spans],
-        }
-    )
-    fill: dict[str, Any] = dict(fill_color="fill", fill_alpha=0.35, line_color="fill")
-    drawn = p.quad("left", "right", 1.6, 1.1, source=boxes, name="modes", **fill)
-    look: dict[str, Any] = dict(text_font={"value": "system-ui, sans-serif"}, text_font_size="12px", text_color=INK)
-    p.text("left", 1.35, "name", source=boxes, name="mode names", text_baseline="middle", x_offset=4, **look)
-    rest = [row for row in trace.messages if row[1] in HEIGHTS]
-    rest = sorted(rest, key=lambda row: (row[1] != "error", row[1] == "text"))[:MARKS]
-    marks = ColumnDataSource(
-        {
-            "time": [t for t, _, _ in rest],
-            "y": [HEIGHTS[kind] for _, kind, _ in rest],
-            "text": [f"{t:.1f} s, {kind}: {text}" for t, kind, text in rest],
-            "fill": ["#c1121f" if kind == "error" else INK for _, kind, _ in rest],
-        }
-    )
-    symbols = p.scatter("time", "y", source=marks, size=7, marker="diamond", color="fill", alpha=0.9, name="messages")
-    hover = p.select_one(HoverTool)
-    hover.renderers, hover.mode, hover.tooltips = [drawn, symbols], "mouse", [("", "@text")]
-    return p
 
 
 def _loss(diagnosis: Diagnosis, source, x_range, n: int, looks) -> Any:
@@ -274,7 +127,7 @@ def _loss(diagnosis: Diagnosis, source, x_range, n: int, looks) -> Any:
         p.varea("time", f"low{k}", f"high{k}", color=tint, alpha=alpha, **look)
         width = 2.6 if k in named else 1.3
         line = p.line("time", f"loss{k}", color=tint, line_width=width, line_dash=dash, **look)
-    _hover(p, line)
+    hover(p, line)
     return p
 
 
@@ -282,18 +135,13 @@ def highest_loss(diagnosis: Diagnosis) -> float:
     """Upper end of the loss axis [%]: room for everything that was found, closer for small losses."""
     trace = diagnosis.trace
     assert trace is not None
-    flying = _flying(trace)
+    flying = airborne(trace)
     blind = within(trace.time, [(start, end) for start, end, _ in trace.blind])
     seen = trace.loss[flying & ~blind]
     high = [0.12, *(i[1] for e in diagnosis.events for i in e.interval), *(r.loss for r in diagnosis.rotors)]
     if seen.size:
         high.append(float(np.quantile(np.nan_to_num(seen).max(axis=1), 0.999)))
     return min(105.0, 125 * max(high))
-
-
-def within(time: np.ndarray, spans: Iterable[tuple[float, float]]) -> np.ndarray:
-    """(T,) bool: which times lie in one of the spans."""
-    return np.any([np.zeros(time.size, bool), *((time >= a) & (time <= b) for a, b in spans)], axis=0)
 
 
 def _commands(source, x_range, n: int, looks) -> Any:
@@ -304,7 +152,7 @@ def _commands(source, x_range, n: int, looks) -> Any:
     for k in range(1, n + 1):
         look: dict[str, Any] = dict(name=f"rotor {k}", color=looks[k][0], line_width=1.3, line_dash=looks[k][1])
         lines.append(p.line("time", f"command{k}", source=source, **look))
-    _hover(p, lines[0])
+    hover(p, lines[0])
     return p
 
 
@@ -312,7 +160,7 @@ def _evidence(trace: Trace, source, x_range, shown: list[str], looks) -> Any:
     from bokeh.models import Legend, LegendItem, Range1d, Span
 
     tips = [(name, f"@odds{i}{{0.0}}") for i, name in enumerate(shown)]
-    seen = np.nan_to_num(np.stack([trace.evidence[name] for name in shown])[:, _flying(trace)])
+    seen = np.nan_to_num(np.stack([trace.evidence[name] for name in shown])[:, airborne(trace)])
     top = 1.08 * max(float(seen.max(initial=0.0)), 1.5 * abs(float(trace.threshold)), 1.0)
     low = max(1.05 * float(seen.min(initial=0.0)), -top)  # how unlikely the wrong ones are is of no interest
     p = blank(x_range, 280, "log10 odds against healthy", tips, y_range=Range1d(start=low, end=top))
@@ -322,7 +170,7 @@ def _evidence(trace: Trace, source, x_range, shown: list[str], looks) -> Any:
         look = dict(name=f"odds {i}", line_width=2.2 if i == 0 else 1.4) | _look(name, i, looks)
         lines.insert(0, p.line("time", f"odds{i}", source=source, **look))
     items = [LegendItem(label=name, renderers=[line]) for name, line in zip(shown, lines, strict=True)]
-    _hover(p, lines[0])
+    hover(p, lines[0])
     p.add_layout(Span(location=float(trace.threshold), dimension="width", line_color=INK, line_width=2.2))
     legend = Legend(items=items, location="top_left", click_policy="hide")
     legend.update(background_fill_alpha=0.0, border_line_color=None)
@@ -340,13 +188,6 @@ def _look(hypothesis: str, place: int, looks) -> dict[str, Any]:
     return dict(color=INK, line_dash=("solid", "dashed", "dotted", "dotdash")[place % 4])
 
 
-def _stacked(name: str, last: bool, x_range, label: str, tips, **more) -> Any:
-    """A low plot of several, one below the other: only the last one has a time axis."""
-    p = blank(x_range, 165 if last else 135, label, tips, **more)
-    p.name, p.xaxis.visible, p.yaxis.ticker.desired_num_ticks = name, last, 3
-    return p
-
-
 def _followed(source, x_range, kind: str, unit: str, pairs) -> dict[str, Any]:
     """Wanted against actual attitude ("angle") or rates ("rate"), a plot for each axis."""
     style = {
@@ -356,9 +197,9 @@ def _followed(source, x_range, kind: str, unit: str, pairs) -> dict[str, Any]:
     out = {}
     for axis in ANGLES if pairs else ():
         tips = [(name, f"@{name}_{kind}_{axis}{{0.0}}{unit}") for name in pairs]
-        p = out[f"{kind}_{axis}"] = _stacked(f"{kind}_{axis}", axis == ANGLES[-1], x_range, f"{axis} [{unit}]", tips)
+        p = out[f"{kind}_{axis}"] = stacked(f"{kind}_{axis}", axis == ANGLES[-1], x_range, f"{axis} [{unit}]", tips)
         lines = [p.line("time", f"{name}_{kind}_{axis}", source=source, name=name, **style[name]) for name in pairs]
-        _hover(p, lines[0])
+        hover(p, lines[0])
     return out
 
 
@@ -366,12 +207,12 @@ def _residual(trace: Trace, source, x_range, name: str, channel: int) -> Any:
     from bokeh.models import Range1d
 
     tips = [(name, f"@{name}{{0.0000}}"), ("2 sd", f"@{name}_band{{0.0000}}")]
-    values = np.abs(trace.residual[_flying(trace), channel])
-    band = 2 * trace.residual_sd[_flying(trace), channel]
+    values = np.abs(trace.residual[airborne(trace), channel])
+    band = 2 * trace.residual_sd[airborne(trace), channel]
     top = max(1.5 * float(np.nanquantile(values, 0.995)), 1.6 * float(np.nanmedian(band)), 1e-4) if values.size else 1.0
-    p = _stacked(name, name == CHANNELS[-1], x_range, name, tips, y_range=Range1d(start=-top, end=top))
+    p = stacked(name, name == CHANNELS[-1], x_range, name, tips, y_range=Range1d(start=-top, end=top))
     p.varea("time", f"{name}_bottom", f"{name}_band", source=source, color="#56b4e9", alpha=0.22, name="band")
-    _hover(p, p.line("time", name, source=source, color="#2b83ba", line_width=1.1, name="residual"))
+    hover(p, p.line("time", name, source=source, color="#2b83ba", line_width=1.1, name="residual"))
     return p
 
 

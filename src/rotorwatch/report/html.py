@@ -14,7 +14,7 @@ from rotorwatch import __version__, report
 from rotorwatch.base import files, optional
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Diagnosis, RotorState
-from rotorwatch.report import colours, drawing, figures, markdown, upset, words
+from rotorwatch.report import colours, drawing, figures, lanes, markdown, track, upset, words
 
 UNIT = re.compile(r"(\d) (%|s|Hz|ms|V|g)(?![\w])")
 RANGE = re.compile(r"(\d)(–)(?=\d)")
@@ -54,9 +54,10 @@ def page(diagnosis: Diagnosis) -> str:
         _moment(diagnosis, divs),
         _overview(diagnosis),
         _health(diagnosis),
-        _events(diagnosis),
+        _events(diagnosis, "loss" in divs),
         _baseline(diagnosis),
         _plots(diagnosis, divs),
+        _context(diagnosis, divs),
         f"<h2>All rotors together</h2><p>{_text(common)}</p>" if common else "",
         _comparison(report.comparison(diagnosis)),
         _messages(diagnosis),
@@ -169,7 +170,7 @@ def _overview(diagnosis: Diagnosis) -> str:
         "second 0 of the log": ", ".join(filter(None, (report.day(diagnosis), boot))),
         "logging": facts.get("profile"),
     }
-    head = _row(("rotor", "where", "status", "loss", "95 % interval", ""), cell="th", right=(3,), wide=(5,))
+    head = _row(("rotor", "where", "status", "loss", "95 % interval", "0 to 100 %"), cell="th", right=(3,), wide=(5,))
     looks = colours.looks(diagnosis)
     table = _table(head, "".join(_rotor(r, looks[r.rotor][0]) for r in diagnosis.rotors), "rotors")
     return (
@@ -216,7 +217,8 @@ def _facts(entries: Mapping[str, Any]) -> str:
     return f'<dl class="facts">{"".join(cells)}</dl>'
 
 
-def _events(diagnosis: Diagnosis) -> str:
+def _events(diagnosis: Diagnosis, shown: bool = False) -> str:
+    """shown: there are plots in which the moment of an event can be shown."""
     items = []
     for number, e in enumerate(diagnosis.events, 1):
         several = number - 1 == diagnosis.main and len(diagnosis.events) > 1
@@ -224,7 +226,9 @@ def _events(diagnosis: Diagnosis) -> str:
         items.append(
             f'<li style="--tint:{colours.of_event(e)}"><h3>{number}. {escape(report.sentence(report.kind(e)))}: '
             f"{_text(report.who(e, diagnosis))}{main}</h3>"
-            f"{_facts(report.event_rows(e, diagnosis))}<p>{_text(report.sentence(e.reason))}</p></li>"
+            f"{_facts(report.event_rows(e, diagnosis))}<p>{_text(report.sentence(e.reason))}</p>"
+            + (f'<p><a href="#t={e.onset_s:.2f}">Show where it began</a></p>' if shown else "")
+            + "</li>"
         )
     return f'<h2>Events</h2><ol class="events">{"".join(items)}</ol>' if items else ""
 
@@ -289,11 +293,60 @@ def _plots(diagnosis: Diagnosis, divs: Mapping[str, str]) -> str:
         _plot("loss", divs),
         _plot("lane", divs) if "lane" in divs else "",
         f'<p class="note">{marks}</p>',
+        _moment_form(diagnosis),
     ]
     for names, title, note in PLOTS:
         if names[0] in divs:
             parts += [f"<h2>{title}</h2><p>{note}</p>", *(_plot(name, divs) for name in names)]
     return "".join(parts)
+
+
+def _moment_form(diagnosis: Diagnosis) -> str:
+    """Where the moment that all plots mark is set by keyboard and its address is copied."""
+    assert diagnosis.trace is not None
+    first, last = float(diagnosis.trace.time[0]), float(diagnosis.trace.time[-1])
+    return (
+        f'<form class="at" id="at"><label for="at-time">Moment</label> <input id="at-time" type="number" inputmode="decimal" step="0.1" '
+        f'min="{first:.2f}" max="{last:.2f}" aria-describedby="at-help"> s <span id="at-set" hidden>'
+        '<button type="button" id="at-copy" aria-label="Copy link to this moment">Copy link</button> '
+        '<button type="button" id="at-clear">Clear</button></span> '
+        '<span role="status" id="at-status"></span><span class="help" id="at-help">Click in a plot or type a time: all plots mark that '
+        "moment, and the address of this page leads to it.</span></form>"
+    )
+
+
+def _context(diagnosis: Diagnosis, divs: Mapping[str, str]) -> str:
+    """Track, altitude, speed, battery, vibration and modes, folded; and what of them the log does not hold."""
+    trace = diagnosis.trace
+    if trace is None or "loss" not in divs:
+        return ""
+    gone = lanes.absent(trace)
+    note = f'<p class="note">Not in this log: {_text(", ".join(gone))}.</p>' if gone else ""
+    shown = [name for name in (*lanes.LANES, "modes") if name in divs]
+    picture = track.svg(diagnosis)
+    if not shown and not picture:
+        return note
+    keys = '<span class="spot start"></span>lift-off &ensp; <span class="spot end"></span>end'
+    if diagnosis.events:
+        tint = colours.of_event(diagnosis.events[diagnosis.main or 0])
+        keys += f' &ensp; <span class="spot numbered" style="--tint:{tint}"></span>where the event of that number began'
+    _, north, east = track.flown(trace)
+    facts = {"farthest from the lift-off": track.metres(track.reach(north, east))} if picture else {}
+    about = _facts(facts | lanes.summary(trace))
+    drawn = f"<figure>{picture}<figcaption>{keys}</figcaption></figure>" if picture else ""
+    return (
+        '<details class="context" id="context"><summary>Track, altitude, battery and vibration</summary>'
+        f'<div class="where">{drawn}{about}</div>'
+        + "".join(_plot(name, divs) for name in shown)
+        + (f'<p class="note">{VIBRATION}</p>' if "vibration" in divs else "")
+        + f"{note}</details>"
+    )
+
+
+VIBRATION = (
+    "Vibration: standard deviation of the accelerometer over half a second, without the motion (below about 2 Hz), along the body's "
+    "axes x (forward), y (right) and z (down)."
+)
 
 
 def _chip(rotor: int, tint: str, dash: str) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from rotorwatch.base import files, optional
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Diagnosis
-from rotorwatch.report import colours, figures, upset
+from rotorwatch.report import colours, figures, thinning, upset
 
 KINDS = ("auto", "moment", "flight")
 SIZE = (9.0, 6.0)  # inches
@@ -93,7 +93,7 @@ def _flight(diagnosis: Diagnosis, picture: Any) -> None:
     assert trace is not None
     top, bottom = picture.subplots(2, 1, sharex=True)
     looks = colours.looks(diagnosis, trace.loss.shape[1])
-    flying = figures.within(trace.time, trace.airborne or [(-np.inf, np.inf)])
+    flying = thinning.within(trace.time, trace.airborne or [(-np.inf, np.inf)])
     named = {*colours.faulty(diagnosis), *colours.suspects(diagnosis)}
     for k in sorted(looks, key=lambda k: k in named):
         tint, dash = looks[k]

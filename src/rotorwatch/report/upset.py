@@ -11,8 +11,8 @@ import numpy as np
 from rotorwatch import report
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.report import colours
+from rotorwatch.report.axes import blank, moment, words
 from rotorwatch.report.colours import FAULT, INK, SUSPECT
-from rotorwatch.report.figures import blank, words
 
 ANGLES, RATES = ("roll", "pitch"), ("roll", "pitch", "yaw")
 NAMES = (
@@ -54,8 +54,10 @@ def plots(diagnosis: Diagnosis) -> dict[str, Any]:
     if facts.get("speeds"):
         rpm = np.asarray(facts["speeds"]["rpm"], float) / 1000.0
         out["moment_speeds"] = _rotors(diagnosis, facts["speeds"], rpm, x_range, "speed [1000/min]")
+    at = moment()
     for name, figure in out.items():
         figure.name = name
+        figure.add_layout(at)
         figure.xaxis.visible = name == list(out)[-1]
         for mark in facts["marks"] if name != "moment_strip" else ():
             tint, dash = TINTS.get(mark["what"], INK), "dashed" if mark["what"] == "last good second" else "solid"

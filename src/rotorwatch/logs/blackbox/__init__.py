@@ -5,6 +5,7 @@ encodings.py   how numbers are written, as a definition that is also machine cod
 frames.py      frames out of bytes, likewise
 sizes.py       sizes of the arrays in both
 decoder.py     a session as tables
+modes.py       flight modes by name
 flight.py      tables as signals: units, axes, ranges; what is read from which field
 decoded.py     tables that blackbox_decode made of such logs
 
@@ -20,10 +21,12 @@ import numpy as np
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.logs import series
-from rotorwatch.logs.blackbox import decoder, flight, frames, header
+from rotorwatch.logs.blackbox import decoder, flight, frames, header, modes
 
 FORMAT = "Blackbox"
 
+VELOCITY, PLACE = tuple(f"GPS_velned[{k}]" for k in range(3)), ("GPS_coord[0]", "GPS_coord[1]")
+LEAST_SATELLITES = 4
 NAMED = 5  # sessions that a warning names
 FAILSAFE = ("", "signal lost", "landing", "landed", "signal looked for", "signal back")
 REASONS = (
@@ -131,21 +134,30 @@ def _damage(session: decoder.Session) -> list[str]:
 
 
 def _gps(session: decoder.Session, first: int, notes: list[str]) -> dict[str, Signal]:
-    """Velocity from GPS frames, which newer firmware gives in all three directions."""
+    """Place and speed from GPS frames, and velocity, which newer firmware gives in all three directions."""
     table = session.gps
-    names = [f"GPS_velned[{k}]" for k in range(3)]
-    if not len(table) or not all(n in table.columns for n in names):
+    if not len(table):
         return {}
     stamp = table.columns.get("time", session.main.columns["time"][np.clip(table.before - 1, 0, None)])
     time = (session.clock(stamp, table.before) - first) * 1e-6
-    values = np.stack([table.columns[n].astype(float) for n in names], axis=1) / 100.0
-    made = series.make("velocity", time, values, "GPS_velned", notes)
-    return {} if made is None else {"velocity": made}
+    found: dict[str, Signal | None] = {}
+    if all(n in table.columns for n in VELOCITY):
+        values = np.stack([table.columns[n].astype(float) for n in VELOCITY], axis=1) / 100.0
+        found["velocity"] = series.make("velocity", time, values, "GPS_velned", notes)
+    if all(n in table.columns for n in PLACE):
+        degrees = np.stack([table.columns[n] * 1e-7 for n in PLACE], axis=1)
+        unknown = np.full(len(table), np.nan)
+        altitude, speed = (np.asarray(table.columns.get(f"GPS_{n}", unknown), float) for n in ("altitude", "speed"))
+        fixed = np.asarray(table.columns.get("GPS_numSat", np.full(len(table), LEAST_SATELLITES))) >= LEAST_SATELLITES
+        altitude = altitude * flight.altitude_unit(session.header)
+        found["gps"] = series.gps(time, degrees, altitude, speed / 100.0, fixed, "GPS_coord")
+    return {name: signal for name, signal in found.items() if signal is not None}
 
 
 def _messages(session: decoder.Session, first: int) -> tuple[Message, ...]:
     """Events, and changes of the failsafe's phase, in order of time."""
     found: list[Message] = []
+    named = modes.of(session, first)
     before, kinds, stamps = session.events[:, 0], session.events[:, 1], session.events[:, 2]
     times = (session.clock(stamps, before) - first) * 1e-6 if len(session.events) else np.zeros(0)
     for time, kind, (a, b) in zip(times.tolist(), kinds.tolist(), session.events[:, 3:].tolist()):
@@ -157,9 +169,8 @@ def _messages(session: decoder.Session, first: int) -> tuple[Message, ...]:
                 Message(time, "event", f"disarmed: {reason}", a),
             ]
         elif kind == frames.MODES:
-            found.append(
-                Message(time, "mode", f"modes 0x{a & 0xFFFFFFFF:x}, before 0x{b & 0xFFFFFFFF:x}", a & 0xFFFFFFFF)
-            )
+            text = f"modes 0x{a & 0xFFFFFFFF:x}, before 0x{b & 0xFFFFFFFF:x}"
+            found.append(Message(time, "event" if named else "mode", text, a & 0xFFFFFFFF))
         elif kind == frames.ADJUSTMENT:
             found.append(Message(time, "event", f"adjustment {a & 127} in flight", b))
         elif kind == frames.IMU_FAILURE:
@@ -177,4 +188,4 @@ def _messages(session: decoder.Session, first: int) -> tuple[Message, ...]:
                 known = int(value) if 0 < value < len(FAILSAFE) else 0
                 text = FAILSAFE[known] if known else f"phase {int(value)}" if value else "over"
                 found.append(Message(time, "error" if value else "event", f"failsafe: {text}", value))
-    return tuple(sorted(found, key=lambda m: m.time))
+    return tuple(sorted((*found, *named), key=lambda m: m.time))

@@ -8,6 +8,7 @@
     throttle      setpoint[3], else rcCommand[3], from 1000 to 2000
     attitude      imuQuaternion[0..2] (Betaflight), attitude[0..2] in tenths of a degree (INAV)
     velocity, position   navVel, navPos (INAV, cm, up); GPS_velned (cm/s)
+    baro          BaroAlt, baroAlt (cm)
     battery       vbatLatest or vbat, amperageLatest or amperage
     esc           eRPM[0] .. (hundreds of electrical revolutions a minute, by motor_poles), escRPM[0] ..
 
@@ -34,12 +35,13 @@ DSHOT_BELOW = 700.0  # an idle output below that is one of DShot's numbers
 DSHOT_OFF, DSHOT_SPAN = 47.0, 2000.0
 MIXED = 1000.0  # of the controller's output, full range of an output
 POLES = 14.0
+BARO_HZ = 50.0  # barometers say nothing new more often
 MOST_ROTORS = 16
 ENOUGH = 20_000  # rows that the mixer is fitted to
 LEAST_ROWS, LEAST_STD, FITS = 200, 2.0, 0.8
 USED = re.compile(
     r"(time|(gyroADC|gyroUnfilt|gyroRaw|accSmooth|setpoint|axisRate|axis[PIDFS]|rcCommand|motor|eRPM|escRPM|imuQuaternion|attitude|navVel"
-    r"|navPos)\[\d{1,2}\]|vbatLatest|vbat|amperageLatest|amperage)"
+    r"|navPos)\[\d{1,2}\]|vbatLatest|vbat|amperageLatest|amperage|[bB]aroAlt)"
 )
 FIRMWARES = ("Betaflight", "INAV", "EmuFlight", "Cleanflight", "Baseflight", "ButterFlight", "Rotorflight")
 
@@ -120,6 +122,7 @@ def signals(columns: Columns) -> tuple[dict[str, Signal], dict[str, Any]]:
         "velocity": _nav(columns, "velocity", "navVel"),
         "position": _nav(columns, "position", "navPos"),
         "throttle": _throttle(columns),
+        "baro": _baro(columns),
         "battery": _battery(columns),
         "esc": _esc(columns),
     }
@@ -220,6 +223,15 @@ def _nav(columns: Columns, kind: str, name: str) -> Signal | None:
     return columns.make(kind, None if raw is None or not np.any(raw) else raw / 100.0 * [1.0, 1.0, -1.0], name)
 
 
+def _baro(columns: Columns) -> Signal | None:
+    name = "baroAlt" if "baroAlt" in columns.table else "BaroAlt"
+    raw = columns.get(name)
+    if raw is None or not np.any(raw):
+        return None
+    often = slice(None, None, max(1, len(raw) // int(1.0 + BARO_HZ * np.ptp(columns.time))))
+    return series.make("baro", columns.time[often], raw[often] / 100.0, name, [])
+
+
 def _throttle(columns: Columns) -> Signal | None:
     mixed, stick = columns.get("setpoint[3]"), columns.get("rcCommand[3]")
     if mixed is not None:
@@ -252,6 +264,14 @@ def _battery(columns: Columns) -> Signal | None:
     return columns.make(
         "battery", values, "vbatLatest" if "vbatLatest" in columns.table else "vbat", series.voltage_and_current(values)
     )
+
+
+def altitude_unit(header: Header) -> float:
+    """Metres of one count of the altitude in GPS frames; NaN where that is not certain."""
+    if autopilot(header) == "INAV":
+        return 1.0
+    version = re.search(r"Betaflight (\d{1,4})\.", header.settings.get("Firmware revision", ""))
+    return 0.1 if version and int(version[1]) >= 4 else np.nan
 
 
 def _esc(columns: Columns) -> Signal | None:

@@ -1,0 +1,60 @@
+"""Empty time plots in the report's look (Bokeh), for the plots that are drawn into them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rotorwatch.report.colours import INK, MOMENT
+
+
+def blank(x_range, height: int, y_label: str, tooltips: list[tuple[str, str]], **more) -> Any:
+    """An empty plot in the report's look. tooltips: (name, value) pairs, shown for the renderers that are set later."""
+    from bokeh.models import BoxZoomTool, HoverTool, PanTool, ResetTool, SaveTool, WheelZoomTool
+    from bokeh.plotting import figure
+
+    box = BoxZoomTool(dimensions="width")
+    tools = [box, PanTool(dimensions="width"), WheelZoomTool(dimensions="width"), ResetTool(), SaveTool()]
+    look: dict[str, Any] = dict(background_fill_color=None, border_fill_color=None, outline_line_color=None)
+    look |= dict(sizing_mode="stretch_width", min_border_left=72, min_border_top=6, output_backend="canvas")
+    bar: dict[str, Any] = dict(tools=tools, active_drag=box, toolbar_location="above", toolbar_inner=True)
+    p = figure(height=height, x_range=x_range, **look, **bar, **more)
+    p.add_tools(HoverTool(tooltips=[("time", "@time{0.00} s"), *tooltips], mode="vline", renderers=[]))
+    p.toolbar.logo = None
+    p.toolbar.autohide = True
+    p.yaxis.axis_label = y_label
+    p.xaxis.axis_label = "time [s]"
+    for axis in (*p.xaxis, *p.yaxis):
+        axis.axis_label_text_font_style = "normal"
+        axis.update(axis_label_text_color=INK, major_label_text_color=INK, axis_line_color=INK)
+        axis.update(major_tick_line_color=INK, minor_tick_line_color=None)
+        axis.update(axis_label_text_font="system-ui, sans-serif", major_label_text_font="system-ui, sans-serif")
+        axis.update(axis_label_text_font_size="12px", major_label_text_font_size="11px")
+    for grid in (*p.xgrid, *p.ygrid):
+        grid.update(grid_line_color=INK, grid_line_alpha=0.22)
+    return p
+
+
+def words(size: str, baseline: str = "middle") -> dict[str, Any]:
+    """Font and colour of a plot's labels."""
+    return dict(text_font="system-ui, sans-serif", text_font_size=size, text_color=INK, text_baseline=baseline)
+
+
+def hover(p, renderer) -> None:
+    """One tooltip per time, attached to one line."""
+    from bokeh.models import HoverTool
+
+    p.select_one(HoverTool).renderers = [renderer]
+
+
+def stacked(name: str, last: bool, x_range, label: str, tips, **more) -> Any:
+    """A low plot of several, one below the other: only the last one has a time axis."""
+    p = blank(x_range, 165 if last else 135, label, tips, **more)
+    p.name, p.xaxis.visible, p.yaxis.ticker.desired_num_ticks = name, last, 3
+    return p
+
+
+def moment() -> Any:
+    """The line of the moment that the page's address names: the page's script places it. One for all plots of a time axis."""
+    from bokeh.models import Span
+
+    return Span(name="moment", location=0.0, dimension="height", line_color=MOMENT, line_width=2.0, visible=False)
