@@ -116,7 +116,10 @@ def table(ranked: dict, up: dict) -> str:
         f"{count}; {'; '.join(ranked['machines'].values())}.\n",
     ]
     heads = list(COLUMNS.values())
-    lines += [f"| | method | {heads[0]} | pairs | {' | '.join(heads[1:])} | stays up |", "|---" * (len(COLUMNS) + 4) + "|"]
+    lines += [
+        f"| | method | {heads[0]} | pairs | {' | '.join(heads[1:])} | stays up |",
+        "|---" * (len(COLUMNS) + 4) + "|",
+    ]
     for row in rows:
         cells = [ranking.cell(key, row["scores"].get(key)) for key in COLUMNS]
         cells.insert(1, pairs(row["paired"]) if row["place"] > 1 else "")
