@@ -147,7 +147,8 @@ def _rule(ranked: dict[str, Any]) -> str:
     within, rate = ranked["plan"]["within_s"], ranked["plan"]["false_alarms_h"]
     return (
         f"found: share of clear faults found within {within:g} s, thresholds set to {rate:g} false alarms an hour of healthy flight. "
-        "=: these flights do not distinguish it from the first (McNemar's test, p over 0.05). over: a rule with more false alarms than that. In brackets 95 % intervals."
+        f"=: these flights do not distinguish it from the first (McNemar's test, p over {SURE:g}). "
+        "over: a rule with more false alarms than that. In brackets 95 % intervals."
     )
 
 
