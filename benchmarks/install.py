@@ -1,9 +1,9 @@
 """What an installation takes: `python benchmarks/install.py SOURCE...` (wheels or folders of sources), in an environment with pip.
 
-For a wheel, a row each for pip, uv, uvx and `pipx run`, of those that are here. The wheel and what it needs are fetched first, into a folder;
-from it each tool installs with empty caches, without a network and with no compiler in reach, as `env -i HOME PATH LANG` does. A sample
-is then judged twice, and the demo is run. uv and uvx do not compile Python's files as they install: their first verdict pays for it.
-Times are by the clock, with the processor's time in brackets; a busy computer makes the first longer than the second.
+For a wheel, a row each for pip, uv, uvx and `pipx run`, of those that are here. The wheel and what it needs are fetched first, into a
+folder; from it each tool installs with empty caches, without a network and with no compiler in reach, as under `env -i HOME PATH LANG`.
+A sample is then judged twice, and the demo is run. uv and uvx do not compile Python's files as they install: their first verdict pays
+for it. Times are by the clock, with the processor's time in brackets; a busy computer makes the first longer than the second.
 
 A folder of sources is installed by pip with the compiler that is here. Of pip's installations the largest packages are listed, without
 pip and setuptools, which the empty environment has.
@@ -24,7 +24,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 LARGEST = 12
-PYTHON = getattr(sys, "_base_executable", sys.executable)  # not an environment's own, which may have more than a new one
+PYTHON = getattr(
+    sys, "_base_executable", sys.executable
+)  # not an environment's own, which may have more than a new one
 # What scripts that tools make call, besides Python.
 COMMON = "sh", "dirname", "realpath"
 SAMPLE = Path(__file__).resolve().parents[1] / "src/rotorwatch/samples/hexax_m3_mul0.80_square_wind.bin.xz"
@@ -126,7 +128,9 @@ def of_wheel(wheel: Path) -> None:
         load = os.getloadavg()[0]
         table = rows(wheel, scratch)
         print(f"Python {sys.version.split()[0]}; load of the computer {load:.1f} to {os.getloadavg()[0]:.1f}\n")
-        print("| tool | install, s | first `diagnose`, s | second `diagnose`, s | `demo`, s | MB |\n|---|---|---|---|---|---|")
+        print(
+            "| tool | install, s | first `diagnose`, s | second `diagnose`, s | `demo`, s | MB |\n|---|---|---|---|---|---|"
+        )
         for tool, took, commands, size in table:
             print(f"| {tool} | {took} | {' | '.join(map(str, commands))} | {size:.0f} |")
 
@@ -143,7 +147,9 @@ def of_sources(source: str) -> None:
         sizes = {p.name: megabytes(p) for p in packages.iterdir() if p.name not in before}
         env = {**env, "ROTORWATCH_CACHE": str(Path(scratch) / "empty"), "CC": "none"}
         verdicts = [timed(place / "bin" / "rotorwatch", "diagnose", SAMPLE, env=env, said=FOUND) for _ in range(2)]
-        print(f"{source}: installed in {took} s, {sum(sizes.values()):.0f} MB; verdicts in {verdicts[0]} and {verdicts[1]} s")
+        print(
+            f"{source}: installed in {took} s, {sum(sizes.values()):.0f} MB; verdicts in {verdicts[0]} and {verdicts[1]} s"
+        )
         for name, size in sorted(sizes.items(), key=lambda item: -item[1])[:LARGEST]:
             print(f"  {size:6.1f} MB  {name}")
 
