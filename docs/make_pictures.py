@@ -17,7 +17,7 @@ from rotorwatch.diagnose import diagnose
 
 DOCS = Path(__file__).resolve().parent
 FAULTY = "hexax_m3_mul0.80_square_wind.bin.xz"
-WIDTH, HEIGHT = 1100, 1440  # CSS pixels: header, verdict, rotors and the loss plot
+WIDTH, HEIGHT = 1100, 1110  # CSS pixels: header, verdict, what to do next, rotors
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
 
