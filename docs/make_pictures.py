@@ -64,7 +64,7 @@ def serve(browser: str, folder: Path, picture: Path) -> None:
     try:
         with sync_playwright() as playwright:
             window = playwright.chromium.launch(executable_path=browser, args=["--no-sandbox", "--disable-gpu"])
-            page = window.new_page(viewport={"width": WIDTH, "height": HEIGHT - 110})
+            page = window.new_page(viewport={"width": WIDTH, "height": 1330})
             page.goto(server.stdout.readline().strip())
             page.set_input_files("#choose", sorted(SAMPLES.glob("*.bin.xz")))
             page.locator("#list tbody tr").nth(1).wait_for(timeout=120_000)
