@@ -5,8 +5,8 @@ Everything happens in a temporary folder, in an environment with HOME, PATH and 
 than two minutes, else 1.
 
 By default what git knows of this checkout is copied and installed with pip, as the README says; that builds machine code. --wheel FILE
-installs a wheel instead. --shared needs no network: it builds a wheel of the copy with the packages of this Python, takes machine code of the
-same sources that was built before, and lets the new environment see this Python's packages in place of fetching them.
+installs a wheel instead. --shared needs no network: it builds a wheel of the copy with the packages of this Python, takes machine code of
+the same sources that was built before, and lets the new environment see this Python's packages in place of fetching them.
 """
 
 from __future__ import annotations

@@ -265,7 +265,8 @@ def _angle(flight: Flight, start: float, end: float) -> float:
     if len(part) < 2:
         return np.nan
     rate = np.linalg.norm(part.values, axis=1)
-    return float(np.diff(part.time) @ (rate[1:] + rate[:-1]) / 2)  # the trapezoidal rule, whose name changed with NumPy 2
+    # The trapezoidal rule, whose name changed with NumPy 2.
+    return float(np.diff(part.time) @ (rate[1:] + rate[:-1]) / 2)
 
 
 def _turns(attitude: Signal, gyro: Signal, air: Spans, width_s: float = 0.2) -> tuple[np.ndarray, np.ndarray]:
