@@ -68,11 +68,11 @@ def fetched(wheel: Path, folder: Path) -> None:
     timed(*command, "pip", env=dict(os.environ))  # pipx renews its own
 
 
-def reach(scratch: Path, tool: str) -> dict[str, str]:
-    """An environment in which a tool, Python and little else is found, and every cache is empty."""
+def reach(scratch: Path, tool: str, *more: str) -> dict[str, str]:
+    """An environment in which a tool, what more it needs, Python and little else is found, and every cache is empty."""
     folder = scratch / f"bin-{tool}"
     folder.mkdir()
-    for name in (*COMMON, tool):
+    for name in (*COMMON, tool, *more):
         beside = shutil.which(name, path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
         if beside:
             (folder / name).symlink_to(beside)
@@ -108,8 +108,7 @@ def rows(wheel: Path, scratch: Path) -> list[tuple[str, Took, tuple[Took, ...], 
         timed("uv", "venv", "--python", PYTHON, place, env=env)
         install = ["uv", "pip", "install", "--python", place / "bin" / "python", *there, "rotorwatch"]
         row("uv", env, install, [place / "bin" / "rotorwatch"], place)
-        env = reach(scratch, "uvx")
-        (Path(env["PATH"]) / "uv").symlink_to(Path(shutil.which("uvx", path=env["PATH"])).resolve().parent / "uv")
+        env = reach(scratch, "uvx", "uv")
         line = ["uvx", "--python", PYTHON, *there, "rotorwatch"]
         row("uvx", env, [*line, "--version"], line, Path(env["HOME"]))
     env = reach(scratch, "pipx") | {"PIPX_DEFAULT_BACKEND": "pip"}  # with uv it does the same as uvx
