@@ -91,6 +91,9 @@ class ShippedCode(BuildHookInterface):
         kind = sysconfig.get_platform()
         if (built_for := index["target"].split()[1]) != platform.machine().lower():  # by a cross compiler
             kind = kind.replace(platform.machine(), built_for)
+        libraries = [path.read_bytes() for path in (self._folder / "built").glob("*.so")]
+        if kind.startswith("linux") and not any(b"GLIBC_" in library for library in libraries):
+            kind = kind.replace("linux", "musllinux_1_2")  # by CC=musl-gcc, for Alpine
         build_data["tag"] = f"py3-none-{kind.replace('-', '_').replace('.', '_')}"
 
     def finalize(self, version: str, build_data: dict, artifact_path: str) -> None:

@@ -1,13 +1,15 @@
 """The documents' site, built by Sphinx: `python -m sphinx -W --keep-going -b html -c docs . site`.
 
 The source is the whole repository, so that the pages' links to README, CONTRIBUTING and the examples lead somewhere, as they do on a
-code host. Pages hold nothing of Sphinx: their navigation is made here of the tables of docs/index.md, and the API reference of docstrings.
+code host. Pages hold nothing of Sphinx: their navigation is made here of the tables of docs/index.md and of the pages that it opens, and
+the API reference of docstrings.
 """
 
 from __future__ import annotations
 
 import re
 import sys
+from functools import cache
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -37,7 +39,9 @@ pygments_style = "friendly"
 _LINK = re.compile(r"\]\(([^)#\s]+\.md)(?:#[^)]*)?\)")
 
 
-# Pages below another one than the page of contents.
+# Pages that open a part of the documents. What their tables link to is below them in the navigation; a page has its place below the first.
+PARTS = ("my-log", "my-vehicle", "my-research", "development", "reference", "my-fleet")
+# Pages below another page.
 BELOW = {
     "docs/methods/index": sorted(f"/docs/methods/{p.stem}" for p in HERE.glob("methods/*.md") if p.stem != "index"),
     "docs/mcp": sorted(f"/docs/mcp/{p.stem}" for p in HERE.glob("mcp/*.md")),
@@ -46,13 +50,28 @@ BELOW = {
 
 
 def navigation(text: str, folder: str) -> str:
-    """The page of contents with a table of contents below each heading, of the pages that are linked to there."""
-    made = []
+    """The page of contents with a table of contents below each heading, of the pages that are linked to there and have no other place."""
+    made, elsewhere = [], set().union(*below().values())
     for part in re.split(r"(?m)^(?=## )", text):
         caption = part.splitlines()[0].lstrip("# ") if part.startswith("## ") else "Start"
         pages = list(dict.fromkeys(_document(link, folder) for link in _LINK.findall(part)))
+        pages = [page for page in pages if page not in elsewhere]
         made.append(f"{part.rstrip()}\n\n{_tree(pages, caption)}\n")
     return "".join(made)
+
+
+@cache
+def below() -> dict[str, list[str]]:
+    """Name of a document -> the documents that are below it in the navigation."""
+    found, placed = dict(BELOW), {page for pages in BELOW.values() for page in pages}
+    placed |= {f"/docs/{part}" for part in PARTS}
+    placed |= {_document(link, "docs") for link in _LINK.findall((HERE / "index.md").read_text().split("\n## ")[0])}
+    for part in PARTS:
+        rows = "\n".join(row for row in (HERE / f"{part}.md").read_text().splitlines() if row.startswith("|"))
+        pages = dict.fromkeys(_document(link, "docs") for link in _LINK.findall(rows))
+        found[f"docs/{part}"] = [page for page in pages if page not in placed]
+        placed |= set(pages)
+    return found
 
 
 def _tree(pages: list[str], caption: str = "") -> str:
@@ -74,8 +93,8 @@ def _document(link: str, folder: str) -> str:
 def _read(app, docname: str, source: list[str]) -> None:
     if docname == root_doc:
         source[0] = navigation(source[0], "docs")
-    elif docname in BELOW:
-        source[0] += "\n" + _tree(BELOW[docname])
+    elif docname in below():
+        source[0] += "\n" + _tree(below()[docname])
     elif docname == "docs/api":
         source[0] += "\n" + make_api.page()
 

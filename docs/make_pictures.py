@@ -17,7 +17,7 @@ from rotorwatch.diagnose import diagnose
 
 DOCS = Path(__file__).resolve().parent
 FAULTY = "hexax_m3_mul0.80_square_wind.bin.xz"
-WIDTH, HEIGHT = 1100, 1440  # CSS pixels: header, verdict, rotors and the loss plot
+WIDTH, HEIGHT = 1100, 1110  # CSS pixels: header, verdict, what to do next, rotors
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
 
@@ -64,7 +64,7 @@ def serve(browser: str, folder: Path, picture: Path) -> None:
     try:
         with sync_playwright() as playwright:
             window = playwright.chromium.launch(executable_path=browser, args=["--no-sandbox", "--disable-gpu"])
-            page = window.new_page(viewport={"width": WIDTH, "height": HEIGHT + 170})
+            page = window.new_page(viewport={"width": WIDTH, "height": 1610})
             page.goto(server.stdout.readline().strip())
             page.set_input_files("#choose", sorted(SAMPLES.glob("*.bin.xz")))
             page.locator("#list tbody tr").nth(1).wait_for(timeout=120_000)

@@ -10,6 +10,7 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
+import click
 import pytest
 
 import rotorwatch as rw
@@ -24,6 +25,8 @@ PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "doc
 CLIENTS = sorted((ROOT / "docs" / "mcp").glob("*.md"))  # their commands are those of others
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 README = (ROOT / "README.md").read_text()
+ANSWER = (ROOT / "docs" / "answer.md").read_text()
+COMMANDS = (ROOT / "docs" / "commands.md").read_text()
 
 
 def name(path):
@@ -88,9 +91,34 @@ def test_commands_are_understood(page):
         words = shlex.split(line, comments=True)
         starts = [k for k, word in enumerate(words) if word == "rotorwatch" or word.endswith("/rotorwatch")]
         for k in starts:
+            if "install" in words[:k] and "&&" not in words[:k]:
+                continue  # the name of the package
             end = words.index("&&", k) if "&&" in words[k:] else len(words)
             command, *arguments = words[k + 1 : end]
             cli.cli.commands[command].make_context(command, arguments)  # raises what the command line would print
+
+
+def parsed(line):
+    """A command line of one cell of a table: the name of its command, as in `fleet add`. Raises what the command line would print."""
+    _, name, *arguments = shlex.split(line)
+    command = cli.cli.commands[name]
+    if isinstance(command, click.Group):
+        name, (inner, *arguments) = f"{name} {arguments[0]}", arguments
+        command = command.commands[inner]
+    command.make_context(name, list(arguments))
+    return name
+
+
+def test_every_command_has_its_question():
+    """docs/commands.md: every command of `rotorwatch --help` is there, every line is understood, and every row has a page to read."""
+    rows = re.findall(r"^\| (.+?\?) \| `(rotorwatch [^`]+)` \| \[[^\]]+\]\([^)]+\) \|$", COMMANDS, re.MULTILINE)
+    assert len(rows) == COMMANDS.count("| `rotorwatch ") and len({question for question, _ in rows}) == len(rows)
+    commands = cli.cli.commands
+    groups = {name: command for name, command in commands.items() if isinstance(command, click.Group)}
+    every = set(commands) - set(groups) | {f"{g} {inner}" for g, group in groups.items() for inner in group.commands}
+    assert {parsed(line) for _, line in rows} == every
+    for line in re.findall(r"\| `(rotorwatch [^`]+)` \|", README):
+        parsed(line)
 
 
 def python_blocks():
@@ -113,14 +141,14 @@ def test_examples_use_what_is_there(code):
             assert hasattr(rw, node.attr), f"rotorwatch has no {node.attr}"
 
 
-def test_readme_example_runs(tmp_path, monkeypatch, capsys):
+def test_the_examples_in_python_run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     sample = next(path for path in sorted(cli.SAMPLES.glob("*.bin.xz")) if "healthy" not in path.name)
     Path("flight.bin").write_bytes(lzma.open(sample).read())
-    log, method = blocks(README, "python")
-    exec(compile(log, "README.md", "exec"), {})
+    log, method = blocks((ROOT / "docs" / "python.md").read_text(), "python")
+    exec(compile(log, "python.md", "exec"), {})
     assert capsys.readouterr().out.startswith("fault - ")
-    exec(compile(method, "README.md", "exec"), {})
+    exec(compile(method, "python.md", "exec"), {})
     assert capsys.readouterr().out.count("[") == 2
     assert Path("report.html").stat().st_size > 100_000
 
@@ -147,13 +175,14 @@ def test_picture_of_a_report():
 
 
 def test_verdicts_and_exit_codes():
-    rows = {row[0].strip("`"): int(row[1]) for row in table(README, "## What the answer means")}
+    rows = {row[0].strip("`"): int(row[1]) for row in table(ANSWER, "## Verdicts")}
     assert rows == {**diagnosis.EXIT_CODES, "(error)": cli.ERROR}
 
 
 def test_supported_logs():
     """A row for every format there is, by its most telling word."""
-    rows = " ".join(" ".join(row) for row in table(README, "## Supported logs")).lower()
+    page = (ROOT / "docs" / "readers.md").read_text()
+    rows = " ".join(" ".join(row) for row in table(page, "## Supported logs")).lower()
     for module in logs.formats():
         assert module.__name__.rpartition(".")[2].removesuffix("_binary") in rows, module.FORMAT
 
@@ -214,12 +243,6 @@ def test_version_is_one():
     version = PROJECT["project"]["version"]
     assert rw.__version__ == version
     assert f"## {version}" in (ROOT / "CHANGELOG.md").read_text()
-
-
-def test_index_lists_every_page():
-    index = (ROOT / "docs" / "index.md").read_text()
-    for page in (ROOT / "docs").glob("*.md"):
-        assert page.name == "index.md" or f"]({page.name})" in index, page.name
 
 
 def test_the_list_of_places_that_use_jax_is_complete():

@@ -168,6 +168,11 @@ def test_the_manifest_is_that_of_the_package():
     assert f"<!-- mcp-name: {manifest['name']} -->" in (ROOT / "README.md").read_text()
     assert package["runtimeArguments"][0]["value"] == f"rotorwatch[mcp]=={__version__}"
     understood([argument.get("value", "/logs") for argument in package["packageArguments"]])
+    # As the registry's schema of 2025-12-11 asks; it lets unknown names pass, and clients ignore them.
+    known = "registryType registryBaseUrl identifier version runtimeHint runtimeArguments packageArguments environmentVariables transport"
+    assert set(package) <= set(known.split()) and package["transport"] == {"type": "stdio"}
+    for argument in (*package["packageArguments"], *package["runtimeArguments"]):
+        assert argument.get("name") if argument["type"] == "named" else {"value", "valueHint"} & set(argument)
 
 
 def test_pages_of_clients_give_a_command_that_is_understood():

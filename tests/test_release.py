@@ -50,6 +50,17 @@ def test_nothing_is_used_that_the_oldest_python_lacks():
         assert path.name == "optional.py" or not later.search(path.read_text()), path
 
 
+def test_nothing_is_used_that_the_oldest_numpy_lacks():
+    """Names that came with NumPy 2: Linux distributions and ROS have 1.26."""
+    later = re.compile(
+        r"\bnp\.(?:acosh?|asinh?|atan[2h]?|astype|bitwise_(?:count|invert|left_shift|right_shift)|bool|concat|cumulative_(?:prod|sum)|isdtype|"
+        r"u?long|matrix_transpose|matvec|permute_dims|pow|strings|trapezoid|unique_(?:all|counts|inverse|values)|unstack|vecdot|vecmat)\b"
+    )
+    assert "numpy>=1.26" in PROJECT["dependencies"]
+    for path in (ROOT / "src").rglob("*.py"):
+        assert not (found := later.search(path.read_text())), f"{path}: {found and found[0]}"
+
+
 def test_the_recipe_has_the_packages_that_the_project_needs():
     run = (ROOT / "conda" / "meta.yaml").read_text().split("  run:\n")[1].split("\ntest:")[0]
     named = {line.split()[1]: "".join(line.split()[2:]) for line in run.splitlines() if line.strip()}

@@ -256,7 +256,8 @@ def _positive(mean: np.ndarray, cov: np.ndarray) -> float:
     density = np.exp(-0.5 * ((x - mean[0]) / sd[0]) ** 2) / (sd[0] * np.sqrt(2.0 * np.pi))
     slope = cov[0, 1] / cov[0, 0]
     rest = np.sqrt(max(cov[1, 1] - slope * cov[0, 1], 1e-18))
-    return float(np.trapezoid(density * normal_cdf((mean[1] + slope * (x - mean[0])) / rest), x))
+    joint = density * normal_cdf((mean[1] + slope * (x - mean[0])) / rest)
+    return float(np.diff(x) @ (joint[1:] + joint[:-1]) / 2)
 
 
 def _gaussian(J: np.ndarray, z: np.ndarray, mean: np.ndarray, sd: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:

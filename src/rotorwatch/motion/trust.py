@@ -264,7 +264,9 @@ def _angle(flight: Flight, start: float, end: float) -> float:
     part = flight[name].between(start, end)
     if len(part) < 2:
         return np.nan
-    return float(np.trapezoid(np.linalg.norm(part.values, axis=1), part.time))
+    rate = np.linalg.norm(part.values, axis=1)
+    # The trapezoidal rule, whose name changed with NumPy 2.
+    return float(np.diff(part.time) @ (rate[1:] + rate[:-1]) / 2)
 
 
 def _turns(attitude: Signal, gyro: Signal, air: Spans, width_s: float = 0.2) -> tuple[np.ndarray, np.ndarray]:
