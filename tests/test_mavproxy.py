@@ -207,7 +207,14 @@ def fly(flight, *maps, more=()):
             module.idle_task()
             answer()
             time.sleep(0.002)
-    turns(module, lambda: any("rotor 3 lost" in line for line, _ in mpstate.console.lines))
+
+    def judged():
+        answer()
+        rates = [m for m in pilot.asked if m.get_type() == "COMMAND_LONG" and m.command == 511]
+        acknowledged = len(rates) > 1 or not pilot.asked  # the second rate is requested after the answer to the first
+        return acknowledged and any("rotor 3 lost" in line for line, _ in mpstate.console.lines)
+
+    turns(module, judged)
     return module, mpstate, master
 
 
