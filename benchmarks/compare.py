@@ -1,9 +1,10 @@
 """Makes docs/comparison.md: all methods on the same simulated flights, a table for each frame, and which of them keep a vehicle up.
 
-    python benchmarks/compare.py [--jobs 2] [--frames quad-x] [--out FOLDER] [--methods NAME,NAME --name -more]
+    python benchmarks/compare.py [--jobs 2] [--frames quad-x] [--closed-loop] [--out FOLDER] [--methods NAME,NAME --name -more]
 
-Runs `rotorwatch benchmark` on the plans in benchmarks/comparison, and `rotorwatch closed-loop plans/survival-methods.toml`. Results are
-kept in --out: what is there is not flown again, and a run that was interrupted goes on where it was.
+Runs `rotorwatch benchmark` on the plans in benchmarks/comparison and, with --closed-loop, `rotorwatch closed-loop
+plans/survival-methods.toml`; without, that part of the page stays as it is. Results are kept in --out: what is there is not flown again,
+and a run that was interrupted goes on where it was.
 """
 
 from __future__ import annotations
@@ -20,41 +21,6 @@ PAGE = ROOT / "docs" / "comparison.md"
 FRAMES = ("quad-x", "hexa-x", "octa-x", "octaquad-x", "y6")
 UP_PLAN, UP_FLIGHTS = ROOT / "plans" / "survival-methods.toml", 240
 COLUMNS = {**ranking.COLUMNS, "own_detected": "found at its own threshold"}
-HEAD = """# Comparison
-
-The tables compare every method on the same simulated flights, with 95 % intervals. The default diagnosis is one of the methods. Published
-methods run with their defaults on rotational dynamics learned from each flight's first seconds ([methods](methods/index.md)). The default
-runs on its own plant. rotorwatch reads the events of all methods in the same way.
-
-- `python benchmarks/compare.py` makes the tables.
-- `rotorwatch benchmark benchmarks/comparison/hexa-x.toml --method my_file:Mine -o mine.json` runs your own method on the same flights.
-- `rotorwatch compare healthy1.bin healthy2.bin --losses 0.2,0.4` runs the methods on your own logs.
-
-The columns:
-
-- **found**: share of clear faults that are found within 10 s. Each method's threshold leaves 2 false alarms in an hour of healthy flight.
-  The named rotor does not count here.
-- **delay**: median delay at the same threshold.
-- **right rotor**: share of clear faults whose first event names that rotor alone, at the method's own threshold. On a hexarotor opposite
-  rotors look alike at first. An event that names both rotors counts as not right.
-- **size error**: RMS error of announced losses ten seconds after the onset.
-- **coverage**: share of announced losses whose 95 % interval holds the loss. Size error and coverage cover announced losses only: compare
-  them with the column "found at its own threshold".
-- **own alarms/h**: false alarms at the method's own threshold.
-- **us a step**: microseconds of one step of a quad in a compiled loop.
-- **stays up**: the losses that the method estimates drive the allocation while the vehicle flies. The share is of vehicles that stay in
-  the air, among those that the truth would keep in the air ([other flights](#does-the-vehicle-stay-up)).
-- **pairs**: clear faults that only the first method of the table finds, and those that only this one finds, with the p of McNemar's exact
-  two-sided test. All methods judge the same flights, so only these flights count.
-- `=`: p is 0.05 or more: these flights do not distinguish the method from the first. `over`: a rule without a threshold, with more false
-  alarms than 2 an hour.
-
-[Benchmark](benchmark.md#scores) explains the scores and their limits. The flights are 50 s of hover, squares, figures of eight, climbs and
-turns, with wind to 8 m/s and vehicles of .8 to 8 kg. The logs are of ArduPilot and PX4 at their fast rates. 60 % of the flights have a
-loss of one rotor from 5 % to all.
-"""
-
-
 UP = """
 ## Does the vehicle stay up
 
@@ -103,8 +69,8 @@ def staying_up(found: dict) -> str:
     return UP.format(flights=found["flights"], plan=UP_PLAN.relative_to(ROOT)) + "\n".join(lines) + "\n"
 
 
-def table(ranked: dict, up: dict) -> str:
-    """One frame's ranking in Markdown; up: what the closed loop found."""
+def table(ranked: dict) -> str:
+    """One frame's ranking in Markdown."""
     frame = ranked["plan"]["name"].removeprefix("comparison-")
     plan, rows = ranked["plan"], ranked["rows"]
     scores = rows[0]["scores"]
@@ -117,22 +83,29 @@ def table(ranked: dict, up: dict) -> str:
     ]
     heads = list(COLUMNS.values())
     lines += [
-        f"| | method | {heads[0]} | pairs | {' | '.join(heads[1:])} | stays up |",
-        "|---" * (len(COLUMNS) + 4) + "|",
+        f"| | method | {heads[0]} | pairs | {' | '.join(heads[1:])} |",
+        "|---" * (len(COLUMNS) + 3) + "|",
     ]
     for row in rows:
         cells = [ranking.cell(key, row["scores"].get(key)) for key in COLUMNS]
         cells.insert(1, pairs(row["paired"]) if row["place"] > 1 else "")
-        stays = percent(up["drivers"].get(row["name"], {}).get("possible_by_frame", {}).get(frame))
-        lines.append(f"| {ranking.mark(row)} | `{row['name']}` | {' | '.join(cells)} | {stays} |")
+        lines.append(f"| {ranking.mark(row)} | `{row['name']}` | {' | '.join(cells)} |")
     return "\n".join(lines + [f"\nNot run: `{e['name']}`: {e['failed']}" for e in ranked["failed"]]) + "\n"
 
 
+def put(part: str, text: str) -> None:
+    """Put what was made between the page's comments of that name; the words around it are written by hand."""
+    begin, end = f"<!-- {part}: made by benchmarks/compare.py -->\n", f"<!-- end of {part} -->"
+    before, rest = PAGE.read_text(encoding="utf-8").split(begin)
+    PAGE.write_text(before + begin + text + end + rest.split(end)[1], encoding="utf-8")
+
+
 def main() -> None:
-    """Fly what is missing, write the page."""
+    """Fly what is missing, write the tables into the page."""
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--jobs", type=int)
     arguments.add_argument("--frames", default=",".join(FRAMES), help="whose tables are made")
+    arguments.add_argument("--closed-loop", action="store_true", help="also fly with the estimates in the loop")
     arguments.add_argument("--methods", default="all")
     arguments.add_argument(
         "--name", default="", help="of a run of other methods, such as -new: its rows join those that are kept"
@@ -140,16 +113,20 @@ def main() -> None:
     arguments.add_argument("--out", type=Path, default=Path(tempfile.gettempdir()) / "rotorwatch-comparison")
     options = arguments.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    drivers = [closed_loop.NOBODY, closed_loop.TRUTH, "default", *sorted(set(discovery.estimators()) - {"default"})]
-    up = closed_loop.run(UP_PLAN, drivers, options.out / "closed-loop", UP_FLIGHTS, options.jobs)
-    pages = []
+    tables = []
     for frame in options.frames.split(","):
         out = options.out / f"{frame}{options.name}.json"
         if not out.exists():
             plan = ROOT / "benchmarks" / "comparison" / f"{frame}.toml"
             benchmark.run(plan, options.methods.split(","), out, options.jobs, notify=print)
-        pages.append(table(ranking.rank(sorted(options.out.glob(f"{frame}*.json"))), up))
-    PAGE.write_text(HEAD + "".join(pages) + staying_up(up), encoding="utf-8")
+        tables.append(table(ranking.rank(sorted(options.out.glob(f"{frame}*.json")))))
+    put("frames", "".join(tables))
+    if options.closed_loop:
+        drivers = [closed_loop.NOBODY, closed_loop.TRUTH, "default", *sorted(set(discovery.estimators()) - {"default"})]
+        put(
+            "closed loop",
+            staying_up(closed_loop.run(UP_PLAN, drivers, options.out / "closed-loop", UP_FLIGHTS, options.jobs)),
+        )
 
 
 if __name__ == "__main__":

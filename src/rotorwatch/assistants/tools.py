@@ -26,7 +26,7 @@ from rotorwatch.report import still
 
 ROWS, MOST_ROWS = 40, 400  # of a series: by default, and at most
 M = TypeVar("M", bound=BaseModel)
-NEWEST, ORDERS = listing.NEWEST, (*listing.ORDERS, *(f"-{name}" for name in listing.ORDERS))
+SORT = f"{', '.join(listing.ORDERS)}; with - before it the largest, gravest or newest first"
 READS = ToolAnnotations(read_only_hint=True, destructive_hint=False, idempotent_hint=True, open_world_hint=False)
 Path = Annotated[str, Field(min_length=1, max_length=LONGEST)]
 Log = Annotated[
@@ -239,7 +239,7 @@ def register(server: MCPServer, desk: Desk) -> None:
         until: Annotated[str, Field(max_length=40, description="that day or minute included")] = "",
         min_loss: Annotated[float, Field(ge=0.0, le=1.0, description="of the worst loss")] = 0.0,
         min_duration: Annotated[float, Field(ge=0.0, le=1e9, description="s")] = 0.0,
-        sort: Annotated[Literal[ORDERS], Field(description="-: the largest, gravest or newest first")] = NEWEST,
+        sort: Annotated[str, Field(max_length=20, description=SORT)] = listing.NEWEST,
         limit: Annotated[int, Field(ge=1, le=MOST)] = 8,
         offset: Annotated[int, Field(ge=0, le=10**9)] = 0,
     ) -> Annotated[CallToolResult, models.Flights]:
