@@ -11,12 +11,13 @@ import numpy as np
 
 from rotorwatch.core import Array
 from rotorwatch.default import hypotheses, model_error, plant
+from rotorwatch.front.contact import G0
 
 # Both may be off by a standard deviation of this flight's disturbances, and by as much as the slack in calm air.
 DEMAND_SHARE, DEMAND_SLACK, DEMAND_MOST = 0.25, 0.05, 0.35
 MISSING_SLACK = 0.15  # hover thrusts of one rotor
-# Share of thrust that a rotor may gain or lose for each m/s at which the vehicle sinks or climbs: with induced speeds of 4 to 8 m/s, 1 / (2 v_i).
-INFLOW, G = 0.1, 9.80665
+# Share of its thrust that a rotor gains for each m/s at which the vehicle sinks faster: 1 / (2 v_i), of induced speeds v_i of 4 to 8 m/s.
+INFLOW = 0.1
 LIMIT_S = 2.0  # how long it is remembered that a rotor was at its limit
 
 
@@ -58,7 +59,7 @@ def follow(state: Missing, missing, load, share, valid, restart, dt) -> Missing:
         jnp.where(restart, up, jnp.maximum(up, state.rose * left)),
         jnp.where(restart, lacks, jnp.maximum(lacks, state.limit * jnp.exp(-dt / LIMIT_S))),
         jnp.where(restart, load, state.load + (load - state.load) * (dt / plant.USUAL_S)),
-        jnp.where(restart, 0.0, state.climb * left + (load - state.load) * G * dt),
+        jnp.where(restart, 0.0, state.climb * left + (load - state.load) * G0 * dt),
     )
 
 
