@@ -80,10 +80,18 @@ def test_disturbances_such_as_this_flight_has_not_seen_are_asked_about_for_one_m
 
 @pytest.mark.parametrize("blocked", [{"possible": False}, {"judge": False}, {"since": EDGE * REACH}])
 def test_what_cannot_be_is_not_judged_or_began_before_the_bank_is_not_announced(blocked):
-    assert ticks_until_alarm(fault=30.0, **blocked) is None
-    standing, _ = decide(fault=30.0)
-    assert standing.above == 1 and decide(standing, fault=30.0, **blocked)[0].above == 0
-    assert ticks_until_alarm(fault=30.0, since=EDGE * REACH - 1.0) is not None
+    fault = LIMIT + CERTAIN_NATS - 1.0
+    assert ticks_until_alarm(fault=fault, **blocked) is None
+    standing, _ = decide(fault=fault)
+    assert standing.above == 1 and decide(standing, fault=fault, **blocked)[0].above == 0
+    assert ticks_until_alarm(fault=fault, since=EDGE * REACH - 1.0) is not None
+
+
+def test_what_began_before_the_bank_is_announced_where_no_disturbance_comes_near():
+    fault = LIMIT + CERTAIN_NATS + 1.0
+    assert ticks_until_alarm(fault=fault, since=EDGE * REACH) == TICKS
+    assert ticks_until_alarm(fault=fault, since=EDGE * REACH, other=fault - MUCH - CERTAIN_NATS + 1.0) is None
+    assert ticks_until_alarm(fault=fault, since=EDGE * REACH, possible=False) is None
 
 
 def ticks_until_absorbed(**more):

@@ -71,8 +71,8 @@ def decide(
     again = weak & (best.rotors.sum() < 2)
     other = jnp.where(again, jnp.logaddexp(found.other, found.far), found.other)
     statistic = jnp.minimum(found.fault - limit, found.fault - other - hypotheses.CLEAR)
-    # The most probable onset at the edge of the bank speaks of a drift that began before it, not of a jump.
-    possible &= best.since < EDGE * onsets.reach
+    # The most probable onset at the edge of the bank speaks of a drift that began before it, unless no disturbance comes near.
+    possible &= (best.since < EDGE * onsets.reach) | (statistic > CERTAIN_NATS)
     above = jnp.where(judge & (statistic > 0.0) & possible, state.above + 1, 0)
     alarm = above >= TICKS
     # What certainly happened is explained, whatever it was; where nothing is known to be wrong, only what is no fault.
