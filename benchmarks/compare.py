@@ -21,6 +21,7 @@ PAGE = ROOT / "docs" / "comparison.md"
 FRAMES = ("quad-x", "hexa-x", "octa-x", "octaquad-x", "y6")
 UP_PLAN, UP_FLIGHTS = ROOT / "plans" / "survival-methods.toml", 240
 COLUMNS = {**ranking.COLUMNS, "own_detected": "found at its own threshold"}
+SIZE = 1 + list(COLUMNS).index("loss_rmse")
 UP = """
 ## Does the vehicle stay up
 
@@ -53,6 +54,14 @@ def pairs(paired: dict | None) -> str:
     return f"{found['only_first']} : {found['only_this']}, p {found['p']:.2g}"
 
 
+def sizes(paired: dict | None) -> str:
+    """RMS errors of the first method and of this one over the flights in which both announced a loss, and p of the sign test."""
+    if paired is None or not paired["size"]["flights"]:
+        return "-"
+    size = paired["size"]
+    return f"{size['first']:.3f} : {size['this']:.3f} of {size['flights']}, p {size['p']:.2g}"
+
+
 def number(value: dict | None) -> str:
     """A number with its interval."""
     return "-" if value is None else "{:.2f} ({:.2f} to {:.2f})".format(*(value[k] for k in ("value", "low", "high")))
@@ -82,13 +91,16 @@ def table(ranked: dict) -> str:
         f"{count}; {'; '.join(ranked['machines'].values())}.\n",
     ]
     heads = list(COLUMNS.values())
+    heads.insert(1, "pairs")
+    heads.insert(1 + SIZE, "sizes in pairs")
     lines += [
-        f"| | method | {heads[0]} | pairs | {' | '.join(heads[1:])} |",
-        "|---" * (len(COLUMNS) + 3) + "|",
+        f"| | method | {' | '.join(heads)} |",
+        "|---" * (len(heads) + 2) + "|",
     ]
     for row in rows:
         cells = [ranking.cell(key, row["scores"].get(key)) for key in COLUMNS]
         cells.insert(1, pairs(row["paired"]) if row["place"] > 1 else "")
+        cells.insert(1 + SIZE, sizes(row["paired"]) if row["place"] > 1 else "")
         lines.append(f"| {ranking.mark(row)} | `{row['name']}` | {' | '.join(cells)} |")
     return "\n".join(lines + [f"\nNot run: `{e['name']}`: {e['failed']}" for e in ranked["failed"]]) + "\n"
 

@@ -188,6 +188,7 @@ QUICK = (benchmark_plan.SHIPPED / "quick.toml").read_text()
         (changed(["methods", 0, "scores", "delay_s"], 3.0), r"scores.delay_s must hold value, low and high"),
         (changed(["methods", 0, "scores", "threshold"], "x"), "scores.threshold must be a number or null"),
         (changed(["methods", 0, "scores", "found_flights"], [1, "2"]), "scores.found_flights must be a list of the numbers"),
+        (changed(["methods", 0, "scores", "size_errors"], {"1": "x"}), "scores.size_errors must be a table of numbers"),
         (changed(["methods"], [made()["methods"][0]] * 2), "the method one is there twice"),
         (changed(["data"], [{"name": "x"}]), r"data\[1\].index_sha256 is missing"),
         (changed(["methods"], {}), "methods has the wrong type"),
@@ -251,6 +252,22 @@ def test_methods_that_flew_the_same_flights_are_compared_in_pairs(tmp_path):
     assert rows["elsewhere"]["paired"]["detected"]["p"] == pytest.approx(binomtest(10, 15).pvalue)
     assert rows["elsewhere"]["paired"]["right"]["p"] == pytest.approx(binomtest(5, 11).pvalue)
     assert rows["never better"]["paired"]["right"] == {"only_first": 0, "only_this": 0, "p": 1.0}
+
+
+def test_sizes_are_compared_in_the_flights_in_which_both_announced_a_loss():
+    """Who announces a hard loss alone is not worse for it."""
+    rng = np.random.default_rng(0)
+    easy = {str(k): float(e) for k, e in enumerate(0.01 * rng.standard_normal(60))}
+    found = summary.closer({**easy, "99": 0.7}, {k: 3.0 * e for k, e in easy.items() if k != "3"})
+    assert found["flights"] == 59 and found["this"] == pytest.approx(3.0 * found["first"]) and found["p"] == 2.0 / 2**59
+    assert found["first"] == pytest.approx(np.sqrt(np.mean([e**2 for k, e in easy.items() if k != "3"])))
+    assert summary.closer({"1": 0.1}, {"1": -0.1})["p"] == 1.0 and summary.closer({"1": 0.1}, {})["flights"] == 0
+
+
+def test_size_errors_are_of_announced_clear_faults():
+    rows = [fault({0.5: 1.0}) | {"estimate": e, "loss": 0.3, "bound_sd": 0.01} for e in (0.28, 0.0, 0.35)]
+    rows.append({"peak": 1.0, "healthy_s": 60.0, "estimate": 0.2, "loss": 0.0, "bound_sd": 0.01})
+    assert summary.size_errors(columns(rows)) == {"0": -0.02, "2": 0.05}
 
 
 def test_the_flights_behind_a_share_are_kept():

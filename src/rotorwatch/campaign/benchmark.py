@@ -236,6 +236,7 @@ def scores(d: dict[str, np.ndarray], benchmark: Benchmark) -> dict[str, Any]:
         "delay_s": fair["delay_s"], "own_false_alarms_h": own["false_alarms_h"], "own_detected": own["detected"],
         "own_delay_s": own["delay_s"], "right": own["right"], "loss_rmse": own["loss_rmse"], "coverage": own["coverage"],
         "found_flights": fair["found"], "right_flights": summary.numbers(d, d["clear"].astype(bool) & (d["right"] == True)),  # noqa: E712
+        "size_errors": summary.size_errors(d),
     }  # fmt: skip
 
 

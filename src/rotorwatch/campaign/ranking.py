@@ -41,9 +41,9 @@ def rank(paths: Sequence[str | os.PathLike]) -> dict[str, Any]:
     """{"plan", "rows", "failed", "data": [{"name", "logs", "left_out", "rows", "failed"}], "machines"} of results files.
 
     rows: best first, each a method's entry with `place`, `file`, `machine`, `over` (it is above the plan's rate of false alarms) and
-    `paired` ({"detected", "right"}: `summary.mcnemar` against the first) and `like_first` (the flights do not distinguish it from the
-    first: p >= SURE; for files without numbers of flights: the intervals overlap, and paired is None). Raises ConfigError for no file,
-    one that cannot be used, and files of different plans.
+    `paired` ({"detected", "right"}: `summary.mcnemar` against the first, "size": `summary.closer`) and `like_first` (the flights do not
+    distinguish it from the first: p >= SURE; for files without numbers of flights: the intervals overlap, and paired is None). Raises
+    ConfigError for no file, one that cannot be used, and files of different plans.
     """
     if not paths:
         raise ConfigError("There is nothing to rank: give the files that `rotorwatch benchmark -o` has written.")
@@ -101,6 +101,7 @@ def _paired(first: dict[str, Any], other: dict[str, Any]) -> dict[str, dict] | N
     return {
         "detected": summary.mcnemar(first["found_flights"], other["found_flights"]),
         "right": summary.mcnemar(first["right_flights"], other["right_flights"]),
+        "size": summary.closer(first.get("size_errors", {}), other.get("size_errors", {})),
     }
 
 

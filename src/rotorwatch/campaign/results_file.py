@@ -38,7 +38,8 @@ MEASURES = {
 }
 """Scores with an interval: {"value", "low", "high", "n"}, or None where it is not defined."""
 FLIGHTS = {"found_flights": "flights behind `detected`", "right_flights": "flights behind `right`"}
-"""Scores that are lists of numbers of flights, by which methods are compared in pairs. Files of before they existed have none."""
+"""Scores that are lists of numbers of flights, by which methods are compared in pairs; and `size_errors`, flight -> estimated less true
+loss. Files of before they existed have none."""
 PLAN: dict[str, Any] = {
     "name": str, "version": int, "sha256": str, "flights": int, "false_alarms_h": (int, float), "within_s": (int, float), "text": str,
 }  # fmt: skip
@@ -142,6 +143,9 @@ def _scores(scores: dict[str, Any], where: str, path: str) -> None:
     for key in FLIGHTS:
         if not isinstance(scores.get(key, []), list) or not all(type(n) is int for n in scores.get(key, [])):
             raise ConfigError(f"{where}: {path}{key} must be a list of the numbers of flights.")
+    errors = scores.get("size_errors", {})
+    if not isinstance(errors, dict) or not all(map(_number, errors.values())):
+        raise ConfigError(f"{where}: {path}size_errors must be a table of numbers.")
 
 
 def _number(value: Any) -> bool:

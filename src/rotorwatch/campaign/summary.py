@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -167,6 +167,28 @@ def _ratio(error: np.ndarray, sd: np.ndarray) -> dict[str, float] | None:
     """RMS error over RMS bound, flights resampled together."""
     both = np.arange(error.size, dtype=float)
     return boot(both, lambda k: _rms(error[k.astype(int)]) / _rms(sd[k.astype(int)]))
+
+
+def size_errors(d: dict[str, np.ndarray]) -> dict[str, float]:
+    """Flight -> estimated less true loss, of the announced clear faults; the numbers of flights as texts, as JSON keeps them."""
+    ok = _announced(d)
+    return {
+        str(int(n)): round(float(e), 4) for n, e in zip(d["flight"][ok], (d["estimate"] - d["loss"])[ok], strict=True)
+    }
+
+
+def closer(first: Mapping[str, float], other: Mapping[str, float]) -> dict[str, Any]:
+    """Whose losses are closer to the truth, in the flights in which both announced one: {"flights", "first", "this", "p"}.
+
+    first, other: `size_errors` of the two. first, this: their RMS errors over these flights, None where there are none. p: two-sided sign
+    test, exact, on which of the two is closer.
+    """
+    common = sorted(set(first) & set(other))
+    if not common:
+        return {"flights": 0, "first": None, "this": None, "p": 1.0}
+    a, b = (np.array([errors[n] for n in common]) for errors in (first, other))
+    ours, theirs = (np.flatnonzero(won).tolist() for won in (abs(a) < abs(b), abs(b) < abs(a)))
+    return {"flights": len(common), "first": _rms(a), "this": _rms(b), "p": mcnemar(ours, theirs)["p"]}
 
 
 def _announced(d: dict[str, np.ndarray]) -> np.ndarray:
