@@ -88,7 +88,7 @@ def table(ranked: dict) -> str:
     )
     lines = [
         f"\n## {frame}\n",
-        f"{count}; {'; '.join(ranked['machines'].values())}.\n",
+        f"{count}; {'; '.join(dict.fromkeys(ranked['machines'].values()))}.\n",
     ]
     heads = list(COLUMNS.values())
     heads.insert(1, "pairs")
