@@ -92,6 +92,7 @@ def test_what_began_before_the_bank_is_announced_where_no_disturbance_comes_near
     assert ticks_until_alarm(fault=fault, since=EDGE * REACH) == TICKS
     assert ticks_until_alarm(fault=fault, since=EDGE * REACH, other=fault - MUCH - CERTAIN_NATS + 1.0) is None
     assert ticks_until_alarm(fault=fault, since=EDGE * REACH, possible=False) is None
+    assert ticks_until_alarm(fault=fault, since=EDGE * REACH, rotors=(1, 3)) is None
 
 
 def ticks_until_absorbed(**more):

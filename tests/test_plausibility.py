@@ -111,10 +111,13 @@ def test_thrust_that_rotors_no_longer_give_is_missing(rough, slack):
 
 @pytest.mark.parametrize("climb, more", [(-2.0, 2.0 * INFLOW * N), (0.0, 0.0), (2.0, 0.0)])
 def test_a_vehicle_that_sinks_faster_than_before_needs_less_thrust(climb, more):
-    """A tenth of the thrust of all rotors for each m/s; climbing hides no loss, it only looks like one."""
+    """A tenth of the thrust of all rotors for each m/s; climbing hides no loss, it only looks like one. Two rotors at once have to show."""
     least = DEMAND_SHARE * 0.5 - MISSING_SLACK - more
     for off, answer in ((1e-6, True), (-1e-6, False)):
         assert possible(jump((2, 0.5)), now=missing(fast=least + off, climb=climb)) is answer
+    assert not possible(
+        jump((2, 0.25), (4, 0.25)), now=missing(fast=DEMAND_SHARE * 0.5 - MISSING_SLACK - 1e-6, climb=-9.0)
+    )
 
 
 def test_a_jump_beyond_all_lacks_no_more_than_all():

@@ -71,8 +71,10 @@ def decide(
     again = weak & (best.rotors.sum() < 2)
     other = jnp.where(again, jnp.logaddexp(found.other, found.far), found.other)
     statistic = jnp.minimum(found.fault - limit, found.fault - other - hypotheses.CLEAR)
-    # The most probable onset at the edge of the bank speaks of a drift that began before it, unless no disturbance comes near.
-    possible &= (best.since < EDGE * onsets.reach) | (statistic > CERTAIN_NATS)
+    # The most probable onset at the edge of the bank speaks of a drift that began before it, unless no disturbance comes near. Two rotors
+    # fit the drift of thrust of a vehicle that begins to sink.
+    sure = (statistic > CERTAIN_NATS) & (best.rotors.sum() < 2)
+    possible &= (best.since < EDGE * onsets.reach) | sure
     above = jnp.where(judge & (statistic > 0.0) & possible, state.above + 1, 0)
     alarm = above >= TICKS
     # What certainly happened is explained, whatever it was; where nothing is known to be wrong, only what is no fault.

@@ -90,14 +90,15 @@ def plausible(jump, smooth, rise, now: Missing, before: Missing, thrust_valid, a
     # A controller asks more of a rotor that gives less: a candidate whose command has fallen instead is none. Of two rotors it asks what
     # geometry leaves of that.
     # Two rotors at once are rare: they have to show as they would in calm air.
-    n, rough = smooth.shape[0], jnp.where((jump != 0.0).any(axis=1).all(), 0.0, rough)
+    n, two = smooth.shape[0], (jump != 0.0).any(axis=1).all()
+    rough, sinks = jnp.where(two, 0.0, rough), jnp.where(two, 0.0, jnp.maximum(-now.climb, 0.0))
     swing = jnp.sqrt(rough[:3].sum()) / n
     demanded = coupling @ (jnp.minimum(jump, DEMAND_MOST).sum(axis=0) * smooth)
     ok = (jnp.abs(jump).max() > hypotheses.NONE) & jnp.where(
         jump > 0, rise > DEMAND_SHARE * demanded - jnp.maximum(DEMAND_SLACK, swing), True
     ).all()
     # ... and what the rotors no longer give must be missing from the thrust, of which a vehicle that sinks faster has more.
-    slack = jnp.maximum(MISSING_SLACK, jnp.sqrt(rough[3])) + INFLOW * n * jnp.maximum(-now.climb, 0.0)
+    slack = jnp.maximum(MISSING_SLACK, jnp.sqrt(rough[3])) + INFLOW * n * sinks
     lost_thrust = (jnp.clip(jump, 0.0, 1.0) * smooth).sum()
     ok &= ~thrust_valid | (lost_thrust <= 0.0) | (now.fast - before.slow > DEMAND_SHARE * lost_thrust - slack)
     # ... and not because a rotor at its limit gives no more.
