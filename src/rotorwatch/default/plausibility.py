@@ -11,34 +11,29 @@ import numpy as np
 
 from rotorwatch.core import Array
 from rotorwatch.default import hypotheses, model_error, plant
-from rotorwatch.front.contact import G0
 
 # Both may be off by a standard deviation of this flight's disturbances, and by as much as the slack in calm air.
 DEMAND_SHARE, DEMAND_SLACK, DEMAND_MOST = 0.25, 0.05, 0.35
 MISSING_SLACK = 0.15  # hover thrusts of one rotor
-# Share of its thrust that a rotor gains for each m/s at which the vehicle sinks faster: 1 / (2 v_i), of induced speeds v_i of 4 to 8 m/s.
-INFLOW = 0.1
 LIMIT_S = 2.0  # how long it is remembered that a rotor was at its limit
 
 
 class Missing(NamedTuple):
     """Commanded thrust that the accelerometer does not see, hover thrusts of one rotor: fast, over ANSWER_S; slow, over USUAL_S. heave:
     how far the load factor was from 1, lately; rose: how far above. limit (n,): share of its thrust that a rotor near its limit may have
-    lacked, lately. load: usual load factor; climb: how much faster the vehicle climbs than it did USUAL_S ago [m/s]."""
+    lacked, lately."""
 
     fast: Array
     slow: Array
     heave: Array
     rose: Array
     limit: Array
-    load: Array
-    climb: Array
 
 
 def init(n: int) -> Missing:
     """Nothing missing."""
     zero = np.float64(0.0)
-    return Missing(zero, zero, zero, zero, np.zeros(n), np.float64(1.0), zero)
+    return Missing(zero, zero, zero, zero, np.zeros(n))
 
 
 def follow(state: Missing, missing, load, share, valid, restart, dt) -> Missing:
@@ -46,7 +41,6 @@ def follow(state: Missing, missing, load, share, valid, restart, dt) -> Missing:
     thrust that each rotor is commanded."""
     import jax.numpy as jnp
 
-    load = jnp.where(valid, load, state.load)
     up = jnp.where(valid, load - 1.0, 0.0)
     push, left = jnp.abs(up), jnp.exp(-dt / plant.USUAL_S)
     missing = jnp.where(valid, missing, state.slow)
@@ -58,8 +52,6 @@ def follow(state: Missing, missing, load, share, valid, restart, dt) -> Missing:
         jnp.where(restart, push, jnp.maximum(push, state.heave * left)),
         jnp.where(restart, up, jnp.maximum(up, state.rose * left)),
         jnp.where(restart, lacks, jnp.maximum(lacks, state.limit * jnp.exp(-dt / LIMIT_S))),
-        jnp.where(restart, load, state.load + (load - state.load) * (dt / plant.USUAL_S)),
-        jnp.where(restart, 0.0, state.climb * left + (load - state.load) * G0 * dt),
     )
 
 
@@ -90,15 +82,14 @@ def plausible(jump, smooth, rise, now: Missing, before: Missing, thrust_valid, a
     # A controller asks more of a rotor that gives less: a candidate whose command has fallen instead is none. Of two rotors it asks what
     # geometry leaves of that.
     # Two rotors at once are rare: they have to show as they would in calm air.
-    n, two = smooth.shape[0], (jump != 0.0).any(axis=1).all()
-    rough, sinks = jnp.where(two, 0.0, rough), jnp.where(two, 0.0, jnp.maximum(-now.climb, 0.0))
+    n, rough = smooth.shape[0], jnp.where((jump != 0.0).any(axis=1).all(), 0.0, rough)
     swing = jnp.sqrt(rough[:3].sum()) / n
     demanded = coupling @ (jnp.minimum(jump, DEMAND_MOST).sum(axis=0) * smooth)
     ok = (jnp.abs(jump).max() > hypotheses.NONE) & jnp.where(
         jump > 0, rise > DEMAND_SHARE * demanded - jnp.maximum(DEMAND_SLACK, swing), True
     ).all()
-    # ... and what the rotors no longer give must be missing from the thrust, of which a vehicle that sinks faster has more.
-    slack = jnp.maximum(MISSING_SLACK, jnp.sqrt(rough[3])) + INFLOW * n * sinks
+    # ... and what the rotors no longer give must be missing from the thrust.
+    slack = jnp.maximum(MISSING_SLACK, jnp.sqrt(rough[3]))
     lost_thrust = (jnp.clip(jump, 0.0, 1.0) * smooth).sum()
     ok &= ~thrust_valid | (lost_thrust <= 0.0) | (now.fast - before.slow > DEMAND_SHARE * lost_thrust - slack)
     # ... and not because a rotor at its limit gives no more.
