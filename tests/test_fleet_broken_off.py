@@ -32,23 +32,28 @@ def urls(request, tmp_path):
     return server.url(), server.url()
 
 
+def begin_and_kill(chance, *words):
+    """A client that works on a store, killed after some lines of its output."""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    client = subprocess.Popen([sys.executable, CLIENT, *words], env=environment, stdout=subprocess.PIPE)
+    assert client.stdout is not None
+    for _ in range(chance.randint(3, 18)):
+        client.stdout.readline()
+    time.sleep(chance.uniform(0.0, 0.01))
+    client.send_signal(signal.SIGKILL)
+    client.wait()
+    client.stdout.close()
+
+
 @pytest.mark.skipif(os.name != "posix", reason="kills by signal")
 def test_killed_at_random_moments(urls):
     whole, killed = urls
     with Store(whole) as store:
         fill(store)
     chance = random.Random(5)
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     counts = []
     for _ in range(KILLS):
-        client = subprocess.Popen([sys.executable, CLIENT, killed], env=environment, stdout=subprocess.PIPE)
-        assert client.stdout is not None
-        for _ in range(chance.randint(3, 18)):
-            client.stdout.readline()
-        time.sleep(chance.uniform(0.0, 0.01))
-        client.send_signal(signal.SIGKILL)
-        client.wait()
-        client.stdout.close()
+        begin_and_kill(chance, killed)
         with Store(killed) as store:
             counts.append(store.count())
     assert 0 < counts[0] < counts[1] < counts[2] < FLIGHTS
@@ -67,18 +72,9 @@ def test_a_deletion_killed_at_random_moments(urls, tmp_path, monkeypatch):
         store.reports.folder.mkdir(parents=True)
         for row in store.flights(limit=None):
             store.reports.path(row["hash"]).write_text("a report")
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     counts = [FLIGHTS]
     for _ in range(KILLS):
-        command = [sys.executable, CLIENT, url, "delete"]
-        client = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE)
-        assert client.stdout is not None
-        for _ in range(chance.randint(3, 18)):
-            client.stdout.readline()
-        time.sleep(chance.uniform(0.0, 0.01))
-        client.send_signal(signal.SIGKILL)
-        client.wait()
-        client.stdout.close()
+        begin_and_kill(chance, url, "delete")
         with Store(url) as store:
             store.reports.settle()
             rows = {row["hash"] for row in store.flights(limit=None)}
