@@ -14,6 +14,7 @@ import pytest
 
 from onboard_law import ACCEL, ATTITUDE, BATTERY, GYRO, LASTS, events_in_c, flown
 from rotorwatch import logs
+from rotorwatch.aerobatic import judge as aerobatic
 from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.diagnose import diagnose
 from rotorwatch.errors import RotorwatchError
@@ -91,6 +92,7 @@ def test_samples_have_the_same_events_on_board(name, tmp_path):
 def test_every_log_has_the_same_events_on_board(path, single, tmp_path):
     try:
         flight = logs.read(path)
+        aerobatic.decline(flight, "the library models hover.")
         what = flown(flight)
     except (RotorwatchError, IndexError, KeyError) as why:
         pytest.skip(f"no flight that can be fed: {why}")
@@ -98,6 +100,8 @@ def test_every_log_has_the_same_events_on_board(path, single, tmp_path):
     told = diagnose(flight)
     if told.doubts:
         pytest.skip(f"only the whole log shows that it is no flight's: {told.doubts[0]}")
+    if any(event.kind == "loss_of_control" for event in told.events):
+        pytest.skip("what a vehicle that left control shows of its rotors is judged after the flight")
     same(told, what, tmp_path, single)
 
 
