@@ -65,11 +65,12 @@ int drive(int rows, const double *table, double until, double *found, int most)
 
 @dataclass(frozen=True)
 class Flown:
-    """A flight as the library gets it: rows of samples in time order (kind, time, valid, values), and how it is cut into ticks."""
+    """A flight as the library gets it: rows of samples in time order (kind, time, valid, values); ticks of dt s."""
 
     table: np.ndarray
     until: float
     texts: dict
+    dt: float = 0.0
 
 
 def table(flight, craft) -> np.ndarray:
@@ -137,7 +138,7 @@ def flown(flight) -> Flown:
     )
     last = flight["motors"].time[np.asarray(flight["motors"].valid).any(axis=1)][-1]
     texts = export_diagnoser.files(craft, plan, (rates[0], rates[1], rates[2]), tables)
-    return Flown(table(flight, craft), max(flight.duration, float(last)), texts)
+    return Flown(table(flight, craft), max(flight.duration, float(last)), texts, plan.dt)
 
 
 def fastest(flight, name) -> float:
