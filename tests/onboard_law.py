@@ -70,7 +70,7 @@ class Flown:
     table: np.ndarray
     until: float
     texts: dict
-    dt: float = 0.0
+    dt: float
 
 
 def table(flight, craft) -> np.ndarray:

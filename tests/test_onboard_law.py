@@ -111,6 +111,8 @@ def test_every_log_has_the_same_events_on_board(path, single, tmp_path):
     ):
         pytest.skip("loss of control and impacts are judged after the flight")
     if single and path.name in ROUGH:
+        with pytest.raises(AssertionError, match=r"rtol=0, atol=0\.02"):  # once it passes it goes from the list
+            same(told, what, tmp_path, single)
         pytest.xfail(ROUGH[path.name])
     same(told, what, tmp_path, single)
 
