@@ -296,7 +296,7 @@ def _pytest(root: Path, cache: Path, tests: Sequence[str], log: Path) -> None:
     os.environ |= {"PYTHONPATH": str(root / "src"), "ROTORWATCH_CACHE": str(cache), "XDG_CACHE_HOME": str(cache)}
     sys.dont_write_bytecode = True
     os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
-    sys.path.insert(0, str(root / "src"))
+    sys.path[:0] = [str(root / "src"), str(root)]  # the second, as `python -m pytest` has it
     import pytest
 
     code = pytest.main(["-x", "-q", "-n", "0", "-p", "no:cacheprovider", "--tb=no", *tests])
