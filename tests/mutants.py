@@ -32,7 +32,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from queue import SimpleQueue
 
-from rotorwatch.base.optional import tomllib
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib  # pyright: ignore[reportMissingImports]
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = Path("src") / "rotorwatch"
@@ -297,6 +300,7 @@ def _pytest(root: Path, cache: Path, tests: Sequence[str], log: Path) -> None:
     sys.dont_write_bytecode = True
     os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
     sys.path[:0] = [str(root / "src"), str(root)]  # the second, as `python -m pytest` has it
+    assert "rotorwatch" not in sys.modules, "the tests would try the working tree, not the copy"
     import pytest
 
     code = pytest.main(["-x", "-q", "-n", "0", "-p", "no:cacheprovider", "--tb=no", *tests])

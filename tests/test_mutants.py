@@ -1,6 +1,8 @@
 """The campaign of planted errors: which tests judge a file, and that its table is of errors as they are drawn."""
 
 import csv
+import subprocess
+import sys
 from collections import Counter
 from pathlib import Path
 
@@ -25,6 +27,14 @@ def test_the_tests_that_are_named_exist():
     for names in mutants.NAMED.values():
         assert all((ROOT / "tests" / f"test_{name}.py").exists() for name in names), names
     assert mutants.tests_of("motion/ticks.py") == ("tests/test_ticks.py",)
+
+
+def test_the_campaign_itself_loads_nothing_of_the_package():
+    """What it had loaded would be tried in place of the changed copy, and no error would be caught."""
+    lines = "import sys; sys.path.insert(0, 'tests'); import mutants; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", lines], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert "mutants" in done.stdout.split()
+    assert [name for name in done.stdout.split() if name.partition(".")[0] == "rotorwatch"] == []
 
 
 def test_the_table_tells_every_survivor_apart():
