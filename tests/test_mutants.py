@@ -21,6 +21,7 @@ def test_every_file_in_it_has_tests_of_its_own():
                 f"no tests are named for {file}: tests/test_<name>.py, or a row of mutants.NAMED"
             )
     assert sum(share for _, share in mutants.PARTS.values()) == pytest.approx(1.0)
+    assert [m.file for m in mutants.by_hand() if not mutants.tests_of(m.file)] == []
 
 
 def test_the_tests_that_are_named_exist():
