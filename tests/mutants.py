@@ -385,7 +385,7 @@ def campaign(mutants: Sequence[Mutant], jobs: int, limit_s: float, unchecked: bo
         if untested := {m.file for m in mutants if not tests_of(m.file)}:
             sys.exit(f"No tests are named for {', '.join(sorted(untested))}: tests/test_<name>.py, or a row of NAMED.")
         groups = () if unchecked else dict.fromkeys(tests_of(m.file) for m in mutants)
-        for tests, failed in pool.map(healthy, groups):
+        for _, failed in pool.map(healthy, groups):
             if failed:
                 sys.exit(f"Tests fail before any error is planted: {failed}.")
         yield from pool.map(judged, mutants)
