@@ -530,6 +530,18 @@ def single(asked, demand, yaw, granted):
     return np.array(alone), np.array(known)
 
 
+def test_outputs_range_from_none_to_all_or_over_the_pulse_widths_that_the_log_names():
+    def ends(unit, **known):
+        outputs = Signal([0.0], np.full((1, 4), 0.5), ("r1", "r2", "r3", "r4"), unit)
+        return allocation.output_range(Flight("t", "", {"motors": outputs}, 1.0, **known))
+
+    assert ends("1") == ends("1", parameters={"MOT_PWM_MIN": 1100.0}) == (0.0, 1.0)
+    assert ends("us") == (1000.0, 2000.0)
+    assert ends("us", parameters={"MOT_PWM_MIN": 1100.0, "MOT_PWM_MAX": 1900.0}) == (1100.0, 1900.0)
+    fact = {"pwm_min": 1050.0, "pwm_max": 1950.0}
+    assert ends("us", parameters={"MOT_PWM_MIN": 1100.0, "MOT_PWM_MAX": 1900.0}, facts=fact) == (1050.0, 1950.0)
+
+
 def test_a_median_is_of_the_first_numbers():
     rng = np.random.default_rng(1)
     for count in range(1, 17):

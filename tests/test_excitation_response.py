@@ -1,6 +1,7 @@
 """What the answer of a vehicle to an excitation says: of Gaussian data whose truth is known, and of flights in the simulator."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from rotorwatch.control import excitation
 from rotorwatch.default import excitation_response
 from rotorwatch.default.plant import TAU
 from rotorwatch.flight.diagnosis import Event
+from rotorwatch.maths.tails import normal_cdf
+from rotorwatch.motion.ticks import JUDGE, LEARN
 
 B = airframes.named("px4-hexa-x").effectiveness()
 N = excitation.null_space(B)
@@ -118,6 +121,62 @@ def test_the_information_of_ticks_finds_the_losses_and_the_lag():
     assert seen == pytest.approx(N.T @ theta, abs=0.03)
 
 
+@pytest.mark.parametrize("sd", [(1.0, 1.0), (0.5, 3.0), (2.0, 0.2)])
+def test_the_probability_of_two_losses_above_nothing_is_that_of_the_quadrant(sd):
+    """Sheppard's: 1/4 + asin(rho) / 2 pi without a mean; of independent ones the product."""
+    sd = np.array(sd)
+    for rho in (-0.9, -0.3, 0.0, 0.6, 0.95):
+        cov = np.outer(sd, sd) * [[1.0, rho], [rho, 1.0]]
+        wanted = 0.25 + np.arcsin(rho) / (2.0 * np.pi)
+        assert excitation_response._positive(np.zeros(2), cov) == pytest.approx(wanted, abs=1e-3)
+    mean = np.array([0.7, -0.4]) * sd
+    wanted = float(normal_cdf(0.7) * normal_cdf(-0.4))
+    assert excitation_response._positive(mean, np.diag(sd**2)) == pytest.approx(wanted, abs=1e-3)
+
+
+def judged_trim(biases, dt=0.1):
+    """(carry, out, table) of a flight that learns for 3 s and is judged for 9 s, with these biases (120, 4) of its trim."""
+    time = dt * np.arange(120)
+    mode, restart = np.where(time < 3.0, LEARN, JUDGE), np.arange(120) == 0
+    carry = SimpleNamespace(noise=SimpleNamespace(variances=np.zeros((4, 4))))
+    return carry, SimpleNamespace(biases=biases), SimpleNamespace(time=time, mode=mode, restart=restart)
+
+
+def test_trim_has_shifted_by_its_last_two_seconds_less_its_first_two():
+    """Of a bias that grows evenly: by the time between the middles of the two. What was learned before it was judged does not count."""
+    slope, time = np.array([0.1, -0.2, 0.05, 0.3]), 0.1 * np.arange(120)
+    biases = np.where((time < 2.95)[:, None], 9.0, np.outer(time, slope))
+    found, sd = excitation_response.shift(*judged_trim(biases))
+    np.testing.assert_allclose(found, 7.0 * slope, rtol=0.02)  # 9 s, less half of two seconds at either end
+    assert (sd > 0.0).all()
+
+
+@pytest.mark.parametrize("left, suspected", [(3.5, True), (4.5, False)])
+def test_a_rotor_is_suspected_where_it_leaves_no_more_than_four_sd_of_trim_unexplained(left, suspected):
+    carry, out, table = judged_trim(np.zeros((120, 4)))
+    _, sd = excitation_response.shift(carry, out, table)
+    column, apart = B[:, 2] / sd, np.array([1.0, 1.0, 0.0, 0.0])
+    apart = apart - column * (column @ apart) / (column @ column)  # what no loss of rotor 3 makes
+    change = B[:, 2] * 0.4 + sd * left * apart / np.linalg.norm(apart)
+    out.biases[table.time > 7.0] = change
+    found = excitation_response.suspects(carry, out, table, B)
+    assert ((2,) in found) == suspected
+    if suspected:
+        np.testing.assert_allclose(found[(2,)], 0.4 * np.eye(6)[2], atol=1e-9)
+
+
+def test_a_loss_that_needs_no_asking_stays_and_those_after_it_are_asked_for(monkeypatch):
+    """One that ended before the excitation is what it was; the ambiguous one after it is resolved."""
+    over = Event("loss_of_effectiveness", (3,), 8.0, 9.0, 12.0, (0.3,), ((0.2, 0.4),), 0.99)
+    event = Event(
+        "loss_of_effectiveness", (1, 2), 20.0, 21.0, None, (0.3, 0.3), ((0.1, 0.5),) * 2, 0.4, ((3, 4), (5, 6))
+    )
+    one = told(np.where(np.isin(np.arange(6), (2, 3)), 0.3, 0.0))
+    monkeypatch.setattr(excitation_response, "find", lambda *_: ((one,), None, ()))
+    events, _ = excitation_response.resolve((over, event), None, B)
+    assert events[0] is over and [e.rotors for e in events] == [(3,), (3, 4)] and not events[1].alternatives
+
+
 def scenario(who, loss, wind=1.0):
     base = excitation_flights.draw(3, "hexa-x", 7)
     fault = {
@@ -166,6 +225,23 @@ def test_without_an_excitation_nothing_changes(flown):
     table, _, _, B_, losses = excitation_flights.judged(flown[0][1])
     assert excitation_response.find(table, B_) == ((), None, ())
     assert excitation_response.resolve(losses, table, B_) == (losses, ())
+
+
+def test_as_much_calm_flight_is_looked_at_before_an_excitation_as_after_it(flown, monkeypatch):
+    """Less than a second on either side; time stamps 1/16 s apart, so that some ticks are exactly a second away."""
+    table, _, _, B_, _ = excitation_flights.judged(flown[2][1])
+    even = replace(table, time=np.arange(len(table.time)) / 16.0)
+    response, looked = excitation_response._response, []
+
+    def spy(rows, span, *rest):
+        looked.append((rows, span))
+        return response(rows, span, *rest)
+
+    monkeypatch.setattr(excitation_response, "_response", spy)
+    assert excitation_response.find(even, B_)[0]
+    for rows, (start, end) in looked:
+        first, last = np.searchsorted(even.command_time, start), np.searchsorted(even.time, end)
+        assert first - rows[0] == rows[-1] - last == 15
 
 
 def test_a_log_says_what_to_ask(flown):

@@ -278,6 +278,26 @@ def test_losses_scatter_as_their_covariance_says():
     assert np.all((x > 0.5) & (x < 1.7))
 
 
+def test_innovations_scatter_as_their_covariance_says_where_measurements_feel_losses():
+    """Of an accelerometer the innovation has the noise of the sample and that of the filtered fault, which adds to it: more than half
+    as much, with a filter so fast."""
+    hexa = RateDynamics.of(airframes.paper("niermeyer-hexa"))
+    calm = RateDynamics(hexa.J, hexa.B_tau, hexa.B_T, hexa.m, torque_sd=np.full(3, 1e-9))
+    estimator = Intermediate(calm, 0.05, alpha=20.0, velocity_rate=80.0, drift_sd=1e-9, loss_sd=1e-9)
+    u = np.full((300, 6), calm.m * 9.80665 / calm.B_T.sum())
+    sd = np.sqrt(np.asarray(calm.R(u[0])))
+    y = flown(calm, np.zeros(6), u, 0.05) + sd * np.random.default_rng(4).standard_normal((32, 300, 4))
+    valid = np.ones(4, bool)
+
+    def one(y):
+        return jax.lax.scan(lambda c, row: estimator.step(c, row[0], row[1], valid), estimator.init(), (u, y))[1]
+
+    got = jax.tree.map(np.asarray, jax.jit(jax.vmap(one))(y))
+    said = np.diagonal(got.innovation_cov[0, -1])
+    np.testing.assert_allclose(got.innovation[:, 100:].var(axis=(0, 1)) / said, 1.0, atol=0.1)
+    assert said[3] > 1.3 * sd[3] ** 2  # the fault's part counts
+
+
 # The matrix inequality.
 
 

@@ -8,6 +8,7 @@ import lzma
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -189,3 +190,20 @@ def test_the_fingerprint_of_a_folder_is_that_of_its_files(tmp_path):
     assert logs.fingerprint(tmp_path) == (3, hashlib.sha256(b"a.csv\n1\n1" + b"b.csv\n2\n22").hexdigest())
     assert logs.fingerprint(tmp_path / "b.csv") == (2, hashlib.sha256(b"22").hexdigest())
     assert logs.fingerprint(f"{tmp_path / 'b.csv'}#3") == (2, hashlib.sha256(b"#322").hexdigest())
+
+
+@pytest.mark.parametrize(
+    ("name", "file", "number"),
+    [("LOG.BFL#2", "LOG.BFL", 2), ("LOG.BFL#123456", "LOG.BFL", 123456), ("LOG.BFL#1234567", "LOG.BFL#1234567", None)],
+)
+def test_a_flight_in_a_file_has_a_number_of_six_figures_at_most(tmp_path, name, file, number):
+    """Longer ones, as hashes and dates in names are, belong to the name."""
+    assert logs.of_part(tmp_path / name) == (tmp_path / file, number)
+
+
+def test_a_format_of_another_package_is_asked_only_for_what_it_has_and_believed_only_when_it_says_yes(monkeypatch):
+    folders = SimpleNamespace(FORMAT="folders", sniff_folder=lambda path: True)
+    files = SimpleNamespace(FORMAT="files", sniff=lambda head, name: head.startswith(b"mine"))
+    monkeypatch.setattr(logs, "offered", lambda: {f.FORMAT: (None, f) for f in (folders, files)})
+    assert logs.recognise(b"theirs", "x.dat") is None
+    assert logs.recognise(b"mine", "x.dat") is files

@@ -10,7 +10,7 @@ import pytest
 from rotorwatch import logs
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight
-from rotorwatch.logs import px4_topics, series, ulog
+from rotorwatch.logs import px4_outputs, px4_topics, series, ulog
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"
 pytestmark = pytest.mark.skipif(
@@ -441,3 +441,12 @@ def test_a_battery_that_is_not_measured_is_not_known(volts, amps, valid):
     fields = {"voltage_v": np.full(20, volts), "current_a": np.full(20, amps)}
     battery = px4_topics.signals(topics(battery_status=fields), {})[0]["battery"]
     assert battery.valid[0].tolist() == valid
+
+
+def test_the_publisher_of_the_first_sample_is_known_from_where_both_have_been_seen():
+    """It is the one at rest. Then the other sends three times on end, and from there on they take turns."""
+    resting = np.array([0, *range(4, 100, 2)])
+    values = np.full((100, 4), 1500.0)
+    values[resting] = 1000.0
+    flying, rest = px4_outputs.tracks(values, 10.0)
+    assert rest.tolist() == resting.tolist() and flying.tolist() == sorted({*range(100)} - {*resting.tolist()})

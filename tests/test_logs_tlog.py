@@ -252,6 +252,31 @@ def test_a_battery_that_is_not_measured_is_not_known():
     assert battery.valid.tolist() == [[False, True], [False, True], [True, False], [True, True]]
 
 
+def test_a_battery_of_which_only_the_cells_are_sent():
+    """BATTERY_STATUS of MAVLink: mV and 0.01 A, 65535 for a cell that is not there, -1 for an unknown current. A voltage that no cell's
+    field can hold is 65534 in the first and the rest of it in the second."""
+    log = Writer().flight(samples=3)
+    for cells, amps in (([4_000, 3_900, 3_800], 1_250), ([65_534, 34_466], 0), ([], -1)):
+        volts = cells + [65_535] * (10 - len(cells))
+        log.add("battery_status", 0, 0, 0, 0, volts, amps, 0, 0, 80)
+    battery = read(log)["battery"]
+    assert battery.valid.tolist() == [[True, True], [True, True], [False, False]]
+    assert battery.values[:2] == pytest.approx(np.array([[11.7, 12.5], [100.0, 0.0]]))
+
+
+def test_an_output_that_drives_nothing_gives_no_command():
+    """It is sent as 0, and is a gap in its own column only."""
+    log = Writer()
+    log.add("heartbeat", 2, 3, 0x81, 4, 4, 3)
+    for k in range(20):
+        log.add("attitude", 5000 + 20 * k, 0.1, 0.2, 0.3, 0.0, 0.0, 0.0)
+        outputs = [1500.0, 1501.0, 1502.0 if k else 0.0, 1503.0]
+        log.add("actuator_output_status", (5000 + 20 * k) * 1000, 4, outputs + [0.0] * 28)
+    motors = read(log)["motors"]
+    assert motors.source == "ACTUATOR_OUTPUT_STATUS"
+    assert motors.valid[:2].tolist() == [[True, True, False, True], [True] * 4]
+
+
 def test_the_start_in_utc_is_what_the_autopilot_says_else_when_the_ground_station_heard_it():
     log = Writer().flight(samples=40)
     heard = read(log).facts["utc_start"]

@@ -164,6 +164,14 @@ def test_window_is_the_least_squares_of_its_blocks():
         assert least <= miss <= most, (scale, miss)
 
 
+def test_a_window_of_one_block_holds_the_last_alone():
+    """As long as a block, the window is the newest of what a long window holds."""
+    u, y, valid = table(100)
+    (_, one), (_, many) = (over(MHLyapunov(hexa(), DT, window_s=s, flush=False), u, y, valid) for s in (0.05, 1.0))
+    assert one.A.shape[1] == 1 and many.A.shape[1] == 20
+    np.testing.assert_allclose(one.A[-1, -1], many.A[-1, -1], rtol=1e-6)
+
+
 def test_flush_empties_the_window_after_two_surprising_blocks():
     u, y, valid = table(500, onset=300)
     (_, with_flush), (_, without) = (over(MHLyapunov(hexa(), DT, flush=f), u, y, valid) for f in (True, False))

@@ -83,6 +83,23 @@ def test_a_gap_says_nothing():
     assert not plausible.lone(time, x[:, None], 1e-9).any()
 
 
+@pytest.mark.parametrize(("further", "wild"), [(0, True), (1, False)])
+def test_a_neighbour_counts_up_to_so_many_typical_intervals_away(further, wild):
+    """An interval that is a power of two makes the limit exact."""
+    time = 0.125 * np.arange(200)
+    time[100:] += 0.125 * (plausible.FAR - 1 + further)
+    x = 1500.0 + noise(200, 1.0)
+    x[100] = 1900.0
+    assert plausible.lone(time, x[:, None], 1e-9)[100, 0] == wild
+
+
+@pytest.mark.parametrize("n", [1, 2, 10])
+def test_of_a_few_samples_nobody_knows_what_is_usual(n):
+    x = 1500.0 + noise(n, 1.0)
+    x[n // 2] = 1900.0
+    assert found(x) == []
+
+
 # -- a whole flight ----------------------------------------------------------------------------------------------------
 
 

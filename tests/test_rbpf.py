@@ -123,8 +123,21 @@ def test_many_particles_say_what_interacting_models_say():
 
 @pytest.mark.parametrize(
     ("wrong", "says"),
-    [({"particles": 1}, "particles"), ({"jump": 0.0}, "jump"), ({"seed": -1}, "seed"), ({"weak_s": 0.0}, "weak_s")],
+    [
+        ({"particles": 1}, "particles"),
+        ({"particles": 2**30}, "particles"),
+        ({"jump": 0.0}, "jump"),
+        ({"seed": -1}, "seed"),
+        ({"seed": 2**30}, "seed"),
+        ({"weak_s": 0.0}, "weak_s"),
+    ],
 )
 def test_wrong_values_are_named(wrong, says):
     with pytest.raises(ConfigError, match=says):
         RBPF(rates_quad(), DT, **wrong)
+
+
+def test_every_seed_below_the_counters_range_starts_at_a_place_of_its_own():
+    """The counter has 30 bits and 65537 is odd: no two seeds share a start."""
+    starts = {int(RBPF(rates_quad(), DT, particles=2, seed=s).init().counter) for s in (0, 1, 2**29, 2**30 - 1)}
+    assert starts == {0, 65537, 2**29, 2**30 - 65537}

@@ -12,8 +12,10 @@ import pytest
 from conftest import hexa_diagnosis, hexa_trace
 from rotorwatch import report
 from rotorwatch.errors import ConfigError
+from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import Event, RotorState
-from rotorwatch.report import colours, drawing, figures, html, terminal, thinning
+from rotorwatch.report import colours, drawing, figures, html, lanes, terminal, thinning, track
+from rotorwatch.report.info import info
 
 
 def text_of(diagnosis):
@@ -129,6 +131,13 @@ def test_thinning_bridges_no_gap_and_survives_few_samples():
     screen = thinning.Screen(time, [])
     assert np.array_equal(screen.time, time)
     assert np.isnan(screen.line(values)[:5]).all() and np.array_equal(screen.line(values)[5:], time[5:])
+
+
+def test_without_an_airborne_part_all_of_the_flight_counts(fault):
+    trace = fault.trace
+    flying = thinning.airborne(trace)
+    assert not flying[[0, -1]].any() and flying[trace.time.size // 2]
+    assert thinning.airborne(replace(trace, airborne=())).all()
 
 
 # Page
@@ -356,3 +365,64 @@ def test_the_faulty_rotor_has_one_colour_everywhere(fault, page):
         r for r in figures.plots(fault)["loss"].renderers if r.name == "rotor 3" and hasattr(r.glyph, "line_width")
     )
     assert line.glyph.line_color == colours.FAULT
+
+
+# Lanes and the map
+
+
+def test_lanes_show_what_the_log_holds_and_need_more_than_a_moment(fault):
+    x_range = figures.plots(fault)["loss"].x_range
+    assert set(lanes.context(fault, x_range)) == {*lanes.LANES, "modes"}
+    still = {k: v[:1] for k, v in vars(fault.trace).items() if isinstance(v, np.ndarray)}
+    moment = replace(fault, trace=replace(fault.trace, evidence={}, **still))
+    assert lanes.context(moment, x_range) == lanes.context(replace(fault, trace=None), x_range) == {}
+
+
+def test_the_lane_marks_messages_by_their_kind_whatever_they_say(fault):
+    x_range = figures.plots(fault)["loss"].x_range
+    (marks,) = lanes.messages(fault, x_range).select({"name": "messages"})
+    assert marks.data_source.data["text"] == ["33.0 s, error: crash check", "3.5 s, armed: armed"]
+
+
+def test_the_map_shows_every_place_north_up_with_the_middle_in_its_middle():
+    north, east = np.array([-10.0, 0.0, 30.0]), np.array([5.0, 0.0, 25.0])
+    area = track.fitted(north, east)
+    x, y = area.at(north, east)
+    assert (0.0 < x).all() and (x < track.WIDTH).all() and (0.0 < y).all() and (y < area.height).all()
+    assert np.diff(y)[1] == pytest.approx(-30.0 * area.scale) and np.diff(x)[1] == pytest.approx(25.0 * area.scale)
+    middle = area.at(10.0, 12.5)
+    assert middle == (pytest.approx(track.WIDTH / 2), pytest.approx(area.height / 2))
+
+
+def test_the_arrow_to_the_north_lies_below_the_map_and_within_the_picture(fault):
+    drawn = track.svg(fault)
+    width, height = (float(n) for n in re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', drawn).groups())
+    x, y, *moves = (float(n) for n in re.findall(r"-?[\d.]+", re.search(r'class="north"><path d="(.*?)z', drawn)[1]))
+    xs, ys = x + np.cumsum([0.0, *moves[::2]]), y + np.cumsum([0.0, *moves[1::2]])
+    assert 0.0 < xs.min() and xs.max() < width
+    assert height - track.FOOT < ys.min() and ys.max() < height
+
+
+def test_an_event_after_the_landing_is_marked_at_the_end_of_the_track(fault):
+    late = replace(fault, events=(event(onset_s=1e3, detected_s=1e3 + 0.4),))
+    drawn = track.svg(late)
+    marked = re.search(r'class="event".*?<circle cx="([\d.]+)" cy="([\d.]+)"', drawn)
+    end = re.search(r'class="end".*?<rect x="([\d.]+)" y="([\d.]+)" width="8"', drawn)
+    assert float(marked[2]) == pytest.approx(float(end[2]) + 4.0, abs=0.11)  # beside it, at its height
+    assert 0.0 < float(marked[1]) - float(end[1]) - 4.0 < 40.0
+
+
+def test_without_a_position_there_is_no_track(fault):
+    nowhere = replace(fault.trace, position=None)
+    assert [v.size for v in track.flown(nowhere)] == [0, 0, 0] and track.svg(replace(fault, trace=nowhere)) == ""
+
+
+# What a log lacks
+
+
+@pytest.mark.parametrize(("samples", "missed"), [(0, True), (1, True), (2, False)])
+def test_a_signal_counts_as_logged_with_two_valid_samples(samples, missed):
+    valid = np.arange(50)[:, None] < [samples, 0]
+    battery = Signal(0.1 * np.arange(50), np.full((50, 2), 12.0), ("voltage", "current"), "V,A", valid=valid)
+    gaps = [gap["signal"] for gap in info(Flight("x", "ArduPilot", {"battery": battery}, 5.0))["missing"]]
+    assert ("battery" in gaps) == missed and "motors" in gaps

@@ -148,7 +148,7 @@ def test_an_estimate_has_its_95_percent_interval_within_nothing_and_all():
     assert (wide["lower"], wide["upper"]) == (0.0, 1.0)
 
 
-def test_bounds_of_a_loss_and_of_its_delay():
+def test_bounds_of_a_loss_and_of_its_delay(monkeypatch):
     """Information grows from the onset on: the bound is that of the tick at which losses are compared."""
     f = flown(fault())
     information = np.where(f.ticks.time > ONSET, 4000.0 * (f.ticks.time - ONSET), 0.0)
@@ -156,6 +156,12 @@ def test_bounds_of_a_loss_and_of_its_delay():
     assert found["bound_sd"] == pytest.approx(1.0 / np.sqrt(4000.0 * score.EVALUATE_S))
     hours = limits.delay(f.ticks.time, information, 0.2, ONSET, 10.0 * 3600.0)
     assert found["bound_delay_s"] == pytest.approx(hours) and 0.0 < hours < 2.0
+    asked = []
+    monkeypatch.setattr(limits, "delay", lambda *arguments: asked.append(arguments[2:]) or 0.5)
+    assert row(f, bound=information)["bound_delay_s"] == 0.5
+    # Ten hours, in seconds; from a delay in whole ticks a slightly wrong period would not show.
+    assert asked == [(pytest.approx(0.2), ONSET, 36_000.0)]
+    monkeypatch.undo()
     blind = row(f, bound=np.zeros(f.ticks.time.size))
     assert blind["bound_sd"] is None and blind["bound_delay_s"] is None
 

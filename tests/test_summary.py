@@ -148,6 +148,32 @@ def test_losses_are_sorted_by_size():
     assert [(p["low"], p["high"]) for p in summary._curves(d)["loss_error"]] == [(0.03, 0.06), (0.06, 0.12), (0.5, 1.0)]
 
 
+@pytest.mark.parametrize(("slow", "high"), [(82, 1.0), (88, 2.0), (119, 2.0)])
+def test_the_delay_at_a_rate_of_false_alarms_has_the_middle_95_percent_of_the_resampled(slow, high):
+    """Of 201 faults found after 1 s or 2 s, the median of as many drawn from them is 2 s when more than half of these are slow: by the
+    binomial distribution in 0.4 %, 3.8 % and 99.6 % of the draws."""
+    n, waited = 201, np.arange(201) < slow
+    d = faulty(n) | {"flight": np.arange(n)}
+    d |= {f"peak_{s:g}s": np.where(s >= np.where(waited, 2.0, 1.0), 3.0, -9.0) for s in score.RISE_S}
+    chance = stats.binom.sf(n // 2, n, slow / n)
+    found = summary.at_rate(d, 0.1, within_s=5.0)
+    assert found["delay_s"]["high"] == high == (2.0 if chance > 0.025 else 1.0)
+    assert found["delay_s"]["value"] == (2.0 if slow > n / 2 else 1.0)
+    assert found["threshold"] == -5.0 and found["detected"]["value"] == 1.0 and found["found"] == list(range(n))
+
+
+def test_size_errors_are_kept_to_a_hundredth_of_a_percent():
+    d = both(faulty(1, estimate=0.21234), faulty(1, estimate=0.0)) | {"flight": np.array([3, 4])}
+    assert summary.size_errors(d) == {"3": 0.0123}
+
+
+def test_flights_in_which_both_are_equally_close_say_nothing_of_who_is_closer():
+    """Four in which the first is closer, none in which the other is, and three ties: p = 2 / 2^4 of the sign test."""
+    first = {str(k): 0.01 for k in range(7)}
+    other = {str(k): 0.02 if k < 4 else -0.01 for k in range(7)}
+    assert summary.closer(first, other)["p"] == summary.closer(other, first)["p"] == 2.0 / 2**4
+
+
 def test_missing_numbers_are_nan_and_missing_words_none():
     made = summary.column([1, None, 3], "int64"), summary.column(["a", None], "string")
     assert np.isnan(made[0][1]) and made[0].dtype == float and made[1].tolist() == ["a", None]

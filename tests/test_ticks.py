@@ -1,16 +1,20 @@
 """From uneven samples to ticks: means and slopes are exact, and nothing of a tick was measured after it."""
 
 import itertools
+import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from rotorwatch import airframes
+from rotorwatch.default import announcement
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.front import sense
 from rotorwatch.front import ticks as definition
 from rotorwatch.front.vehicle import Vehicle
 from rotorwatch.motion import ticks
-from rotorwatch.motion.contact import G0
+from rotorwatch.motion.contact import G0, Contact
 
 B = np.array([[-1.0, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1], [1, 1, 1, 1]])
 END = 12.0
@@ -36,9 +40,20 @@ def make(flight, thrust, **options):
     return ticks.make(flight, thrust, B, AIR, 3.0, **options)
 
 
-@pytest.mark.parametrize("rate, dt", [(400.0, 0.05), (50.0, 0.05), (20.0, 0.05), (10.0, 0.1), (8.5, 0.1), (5.0, 0.2)])
+LENGTHS = [(400.0, 0.05), (50.0, 0.05), (20.0, 0.05), (19.0, 0.05), (10.0, 0.1), (8.5, 0.1), (5.0, 0.2), (0.0, 1.0)]
+
+
+@pytest.mark.parametrize("rate, dt", LENGTHS)
 def test_tick_length_follows_the_rate_of_the_commands(rate, dt):
+    """Also of commands that have no rate: those of one record, or all of one time."""
     assert ticks.tick_length(rate) == pytest.approx(dt)
+
+
+def test_ticks_longer_than_a_tenth_of_a_second_are_slow_and_it_is_said_how_many_an_announcement_takes():
+    assert ticks.slow(10.0, 0.1, 8.0) == ""
+    said = ticks.slow(5.0, 0.2, 8.0)
+    assert "judged every 0.2 s" in said
+    assert f"shows in {announcement.TICKS} of these, {announcement.TICKS * 0.2:g} s" in said
 
 
 @pytest.mark.parametrize("rate", [10.0, 25.0, 200.0])
@@ -116,6 +131,79 @@ def test_modes_ground_learning_judging():
     assert np.all(table.mode[table.command_time > 11.0] == ticks.GROUND)
     assert np.flatnonzero(table.restart).tolist() == [np.flatnonzero(learning)[0]]
     assert not table.valid[table.mode == ticks.GROUND].any()
+
+
+def test_the_first_second_of_flight_ends_where_a_tick_ends():
+    """A tick that is complete exactly a second after lift-off is in the air, the one before it is not."""
+    flight, thrust = log()
+    times = make(flight, thrust).time
+    k = next(k for k in range(60, len(times)) if times[k] - 1.0 + ticks.HOVER_LEARN_S == times[k])
+    table = ticks.make(flight, thrust, B, ((times[k] - 1.0, 11.0),), 3.0)
+    assert table.mode[k - 1 : k + 1].tolist() == [ticks.GROUND, ticks.LEARN]
+
+
+def test_ticks_cut_in_parts_are_the_same_when_joined():
+    """Contacts of the last part, which knows those before it; what one part does not measure the whole does not, but contacts it has."""
+    flight, thrust = log()
+    table = make(flight, thrust)
+    first, second = Contact(4.0, 1.5, 0), Contact(9.0, 2.0, 0)
+    table = replace(table, contact=np.isin(np.arange(len(table.time)), (70, 170)), contacts=(first, second))
+    early = table.time < 6.0
+    parts = [replace(table.part(early), contacts=(first,)), table.part(~early)]
+    for whole in (ticks.joined([table]), ticks.joined(parts)):
+        assert whole.contacts == (first, second) and whole.dt == table.dt and whole.notes == table.notes
+        for name, values in vars(table).items():
+            if isinstance(values, np.ndarray):
+                np.testing.assert_array_equal(getattr(whole, name), values, err_msg=name)
+    blind = ticks.joined([parts[0], replace(parts[1], side=None, contact=None)])
+    assert blind.side is None and np.flatnonzero(blind.contact).tolist() == [70]
+
+
+def test_a_flight_without_motors_or_out_of_the_air_has_no_ticks():
+    """Nor one where an output is never a command; all others have."""
+    flight, thrust = log()
+    vehicle = airframes.named("px4-quad-x")
+    assert ticks.observe(flight, vehicle, AIR, 3.0) is not None
+    assert ticks.observe(flight, vehicle, (), 3.0) is None
+    still = {name: signal for name, signal in flight.signals.items() if name != "motors"}
+    assert ticks.observe(replace(flight, signals=still), vehicle, AIR, 3.0) is None
+    dead = replace(thrust, valid=np.tile([True, True, False, True], (len(thrust), 1)))
+    assert ticks.observe(replace(flight, signals={**still, "motors": dead}), vehicle, AIR, 3.0) is None
+
+
+def test_a_tick_needs_two_fifths_of_the_gyros_usual_samples():
+    """A gyro that mostly fails for two seconds, and then gives every other sample: the first is not judged, the second is."""
+    flight, thrust = log()
+    gyro, k = flight["gyro"], np.arange(len(flight["gyro"]))
+    every = np.where((gyro.time > 6.0) & (gyro.time < 8.0), 5, np.where((gyro.time > 8.0) & (gyro.time < 10.0), 2, 1))
+    kept = k % every == 0
+    thin = Signal(gyro.time[kept], gyro.values[kept], gyro.columns, "rad/s")
+    table = make(replace(flight, signals={**flight.signals, "gyro": thin}), thrust)
+    fifth, half = ((table.time > begin + 0.2) & (table.time < begin + 1.8) for begin in (6.0, 8.0))
+    assert not table.valid[fifth, :3].any() and table.valid[half].all()
+
+
+def test_a_gyro_whose_records_have_all_one_time_has_no_period():
+    """And no warning of an empty median is printed."""
+    flight, thrust = log()
+    stopped = Signal(np.full(30, 1.0), np.zeros((30, 3)), ("x", "y", "z"), "rad/s")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        plan = ticks.plan(replace(flight, signals={**flight.signals, "gyro": stopped}), thrust, 3.0)
+    assert np.isnan(plan.period["gyro"]) and plan.period["accel"] == pytest.approx(1 / 400.0)
+
+
+@pytest.mark.parametrize("axis, degrees, upset", [(0, 64, False), (0, 66, True), (1, -66, True), (2, 170, False)])
+def test_a_vehicle_that_leans_by_more_than_65_degrees_is_upset(axis, degrees, upset):
+    """By its attitude alone, a quaternion w, x, y, z; heading is no lean."""
+    flight, thrust = log()
+    time, half = np.arange(0, END, 0.02), np.deg2rad(degrees) / 2.0
+    turned = np.append(np.cos(half), np.sin(half) * np.eye(3)[axis])
+    values = np.where((time > 6.0)[:, None], turned, [1.0, 0.0, 0.0, 0.0])
+    attitude = Signal(time, values, ("w", "x", "y", "z"), "1")
+    table = make(replace(flight, signals={**flight.signals, "attitude": attitude}), thrust)
+    assert not table.upset[table.time < 5.9].any()
+    assert table.upset[table.time > 6.2].all() == upset == table.upset.any()
 
 
 def test_a_tumbling_vehicle_is_not_judged_any_more():

@@ -54,6 +54,7 @@ def test_the_comparison_with_healthy_flights_in_words():
     assert dict(report.whole_flight(against_healthy(common=-0.1)))["all rotors together"].startswith(
         "10 % less command"
     )
+    assert dict(report.whole_flight(against_healthy(common=0.0)))["all rotors together"].startswith("0 % less command")
     assert dict(report.whole_flight(against_healthy(flights=1)))["compared with"] == "1 healthy flight of this build"
     assert "all rotors together" not in dict(report.whole_flight(against_healthy(verdict="inconclusive")))
     assert report.whole_flight(hexa_diagnosis()) == []
