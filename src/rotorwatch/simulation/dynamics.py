@@ -6,8 +6,8 @@ NED world, FRD body, SI; positions are the centre of mass. Rotor i at r_i = (x_i
 speed, which follows its command w_c like a first-order lag: w_i(t) = w_c + (w_i - w_c) exp(-t / lag), solved exactly.
 With a_i = R'(v - wind) + (omega - gust rates) x r_i, the air's velocity past rotor i:
 
-    thrust     T_i = T_max,i w_i^2 (1 - theta_i) E(height) + k_z w_i a_i,z        along -z
-    rotor drag H_i = -k_d w_i (a_i,x, a_i,y)                                     (Martin and Salaun 2010)
+    thrust     T_i = (1 - theta_i) (T_max,i w_i^2 E(height) + k_z w_i a_i,z)      along -z
+    rotor drag H_i = -(1 - theta_i) k_d w_i (a_i,x, a_i,y)                       (Martin and Salaun 2010)
     torque     r_i x (H_i, -T_i) + s_i c T_max,i w_i^2 (1 - theta_i) e_z          s_i: +1 counter-clockwise from above
     body drag  -C |a| a, C diagonal, at the centre of mass
     h = -sum s_i I_r W w_i e_z: the rotors' own angular momentum
@@ -63,7 +63,7 @@ def sums(craft: Craft, w, w_dot, theta) -> Sums:
     jnp = load_jax().numpy
     x, y, one = craft.x, craft.y, 1.0 + 0.0 * craft.x
     push = jnp.sum((craft.thrust_max * w * w * (1.0 - theta)) * jnp.stack([one, x, y, craft.spin]), axis=1)
-    flow = jnp.sum(w * jnp.stack([one, x, y, x * x, x * y, y * y]), axis=1)
+    flow = jnp.sum(w * (1.0 - theta) * jnp.stack([one, x, y, x * x, x * y, y * y]), axis=1)
     h, h_dot = (-craft.rotor_momentum * jnp.sum(craft.spin * rate) for rate in (w, w_dot))
     return Sums(push, flow, h, h_dot)
 
