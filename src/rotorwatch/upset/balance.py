@@ -39,6 +39,7 @@ BELOW_LIMIT, AT_LIMIT = (
     0.95,
 )  # shares of full thrust, from and to which less and less is delivered than was commanded:
 LACKS, LACKS_SD = 0.15, 0.15  # at the limit so much less, hardly more than 40 %, and never the other way
+SPIN_UP_S = 0.05  # a rotor that speeds up turns the vehicle by the torque of its thrust's change in so many seconds
 STRANGE_S = 1.0  # after the onset: the longer a vehicle tumbles, the stranger is the air that its rotors meet
 OUTLIERS, OUTLIER_SD = 0.05, 4.0
 ERROR_S = 0.15  # that errors of the model last: ticks that are closer count as so much less
@@ -95,6 +96,9 @@ def noise_variance(window: Window, B: np.ndarray) -> np.ndarray:
     change = 0.5 * (np.abs(window.after - T) + np.abs(T - window.before))
     each = (THRUST_SHARE * T) ** 2 + (STEP_SHARE * change) ** 2 + (LACKS_SD * _near(window) * T) ** 2
     variance = FLOOR**2 + each @ (B**2).T
+    if window.time.size > 1:
+        speed_up = change / float(np.median(np.diff(window.time)))
+        variance[:, 2] += (SPIN_UP_S * speed_up) ** 2 @ B[2] ** 2
     whole = T.sum(axis=1) + STEP_SHARE / LOAD_SHARE * change.sum(axis=1)
     variance[:, 3] += (LOAD_SHARE * whole) ** 2 + (LOAD_FLOOR * B.shape[1]) ** 2
     variance *= (1.0 + (np.maximum(window.time - window.onset, 0.0) / STRANGE_S) ** 2)[:, None]
