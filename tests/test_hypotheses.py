@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.optimize import minimize
+from tests.loss_prior import KINDS, moments
 
 from rotorwatch.default import hypotheses
-from rotorwatch.default.hypotheses import LOSS_WIDTH, SMALL_WIDTH
+from rotorwatch.default.hypotheses import LOSS_WIDTH
 
 WIDTH = np.array([0.1, 0.2, 0.3, 0.4])
 
@@ -32,13 +33,18 @@ def information(n, seed=0, windows=3, strength=60.0):
 
 
 def factors(n, C, z, lo=None, hi=None, gone=None, reach=0.0):
-    """reach: 0 counts geometry as exact."""
+    """(hypotheses, log BF, sizes); reach: 0 counts geometry as exact."""
+    return with_spread(n, C, z, lo, hi, gone, reach)[:3]
+
+
+def with_spread(n, C, z, lo=None, hi=None, gone=None, reach=0.0):
+    """`factors`, and the variance of a single rotor's loss."""
     hyp = hypotheses.make(n)
     lo, hi = np.zeros(n) if lo is None else lo, np.ones(n) if hi is None else hi
     gone = np.zeros((len(z), n)) if gone is None else gone
     slop = hypotheses.slop(C, z, lo, hi, np.full(n, reach))
-    logbf, nu = hypotheses.log_bayes_factors(hyp, C, z, lo, hi, WIDTH, gone, slop)
-    return hyp, np.asarray(logbf), np.asarray(nu)
+    found = hypotheses.log_bayes_factors(hyp, C, z, lo, hi, WIDTH, gone, slop)
+    return hyp, *(np.asarray(a) for a in found)
 
 
 def quad_evidence(wrong=(1.0, 1.0, 1.0, 1.0), loss=0.4, sd=0.02):
@@ -119,10 +125,11 @@ def test_a_single_rotor_with_slop_is_weighed_as_the_integral_over_loss_and_axes(
     C, z = quad_evidence(wrong=(1.05, 0.95, 0.8, 1.1), loss=loss, sd=sd)
     _, logbf, _ = factors(4, C, z, reach=1.0)
     prior = np.asarray(hypotheses.slop(C, z, np.zeros(4), np.ones(4), np.ones(4)))[0]
-    halves = [
-        evidence(lambda v: with_steps(C[0], z[0], 0, prior, v), 0.0, width) for width in (LOSS_WIDTH, SMALL_WIDTH)
+    parts = [
+        np.log(share) + evidence(lambda v: with_steps(C[0], z[0], 0, prior, v), mean, width)
+        for share, mean, width in KINDS
     ]
-    assert logbf[0, 0] == pytest.approx(np.logaddexp(*halves) - np.log(2.0), abs=1e-4)
+    assert logbf[0, 0] == pytest.approx(np.logaddexp.reduce(parts), abs=1e-4)
 
 
 @pytest.mark.thorough(keep=4)
@@ -173,43 +180,19 @@ def test_every_explanation_is_listed_once(n):
     assert weight["pair"] < weight["single"] < weight["disturbance"]
 
 
-def box_mass(c, z, width):
-    """log of: half a Gaussian prior of this width on a loss, times the likelihood ratio exp(z nu - c nu^2 / 2)."""
-    top = max(z * z / c / 2, 0.0)
-
-    def density(nu):
-        return np.exp(z * nu - 0.5 * c * nu * nu - top - 0.5 * (nu / width) ** 2) / (width * np.sqrt(2 * np.pi))
-
-    near = np.clip(z / c, 0.0, 1.0)
-    spread = 1.0 / np.sqrt(c)
-    return top + np.log(quad(density, max(0.0, near - 12 * spread), min(1.0, near + 12 * spread), limit=400)[0])
-
-
-@pytest.mark.parametrize("loss, c", [(0.06, 5000.0), (0.1, 5000.0), (0.3, 400.0), (0.4, 5000.0)])
+@pytest.mark.parametrize(
+    "loss, c", [(0.06, 5000.0), (0.1, 5000.0), (0.3, 400.0), (0.4, 5000.0), (0.7, 100.0), (0.9, 400.0), (0.95, 2000.0)]
+)
 def test_a_single_rotor_is_weighed_as_the_integral_over_its_loss(loss, c):
-    """The prior is half narrow, half wide. Well inside 0..1 the closed form is that integral."""
+    """The prior has a narrow, a wide and a total part. Well inside 0..1 the closed form is that integral, with mean and variance."""
     n = 4
-    C = np.diag(np.full(n + 4, c))[None]
-    z = np.zeros((1, n + 4))
+    C, z = np.diag(np.full(n + 4, c))[None], np.zeros((1, n + 4))
     z[0, 1] = c * loss
-    _, logbf, nu = factors(n, C, z)
-    exact = np.logaddexp(box_mass(c, c * loss, LOSS_WIDTH), box_mass(c, c * loss, SMALL_WIDTH)) - np.log(2.0)
-    assert logbf[0, 1] == pytest.approx(exact, abs=1e-3)
-    assert logbf[0, :n].argmax() == 1
-    assert nu[0, 1, 0] == pytest.approx(c * loss / (c + 1 / LOSS_WIDTH**2), rel=1e-9)
-
-
-def test_both_halves_of_the_prior_matter():
-    """A small loss is spoken for by the narrow half, a large one by the wide half."""
-    n, c = 4, 4000.0
-    C = np.diag(np.full(n + 4, c))[None]
-    for loss, helping in ((0.05, SMALL_WIDTH), (0.5, LOSS_WIDTH)):
-        z = np.zeros((1, n + 4))
-        z[0, 0] = c * loss
-        halves = {w: box_mass(c, c * loss, w) for w in (SMALL_WIDTH, LOSS_WIDTH)}
-        assert max(halves, key=halves.get) == helping
-        _, logbf, _ = factors(n, C, z)
-        assert max(halves.values()) - np.log(2) - 1e-3 <= logbf[0, 0] <= max(halves.values()) + 1e-3
+    exact, mean, variance = moments(c, c * loss)
+    _, logbf, nu, spread = with_spread(n, C, z)
+    assert logbf[0, :n].argmax() == 1 and nu[0, 1, 1] == 0.0
+    assert logbf[0, 1] == pytest.approx(exact, abs=1e-6)
+    assert nu[0, 1, 0] == pytest.approx(mean, abs=1e-6) and spread[0, 1] == pytest.approx(variance, rel=1e-6)
 
 
 def test_gain_of_thrust_speaks_for_no_loss():
@@ -218,7 +201,7 @@ def test_gain_of_thrust_speaks_for_no_loss():
     z = np.zeros((1, n + 4))
     z[0, 2] = -c * 0.3
     _, logbf, nu = factors(n, C, z)
-    assert nu[0, 2, 0] == 0.0 and logbf[0, 2] < 0.0
+    assert nu[0, 2, 0] == pytest.approx(0.0, abs=1e-12) and logbf[0, 2] < 0.0
 
 
 @pytest.mark.parametrize("n", [4, 8])
@@ -279,7 +262,7 @@ def test_a_manoeuvre_in_calm_air_is_no_loss():
     C, z = quad_evidence(wrong=(0.25, 1.0, 0.2, 0.5), loss=0.3, sd=0.02)
     calm, hyp = np.full(4, 0.03), hypotheses.make(4)
     slop = hypotheses.slop(C, z, np.zeros(4), np.ones(4), np.ones(4))
-    logbf, _ = hypotheses.log_bayes_factors(hyp, C, z, np.zeros(4), np.ones(4), calm, np.zeros((1, 4)), slop)
+    logbf, _, _ = hypotheses.log_bayes_factors(hyp, C, z, np.zeros(4), np.ones(4), calm, np.zeros((1, 4)), slop)
     told = dict(zip(hyp.names, np.asarray(logbf)[0]))
     far = np.asarray(hypotheses.disturbances(hyp, C, z, hypotheses.FAR * calm))[0]
     usual = max(v for name, v in told.items() if "rotor" not in name)

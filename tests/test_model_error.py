@@ -34,9 +34,14 @@ def settled(thrust=EVEN):
     return model_error.init(N)._replace(thrust=part, trim=part, collective=np.float64(thrust.mean()))
 
 
-def look(memory, u, valid=YES, flying=True, restart=False, variances=CALM, dt=DT):
-    memory, seen = model_error.look(memory, u, np.zeros(4), valid, flying, restart, X, variances, N, dt)
-    return memory, seen
+def look(memory, u, valid=YES, flying=True, restart=False, variances=CALM, dt=DT, share=1.0, lost=0.0):
+    """share: of the torque that the motion needs, how much the rotors make; lost: torque that they lack of what is commanded."""
+    x = X.reshape(-1)[:AXIS_STATES].reshape(4, PER_AXIS)
+    gain = N * GAIN_MEAN[:3]
+    needs = gain * u[N : N + 3] + DAMPING_RATE * gain * u[N + 4 : N + 7]
+    lost = np.array([lost, -lost, lost, 0.0])
+    y = lost + np.array([*(share * needs + x[:3, :3].sum(axis=1)), 0.0])
+    return model_error.look(memory, u, y, lost, valid, flying, restart, X, variances, N, dt)
 
 
 def taught(seen):
@@ -70,6 +75,18 @@ def test_motion_that_gusts_have_made_teaches_less():
         garrote = 1.0 - model_error.GUST_SHARE**2 * variance / force**2
         calm = 1.0 - (model_error.GARROTE * level / motion) ** 2
         assert shares == pytest.approx(np.minimum(np.maximum(garrote, 0.0), calm))
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.4])
+@pytest.mark.parametrize("share, part", [(-0.5, 0.0), (0.0, 0.0), (0.3, 0.3), (1.0, 1.0), (1.7, 1.0)])
+def test_motion_teaches_as_far_as_the_rotors_have_made_it(share, part, lost):
+    """A motor that stops turns a vehicle that was commanded nothing; what biases and known losses take was commanded for nothing."""
+    level = np.sqrt(model_error.init(N).level)
+    for times in (5.0, 10.0):
+        _, seen = look(settled(), inputs(motion=times * level[:3], rates=times * level[3:]), share=share, lost=lost)
+        calm = 1.0 - (model_error.GARROTE / times) ** 2
+        for shares in taught(seen):
+            assert shares == pytest.approx([part * calm] * 3, abs=1e-3)
 
 
 @pytest.mark.parametrize("axis", range(3))

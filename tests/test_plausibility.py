@@ -49,11 +49,12 @@ def possible(
     active=(),
     rough=(0.0, 0.0, 0.0, 0.0),
     smooth=1.0,
+    since=60.0,
 ):
     known = np.isin(np.arange(1, N + 1), active)
     return bool(
         plausibility.plausible(
-            what, np.full(N, smooth), np.full(N, rise), now or missing(), before or missing(), measured, known,
+            what, since, np.full(N, smooth), np.full(N, rise), now or missing(), before or missing(), measured, known,
             np.asarray(rough, float), np.eye(N),
         )
     )  # fmt: skip
@@ -105,6 +106,14 @@ def test_thrust_that_rotors_no_longer_give_is_missing(rough, slack):
             )
             assert possible(one, now=now, before=missing(slow=before), measured=False, rise=9.0, smooth=2.0)
     assert possible(jump((2, -0.3)), now=missing(fast=-9.0))  # what gives more again lacks nothing
+
+
+@pytest.mark.parametrize("since", [0.05, 0.2, 1.0])
+def test_a_young_loss_need_not_be_missing_yet(since):
+    """The average over half a second shows a step by 1 - exp(-t / 0.5 s)."""
+    least = DEMAND_SHARE * 0.9 * 2.0 * -np.expm1(-since / ANSWER_S) - MISSING_SLACK
+    for more, answer in ((1e-6, True), (-1e-6, False)):
+        assert possible(jump((2, 0.9)), now=missing(fast=least + more), smooth=2.0, rise=9.0, since=since) is answer
 
 
 def test_a_jump_beyond_all_lacks_no_more_than_all():

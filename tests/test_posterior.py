@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from rotorwatch.default import posterior
 from rotorwatch.default.hypotheses import CLEAR
 from rotorwatch.default.posterior import NEVER, OUT, PLACES, RESOLVE_S, TEMPER
+from rotorwatch.front.losses import YOUNG_S
 
 DT, N, STATES = 0.05, 6, 9
 
@@ -85,11 +86,22 @@ def test_what_does_not_count_changes_no_weight():
 def test_what_has_become_too_unlikely_is_dropped_for_good():
     one, valid = np.ones((PLACES, 4)), np.ones(4, bool)
     poor = np.array([0.0, 6.0, 0.0, 0.0])[:, None] * one
-    start = some([0.0, OUT + 1.0, OUT + 1.0, NEVER])
+    start = some([0.0, OUT + 1.0, OUT + 1.0, NEVER], age=YOUNG_S)
     b = posterior.weigh(start, poor, one, valid, np.ones(4), True, DT)
     assert b.weight[1] == NEVER and b.weight[2] == pytest.approx(OUT + 1.0)
     back = posterior.weigh(b, poor[[1, 0, 2, 3]], one, valid, np.ones(4), True, DT)
     assert back.weight[1] == NEVER and np.asarray(posterior.shares(back))[1] == 0.0
+
+
+def test_a_young_explanation_has_a_second_to_recover():
+    """What tells a pair from the rotor between them, yaw and thrust, is slower than what announces it."""
+    start, even, one = some([0.0, 2.0 * OUT, OUT - 1.0, NEVER]), np.zeros((PLACES, 4)), np.ones((PLACES, 4))
+    ticks = round(YOUNG_S / DT)
+    for _ in range(ticks):
+        start = posterior.weigh(start, even, one, np.ones(4, bool), np.ones(4), True, DT)
+    assert np.asarray(start.weight) == pytest.approx([0.0, 2.0 * OUT, OUT - 1.0, NEVER])
+    start = posterior.weigh(start, even, one, np.ones(4, bool), np.ones(4), True, DT)
+    assert np.asarray(start.weight).tolist() == [0.0, NEVER, NEVER, NEVER]
 
 
 @given(st.lists(st.floats(-6.0, 6.0), min_size=3, max_size=3), st.integers(0, 5), st.integers(0, 7))

@@ -130,7 +130,8 @@ class JumpBank:
 
         # How far this tick's inputs and the model can be believed.
         x = branches.s[0, :n_x]
-        memory, seen = model_error.look(carry.model_error, u, y, valid, flying, restart, x, variances, n, dt)
+        lost = system.H(u, x) @ branches.s[0, n_x:]
+        memory, seen = model_error.look(carry.model_error, u, y, lost, valid, flying, restart, x, variances, n, dt)
         error = model_error.variance(carry.model_error, seen, x, y, variances[0], system.B, n, dt)
         calm = model_error.calm(memory)
         lacking = y[3] - u[n + 3] * x[3 * PER_AXIS + GAIN]
@@ -163,7 +164,7 @@ class JumpBank:
         rough = noise.spread(variances)
         coupling = plausibility.demand_coupling(system.B)
         possible = plausibility.plausible(
-            best.each, seen.u[:n], seen.rise, missing, carry.missing, valid[3], active, rough, coupling
+            best.each, best.since * dt, seen.u[:n], seen.rise, missing, carry.missing, valid[3], active, rough, coupling
         )
         alarm_state, alarm_decision = announcement.decide(
             carry.alarm_state, found, best, self.jumps, self.limit, possible, active.any(), judge, dt

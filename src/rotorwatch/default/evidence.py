@@ -23,8 +23,8 @@ NOTHING = -50.0  # nats, of what cannot be
 class Evidence(NamedTuple):
     """Of all hypotheses (n_h,): log evidence over all onsets, probability among faults. fault, other: log of the sums; far: that
     of disturbances much larger than this flight's; log_bf (W, n_h): Bayes factors, per_slot (W, n_h): with prior weights; nu
-    (W, n_fault, 2): most probable sizes; recovery (W, n): sizes that end a known loss; slop (W, 4): `hypotheses.slop`; width (4,): of
-    disturbances; live (W,): slots in use."""
+    (W, n_fault, 2): sizes; spread (W, n): variance of the size of one rotor alone; recovery (W, n): sizes that end a known loss;
+    slop (W, 4): `hypotheses.slop`; width (4,): of disturbances; live (W,): slots in use."""
 
     log_odds: Array
     probability: Array
@@ -34,6 +34,7 @@ class Evidence(NamedTuple):
     log_bf: Array
     per_slot: Array
     nu: Array
+    spread: Array
     recovery: Array
     slop: Array
     width: Array
@@ -67,7 +68,7 @@ def gather(hyp: Hypotheses, onsets: bank.Jumps, statistics: bank.Bank, theta, ac
     to_come = jnp.where(jnp.asarray(onsets.slow), onsets.decay ** (jnp.maximum(statistics.age, 0) + 1.0), 0.0)
     recovery = jnp.where(active, -theta / jnp.maximum(own + to_come[:, None], 0.3), 0.0)
     slop = hypotheses.slop(statistics.C, statistics.z, lo, hi, reach)
-    log_bf, nu = hypotheses.log_bayes_factors(hyp, statistics.C, statistics.z, lo, hi, width, recovery, slop)
+    log_bf, nu, spread = hypotheses.log_bayes_factors(hyp, statistics.C, statistics.z, lo, hi, width, recovery, slop)
     far = hypotheses.disturbances(hyp, statistics.C, statistics.z, hypotheses.FAR * width)
     log_bf, far = (jnp.where(live[:, None], b, NOTHING) for b in (log_bf, far))
     stride = jnp.asarray(onsets.log_stride)
@@ -95,6 +96,7 @@ def gather(hyp: Hypotheses, onsets: bank.Jumps, statistics: bank.Bank, theta, ac
         log_bf=log_bf,
         per_slot=per_slot,
         nu=nu,
+        spread=spread,
         recovery=recovery,
         slop=slop,
         width=width,
@@ -122,6 +124,8 @@ def jump(hyp: Hypotheses, statistics: bank.Bank, found: Evidence, h) -> Jump:
     # What geometry is wrong by counts in how well a loss is known; it does not become a disturbance.
     mask = jnp.concatenate([jnp.ones(n), steps])
     cov = D.T @ (half.T @ half) @ D * mask[:, None] * mask[None, :]
+    single = jnp.concatenate([it[:n], jnp.zeros(4)])  # all kinds of losses that it may be count
+    cov = jnp.where(single.sum() > 0.5, jnp.diag(single) * (slot @ found.spread @ it[:n]), cov)
     half = _half_inverse(C[n:, n:] + jnp.diag(1.0 / free))
     size = jnp.concatenate([each.sum(axis=0), steps * (half.T @ (half @ z[n:]))])
     since = slot @ jnp.where(found.live, statistics.age + 1.0, 0.0)

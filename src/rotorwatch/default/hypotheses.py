@@ -19,6 +19,8 @@ CLEAR = float(np.log(10.0))
 # Losses: so large that the rotor is lost altogether; so small that it is none.
 TOTAL_LOSS, NONE = 0.8, 0.015
 LOSS_WIDTH, SMALL_WIDTH = 0.3, 0.06
+# Motors stop and propellers come off: this share of losses takes all thrust that a rotor has left.
+TOTAL_SHARE = 0.1
 # Share by which what a loss does to roll, pitch, yaw and thrust may differ from geometry: inflow and battery change thrust, and
 # in moving air rotors that no longer match in speed drag the vehicle round.
 SLOP = (0.1, 0.1, 0.4, 0.3)
@@ -124,7 +126,7 @@ def _clip_pair(c11, c12, c22, z1, z2, lo1, hi1, lo2, hi2):
 def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, recovery, slop):
     """C (W, q, q), z (W, q) for W jump times; lo, hi (n,) bounds of rotor jumps; width (4,): how large disturbances of this
     aircraft are; recovery (W, n): the jump that would end each rotor's loss; slop (W, 4): of that name. -> log BF (W, n_h), nu (W, n_fault,
-    2)."""
+    2), and the variance (W, n) of a single rotor's jump."""
     import jax.numpy as jnp
 
     n, w2 = hyp.n, LOSS_WIDTH**2
@@ -136,24 +138,37 @@ def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, recovery, slop):
     pair = pair - 0.5 * jnp.log(det * w2**2)
     others = disturbances(hyp, C, z, width)
     c, z, gain = with_slop(C, z, slop)
-    # Losses are small as often as large: half of the prior is narrow.
-    c0, c1 = c + 1.0 / SMALL_WIDTH**2, c + 1.0 / w2
-    nu0, nu1 = jnp.clip(z / c0, lo, hi), jnp.clip(z / c1, lo, hi)
-    large = z * nu1 - 0.5 * c1 * nu1**2 - 0.5 * jnp.log(c1 * w2)
-    small = z * nu0 - 0.5 * c0 * nu0**2 - 0.5 * jnp.log(c0 * SMALL_WIDTH**2)
-    single = jnp.logaddexp(large, small) - np.log(2.0) + gain[:, None]
-    variance = recovery_sd(recovery) ** 2
-    left = c + 1.0 / variance
-    more = (z - c * recovery) / left
-    over = z * recovery - 0.5 * c * recovery**2 + 0.5 * left * more**2 - 0.5 * jnp.log(left * variance)
+    # Losses are small as often as large, and now and then total: the sizes of these three, and how likely each is.
+    kinds = (
+        (*_near(c, z, 0.0, SMALL_WIDTH**2, lo, hi), 0.5 * (1.0 - TOTAL_SHARE)),
+        (*_near(c, z, 0.0, w2, lo, hi), 0.5 * (1.0 - TOTAL_SHARE)),
+        (*_near(c, z, hi, NONE**2, lo, hi), TOTAL_SHARE),
+    )
+    factors = jnp.stack([factor + np.log(share) for factor, _, _, share in kinds])
+    likely = jnp.exp(factors - factors.max(axis=0))
+    single = factors.max(axis=0) + jnp.log(likely.sum(axis=0)) + gain[:, None]
+    likely, sizes = likely / likely.sum(axis=0), jnp.stack([size for _, size, _, _ in kinds])
+    size = (likely * sizes).sum(axis=0)
+    spread = (likely * (jnp.stack([own for _, _, own, _ in kinds]) + (sizes - size) ** 2)).sum(axis=0)
+    over, recovered, _ = _near(c, z, recovery, recovery_sd(recovery) ** 2, None, None)
     over = over + gain[:, None]
     nu = [
-        jnp.stack([nu1, jnp.zeros_like(nu1)], -1),
+        jnp.stack([size, jnp.zeros_like(size)], -1),
         jnp.stack([pa, pb], -1),
-        jnp.stack([recovery + more, jnp.zeros_like(nu1)], -1),
+        jnp.stack([recovered, jnp.zeros_like(size)], -1),
     ]
     nu = jnp.concatenate(nu, axis=1)
-    return jnp.concatenate([single, pair, over, others], axis=1), nu
+    return jnp.concatenate([single, pair, over, others], axis=1), nu, spread
+
+
+def _near(c, z, mean, variance, lo, hi):
+    """Log Bayes factor of a jump of prior N(mean, variance) against none, its most probable size in [lo, hi], and the variance of that."""
+    import jax.numpy as jnp
+
+    left = c + 1.0 / variance
+    size = jnp.clip((z + mean / variance) / left, lo, hi)
+    fit = z * size - 0.5 * c * size**2 - 0.5 * (size - mean) ** 2 / variance
+    return fit - 0.5 * jnp.log(left * variance), size, 1.0 / left
 
 
 def recovery_sd(recovery):

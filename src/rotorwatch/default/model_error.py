@@ -74,10 +74,10 @@ def init(n: int) -> Memory:
     )
 
 
-def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt) -> tuple[Memory, Look]:
+def look(memory: Memory, u, y, lost, valid, flying, restart, x, variances, n: int, dt) -> tuple[Memory, Look]:
     """One tick's inputs u (n + 10,) as `WrenchBalance.pack` lays them out, judged against what was usual.
 
-    x (n_x,): state; variances (4, 4) of the noise model.
+    y (4,): commanded wrench, lost (4,): what the known losses take of it. x (n_x,): state; variances (4, 4) of the noise model.
     """
     import jax.numpy as jnp
 
@@ -92,6 +92,10 @@ def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt)
     shrink = jnp.minimum(
         shrink, jnp.maximum(0.0, 1.0 - GUST_SHARE**2 * jnp.tile(gusts, 2) / jnp.maximum(needs**2, 1e-12))
     )
+    # Motion that nobody commanded is a gust's or a fault's: motion teaches as far as the rotors have made it.
+    need = needs[:3] + needs[3:]
+    made = y[:3] - lost[:3] - x[:AXIS_STATES].reshape(4, PER_AXIS)[:3, :3].sum(axis=1)
+    shrink = shrink * jnp.tile(jnp.clip(made * need / jnp.maximum(need**2, 1e-12), 0.0, 1.0), 2)
     fade = jnp.where(flying & valid[0], dt / LEVEL_MEMORY_S, 0.0)
     level = memory.level + fade * (jnp.minimum(motion**2, 6.0 * memory.level) - memory.level)
     one = jnp.ones(1)

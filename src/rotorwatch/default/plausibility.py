@@ -71,7 +71,7 @@ def demand_coupling(B):
     return jnp.where(against, 0.0, answer / jnp.maximum(jnp.diagonal(answer)[:, None], 1e-9))
 
 
-def plausible(jump, smooth, rise, now: Missing, before: Missing, thrust_valid, active, rough, coupling):
+def plausible(jump, since_s, smooth, rise, now: Missing, before: Missing, thrust_valid, active, rough, coupling):
     """bool: may the jump (2, n; two rotors at most, 0 elsewhere) be a loss? coupling (n, n): `asked_of`.
 
     smooth (n,): thrust of each rotor; rise (n,): commands above trim. active (n,): rotors already known to be weak.
@@ -88,9 +88,9 @@ def plausible(jump, smooth, rise, now: Missing, before: Missing, thrust_valid, a
     ok = (jnp.abs(jump).max() > hypotheses.NONE) & jnp.where(
         jump > 0, rise > DEMAND_SHARE * demanded - jnp.maximum(DEMAND_SLACK, swing), True
     ).all()
-    # ... and what the rotors no longer give must be missing from the thrust.
+    # ... and what the rotors no longer give must be missing from the thrust, as far as its average can show that by now.
     slack = jnp.maximum(MISSING_SLACK, jnp.sqrt(rough[3]))
-    lost_thrust = (jnp.clip(jump, 0.0, 1.0) * smooth).sum()
+    lost_thrust = (jnp.clip(jump, 0.0, 1.0) * smooth).sum() * (1.0 - jnp.exp(-since_s / plant.ANSWER_S))
     ok &= ~thrust_valid | (lost_thrust <= 0.0) | (now.fast - before.slow > DEMAND_SHARE * lost_thrust - slack)
     # ... and not because a rotor at its limit gives no more.
     claimed = (jump > 0) & ~active[None, :]

@@ -21,10 +21,11 @@ import numpy as np
 from rotorwatch.core import Array
 from rotorwatch.default import bank, evidence, hypotheses, plant
 from rotorwatch.default.hypotheses import Hypotheses
+from rotorwatch.front import losses
 
 PLACES = 4
 RESOLVE_S, TEMPER = 3.0, 0.3
-OUT = -7.0  # log weight relative to the leader's at which a branch is dropped
+OUT = -7.0  # log weight relative to the leader's at which a branch is dropped, once it is YOUNG_S old
 ALIKE = -3.0  # the same, below which a pair that looks like the leading one does not fall: a twentieth
 NEVER = -1e3
 
@@ -76,7 +77,9 @@ def weigh(branches: Branches, innovation, variance, valid, calm, counts, dt) -> 
     weight = weight - weight[0]
     # How rotors differ in hover is not known well enough to drop one of several pairs that look the same.
     weight = jnp.where(branches.alike.any(axis=1) & branches.alike[0].any(), jnp.maximum(weight, ALIKE), weight)
-    weight = jnp.where((branches.weight > 0.5 * NEVER) & (weight > OUT), weight, NEVER)
+    # Yaw and thrust tell a pair from the rotor between them, and are slower than what announced it.
+    stays = (weight > OUT) | (branches.age < losses.YOUNG_S)
+    weight = jnp.where((branches.weight > 0.5 * NEVER) & stays, weight, NEVER)
     return branches._replace(weight=weight, onset=branches.onset + 1.0, age=branches.age + dt)
 
 
@@ -119,9 +122,13 @@ def born(
         fault = jnp.asarray(hyp.fault)
         left, chosen, h = jnp.where(fault, found.log_odds, -jnp.inf), [], first
         none = jnp.argmax(jnp.where(fault, -jnp.inf, found.log_odds))
-        for _ in range(PLACES - 1):
+        members = jnp.asarray(hyp.pick.sum(axis=1))
+        with_first = members @ members[first] > members[first].sum() - 0.5
+        for place in range(PLACES - 1):
             chosen.append((h, found.log_odds[h]))
             left = jnp.where(jnp.arange(left.size) == h, -jnp.inf, left)
+            # One more rotor beside the first explains nearly all that the first does: the last fault is one without it.
+            left = jnp.where(with_first & (place == PLACES - 3), -jnp.inf, left)
             h = jnp.argmax(left)
         chosen.append((none, jnp.logaddexp(found.other, found.far)))
         turn = jnp.where(alarm, jnp.arange(PLACES), PLACES - 1 - jnp.arange(PLACES))
@@ -132,7 +139,7 @@ def born(
         # is weak, nothing but a disturbance may lead.
         considered = alarm | branches.active[0].any()
         barred = jnp.where(alarm, which == none, ~considered & (which != none))
-        weight = jnp.where(barred | (weight <= OUT), NEVER, weight)
+        weight = jnp.where(barred, NEVER, weight)
         child = jax.vmap(lambda h: _child(branches, hyp, statistics, found, alike, h))(which)
         return child._replace(weight=weight, age=jnp.where(considered, 0.0, branches.age))
 

@@ -111,7 +111,7 @@ class Threshold:
         w = 1.0 / (scatter + common + TURNED**2 * (away @ away) / 4.0)
         Phi = jnp.concatenate([jnp.asarray(self.B), jnp.eye(4)], axis=1)
         C, z = Phi.T @ (w[:, None] * Phi), Phi.T @ (w * away)
-        logbf, jump = hypotheses.log_bayes_factors(
+        logbf, jump, _ = hypotheses.log_bayes_factors(
             self.hyp,
             C[None],
             z[None],
