@@ -53,7 +53,7 @@ def test_a_sum_of_sets_holds_every_sum(seed):
         assert np.trace(P / (1 - other) + Q / other) >= np.trace(whole) - 1e-9
     # The source writes the shares mirrored; it is the same matrix.
     c = np.sqrt(np.trace(P)) / (np.sqrt(np.trace(P)) + np.sqrt(np.trace(Q)))
-    np.testing.assert_allclose(whole, Q / (1 - c) + P / c, rtol=1e-12)
+    np.testing.assert_allclose(whole, Q / (1 - c) + P / c, rtol=1e-12, atol=1e-14)
 
 
 def test_an_ellipsoid_around_a_box_holds_its_corners_and_the_printed_one_does_not():

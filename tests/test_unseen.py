@@ -106,7 +106,7 @@ def test_a_loss_that_wind_hides_is_within_the_bound():
         if found.verdict == "healthy":
             missed += 1
             since = found.rotors[rotor - 1].since_takeoff
-            assert since is not None and since[1] > loss, (seed, since)
+            assert since is not None and since[1] > loss - 1e-3, (seed, since)
             assert "could have gone unseen" in found.reason
             assert found.trace is not None and found.trace.upper[:, rotor - 1].max() >= since[1]
     assert missed, "all of these are announced now: take others, or this tests nothing"

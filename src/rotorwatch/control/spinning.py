@@ -64,10 +64,10 @@ def moments(airframe: Airframe, e, u, omega, numpy: Any = np):
     """(J d omega/dt (3,) [N m], thrust [N]) at commands u (n,) that the rotors have reached, at rest but for turning."""
     a = airframe
     w = numpy.sqrt(numpy.maximum(u, 1e-12))
-    push = a.thrust_max * e * u
-    T = push + a.k_z * w * (omega[0] * a.y - omega[1] * a.x)
+    push, left = a.thrust_max * e * u, w * e
+    T = push + a.k_z * left * (omega[0] * a.y - omega[1] * a.x)
     a_x, a_y = omega[1] * a.z - omega[2] * a.y, -omega[0] * a.z + omega[2] * a.x
-    H_x, H_y = -a.k_d * w * a_x, -a.k_d * w * a_y
+    H_x, H_y = -a.k_d * left * a_x, -a.k_d * left * a_y
     yaw = a.drag_ratio * (a.spin * push).sum() + (a.x * H_y - a.y * H_x).sum()
     tau = numpy.stack([-(a.y * T).sum() - a.z * H_y.sum(), (a.x * T).sum() + a.z * H_x.sum(), yaw])
     momentum = a.J @ omega - numpy.stack([0.0, 0.0, 1.0]) * (a.rotor_momentum * (a.spin * w).sum())

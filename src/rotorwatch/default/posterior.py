@@ -139,6 +139,8 @@ def born(
         # is weak, nothing but a disturbance may lead.
         considered = alarm | branches.active[0].any()
         barred = jnp.where(alarm, which == none, ~considered & (which != none))
+        # What adds a rotor to the first has to earn it at once.
+        barred |= with_first[which] & (weight <= OUT)
         weight = jnp.where(barred, NEVER, weight)
         child = jax.vmap(lambda h: _child(branches, hyp, statistics, found, alike, h))(which)
         return child._replace(weight=weight, age=jnp.where(considered, 0.0, branches.age))

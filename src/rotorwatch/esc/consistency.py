@@ -92,14 +92,15 @@ def _with_cause(event: Event, bins: Binned, calm: np.ndarray, healthy: np.ndarra
     before &= np.cumsum(before[::-1])[::-1] <= LEARNED_S / telemetry.BIN_S
     end = event.end_s if event.end_s is not None else next((b for a, b in air if a <= event.onset_s <= b), np.inf)
     after = (bins.time > event.onset_s + RESPONSE_S) & (bins.time < end)
-    after &= calm[:, 0] | ~(after & calm[:, 0]).any()  # of a vehicle that tumbles at once what there is
+    tumbles = not (after & calm[:, 0]).any()
+    after &= calm[:, 0] | tumbles  # of a vehicle that tumbles at once what there is
     after &= np.cumsum(after[::-1])[::-1] <= USED_S / telemetry.BIN_S
     if before.sum() < ratios.FEWEST or not after.any():
         return event
     laws = learn(bins, before)
     entries = []
     for rotor, loss, interval in zip(event.rotors, event.loss, event.interval, strict=True):
-        seen = ratios.measure(laws, bins, rotor - 1, before, after, healthy)
+        seen = ratios.measure(laws, bins, rotor - 1, before, after, healthy, tumbles)
         if seen is not None:
             entries.append(_entry(rotor, loss, interval, seen))
     if not entries:

@@ -37,6 +37,9 @@ CURRENT_POWER = (2.9, 0.4)  # beta
 # No model is better than this: speed ratio, and difference of currents in healthy currents.
 MODEL_S, MODEL_D = 0.01, 0.04
 LEAST_POWER_SD = 0.05
+SWING = (
+    0.3  # share by which W^2 lags behind the commands of a vehicle that tumbles: they swing faster than rotors follow
+)
 FEWEST = 10  # bins that a rotor's healthy part needs
 UNLOADED, UNLOADED_SD = 0.05, 0.05  # share of the lost thrust that a lighter propeller turns faster by, in W^2
 DRAG, DRAG_SD = 0.7, 0.4  # share of lost thrust that is lost drag too
@@ -188,11 +191,18 @@ def _bounded(value: float, sd: float) -> tuple[float, float, float]:
 
 
 def measure(
-    laws: tuple[Law, Law | None], bins, k: int, before: np.ndarray, after: np.ndarray, healthy: np.ndarray
+    laws: tuple[Law, Law | None],
+    bins,
+    k: int,
+    before: np.ndarray,
+    after: np.ndarray,
+    healthy: np.ndarray,
+    swings: bool = False,
 ) -> Measured | None:
     """What rotor k (from 0) says of the bins `after`, compared with those `before` (T,) bool; None where there are too few of either.
 
-    laws: of speed and of current, learned from `before`; bins: `telemetry.Binned`; healthy (T, n): which rotors may stand for the others.
+    laws: of speed and of current, learned from `before`; bins: `telemetry.Binned`; healthy (T, n): which rotors may stand for the
+    others; swings: whether the vehicle tumbles in `after`.
     """
     speed, current = laws
     y, x = log_power(bins), np.log(bins.thrust)
@@ -205,7 +215,7 @@ def measure(
     ratio = np.exp(np.clip(rest[:, k], -12.0, 2.0))
     S = float(np.mean(ratio[a]) / np.mean(ratio[b]))
     reach = _reach(x, a, b, k)
-    noise = _noise(speed, k, int(a.sum()), int(b.sum()))
+    noise = _noise(speed, k, int(a.sum()), int(b.sum())) + (SWING if swings else 0.0) ** 2
     S_sd = float(np.sqrt(max(S, 0.1) ** 2 * (noise + (speed.power_sd * reach) ** 2) + MODEL_S**2))
     count, volts = int(a.sum()), _volts(bins, k, a, b)
     if current is None or not current.known[k]:

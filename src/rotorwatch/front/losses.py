@@ -296,8 +296,11 @@ class Losses(Struct):
         pair = 0
         for i in range(n):
             for j in range(i + 1, n):
-                hides = not rare and found.probability[n + pair] > HIDDEN * best * PAIR_WEIGHT
-                self.hidden[pair] = hides
+                favoured = found.probability[n + pair] / (best * PAIR_WEIGHT)
+                hides = not rare and favoured > HIDDEN
+                self.hidden[pair] = hides or (
+                    not rare and i != likeliest and j != likeliest and favoured > 1.0 / HIDDEN
+                )
                 if hides and i == likeliest and (opposite & (1 << j)) != 0:
                     self.hiding |= 1 << j
                 if hides and j == likeliest and (opposite & (1 << i)) != 0:

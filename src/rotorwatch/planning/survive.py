@@ -230,14 +230,14 @@ def _wind(airframe: Airframe, e, free_yaw: bool) -> float:
     B, size = airframe.B * e, np.abs(airframe.B).sum(axis=1) / 2.0
     size = np.where(size > 0.0, size, 1.0)
     Z = attainable.planes((B / size[:, None])[:rows])
-    u = _trim(B[:rows], airframe.mass * G0)
+    w0 = np.sqrt(_trim(B[:rows], airframe.mass * G0)) * e  # what a rotor has lost meets no air
     coarse = np.arange(0.0, STRONGEST + 0.5, 0.5)
-    first = _holds(airframe, Z, size[:rows], u, coarse)
+    first = _holds(airframe, Z, size[:rows], w0, coarse)
     if first.all():
         return STRONGEST
     start = max(int(first.argmin()) - 1, 0) * 0.5
     fine = start + np.arange(0.0, 0.51, 0.02)
-    return float(round(fine[max(int(_holds(airframe, Z, size[:rows], u, fine).argmin()) - 1, 0)], 2))
+    return float(round(fine[max(int(_holds(airframe, Z, size[:rows], w0, fine).argmin()) - 1, 0)], 2))
 
 
 def _trim(B, weight: float) -> np.ndarray:
@@ -251,12 +251,12 @@ def _trim(B, weight: float) -> np.ndarray:
     return lsq_linear(rows, np.append(wrench / scale, np.zeros(B.shape[1])), (0.0, 1.0), method="bvls").x
 
 
-def _holds(a: Airframe, Z: Planes, size, u, speeds) -> np.ndarray:
-    """(V,) bool for winds of those speeds from all sides. The forces are those of `simulation.dynamics`; the rotors turn as in hover,
-    all faster or slower by the thrust that the wind asks for."""
+def _holds(a: Airframe, Z: Planes, size, w0, speeds) -> np.ndarray:
+    """(V,) bool for winds of those speeds from all sides; w0 (n,): rotor speeds in hover, of full speed, times what each has
+    left. The forces are those of `simulation.dynamics`; the rotors turn as in hover, all faster or slower by the thrust that the wind
+    asks for."""
     weight = a.mass * G0
     V, angle = np.meshgrid(speeds, np.linspace(0.0, 2.0 * np.pi, HEADINGS, endpoint=False), indexing="ij")
-    w0 = np.sqrt(u)
     turns = np.ones_like(V)  # rotor speeds over those of hover
     side, down = (float(np.asarray(a.drag)[k]) for k in (0, 2))
     thrust, tilt = np.full_like(V, weight), np.zeros_like(V)

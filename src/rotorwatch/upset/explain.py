@@ -19,8 +19,9 @@ CARRIES = 1.5  # hover thrusts: a rotor that still gives so much, turns nothing 
 # How often each kind of explanation is met, of vehicles that left control.
 PRIOR = {"healthy": 0.4, "rotor": 0.4, "outside": 0.1}
 ORDER = {"healthy": 0.25, "rotor": 0.35, "outside": 0.08, "order": 0.25, "yaw": 0.05}
-# That all rotors fail alike, of which only a battery is capable: where its voltage is not logged, where it collapsed.
-COMMON = {None: 0.005, True: 0.3}
+# That all rotors fail alike: where the battery's voltage was steady (then none can, but commands that are wrong look so), where it is not
+# logged, where it collapsed.
+COMMON = {False: 1e-12, None: 0.005, True: 0.3}
 EXTERNAL_SD = 1.0  # hover thrusts of one rotor, of a torque from outside that lasts
 CHUNK = 256  # courses that are fitted at once
 
@@ -53,7 +54,7 @@ def explain(
     healthy = T @ B.T
     courses: list[np.ndarray] = []
     labels: list[tuple[str, tuple[int, ...], int, float]] = []
-    prior = {**(ORDER if orders else PRIOR), "common": COMMON.get(sagged, 0.0)}
+    prior = {**(ORDER if orders else PRIOR), "common": COMMON[sagged]}
 
     sizes = SIZES[(1.0 - SIZES) * window.full < CARRIES]
 
@@ -69,7 +70,7 @@ def explain(
                 lost = np.zeros(n)
                 lost[i] = size
                 add("rotor", (i,), k, size, np.where(since, (T * (1.0 - lost)) @ B.T, healthy))
-            if size <= 0.9 and sagged is not False:
+            if size <= 0.9:
                 add("common", (), k, size, np.where(since, (1.0 - size) * healthy, healthy))
         for a in range(3):
             for push in (-1.5, -0.6, 0.6, 1.5):
