@@ -164,12 +164,14 @@ def test_a_pair_of_opposite_rotors_has_to_be_surer_than_another():
         ({(0,): 0.99, (0, 1): 0.001}, (), ()),
         ({(0, 1): 0.9, (0,): 0.1}, (), ()),
         # Equal losses of two rotors look at first like one of the rotor between them: while that may be, it is said.
-        ({(0,): 0.99, (2, 3): 0.003, (1, 3): 0.0001}, ((3, 4),), ()),
+        ({(0,): 0.99, (2, 3): 0.003, (1, 3): 4e-6}, ((3, 4),), ()),
+        ({(0,): 0.99, (1, 3): 6e-6}, ((2, 4),), ()),
     ],
 )
 def test_a_rare_pair_hides_behind_one_rotor_only_where_the_data_prefer_it(probability, named, later):
     """Prior weights taken out: a pair is ten thousand times rarer than a rotor, and has to be twenty times as likely by the data. Rotors 1
-    and 2 of a quad X are opposite; others are named for the first second of a flight that goes on."""
+    and 2 of a quad X are opposite. Pairs without the rotor are named for the first second of a flight that goes on unless the data are twenty
+    times against them."""
     for stop, wanted in ((105, named), (115, later)):
         out, ticks = silence(), table()
         announce(out, 100, {(0,): 1.0}, age=3)
