@@ -170,8 +170,8 @@ def test_a_pair_of_opposite_rotors_has_to_be_surer_than_another():
 )
 def test_a_rare_pair_hides_behind_one_rotor_only_where_the_data_prefer_it(probability, named, later):
     """Prior weights taken out: a pair is ten thousand times rarer than a rotor, and has to be twenty times as likely by the data. Rotors 1
-    and 2 of a quad X are opposite. Pairs without the rotor are named for the first second of a flight that goes on unless the data are twenty
-    times against them."""
+    and 2 of a quad X are opposite. Pairs without the rotor are named for the first second of a flight that goes on unless the data are
+    twenty times against them."""
     for stop, wanted in ((105, named), (115, later)):
         out, ticks = silence(), table()
         announce(out, 100, {(0,): 1.0}, age=3)

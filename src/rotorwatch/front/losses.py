@@ -277,9 +277,9 @@ class Losses(Struct):
     def _hide(self, v: Vehicle, found: Found) -> None:
         """Pairs that only their rarity, not the data, rules out against the likeliest rotor. Losses on opposite rotors cancel in roll and
         pitch; gusts hide the rest in yaw and thrust. When the data favour such a pair by more than HIDDEN once prior weights are taken out,
-        a small loss of one rotor must not be claimed. Of a loss that has just been announced the same holds for any pair; and one without the
-        rotor is named unless the data are against it by HIDDEN: equal losses of two rotors look like one of the rotor between them until
-        their yaw and thrust show."""
+        a small loss of one rotor must not be claimed. Of a loss that has just been announced the same holds for any pair; and one without
+        the rotor is named unless the data are against it by HIDDEN: equal losses of two rotors look like one of the rotor between them
+        until their yaw and thrust show."""
         n = v.rotors
         best = -1.0
         likeliest = 0
