@@ -24,7 +24,7 @@ from rotorwatch.motion.airborne import airborne
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"
 FULL = bool(os.environ.get("ROTORWATCH_FULL_LAW"))
 KINDS = {"loss_of_effectiveness": 0, "output_override": 1, "contact": 2}
-ROUGH = {"hexa-opposite-2.bin.xz": "a loss that is hardly known (6 to 48 %) is 10 points off in single precision"}
+ROUGH = {"px4-ulogassessment": "a loss of a vehicle that tumbles (46 to 78 %) is 5 points off in single precision"}
 BURST = 2  # RW_BURST: no call in flight takes more of the ticks that have waited
 VERDICTS = {"healthy": 1, "fault": 2, "ambiguous": 3}
 COMPILER = next((name for name in ("gcc", "clang", "cc") if shutil.which(name)), None)
