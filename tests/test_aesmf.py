@@ -53,6 +53,7 @@ def test_a_sum_of_sets_holds_every_sum(seed):
         assert np.trace(P / (1 - other) + Q / other) >= np.trace(whole) - 1e-9
     # The source writes the shares mirrored; it is the same matrix.
     c = np.sqrt(np.trace(P)) / (np.sqrt(np.trace(P)) + np.sqrt(np.trace(Q)))
+    # Entries whose two parts cancel keep the rounding of the parts.
     np.testing.assert_allclose(whole, Q / (1 - c) + P / c, rtol=1e-12, atol=1e-14)
 
 

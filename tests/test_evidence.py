@@ -162,7 +162,7 @@ def test_a_jump_has_the_covariance_of_a_gaussian_in_all_its_directions_together(
         inner = np.linalg.inv(bank_.C[w][N:, N:] + np.diag(1.0 / prior[1:]))
         z = bank_.z[w][1] - bank_.C[w][1, N:] @ inner @ bank_.z[w][N:]
         dense = np.array([[moments(c, z, 1.0 - 0.3)[2]]])
-    assert cov[np.ix_(who, who)] == pytest.approx(dense, rel=1e-4)
+    assert cov[np.ix_(who, who)] == pytest.approx(dense, rel=1e-6)
     if len(who) == 2:
         assert abs(dense[0, 1]) > 0.05 * dense[0, 0]  # there is something to be told
     assert not cov[N:].any() and not cov[:, N:].any()  # what geometry is wrong by becomes no disturbance

@@ -37,9 +37,8 @@ CURRENT_POWER = (2.9, 0.4)  # beta
 # No model is better than this: speed ratio, and difference of currents in healthy currents.
 MODEL_S, MODEL_D = 0.01, 0.04
 LEAST_POWER_SD = 0.05
-SWING = (
-    0.3  # share by which W^2 lags behind the commands of a vehicle that tumbles: they swing faster than rotors follow
-)
+# Share by which W^2 lags behind the commands of a vehicle that tumbles: they swing faster than rotors follow.
+SWING = 0.3
 FEWEST = 10  # bins that a rotor's healthy part needs
 UNLOADED, UNLOADED_SD = 0.05, 0.05  # share of the lost thrust that a lighter propeller turns faster by, in W^2
 DRAG, DRAG_SD = 0.7, 0.4  # share of lost thrust that is lost drag too

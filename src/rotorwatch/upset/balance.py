@@ -90,15 +90,18 @@ def _near(window: Window) -> np.ndarray:
     return np.clip((window.thrust / window.full - BELOW_LIMIT) / (AT_LIMIT - BELOW_LIMIT), 0.0, 1.0)
 
 
+def _step(window: Window) -> float:
+    """Usual time between two ticks [s]; inf of one tick alone."""
+    return float(np.median(np.diff(window.time))) if window.time.size > 1 else np.inf
+
+
 def noise_variance(window: Window, B: np.ndarray) -> np.ndarray:
     """(K, 4) variance of e that depends on commands alone. B (4, n)."""
     T = window.thrust
     change = 0.5 * (np.abs(window.after - T) + np.abs(T - window.before))
     each = (THRUST_SHARE * T) ** 2 + (STEP_SHARE * change) ** 2 + (LACKS_SD * _near(window) * T) ** 2
     variance = FLOOR**2 + each @ (B**2).T
-    if window.time.size > 1:
-        speed_up = change / float(np.median(np.diff(window.time)))
-        variance[:, 2] += (SPIN_UP_S * speed_up) ** 2 @ B[2] ** 2
+    variance[:, 2] += (SPIN_UP_S / _step(window) * change) ** 2 @ B[2] ** 2
     whole = T.sum(axis=1) + STEP_SHARE / LOAD_SHARE * change.sum(axis=1)
     variance[:, 3] += (LOAD_SHARE * whole) ** 2 + (LOAD_FLOOR * B.shape[1]) ** 2
     variance *= (1.0 + (np.maximum(window.time - window.onset, 0.0) / STRANGE_S) ** 2)[:, None]
@@ -150,8 +153,7 @@ def fit(window: Window, wrench: np.ndarray, B: np.ndarray, offset: Offset) -> Fi
         inside, outside = _normal(e, variance), _normal(e, OUTLIER_SD**2 + variance)
         share = 1.0 / (1.0 + OUTLIERS / (1.0 - OUTLIERS) * np.exp(np.clip(outside - inside, -50.0, 50.0)))
     torque = np.logaddexp(np.log(1.0 - OUTLIERS) + inside, np.log(OUTLIERS) + outside)
-    steps = np.diff(window.time)
-    weight_of = min(1.0, float(np.median(steps)) / ERROR_S) if steps.size else 1.0
+    weight_of = min(1.0, _step(window) / ERROR_S)
     total = weight_of * np.where(ok, torque, 0.0).sum(axis=(1, 2))
     total -= 0.5 * (((p - mean) / np.where(p < mean, *sides)) ** 2).sum(axis=(1, 2))
     push = wrench[:, :, 3] - n * window.load[None]
