@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from tests import tumbling
 
 from rotorwatch import airframes, diagnose
+from rotorwatch.campaign import batch, benchmark_plan
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.upset import find, loss_of_control
@@ -271,3 +273,14 @@ def test_who_turns_over_on_the_ground_after_a_landing_is_not_healthy_and_no_roto
     assert left.landed and 6.0 <= left.onset < 6.5 and left.what == "turned over on the ground"
     parked = Signal(time, np.where(time[:, None] < 5.5, powered, 1000.0), tuple("1234"), "us")
     assert loss_of_control.find(replace(flight, signals={"attitude": attitude, "motors": parked}), [(1.0, 5.0)]) == ()
+
+
+@pytest.mark.parametrize(("number", "rotor"), [(117, 1), (803, 1)])
+def test_a_rotor_that_dies_in_wind_is_named_where_the_battery_was_steady(number, rotor):
+    """The controller swings all commands while the vehicle tumbles: rotors that speed up turn it in yaw, and all of them together seem to
+    give less than commanded. Neither takes the place of the dead rotor."""
+    flights = benchmark_plan.read(Path(__file__).parents[1] / "benchmarks" / "comparison" / "quad-x.toml").plan
+    (flown,) = batch.fly(flights, [number], 1)
+    (judged,) = flown.upsets
+    assert np.flatnonzero(flown.theta.max(axis=0) > 0.99).tolist() == [rotor]
+    assert judged.cause == "rotor" and judged.found[0].rotors == (rotor,) and judged.probability[0] > 0.9
