@@ -253,6 +253,23 @@ def test_one_explanation_at_least_is_without_the_rotor_that_leads(quad):
     assert any(who[2] and who.sum() == 2 for who in born.active)
 
 
+def test_gains_learn_without_what_the_known_loss_takes(quad, monkeypatch):
+    """Torque that a weak rotor lacks was commanded and made no motion."""
+    k, system, look, given = quad.born + 20, quad.method.system, model_error.look, []
+
+    def spied(memory, u, y, lost, *rest):
+        given.append(np.asarray(lost))
+        return look(memory, u, y, lost, *rest)
+
+    monkeypatch.setattr(model_error, "look", spied)
+    u, y, valid = (column[k + 1] for column in quad.table)
+    carry = at(quad.carries, k)
+    quad.method.bank.step(carry, u, y, valid)
+    theta = np.asarray(carry.branches.s[0, system.n_x :])
+    assert theta[2] > 0.05
+    np.testing.assert_allclose(given[0], np.asarray(system.B) @ (u[: system.n_theta] * theta), rtol=1e-9, atol=1e-12)
+
+
 def test_explanations_go_on_as_kalman_filters_and_are_weighed_by_what_they_predict(quad):
     """From the announcement on, each against a filter in matrices, whose innovations' joint log-densities give the weights."""
     k, method, last = quad.born, quad.method, quad.born + 25
