@@ -161,6 +161,8 @@ def test_two_flights_are_compared_by_keyboard(tab):
     unlike = ["rotor 3 (front left)", "rotor 5 (front right)", "aircraft"]
     assert page.locator("tr.differs th").all_text_contents() == [f"≠differs: {what}" for what in unlike]
     assert page.locator("#compared .airframe").count() == 2
+    # The page's script sets the colours when the page has been read to its end: later than the first drawing is there.
+    page.wait_for_load_state("load")
     assert (
         page.evaluate("getComputedStyle(document.querySelector('.degraded')).getPropertyValue('--rotor')") == "#d55e00"
     )
