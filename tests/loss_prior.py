@@ -20,3 +20,21 @@ def moments(c, z, left=1.0):
     mass = trapezoid(density, nu)
     mean = trapezoid(nu * density, nu) / mass
     return fit.max() + np.log(mass), mean, trapezoid((nu - mean) ** 2 * density, nu) / mass
+
+
+def one_of(kinds):
+    """Log mass, mean and variance of what is of one of these kinds: of each its share, and the same three."""
+    share, mass, mean, variance = np.transpose([[float(v) for v in kind] for kind in kinds])
+    mass = mass + np.log(share)
+    likely = np.exp(mass - np.logaddexp.reduce(mass))
+    at = likely @ mean
+    return np.logaddexp.reduce(mass), at, likely @ (variance + (mean - at) ** 2)
+
+
+def beside_steps(C, z, prior, left=1.0):
+    """`moments` of the first of the directions of C (k, k), z (k,), where the others step with variances `prior` (k - 1,)."""
+    inner = C[1:, 1:] + np.diag(1.0 / prior)
+    c, told = C[0, 0] - C[0, 1:] @ np.linalg.solve(inner, C[1:, 0]), np.linalg.solve(inner, z[1:])
+    gain = 0.5 * z[1:] @ told - 0.5 * np.linalg.slogdet(np.eye(len(prior)) + C[1:, 1:] * prior)[1]
+    mass, mean, variance = moments(c, z[0] - C[0, 1:] @ told, left)
+    return mass + gain, mean, variance

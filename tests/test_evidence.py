@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from scipy.special import logsumexp
-from tests.loss_prior import moments
+from tests.loss_prior import beside_steps, one_of
 
 from rotorwatch import airframes
 from rotorwatch.default import bank, evidence, hypotheses
 from rotorwatch.default.evidence import NOTHING
-from rotorwatch.default.hypotheses import CLEAR, FAR, FAR_SHARE, LOSS_WIDTH, TOTAL_LOSS, WEIGHT
+from rotorwatch.default.hypotheses import CLEAR, FAR, FAR_SHARE, LOSS_WIDTH, STEPPED_SHARE, TOTAL_LOSS, WEIGHT
 
 N, N_X, DT = 4, 20, 0.05
 HYP = hypotheses.make(N)
@@ -157,11 +157,11 @@ def test_a_jump_has_the_covariance_of_a_gaussian_in_all_its_directions_together(
     prior = np.array([width**2] * len(who) + (np.asarray(found.slop)[w] + 1e-12).tolist())
     dense = np.linalg.inv(bank_.C[w][np.ix_(index, index)] + np.diag(1.0 / prior))[: len(who), : len(who)]
     cov = np.asarray(jump.cov)
-    if name == "rotor 2":  # three Gaussians; what the data say is what the dense one has without its prior
-        c = 1.0 / dense[0, 0] - 1.0 / width**2
-        inner = np.linalg.inv(bank_.C[w][N:, N:] + np.diag(1.0 / prior[1:]))
-        z = bank_.z[w][1] - bank_.C[w][1, N:] @ inner @ bank_.z[w][N:]
-        dense = np.array([[moments(c, z, 1.0 - 0.3)[2]]])
+    if name == "rotor 2":  # parts of the prior instead of one Gaussian, with and without a step of thrust
+        C, z, steady = bank_.C[w][np.ix_(index, index)], bank_.z[w][index], prior[1:]
+        stepped = steady + [0.0, 0.0, 0.0, np.asarray(found.width)[3] ** 2]
+        parts = ((STEPPED_SHARE, stepped), (1.0 - STEPPED_SHARE, steady))
+        dense = np.array([[one_of([(share, *beside_steps(C, z, p, 1.0 - 0.3)) for share, p in parts])[2]]])
     assert cov[np.ix_(who, who)] == pytest.approx(dense, rel=1e-6)
     if len(who) == 2:
         assert abs(dense[0, 1]) > 0.05 * dense[0, 0]  # there is something to be told

@@ -124,9 +124,12 @@ def test_slop_is_steps_of_the_axes_integrated_out(seed):
 def test_a_single_rotor_with_slop_is_weighed_as_the_integral_over_loss_and_axes(loss, sd):
     C, z = quad_evidence(wrong=(1.05, 0.95, 0.8, 1.1), loss=loss, sd=sd)
     _, logbf, _ = factors(4, C, z, reach=1.0)
-    prior = np.asarray(hypotheses.slop(C, z, np.zeros(4), np.ones(4), np.ones(4)))[0]
+    steady = np.asarray(hypotheses.slop(C, z, np.zeros(4), np.ones(4), np.ones(4)))[0]
+    stepped = steady + [0.0, 0.0, 0.0, WIDTH[3] ** 2]
+    often = hypotheses.STEPPED_SHARE
     parts = [
-        np.log(share) + evidence(lambda v: with_steps(C[0], z[0], 0, prior, v), mean, width)
+        np.log(share * part) + evidence(lambda v, prior=prior: with_steps(C[0], z[0], 0, prior, v), mean, width)
+        for prior, part in ((stepped, often), (steady, 1.0 - often))
         for share, mean, width in KINDS
     ]
     assert logbf[0, 0] == pytest.approx(np.logaddexp.reduce(parts), abs=1e-4)
@@ -189,6 +192,8 @@ def test_a_single_rotor_is_weighed_as_the_integral_over_its_loss(loss, c):
     C, z = np.diag(np.full(n + 4, c))[None], np.zeros((1, n + 4))
     z[0, 1] = c * loss
     exact, mean, variance = moments(c, c * loss)
+    # Thrust, of its own here, would have been seen to step.
+    exact += np.log(1.0 - hypotheses.STEPPED_SHARE * (1.0 - 1.0 / np.sqrt(1.0 + c * WIDTH[3] ** 2)))
     _, logbf, nu, spread = with_spread(n, C, z)
     assert logbf[0, :n].argmax() == 1 and nu[0, 1, 1] == 0.0
     assert logbf[0, 1] == pytest.approx(exact, abs=1e-6)

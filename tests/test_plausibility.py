@@ -1,5 +1,7 @@
 """May this jump be a loss? Each gate by itself, at its limit, and how what is missing is followed."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -28,8 +30,9 @@ def float64():
     jax()
 
 
-def missing(fast=1.0, slow=0.0, limit=NOTHING):
-    return Missing(np.float64(fast), np.float64(slow), np.float64(0.0), np.float64(0.0), np.asarray(limit, float))
+def missing(fast=1.0, slow=0.0, limit=NOTHING, climb=0.0):
+    numbers = (np.float64(v) for v in (fast, slow, 0.0, 0.0, climb))
+    return Missing(*numbers, np.asarray(limit, float))
 
 
 def jump(*rotors):
@@ -106,6 +109,28 @@ def test_thrust_that_rotors_no_longer_give_is_missing(rough, slack):
             )
             assert possible(one, now=now, before=missing(slow=before), measured=False, rise=9.0, smooth=2.0)
     assert possible(jump((2, -0.3)), now=missing(fast=-9.0))  # what gives more again lacks nothing
+
+
+@pytest.mark.parametrize("climb, air", [(-3.0, 0.1 * N * 3.0), (0.0, 0.0), (3.0, 0.0)])
+def test_air_from_below_gives_thrust_that_a_rotor_lacks(climb, air):
+    """A vehicle that has begun to sink by 3 m/s: a tenth of all thrust for each m/s. Two rotors must show as in calm air."""
+    least, now = DEMAND_SHARE * 0.9 * 2.0 - MISSING_SLACK, partial(missing, climb=climb)
+    for more, answer in ((1e-6, True), (-1e-6, False)):
+        assert possible(jump((2, 0.9)), now=now(fast=least - air + more), smooth=2.0, rise=9.0) is answer
+        two = DEMAND_SHARE * 1.8 * 2.0 - MISSING_SLACK + more
+        assert possible(jump((2, 0.9), (4, 0.9)), now=now(fast=two), smooth=2.0, rise=9.0) is answer
+
+
+def test_the_speed_of_climb_is_what_the_load_factor_has_made_lately():
+    """Half a second at 1.2 g is 1 m/s; after six seconds 37 % of it are left, at a new start nothing, and what is not measured adds none."""
+    push = [(0.0, 1.2, 0.5, True, False)] * 5
+    begun = float(followed(push).climb)
+    assert begun == pytest.approx(0.2 * 9.80665 * 0.5, rel=0.05)
+    assert float(followed([(0.0, 0.8, 0.5, True, False)] * 5).climb) == pytest.approx(-begun)
+    quiet = [(0.0, 1.0, 0.5, True, False)] * round(USUAL_S / DT)
+    assert float(followed(push + quiet).climb) == pytest.approx(begun * np.exp(-1.0))
+    assert float(followed([*push, (0.0, 1.2, 0.5, True, True)]).climb) == 0.0
+    assert float(followed([(0.0, 1.2, 0.5, False, False)] * 5).climb) == 0.0
 
 
 @pytest.mark.parametrize("since", [0.05, 0.2, 1.0])

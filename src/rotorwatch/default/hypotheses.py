@@ -21,6 +21,8 @@ TOTAL_LOSS, NONE = 0.8, 0.015
 LOSS_WIDTH, SMALL_WIDTH = 0.3, 0.06
 # Motors stop and propellers come off: this share of losses takes all thrust that a rotor has left.
 TOTAL_SHARE = 0.1
+# In this share of losses thrust steps as well, as disturbances do.
+STEPPED_SHARE = 0.2
 # Share by which what a loss does to roll, pitch, yaw and thrust may differ from geometry: inflow and battery change thrust, and
 # in moving air rotors that no longer match in speed drag the vehicle round.
 SLOP = (0.1, 0.1, 0.4, 0.3)
@@ -137,20 +139,15 @@ def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, recovery, slop):
     det = jnp.maximum(free[:, a, a] * free[:, b, b] - free[:, a, b] ** 2, 1e-9)
     pair = pair - 0.5 * jnp.log(det * w2**2)
     others = disturbances(hyp, C, z, width)
-    c, z, gain = with_slop(C, z, slop)
-    # Losses are small as often as large, and now and then total: the sizes of these three, and how likely each is.
-    kinds = (
-        (*_near(c, z, 0.0, SMALL_WIDTH**2, lo, hi), 0.5 * (1.0 - TOTAL_SHARE)),
-        (*_near(c, z, 0.0, w2, lo, hi), 0.5 * (1.0 - TOTAL_SHARE)),
-        (*_near(c, z, hi, NONE**2, lo, hi), TOTAL_SHARE),
-    )
-    factors = jnp.stack([factor + np.log(share) for factor, _, _, share in kinds])
-    likely = jnp.exp(factors - factors.max(axis=0))
-    single = factors.max(axis=0) + jnp.log(likely.sum(axis=0)) + gain[:, None]
-    likely, sizes = likely / likely.sum(axis=0), jnp.stack([size for _, size, _, _ in kinds])
-    size = (likely * sizes).sum(axis=0)
-    spread = (likely * (jnp.stack([own for _, _, own, _ in kinds]) + (sizes - size) ** 2)).sum(axis=0)
-    over, recovered, _ = _near(c, z, recovery, recovery_sd(recovery) ** 2, None, None)
+    # A loss often comes while thrust is not what it was: in a climb, in a turn, in a gust.
+    stepped = jnp.concatenate([slop[:, :3], slop[:, 3:] + width[3] ** 2], axis=1)
+    kinds = []
+    for prior, share in ((stepped, STEPPED_SHARE), (slop, 1.0 - STEPPED_SHARE)):
+        c, score, gain = with_slop(C, z, prior)
+        factor, size, spread = loss(c, score, lo, hi)
+        kinds.append((factor + gain[:, None], size, spread, share))
+    single, size, spread = _mixed(kinds)
+    over, recovered, _ = near(c, score, recovery, recovery_sd(recovery) ** 2, None, None)
     over = over + gain[:, None]
     nu = [
         jnp.stack([size, jnp.zeros_like(size)], -1),
@@ -161,7 +158,27 @@ def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, recovery, slop):
     return jnp.concatenate([single, pair, over, others], axis=1), nu, spread
 
 
-def _near(c, z, mean, variance, lo, hi):
+def loss(c, z, lo, hi):
+    """Of one loss in [lo, hi] with information c and vector z: log Bayes factor, most probable size, and the variance of that. Losses are
+    small as often as large, and now and then total."""
+    partly = 0.5 * (1.0 - TOTAL_SHARE)
+    kinds = ((0.0, SMALL_WIDTH, partly), (0.0, LOSS_WIDTH, partly), (hi, NONE, TOTAL_SHARE))
+    return _mixed([(*near(c, z, mean, width**2, lo, hi), share) for mean, width, share in kinds])
+
+
+def _mixed(kinds):
+    """Log Bayes factor, size and its variance of what is of one of these kinds: of each the same three, and how likely it is before."""
+    import jax.numpy as jnp
+
+    factors = jnp.stack([factor + np.log(share) for factor, _, _, share in kinds])
+    likely = jnp.exp(factors - factors.max(axis=0))
+    factor = factors.max(axis=0) + jnp.log(likely.sum(axis=0))
+    likely, sizes = likely / likely.sum(axis=0), jnp.stack([size for _, size, _, _ in kinds])
+    size = (likely * sizes).sum(axis=0)
+    return factor, size, (likely * (jnp.stack([own for _, _, own, _ in kinds]) + (sizes - size) ** 2)).sum(axis=0)
+
+
+def near(c, z, mean, variance, lo, hi):
     """Log Bayes factor of a jump of prior N(mean, variance) against none, its most probable size in [lo, hi], and the variance of that."""
     import jax.numpy as jnp
 

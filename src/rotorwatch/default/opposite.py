@@ -80,12 +80,8 @@ def shared(hyp: Hypotheses, C, z):
 
     i, j = hyp.pairs.T
     c, z = C[:, i, i] + C[:, j, j] + 2.0 * C[:, i, j], z[:, i] + z[:, j]
-    parts, nu = [], z
-    for width in (hypotheses.SMALL_WIDTH, hypotheses.LOSS_WIDTH):
-        own = c + 1.0 / width**2
-        nu = jnp.clip(z / own, 0.0, 1.0)
-        parts.append(z * nu - 0.5 * own * nu**2 - 0.5 * jnp.log(own * width**2))
-    return jnp.logaddexp(*parts) - np.log(2.0), nu
+    small, large = (hypotheses.near(c, z, 0.0, w**2, 0.0, 1.0) for w in (hypotheses.SMALL_WIDTH, hypotheses.LOSS_WIDTH))
+    return jnp.logaddexp(small[0], large[0]) - np.log(2.0), large[1]
 
 
 def torque_free(hyp: Hypotheses, B):

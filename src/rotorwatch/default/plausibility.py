@@ -11,29 +11,33 @@ import numpy as np
 
 from rotorwatch.core import Array
 from rotorwatch.default import hypotheses, model_error, plant
+from rotorwatch.front.contact import G0
 
 # Both may be off by a standard deviation of this flight's disturbances, and by as much as the slack in calm air.
 DEMAND_SHARE, DEMAND_SLACK, DEMAND_MOST = 0.25, 0.05, 0.35
 MISSING_SLACK = 0.15  # hover thrusts of one rotor
+# Share of a rotor's thrust that air from below adds for each m/s: 0.4 of hover thrust over induced velocity, which is 4 m/s and more.
+INFLOW = 0.1
 LIMIT_S = 2.0  # how long it is remembered that a rotor was at its limit
 
 
 class Missing(NamedTuple):
     """Commanded thrust that the accelerometer does not see, hover thrusts of one rotor: fast, over ANSWER_S; slow, over USUAL_S. heave:
-    how far the load factor was from 1, lately; rose: how far above. limit (n,): share of its thrust that a rotor near its limit may have
+    how far the load factor was from 1, lately; rose: how far above. climb: m/s by which the vehicle has come to climb, lately. limit (n,): share of its thrust that a rotor near its limit may have
     lacked, lately."""
 
     fast: Array
     slow: Array
     heave: Array
     rose: Array
+    climb: Array
     limit: Array
 
 
 def init(n: int) -> Missing:
     """Nothing missing."""
     zero = np.float64(0.0)
-    return Missing(zero, zero, zero, zero, np.zeros(n))
+    return Missing(zero, zero, zero, zero, zero, np.zeros(n))
 
 
 def follow(state: Missing, missing, load, share, valid, restart, dt) -> Missing:
@@ -51,6 +55,7 @@ def follow(state: Missing, missing, load, share, valid, restart, dt) -> Missing:
         jnp.where(restart, missing, state.slow + (missing - state.slow) * (dt / plant.USUAL_S)),
         jnp.where(restart, push, jnp.maximum(push, state.heave * left)),
         jnp.where(restart, up, jnp.maximum(up, state.rose * left)),
+        jnp.where(restart, 0.0, state.climb * left + up * G0 * dt),
         jnp.where(restart, lacks, jnp.maximum(lacks, state.limit * jnp.exp(-dt / LIMIT_S))),
     )
 
@@ -82,14 +87,16 @@ def plausible(jump, since_s, smooth, rise, now: Missing, before: Missing, thrust
     # A controller asks more of a rotor that gives less: a candidate whose command has fallen instead is none. Of two rotors it asks what
     # geometry leaves of that.
     # Two rotors at once are rare: they have to show as they would in calm air.
-    n, rough = smooth.shape[0], jnp.where((jump != 0.0).any(axis=1).all(), 0.0, rough)
+    n, two = smooth.shape[0], (jump != 0.0).any(axis=1).all()
+    rough, sinks = jnp.where(two, 0.0, rough), jnp.where(two, 0.0, jnp.maximum(-now.climb, 0.0))
     swing = jnp.sqrt(rough[:3].sum()) / n
     demanded = coupling @ (jnp.minimum(jump, DEMAND_MOST).sum(axis=0) * smooth)
     ok = (jnp.abs(jump).max() > hypotheses.NONE) & jnp.where(
         jump > 0, rise > DEMAND_SHARE * demanded - jnp.maximum(DEMAND_SLACK, swing), True
     ).all()
-    # ... and what the rotors no longer give must be missing from the thrust, as far as its average can show that by now.
-    slack = jnp.maximum(MISSING_SLACK, jnp.sqrt(rough[3]))
+    # ... and what the rotors no longer give must be missing from the thrust, as far as its average can show that by now, and air from below
+    # does not give it.
+    slack = jnp.maximum(MISSING_SLACK, jnp.sqrt(rough[3])) + INFLOW * n * sinks
     lost_thrust = (jnp.clip(jump, 0.0, 1.0) * smooth).sum() * (1.0 - jnp.exp(-since_s / plant.ANSWER_S))
     ok &= ~thrust_valid | (lost_thrust <= 0.0) | (now.fast - before.slow > DEMAND_SHARE * lost_thrust - slack)
     # ... and not because a rotor at its limit gives no more.
