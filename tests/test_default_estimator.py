@@ -207,7 +207,7 @@ def test_every_slot_is_an_augmented_kalman_filter(quad, slot):
 
 def with_or_without_a_step(quad, k, age, slow, directions):
     """Mean (1,) and variance (1, 1) of one loss in `directions`, where thrust may have stepped as well: by dense filters."""
-    system, n_s, u, y = quad.method.system, quad.method.bank.n_s, *quad.table[:2]
+    n_s, (u, y, _) = quad.method.bank.n_s, quad.table
     noises = quad.carries.noise.variances
     width = np.clip(DISTURBANCE_SCALE * np.sqrt(noise.spread(noises[k - 1])[3]), *DISTURBANCE_RANGE)
     thrust = np.zeros((1, n_s))

@@ -159,7 +159,7 @@ def test_a_jump_has_the_covariance_of_a_gaussian_in_all_its_directions_together(
     cov = np.asarray(jump.cov)
     if name == "rotor 2":  # parts of the prior instead of one Gaussian, with and without a step of thrust
         C, z, steady = bank_.C[w][np.ix_(index, index)], bank_.z[w][index], prior[1:]
-        stepped = steady + [0.0, 0.0, 0.0, np.asarray(found.width)[3] ** 2]
+        stepped = steady + np.array([0.0, 0.0, 0.0, np.asarray(found.width)[3] ** 2])
         parts = ((STEPPED_SHARE, stepped), (1.0 - STEPPED_SHARE, steady))
         dense = np.array([[one_of([(share, *beside_steps(C, z, p, 1.0 - 0.3)) for share, p in parts])[2]]])
     assert cov[np.ix_(who, who)] == pytest.approx(dense, rel=1e-6)

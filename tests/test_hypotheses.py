@@ -125,7 +125,7 @@ def test_a_single_rotor_with_slop_is_weighed_as_the_integral_over_loss_and_axes(
     C, z = quad_evidence(wrong=(1.05, 0.95, 0.8, 1.1), loss=loss, sd=sd)
     _, logbf, _ = factors(4, C, z, reach=1.0)
     steady = np.asarray(hypotheses.slop(C, z, np.zeros(4), np.ones(4), np.ones(4)))[0]
-    stepped = steady + [0.0, 0.0, 0.0, WIDTH[3] ** 2]
+    stepped = steady + np.array([0.0, 0.0, 0.0, WIDTH[3] ** 2])
     often = hypotheses.STEPPED_SHARE
     parts = [
         np.log(share * part) + evidence(lambda v, prior=prior: with_steps(C[0], z[0], 0, prior, v), mean, width)

@@ -122,7 +122,7 @@ def test_air_from_below_gives_thrust_that_a_rotor_lacks(climb, air):
 
 
 def test_the_speed_of_climb_is_what_the_load_factor_has_made_lately():
-    """Half a second at 1.2 g is 1 m/s; after six seconds 37 % of it are left, at a new start nothing, and what is not measured adds none."""
+    """Half a second at 1.2 g is 1 m/s; after six seconds 37 % of it is left, after a new start nothing; what is not measured adds none."""
     push = [(0.0, 1.2, 0.5, True, False)] * 5
     begun = float(followed(push).climb)
     assert begun == pytest.approx(0.2 * 9.80665 * 0.5, rel=0.05)

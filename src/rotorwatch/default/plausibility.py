@@ -23,8 +23,8 @@ LIMIT_S = 2.0  # how long it is remembered that a rotor was at its limit
 
 class Missing(NamedTuple):
     """Commanded thrust that the accelerometer does not see, hover thrusts of one rotor: fast, over ANSWER_S; slow, over USUAL_S. heave:
-    how far the load factor was from 1, lately; rose: how far above. climb: m/s by which the vehicle has come to climb, lately. limit (n,): share of its thrust that a rotor near its limit may have
-    lacked, lately."""
+    how far the load factor was from 1, lately; rose: how far above; climb: speed [m/s] that it has made, lately. limit (n,): share of its
+    thrust that a rotor near its limit may have lacked, lately."""
 
     fast: Array
     slow: Array
