@@ -243,7 +243,7 @@ def test_a_born_branch_is_the_augmented_filters(quad, place):
         )
         n_s = bank.n_s
         root = np.linalg.cholesky(np.linalg.inv(P[n_s:, n_s:])).T
-        if who.size == 1:  # three Gaussians instead of the one that the dense filter has, with and without a step of thrust
+        if who.size == 1:  # parts of a prior instead of the one Gaussian of the dense filter
             nu, after = with_or_without_a_step(quad, k, age, slow, directions)
         else:
             nu, after = lsq_linear(root, root @ mean[n_s:], (0.0, 1.0), tol=1e-14).x, P[n_s:, n_s:]
