@@ -44,9 +44,8 @@ def restart(branches: Branches, P0, begins, hop) -> Branches:
 
 
 def predict(branches: Branches, decay, variances, trim, burst_factor, flying, dt) -> Branches:
-    """One tick ahead. decay (n_x,): of the plant's states; variances (4, 4) of the noise model; trim (4,): variance by which the slow bias
-    of each axis jumps besides; burst_factor: by how much errors have been larger than that model's. A loss that has been refined long
-    enough is taken as known, its variance is remembered; one that is none is over."""
+    """One tick ahead. decay (n_x,): of the plant's states; variances (4, 4) of the noise model; trim (4,): variance by which that of the
+    axes jumps besides; burst_factor: by how much errors have been larger than the noise model's. A loss that has been refined long enough is taken as known, its variance is remembered; one that is none is over."""
     import jax
     import jax.numpy as jnp
 
