@@ -84,8 +84,8 @@ def test_an_innovation_counts_as_six_standard_deviations_at_most():
         assert found[0] == pytest.approx(variance) and new == pytest.approx(P @ h * y / variance)
 
 
-def predict(b, flying=True, burst_factor=1.0, trim=(0.0, 0.0, 0.0, 0.0)):
-    return kalman.predict(b, SYSTEM.decay(DT), QUIET, np.array(trim), burst_factor, flying, DT)
+def predict(b, flying=True, burst_factor=1.0):
+    return kalman.predict(b, SYSTEM.decay(DT), QUIET, burst_factor, flying, DT)
 
 
 def test_disturbances_fade_and_walk_while_a_loss_is_refined_it_walks_too():
@@ -102,15 +102,6 @@ def test_disturbances_fade_and_walk_while_a_loss_is_refined_it_walks_too():
     assert np.asarray(after.theta_mean) == pytest.approx(0.2 + (theta - 0.2) * DT / kalman.MOVING_S)
     ground = np.asarray(predict(b, flying=False).P)
     assert ground[0, :N_X, :N_X] == pytest.approx((A[:, None] * b.P[0] * A)[:N_X, :N_X])
-
-
-def test_a_trim_that_may_have_jumped_is_open_again():
-    """By so much of the slow bias of each axis, and of nothing else."""
-    trim = np.array([0.1, 0.2, 0.3, 0.4])
-    opened = np.zeros(N_X + N)
-    opened[np.arange(4) * PER_AXIS + B3] = trim
-    more = np.asarray(predict(branches(), trim=trim).P) - np.asarray(predict(branches()).P)
-    assert more == pytest.approx(np.tile(np.diag(opened), (PLACES, 1, 1)), abs=1e-12)
 
 
 def test_a_loss_that_has_been_refined_is_known_its_variance_remembered():

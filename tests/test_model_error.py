@@ -246,27 +246,3 @@ def test_a_tick_without_commands_changes_nothing_that_is_usual():
         np.testing.assert_array_equal(getattr(memory, name), getattr(settled(), name))
     _, seen = look(memory, inputs())
     assert float(seen.far) == 0.0
-
-
-def test_a_rotor_near_its_limit_may_lack_what_it_is_commanded_beyond_what_is_certain():
-    """None up to BELOW_LIMIT, all beyond it from AT_LIMIT on, in between in proportion: of full thrust 2.5 hover thrusts."""
-    below, limit, full = model_error.BELOW_LIMIT, model_error.AT_LIMIT, 2.5
-    for share, near in ((0.2, 0.0), (below, 0.0), (0.5 * (below + limit), 0.5), (limit, 1.0), (1.0, 1.0)):
-        found = model_error.lacking(inputs(np.array([share * full, 0.5, 0.5, 0.5]), full=full), N)
-        assert np.asarray(found) == pytest.approx([near * max(0.0, share - below) * full, 0.0, 0.0, 0.0])
-
-
-@pytest.mark.parametrize("begins", [True, False])
-def test_the_trim_may_jump_when_a_rotor_comes_to_its_limit_and_when_it_leaves_it(begins):
-    """By what that rotor does to each axis times what it may lack from then on, or no longer; a model error lasts for ERROR_TICKS. While it
-    stays there nothing jumps, and a tick without commands says nothing."""
-    hover, at_limit = inputs(full=2.5), inputs(np.array([1.0, 2.4, 1.0, 1.0]), full=2.5)
-    before, now = (hover, at_limit) if begins else (at_limit, hover)
-    memory, _ = look(settled(), before)
-    lack = 2.4 - model_error.BELOW_LIMIT * 2.5
-    found = np.asarray(model_error.limit_jumps(memory, now, True, B, N))
-    assert found == pytest.approx(model_error.ERROR_TICKS * (B[:, 1] * lack) ** 2)
-    assert not np.asarray(model_error.limit_jumps(memory, before, True, B, N)).any()
-    assert not np.asarray(model_error.limit_jumps(memory, now, False, B, N)).any()
-    unseen, _ = look(memory, now, valid=NO)
-    assert np.asarray(unseen.lack) == pytest.approx(np.asarray(memory.lack))

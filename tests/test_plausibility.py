@@ -8,16 +8,19 @@ import pytest
 from rotorwatch import airframes
 from rotorwatch.default import plausibility
 from rotorwatch.default.hypotheses import NONE
+from rotorwatch.default.model_error import AT_LIMIT, BELOW_LIMIT
 from rotorwatch.default.plant import ANSWER_S, USUAL_S
 from rotorwatch.default.plausibility import (
     DEMAND_MOST,
     DEMAND_SHARE,
     DEMAND_SLACK,
+    LIMIT_S,
     MISSING_SLACK,
     Missing,
 )
 
 N, DT = 4, 0.1
+NOTHING = np.zeros(N)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -27,8 +30,9 @@ def float64():
     jax()
 
 
-def missing(fast=1.0, slow=0.0, climb=0.0):
-    return Missing(*(np.float64(v) for v in (fast, slow, 0.0, 0.0, climb)))
+def missing(fast=1.0, slow=0.0, limit=NOTHING, climb=0.0):
+    numbers = (np.float64(v) for v in (fast, slow, 0.0, 0.0, climb))
+    return Missing(*numbers, np.asarray(limit, float))
 
 
 def jump(*rotors):
@@ -45,13 +49,15 @@ def possible(
     now=None,
     before=None,
     measured=True,
+    active=(),
     rough=(0.0, 0.0, 0.0, 0.0),
     smooth=1.0,
     since=60.0,
 ):
+    known = np.isin(np.arange(1, N + 1), active)
     return bool(
         plausibility.plausible(
-            what, since, np.full(N, smooth), np.full(N, rise), now or missing(), before or missing(), measured,
+            what, since, np.full(N, smooth), np.full(N, rise), now or missing(), before or missing(), measured, known,
             np.asarray(rough, float), np.eye(N),
         )
     )  # fmt: skip
@@ -117,14 +123,14 @@ def test_air_from_below_gives_thrust_that_a_rotor_lacks(climb, air):
 
 def test_the_speed_of_climb_is_what_the_load_factor_has_made_lately():
     """Half a second at 1.2 g is 1 m/s; after six seconds 37 % of it is left, after a new start nothing; what is not measured adds none."""
-    push = [(0.0, 1.2, True, False)] * 5
+    push = [(0.0, 1.2, 0.5, True, False)] * 5
     begun = float(followed(push).climb)
     assert begun == pytest.approx(0.2 * 9.80665 * 0.5, rel=0.05)
-    assert float(followed([(0.0, 0.8, True, False)] * 5).climb) == pytest.approx(-begun)
-    quiet = [(0.0, 1.0, True, False)] * round(USUAL_S / DT)
+    assert float(followed([(0.0, 0.8, 0.5, True, False)] * 5).climb) == pytest.approx(-begun)
+    quiet = [(0.0, 1.0, 0.5, True, False)] * round(USUAL_S / DT)
     assert float(followed(push + quiet).climb) == pytest.approx(begun * np.exp(-1.0))
-    assert float(followed([*push, (0.0, 1.2, True, True)]).climb) == 0.0
-    assert float(followed([(0.0, 1.2, False, False)] * 5).climb) == 0.0
+    assert float(followed([*push, (0.0, 1.2, 0.5, True, True)]).climb) == 0.0
+    assert float(followed([(0.0, 1.2, 0.5, False, False)] * 5).climb) == 0.0
 
 
 @pytest.mark.parametrize("since", [0.05, 0.2, 1.0])
@@ -140,35 +146,63 @@ def test_a_jump_beyond_all_lacks_no_more_than_all():
     assert possible(jump((2, 1.5)), now=missing(fast=least + 1e-6), smooth=2.0, rise=9.0)
 
 
+def test_what_a_limit_explains_is_no_loss():
+    """Of the rotor at its limit only; a rotor that is known to be weak is asked no more."""
+    limit = np.array([0.0, 0.2, 0.0, 0.0])
+    assert not possible(jump((2, 0.19)), now=missing(limit=limit)) and possible(
+        jump((2, 0.21)), now=missing(limit=limit)
+    )
+    assert possible(jump((3, 0.19)), now=missing(limit=limit))
+    assert possible(jump((2, 0.19)), now=missing(limit=limit), active=(2,))
+    assert possible(jump((2, -0.19)), now=missing(limit=limit), active=(2,))
+
+
 def followed(rows, start=None):
-    """(missing, load, valid, restart) tick by tick."""
-    state = start or plausibility.init()
-    for what, load, valid, restart in rows:
-        state = plausibility.follow(state, what, load, valid, restart, DT)
+    """(missing, load, share, valid, restart) tick by tick."""
+    state = start or plausibility.init(N)
+    for what, load, share, valid, restart in rows:
+        state = plausibility.follow(state, what, load, np.full(N, share), valid, restart, DT)
     return state
 
 
 def test_what_is_missing_is_averaged_over_half_a_second_and_six():
     """First order: after its time constant 63 % of a step; what is not measured takes nothing from the slow one."""
-    begun = [(0.0, 1.0, True, True)]
+    begun = [(0.0, 1.0, 0.5, True, True)]
     for name, tau in (("fast", ANSWER_S), ("slow", USUAL_S)):
         ticks = round(tau / DT)
-        part = float(getattr(followed(begun + [(2.0, 1.0, True, False)] * ticks), name))
+        part = float(getattr(followed(begun + [(2.0, 1.0, 0.5, True, False)] * ticks), name))
         assert part == pytest.approx(2.0 * (1.0 - (1.0 - DT / tau) ** ticks)) and 1.2 < part < 1.4
-    blind = followed([(5.0, 1.0, False, False)] * 30, missing(fast=1.0, slow=0.4))
+    blind = followed([(5.0, 1.0, 0.5, False, False)] * 30, missing(fast=1.0, slow=0.4))
     assert float(blind.slow) == pytest.approx(0.4) and float(blind.fast) == pytest.approx(0.4, abs=0.03)
-    anew = followed([(3.0, 1.4, True, True)], missing(fast=1.0, slow=0.4))
+    anew = followed([(3.0, 1.4, 0.95, True, True)], missing(fast=1.0, slow=0.4, limit=np.ones(N)))
     assert float(anew.fast) == float(anew.slow) == 3.0 and float(anew.heave) == pytest.approx(0.4)
+    assert anew.limit == pytest.approx(1.0 - BELOW_LIMIT / 0.95)
 
 
 @pytest.mark.parametrize("load", [0.5, 1.5])
 def test_a_push_up_or_down_is_remembered_for_eight_seconds(load):
-    push = [(0.0, load, True, False)]
+    push = [(0.0, load, 0.5, True, False)]
     assert float(followed(push).heave) == pytest.approx(0.5)
     assert float(followed(push).rose) == pytest.approx(max(load - 1.0, 0.0)), "no loss lifts a vehicle"
-    quiet = [(0.0, 1.0, True, False)] * round(USUAL_S / DT)
+    quiet = [(0.0, 1.0, 0.5, True, False)] * round(USUAL_S / DT)
     assert float(followed(push + quiet).heave) == pytest.approx(0.5 * np.exp(-1.0))
-    assert float(followed([(0.0, load, False, False)]).heave) == 0.0
+    assert float(followed([(0.0, load, 0.5, False, False)]).heave) == 0.0
+
+
+def test_a_rotor_near_its_limit_may_lack_what_it_is_commanded_beyond_what_is_believed():
+    """None up to BELIEVED, all beyond it from AT_LIMIT on, in between in proportion; remembered for two seconds."""
+    for share, near in (
+        (BELOW_LIMIT, 0.0),
+        (0.5 * (BELOW_LIMIT + AT_LIMIT), 0.5),
+        (AT_LIMIT, 1.0),
+        (1.0, 1.0),
+        (0.2, 0.0),
+    ):
+        found = followed([(0.0, 1.0, share, True, False)]).limit
+        assert found == pytest.approx(near * max(0.0, 1.0 - BELOW_LIMIT / share))
+    quiet = [(0.0, 1.0, 0.3, True, False)] * round(LIMIT_S / DT)
+    after = followed([(0.0, 1.0, 1.0, True, False), *quiet]).limit
+    assert after == pytest.approx((1.0 - BELOW_LIMIT) * np.exp(-1.0))
 
 
 def test_what_is_asked_of_two_rotors_follows_from_geometry():

@@ -105,7 +105,7 @@ class JumpBank:
             noise=noise.init(self.dt, *(self.noise_prior or ())),
             bank=self.jumps.init(),
             model_error=model_error.init(self.n),
-            missing=plausibility.init(),
+            missing=plausibility.init(self.n),
             alarm_state=announcement.init(),
             opposite_s=np.float64(0),
         )
@@ -124,8 +124,7 @@ class JumpBank:
         # One tick ahead: the filters of all explanations, and the bank of the one that leads.
         branches = kalman.restart(carry.branches, system.P0, restart, hop)
         burst_factor = (1.0 / model_error.calm(carry.model_error)).mean()
-        limits = model_error.limit_jumps(carry.model_error, u, valid[0], system.B, n)
-        branches = kalman.predict(branches, system.decay(dt), variances, limits, burst_factor, flying, dt)
+        branches = kalman.predict(branches, system.decay(dt), variances, burst_factor, flying, dt)
         A = plant.arrays(dt).concatenate([system.decay(dt), np.ones(n)])
         onsets = self.jumps.advance(carry.bank, A, judge, judge & ~restart)
 
@@ -136,7 +135,7 @@ class JumpBank:
         error = model_error.variance(carry.model_error, seen, x, y, variances[0], system.B, n, dt)
         calm = model_error.calm(memory)
         lacking = y[3] - u[n + 3] * x[3 * PER_AXIS + GAIN]
-        missing = plausibility.follow(carry.missing, lacking, u[n + 3] / n, valid[3], restart, dt)
+        missing = plausibility.follow(carry.missing, lacking, u[n + 3] / n, u[:n] / u[n + 9], valid[3], restart, dt)
 
         # The measurement: to every explanation, and to the bank.
         rows = jnp.concatenate([system.C(seen.u), system.H(seen.u, x)], axis=1)
@@ -165,7 +164,7 @@ class JumpBank:
         rough = noise.spread(variances)
         coupling = plausibility.demand_coupling(system.B)
         possible = plausibility.plausible(
-            best.each, best.since * dt, seen.u[:n], seen.rise, missing, carry.missing, valid[3], rough, coupling
+            best.each, best.since * dt, seen.u[:n], seen.rise, missing, carry.missing, valid[3], active, rough, coupling
         )
         alarm_state, alarm_decision = announcement.decide(
             carry.alarm_state, found, best, self.jumps, self.limit, possible, active.any(), judge, dt

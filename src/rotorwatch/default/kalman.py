@@ -43,15 +43,15 @@ def restart(branches: Branches, P0, begins, hop) -> Branches:
     )
 
 
-def predict(branches: Branches, decay, variances, trim, burst_factor, flying, dt) -> Branches:
-    """One tick ahead. decay (n_x,): of the plant's states; variances (4, 4) of the noise model; trim (4,): variance by which that of the
-    axes jumps besides; burst_factor: by how much errors have been larger than the noise model's. A loss that has been refined long enough is taken as known, its variance is remembered; one that is none is over."""
+def predict(branches: Branches, decay, variances, burst_factor, flying, dt) -> Branches:
+    """One tick ahead. decay (n_x,): of the plant's states; variances (4, 4) of the noise model; burst_factor: by how much errors have been
+    larger than that. A loss that has been refined long enough is taken as known, its variance is remembered; one that is none is over."""
     import jax
     import jax.numpy as jnp
 
     n_x = len(decay)
     A = plant.arrays(dt).concatenate([decay, np.ones(branches.s.shape[1] - n_x)])
-    q_x = jnp.where(flying, noise.process_variance(variances, dt), 0.0).at[np.arange(4) * PER_AXIS + B3].add(trim)
+    q_x = jnp.where(flying, noise.process_variance(variances, dt), 0.0)
     q_x = jnp.concatenate([q_x, jnp.zeros(n_x - q_x.size)])
 
     def one(s, P, active, learning, theta_var, theta_mean):

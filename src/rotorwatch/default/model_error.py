@@ -35,8 +35,7 @@ BELOW_LIMIT, AT_LIMIT = 0.6, 0.9
 
 class Memory(NamedTuple):
     """level (6,): calm variance of angular accelerations and rates. thrust, trim (n,): each rotor's thrust less the mean of all, in
-    half a second and in six; thrust_level (n,): its calm variance. collective: the mean. y (4,): last wrench. lack (n,):
-    `lacking` then."""
+    half a second and in six; thrust_level (n,): its calm variance. collective: the mean. y (4,): last wrench."""
 
     level: Array
     thrust: Array
@@ -47,7 +46,6 @@ class Memory(NamedTuple):
     burst: Array
     innovation_mean: Array
     lasting: Array
-    lack: Array
 
 
 class Look(NamedTuple):
@@ -73,25 +71,7 @@ def init(n: int) -> Memory:
         np.ones(4),
         np.zeros(4),
         np.ones(4),
-        np.zeros(n),
     )
-
-
-def lacking(u, n: int):
-    """(n,) hover thrusts that each rotor may give less than it is commanded, because it is near its limit."""
-    import jax.numpy as jnp
-
-    full = u[n + 9]
-    near = jnp.clip((u[:n] / full - BELOW_LIMIT) / (AT_LIMIT - BELOW_LIMIT), 0.0, 1.0)
-    return near * (u[:n] - jnp.minimum(u[:n], BELOW_LIMIT * full))
-
-
-def limit_jumps(memory: Memory, u, ok, B, n: int):
-    """(4,) variance by which the trim may jump at this tick, because rotors near their limits begin or cease to lack thrust; B (4, n)."""
-    import jax.numpy as jnp
-
-    changes = jnp.where(ok, lacking(u, n) - memory.lack, 0.0)
-    return ERROR_TICKS * (B**2 @ changes**2)
 
 
 def look(memory: Memory, u, y, lost, valid, flying, restart, x, variances, n: int, dt) -> tuple[Memory, Look]:
@@ -150,7 +130,6 @@ def look(memory: Memory, u, y, lost, valid, flying, restart, x, variances, n: in
         jnp.where(restart, 1.0, memory.burst),
         jnp.where(restart, 0.0, memory.innovation_mean),
         memory.lasting,
-        jnp.where(valid[0], lacking(u, n), memory.lack),
     )
     gain_share = jnp.concatenate([gain_share.reshape(-1), jnp.ones(x.size - AXIS_STATES + n)])
     return new, Look(jnp.concatenate([smooth, u[n:]]), gain_share, far, smooth - collective - memory.trim, collective)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.core import Array
-from rotorwatch.default import hypotheses, plant
+from rotorwatch.default import hypotheses, model_error, plant
 from rotorwatch.front.contact import G0
 
 # Both may be off by a standard deviation of this flight's disturbances, and by as much as the slack in calm air.
@@ -18,37 +18,45 @@ DEMAND_SHARE, DEMAND_SLACK, DEMAND_MOST = 0.25, 0.05, 0.35
 MISSING_SLACK = 0.15  # hover thrusts of one rotor
 # Share of a rotor's thrust that air from below adds for each m/s: 0.4 of hover thrust over induced velocity, which is 4 m/s and more.
 INFLOW = 0.1
+LIMIT_S = 2.0  # how long it is remembered that a rotor was at its limit
 
 
 class Missing(NamedTuple):
     """Commanded thrust that the accelerometer does not see, hover thrusts of one rotor: fast, over ANSWER_S; slow, over USUAL_S. heave:
-    how far the load factor was from 1, lately; rose: how far above; climb: speed [m/s] that it has made, lately."""
+    how far the load factor was from 1, lately; rose: how far above; climb: speed [m/s] that it has made, lately. limit (n,): share of its
+    thrust that a rotor near its limit may have lacked, lately."""
 
     fast: Array
     slow: Array
     heave: Array
     rose: Array
     climb: Array
+    limit: Array
 
 
-def init() -> Missing:
+def init(n: int) -> Missing:
     """Nothing missing."""
-    return Missing(*[np.float64(0.0)] * 5)
+    zero = np.float64(0.0)
+    return Missing(zero, zero, zero, zero, zero, np.zeros(n))
 
 
-def follow(state: Missing, missing, load, valid, restart, dt) -> Missing:
-    """One tick on. missing: commanded thrust minus load factor times its gain, where `valid`; load: that factor."""
+def follow(state: Missing, missing, load, share, valid, restart, dt) -> Missing:
+    """One tick on. missing: commanded thrust minus load factor times its gain, where `valid`; load: that factor. share (n,): of full
+    thrust that each rotor is commanded."""
     import jax.numpy as jnp
 
     up = jnp.where(valid, load - 1.0, 0.0)
     push, left = jnp.abs(up), jnp.exp(-dt / plant.USUAL_S)
     missing = jnp.where(valid, missing, state.slow)
+    near = jnp.clip((share - model_error.BELOW_LIMIT) / (model_error.AT_LIMIT - model_error.BELOW_LIMIT), 0.0, 1.0)
+    lacks = near * (1.0 - model_error.BELOW_LIMIT / jnp.maximum(share, model_error.BELOW_LIMIT))
     return Missing(
         jnp.where(restart, missing, state.fast + (missing - state.fast) * jnp.minimum(dt / plant.ANSWER_S, 1.0)),
         jnp.where(restart, missing, state.slow + (missing - state.slow) * (dt / plant.USUAL_S)),
         jnp.where(restart, push, jnp.maximum(push, state.heave * left)),
         jnp.where(restart, up, jnp.maximum(up, state.rose * left)),
         jnp.where(restart, 0.0, state.climb * left + up * G0 * dt),
+        jnp.where(restart, lacks, jnp.maximum(lacks, state.limit * jnp.exp(-dt / LIMIT_S))),
     )
 
 
@@ -68,10 +76,10 @@ def demand_coupling(B):
     return jnp.where(against, 0.0, answer / jnp.maximum(jnp.diagonal(answer)[:, None], 1e-9))
 
 
-def plausible(jump, since_s, smooth, rise, now: Missing, before: Missing, thrust_valid, rough, coupling):
+def plausible(jump, since_s, smooth, rise, now: Missing, before: Missing, thrust_valid, active, rough, coupling):
     """bool: may the jump (2, n; two rotors at most, 0 elsewhere) be a loss? coupling (n, n): `asked_of`.
 
-    smooth (n,): thrust of each rotor; rise (n,): commands above trim.
+    smooth (n,): thrust of each rotor; rise (n,): commands above trim. active (n,): rotors already known to be weak.
     rough (4,): variance of this flight's disturbances.
     """
     import jax.numpy as jnp
@@ -90,4 +98,7 @@ def plausible(jump, since_s, smooth, rise, now: Missing, before: Missing, thrust
     # does not give it.
     slack = jnp.maximum(MISSING_SLACK, jnp.sqrt(rough[3])) + INFLOW * n * sinks
     lost_thrust = (jnp.clip(jump, 0.0, 1.0) * smooth).sum() * (1.0 - jnp.exp(-since_s / plant.ANSWER_S))
-    return ok & (~thrust_valid | (lost_thrust <= 0.0) | (now.fast - before.slow > DEMAND_SHARE * lost_thrust - slack))
+    ok &= ~thrust_valid | (lost_thrust <= 0.0) | (now.fast - before.slow > DEMAND_SHARE * lost_thrust - slack)
+    # ... and not because a rotor at its limit gives no more.
+    claimed = (jump > 0) & ~active[None, :]
+    return ok & jnp.where(claimed, jump > now.limit[None, :], True).all()
