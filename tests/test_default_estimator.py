@@ -17,8 +17,7 @@ from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.default import announcement, hypotheses, kalman, model_error, noise, opposite, posterior
 from rotorwatch.default import bank as onsets
 from rotorwatch.default.estimator import JumpBank
-from rotorwatch.default.evidence import DISTURBANCE_RANGE, DISTURBANCE_SCALE
-from rotorwatch.default.hypotheses import LOSS_WIDTH, STEPPED_SHARE
+from rotorwatch.default.hypotheses import AIR_SHARE, LOSS_WIDTH
 from rotorwatch.default.plant import ANSWER_S, B3, GAIN, PER_AXIS, SIDEWAYS, WrenchBalance
 from rotorwatch.front import losses
 from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN
@@ -205,20 +204,20 @@ def test_every_slot_is_an_augmented_kalman_filter(quad, slot):
         np.testing.assert_allclose(P[:-1, -1], M / precision, atol=1e-9)
 
 
-def with_or_without_a_step(quad, k, age, slow, directions):
-    """Mean (1,) and variance (1, 1) of one loss in `directions`, where thrust may have stepped as well: by dense filters."""
-    n_s, (u, y, _) = quad.method.bank.n_s, quad.table
+def in_air_that_moves_or_not(quad, k, age, slow, directions):
+    """Mean (1,) and variance (1, 1) of one loss in `directions`, where the air may have changed thrust as well: by dense filters."""
+    system, n_s, (u, y, _) = quad.method.system, quad.method.bank.n_s, quad.table
     noises = quad.carries.noise.variances
-    width = np.clip(DISTURBANCE_SCALE * np.sqrt(noise.spread(noises[k - 1])[3]), *DISTURBANCE_RANGE)
+    air = 0.1 * system.n_theta * quad.carries.missing.climb[k]
     thrust = np.zeros((1, n_s))
     thrust[0, 3 * PER_AXIS + B3] = 1.0
     both = np.concatenate([directions, thrust])
-    prior = np.array([LOSS_WIDTH**2, width**2])
+    prior = np.array([LOSS_WIDTH**2, max(air**2, 1e-12)])
     m, V = dense(quad.method, u, y, noises, k - age, both, shares_of(slow), k, prior)
     C = np.linalg.inv(V[n_s:, n_s:])
     z, C = C @ m[n_s:], C - np.diag(1.0 / prior)
-    stepped, steady = beside_steps(C, z, prior[1:]), moments(C[0, 0], z[0])
-    _, size, variance = one_of([(STEPPED_SHARE, *stepped), (1.0 - STEPPED_SHARE, *steady)])
+    moved, steady = beside_steps(C, z, prior[1:]), moments(C[0, 0], z[0])
+    _, size, variance = one_of([(AIR_SHARE, *moved), (1.0 - AIR_SHARE, *steady)])
     return np.clip([size], 0.0, 1.0), np.array([[variance]])  # the most probable of 0..1
 
 
@@ -244,7 +243,7 @@ def test_a_born_branch_is_the_augmented_filters(quad, place):
         n_s = bank.n_s
         root = np.linalg.cholesky(np.linalg.inv(P[n_s:, n_s:])).T
         if who.size == 1:  # parts of a prior instead of the one Gaussian of the dense filter
-            nu, after = with_or_without_a_step(quad, k, age, slow, directions)
+            nu, after = in_air_that_moves_or_not(quad, k, age, slow, directions)
         else:
             nu, after = lsq_linear(root, root @ mean[n_s:], (0.0, 1.0), tol=1e-14).x, P[n_s:, n_s:]
         lean = P[:n_s, n_s:] @ np.linalg.inv(P[n_s:, n_s:])

@@ -8,12 +8,13 @@ from tests.loss_prior import beside_steps, one_of
 from rotorwatch import airframes
 from rotorwatch.default import bank, evidence, hypotheses
 from rotorwatch.default.evidence import NOTHING
-from rotorwatch.default.hypotheses import CLEAR, FAR, FAR_SHARE, LOSS_WIDTH, STEPPED_SHARE, TOTAL_LOSS, WEIGHT
+from rotorwatch.default.hypotheses import AIR_SHARE, CLEAR, FAR, FAR_SHARE, LOSS_WIDTH, TOTAL_LOSS, WEIGHT
 
 N, N_X, DT = 4, 20, 0.05
 HYP = hypotheses.make(N)
 B = airframes.named("ardupilot-quad-x").effectiveness()
 REACH = np.abs(B).max(axis=0)
+AIR = 0.3
 CALM = np.tile(np.array([[0.01**2], [0.02**2], [0.02**2], [0.01**2]]), (1, 4))
 FAULTS = [h for h, fault in enumerate(HYP.fault) if fault]
 
@@ -45,7 +46,12 @@ def told(strength=60.0, jump=(0, 0.1), seed=0, sd=0.03):
 
 def gather(bank_, theta=(0.0,) * N, active=(), variances=CALM):
     known = np.isin(np.arange(1, N + 1), active)
-    return evidence.gather(HYP, JUMPS, bank_, np.asarray(theta, float), known, variances, REACH)
+    return evidence.gather(HYP, JUMPS, bank_, np.asarray(theta, float), known, variances, REACH, AIR**2)
+
+
+def moved(width):
+    """Width of disturbances, where air moves as well."""
+    return np.hypot(width, [0.0, 0.0, 0.0, AIR])
 
 
 def expected(found, bank_, theta=(0.0,) * N, active=()):
@@ -94,19 +100,20 @@ def test_two_rotors_at_once_need_ten_thousand_times_the_odds():
 
 
 def test_disturbances_larger_than_this_flights_are_a_fifth_of_them():
-    """Four times as wide as the noise model has them, within limits."""
+    """Four times as wide as the noise model has them, within limits; in thrust also as the air that moves."""
     bank_ = told()
     found = gather(bank_)
     sd = np.sqrt(CALM[1] + CALM[2] + 5.0 * CALM[3])
     assert (
-        np.asarray(found.width) == pytest.approx(np.clip(3.0 * sd, 0.03, 1.0)) and np.asarray(found.width).min() > 0.03
+        np.asarray(found.width) == pytest.approx(moved(np.clip(3.0 * sd, 0.03, 1.0)))
+        and np.asarray(found.width).min() > 0.03
     )
     wide = np.asarray(hypotheses.disturbances(HYP, bank_.C, bank_.z, FAR * found.width))
     live = np.asarray(bank_.age) >= 0
     wanted = logsumexp((wide + np.log(JUMPS.stride)[:, None])[live]) + np.log(FAR_SHARE * WEIGHT["disturbance"])
     assert found.far == pytest.approx(wanted, rel=1e-9)
-    assert np.asarray(gather(bank_, variances=1e-12 * CALM).width) == pytest.approx(np.full(4, 0.03))
-    assert np.asarray(gather(bank_, variances=1e6 * CALM).width) == pytest.approx(np.ones(4))
+    assert np.asarray(gather(bank_, variances=1e-12 * CALM).width) == pytest.approx(moved(np.full(4, 0.03)))
+    assert np.asarray(gather(bank_, variances=1e6 * CALM).width) == pytest.approx(moved(np.ones(4)))
 
 
 def test_slots_that_are_not_in_use_say_nothing():
@@ -157,10 +164,10 @@ def test_a_jump_has_the_covariance_of_a_gaussian_in_all_its_directions_together(
     prior = np.array([width**2] * len(who) + (np.asarray(found.slop)[w] + 1e-12).tolist())
     dense = np.linalg.inv(bank_.C[w][np.ix_(index, index)] + np.diag(1.0 / prior))[: len(who), : len(who)]
     cov = np.asarray(jump.cov)
-    if name == "rotor 2":  # parts of the prior instead of one Gaussian, with and without a step of thrust
+    if name == "rotor 2":  # parts of the prior instead of one Gaussian, with and without air that moves
         C, z, steady = bank_.C[w][np.ix_(index, index)], bank_.z[w][index], prior[1:]
-        stepped = steady + np.array([0.0, 0.0, 0.0, np.asarray(found.width)[3] ** 2])
-        parts = ((STEPPED_SHARE, stepped), (1.0 - STEPPED_SHARE, steady))
+        in_air = steady + np.array([0.0, 0.0, 0.0, AIR**2])
+        parts = ((AIR_SHARE, in_air), (1.0 - AIR_SHARE, steady))
         dense = np.array([[one_of([(share, *beside_steps(C, z, p, 1.0 - 0.3)) for share, p in parts])[2]]])
     assert cov[np.ix_(who, who)] == pytest.approx(dense, rel=1e-6)
     if len(who) == 2:

@@ -9,7 +9,7 @@ from tests.loss_prior import KINDS, moments
 from rotorwatch.default import hypotheses
 from rotorwatch.default.hypotheses import LOSS_WIDTH
 
-WIDTH = np.array([0.1, 0.2, 0.3, 0.4])
+WIDTH, AIR = np.array([0.1, 0.2, 0.3, 0.4]), 0.4
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -43,7 +43,7 @@ def with_spread(n, C, z, lo=None, hi=None, gone=None, reach=0.0):
     lo, hi = np.zeros(n) if lo is None else lo, np.ones(n) if hi is None else hi
     gone = np.zeros((len(z), n)) if gone is None else gone
     slop = hypotheses.slop(C, z, lo, hi, np.full(n, reach))
-    found = hypotheses.log_bayes_factors(hyp, C, z, lo, hi, WIDTH, gone, slop)
+    found = hypotheses.log_bayes_factors(hyp, C, z, lo, hi, WIDTH, gone, slop, AIR**2)
     return hyp, *(np.asarray(a) for a in found)
 
 
@@ -125,11 +125,11 @@ def test_a_single_rotor_with_slop_is_weighed_as_the_integral_over_loss_and_axes(
     C, z = quad_evidence(wrong=(1.05, 0.95, 0.8, 1.1), loss=loss, sd=sd)
     _, logbf, _ = factors(4, C, z, reach=1.0)
     steady = np.asarray(hypotheses.slop(C, z, np.zeros(4), np.ones(4), np.ones(4)))[0]
-    stepped = steady + np.array([0.0, 0.0, 0.0, WIDTH[3] ** 2])
-    often = hypotheses.STEPPED_SHARE
+    moved = steady + np.array([0.0, 0.0, 0.0, AIR**2])
+    often = hypotheses.AIR_SHARE
     parts = [
         np.log(share * part) + evidence(lambda v, prior=prior: with_steps(C[0], z[0], 0, prior, v), mean, width)
-        for prior, part in ((stepped, often), (steady, 1.0 - often))
+        for prior, part in ((moved, often), (steady, 1.0 - often))
         for share, mean, width in KINDS
     ]
     assert logbf[0, 0] == pytest.approx(np.logaddexp.reduce(parts), abs=1e-4)
@@ -192,8 +192,8 @@ def test_a_single_rotor_is_weighed_as_the_integral_over_its_loss(loss, c):
     C, z = np.diag(np.full(n + 4, c))[None], np.zeros((1, n + 4))
     z[0, 1] = c * loss
     exact, mean, variance = moments(c, c * loss)
-    # Thrust, of its own here, would have been seen to step.
-    exact += np.log(1.0 - hypotheses.STEPPED_SHARE * (1.0 - 1.0 / np.sqrt(1.0 + c * WIDTH[3] ** 2)))
+    # Thrust, of its own here, would have been seen to change with the air.
+    exact += np.log(1.0 - hypotheses.AIR_SHARE * (1.0 - 1.0 / np.sqrt(1.0 + c * AIR**2)))
     _, logbf, nu, spread = with_spread(n, C, z)
     assert logbf[0, :n].argmax() == 1 and nu[0, 1, 1] == 0.0
     assert logbf[0, 1] == pytest.approx(exact, abs=1e-6)
@@ -267,7 +267,7 @@ def test_a_manoeuvre_in_calm_air_is_no_loss():
     C, z = quad_evidence(wrong=(0.25, 1.0, 0.2, 0.5), loss=0.3, sd=0.02)
     calm, hyp = np.full(4, 0.03), hypotheses.make(4)
     slop = hypotheses.slop(C, z, np.zeros(4), np.ones(4), np.ones(4))
-    logbf, _, _ = hypotheses.log_bayes_factors(hyp, C, z, np.zeros(4), np.ones(4), calm, np.zeros((1, 4)), slop)
+    logbf, _, _ = hypotheses.log_bayes_factors(hyp, C, z, np.zeros(4), np.ones(4), calm, np.zeros((1, 4)), slop, 0.0)
     told = dict(zip(hyp.names, np.asarray(logbf)[0]))
     far = np.asarray(hypotheses.disturbances(hyp, C, z, hypotheses.FAR * calm))[0]
     usual = max(v for name, v in told.items() if "rotor" not in name)

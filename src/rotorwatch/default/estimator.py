@@ -158,7 +158,8 @@ class JumpBank:
         theta, P, active = branches.s[0, n_x:], branches.P[0], branches.active[0]
         statistics = bank.without_last(onsets, jnp.maximum(P[self.yaw_gain, self.yaw_gain], 1e-12))
         reach = jnp.abs(rows[:, n_x:]).max(axis=0)
-        found = evidence.gather(hyp, self.jumps, statistics, theta, active, variances, reach)
+        air = plausibility.air(missing, n) ** 2
+        found = evidence.gather(hyp, self.jumps, statistics, theta, active, variances, reach, air)
         first = jnp.argmax(found.probability)
         best = evidence.jump(hyp, statistics, found, first)
         rough = noise.spread(variances)

@@ -53,22 +53,27 @@ class Jump(NamedTuple):
     each: Array
 
 
-def gather(hyp: Hypotheses, onsets: bank.Jumps, statistics: bank.Bank, theta, active, variances, reach) -> Evidence:
+def gather(
+    hyp: Hypotheses, onsets: bank.Jumps, statistics: bank.Bank, theta, active, variances, reach, air
+) -> Evidence:
     """The evidence of a bank without its last direction. theta (n,): known losses, of the rotors `active` (n,); variances (4, 4) of
-    the noise model; reach (n,): the most that a whole loss of each rotor does to any axis."""
+    the noise model; reach (n,): the most that a whole loss of each rotor does to any axis; air: `plausibility.air`, as a variance."""
     import jax.numpy as jnp
 
     n = hyp.n
     # A known loss may be taken back; what the filter has absorbed of that already is part of the jump.
     lo, hi = jnp.where(active, -1.0, 0.0), jnp.maximum(1.0 - theta, 0.0)
     width = jnp.clip(DISTURBANCE_SCALE * jnp.sqrt(noise.spread(variances)), *DISTURBANCE_RANGE)
+    width = width.at[3].set(jnp.sqrt(width[3] ** 2 + air))  # what moving air does to thrust needs no rotor
     live = statistics.age >= 0
     # What ends a known loss: of a unit jump the filter has by now, or will have, so much of theta left.
     own = jnp.diagonal(statistics.M[:, -n:, :n], axis1=1, axis2=2)
     to_come = jnp.where(jnp.asarray(onsets.slow), onsets.decay ** (jnp.maximum(statistics.age, 0) + 1.0), 0.0)
     recovery = jnp.where(active, -theta / jnp.maximum(own + to_come[:, None], 0.3), 0.0)
     slop = hypotheses.slop(statistics.C, statistics.z, lo, hi, reach)
-    log_bf, nu, spread = hypotheses.log_bayes_factors(hyp, statistics.C, statistics.z, lo, hi, width, recovery, slop)
+    log_bf, nu, spread = hypotheses.log_bayes_factors(
+        hyp, statistics.C, statistics.z, lo, hi, width, recovery, slop, air
+    )
     far = hypotheses.disturbances(hyp, statistics.C, statistics.z, hypotheses.FAR * width)
     log_bf, far = (jnp.where(live[:, None], b, NOTHING) for b in (log_bf, far))
     stride = jnp.asarray(onsets.log_stride)

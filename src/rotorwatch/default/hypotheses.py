@@ -21,8 +21,8 @@ TOTAL_LOSS, NONE = 0.8, 0.015
 LOSS_WIDTH, SMALL_WIDTH = 0.3, 0.06
 # Motors stop and propellers come off: this share of losses takes all thrust that a rotor has left.
 TOTAL_SHARE = 0.1
-# In this share of losses thrust steps as well, as disturbances do.
-STEPPED_SHARE = 0.2
+# In this share of losses thrust changes with the air as well: the vehicle has begun to climb or sink.
+AIR_SHARE = 0.05
 # Share by which what a loss does to roll, pitch, yaw and thrust may differ from geometry: inflow and battery change thrust, and
 # in moving air rotors that no longer match in speed drag the vehicle round.
 SLOP = (0.1, 0.1, 0.4, 0.3)
@@ -125,9 +125,10 @@ def _clip_pair(c11, c12, c22, z1, z2, lo1, hi1, lo2, hi2):
     return best_a, best_b, best
 
 
-def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, recovery, slop):
+def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, recovery, slop, air):
     """C (W, q, q), z (W, q) for W jump times; lo, hi (n,) bounds of rotor jumps; width (4,): how large disturbances of this
-    aircraft are; recovery (W, n): the jump that would end each rotor's loss; slop (W, 4): of that name. -> log BF (W, n_h), nu (W, n_fault,
+    aircraft are; recovery (W, n): the jump that would end each rotor's loss; slop (W, 4): of that name; air: variance
+    of thrust that air from below or above may make. -> log BF (W, n_h), nu (W, n_fault,
     2), and the variance (W, n) of a single rotor's jump."""
     import jax.numpy as jnp
 
@@ -139,10 +140,9 @@ def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, recovery, slop):
     det = jnp.maximum(free[:, a, a] * free[:, b, b] - free[:, a, b] ** 2, 1e-9)
     pair = pair - 0.5 * jnp.log(det * w2**2)
     others = disturbances(hyp, C, z, width)
-    # A loss often comes while thrust is not what it was: in a climb, in a turn, in a gust.
-    stepped = jnp.concatenate([slop[:, :3], slop[:, 3:] + width[3] ** 2], axis=1)
+    moved = jnp.concatenate([slop[:, :3], slop[:, 3:] + air], axis=1)
     kinds = []
-    for prior, share in ((stepped, STEPPED_SHARE), (slop, 1.0 - STEPPED_SHARE)):
+    for prior, share in ((moved, AIR_SHARE), (slop, 1.0 - AIR_SHARE)):
         c, score, gain = with_slop(C, z, prior)
         factor, size, spread = loss(c, score, lo, hi)
         kinds.append((factor + gain[:, None], size, spread, share))

@@ -60,6 +60,12 @@ def follow(state: Missing, missing, load, share, valid, restart, dt) -> Missing:
     )
 
 
+def air(state: Missing, n: int):
+    """Thrust, in hover thrusts of one rotor, that air from below adds to that of n rotors when the vehicle has begun to sink; below 0 when
+    it has begun to climb."""
+    return -INFLOW * n * state.climb
+
+
 def demand_coupling(B):
     """(n, n): by what share of it a loss of rotor j raises the command of rotor i, above the mean of all, where its own loss counts 1.
 
@@ -88,7 +94,7 @@ def plausible(jump, since_s, smooth, rise, now: Missing, before: Missing, thrust
     # geometry leaves of that.
     # Two rotors at once are rare: they have to show as they would in calm air.
     n, two = smooth.shape[0], (jump != 0.0).any(axis=1).all()
-    rough, sinks = jnp.where(two, 0.0, rough), jnp.where(two, 0.0, jnp.maximum(-now.climb, 0.0))
+    rough, below = jnp.where(two, 0.0, rough), jnp.where(two, 0.0, jnp.maximum(air(now, n), 0.0))
     swing = jnp.sqrt(rough[:3].sum()) / n
     demanded = coupling @ (jnp.minimum(jump, DEMAND_MOST).sum(axis=0) * smooth)
     ok = (jnp.abs(jump).max() > hypotheses.NONE) & jnp.where(
@@ -96,7 +102,7 @@ def plausible(jump, since_s, smooth, rise, now: Missing, before: Missing, thrust
     ).all()
     # ... and what the rotors no longer give must be missing from the thrust, as far as its average can show that by now, and air from below
     # does not give it.
-    slack = jnp.maximum(MISSING_SLACK, jnp.sqrt(rough[3])) + INFLOW * n * sinks
+    slack = jnp.maximum(MISSING_SLACK, jnp.sqrt(rough[3])) + below
     lost_thrust = (jnp.clip(jump, 0.0, 1.0) * smooth).sum() * (1.0 - jnp.exp(-since_s / plant.ANSWER_S))
     ok &= ~thrust_valid | (lost_thrust <= 0.0) | (now.fast - before.slow > DEMAND_SHARE * lost_thrust - slack)
     # ... and not because a rotor at its limit gives no more.
