@@ -120,5 +120,6 @@ class Threshold:
             jnp.ones(4),
             jnp.zeros((1, n)),
             jnp.full((1, 4), 1e-12),
+            0.0,
         )
         return logbf[0], jump[0]
