@@ -127,9 +127,8 @@ def _clip_pair(c11, c12, c22, z1, z2, lo1, hi1, lo2, hi2):
 
 def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, recovery, slop, air):
     """C (W, q, q), z (W, q) for W jump times; lo, hi (n,) bounds of rotor jumps; width (4,): how large disturbances of this
-    aircraft are; recovery (W, n): the jump that would end each rotor's loss; slop (W, 4): of that name; air: variance
-    of thrust that air from below or above may make. -> log BF (W, n_h), nu (W, n_fault,
-    2), and the variance (W, n) of a single rotor's jump."""
+    aircraft are; recovery (W, n): the jump that would end each rotor's loss; slop (W, 4): of that name; air: variance of thrust that air
+    from below or above may make. -> log BF (W, n_h), nu (W, n_fault, 2), and the variance (W, n) of a single rotor's jump."""
     import jax.numpy as jnp
 
     n, w2 = hyp.n, LOSS_WIDTH**2
@@ -140,13 +139,14 @@ def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, recovery, slop, air)
     det = jnp.maximum(free[:, a, a] * free[:, b, b] - free[:, a, b] ** 2, 1e-9)
     pair = pair - 0.5 * jnp.log(det * w2**2)
     others = disturbances(hyp, C, z, width)
-    moved = jnp.concatenate([slop[:, :3], slop[:, 3:] + air], axis=1)
-    kinds = []
-    for prior, share in ((moved, AIR_SHARE), (slop, 1.0 - AIR_SHARE)):
-        c, score, gain = with_slop(C, z, prior)
+    moving = with_slop(C, z, slop.at[:, 3].add(air))
+    c, score, gain = still = with_slop(C, z, slop)
+
+    def one(c, score, gain):
         factor, size, spread = loss(c, score, lo, hi)
-        kinds.append((factor + gain[:, None], size, spread, share))
-    single, size, spread = _mixed(kinds)
+        return factor + gain[:, None], size, spread
+
+    single, size, spread = _mixed([(*one(*moving), AIR_SHARE), (*one(*still), 1.0 - AIR_SHARE)])
     over, recovered, _ = near(c, score, recovery, recovery_sd(recovery) ** 2, None, None)
     over = over + gain[:, None]
     nu = [
