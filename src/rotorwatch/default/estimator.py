@@ -180,7 +180,8 @@ class JumpBank:
         alike = opposite.contested(hyp, system.B)
         mine = jnp.where(jnp.arange(alike.size) == first, found.log_odds, -jnp.inf).max()
         other = jnp.maximum(found.log_odds, mine + posterior.ALIKE)
-        even = found._replace(log_odds=jnp.where(alike & (alike[first]), other, found.log_odds))
+        odds = jnp.where(alike & alike[first], other, found.log_odds)
+        even = found._replace(log_odds=jnp.where(shared & ~alike, 2.0 * evidence.NOTHING, odds))
         branches = posterior.born(branches, hyp, statistics, even, alike, first, alarm, alarm_decision.absorbed)
         onsets = bank.forget(onsets, alarm | alarm_decision.absorbed)
 
