@@ -210,6 +210,19 @@ def test_the_bound_speaks_of_pairs_where_more_of_them_hides(pair, told):
     assert (said in end.reason) == (pair > 0.04) and (said in end.headline) == told
 
 
+def test_a_step_that_stayed_names_its_rotors_with_what_they_may_have_lost():
+    from rotorwatch.answer.conclusion import Evidence, conclude
+
+    spell = ResidualEvidence((5, 2), 40.0, 60.0, ((0.18, 0.26), (0.17, 0.25)))
+    end = conclude(Evidence((), 6, hidden=[0.26] * 6, judged_s=60.0, residual_evidence=(spell,)))
+    lost = "rotor 5 had lost 18–26 % or rotor 2 had lost 17–25 % of thrust"
+    assert end.verdict == "ambiguous" and f"since 40.00 s the vehicle has flown as if {lost}" in end.reason
+    assert end.headline.startswith("Since 40.00 s") and lost in end.headline and "wind" in end.headline
+    assert [r.status for r in end.rotors] == ["healthy", "suspect", "healthy", "healthy", "suspect", "healthy"]
+    assert end.rotors[4].interval == (0.0, 0.26) and end.rotors[1].interval == (0.0, 0.25)
+    assert any("rotors 2 and 5" in step for step in end.advice)
+
+
 def test_evidence_that_no_event_explains_makes_its_rotors_suspect_and_is_said():
     diagnosis = hexa_diagnosis(residual_evidence=(ResidualEvidence((5,), 40.0, 44.0),))
     assert statuses(diagnosis)[5] == "suspect" and diagnosis.rotors[4].interval == (0.0, 1.0)

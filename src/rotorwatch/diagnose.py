@@ -248,7 +248,10 @@ def _conclude(ready: Prepared, logged: Ticks, done: Estimated, found: Found, tit
         *residual_evidence.find(out, table, hyp, done.limit, found.events, B),
         *residual_evidence.faint(found.faint, found.events, float(table.time[-1])),
     )
-    hidden, hidden_pair = _hidden(out, table, B)
+    steps = unseen.of(out.biases, table, B)
+    if done.own and ready.hovers and conclusion.main_event(found.events) is None:
+        spells = unseen.suspected(steps, out, table, found.events) or spells
+    hidden, hidden_pair = _hidden(out, table, steps, B)
     seen = conclusion.Evidence(
         found.events, n, whole, hidden, hidden_pair, float(judged.sum() * table.dt), spells, places.names(craft.rotors), air,
         health.trends(out, table, B, found.events) if trusted else (), other, ready.hovers,
@@ -315,12 +318,12 @@ def _undisturbed(table: Ticks, found) -> float:
     return min([np.inf, *(e.onset_s for e in found), *table.time[table.upset & (table.mode > ticks.GROUND)][:1]])
 
 
-def _hidden(out, table: Ticks, B: np.ndarray) -> tuple[np.ndarray, float]:
+def _hidden(out, table: Ticks, seen: unseen.Unseen, B: np.ndarray) -> tuple[np.ndarray, float]:
     """(n,) largest loss of each rotor that could have gone unseen in flight: too small to be measured, or taken for a disturbance; and the
     same of two opposite rotors."""
     judged = table.mode == JUDGE
     if not judged.any():
         return np.ones(out.theta.shape[1]), 1.0
-    measured, seen = 1.96 * np.median(out.detectable[judged], axis=0), unseen.of(out.biases, table, B)
+    measured = 1.96 * np.median(out.detectable[judged], axis=0)
     single = np.minimum(1.0, np.maximum(measured, seen.losses()) + events.MODEL_SD)
     return single, min(1.0, seen.pair(events.opposites(B)))

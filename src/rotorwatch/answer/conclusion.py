@@ -178,6 +178,8 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
     if seen.hidden is None:
         why = "the vehicle was hardly in the air, or its motion is not logged"
         return "inconclusive", f"only {seen.judged_s:.1f} s of flight could be judged: {why}."
+    if (spell := _lasting(seen)) is not None:
+        return "ambiguous", f"{_as_if(spell, ())}: a loss that wind hides, or wind that turned then."
     if seen.residual_evidence:
         spells = [f"{rotors(s.rotors)} from {seconds(s.start_s)} to {seconds(s.end_s)}" for s in seen.residual_evidence]
         return "ambiguous", f"there is evidence against {listed(spells)} that no event explains."
@@ -189,6 +191,16 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
     slow = "".join(f"; but slowly {rotors([k])} {grows(t)}" for k, t in _growing(seen))
     unseen = f"a loss of up to {_bound(seen)} could have gone unseen"
     return "healthy", f"no rotor lost effectiveness in {seen.judged_s:.0f} s of judged flight, {scope}{slow}; {unseen}."
+
+
+def _lasting(seen: Evidence) -> ResidualEvidence | None:
+    """A step that has stayed, of the size of a loss (`unseen.suspected`)."""
+    return next((s for s in seen.residual_evidence if s.interval), None)
+
+
+def _as_if(spell: ResidualEvidence, places: Sequence[str]) -> str:
+    lost = [f"{rotors([r], places)} had lost {interval(*i)}" for r, i in zip(spell.rotors, spell.interval, strict=True)]
+    return f"since {seconds(spell.start_s)} the vehicle has flown as if {listed(lost, 'or')} of thrust"
 
 
 def _what_happened(seen: Evidence, event: Event) -> str:
@@ -299,6 +311,8 @@ def _matter(seen: Evidence, verdict: str, main: int | None) -> str:
     if event is None and whole and not seen.whole and whole["verdict"] == "ambiguous":
         who = [rotors(c["rotors"], seen.places) for c in whole["causes"] if c["rotors"]]
         return sentence(f"{' or '.join(who)} was weak from take-off on, or the centre of mass is off the middle.")
+    if event is None and (spell := _lasting(seen)) is not None:
+        return sentence(f"{_as_if(spell, seen.places)}, or the wind turned then.")
     if event is None:
         return "Something is wrong, but the log cannot say which rotor."
     if event.kind == DESYNC:
@@ -393,7 +407,10 @@ def _suspicions(seen: Evidence, rotor: int, maybe, landed, claims) -> list[tuple
         if e.end_s is None or _landed(seen, e.end_s):
             found.append((f"its output has not followed the mixer since {seconds(e.onset_s)}", 1.0))
     for s in seen.residual_evidence:
-        if rotor in s.rotors:
+        if rotor in s.rotors and s.interval:
+            lost = interval(*s.interval[s.rotors.index(rotor)])
+            found.append((f"may have lost {lost} since {seconds(s.start_s)}, or the wind turned then", s.most(rotor)))
+        elif rotor in s.rotors:
             span = f"from {seconds(s.start_s)} to {seconds(s.end_s)}"
             found.append((f"evidence against it {span} that no event explains", 1.0))
     for e in _of_kind(seen, ORDER, rotor):

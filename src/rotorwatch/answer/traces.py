@@ -72,7 +72,7 @@ def _open(lower: np.ndarray, upper: np.ndarray, time: np.ndarray, found, spells)
     for spell in spells:
         for rotor in spell.rotors:
             lower[time >= spell.start_s, rotor - 1] = 0.0
-            upper[time >= spell.start_s, rotor - 1] = 1.0
+            upper[time >= spell.start_s, rotor - 1] = spell.most(rotor)
 
 
 def _bridged(time: np.ndarray, values: np.ndarray) -> np.ndarray:

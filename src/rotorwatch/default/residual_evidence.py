@@ -30,11 +30,17 @@ LEAST_TRIM, UNEXPLAINED = 0.2, 0.5
 
 @dataclass(frozen=True)
 class ResidualEvidence:
-    """A spell of unexplained evidence: rotors (1-based) it points to, start and end [s]."""
+    """A spell of unexplained evidence: rotors (1-based) it points to, start and end [s]; interval: of what each would have lost, 95 %,
+    where that is known."""
 
     rotors: tuple[int, ...]
     start_s: float
     end_s: float
+    interval: tuple[tuple[float, float], ...] = ()
+
+    def most(self, rotor: int) -> float:
+        """Upper bound of what a rotor of it has lost."""
+        return self.interval[self.rotors.index(rotor)][1] if self.interval else 1.0
 
 
 def find(
@@ -59,10 +65,7 @@ def find(
             if mark is not None:
                 over &= ~((time >= mark - 0.5) & (time <= mark + plant.USUAL_S))
         over &= ~((time >= e.onset_s) & (time <= e.detected_s))
-    for e in events:
-        if e.kind == "contact":  # what a knock leaves behind speaks of the knock
-            last = max(e.detected_s, e.end_s or 0.0)
-            over &= ~((time >= e.onset_s - 0.5) & (time <= last + plant.USUAL_S))
+    over &= ~knocked(table, events)
     near = (odds > best_fault[:, None] - hypotheses.CLEAR) & fault
     edges = np.flatnonzero(np.diff(np.concatenate([[False], over, [False]]).astype(int)))
     found = []
@@ -80,6 +83,15 @@ def find(
     if B is not None:
         found += _trims(np.asarray(out.biases), table, known, B)
     return tuple(sorted(found, key=lambda spell: spell.start_s))
+
+
+def knocked(table: Ticks, events: Sequence[Event]) -> np.ndarray:
+    """(T,) bool: ticks whose evidence speaks of a knock among the events, which leaves it behind."""
+    near = np.zeros(len(table.time), bool)
+    for e in events:
+        if e.kind == "contact":
+            near |= (table.time >= e.onset_s - 0.5) & (table.time <= max(e.detected_s, e.end_s or 0.0) + plant.USUAL_S)
+    return near
 
 
 def faint(losses: Sequence[Event], found: Sequence[Event], end_s: float) -> tuple[ResidualEvidence, ...]:
