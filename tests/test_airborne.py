@@ -171,6 +171,35 @@ def test_sinking_on_little_command_is_no_landing():
     assert len(airborne(replace(flight, signals=signals))) == 2  # the same without sinking: it stood on the ground
 
 
+def pushes_on(seconds, speed=0.0) -> Flight:
+    """A landing at 30 s whose rotors push nearly as in hover for so long on the ground; speed: over it, m/s."""
+    flight = made_up([(10, 30 + seconds)])
+    velocity = flight["velocity"]
+    values = velocity.values.copy()
+    t = velocity.time
+    values[t > 20, 2] = np.where((t[t > 20] > 27) & (t[t > 20] < 30), 0.6, 0.02 * np.sin(40 * t[t > 20]))
+    values[t > 30, 0] += speed
+    return replace(flight, signals={**flight.signals, "velocity": replace(velocity, values=values)})
+
+
+@pytest.mark.parametrize(
+    ("seconds", "speed", "ends_s"),
+    [
+        (2.0, 0.0, 30.0),
+        (4.5, 0.0, 34.5),  # longer than a landing takes: it hovered after it had sunk
+        (2.0, 1.0, 32.0),  # it moves: it flies on, level
+    ],
+)
+def test_rotors_that_push_on_after_the_touch_down_do_not_make_it_fly(seconds, speed, ends_s):
+    ((_, end),) = airborne(pushes_on(seconds, speed))
+    assert end == pytest.approx(ends_s, abs=0.3)
+
+
+def test_a_hover_after_a_descent_goes_on():
+    flight = pushes_on(25.0)
+    assert [(round(a), round(b)) for a, b in airborne(flight)] == [(10, 55)]
+
+
 def test_a_vehicle_that_turns_with_idle_motors_is_no_landing():
     """A dive of three seconds, as pilots fly it; the same without turning is a stand on the ground."""
     flight = made_up([(10.0, 50.0)], velocity=False)

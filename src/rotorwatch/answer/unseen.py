@@ -70,8 +70,8 @@ def suspected(seen: Unseen, out, table: Ticks, found: Sequence[Event]) -> tuple[
     began = usable(table) & ~residual_evidence.knocked(table, found)
     began[:first], began[last + 1 :] = False, False
     odds = np.where(began[:, None], np.asarray(out.log_odds)[:, who], -np.inf)
-    if odds.max() < announcement.CERTAIN_NATS:
-        return ()
+    if odds.max() < announcement.CERTAIN_NATS or table.restart[first + 1 : last + 1].any():
+        return ()  # between two flights battery and payload change as well
     sure = int(odds.max(axis=1).argmax())
     start, end = float(table.time[sure] - table.dt * np.asarray(out.onset)[sure]), float(table.time[-1])
     rotors = tuple(int(i) + 1 for i in who[step.nats[who].argsort()[::-1]])

@@ -47,6 +47,8 @@ _SINKING = 1.0  # m/s down: the ground is not there yet, however little the roto
 _HEIGHT = 0.2  # m gained since the command became high
 _LOW = 0.65  # part of the way from idle to hover below which the rotors do not carry the vehicle
 _LOW_S = 1.5
+_SETTLING, _RESTING = 0.25, 0.15  # m/s: down at the end of a landing, more or less on the ground
+_REST_S = 3.0  # s that a vehicle may rest after it sank before it hovers
 _FALLING = 0.75 * _G  # specific force below which a vehicle with idle motors falls and has not landed
 _LYING_S = 1.0
 _STILL = 0.5  # rad/s: what turns faster does not stand or lie on the ground
@@ -118,7 +120,8 @@ class Airborne(Struct):
 
     A flight starts when the command is well above idle and the vehicle climbs or moves, or when the command is high for long. It ends when
     the command stays low while the vehicle neither falls nor sinks fast nor turns, at once where the autopilot says landed or disarmed;
-    or when something other than the rotors carries the vehicle: it lies on the ground tilted or upside down.
+    or when something other than the rotors carries the vehicle: it lies on the ground tilted or upside down. A vehicle that had come to
+    rest from sinking just before that stood on the ground since then, however long its rotors pushed on.
     """
 
     force = embedded(HalfSecond)
@@ -138,6 +141,8 @@ class Airborne(Struct):
     high_since: Time = LASTS  # LASTS: not so
     low_since: Time = LASTS
     lying_since: Time = LASTS
+    sank: Time = -LASTS
+    rest_since: Time = LASTS
     first_blow: Time = -LASTS
     last_blow: Time = -LASTS
     idle: Real = 0.0
@@ -267,6 +272,8 @@ class Airborne(Struct):
             self.idle = ground
             self.idle_known = True
             self.low_since = LASTS
+            self.rest_since = LASTS
+            self.sank = -LASTS
             self.first_blow = -LASTS
             self.last_blow = -LASTS
         elif not high:
@@ -297,6 +304,7 @@ class Airborne(Struct):
         self.low_since = _lasting(self.low_since, grounded, time)
         if not low:
             self.hover = _blend(self.hover, now.command, _HOVER_S)
+        self._rests(time, now)
         if now.struck:
             if time - self.last_blow > 1.0:
                 self.first_blow = time
@@ -309,12 +317,24 @@ class Airborne(Struct):
             end = self.lying_since - _WINDOW_S
         if end >= LASTS:
             return
+        end = min(end, self.rest_since)
         if end - self.last_blow <= _BLOW_S:
             end = min(end, self.first_blow)
         self.flying = False
         self.since = max(end, self.since)
         self.high_since = LASTS
         self.height = 0.0
+
+    def _rests(self, time: Time, now: Senses) -> None:
+        """Since when the vehicle has neither climbed nor sunk nor moved after it sank, for _REST_S at most: longer, it hovers."""
+        if now.climb < -_SETTLING:
+            self.sank = time
+        if not (abs(now.climb) < _RESTING and not now.speed > _SETTLING):
+            self.rest_since = LASTS
+        elif self.rest_since >= LASTS and time - self.sank <= _WINDOW_S:
+            self.rest_since = time
+        elif self.low_since >= LASTS and self.rest_since < LASTS and time - self.rest_since > _REST_S:
+            self.rest_since = LASTS
 
     def _little(self, command: Real) -> bool:
         """Is it too little to carry a vehicle that flies?"""
@@ -323,6 +343,7 @@ class Airborne(Struct):
     def _continues(self, time: Time) -> bool:
         """Does the vehicle still fly after a gap, by the first command after it? What lasted before the gap begins anew."""
         self.low_since = LASTS
+        self.rest_since = LASTS
         self.lying_since = LASTS
         if time - self.last > MOST_GAP_S or self.down:
             return False
@@ -349,6 +370,8 @@ class Airborne(Struct):
         self.last_blow = -LASTS
         self.high_since = LASTS
         self.low_since = LASTS
+        self.rest_since = LASTS
+        self.sank = -LASTS
         self.lying_since = LASTS
         self.idle = 0.0
         self.floor = 0.0

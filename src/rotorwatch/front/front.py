@@ -176,7 +176,8 @@ class Front(Struct):
         """The earliest moment at which the flight that goes on may still turn out to have ended; LASTS: none, it flies."""
         if self.air.start >= LASTS:
             return LASTS
-        begin = min(self.air.low_since, LASTS if self.air.lying_since >= LASTS else self.air.lying_since - _LYING_S)
+        begin = min(self.air.low_since, self.air.rest_since)
+        begin = min(begin, LASTS if self.air.lying_since >= LASTS else self.air.lying_since - _LYING_S)
         if min(begin, self.now) - self.air.last_blow <= _BLOW_S:  # an end soon after a blow is put where that was
             begin = min(begin, self.air.first_blow)
         return begin
