@@ -37,7 +37,7 @@ B = np.array([[-1, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1], [1, 1, 1, 1.0]])
 def test_the_table_names_every_constant_and_no_other():
     names = set()
     for name, value in ablation.constants().items():
-        names |= {f"{name}[{k}]" for k in value if k != "single"} if isinstance(value, dict) else {name}
+        names |= {f"{name}[{k}]" for k in value if k not in ("single", "pair")} if isinstance(value, dict) else {name}
     assert names == set(TABLE)
     assert all(line.unit and line.meaning for line in TABLE.values())
 
@@ -49,8 +49,8 @@ def test_variants_are_half_double_and_off():
         "model_error.GAIN_ERROR": tuple(0.5 * v for v in model_error.GAIN_ERROR)
     }
     assert found["model_error.GAIN_ERROR off"] == {"model_error.GAIN_ERROR": (0.0,) * 4}
-    pair = found["hypotheses.WEIGHT[pair] double"]["hypotheses.WEIGHT"]
-    assert pair == {**hypotheses.WEIGHT, "pair": 2 * hypotheses.WEIGHT["pair"]}
+    often = found["hypotheses.WEIGHT[disturbance] double"]["hypotheses.WEIGHT"]
+    assert often == {**hypotheses.WEIGHT, "disturbance": 2 * hypotheses.WEIGHT["disturbance"]}
     assert "plant.USUAL_S double" in found and "plant.USUAL_S off" not in found
     assert "hypotheses.WEIGHT[single] half" not in found  # only ratios count
     assert list(ablation.variants(["plant.USUAL_S"], ["half"])) == ["as it is", "plant.USUAL_S half"]
@@ -66,6 +66,15 @@ def test_constants_are_changed_only_for_a_while():
     assert before == kalman.OUTLIER
 
 
+def test_what_follows_from_a_constant_follows_and_is_none():
+    nats, weight = hypotheses.CLEAR, dict(hypotheses.WEIGHT)
+    assert nats == pytest.approx(np.log(losses.CLEAR)) and "hypotheses.CLEAR" not in ablation.constants()
+    with ablation.changed({"losses.CLEAR": 20.0, "losses.PAIR_WEIGHT": 0.5}):
+        assert hypotheses.CLEAR == pytest.approx(np.log(20.0))
+        assert hypotheses.WEIGHT == {**weight, "pair": 0.5}
+    assert nats == hypotheses.CLEAR and weight == hypotheses.WEIGHT
+
+
 @pytest.mark.thorough
 def test_constants_of_the_definition_are_built_in_and_given_back():
     table = hover(0.3)
@@ -78,9 +87,9 @@ def test_constants_of_the_definition_are_built_in_and_given_back():
         return high - low
 
     before = width()
-    with ablation.changed({"losses.MODEL_SD": 0.05}):
-        assert width() == pytest.approx(np.hypot(before, 2 * 1.96 * 0.05), rel=0.01)
-    assert width() == before and losses.MODEL_SD == 0.004
+    with ablation.changed({"losses.CURVE_SHARE": 0.5}):
+        assert width() > 1.2 * before
+    assert width() == before and losses.CURVE_SHARE == 0.08
 
 
 @pytest.mark.thorough

@@ -148,7 +148,6 @@ def quad():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(kalman, "OUTLIER", 1e9)
         patch.setattr(model_error, "LAG_ERROR_S", 0.0)
-        patch.setattr(model_error, "SNAPSHOT", 0.0)
         patch.setattr(model_error, "calm", lambda memory: np.ones(4))
         patch.setattr(hypotheses, "SLOP", (0.0,) * 4)
         patch.setattr(posterior, "OUT", -400.0)
@@ -455,7 +454,7 @@ def only_pairs_that_look_alike(method, out):
     for k in np.flatnonzero(out.active[:, 0].any(axis=1)):
         who = np.flatnonzero(out.active[k, 0])
         low = out.theta[k, who] - 1.96 * out.theta_sd[k, who]
-        if tuple(who) not in free or out.share[k, 0] >= losses.CERTAIN_OPPOSITE or low.min() > 0.0:
+        if tuple(who) not in free or out.share[k, 0] >= 0.99 or low.min() > 0.0:
             return False
     return True
 

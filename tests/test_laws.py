@@ -723,7 +723,6 @@ def test_default_is_the_kalman_filter_while_nothing_is_suspected(monkeypatch):
 
     monkeypatch.setattr(kalman, "OUTLIER", 1e9)
     monkeypatch.setattr(model_error, "LAG_ERROR_S", 0.0)
-    monkeypatch.setattr(model_error, "SNAPSHOT", 0.0)
     system = wrench_quad()
     estimator = discovery.estimator("default")(system, 0.05)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.default import model_error, plant
+from rotorwatch.default import model_error, noise, plant
 from rotorwatch.default.plant import AXIS_STATES, DAMPING, DAMPING_RATE, GAIN, GAIN_MEAN, PER_AXIS, any_multirotor
 
 N, DT = 4, 0.05
@@ -166,7 +166,7 @@ def test_bursts_are_remembered_for_three_seconds():
     part = 1.0 - (1.0 - DT / model_error.BURST_MEMORY_S) ** 20
     assert np.asarray(loud.burst) == pytest.approx(1.0 + part * (1.5**2 - 1.0))
     assert np.asarray(remembered([100.0]).burst) == pytest.approx(
-        1.0 + DT / model_error.BURST_MEMORY_S * (model_error.BURST_CLIP - 1.0)
+        1.0 + DT / model_error.BURST_MEMORY_S * (noise.CLIP - 1.0)
     )
     quiet = remembered([0.0] * 20, start=loud)
     assert np.asarray(quiet.burst) == pytest.approx(np.asarray(loud.burst) * (1.0 - part))
@@ -182,14 +182,12 @@ def test_innovations_that_lean_to_one_side_are_remembered_for_half_a_minute():
         memory = model_error.remember(memory, np.full(4, e), np.ones(4), YES, DT)
         lean += DT / plant.TAU[1] * (e - lean)
         lasting += (
-            DT
-            / model_error.LASTING_MEMORY_S
-            * (min(lean**2 * (2.0 * plant.TAU[1] / DT - 1.0), model_error.BURST_CLIP) - lasting)
+            DT / model_error.LASTING_MEMORY_S * (min(lean**2 * (2.0 * plant.TAU[1] / DT - 1.0), noise.CLIP) - lasting)
         )
     assert np.asarray(memory.innovation_mean) == pytest.approx(lean) and np.asarray(memory.lasting) == pytest.approx(
         lasting
     )
-    assert 1.0 < lasting < model_error.BURST_CLIP
+    assert 1.0 < lasting < noise.CLIP
     white = np.random.default_rng(0).standard_normal(4000)
     mean, squares = 0.0, []
     for e in white:
@@ -228,9 +226,9 @@ def test_the_model_may_be_wrong_by_a_share_of_each_of_its_terms():
     assert full == pytest.approx(model_error.ERROR_TICKS * (B * lost) ** 2 @ np.ones(N))
 
 
-@pytest.mark.parametrize("dt, share", [(0.05, 0.015 / 0.05), (0.5, model_error.SNAPSHOT)])
+@pytest.mark.parametrize("dt, share", [(0.05, 0.015 / 0.05), (0.5, 0.015 / 0.5)])
 def test_a_step_of_the_commands_is_felt_a_little_sooner_or_later(dt, share):
-    """By the lag's error, or for slow commands by a share of the tick; of what is beyond four standard deviations of noise."""
+    """By the lag's error; of what is beyond four standard deviations of noise."""
     found = error(inputs(), y=(0.3, -0.3, 0.03, 0.0), before=(0.1, 0.1, 0.0, 0.0), dt=dt)
     wanted = share * np.array([0.2 - 0.04, 0.4 - 0.04, 0.0, 0.0])
     assert found == pytest.approx(model_error.ERROR_TICKS * wanted**2)

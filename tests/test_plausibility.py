@@ -11,7 +11,6 @@ from rotorwatch.default.hypotheses import NONE
 from rotorwatch.default.model_error import AT_LIMIT, BELOW_LIMIT
 from rotorwatch.default.plant import ANSWER_S, USUAL_S
 from rotorwatch.default.plausibility import (
-    DEMAND_MOST,
     DEMAND_SHARE,
     DEMAND_SLACK,
     LIMIT_S,
@@ -73,8 +72,8 @@ def test_the_smallest_loss():
 
 @pytest.mark.parametrize("size, smooth", [(0.3, 1.0), (0.3, 0.6), (0.9, 1.0)])
 def test_more_has_to_be_asked_of_a_rotor_that_gives_less(size, smooth):
-    """A quarter of what is missing, of no more than ASKED_MOST, less the slack; of every rotor that is named."""
-    least = DEMAND_SHARE * min(size, DEMAND_MOST) * smooth - DEMAND_SLACK
+    """A quarter of what is missing, less the slack; of every rotor that is named."""
+    least = DEMAND_SHARE * size * smooth - DEMAND_SLACK
     assert possible(jump((2, size)), rise=least + 1e-6, smooth=smooth)
     assert not possible(jump((2, size)), rise=least - 1e-6, smooth=smooth)
     rises = np.array([1.0, 1.0, 1.0, least - 1e-6])

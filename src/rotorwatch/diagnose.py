@@ -325,5 +325,5 @@ def _hidden(out, table: Ticks, seen: unseen.Unseen, B: np.ndarray) -> tuple[np.n
     if not judged.any():
         return np.ones(out.theta.shape[1]), 1.0
     measured = 1.96 * np.median(out.detectable[judged], axis=0)
-    single = np.minimum(1.0, np.maximum(measured, seen.losses()) + events.MODEL_SD)
+    single = np.minimum(1.0, np.maximum(measured, seen.losses()))
     return single, min(1.0, seen.pair(events.opposites(B)))

@@ -6,9 +6,9 @@ b are right only with the variant and c only without it, and
 
     difference = (b - c) / n,        sd = sqrt(b + c - (b - c)^2 / n) / n          (McNemar's, for shares of the same things)
 
-A constant is any number in capitals in a file of FILES; constants.py says what each means, and which value leaves
-it out. Where a step's mathematics
-use it, it is a parameter of one compiled program; where it shapes the program or its start, the program is built anew.
+A constant is any number in capitals in a file of FILES, unless it is made of others alone; constants.py says what each means, and which
+value leaves it out. Where a step's mathematics use it, it is a parameter of one compiled program; where it shapes the program or its start,
+the program is built anew.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from rotorwatch.campaign import batch, sequences
 from rotorwatch.campaign.constants import TABLE
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.compiling.run import chosen, run_built
-from rotorwatch.default import events, program
+from rotorwatch.default import events, hypotheses, program
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import inject, tools
 from rotorwatch.experiments.studies import false_alarms
@@ -66,7 +66,7 @@ def constants() -> dict[str, Any]:
     for file, home in FILES.items():
         module = import_module(home)
         for node in ast.parse(Path(str(module.__file__)).read_text(encoding="utf-8")).body:
-            if not isinstance(node, ast.Assign):
+            if not isinstance(node, ast.Assign) or not _has_number(node.value):
                 continue
             for target in node.targets:
                 for name in target.elts if isinstance(target, ast.Tuple) else [target]:
@@ -75,6 +75,11 @@ def constants() -> dict[str, Any]:
                     if key.split(".")[1].isupper() and number and key not in NOT_CHOSEN and _numbers(value):
                         found[key] = value
     return dict(sorted(found.items()))
+
+
+def _has_number(node: ast.expr) -> bool:
+    """Whether somebody chose it: what is made of other constants alone follows from them."""
+    return any(isinstance(part, ast.Constant) and isinstance(part.value, int | float) for part in ast.walk(node))
 
 
 def _numbers(value: Any) -> bool:
@@ -101,7 +106,7 @@ def variants(only: Sequence[str] = (), words: Sequence[str] = WORDS) -> dict[str
         if only and not any(name.startswith(o) for o in only):
             continue
         parts = (
-            {f"{name}[{k}]": {k: v} for k, v in value.items() if k != "single"}
+            {f"{name}[{k}]": {k: v} for k, v in value.items() if k not in ("single", "pair")}
             if isinstance(value, dict)
             else {name: None}
         )
@@ -121,7 +126,12 @@ def variants(only: Sequence[str] = (), words: Sequence[str] = WORDS) -> dict[str
 
 @contextmanager
 def changed(values: Mapping[str, Any]) -> Iterator[None]:
-    """The method with other constants, while this lasts."""
+    """The method with other constants, and those that follow from them, while this lasts."""
+    values = {**values}
+    if "losses.CLEAR" in values:
+        values["hypotheses.CLEAR"] = float(np.log(values["losses.CLEAR"]))
+    if "losses.PAIR_WEIGHT" in values:
+        values["hypotheses.WEIGHT"] = {**hypotheses.WEIGHT, "pair": values["losses.PAIR_WEIGHT"]}
     with ExitStack() as stack:
         stack.enter_context(FRONT.changed({k: v for k, v in values.items() if _defined(k)}))
         for key, value in values.items():
@@ -158,7 +168,7 @@ class Tuned:
 
 # Constants that shape the program, its start or its hypotheses.
 BUILT_IN = frozenset({
-    "announcement.GATES", "hypotheses.WEIGHT", "plant.ANSWER_S", "plant.TAU",
+    "announcement.GATES", "hypotheses.WEIGHT", "losses.CLEAR", "losses.PAIR_WEIGHT", "plant.ANSWER_S", "plant.TAU",
 })  # fmt: skip
 
 

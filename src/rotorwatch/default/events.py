@@ -22,7 +22,7 @@ from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.front import deviations, losses, whole
 from rotorwatch.front import events as definition
 from rotorwatch.front.definition import FRONT, craft
-from rotorwatch.front.losses import CREDIBLE, CURVE_SHARE, MODEL_SD
+from rotorwatch.front.losses import CREDIBLE, CURVE_SHARE
 from rotorwatch.front.records import Found
 from rotorwatch.front.sizes import EVENTS, RECORDS, TOGETHER
 from rotorwatch.motion.contact import Contact
@@ -30,7 +30,7 @@ from rotorwatch.motion.deviations import Override
 from rotorwatch.motion.deviations import overrides as deviating
 from rotorwatch.motion.ticks import JUDGE, Ticks
 
-__all__ = ["CREDIBLE", "CURVE_SHARE", "MODEL_SD"]
+__all__ = ["CREDIBLE", "CURVE_SHARE"]
 
 KINDS = ("loss_of_effectiveness", "output_override", "contact", "loss_of_control")
 COLUMNS = (

@@ -14,8 +14,10 @@ from itertools import combinations
 
 import numpy as np
 
-# Nats by which one explanation has to be better than another before that counts: ten times likelier.
-CLEAR = float(np.log(10.0))
+from rotorwatch.front import losses
+
+# Nats by which one explanation has to be better than another before that counts.
+CLEAR = float(np.log(losses.CLEAR))
 # Losses: so large that the rotor is lost altogether; so small that it is none.
 TOTAL_LOSS, NONE = 0.8, 0.015
 LOSS_WIDTH, SMALL_WIDTH = 0.3, 0.06
@@ -29,7 +31,7 @@ SLOP = (0.1, 0.1, 0.4, 0.3)
 # A flight does not show what a vehicle with a weak rotor will do: this share of disturbances is so many times their usual size then.
 FAR_SHARE, FAR = 0.2, 4.0
 # Prior weights: how often each kind of jump happens, relative to one particular rotor failing. Disturbances are common.
-WEIGHT = {"single": 1.0, "pair": 1e-4, "recovery": 1.0, "disturbance": 3.0}
+WEIGHT = {"single": 1.0, "pair": losses.PAIR_WEIGHT, "recovery": 1.0, "disturbance": 3.0}
 # By what share of it a loss that ends may differ from what it was thought to be.
 RECOVERY_SHARE = 0.3
 # Disturbances: which of roll, pitch, yaw, thrust they touch.

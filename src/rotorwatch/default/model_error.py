@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.core import Array
-from rotorwatch.default import plant
+from rotorwatch.default import noise, plant
 from rotorwatch.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS
 
 GARROTE = 2.5  # how many times its calm level motion must reach to stand out
@@ -20,11 +20,8 @@ LEVEL_MEMORY_S = 10.0
 # Share by which the motion model may be wrong for a moment, and how many ticks such an error lasts.
 GAIN_ERROR, DAMPING_ERROR = (0.0, 0.0, 0.35, 0.15), 0.3
 ERROR_TICKS = 4.0
-LAG_ERROR_S, SNAPSHOT = (
-    0.015,
-    0.15,
-)  # the second: share of a step that a single slow command may be off by, within its tick
-BURST_MEMORY_S, BURST_CLIP = 3.0, 6.0
+LAG_ERROR_S = 0.015
+BURST_MEMORY_S = 3.0
 LASTING_MEMORY_S = 30.0
 GUST_SHARE, LEAST_GAIN = 2.0, 0.3
 FAR, FAR_ERROR = 0.3, 0.5
@@ -147,11 +144,11 @@ def remember(memory: Memory, innovation, variance, ok, dt) -> Memory:
     import jax.numpy as jnp
 
     size = innovation / jnp.sqrt(variance)
-    burst = jnp.minimum(size**2, BURST_CLIP)
+    burst = jnp.minimum(size**2, noise.CLIP)
     fade = jnp.where(ok, dt, 0.0)
     innovation_mean = memory.innovation_mean + fade / plant.TAU[1] * (size - memory.innovation_mean)
     # White innovations would give a mean over plant.TAU[1] this variance.
-    lasting = jnp.minimum(innovation_mean**2 * (2.0 * plant.TAU[1] / dt - 1.0), BURST_CLIP)
+    lasting = jnp.minimum(innovation_mean**2 * (2.0 * plant.TAU[1] / dt - 1.0), noise.CLIP)
     return memory._replace(
         burst=memory.burst + fade / BURST_MEMORY_S * (burst - memory.burst),
         innovation_mean=innovation_mean,
@@ -173,5 +170,5 @@ def variance(memory: Memory, seen: Look, x, y, white, B, n: int, dt):
         + (DAMPING_ERROR * x[:, DAMPING] * rates) ** 2
         + (FAR_ERROR * n * seen.far) ** 2
         + (B * missing[None, :]) ** 2 @ jnp.ones(n)
-        + (jnp.maximum(LAG_ERROR_S / dt, SNAPSHOT) * step) ** 2
+        + (LAG_ERROR_S / dt * step) ** 2
     )

@@ -21,7 +21,7 @@ from rotorwatch.default.plant import PER_AXIS, TAU, fading
 
 LAGS = (1, 2, 4, 8, 16, 32, 64)  # ticks
 MEMORY_S = 60.0  # how long a squared difference counts
-CLIP = 5.0  # a squared difference counts at most this many times the present mean: a fault must not look like noise
+CLIP = 6.0  # a square counts at most this many times what is expected of it: a fault must not look like noise
 GROWTH_WEIGHT = 0.05
 # Per axis floor of the white variance, in hover thrusts: one PWM step of a few rotors.
 FLOOR = 0.0008**2

@@ -14,7 +14,7 @@ from rotorwatch.default import hypotheses, model_error, plant
 from rotorwatch.front.contact import G0
 
 # Both may be off by a standard deviation of this flight's disturbances, and by as much as the slack in calm air.
-DEMAND_SHARE, DEMAND_SLACK, DEMAND_MOST = 0.25, 0.05, 0.35
+DEMAND_SHARE, DEMAND_SLACK = 0.25, 0.05
 MISSING_SLACK = 0.15  # hover thrusts of one rotor
 # Share of a rotor's thrust that air from below adds for each m/s: 0.4 of hover thrust over induced velocity, which is 4 m/s and more.
 INFLOW = 0.1
@@ -96,7 +96,7 @@ def plausible(jump, since_s, smooth, rise, now: Missing, before: Missing, thrust
     n, two = smooth.shape[0], (jump != 0.0).any(axis=1).all()
     rough, below = jnp.where(two, 0.0, rough), jnp.where(two, 0.0, jnp.maximum(air(now, n), 0.0))
     swing = jnp.sqrt(rough[:3].sum()) / n
-    demanded = coupling @ (jnp.minimum(jump, DEMAND_MOST).sum(axis=0) * smooth)
+    demanded = coupling @ (jump.sum(axis=0) * smooth)
     ok = (jnp.abs(jump).max() > hypotheses.NONE) & jnp.where(
         jump > 0, rise > DEMAND_SHARE * demanded - jnp.maximum(DEMAND_SLACK, swing), True
     ).all()

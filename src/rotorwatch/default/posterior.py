@@ -26,7 +26,7 @@ from rotorwatch.front import losses
 PLACES = 4
 RESOLVE_S, TEMPER = 3.0, 0.3
 OUT = -7.0  # log weight relative to the leader's at which a branch is dropped, once it is YOUNG_S old
-ALIKE = -3.0  # the same, below which a pair that looks like the leading one does not fall: a twentieth
+ALIKE = -hypotheses.CLEAR  # the same, below which a pair that looks like the leading one does not fall
 NEVER = -1e3
 
 

@@ -37,13 +37,10 @@ from rotorwatch.front.ticks import JUDGE
 from rotorwatch.front.vehicle import PITCH, ROLL, Vehicle
 
 CREDIBLE = 0.03  # a set of rotors with less probability than this is not named
-CLEAR_SHARE = 10.0 / 11.0  # from this probability on a set is named alone
-CERTAIN_OPPOSITE = 0.99  # the same of a pair of opposite rotors: only manoeuvres tell it from the others
-MODEL_SD = 0.004  # rotors that are not equal
+CLEAR = 10.0  # times as likely as all others: from that on an explanation stands alone
 # By what share the thrust curve may be steeper or flatter in hover than the log says: an expo of 0.65 that is 0.12 off.
 CURVE_SHARE = 0.08
 COAXIAL_SHARE = 0.1  # with how the thrust of a coaxial arm divides: half of what the lower rotors' share may be off by
-HIDDEN = 20.0  # times that the data alone must prefer a pair of rotors to be named
 PAIR_WEIGHT = 1e-4  # of a pair over a rotor, before anything is seen
 YOUNG_S = 1.0  # after an announcement: by then a pair that was taken for one rotor is told from it
 WITHIN_95 = 1.96
@@ -276,9 +273,9 @@ class Losses(Struct):
 
     def _hide(self, v: Vehicle, found: Found) -> None:
         """Pairs that only their rarity, not the data, rules out against the likeliest rotor. Losses on opposite rotors cancel in roll and
-        pitch; gusts hide the rest in yaw and thrust. When the data favour such a pair by more than HIDDEN once prior weights are taken out,
+        pitch; gusts hide the rest in yaw and thrust. When the data favour such a pair by more than CLEAR once prior weights are taken out,
         a small loss of one rotor must not be claimed. Of a loss that has just been announced the same holds for any pair; and one without
-        the rotor is named unless the data are against it by HIDDEN: equal losses of two rotors look like one of the rotor between them
+        the rotor is named unless the data are against it by CLEAR: equal losses of two rotors look like one of the rotor between them
         until their yaw and thrust show."""
         n = v.rotors
         best = -1.0
@@ -298,10 +295,8 @@ class Losses(Struct):
         for i in range(n):
             for j in range(i + 1, n):
                 favoured = found.probability[n + pair] / (best * PAIR_WEIGHT)
-                hides = not rare and favoured > HIDDEN
-                self.hidden[pair] = hides or (
-                    not rare and i != likeliest and j != likeliest and favoured > 1.0 / HIDDEN
-                )
+                hides = not rare and favoured > CLEAR
+                self.hidden[pair] = hides or (not rare and i != likeliest and j != likeliest and favoured > 1.0 / CLEAR)
                 if hides and i == likeliest and (opposite & (1 << j)) != 0:
                     self.hiding |= 1 << j
                 if hides and j == likeliest and (opposite & (1 << i)) != 0:
@@ -386,7 +381,9 @@ class Losses(Struct):
                 hides = r.hidden[pair] if young else _hides(r, i, j)
                 hidden = hidden or (hides and not r.suspicion and ((1 << i) | (1 << j)) != r.rotors)
                 pair += 1
-        if not r.suspicion and not hidden and e.probability >= (CERTAIN_OPPOSITE if paired else CLEAR_SHARE):
+        # Only manoeuvres distinguish a pair of opposite rotors from the others: it has to be clear twice.
+        odds = CLEAR * CLEAR if paired else CLEAR
+        if not r.suspicion and not hidden and e.probability >= odds / (1.0 + odds):
             return
         e.detail = SUSPECTED if r.suspicion else SHARED if paired else PLAIN
         pair = 0
@@ -436,7 +433,7 @@ def sd_of(v: Vehicle, loss: Real, sd: Real) -> Real:
     share = COAXIAL_SHARE if v.coaxial else CURVE_SHARE
     left = min(max(1.0 - loss, 1e-9), 1.0)
     curve = share * loss * left / (left + share * loss)
-    return sqrt(sd * sd + MODEL_SD * MODEL_SD + curve * curve)
+    return sqrt(sd * sd + curve * curve)
 
 
 def spread(v: Vehicle, n: int, loss: Reals, sd: Reals, out: Reals) -> None:

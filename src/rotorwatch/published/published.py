@@ -20,7 +20,7 @@ from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.compiling.run import chosen, run, run_built
 from rotorwatch.default import hypotheses
-from rotorwatch.default.events import MODEL_SD, rotor_sets
+from rotorwatch.default.events import rotor_sets
 from rotorwatch.default.posterior import PLACES
 from rotorwatch.default.program import TickOutput
 from rotorwatch.errors import ConfigError
@@ -30,6 +30,7 @@ from rotorwatch.published.log_plant import LogPlant
 
 OTHER_NATS = 5.0  # by so much another rotor set must explain more before it takes the place of the announced one
 SHOWN_S = 1.0  # losses shown are means over this time
+MODEL_SD = 0.004  # of a loss: rotors are not equal
 
 
 class Tuning(NamedTuple):
