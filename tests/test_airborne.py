@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorwatch import logs
+from rotorwatch import diagnose, logs
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.logs.memory import from_arrays
 from rotorwatch.motion.airborne import CONFIRM_S, MOST_GAP_S, airborne, gaps
+from rotorwatch.simulation import scenario, simulate
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"
 needs_flights = pytest.mark.skipif(
@@ -193,6 +194,17 @@ def pushes_on(seconds, speed=0.0) -> Flight:
 def test_rotors_that_push_on_after_the_touch_down_do_not_make_it_fly(seconds, speed, ends_s):
     ((_, end),) = airborne(pushes_on(seconds, speed))
     assert end == pytest.approx(ends_s, abs=0.3)
+
+
+def test_what_the_ground_does_to_a_vehicle_in_wind_is_no_loss():
+    """A healthy hexarotor whose controller winds up for two seconds after the touch-down, before its motors stop."""
+    table = {
+        "duration_s": 65.0, "seed": 10370, "airframe": {"frame": "hexa-plus"}, "trajectory": {"kind": "figure-eight"},
+        "wind": {"speed_m_s": 5.737747721237923}, "logging": {"profile": "fast"},
+    }  # fmt: skip
+    found = diagnose(simulate(scenario.from_table(table)).flight)
+    assert found.verdict == "healthy" and not found.events
+    assert 59.9 < found.flight["airborne_s"][1] < 60.5
 
 
 def test_a_hover_after_a_descent_goes_on():

@@ -19,7 +19,6 @@ from rotorwatch.default import bank as onsets
 from rotorwatch.default.estimator import JumpBank
 from rotorwatch.default.hypotheses import AIR_SHARE, LOSS_WIDTH
 from rotorwatch.default.plant import ANSWER_S, B3, GAIN, PER_AXIS, SIDEWAYS, WrenchBalance
-from rotorwatch.front import losses
 from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN
 
 DT = 0.05

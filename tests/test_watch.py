@@ -134,6 +134,16 @@ def test_a_pair_is_never_told_as_the_rotor_between_them_alone():
     assert [e for e in told if [1, 3] not in (e["rotors"], *e["alternatives"])] == []
 
 
+def test_what_the_ground_does_after_a_touch_down_is_never_told():
+    """A healthy hexarotor whose controller winds up on the ground in wind before its motors stop: ticks wait until that is known."""
+    table = {
+        "duration_s": 65.0, "seed": 10370, "airframe": {"frame": "hexa-plus"}, "trajectory": {"kind": "figure-eight"},
+        "wind": {"speed_m_s": 5.737747721237923}, "logging": {"profile": "fast"},
+    }  # fmt: skip
+    alerts, _ = replayed(simulate(scenario.from_table(table)).flight)
+    assert [a for a in alerts if a["type"] == "event"] == []
+
+
 def test_aerobatics_are_never_told_as_a_loss_of_control():
     alerts, _ = replayed(flight_of("crash/flips-1.bin.xz"))
     assert [a for a in alerts if a["type"] == "event" and a["event"]["kind"] == "loss_of_control"] == []
