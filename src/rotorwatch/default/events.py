@@ -102,7 +102,8 @@ def read(out, ticks: Ticks, B: np.ndarray) -> tuple[Event, ...]:
 
     def shown(event: Event, suspected: bool) -> list[float]:
         k = min(int(np.searchsorted(ticks.time, event.detected_s)) + round(SHOWN_S / ticks.dt), final)
-        return [float(v) for v in (event.loss if suspected else out.theta[k, [r - 1 for r in event.rotors]])]
+        # With the digits of the JSON: rounded again to per cent, page and JSON then show the same.
+        return [round(float(v), 4) for v in (event.loss if suspected else out.theta[k, [r - 1 for r in event.rotors]])]
 
     rows = state.rows()
     suspected = rows["detail"] == definition.SUSPECTED
