@@ -11,9 +11,9 @@ two blocks of time L is weighted least squares on the difference of the means of
 intervals over all onsets. Wind that turns, or a load that shifts, is such a step as well: the bound then says that
 a loss could look like this. Thrust itself, which battery and air move for all rotors alike, is left out for a single rotor.
 
-Where such a step began with evidence for that rotor over the threshold (the estimator's, of one tick, and against no change at all), and
-has stayed since, the flight cannot be called healthy: a gust explains the beginning as well, and another wind the rest, but a loss explains
-both.
+Where such a step began with certain evidence for that rotor (`announcement.CERTAIN_NATS`, of one tick, and against no change at all), and
+has stayed since, the flight cannot be called healthy: a gust explains the beginning as well, and another wind the rest, but a loss
+explains both.
 
 Equal losses of rotors that are opposite each other cancel in roll and pitch, and where both turn the same way as the others on average in
 yaw, too. For these pairs thrust is used as well: the bound then holds a sagging battery and rising air.
