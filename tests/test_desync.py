@@ -100,6 +100,24 @@ def test_what_is_no_desync(name, rpm):
     assert found(name, rpm) == []
 
 
+def test_air_that_is_rough_for_a_moment_is_none():
+    """Propwash lasts less than the second over which the noise is measured: taken for as calm as that second, it was a desync of 120 ms."""
+    rng, windows, often = np.random.default_rng(0), 15000, 50
+    thrust = np.repeat(rng.uniform(0.2, 0.5, (windows // often, 4)), often, axis=0)
+    rough = np.where(np.arange(windows) // often % 5 == 0, 2.5, 1.0)
+    answer = np.exp(-np.arange(innovation.LAGS) * innovation.WIDTH_S / 0.025)
+    answer *= 20.0 / answer.sum()
+    time, there = np.arange(windows) * innovation.WIDTH_S, np.ones(windows, bool)
+    channels = [
+        innovation.Channel(
+            None, time, innovation.WIDTH_S, there, thrust, rough * rng.standard_t(7, windows), np.full(windows, 8.0),
+            thrust * fpv.MIX[axis], answer,
+        )
+        for axis in range(3)
+    ]  # fmt: skip
+    assert desync.search(channels) == []
+
+
 def test_speed_of_another_motor_says_nothing():
     """A desync that the motion shows, while the motor's own speed stays as it was told, is none."""
     channels = seen("long", True)

@@ -6,9 +6,9 @@ gives nothing from s to e, what comes as a surprise is
     z = - theta answer * (drive_i inside [s, e)) / scale + noise,      theta about 1, noise as Student's t
 
 of all channels at once: the direction must be the rotor's, the size what was commanded, the shape that of its command. Two steps: a matched
-filter over (rotor, start, length) finds candidates; each gets its exact log likelihood ratio, theta by its prior. If the noise is as
-described, exp of that has the mean 1 in a healthy flight, so that a threshold of log(windows in ten hours x rotors x lengths) is passed
-there once in ten hours at most (the bound of Markov and Boole).
+filter over (rotor, start, length) finds candidates; each gets its exact log likelihood ratio, theta by its prior, and how rough the air was
+just then by what the axes show. If the noise is as described, exp of that has the mean 1 in a healthy flight, so that a threshold of
+log(windows in ten hours x rotors x lengths) is passed there once in ten hours at most (the bound of Markov and Boole).
 
 A knock pushes in any direction: each axis with a size of its own must not explain much more. A dead or weak motor is none: it works
 before and after. One shorter than 100 ms counts only where the motor's speed shows it, or where it did it again: so long a motor takes
@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,6 +40,7 @@ REFINED = 20.0  # nats that moves of single windows may add to the best start an
 ALONG, POINTS = 8, 16  # windows by which a short one's ends are moved at least; moves each way of a longer one's
 SIZES = np.linspace(-1.2, 2.4, 19)  # theta
 LEAST_SIZE, MOST_SIZE = 0.5, 1.4
+ROUGHER = (1.0, 1.4, 2.0, 2.8)  # times the scale within a second: propwash lasts less
 SLOWER_S = (0.0, 0.015, 0.03)  # than a motor that is commanded to
 YAW = 2
 FITS = 0.7  # of what each axis would explain with a size of its own: gains of the axes are known to some 20 %
@@ -63,6 +65,14 @@ class Desync:
     ratio: float
     size: float
     others: tuple[int, ...] = ()
+
+
+class Ratios(NamedTuple):
+    """Log likelihood ratios of a desync against none. each (cases, channels, SIZES): a case is one of SLOWER_S with one of ROUGHER; weight
+    (cases,): log probability of the case where there is no desync."""
+
+    each: np.ndarray
+    weight: np.ndarray
 
 
 def find(flight: Flight, vehicle: Vehicle, air: Spans, known: tuple[Event, ...] = ()) -> tuple[Event, ...]:
@@ -180,11 +190,11 @@ def _judged(seen: list[Channel], i: int, start: int, length: int, rotors: list[i
     inside = slice(start, start + length)
     if seen[0].thrust[inside, i].mean() < IDLE or not seen[0].flies[inside].all():
         return None
-    each = _ratios(seen, i, start, length)
-    ratio = _marginal(each)
+    ratios = _ratios(seen, i, start, length)
+    ratio = _marginal(ratios)
     if ratio < limit:
         return None
-    each = each[int(np.argmax(_by_shape(each)))]
+    each = ratios.each[int(np.argmax(_by_case(ratios)))]
     firm = np.delete(each, YAW, axis=0)
     together = firm.sum(axis=0)
     size = float(SIZES[np.argmax(together)])
@@ -210,7 +220,7 @@ def _refined(seen: list[Channel], i: int, start: int, length: int, least: float)
 
     def value(s: int, n: int) -> float:
         possible = s >= 0 and n >= 2 and s + n + LAGS < len(seen[0].left)
-        return _marginal(_ratios(seen, i, s, n)) if possible else -np.inf
+        return _marginal(_ratios(seen, i, s, n, rougher=(1.0,))) if possible else -np.inf
 
     reach = max(ALONG, length // 2)
     step = max(1, reach // POINTS)
@@ -229,9 +239,12 @@ def _refined(seen: list[Channel], i: int, start: int, length: int, least: float)
     return start, length
 
 
-def _ratios(seen: list[Channel], i: int, start: int, length: int, until: int | None = None) -> np.ndarray:
-    """(shapes, channels, SIZES) log likelihood ratio of a desync against none, from its start until the last answer, or `until`."""
-    out = np.zeros((len(SLOWER_S), len(seen), len(SIZES)))
+def _ratios(
+    seen: list[Channel], i: int, start: int, length: int, until: int | None = None, rougher: tuple[float, ...] = ROUGHER
+) -> Ratios:
+    """Of a desync of rotor i from its start until the last answer, or `until`. rougher: the air may be, just then."""
+    each = np.zeros((len(SLOWER_S), len(rougher), len(seen), len(SIZES)))
+    none = np.zeros(len(rougher))
     kernels = _kernels(seen[0].width)
     for k, c in enumerate(seen):
         if c.rotor is not None and c.rotor != i:
@@ -239,13 +252,20 @@ def _ratios(seen: list[Channel], i: int, start: int, length: int, until: int | N
         stop = min(start + length + LAGS + len(kernels[-1]) - 2, len(c.left)) if until is None else until
         z, scale = c.left[start:stop], c.scale[start:stop]
         answer = np.convolve(c.drive[start : start + length, i], c.answer)
-        none = np.log1p(z**2 / DOF).sum()
+        times = rougher if c.rotor is None else (1.0,)  # air does not turn motors
+        without = np.array([_likelihood(z, r) for r in times])
+        none += without
         for m, kernel in enumerate(kernels):
             s = np.convolve(answer, kernel)[: len(z)]
             s = np.concatenate([s, np.zeros(len(z) - len(s))]) / scale
-            with_ = np.log1p((z[None, :] + SIZES[:, None] * s[None, :]) ** 2 / DOF).sum(axis=1)
-            out[m, k] = 0.5 * (DOF + 1.0) * (none - with_)
-    return out
+            each[m, :, k] = np.array([_likelihood(z + SIZES[:, None] * s, r) for r in times]) - without[:, None]
+    weight = none - np.logaddexp.reduce(none) - np.log(len(SLOWER_S))
+    return Ratios(each.reshape(-1, *each.shape[2:]), np.tile(weight, len(SLOWER_S)))
+
+
+def _likelihood(z: np.ndarray, times: float) -> np.ndarray:
+    """Log likelihood of surprises z (..., K) over their scale, by Student's t that is so many times as wide."""
+    return -0.5 * (DOF + 1.0) * np.log1p((z / times) ** 2 / DOF).sum(axis=-1) - z.shape[-1] * np.log(times)
 
 
 @functools.cache
@@ -266,16 +286,17 @@ def _log_prior(middle: float, sd: float) -> np.ndarray:
 _OF_ALL, _OF_YAW = _log_prior(0.9, 0.25), _log_prior(0.8, 0.5)
 
 
-def _marginal(each: np.ndarray) -> float:
-    """Log likelihood ratio with shape and sizes by their priors."""
-    return float(np.logaddexp.reduce(_by_shape(each)) - np.log(len(each)))
+def _marginal(ratios: Ratios) -> float:
+    """Log likelihood ratio with shape, roughness and sizes by their priors."""
+    return float(np.logaddexp.reduce(_by_case(ratios)))
 
 
-def _by_shape(each: np.ndarray) -> np.ndarray:
-    """(shapes,): yaw has a size of its own, as motors that lose step jerk. each (shapes, channels, SIZES)."""
+def _by_case(ratios: Ratios) -> np.ndarray:
+    """(cases,) log likelihood ratios: yaw has a size of its own, as motors that lose step jerk."""
+    each = ratios.each
     firm = each[:, [k for k in range(each.shape[1]) if k != YAW]].sum(axis=1)
     of_yaw = np.logaddexp.reduce(each[:, YAW] + _OF_YAW, axis=-1)
-    return np.logaddexp.reduce(firm + _OF_ALL, axis=-1) + of_yaw
+    return np.logaddexp.reduce(firm + _OF_ALL, axis=-1) + of_yaw + ratios.weight
 
 
 def _works_not(seen: list[Channel], i: int, start: int, length: int) -> bool:
@@ -285,7 +306,7 @@ def _works_not(seen: list[Channel], i: int, start: int, length: int) -> bool:
         first, count = max(first, 0), min(count, len(seen[0].left) - LAGS - first)
         if count < 5:
             return True
-        ratio = _ratios(seen, i, first, count)[0].sum(axis=0)
+        ratio = _ratios(seen, i, first, count).each[0].sum(axis=0)
         if SIZES[np.argmax(ratio)] > LEFT and ratio.max() > SCREEN:
             return True
     return False
