@@ -195,6 +195,18 @@ def test_rotors_that_the_step_cannot_distinguish_are_all_named(drag):
     )
 
 
+@pytest.mark.filterwarnings("error")
+def test_ticks_without_thrust_say_nothing():
+    """A pilot who idles in the air: rotors that are commanded nothing cannot lack anything."""
+    biases, table = flown()
+    table.thrust[200:700] = 0.0
+    seen = unseen.Unseen(B, table.dt)
+    seen.add(biases, table)
+    kept, alone = np.flatnonzero(table.thrust.any(axis=1)), unseen.Unseen(B, table.dt)
+    alone.add(biases[kept], part(table, kept))
+    np.testing.assert_array_equal(seen.losses(), alone.losses())
+
+
 def test_a_flight_of_seconds_accuses_nobody():
     biases, table = flown(seconds=1.0, loss=0.9, onset_s=0.5)
     assert accused(evidence(table, at=0.5), table, biases) == ()

@@ -81,8 +81,8 @@ def suspected(seen: Unseen, out, table: Ticks, found: Sequence[Event]) -> tuple[
 
 
 def usable(table: Ticks) -> np.ndarray:
-    """(T,) bool: the ticks whose biases count."""
-    return (table.mode == JUDGE) & table.valid[:, :3].all(axis=1) & ~table.upset
+    """(T,) bool: the ticks whose biases count. Rotors that are commanded nothing cannot lack anything."""
+    return (table.mode == JUDGE) & table.valid[:, :3].all(axis=1) & ~table.upset & table.thrust.any(axis=1)
 
 
 class Unseen:

@@ -83,7 +83,7 @@ class Jumps:
 
 
 def without_last(bank: Bank, variance) -> Bank:
-    """The bank with its last direction integrated out: how large that is nobody asks, its prior variance is known.
+    """The bank with its last direction integrated out: how large that is nobody asks, its prior variance (one, or one a slot) is known.
 
     C - c c' / (C_ll + 1 / variance), and z alike: what is left holds whatever the last direction did.
     """

@@ -27,7 +27,7 @@ from rotorwatch.default import (
     plausibility,
     posterior,
 )
-from rotorwatch.default.plant import B3, GAIN, PER_AXIS
+from rotorwatch.default.plant import B3, DAMPING, GAIN, PER_AXIS
 from rotorwatch.front.ticks import AGAIN, GROUND, JUDGE
 
 
@@ -87,13 +87,15 @@ class JumpBank:
         self.n, self.n_x, self.n_s = system.n_theta, system.n_x, system.n_x + system.n_theta
         self.hyp = hypotheses.make(self.n)
         self.limit = announcement.threshold(self.hyp, dt)
-        # A jump is a rotor's loss, or a step of an axis' bias. The yaw that follows a loss is long and slow, and what it takes to
-        # yaw this vehicle is the least known of its gains: the last direction is an error in that, integrated out.
-        E = np.zeros((self.n_s, self.n + 5))
+        # A jump is a rotor's loss, or a step of an axis' bias. The last two directions are errors of the model, integrated out. What it
+        # takes to yaw this vehicle is the least known of its gains, and the yaw that follows a loss is long and slow. How fast roll and
+        # pitch die out is known only once it has moved: when it first flies off, both at once look like a rotor's loss.
+        E = np.zeros((self.n_s, self.n + 6))
         E[self.n_x :, : self.n] = np.eye(self.n)
         E[np.arange(4) * PER_AXIS + B3, self.n + np.arange(4)] = 1.0
         self.yaw_gain = 2 * PER_AXIS + GAIN
-        E[self.yaw_gain, -1] = 1.0
+        E[self.yaw_gain, -2] = 1.0
+        E[np.arange(2) * PER_AXIS + DAMPING, -1] = 1.0
         self.jumps = bank.Jumps(E, self.dt)
 
     def init(self) -> Carry:
@@ -156,7 +158,8 @@ class JumpBank:
 
         # What the bank says of any jump since, and whether that is announced.
         theta, P, active = branches.s[0, n_x:], branches.P[0], branches.active[0]
-        statistics = bank.without_last(onsets, jnp.maximum(P[self.yaw_gain, self.yaw_gain], 1e-12))
+        statistics = bank.without_last(onsets, model_error.unknown_damping(branches.s[0, :n_x], onsets.z[:, -1], n))
+        statistics = bank.without_last(statistics, jnp.maximum(P[self.yaw_gain, self.yaw_gain], 1e-12))
         reach = jnp.abs(rows[:, n_x:]).max(axis=0)
         air = plausibility.air(missing, n) ** 2
         found = evidence.gather(hyp, self.jumps, statistics, theta, active, variances, reach, air)

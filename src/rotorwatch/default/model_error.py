@@ -139,6 +139,15 @@ def calm(memory: Memory):
     return 1.0 / jnp.maximum(jnp.maximum(memory.burst, memory.lasting), 1.0)
 
 
+def unknown_damping(x, score, n: int):
+    """(W,) variance of how much more roll and pitch are damped than the state x (n_x,) says, where score (W,) speaks for more; next to none
+    where it speaks for less: damping has a least, which is 0, but no most."""
+    import jax.numpy as jnp
+
+    gain = jnp.maximum(x[np.arange(2) * PER_AXIS + GAIN].mean(), LEAST_GAIN * n * plant.GAIN_MEAN[0])
+    return jnp.where(score > 0.0, (plant.DAMPING_MOST * gain) ** 2, 1e-12)
+
+
 def remember(memory: Memory, innovation, variance, ok, dt) -> Memory:
     """One tick's innovations (4,) of given variance (4,) where ok (4,), for `calm`."""
     import jax.numpy as jnp
