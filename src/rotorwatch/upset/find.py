@@ -137,9 +137,9 @@ def _cause(
     turned = (
         left.onset - start > FIRST_S and torque.size > 0 and bool((np.sqrt((torque**2).mean(axis=0)) < TURNED).all())
     )
-    if (best.kind == "healthy" and p > SURE and fits and turned) or (
-        best.kind == "common" and rotor < 1.0 - SURE and turned and _level(flight, left, onset)
-    ):
+    # Air may have taken the thrust, too: what the torques say of a rotor has to be nothing without that explanation as well.
+    nobody = best.kind == "common" and rotor < (1.0 - SURE) * float(probability[1:].sum())
+    if (best.kind == "healthy" and p > SURE and fits and turned) or (nobody and turned and _level(flight, left, onset)):
         return "controller", (
             "all rotors turned the vehicle as commanded, so the commands were wrong: from a sensor, an estimate or the pilot",
         )
