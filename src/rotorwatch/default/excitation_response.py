@@ -155,7 +155,7 @@ def _unneeded(table: Ticks, N: np.ndarray, usable: np.ndarray) -> np.ndarray:
 
 
 def _spans(table: Ticks, responses: np.ndarray) -> list[tuple[int, int]]:
-    """First and last ticks of spells that are no more than APART_S apart and last SHORTEST_S."""
+    """First and last ticks of spells that are no more than GAP_S apart and last SHORTEST_S."""
     ticks = np.flatnonzero(responses)
     if not ticks.size:
         return []
