@@ -5,6 +5,7 @@ import io
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from rotorwatch.report import figures, terminal, upset
 from rotorwatch.simulation import fpv
 from rotorwatch.simulation.fpv import Moment, Push
 
+SHARED = Path(__file__).parents[1] / "../shared/flights/blackbox"
 LONG = 50.0
 AT = (7.3, 12.1, 18.4, 24.9, 31.7, 38.2)
 TIMES = "times"
@@ -118,6 +120,12 @@ def test_air_that_is_rough_for_a_moment_is_none():
     assert desync.search(channels) == []
 
 
+@pytest.mark.skipif(not SHARED.is_dir(), reason="the flight logs for tests are not here (../shared/flights)")
+def test_a_motor_that_comes_from_rest_is_none():
+    """A real freestyle flight: the motor is commanded nothing for 100 ms, then all at once, and takes 60 ms to turn."""
+    assert "desync" not in {e.kind for e in diagnose(SHARED / "Hiro_highP_highD.BFL.xz").events}
+
+
 def test_speed_of_another_motor_says_nothing():
     """A desync that the motion shows, while the motor's own speed stays as it was told, is none."""
     channels = seen("long", True)
@@ -151,7 +159,7 @@ def test_a_motor_turns_to_what_it_is_told_with_a_lag():
 
 
 def one(rotor=0, start=10.0, lasting=0.1, ratio=5.0, others=()):
-    return desync.Desync(rotor, start, start + lasting, ratio, 1.0, others)
+    return desync.Desync(rotor, start, start + lasting, ratio, 1.0, lasting, others)
 
 
 def test_events_are_one_a_motor():

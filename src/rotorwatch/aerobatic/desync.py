@@ -11,8 +11,8 @@ just then by what the axes show. If the noise is as described, exp of that has t
 log(windows in ten hours x rotors x lengths) is passed there once in ten hours at most (the bound of Markov and Boole).
 
 A knock pushes in any direction: each axis with a size of its own must not explain much more. A dead or weak motor is none: it works
-before and after. One shorter than 100 ms counts only where the motor's speed shows it, or where it did it again: so long a motor takes
-from idle to full thrust.
+before and after. One in which it was commanded up for less than 100 ms counts only where the motor's speed shows it, or where it did it
+again: so long a motor takes from rest to full thrust.
 """
 
 from __future__ import annotations
@@ -57,13 +57,14 @@ CRASH_S = 0.3  # before control is lost, what happens belongs to that
 @dataclass(frozen=True)
 class Desync:
     """One of rotor `rotor` (from 0), from start to end [s]. ratio: log likelihood ratio, above the threshold; size: of what was commanded;
-    others: rotors that explain it as well."""
+    commanded: how long of it the motor was to give more than idle [s]; others: rotors that explain it as well."""
 
     rotor: int
     start: float
     end: float
     ratio: float
     size: float
+    commanded: float
     others: tuple[int, ...] = ()
 
 
@@ -137,7 +138,7 @@ def search(seen: list[Channel]) -> list[Desync]:
             separate.append(d)
     spun = {c.rotor for c in seen}
     long = KNOCK_S - 2.0 * dt  # both ends are known to a window
-    often = {d.rotor for d in separate if d.end - d.start > long or sum(e.rotor == d.rotor for e in separate) > 1}
+    often = {d.rotor for d in separate if d.commanded > long or sum(e.rotor == d.rotor for e in separate) > 1}
     return sorted((d for d in separate if d.rotor in spun or d.rotor in often), key=lambda d: d.start)
 
 
@@ -211,7 +212,10 @@ def _judged(seen: list[Channel], i: int, start: int, length: int, rotors: list[i
             if other > ratio - CLEAR:
                 others.append(j)
     time = seen[0].time
-    return Desync(i, float(time[start]), float(time[start] + length * dt), ratio - limit, size, tuple(others))
+    commanded = float((seen[0].thrust[inside, i] > IDLE).sum() * dt)
+    return Desync(
+        i, float(time[start]), float(time[start] + length * dt), ratio - limit, size, commanded, tuple(others)
+    )
 
 
 def _refined(seen: list[Channel], i: int, start: int, length: int, least: float) -> tuple[int, int]:
