@@ -140,12 +140,13 @@ def calm(memory: Memory):
 
 
 def unknown_damping(x, score, n: int):
-    """(W,) variance of how much more roll and pitch are damped than the state x (n_x,) says, where score (W,) speaks for more; next to none
-    where it speaks for less: damping has a least, which is 0, but no most."""
+    """(W,) variance of how much more roll and pitch are damped than the state x (n_x,) says, where score (W,) speaks for more: up to what
+    two standard deviations above the usual are. Next to none where it speaks for less: damping has a least, which is 0."""
     import jax.numpy as jnp
 
     gain = jnp.maximum(x[np.arange(2) * PER_AXIS + GAIN].mean(), LEAST_GAIN * n * plant.GAIN_MEAN[0])
-    return jnp.where(score > 0.0, (plant.DAMPING_MOST * gain) ** 2, 1e-12)
+    most = plant.DAMPING_RATE + 2.0 * plant.DAMPING_RATE_SD  # light vehicles with long arms
+    return jnp.where(score > 0.0, (most * gain) ** 2, 1e-12)
 
 
 def remember(memory: Memory, innovation, variance, ok, dt) -> Memory:

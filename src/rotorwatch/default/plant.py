@@ -32,7 +32,6 @@ AXES = ("roll", "pitch", "yaw", "thrust")
 GAIN_MEAN = np.array([0.005, 0.005, 0.13, 0.0])
 GAIN_SD = np.array([0.004, 0.004, 0.1, 0.005])
 DAMPING_RATE, DAMPING_RATE_SD = 2.0, 1.5
-DAMPING_MOST = DAMPING_RATE + 2.0 * DAMPING_RATE_SD  # light vehicles with long arms
 # Hover thrusts per m/s^2 of side force and rotor: air that pushes the body sideways also tilts it, by the flapping of its blades and by
 # where it pushes. Real quadrotors: 0.05 to 0.2; rigid rotors in the plane of the centre of mass: 0.
 SIDE, SIDE_SD = 0.05, 0.07
