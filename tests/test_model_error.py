@@ -1,10 +1,13 @@
 """What may be learned from a tick, how much its evidence counts, and how wrong the model may be: against plain NumPy."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.default import model_error, noise, plant
+from rotorwatch.campaign import batch, plan
+from rotorwatch.default import events, model_error, noise, plant
 from rotorwatch.default.plant import AXIS_STATES, DAMPING, DAMPING_RATE, GAIN, GAIN_MEAN, PER_AXIS, any_multirotor
 
 N, DT = 4, 0.05
@@ -244,3 +247,23 @@ def test_a_tick_without_commands_changes_nothing_that_is_usual():
         np.testing.assert_array_equal(getattr(memory, name), getattr(settled(), name))
     _, seen = look(memory, inputs())
     assert float(seen.far) == 0.0
+
+
+def test_more_damping_than_known_is_possible_and_less_is_not():
+    """Five a second times the gain, of roll and pitch on average; a gain that is not known yet counts as three tenths of the usual."""
+    x, n = np.zeros(AXIS_STATES), 8
+    x[[GAIN, PER_AXIS + GAIN]] = 0.08, 0.12
+    more, less, none = np.asarray(model_error.unknown_damping(x, np.array([3.0, -3.0, 0.0]), n))
+    assert more == pytest.approx((5.0 * 0.1) ** 2)
+    assert less < 1e-9 and none < 1e-9
+    (unknown,) = np.asarray(model_error.unknown_damping(0.0 * x, np.ones(1), n))
+    assert unknown == pytest.approx((5.0 * 0.3 * n * GAIN_MEAN[0]) ** 2)
+
+
+def test_a_light_coaxial_octa_that_flies_off_is_not_accused():
+    """0.9 kg on arms of 0.55 m: rotation dies out at 9 a second, and the first eight looked like a rotor at the end of one arm."""
+    flights = plan.read(Path(__file__).parents[1] / "plans" / "default.toml")
+    (flown,) = batch.fly(flights, [3599], 1)
+    B = flown.vehicle.effectiveness()
+    (judged,) = batch.by_default([flown], B, 1)
+    assert events.read(judged.kept, flown.ticks, B) == ()

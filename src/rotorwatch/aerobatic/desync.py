@@ -310,7 +310,7 @@ def _works_not(seen: list[Channel], i: int, start: int, length: int) -> bool:
         first, count = max(first, 0), min(count, len(seen[0].left) - LAGS - first)
         if count < 5:
             return True
-        ratio = _ratios(seen, i, first, count).each[0].sum(axis=0)
+        ratio = _ratios(seen, i, first, count, rougher=(1.0,)).each[0].sum(axis=0)
         if SIZES[np.argmax(ratio)] > LEFT and ratio.max() > SCREEN:
             return True
     return False
