@@ -484,6 +484,22 @@ def test_a_table_whose_answer_is_known():
     json.dumps(found, allow_nan=False)
 
 
+def test_what_the_answers_name():
+    """Of healthy flights how often an answer names a rotor, of faults how often it names the broken one, or only others."""
+    sound = [{"answer": "healthy", "accused": ""}] * 97 + [{"answer": "ambiguous", "accused": "2+4"}] * 3
+    told = [broken(broken="2", answer=a, accused=w) for a, w in [("fault", "2")] * 6 + [("ambiguous", "2+4")] * 2]
+    told += [broken(broken="2", answer=a, accused=w) for a, w in (("healthy", ""), ("fault", "12"))]
+    rows = made(sound + told).to_pylist()
+    without = [row | {"method": "ekf", "answer": None, "accused": None} for row in rows]
+    found = campaign.summarise(pyarrow.Table.from_pylist(rows + without, schema=made([{}]).schema))["methods"]
+    default, ekf = found["default"]["overall"], found["ekf"]["overall"]
+    assert default["answered"]["value"] == pytest.approx(0.8) and default["answered"]["n"] == 10
+    assert default["accused_h"]["n"] == 3 and default["accused_h"]["value"] == pytest.approx(3.0)
+    assert default["misled"] == 1
+    assert ekf["answered"] is None and ekf["accused_h"] is None and ekf["misled"] == 0
+    assert "| 80 % (" in campaign.markdown({"flights": 110, "healthy_h": 1.1, "methods": {"default": found["default"]}})
+
+
 def test_intervals_hold_what_they_promise():
     rng = np.random.default_rng(0)
     p, hours = 0.1, 7.0

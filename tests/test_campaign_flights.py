@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -71,6 +73,9 @@ def test_as_diagnose_judges_the_log(plan, rows):
     for row in of(rows, "default"):
         made = simulate(plan.flight(row["flight"]))
         found = rotorwatch.diagnose(made.flight)
+        assert row["answer"] == found.verdict
+        open_ = {r.rotor for r in found.rotors if r.status not in ("healthy", "unobservable")}
+        assert set(map(int, filter(None, row["accused"].split("+")))) == open_
         events = [e for e in found.events if e.kind == "loss_of_effectiveness"]
         assert len(events) == row["false_alarms"] + row["wrong"] + bool(row["detected"])
         if row["fault"]:
@@ -81,6 +86,14 @@ def test_as_diagnose_judges_the_log(plan, rows):
                 row["estimate"], abs=0.03
             )  # at the end of the flight, here 10 s on
     assert 0 < some < WIDTH
+
+
+def test_what_wind_hides_is_in_the_answer():
+    """An octa that turns in 7 m/s of wind: no event, but the answer to the whole flight names the rotor."""
+    plan = campaign.read(Path(__file__).parents[1] / "plans" / "default.toml")
+    (row,) = of(batch.judge(plan, [4996], 1), "default")
+    assert row["loss"] > 0.25 and not row["detected"]
+    assert (row["answer"], row["accused"]) == ("ambiguous", row["broken"])
 
 
 @pytest.mark.thorough

@@ -146,6 +146,17 @@ def diagnose(
     return diagnosis
 
 
+def answered(
+    flight: Flight, vehicle: Vehicle, air: Spans, upsets: tuple[upset.Judged, ...], table: Ticks, out: TickOutput
+) -> conclusion.Conclusion:
+    """The answer of the default diagnosis to a flight without anything known before, from the estimator's outputs at its ticks: what a
+    campaign counts. What `hindsight` sees of the blind time is not in it."""
+    limit = float(threshold(hypotheses.make(len(vehicle.rotors)), table.dt))
+    ready = Prepared(flight, vehicle, False, None, "", air, upsets, table, READY_S, True, [], [])
+    done = Estimated(table, out, limit, None, True)
+    return _concluded(ready, table, done, _find(ready, done)).end
+
+
 def _prepare(flight: Flight, vehicle, baseline, hovers: bool, clock: _Clock) -> Prepared:
     """The vehicle, what is known of it, when it flew, and the ticks to be judged."""
     craft, source, notes = baselines.settle(flight, baselines.vehicle_of(vehicle), baseline)
@@ -230,8 +241,18 @@ def _find(ready: Prepared, done: Estimated) -> Found:
     return Found(found, faint)
 
 
-def _conclude(ready: Prepared, logged: Ticks, done: Estimated, found: Found, title: str, clock: _Clock) -> Diagnosis:
-    """The answer. logged: the ticks as they were logged; title: the estimator's."""
+@dataclass(frozen=True)
+class Judgement:
+    """The answer, and what it rests on. spells: evidence that no event explains; whole: the comparison with healthy flights, or None."""
+
+    end: conclusion.Conclusion
+    doubts: tuple[str, ...]
+    spells: tuple[residual_evidence.ResidualEvidence, ...]
+    whole: dict | None
+
+
+def _concluded(ready: Prepared, logged: Ticks, done: Estimated, found: Found) -> Judgement:
+    """The answer to a flight whose events are found. logged: the ticks as they were logged."""
     flight, craft, air = ready.flight, ready.vehicle, ready.air
     table, out, B = done.table, done.out, ready.vehicle.effectiveness()
     n, hyp = B.shape[1], hypotheses.make(B.shape[1])
@@ -241,8 +262,6 @@ def _conclude(ready: Prepared, logged: Ticks, done: Estimated, found: Found, tit
     other = None
     if trusted and not ready.known:
         other = population.judge(flight, craft, air, _undisturbed(table, found.events))
-    comparison = detectors.detect(flight, craft, air)
-    clock.lap("comparison_s")
     judged = (table.mode == JUDGE) & table.valid.any(axis=1)
     spells = (
         *residual_evidence.find(out, table, hyp, done.limit, found.events, B),
@@ -256,9 +275,23 @@ def _conclude(ready: Prepared, logged: Ticks, done: Estimated, found: Found, tit
         found.events, n, whole, hidden, hidden_pair, float(judged.sum() * table.dt), spells, places.names(craft.rotors), air,
         health.trends(out, table, B, found.events) if trusted else (), other, ready.hovers,
     )  # fmt: skip
-    end = conclusion.conclude(seen, doubts)
-    common = common_mode.thrust_shift(out.biases[judged, 3]) if trusted else {}
-    trace = traces.make(flight, out, table, hyp, B, air, ready.ready_s, done.limit, end.events, spells, end.rotors)
+    return Judgement(conclusion.conclude(seen, doubts), doubts, spells, whole)
+
+
+def _conclude(ready: Prepared, logged: Ticks, done: Estimated, found: Found, title: str, clock: _Clock) -> Diagnosis:
+    """The diagnosis. logged: the ticks as they were logged; title: the estimator's."""
+    flight, craft, air = ready.flight, ready.vehicle, ready.air
+    table, out, B = done.table, done.out, ready.vehicle.effectiveness()
+    last = _concluded(ready, logged, done, found)
+    end, doubts = last.end, last.doubts
+    comparison = detectors.detect(flight, craft, air)
+    clock.lap("comparison_s")
+    judged = (table.mode == JUDGE) & table.valid.any(axis=1)
+    common = common_mode.thrust_shift(out.biases[judged, 3]) if not doubts and ready.hovers else {}
+    hyp = hypotheses.make(B.shape[1])
+    trace = traces.make(
+        flight, out, table, hyp, B, air, ready.ready_s, done.limit, end.events, last.spells, end.rotors
+    )
     return _answer(
         end,
         ready,
@@ -266,7 +299,7 @@ def _conclude(ready: Prepared, logged: Ticks, done: Estimated, found: Found, tit
         clock,
         estimator=title,
         comparison=comparison,
-        whole_flight=whole,
+        whole_flight=last.whole,
         doubts=doubts,
         trace=trace,
     )

@@ -21,6 +21,7 @@ from rotorwatch.campaign import methods, score
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.compiling.run import run_built
 from rotorwatch.default import events, program
+from rotorwatch.diagnose import answered
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import limits
 from rotorwatch.flight import Flight
@@ -107,7 +108,8 @@ def rows(
     if "default" in plan.estimators:
         for f, bound, out in zip(flown, bounds, by_default(flown, B, size), strict=True):
             statistic = np.where(out.plausible, out.kept.statistic, score.NOTHING)
-            found.append(row("default", f, out.kept, statistic, bound))
+            end = answered(f.flight, f.vehicle, f.air, f.upsets, f.ticks, out.kept)
+            found.append(row("default", f, out.kept, statistic, bound) | score.answer(end))
     if published:
         tables = [f.ticks for f in flown]
         hops = methods.learn(tables, B, learned_states(flown, B, size))

@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from rotorwatch.answer.conclusion import Conclusion
+from rotorwatch.answer.wording import explanations
 from rotorwatch.base import files
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.default import events
@@ -71,6 +73,13 @@ def estimator(
         row |= {"estimate": loss, "lower": max(0.0, loss - 1.96 * sd), "upper": min(1.0, loss + 1.96 * sd)}
     row |= _peaks(f, statistic, row["onset_s"], certain)
     return row
+
+
+def answer(end: Conclusion) -> dict[str, str]:
+    """The columns of what `diagnose` answers to the whole flight."""
+    who = {state.rotor for state in end.rotors if state.status not in ("healthy", "unobservable")}
+    who |= {rotor for k in (() if end.main is None else (end.main,)) for w in explanations(end.events[k]) for rotor in w}
+    return {"answer": end.verdict, "accused": "+".join(map(str, sorted(who)))}
 
 
 def rule(name: str, f, findings: Sequence[Mapping[str, Any]], bound, plan: Plan) -> dict[str, Any]:

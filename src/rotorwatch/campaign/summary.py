@@ -150,13 +150,33 @@ def measures(d: dict[str, np.ndarray]) -> dict[str, Any]:
         "false_alarms": int(d["false_alarms"].sum()), "false_alarms_h": rate(int(d["false_alarms"].sum()), hours),
         "sure_false_alarms_h": rate(int(d["sure_false_alarms"].sum()), hours),
         "detected": share(d["detected"][clear]), "right": share(d["right"][clear]), "named": share(d["named"][clear]),
-        "wrong": int(d["wrong"].sum()),
+        "answered": _answered(d), "accused_h": _accused(d),
+        "misled": int(_misled(d).sum()), "wrong": int(d["wrong"].sum()),
         "delay_s": boot(delays, np.median), "bound_delay_s": boot(d["bound_delay_s"][both], np.median),
         "delay_ratio": boot(d["delay_s"][both] / d["bound_delay_s"][both], np.median),
         "loss_rmse": boot(error, _rms), "bound_rmse": boot(sd, _rms),
         "rmse_ratio": _ratio(error, sd), "typical_ratio": boot(np.abs(error) / sd / LIKELY, np.median),
         "coverage": share(covered[inside]),
     }  # fmt: skip
+
+
+def _answered(d: dict[str, np.ndarray]) -> dict[str, float] | None:
+    """Share of the clear faults whose rotor the answer to the whole flight names, alone or among others."""
+    has = d["clear"].astype(bool) & (d["answer"] != None)  # noqa: E711 - None of a method that gives no answer
+    return share(np.array([b in a.split("+") for a, b in zip(d["accused"][has], d["broken"][has])], bool))
+
+
+def _misled(d: dict[str, np.ndarray]) -> np.ndarray:
+    """Flights with a fault whose answer names other rotors only."""
+    has = (d["fault"] != "") & (d["answer"] != None)  # noqa: E711
+    pairs = zip(d["accused"], d["broken"], has, strict=True)
+    return np.array([bool(h and a) and not set(a.split("+")) & set(b.split("+")) for a, b, h in pairs], bool)
+
+
+def _accused(d: dict[str, np.ndarray]) -> dict[str, float] | None:
+    """Answers that name rotors of vehicles without a fault, per healthy hour of such flights."""
+    sound = (d["fault"] == "") & (d["answer"] != None)  # noqa: E711
+    return rate(int((d["accused"][sound] != "").sum()), float(d["healthy_s"][sound].sum() / 3600.0))
 
 
 def _rms(values: np.ndarray) -> float:
@@ -280,8 +300,8 @@ def _loss_error(d: dict[str, np.ndarray]) -> list[dict]:
         points.append(
             {
                 "low": low, "high": min(high, 1.0), "faults": int(here.sum()), "detected": share(part["detected"]),
-                "right": share(part["right"]), "delay_s": measures(part)["delay_s"], "bias": boot(error, np.mean),
-                "rmse": boot(error, _rms), "bound_rmse": boot(sd, _rms), "rmse_ratio": _ratio(error, sd),
+                "answered": _answered(part), "right": share(part["right"]), "delay_s": measures(part)["delay_s"],
+                "bias": boot(error, np.mean), "rmse": boot(error, _rms), "bound_rmse": boot(sd, _rms), "rmse_ratio": _ratio(error, sd),
                 "typical_ratio": boot(np.abs(error) / sd / LIKELY, np.median),
             }
         )  # fmt: skip
@@ -298,13 +318,14 @@ def column(values: list, kind: str) -> np.ndarray:
 
 
 MEASURES = {
-    "false_alarms_h": "false alarms/h", "sure_false_alarms_h": "of these sure", "detected": "detected", "right": "right rotor",
+    "false_alarms_h": "false alarms/h", "sure_false_alarms_h": "of these sure", "accused_h": "healthy accused/h", "detected": "detected",
+    "answered": "named by the answer", "right": "right rotor",
     "delay_s": "delay, s", "delay_ratio": "x bound", "loss_rmse": "loss RMSE", "rmse_ratio": "x bound", "typical_ratio": "typical x",
     "coverage": "coverage",
 }  # fmt: skip
 ERRORS = {
-    "detected": "detected", "right": "right rotor", "bias": "bias", "rmse": "RMSE", "bound_rmse": "bound", "rmse_ratio": "x bound",
-    "typical_ratio": "typical x",
+    "detected": "detected", "answered": "named by the answer", "right": "right rotor", "bias": "bias", "rmse": "RMSE", "bound_rmse": "bound",
+    "rmse_ratio": "x bound", "typical_ratio": "typical x",
 }  # fmt: skip
 
 
@@ -331,6 +352,6 @@ def markdown(summary: dict[str, Any]) -> str:
 
 def cell(key: str, value: Any) -> str:
     """A measure with its interval as people read it."""
-    if key in ("detected", "right", "named", "coverage"):
+    if key in ("detected", "answered", "right", "named", "coverage"):
         return interval(value)
     return interval(value, 3 if key in ("loss_rmse", "bias", "rmse", "bound_rmse") else 2)
