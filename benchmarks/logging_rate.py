@@ -1,0 +1,94 @@
+"""What the rate of the log allows on real noise: real logs of 50 to 2,000 Hz, thinned, and how soon a loss could be seen in each.
+
+    python benchmarks/logging_rate.py ../flights/*.BFL.xz log171.bin.xz
+
+All signals of a log are thinned to the same rate: samples are left out, not averaged, as an autopilot that logs at this rate leaves them
+out. Beside each stands what no diagnoser can do better that sees the same ticks, knows rotor and onset and raises one false alarm in ten
+hours (experiments/limits.py): the median over rotors and onsets of the least delay for losses of 20 and 30 %, and the least standard
+deviation of a loss ten seconds after its onset. Roll, pitch and yaw only, so that logs with and without accelerations compare; ticks in
+which the vehicle turns faster than TURNS are left out. The table is in docs/limits.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from rotorwatch import airframes, logs
+from rotorwatch.default import program
+from rotorwatch.experiments import limits
+from rotorwatch.motion.airborne import airborne
+from rotorwatch.motion.ticks import GROUND, JUDGE, READY_S, observe
+
+RATES_HZ = (10.0, 25.0, 50.0, 100.0, 400.0, 1000.0)
+LOSSES, AFTER_S, PERIOD_S = (0.2, 0.3), 10.0, 36_000.0
+TURNS, LEAST_S, ONSETS = 3.0, 20.0, 4  # rad/s; seconds judged; onsets spread over the flight
+
+
+def thinned(flight, hz: float):
+    """The flight with every signal at this rate at most: samples are left out."""
+
+    def thin(signal):
+        if signal.rate_hz <= 1.05 * hz:
+            return signal
+        keep = np.unique(np.searchsorted(signal.time, np.arange(signal.time[0], signal.time[-1], 1.0 / hz)))
+        return signal.with_arrays(signal.time[keep], signal.values[keep], signal.valid[keep])
+
+    return replace(flight, signals={name: thin(signal) for name, signal in flight.signals.items()})
+
+
+def measured(flight, vehicle, air) -> dict | None:
+    """What the ticks of a flight allow: least delays of LOSSES and least standard deviation; None where too little can be judged."""
+    table = observe(flight, vehicle, air, READY_S)
+    if table is None:
+        return None
+    calm = (table.mode > GROUND) & (np.abs(table.rate).max(axis=1) < TURNS)
+    table = replace(table, mode=np.where(calm, JUDGE, table.mode), upset=np.zeros_like(table.upset))
+    B = vehicle.effectiveness()
+    u, y, valid = program.inputs(table, B)
+    valid = valid & calm[:, None] & np.array([True, True, True, False])
+    seen = np.flatnonzero(valid[:, 0])
+    if len(seen) * table.dt < LEAST_S:
+        return None
+    delays: dict[float, list[float]] = {loss: [] for loss in LOSSES}
+    sds = []
+    for onset in seen[(np.linspace(0.3, 0.7, ONSETS) * len(seen)).astype(int)]:
+        for rotor in range(B.shape[1]):
+            known = limits.on_ticks(
+                B, u[:, :-2], y, valid, table.mode > GROUND, np.zeros((len(u), B.shape[1])), rotor, int(onset), table.dt
+            ).information
+            after = np.searchsorted(np.cumsum(valid[onset:, 0]) * table.dt, AFTER_S) + onset
+            sds.append(float(limits.loss_sd(known[min(after, len(known) - 1)])))
+            judged = np.concatenate([np.zeros(onset), np.cumsum(valid[onset:, 0])]) * table.dt
+            for loss in LOSSES:
+                delays[loss].append(limits.delay(judged, known, loss, 0.0, PERIOD_S))
+    return {"judged": len(seen) * table.dt, "sd": float(np.median(sds)), **{k: float(np.median(v)) for k, v in delays.items()}}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("logs", nargs="+", type=Path)
+    options = parser.parse_args()
+    rates = [f"{hz:g} Hz" for hz in RATES_HZ]
+    print(f"| log | judged, s | | {' | '.join(rates)} |\n|---|---|---|{'---|' * len(rates)}")
+    for path in options.logs:
+        flight = logs.read(path)
+        vehicle = airframes.identify(flight)
+        air = airborne(flight)
+        most = flight["motors"].rate_hz
+        found = [measured(thinned(flight, hz), vehicle, air) if hz <= 1.1 * most else None for hz in RATES_HZ]
+        if not any(found):
+            continue
+        name, judged = path.name.split(".")[0], max(one["judged"] for one in found if one)
+        lines = [(f"{loss:.0%} seen after, s", [one and f"{one[loss]:.1f}" for one in found]) for loss in LOSSES]
+        lines.append(("error after 10 s", [one and f"{one['sd']:.3f}" for one in found]))
+        for k, (what, cells) in enumerate(lines):
+            first = f"{name} | {judged:.0f}" if k == 0 else " | "
+            print(f"| {first} | {what} | {' | '.join(cell or '' for cell in cells)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
