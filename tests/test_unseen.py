@@ -18,6 +18,16 @@ B = np.array([[-1.0, 1.0, 1.0, -1.0], [1.0, -1.0, 1.0, -1.0], [0.1, 0.1, -0.1, -
 DT = 0.1
 
 
+def outputs(biases, odds=-5.0, onset=0.0):
+    """Outputs of the estimator: biases (T, 4), and no evidence against any rotor."""
+    T = len(biases)
+    return SimpleNamespace(biases=biases, log_odds=np.full((T, 9), odds), onset=np.full(T, onset))
+
+
+def losses(biases, table, effectiveness=B):
+    return unseen.of(outputs(biases), table, effectiveness).losses()
+
+
 def flown(seconds=60.0, rotor=1, loss=0.0, onset_s=30.0, noise=0.05, memory=0.9, seed=0):
     """(biases, table) of a hover in wind whose torques are an autoregression, with a loss that was taken for a disturbance."""
     rng, T = np.random.default_rng(seed), round(seconds / DT)
@@ -35,7 +45,7 @@ def flown(seconds=60.0, rotor=1, loss=0.0, onset_s=30.0, noise=0.05, memory=0.9,
 
 def bound(*args, **more):
     biases, table = flown(*args, **more)
-    return unseen.losses(biases, table, B)
+    return losses(biases, table)
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.9, 0.97])
@@ -64,33 +74,36 @@ def test_the_bound_of_a_pair_holds_what_only_thrust_shows(loss, onset_s):
     for seed in range(100):
         biases, table = flown(loss=0.0, seed=seed)
         biases = biases + np.where(table.time >= onset_s, loss, 0.0)[:, None] * (against[:, 0] + against[:, 1])
-        seen = unseen.of(biases, table, against)
+        seen = unseen.of(outputs(biases), table, against)
         held.append(seen.pair({0: (1,), 1: (0,), 2: (3,), 3: (2,)}) >= loss)
         assert seen.losses().max() < 0.2, "no single rotor"
     assert np.mean(held) > 0.9
-    assert unseen.of(biases, table, against).pair({0: (), 1: ()}) == 0.0
+    assert unseen.of(outputs(biases), table, against).pair({0: (), 1: ()}) == 0.0
 
 
 def test_gaps_do_not_matter_and_too_little_says_nothing():
     biases, table = flown(noise=0.02)
     table.mode[200:420] = 0
-    long = unseen.losses(biases, table, B)
+    long = losses(biases, table)
     assert long.max() < 0.05
     table.mode[30:] = 0
-    assert (unseen.losses(biases, table, B) < 1.0).all()
+    assert (losses(biases, table) < 1.0).all()
     table.mode[10:] = 0
-    assert (unseen.losses(biases, table, B) == 1.0).all()
+    assert (losses(biases, table) == 1.0).all()
     table.mode[:] = 0
-    assert (unseen.losses(biases, table, B) == 1.0).all()
+    assert (losses(biases, table) == 1.0).all()
 
 
-def simulated(seed, frame, trajectory, wind, rotor, onset, loss, profile="fast"):
-    table = {
+def hidden(seed, frame, trajectory, wind, rotor, onset, loss, profile="fast"):
+    return {
         "duration_s": 65.0, "seed": seed, "airframe": {"frame": frame}, "trajectory": {"kind": trajectory},
         "wind": {"speed_m_s": wind}, "logging": {"profile": profile},
         "faults": [{"kind": "loss", "rotor": rotor, "onset_s": onset, "strength": loss}],
     }  # fmt: skip
-    return rw.diagnose(simulate(scenario.from_table(table)).flight)
+
+
+def simulated(*flight):
+    return rw.diagnose(simulate(scenario.from_table(hidden(*flight))).flight)
 
 
 # seed, frame, trajectory, wind m/s, rotor, onset s, loss: simulated flights in which wind hides the loss, so that no event names it
@@ -128,13 +141,14 @@ def test_a_loss_that_wind_hides_is_within_the_bound():
 
 def evidence(table, rotor=1, at=31.0, nats=25.0, since_s=1.0):
     """Outputs of the estimator with so much evidence against a rotor, at one tick, of an onset so long before."""
-    odds = np.full((len(table.time), 5), -5.0)
-    odds[np.abs(table.time - at) < 0.5 * DT, rotor - 1] = nats
-    return SimpleNamespace(log_odds=odds, onset=np.full(len(table.time), since_s / DT))
+    out = outputs(np.zeros((len(table.time), 4)), onset=since_s / DT)
+    out.log_odds[np.abs(table.time - at) < 0.5 * DT, rotor - 1] = nats
+    return out
 
 
 def accused(out, table, biases, events=(), effectiveness=B):
-    return unseen.suspected(unseen.of(biases, table, effectiveness), out, table, events)
+    out.biases = biases
+    return unseen.of(out, table, effectiveness).suspected(events, table.time[-1])
 
 
 def test_a_step_that_began_with_evidence_accuses_its_rotor_since_then():
@@ -201,9 +215,9 @@ def test_ticks_without_thrust_say_nothing():
     biases, table = flown()
     table.thrust[200:700] = 0.0
     seen = unseen.Unseen(B, table.dt)
-    seen.add(biases, table)
+    seen.add(outputs(biases), table)
     kept, alone = np.flatnonzero(table.thrust.any(axis=1)), unseen.Unseen(B, table.dt)
-    alone.add(biases[kept], part(table, kept))
+    alone.add(outputs(biases[kept]), part(table, kept))
     np.testing.assert_array_equal(seen.losses(), alone.losses())
 
 
@@ -215,27 +229,52 @@ def test_a_flight_of_seconds_accuses_nobody():
 def part(table, rows):
     return SimpleNamespace(
         mode=table.mode[rows], valid=table.valid[rows], upset=table.upset[rows], time=table.time[rows], dt=table.dt,
-        thrust=table.thrust[rows],
+        thrust=table.thrust[rows], restart=table.restart[rows],
     )  # fmt: skip
 
 
 @pytest.mark.parametrize("step", [1, 7, 600])
 def test_pieces_give_the_bounds_of_the_whole(step):
     biases, table = flown(loss=0.2)
-    seen = unseen.Unseen(B, DT)
+    out, seen = evidence(table), unseen.Unseen(B, DT)
+    out.biases = biases
+    table.mode[250:280] = 0
     for k in range(0, len(biases), step):
-        seen.add(biases[k : k + step], part(table, slice(k, k + step)))
+        piece = slice(k, k + step)
+        seen.add(SimpleNamespace(**{name: column[piece] for name, column in vars(out).items()}), part(table, piece))
         if k % 50 == 0:
             seen.losses()  # asking changes nothing
-    np.testing.assert_allclose(seen.losses(), unseen.losses(biases, table, B), rtol=1e-12)
+    np.testing.assert_allclose(seen.losses(), losses(biases, table), rtol=1e-12)
+    (spell,), (same,) = seen.suspected((), table.time[-1]), accused(out, table, biases)
+    assert (spell.rotors, spell.start_s) == (same.rotors, same.start_s) == ((1,), pytest.approx(30.0))
+
+
+@pytest.mark.parametrize("step", [1, 7, 600])
+def test_a_flight_that_begins_where_nothing_is_judged_is_noticed(step):
+    biases, table = flown(loss=0.2, noise=0.03)
+    table.mode[285:295], table.restart[290] = 0, True
+    seen, out = unseen.Unseen(B, DT), evidence(table)
+    out.biases = biases
+    for k in range(0, len(biases), step):
+        piece = slice(k, k + step)
+        seen.add(SimpleNamespace(**{name: column[piece] for name, column in vars(out).items()}), part(table, piece))
+    assert seen.suspected((), table.time[-1]) == ()
+
+
+@pytest.mark.parametrize("at, rotors", [(601.0, (1,)), (500.0, ())])
+def test_long_flights_keep_the_evidence_of_every_row(at, rotors):
+    biases, table = flown(seconds=1200.0, loss=0.2, onset_s=600.0, noise=0.03)
+    found = accused(evidence(table, at=at), table, biases)
+    assert [spell.rotors for spell in found] == ([rotors] if rotors else [])
+    assert not found or found[0].start_s == pytest.approx(600.0)
 
 
 def test_a_day_of_flight_takes_no_more_room_than_minutes():
     biases, table = flown(seconds=1200.0, loss=0.2, onset_s=600.0)
     seen = unseen.Unseen(B, DT)
     for k in range(len(biases)):
-        seen.add(biases[k : k + 1], part(table, slice(k, k + 1)))
-        assert len(seen._rows) <= unseen.ROWS and len(seen._new) <= unseen.ROWS + 1
+        seen.add(outputs(biases[k : k + 1]), part(table, slice(k, k + 1)))
+        assert len(seen._rows.sums) <= unseen.ROWS and len(seen._new) <= unseen.ROWS + 1
     assert 0.2 <= seen.losses()[0] < 0.3
 
 
@@ -256,14 +295,12 @@ def test_the_best_step_is_that_of_a_plain_search():
             A, y = B[:3, i] / spread, step / spread
             loss, own = A @ y / (A @ A), 1 / np.sqrt(A @ A)
             expected[i] = max(expected[i], max(loss, 0.0) + stats.t.ppf(0.975, N - 2) * own)
-    np.testing.assert_allclose(unseen.losses(biases, table, B), np.minimum(expected, 1.0), rtol=1e-9)
+    np.testing.assert_allclose(losses(biases, table), np.minimum(expected, 1.0), rtol=1e-9)
 
 
-def test_a_live_vehicle_is_bounded_as_its_log_is():
-    """What `watch` shows of a healthy rotor in the air is what `diagnose` says of the same flight, but for the landing."""
-    table = {"duration_s": 60.0, "seed": 3, "airframe": {"frame": "quad-x"}, "wind": {"speed_m_s": 5.0}}
-    flight = simulate(scenario.from_table(table)).flight
-    asked, rows = {}, []
+def replayed(flight):
+    """(session, rows of its band) of a flight that was watched to its end."""
+    rows = []
 
     def tell(_alert):
         pass
@@ -272,16 +309,34 @@ def test_a_live_vehicle_is_bounded_as_its_log_is():
     while replay.poll():
         session = replay.watched.session
         if session is not None and session.flying and not session.blind() and (known := session.losses()) is not None:
-            asked[session.now] = known[2]
             rows.append((session.now, *known))
+    assert replay.watched.session is not None
+    return replay.watched.session, rows
+
+
+def test_a_live_vehicle_is_bounded_as_its_log_is():
+    """What `watch` shows of a healthy rotor in the air is what `diagnose` says of the same flight, but for the landing."""
+    table = {"duration_s": 60.0, "seed": 3, "airframe": {"frame": "quad-x"}, "wind": {"speed_m_s": 5.0}}
+    flight = simulate(scenario.from_table(table)).flight
+    session, rows = replayed(flight)
+    asked = {row[0]: row[3] for row in rows}
     upper = asked[max(t for t in asked if t < 55.0)]
     whole = [r.since_takeoff[1] for r in rw.diagnose(flight).rotors]
     np.testing.assert_allclose(upper, whole, rtol=0.5, atol=0.01)
     early = asked[min(t for t in asked if t > 14.0)]
     assert (early > 0.5 * upper).all(), "little is known at first"
-    session = replay.watched.session
-    assert session is not None
     listed = landed.answer("one", session, rows, session.spans[0])
     assert listed.verdict == "healthy"
     # The last ticks before the touch-down are judged once it is certain.
     np.testing.assert_allclose([r.since_takeoff[1] for r in listed.rotors], rows[-1][3], rtol=0.1)
+
+
+def test_a_landed_vehicle_is_answered_as_its_log_is():
+    """A loss that wind hides from a watched vehicle is in the answer that is listed when it has landed."""
+    flight = HIDDEN[0]
+    log, made = simulated(*flight), simulate(scenario.from_table(hidden(*flight))).flight
+    session, rows = replayed(made)
+    found = landed.answer("one", session, rows, session.spans[0])
+    assert (found.verdict, found.events) == (log.verdict, ()) == ("ambiguous", ())
+    assert [r.status for r in found.rotors] == [r.status for r in log.rotors]
+    np.testing.assert_allclose(found.rotors[flight[4] - 1].interval, log.rotors[flight[4] - 1].interval, atol=0.03)

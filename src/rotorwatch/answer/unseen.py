@@ -45,39 +45,11 @@ CORRELATED = 0.9  # at most
 ROWS = 2048  # that are stored of a flight; of longer ones a row is the sum of several ticks
 
 
-def of(biases: np.ndarray, table: Ticks, B: np.ndarray) -> Unseen:
-    """What a whole flight shows. biases (T, 4): as estimated, at the ticks of `table`; B (4, n): effectiveness."""
+def of(out, table: Ticks, B: np.ndarray) -> Unseen:
+    """What a whole flight shows. out: the estimator's outputs at the ticks of `table`; B (4, n): effectiveness."""
     seen = Unseen(B, table.dt)
-    seen.add(biases, table)
+    seen.add(out, table)
     return seen
-
-
-def losses(biases: np.ndarray, table: Ticks, B: np.ndarray) -> np.ndarray:
-    """The bounds of a whole flight, as `Unseen.losses`."""
-    return of(biases, table, B).losses()
-
-
-def suspected(seen: Unseen, out, table: Ticks, found: Sequence[Event]) -> tuple[ResidualEvidence, ...]:
-    """The rotors that a step accuses which has stayed and began with certain evidence. seen: of the whole flight; out: the estimator's
-    stacked outputs; found: events, for the knocks, whose evidence speaks of themselves."""
-    step = seen.step()
-    if step is None or (step.loss - step.half)[step.nats.argmax()] < dict(SCALE)["worn"]:
-        return ()
-    who = np.flatnonzero(step.nats > step.nats.max() - hypotheses.CLEAR)
-    judged = np.flatnonzero(usable(table))
-    about = (step.before + step.block * SPELL * np.array([-1.0, 1.0])) * (len(judged) - 1)
-    first, last = judged[np.clip(about, 0, len(judged) - 1).astype(int)]
-    began = usable(table) & ~residual_evidence.knocked(table, found)
-    began[:first], began[last + 1 :] = False, False
-    odds = np.where(began[:, None], np.asarray(out.log_odds)[:, who], -np.inf)
-    if odds.max() < announcement.CERTAIN_NATS or table.restart[first + 1 : last + 1].any():
-        return ()  # between two flights battery and payload change as well
-    sure = int(odds.max(axis=1).argmax())
-    start, end = float(table.time[sure] - table.dt * np.asarray(out.onset)[sure]), float(table.time[-1])
-    rotors = tuple(int(i) + 1 for i in who[step.nats[who].argsort()[::-1]])
-    half = WITHIN_95 * events.sd_of(step.loss, step.half / WITHIN_95, seen.B)
-    low, high = np.clip([step.loss - half, step.loss + half], 0.0, 1.0)
-    return (ResidualEvidence(rotors, start, end, tuple((float(low[i - 1]), float(high[i - 1])) for i in rotors)),)
 
 
 def usable(table: Ticks) -> np.ndarray:
@@ -85,37 +57,96 @@ def usable(table: Ticks) -> np.ndarray:
     return (table.mode == JUDGE) & table.valid[:, :3].all(axis=1) & ~table.upset & table.thrust.any(axis=1)
 
 
+class Rows(NamedTuple):
+    """R stretches of one or more ticks each. sums (R, 4 + n): of biases and thrusts; odds (R, n): the most evidence [nats] against each
+    rotor alone; when, onset (R, n): the time of that, and since when it says that the rotor is weak [s]; began (R,): a flight begins in
+    it, or since the one before."""
+
+    sums: np.ndarray
+    odds: np.ndarray
+    when: np.ndarray
+    onset: np.ndarray
+    began: np.ndarray
+
+    def joined(self, more: Rows) -> Rows:
+        return Rows(*(np.concatenate(pair) for pair in zip(self, more, strict=True)))
+
+    def part(self, rows: slice) -> Rows:
+        return Rows(*(column[rows] for column in self))
+
+    def merged(self, k: int) -> Rows:
+        """Stretches of k rows each; a last one that is not whole is left out."""
+        if k == 1:
+            return self
+        whole = len(self.sums) // k
+        sums, odds, when, onset, began = (a[: whole * k].reshape(whole, k, *a.shape[1:]) for a in self)
+        most = odds.argmax(axis=1)[:, None]
+        best = (np.take_along_axis(column, most, axis=1)[:, 0] for column in (odds, when, onset))
+        return Rows(sums.sum(axis=1), *best, began.any(axis=1))
+
+
 class Unseen:
     """The bounds of a flight that goes on; its memory does not grow. B (4, n): effectiveness; dt: length of a tick, s."""
 
     def __init__(self, B: np.ndarray, dt: float):
         self.B, self._dt, self._each = B, dt, 1
-        # Sums over `_each` ticks: biases of roll, pitch, yaw and thrust; thrusts.
-        self._rows = np.empty((0, 4 + B.shape[1]))
-        self._new: list[np.ndarray] = []  # ticks that are in no row yet
+        n = B.shape[1]
+        self._rows = Rows(np.empty((0, 4 + n)), *(np.empty((0, n)) for _ in range(3)), np.empty(0, bool))  # of `_each` ticks
+        self._new: list[Rows] = []  # ticks that are in no row yet
+        self._began = False  # a flight has begun since the last of them
 
-    def add(self, biases: np.ndarray, table: Ticks) -> None:
-        """More ticks, with the biases (T, 4) that were estimated at them."""
+    def add(self, out, table: Ticks) -> None:
+        """More ticks, with the estimator's outputs at them."""
         use = usable(table)
-        if use.any():
-            self._new.append(np.concatenate([biases[use], table.thrust[use]], axis=1))
+        begun = np.append(0, np.cumsum(table.restart))
+        last = begun[np.flatnonzero(use) + 1]
+        if last.size:
+            n = self.B.shape[1]
+            odds = np.asarray(out.log_odds)[use, :n]
+            when = np.broadcast_to(table.time[use, None], odds.shape)
+            onset = when - table.dt * np.asarray(out.onset)[use, None]
+            began = np.diff(last, prepend=0) > 0
+            began[0] |= self._began
+            sums = np.concatenate([np.asarray(out.biases)[use], table.thrust[use]], axis=1)
+            self._new.append(Rows(sums, odds, when, onset, began))
+        self._began = bool(begun[-1] > last[-1]) if last.size else self._began or bool(begun[-1])
         if len(self._new) > ROWS:
             self._join()
 
     def _join(self) -> None:
         if not self._new:
             return
-        ticks = np.concatenate(self._new)
+        ticks = Rows(*map(np.concatenate, zip(*self._new, strict=True)))
         while True:
-            whole = len(ticks) // self._each * self._each
-            added = ticks[:whole].reshape(-1, self._each, ticks.shape[1]).sum(axis=1)
-            if len(self._rows) + len(added) <= ROWS:
+            whole = len(ticks.sums) // self._each * self._each
+            added = ticks.part(slice(whole)).merged(self._each)
+            if len(self._rows.sums) + len(added.sums) <= ROWS:
                 break
-            pairs = len(self._rows) // 2  # of an odd number the last row is dropped: it is half of a new one
-            self._rows = self._rows[: 2 * pairs].reshape(pairs, 2, ticks.shape[1]).sum(axis=1)
+            self._rows = self._rows.merged(2)  # of an odd number the last row is dropped: it is half of a new one
             self._each *= 2
-        self._rows = np.concatenate([self._rows, added])
-        self._new = [ticks[whole:]] if whole < len(ticks) else []
+        self._rows = self._rows.joined(added)
+        self._new = [ticks.part(slice(whole, None))] if whole < len(ticks.sums) else []
+
+    def suspected(self, found: Sequence[Event], end_s: float) -> tuple[ResidualEvidence, ...]:
+        """The rotors that a step accuses which has stayed until end_s and began with certain evidence. found: events, for the knocks, whose
+        evidence speaks of themselves."""
+        step = self.step()
+        if step is None or (step.loss - step.half)[step.nats.argmax()] < dict(SCALE)["worn"]:
+            return ()
+        who = np.flatnonzero(step.nats > step.nats.max() - hypotheses.CLEAR)
+        last_row = len(self._rows.sums) - 1
+        about = (step.before + step.block * SPELL * np.array([-1.0, 1.0])) * last_row
+        first, last = np.clip(about, 0, last_row).astype(int)
+        here = self._rows.part(slice(first, last + 1))
+        odds = np.where(residual_evidence.knocked(here.when, found), -np.inf, here.odds)[:, who]
+        if odds.max() < announcement.CERTAIN_NATS or here.began[1:].any():
+            return ()  # between two flights battery and payload change as well
+        sure, rotor = np.unravel_index(odds.argmax(), odds.shape)
+        rotors = tuple(int(i) + 1 for i in who[step.nats[who].argsort()[::-1]])
+        half = WITHIN_95 * events.sd_of(step.loss, step.half / WITHIN_95, self.B)
+        low, high = np.clip([step.loss - half, step.loss + half], 0.0, 1.0)
+        interval = tuple((float(low[i - 1]), float(high[i - 1])) for i in rotors)
+        return (ResidualEvidence(rotors, float(here.onset[sure, who[rotor]]), end_s, interval),)
 
     def losses(self) -> np.ndarray:
         """Upper bound (n,) of what each rotor can have lost since judging began and was not announced; 1 where too little was judged."""
@@ -138,7 +169,7 @@ class Unseen:
     def _of(self, sets: np.ndarray, axes: int) -> _Steps:
         """Equal losses of sets of rotors (n, m), by the first axes."""
         self._join()
-        rows = self._rows
+        rows = self._rows.sums
         if len(rows) < 2 * BLOCKS[0]:
             return _Steps(np.zeros(0), np.zeros((0, sets.shape[1])), np.zeros((0, sets.shape[1])), 1)
         N = int(np.clip(len(rows) * self._each * self._dt / STEP_S, *BLOCKS))

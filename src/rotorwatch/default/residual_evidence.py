@@ -65,7 +65,7 @@ def find(
             if mark is not None:
                 over &= ~((time >= mark - 0.5) & (time <= mark + plant.USUAL_S))
         over &= ~((time >= e.onset_s) & (time <= e.detected_s))
-    over &= ~knocked(table, events)
+    over &= ~knocked(time, events)
     near = (odds > best_fault[:, None] - hypotheses.CLEAR) & fault
     edges = np.flatnonzero(np.diff(np.concatenate([[False], over, [False]]).astype(int)))
     found = []
@@ -85,12 +85,12 @@ def find(
     return tuple(sorted(found, key=lambda spell: spell.start_s))
 
 
-def knocked(table: Ticks, events: Sequence[Event]) -> np.ndarray:
-    """(T,) bool: ticks whose evidence speaks of a knock among the events, which leaves it behind."""
-    near = np.zeros(len(table.time), bool)
+def knocked(time: np.ndarray, events: Sequence[Event]) -> np.ndarray:
+    """Whether the evidence at these times [s] speaks of a knock among the events, which leaves it behind."""
+    near = np.zeros(np.shape(time), bool)
     for e in events:
         if e.kind == "contact":
-            near |= (table.time >= e.onset_s - 0.5) & (table.time <= max(e.detected_s, e.end_s or 0.0) + plant.USUAL_S)
+            near |= (time >= e.onset_s - 0.5) & (time <= max(e.detected_s, e.end_s or 0.0) + plant.USUAL_S)
     return near
 
 

@@ -79,7 +79,7 @@ class Judge:
         if self._beginnings is not None:
             self._beginnings.add(table, self._spans)
         self._time, self.now = float(table.time[-1]), (table, out)
-        self.unseen.add(np.asarray(out.biases), table)
+        self.unseen.add(out, table)
         self.ticks += int(np.count_nonzero(table.mode == JUDGE))
 
 

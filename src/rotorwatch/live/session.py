@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from rotorwatch import airframes
+from rotorwatch.answer import conclusion
 from rotorwatch.default import events
+from rotorwatch.default.residual_evidence import ResidualEvidence
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
@@ -215,6 +217,12 @@ class Session:
         unseen = np.maximum(measured, self._judge.unseen.losses()) if judged else np.ones_like(loss)
         spread = np.where(loss > 0, 1.96 * sd, unseen)
         return loss, np.clip(loss - spread, 0.0, 1.0), np.clip(loss + spread, 0.0, 1.0)
+
+    def suspected(self, found: Sequence[Event]) -> tuple[ResidualEvidence, ...]:
+        """Rotors that a step accuses which has stayed and that none of the events `found` explains (`answer.unseen`)."""
+        if self._judge is None or self._judge.now is None or conclusion.main_event(found) is not None:
+            return ()
+        return self._judge.unseen.suspected(found, float(self._judge.now[0].time[-1]))
 
     def blind(self) -> str:
         """Why nothing can be judged right now, in a few words; empty when it is judged."""
