@@ -226,6 +226,24 @@ def test_a_vehicle_that_turns_with_idle_motors_is_no_landing():
         assert len(airborne(replace(flight, signals=signals))) == flights
 
 
+@pytest.mark.parametrize("turns, flies", [(3.0, True), (0.1, False)])
+def test_a_pilot_who_idles_in_every_roll_has_lifted_off(turns, flies):
+    """Without a velocity, rotors that never push for a second on end lift a vehicle that turns, and no vehicle that stands."""
+    time = np.arange(0.0, 20.0, 0.01)
+    pulses = (time > 3.0) & (time < 16.0) & (np.mod(time, 0.9) < 0.5)
+    thrust = np.where(pulses, 0.5, 0.05)[:, None] * np.ones(4)
+    rate = np.where((time > 3.3) & (time < 16.0), turns, 0.0)[:, None] * np.array([1.0, 0.0, 0.0])
+    signals = {
+        "motors": Signal(time, thrust, ("r1", "r2", "r3", "r4"), "1", "body", "made up"),
+        "gyro": Signal(time, rate, ("x", "y", "z"), "rad/s", "FRD", "made up"),
+    }
+    found = airborne(Flight("made up", "Betaflight", signals, 20.0))
+    assert bool(found) == flies
+    if flies:
+        ((start, end),) = found
+        assert 3.0 < start < 5.5 and 15.0 < end < 17.5
+
+
 def test_lying_upside_down_ends_the_flight_at_the_crash():
     flight = made_up([(10, 59.9)])
     force = flight["accel"].values.copy()

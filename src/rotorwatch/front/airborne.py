@@ -262,7 +262,9 @@ class Airborne(Struct):
         ground = self.idle if self.idle_known else 0.0
         high = now.command > max(_HIGH, ground + _HIGH_RISE)
         climb = 0.0 if isnan(now.climb) else now.climb - self.drift
-        self.high_since = _lasting(self.high_since, high, time)
+        # Where nothing measures the climb, a vehicle that turns after its rotors pushed has left the ground, idle as they may be now.
+        turns = self.high_since < LASTS and isnan(now.climb) and now.turning > _STILL
+        self.high_since = _lasting(self.high_since, high or turns, time)
         self.height = self.height + TICK_S * climb if high else 0.0
         if self._lifted(time, now, climb):
             self.flying = True

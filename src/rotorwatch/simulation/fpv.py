@@ -161,7 +161,7 @@ def _logged(time, u, gyro, wanted, n, throttle, rng, rpm: bool) -> Flight:
         made = esc_columns.build(time, {"speed": speed}, range(1, 5), "eRPM[0] ..", [])
         assert made is not None
         signals["esc"] = made
-    facts = {"motor_low": 0.0, "motor_high": 1.0, "mixer": MIX.T.tolist()}
+    facts = {"motor_low": IDLE, "motor_high": 1.0, "mixer": MIX.T.tolist()}
     return Flight(
         "simulated", "Betaflight", signals, float(time[-1]), firmware="simulated FPV flight", facts=facts, name="fpv"
     )
