@@ -1,7 +1,6 @@
 """Campaign flights for real: the batch judges as `diagnose` does, however it is split, and what is written down is true."""
 
 from dataclasses import replace
-
 from pathlib import Path
 
 import numpy as np

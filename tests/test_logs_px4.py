@@ -222,7 +222,7 @@ def outputs(*levels, n=50):
 
 
 def test_outputs_are_put_in_rotor_order_by_their_functions():
-    found, facts = px4_topics.signals(
+    found, _ = px4_topics.signals(
         topics(actuator_outputs=outputs(1500, 1400, 1300, 1200)),
         {
             "PWM_MAIN_FUNC1": 104,
@@ -233,7 +233,7 @@ def test_outputs_are_put_in_rotor_order_by_their_functions():
         },
     )
     assert np.allclose(found["motors"].values.mean(axis=0), [1200, 1300, 1400, 1500], atol=20)
-    assert facts["motors_topic"] == "actuator_outputs" and found["motors"].unit == "us"
+    assert found["motors"].source == "actuator_outputs" and found["motors"].unit == "us"
 
 
 def test_the_instance_that_moves_has_the_motors():

@@ -206,7 +206,7 @@ def test_evidence_counts_less_while_innovations_are_larger_than_the_model_expect
 
 def error(u, y=(0.0,) * 4, before=(0.0,) * 4, far=0.0, white=0.01**2, dt=DT):
     memory = model_error.init(N)._replace(y=np.asarray(before, float))
-    seen = model_error.Look(u, np.ones(1), np.float64(far), np.zeros(N), np.float64(1.0))
+    seen = model_error.Look(u, np.ones(1), np.float64(far), np.zeros(N))
     return np.asarray(model_error.variance(memory, seen, X, np.asarray(y, float), np.full(4, white), B, N, dt))
 
 

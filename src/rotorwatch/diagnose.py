@@ -289,9 +289,7 @@ def _conclude(ready: Prepared, logged: Ticks, done: Estimated, found: Found, tit
     judged = (table.mode == JUDGE) & table.valid.any(axis=1)
     common = common_mode.thrust_shift(out.biases[judged, 3]) if not doubts and ready.hovers else {}
     hyp = hypotheses.make(B.shape[1])
-    trace = traces.make(
-        flight, out, table, hyp, B, air, ready.ready_s, done.limit, end.events, last.spells, end.rotors
-    )
+    trace = traces.make(flight, out, table, hyp, B, air, ready.ready_s, done.limit, end.events, last.spells, end.rotors)
     return _answer(
         end,
         ready,

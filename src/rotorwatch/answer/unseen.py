@@ -91,7 +91,8 @@ class Unseen:
     def __init__(self, B: np.ndarray, dt: float):
         self.B, self._dt, self._each = B, dt, 1
         n = B.shape[1]
-        self._rows = Rows(np.empty((0, 4 + n)), *(np.empty((0, n)) for _ in range(3)), np.empty(0, bool))  # of `_each` ticks
+        none = np.empty((0, n))
+        self._rows = Rows(np.empty((0, 4 + n)), none, none, none, np.empty(0, bool))  # of `_each` ticks
         self._new: list[Rows] = []  # ticks that are in no row yet
         self._began = False  # a flight has begun since the last of them
 

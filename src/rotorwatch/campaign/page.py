@@ -17,8 +17,9 @@ table{border-collapse:collapse;font-size:.85rem;margin:1rem 0}td,th{padding:.15r
 td:first-child,th:first-child{text-align:left}.pictures{display:flex;flex-wrap:wrap;gap:1rem}h2{margin-top:2rem}"""
 COLUMNS = {
     "flights": "flights", "false_alarms_h": "false alarms/h", "sure_false_alarms_h": "of these sure", "accused_h": "healthy accused/h",
-    "detected": "detected", "answered": "named by the answer", "right": "right rotor", "delay_s": "delay, s", "delay_ratio": "times the bound", "loss_rmse": "loss RMSE",
-    "rmse_ratio": "times the bound", "typical_ratio": "typically", "coverage": "coverage",
+    "detected": "detected", "answered": "named by the answer", "right": "right rotor", "delay_s": "delay, s",
+    "delay_ratio": "times the bound", "loss_rmse": "loss RMSE", "rmse_ratio": "times the bound", "typical_ratio": "typically",
+    "coverage": "coverage",
 }  # fmt: skip
 TITLES = {"all": "All flights", "frame": "By frame", "profile": "By logging profile", "wind": "By wind"}
 AXES = {

@@ -77,8 +77,8 @@ def estimator(
 
 def answer(end: Conclusion) -> dict[str, str]:
     """The columns of what `diagnose` answers to the whole flight."""
-    who = {state.rotor for state in end.rotors if state.status not in ("healthy", "unobservable")}
-    who |= {rotor for k in (() if end.main is None else (end.main,)) for w in explanations(end.events[k]) for rotor in w}
+    named = () if end.main is None else explanations(end.events[end.main])
+    who = {state.rotor for state in end.rotors if state.status not in ("healthy", "unobservable")}.union(*named)
     return {"answer": end.verdict, "accused": "+".join(map(str, sorted(who)))}
 
 

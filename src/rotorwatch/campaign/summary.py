@@ -324,8 +324,8 @@ MEASURES = {
     "coverage": "coverage",
 }  # fmt: skip
 ERRORS = {
-    "detected": "detected", "answered": "named by the answer", "right": "right rotor", "bias": "bias", "rmse": "RMSE", "bound_rmse": "bound",
-    "rmse_ratio": "x bound", "typical_ratio": "typical x",
+    "detected": "detected", "answered": "named by the answer", "right": "right rotor", "bias": "bias", "rmse": "RMSE",
+    "bound_rmse": "bound", "rmse_ratio": "x bound", "typical_ratio": "typical x",
 }  # fmt: skip
 
 

@@ -47,13 +47,12 @@ class Memory(NamedTuple):
 
 class Look(NamedTuple):
     """How informative this tick's inputs are. u: with smoothed thrusts. gain_share (n_s,): share of the Kalman gain each state gets.
-    far: hover thrusts away from hover. rise (n,): commanded thrust above trim. collective: mean thrust."""
+    far: hover thrusts away from hover. rise (n,): commanded thrust above trim."""
 
     u: Array
     gain_share: Array
     far: Array
     rise: Array
-    collective: Array
 
 
 def init(n: int) -> Memory:
@@ -129,7 +128,7 @@ def look(memory: Memory, u, y, lost, valid, flying, restart, x, variances, n: in
         memory.lasting,
     )
     gain_share = jnp.concatenate([gain_share.reshape(-1), jnp.ones(x.size - AXIS_STATES + n)])
-    return new, Look(jnp.concatenate([smooth, u[n:]]), gain_share, far, smooth - collective - memory.trim, collective)
+    return new, Look(jnp.concatenate([smooth, u[n:]]), gain_share, far, smooth - collective - memory.trim)
 
 
 def calm(memory: Memory):

@@ -335,7 +335,7 @@ class Airborne(Struct):
             self.rest_since = LASTS
         elif self.rest_since >= LASTS and time - self.sank <= _WINDOW_S:
             self.rest_since = time
-        elif self.low_since >= LASTS and self.rest_since < LASTS and time - self.rest_since > _REST_S:
+        elif self.low_since >= LASTS and time - self.rest_since > _REST_S:
             self.rest_since = LASTS
 
     def _little(self, command: Real) -> bool:

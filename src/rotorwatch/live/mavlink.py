@@ -282,7 +282,7 @@ class Messages:
 def facts(messages: Messages, parameters: Mapping[str, float]) -> dict[str, Any]:
     """Facts of a flight, as `logs.tlog` gives them."""
     outputs = tlog.rotor_outputs(messages, parameters)
-    return {"mav_type": messages.vehicle, "clock_jumps": [], "outputs": outputs, "motors_topic": tlog.MOTORS}
+    return {"mav_type": messages.vehicle, "clock_jumps": [], "outputs": outputs}
 
 
 def known(parameters: Mapping[str, float], autopilot: str) -> bool:

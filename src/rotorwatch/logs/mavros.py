@@ -240,13 +240,12 @@ def _motors(log: _Log, parameters, autopilot: str) -> tuple[Signal | None, dict]
     if not names:
         return None, {}
     channels = series.stacked(table, names)
-    facts: dict = {"motors_topic": _OUTPUTS}
     if autopilot == "PX4":
         reading = px4_outputs.read(channels, parameters, rotor_count(parameters))
         if reading is None:
             return None, {}
         log.notes += [reading.note] if reading.note else []
-        return series.motors(time, reading.values, reading.unit, _OUTPUTS, log.notes), {**facts, **reading.facts}
+        return series.motors(time, reading.values, reading.unit, _OUTPUTS, log.notes), dict(reading.facts)
     class_ = dataflash_rotors.frame(parameters, ("", ""))[0]
     named = class_ or any(re.fullmatch(r"SERVO\d+_FUNCTION", n) for n in parameters)
     moving = {k + 1: column for k, column in enumerate(channels.T) if _moves(column)}
@@ -258,8 +257,8 @@ def _motors(log: _Log, parameters, autopilot: str) -> tuple[Signal | None, dict]
     if not picked:
         return None, {}
     values = channels[:, [n - 1 for n in picked]]
-    facts["outputs"] = tuple(picked)
-    return series.motors(time, values, "us", _OUTPUTS, log.notes, values > 0), facts  # 0: not driven yet
+    driven = values > 0
+    return series.motors(time, values, "us", _OUTPUTS, log.notes, driven), {"outputs": tuple(picked)}
 
 
 def _moves(column: np.ndarray) -> bool:

@@ -94,7 +94,7 @@ def numbered(name, n) -> list[str]:
 
 
 def signals(topics: Topics, parameters) -> tuple[dict, dict]:
-    """All signals that the topics hold, and the facts about them: pwm_min, pwm_max, motors_topic."""
+    """All signals that the topics hold, and the facts about them: pwm_min, pwm_max."""
     xyz, motors = numbered("xyz", 3), None
     rates = topics.signal("rates", "vehicle_angular_velocity", xyz) or topics.signal(
         "rates", "vehicle_attitude", ["rollspeed", "pitchspeed", "yawspeed"]
@@ -165,8 +165,7 @@ def _motors(topics: Topics, parameters):
         used = np.flatnonzero(finite > 0.1 * finite.max())  # a damaged NaN can be a number
         if used.size:
             values = values[:, : count or used[-1] + 1]
-            facts = {"motors_topic": "actuator_motors"}
-            return series.motors(time, values, "1", "actuator_motors", topics.notes), facts
+            return series.motors(time, values, "1", "actuator_motors", topics.notes), {}
 
     def outputs(instance):
         found = topics.table("actuator_outputs", "output[0]", instance=instance)
@@ -180,7 +179,7 @@ def _motors(topics: Topics, parameters):
         return None, {}
     source, time, reading = best
     topics.notes += [reading.note] if reading.note else []
-    facts = {"motors_topic": "actuator_outputs", **reading.facts}
+    facts = dict(reading.facts)
     time, values = _one_publisher(topics, time, reading, source, facts)
     return series.motors(time, values, reading.unit, source, topics.notes), facts
 

@@ -118,7 +118,7 @@ def _motors(tables: _Tables, parameters):
     message, time, reading = best
     tables.notes += [reading.note] if reading.note else []
     motors = series.motors(time, reading.values, reading.unit, message, tables.notes)
-    return motors, {"motors_topic": message, **reading.facts}
+    return motors, dict(reading.facts)
 
 
 def _attitude(tables: _Tables):

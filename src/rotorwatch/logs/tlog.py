@@ -276,7 +276,7 @@ def _signals(log: _Log) -> tuple[dict, dict]:
     for name, options in readings(outputs).items():
         there = [signal for option in options if (signal := option.make(log)) is not None]
         found[name] = series.fastest(*there) if name in FASTEST else (there or [None])[0]
-    facts = {"motors_topic": MOTORS, "outputs": outputs} if found["motors"] is not None else {}
+    facts = {"outputs": outputs} if found["motors"] is not None else {}
     found["esc"] = mavlink_esc.read(log.get, facts.get("outputs", ()), log.notes)
     return {k: v for k, v in found.items() if v is not None}, facts
 

@@ -56,7 +56,13 @@ def answer(name: str, session: Session, rows: Sequence[tuple], hop: tuple[float,
     judged_s = float(steps[steps < GAP_S].sum())
     spells = [spell for spell in session.suspected(events) if start <= spell.start_s <= end]
     seen = conclusion.Evidence(
-        events, len(vehicle.rotors), hidden=hidden, judged_s=judged_s, residual_evidence=spells, places=names, hops=(hop,)
+        events,
+        len(vehicle.rotors),
+        hidden=hidden,
+        judged_s=judged_s,
+        residual_evidence=spells,
+        places=names,
+        hops=(hop,),
     )
     end_of = conclusion.conclude(seen)
     began = datetime.fromtimestamp(time.time() - session.now, timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ")
