@@ -135,19 +135,13 @@ def find(flight: Flight, air) -> tuple[LossOfControl, ...]:
     time, angle, words = attitude_error(flight)
     found = []
     for start, end in _from_the_ground(flight, time, angle, air) or _powered(flight):
-        spans = [
-            d
-            for d in (
-                _leaves(flight, time, angle, words, start, end),
-                _falls(flight, start, end),
-                _sinks(flight, start, end),
-                _strikes(flight, start, end),
-            )
-            if d
-        ]
-        over = None if spans or not air else _turns_over(flight, end)
-        if spans or over:
-            found.append(over or min(spans, key=lambda d: d.onset))
+        seen = _leaves(flight, time, angle, words, start, end), _falls(flight, start, end), _sinks(flight, start, end)
+        spans = [d for d in seen if d]
+        # A vehicle may have been asked to descend: that it struck the ground matters where nothing shows why.
+        last = min(spans, key=lambda d: d.onset) if spans else _strikes(flight, start, end)
+        last = last or (_turns_over(flight, end) if air else None)
+        if last:
+            found.append(last)
     return tuple(found)
 
 
