@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from tests import tumbling
 
-from rotorwatch import airframes, diagnose
+from rotorwatch import airframes, campaign, diagnose
 from rotorwatch.campaign import batch, benchmark_plan
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import Event
+from rotorwatch.simulation import simulate
 from rotorwatch.upset import find, loss_of_control
 from rotorwatch.upset.balance import INERTIA, Offset, Window, fit
 from rotorwatch.upset.explain import Explanation, explain
@@ -186,6 +187,30 @@ def test_a_vehicle_that_strikes_the_ground_believed_level_was_out_of_control():
     (left,) = loss_of_control.find(fallen(8.0), [(0.0, 7.2)])
     assert left.impact == pytest.approx(7.0, abs=0.11)
     assert left.onset == pytest.approx(5.0, abs=0.3)
+
+
+def drawn(number: int):
+    """Flight `number` of plans/default.toml: (diagnosis, its fault)."""
+    scenario = campaign.read(Path(__file__).parents[1] / "plans" / "default.toml").flight(number)
+    return diagnose(simulate(scenario).flight), scenario.faults[0]
+
+
+@pytest.mark.parametrize("number", [1856, 4176])
+def test_a_descent_that_was_asked_for_is_no_loss_of_control(number):
+    """Quads that sink as they should, 4 s before a motor stops; they strike the ground at 11 and 12 m/s."""
+    diagnosis, fault = drawn(number)
+    (lost,) = of(diagnosis, "loss_of_control")
+    assert lost.rotors == (fault["rotor"],) and lost.onset_s == pytest.approx(fault["onset_s"], abs=0.3)
+    assert diagnosis.verdict == "fault"
+
+
+@pytest.mark.parametrize("number", [400, 3848, 4760])
+def test_a_loss_that_had_become_trim_is_not_said_to_be_no_rotor(number):
+    """Quads that lost 26 to 51 % of a rotor in wind, hard against any explanation but that, flew on, and left control seconds later."""
+    diagnosis, fault = drawn(number)
+    assert "Not a rotor" not in diagnosis.headline
+    assert diagnosis.verdict == "ambiguous" and diagnosis.rotors[fault["rotor"] - 1].status == "suspect"
+    assert [r.rotor for r in diagnosis.rotors if r.status != "healthy"] == [fault["rotor"]]
 
 
 def test_a_hard_landing_is_under_control():

@@ -267,12 +267,14 @@ def _concluded(ready: Prepared, logged: Ticks, done: Estimated, found: Found) ->
         *residual_evidence.find(out, table, hyp, done.limit, found.events, B),
         *residual_evidence.faint(found.faint, found.events, float(table.time[-1])),
     )
-    steps = unseen.of(out, table, B)
-    if done.own and ready.hovers and conclusion.main_event(found.events) is None:
-        spells = steps.suspected(found.events, float(table.time[-1])) or spells
+    steps, seen_events = unseen.of(out, table, B), found.events
+    if done.own and ready.hovers:
+        seen_events = steps.doubted(found.events)
+        if conclusion.main_event(found.events) is None:
+            spells = steps.suspected(found.events, float(table.time[-1])) or spells
     hidden, hidden_pair = _hidden(out, table, steps, B)
     seen = conclusion.Evidence(
-        found.events, n, whole, hidden, hidden_pair, float(judged.sum() * table.dt), spells, places.names(craft.rotors), air,
+        seen_events, n, whole, hidden, hidden_pair, float(judged.sum() * table.dt), spells, places.names(craft.rotors), air,
         health.trends(out, table, B, found.events) if trusted else (), other, ready.hovers,
     )  # fmt: skip
     return Judgement(conclusion.conclude(seen, doubts), doubts, spells, whole)

@@ -11,9 +11,9 @@ two blocks of time L is weighted least squares on the difference of the means of
 intervals over all onsets. Wind that turns, or a load that shifts, is such a step as well: the bound then says that
 a loss could look like this. Thrust itself, which battery and air move for all rotors alike, is left out for a single rotor.
 
-Where such a step began with certain evidence for that rotor (`announcement.CERTAIN_NATS`, of one tick, and against no change at all), and
-has stayed since, the flight cannot be called healthy: a gust explains the beginning as well, and another wind the rest, but a loss
-explains both.
+Where such a step is certain, began with certain evidence for that rotor (`announcement.CERTAIN_NATS` each, against no change at all; the
+beginning of one tick), and has stayed since, the flight cannot be called healthy: a gust explains the beginning as well, and another
+wind the rest, but a loss explains both.
 
 Equal losses of rotors that are opposite each other cancel in roll and pitch, and where both turn the same way as the others on average in
 yaw, too. For these pairs thrust is used as well: the bound then holds a sagging battery and rising air.
@@ -26,12 +26,13 @@ autocorrelation, Biometrika 41 (1954) 403-404, for the (1 + 3 r) / N by which r 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from rotorwatch.answer.wording import SCALE
-from rotorwatch.default import announcement, events, hypotheses, residual_evidence
+from rotorwatch.default import announcement, events, hypotheses, plant, residual_evidence
 from rotorwatch.default.residual_evidence import ResidualEvidence
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.front.losses import WITHIN_95
@@ -42,6 +43,11 @@ STEP_S = 2.0  # length of a block; a longer one hides the scatter of wind, a sho
 BLOCKS = 8, 200  # at least, so that short flights have shorter ones, and at most
 SPELL = 3  # blocks before and after an onset
 CORRELATED = 0.9  # at most
+CLEARS = (
+    "controller",
+    "saturated",
+    "unknown",
+)  # causes of a loss of control that rest on how rotors answer their commands
 ROWS = 2048  # that are stored of a flight; of longer ones a row is the sum of several ticks
 
 
@@ -59,13 +65,14 @@ def usable(table: Ticks) -> np.ndarray:
 
 class Rows(NamedTuple):
     """R stretches of one or more ticks each. sums (R, 4 + n): of biases and thrusts; odds (R, n): the most evidence [nats] against each
-    rotor alone; when, onset (R, n): the time of that, and since when it says that the rotor is weak [s]; began (R,): a flight begins in
-    it, or since the one before."""
+    rotor alone; when, onset (R, n): the time of that, and since when it says that the rotor is weak [s]; leads (R, n): at some time no
+    disturbance had more; began (R,): a flight begins in it, or since the one before."""
 
     sums: np.ndarray
     odds: np.ndarray
     when: np.ndarray
     onset: np.ndarray
+    leads: np.ndarray
     began: np.ndarray
 
     def joined(self, more: Rows) -> Rows:
@@ -79,10 +86,10 @@ class Rows(NamedTuple):
         if k == 1:
             return self
         whole = len(self.sums) // k
-        sums, odds, when, onset, began = (a[: whole * k].reshape(whole, k, *a.shape[1:]) for a in self)
+        sums, odds, when, onset, leads, began = (a[: whole * k].reshape(whole, k, *a.shape[1:]) for a in self)
         most = odds.argmax(axis=1)[:, None]
         best = (np.take_along_axis(column, most, axis=1)[:, 0] for column in (odds, when, onset))
-        return Rows(sums.sum(axis=1), *best, began.any(axis=1))
+        return Rows(sums.sum(axis=1), *best, leads.any(axis=1), began.any(axis=1))
 
 
 class Unseen:
@@ -92,7 +99,8 @@ class Unseen:
         self.B, self._dt, self._each = B, dt, 1
         n = B.shape[1]
         none = np.empty((0, n))
-        self._rows = Rows(np.empty((0, 4 + n)), none, none, none, np.empty(0, bool))  # of `_each` ticks
+        self._rows = Rows(np.empty((0, 4 + n)), none, none, none, none > 0.0, np.empty(0, bool))  # of `_each` ticks
+        self._disturbances = ~hypotheses.make(n).fault
         self._new: list[Rows] = []  # ticks that are in no row yet
         self._began = False  # a flight has begun since the last of them
 
@@ -103,13 +111,14 @@ class Unseen:
         last = begun[np.flatnonzero(use) + 1]
         if last.size:
             n = self.B.shape[1]
-            odds = np.asarray(out.log_odds)[use, :n]
+            every = np.asarray(out.log_odds)[use]
+            odds, others = every[:, :n], every[:, self._disturbances].max(axis=1)
             when = np.broadcast_to(table.time[use, None], odds.shape)
             onset = when - table.dt * np.asarray(out.onset)[use, None]
             began = np.diff(last, prepend=0) > 0
             began[0] |= self._began
             sums = np.concatenate([np.asarray(out.biases)[use], table.thrust[use]], axis=1)
-            self._new.append(Rows(sums, odds, when, onset, began))
+            self._new.append(Rows(sums, odds, when, onset, odds >= others[:, None], began))
         self._began = bool(begun[-1] > last[-1]) if last.size else self._began or bool(begun[-1])
         if len(self._new) > ROWS:
             self._join()
@@ -132,7 +141,9 @@ class Unseen:
         """The rotors that a step accuses which has stayed until end_s and began with certain evidence. found: events, for the knocks, whose
         evidence speaks of themselves."""
         step = self.step()
-        if step is None or (step.loss - step.half)[step.nats.argmax()] < dict(SCALE)["worn"]:
+        if step is None or step.nats.max() < announcement.CERTAIN_NATS:
+            return ()
+        if (step.loss - step.half)[step.nats.argmax()] < dict(SCALE)["worn"]:
             return ()
         who = np.flatnonzero(step.nats > step.nats.max() - hypotheses.CLEAR)
         last_row = len(self._rows.sums) - 1
@@ -148,6 +159,31 @@ class Unseen:
         low, high = np.clip([step.loss - half, step.loss + half], 0.0, 1.0)
         interval = tuple((float(low[i - 1]), float(high[i - 1])) for i in rotors)
         return (ResidualEvidence(rotors, float(here.onset[sure, who[rotor]]), end_s, interval),)
+
+    def doubted(self, found: Sequence[Event]) -> tuple[Event, ...]:
+        """The events, but a loss of control that no rotor is blamed for has those as alternatives against which evidence was certain
+        shortly before, and more than for any disturbance: what a rotor lacks by then is part of the trim that its rotors are judged by."""
+        return tuple(self._doubted(e, found) if e.kind == "loss_of_control" else e for e in found)
+
+    def _doubted(self, lost: Event, found: Sequence[Event]) -> Event:
+        self._join()
+        rows, worked = self._rows, lost.extra.get("worked_until_s", ())
+        if lost.rotors or lost.alternatives or lost.extra.get("cause") not in CLEARS or not len(rows.sums):
+            return lost
+        shortly = (rows.when >= lost.onset_s - plant.USUAL_S) & (rows.when < lost.detected_s)
+        odds = np.where(shortly & rows.leads & ~residual_evidence.knocked(rows.when, found), rows.odds, -np.inf)
+        most, since = odds.max(axis=0), np.take_along_axis(rows.onset, odds.argmax(axis=0)[None], axis=0)[0]
+        if most.max() < announcement.CERTAIN_NATS:
+            return lost
+        who = np.flatnonzero(most > most.max() - hypotheses.CLEAR).tolist()
+        names = " and ".join(f"rotor {i + 1} (since {since[i]:.1f} s)" for i in who)
+        how = f"the vehicle left control at {lost.onset_s:.1f} s, {lost.extra.get('how', '')}"
+        worked = [min(t, float(since[i])) if t is not None and i in who else t for i, t in enumerate(worked)]
+        return replace(
+            lost, alternatives=tuple((i + 1,) for i in who),
+            reason=f"{how}: why is not known; before that there was evidence against {names}",
+            extra={**lost.extra, "cause": "unknown", "worked_until_s": worked, "evidence": []},
+        )  # fmt: skip
 
     def losses(self) -> np.ndarray:
         """Upper bound (n,) of what each rotor can have lost since judging began and was not announced; 1 where too little was judged."""

@@ -19,9 +19,6 @@ from rotorwatch.flight.diagnosis import Event
 from rotorwatch.motion.ticks import JUDGE, Ticks
 
 LASTS_S = 1.0
-# Where nothing was announced at all the best explanation must be one rotor's fault for so long: of 256 healthy simulated flights (4 h) none
-# has such a spell, and what lasts stays 3 nats below the threshold; of 262 with losses that were never announced a quarter has one.
-ALONE_LASTS_S = 2.0
 TRIM_S = 2.0  # over which the trim before and after it was learned afresh is averaged
 # By how much the commanded wrench of trim is uncertain, in hover thrusts of one rotor, and how much of its change a rotor must explain.
 TRIM_SD = np.array([0.05, 0.05, 0.15, 0.2])
@@ -47,19 +44,19 @@ def find(
     out, table: Ticks, hyp: Hypotheses, limit: float, events: Sequence[Event], B: np.ndarray | None = None
 ) -> tuple[ResidualEvidence, ...]:
     """Spells of at least LASTS_S, after the first event, in which faults of other rotors than the known ones have more evidence than
-    `limit` [nats] and no disturbance explains them clearly better; in flights without an event, spells of ALONE_LASTS_S in which a
-    fault of one rotor has that, and more than any disturbance; and, with B (4, n), trims that were learned afresh and changed as a
-    rotor's loss would change them. out: the estimator's stacked outputs."""
+    `limit` [nats] and no disturbance explains them clearly better; and, with B (4, n), trims that were learned afresh and changed as a
+    rotor's loss would change them. None in flights without an event: what they hide is `answer.unseen`'s. out: the estimator's stacked
+    outputs."""
     known = [e for e in events if e.kind in ("loss_of_effectiveness", "output_override")]
+    if not known:
+        return ()
     time, n = table.time, out.theta.shape[1]
     members = np.array([[i in who for i in range(n)] for who in hyp.rotors])
-    fault = np.asarray(hyp.fault) & (
-        bool(known) | (members.sum(axis=1) == 1)
-    )  # two rotors explain more than one by chance
+    fault = np.asarray(hyp.fault)
     odds = np.asarray(out.log_odds)
-    best_fault, best_other = odds[:, fault].max(axis=1), odds[:, ~np.asarray(hyp.fault)].max(axis=1)
-    over = (best_fault > limit) & (best_fault > best_other - (hypotheses.CLEAR if known else 0.0))
-    over &= (table.mode == JUDGE) & ~table.upset & (time > min((e.detected_s for e in known), default=-np.inf))
+    best_fault, best_other = odds[:, fault].max(axis=1), odds[:, ~fault].max(axis=1)
+    over = (best_fault > limit) & (best_fault > best_other - hypotheses.CLEAR)
+    over &= (table.mode == JUDGE) & ~table.upset & (time > min(e.detected_s for e in known))
     for e in known:
         for mark in (e.detected_s, e.end_s):
             if mark is not None:
@@ -70,7 +67,7 @@ def find(
     edges = np.flatnonzero(np.diff(np.concatenate([[False], over, [False]]).astype(int)))
     found = []
     for a, b in zip(edges[::2], edges[1::2]):
-        if (b - a) * table.dt < (LASTS_S if known else ALONE_LASTS_S):
+        if (b - a) * table.dt < LASTS_S:
             continue
         weight = near[a:b].sum(axis=0) @ members.astype(float)
         own = np.zeros(n, bool)
@@ -113,12 +110,7 @@ def _trims(biases: np.ndarray, table: Ticks, known: Sequence[Event], B: np.ndarr
     for a in stops:
         later = np.flatnonzero(judging[a + 1 :])
         b = a + 1 + (later[0] if later.size else 0)
-        if (
-            not later.size
-            or table.restart[a + 1 : b + 1].any()
-            or not known
-            or time[a] < min(e.detected_s for e in known)
-        ):
+        if not later.size or table.restart[a + 1 : b + 1].any() or time[a] < min(e.detected_s for e in known):
             continue
         before = judging & (time > time[a] - TRIM_S) & (time <= time[a])
         after = judging & (time >= time[b]) & (time < time[b] + TRIM_S)

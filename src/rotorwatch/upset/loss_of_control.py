@@ -135,13 +135,19 @@ def find(flight: Flight, air) -> tuple[LossOfControl, ...]:
     time, angle, words = attitude_error(flight)
     found = []
     for start, end in _from_the_ground(flight, time, angle, air) or _powered(flight):
-        seen = _leaves(flight, time, angle, words, start, end), _falls(flight, start, end), _sinks(flight, start, end)
-        spans = [d for d in seen if d]
-        # A vehicle may have been asked to descend: that it struck the ground matters where nothing shows why.
-        last = min(spans, key=lambda d: d.onset) if spans else _strikes(flight, start, end)
-        last = last or (_turns_over(flight, end) if air else None)
-        if last:
-            found.append(last)
+        spans = [
+            d
+            for d in (
+                _leaves(flight, time, angle, words, start, end),
+                _falls(flight, start, end),
+                _sinks(flight, start, end),
+                _strikes(flight, start, end),
+            )
+            if d
+        ]
+        over = None if spans or not air else _turns_over(flight, end)
+        if spans or over:
+            found.append(over or min(spans, key=lambda d: d.onset))
     return tuple(found)
 
 
@@ -302,10 +308,11 @@ def _strikes(flight: Flight, start: float, end: float) -> LossOfControl | None:
     at = start
     while (blow := hit(flight, at, end + 1.0)) is not None:
         before, after = (time > blow - 0.5) & (time <= blow), (time > blow + 0.5) & (time < blow + 2.5)
-        if before.any() and down[before].max() > CRASHES_M_S and (np.abs(velocity.values[after]) < STOPS_M_S).all():
-            slow = np.flatnonzero((time < blow - HIT_S) & (down < 0.2 * CRASHES_M_S))
+        struck = down[before].max() if before.any() else 0.0
+        if struck > CRASHES_M_S and (np.abs(velocity.values[after]) < STOPS_M_S).all():
+            slow = np.flatnonzero((time < blow - HIT_S) & (down < 0.2 * struck))  # it may have been asked to descend before
             onset = float(time[slow[-1]]) if slow.size else start
-            return LossOfControl(onset, blow, None, blow, f"striking the ground at {down[before].max():.0f} m/s")
+            return LossOfControl(onset, blow, None, blow, f"striking the ground at {struck:.0f} m/s")
         at = blow + 0.5
     return None
 
