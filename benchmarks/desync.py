@@ -34,7 +34,7 @@ from rotorwatch.upset import find as upset
 
 LENGTHS_S = (0.03, 0.05, 0.1, 0.2, 0.5)
 LEVELS = (0.1, 0.2, 0.3, 2.0)  # mean of what was commanded while nothing came, share of full thrust
-NEAR_S = 0.08  # of its beginning, that a find counts
+NEAR_S = 0.08  # of its beginning, that a find counts that does not overlap with it
 STEP_S, BACK, PAST, SPAN_S = 0.002, 30, 24, 0.2  # of the regression that injections follow
 SLOWER, LARGER = (0.8, 1.3), (0.85, 1.15)
 
@@ -49,7 +49,10 @@ class Score:
     def add(self, truth: list[tuple[int, float, float, float]], found: list[desync.Desync]) -> None:
         """truth: (rotor, start, length, commanded) of each."""
         for rotor, start, length, commanded in truth:
-            hit = any(d.rotor == rotor and abs(d.start - start) < NEAR_S and not d.others for d in found)
+            hit = any(
+                d.rotor == rotor and not d.others and ((d.start < start + length and d.end > start) or abs(d.start - start) < NEAR_S)
+                for d in found
+            )  # fmt: skip
             self.rows.append((length, commanded, hit))
         for d in found:
             near = [t for t in truth if t[1] - 0.3 < d.start < t[1] + t[2] + 0.4]

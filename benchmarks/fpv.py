@@ -25,7 +25,7 @@ AIR_S = DURATION_S - 2.0 * fpv.GROUND_S
 HEALTHY, LOSS = 0.35, 0.8  # shares: healthy, and with a loss
 SIZES = ((0.05, 0.1), (0.1, 0.2), (0.2, 0.3), (0.3, 0.45), (0.45, 0.6))
 LENGTHS_S = (0.03, 0.05, 0.1, 0.2, 0.5)
-NEAR_S = 0.08  # of its beginning, that a found desync counts
+NEAR_S = 0.08  # of its beginning, that a found desync counts that does not overlap with it
 WORKING_S = 5.0  # after a loss it may be found; what ends earlier is not counted
 
 
@@ -59,8 +59,8 @@ def judged(flight, wrong: list[fpv.Moment], rpm: bool) -> dict:
     answer = diagnose(flight)
     losses = [e for e in answer.events if e.kind == "loss_of_effectiveness"]
     desyncs = [
-        (r, t) for e in answer.events if e.kind == "desync"
-        for r in (e.rotors, *e.alternatives) for t in e.extra["times"]
+        (r, t, t + long) for e in answer.events if e.kind == "desync"
+        for r in (e.rotors, *e.alternatives) for t, long in zip(e.extra["times"], e.extra["durations"], strict=True)
     ]  # fmt: skip
     other = [e.kind for e in answer.events if e.kind not in ("loss_of_effectiveness", "desync")]
     row: dict = {"rpm": rpm, "verdict": answer.verdict, "other": other, "false": 0, "faults": []}
@@ -81,11 +81,12 @@ def judged(flight, wrong: list[fpv.Moment], rpm: bool) -> dict:
     row["false"] += sum(1 for e in losses if not true or e.detected_s < true[0].start)
     lost = [m for m in wrong if m.loss is None]
     for m in lost:
-        near = [r for r, t in desyncs if abs(t - m.start) < NEAR_S]
+        end = m.start + m.lasting
+        near = [r for r, a, b in desyncs if (a < end and b > m.start) or abs(a - m.start) < NEAR_S]
         row["faults"].append(
             {"length": m.lasting, "found": (m.rotor + 1,) in near, "wrong": bool(near) and (m.rotor + 1,) not in near}
         )
-    times = {t for _, t in desyncs}
+    times = {t for _, t, _ in desyncs}
     row["false"] += sum(all(not m.start - 0.3 < t < m.start + m.lasting + 0.4 for m in lost) for t in times)
     return row
 

@@ -321,7 +321,7 @@ def test_a_day_of_flight_takes_no_more_room_than_minutes():
     seen = unseen.Unseen(B, DT)
     for k in range(len(biases)):
         seen.add(outputs(biases[k : k + 1]), part(table, slice(k, k + 1)))
-        assert len(seen._rows.sums) <= unseen.ROWS and len(seen._new) <= unseen.ROWS + 1
+        assert len(seen._rows.sums) <= unseen.ROWS and len(seen._new) <= unseen.TOGETHER + 1
     assert 0.2 <= seen.losses()[0] < 0.3
 
 

@@ -48,6 +48,7 @@ CLEARS = (
     "saturated",
     "unknown",
 )  # causes of a loss of control that rest on how rotors answer their commands
+TOGETHER = 256  # pieces of a flight that are looked at together: one by one they cost more than the estimator
 ROWS = 2048  # that are stored of a flight; of longer ones a row is the sum of several ticks
 
 
@@ -100,33 +101,22 @@ class Unseen:
         n = B.shape[1]
         none = np.empty((0, n))
         self._rows = Rows(np.empty((0, 4 + n)), none, none, none, none > 0.0, np.empty(0, bool))  # of `_each` ticks
-        self._disturbances = ~hypotheses.make(n).fault
-        self._new: list[Rows] = []  # ticks that are in no row yet
-        self._began = False  # a flight has begun since the last of them
+        self._rest = self._rows  # ticks that are too few for a row
+        self._new: list[tuple[np.ndarray, ...]] = []  # what is looked at once it is many, or asked for
+        self._began = False  # a flight has begun since the last tick in a row or the rest
 
     def add(self, out, table: Ticks) -> None:
         """More ticks, with the estimator's outputs at them."""
-        use = usable(table)
-        begun = np.append(0, np.cumsum(table.restart))
-        last = begun[np.flatnonzero(use) + 1]
-        if last.size:
-            n = self.B.shape[1]
-            every = np.asarray(out.log_odds)[use]
-            odds, others = every[:, :n], every[:, self._disturbances].max(axis=1)
-            when = np.broadcast_to(table.time[use, None], odds.shape)
-            onset = when - table.dt * np.asarray(out.onset)[use, None]
-            began = np.diff(last, prepend=0) > 0
-            began[0] |= self._began
-            sums = np.concatenate([np.asarray(out.biases)[use], table.thrust[use]], axis=1)
-            self._new.append(Rows(sums, odds, when, onset, odds >= others[:, None], began))
-        self._began = bool(begun[-1] > last[-1]) if last.size else self._began or bool(begun[-1])
-        if len(self._new) > ROWS:
+        arrays = usable(table), table.restart, table.time, table.thrust, out.biases, out.log_odds, out.onset
+        self._new.append(arrays)
+        if len(self._new) > TOGETHER:
             self._join()
 
     def _join(self) -> None:
         if not self._new:
             return
-        ticks = Rows(*map(np.concatenate, zip(*self._new, strict=True)))
+        ticks = self._rest.joined(self._looked_at(*map(np.concatenate, zip(*self._new, strict=True))))
+        self._new.clear()
         while True:
             whole = len(ticks.sums) // self._each * self._each
             added = ticks.part(slice(whole)).merged(self._each)
@@ -134,8 +124,19 @@ class Unseen:
                 break
             self._rows = self._rows.merged(2)  # of an odd number the last row is dropped: it is half of a new one
             self._each *= 2
-        self._rows = self._rows.joined(added)
-        self._new = [ticks.part(slice(whole, None))] if whole < len(ticks.sums) else []
+        self._rows, self._rest = self._rows.joined(added), ticks.part(slice(whole, None))
+
+    def _looked_at(self, use, restart, time, thrust, biases, log_odds, onset) -> Rows:
+        """The ticks that are usable."""
+        begun = int(self._began) + np.cumsum(restart)
+        count = begun[use]
+        self._began = bool(begun[-1] > count[-1]) if count.size else bool(begun[-1])
+        n = self.B.shape[1]
+        odds, others = log_odds[use, :n], log_odds[use][:, ~hypotheses.make(n).fault].max(axis=1)
+        when = np.broadcast_to(time[use, None], odds.shape)
+        since = when - self._dt * onset[use, None]
+        sums = np.concatenate([biases[use], thrust[use]], axis=1)
+        return Rows(sums, odds, when, since, odds >= others[:, None], np.diff(count, prepend=0) > 0)
 
     def suspected(self, found: Sequence[Event], end_s: float) -> tuple[ResidualEvidence, ...]:
         """The rotors that a step accuses which has stayed until end_s and began with certain evidence. found: events, for the knocks, whose
