@@ -1,6 +1,7 @@
 """How large a loss can be that was not announced: the bound holds it, also where the loss was taken for wind."""
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from scipy import stats
 
 import rotorwatch as rw
+from rotorwatch import campaign
 from rotorwatch.answer import unseen
 from rotorwatch.default import hypotheses
 from rotorwatch.flight.diagnosis import Event
@@ -387,3 +389,18 @@ def test_a_landed_vehicle_is_answered_as_its_log_is():
     assert (found.verdict, found.events) == (log.verdict, ()) == ("ambiguous", ())
     assert [r.status for r in found.rotors] == [r.status for r in log.rotors]
     np.testing.assert_allclose(found.rotors[flight[4] - 1].interval, log.rotors[flight[4] - 1].interval, atol=0.03)
+
+
+def test_a_watched_vehicle_that_fell_is_answered_as_its_log_is():
+    """A quad that lost half of a rotor in wind, and left control a second later: that rotor may be why, live as in the log."""
+    plan = campaign.read(Path(__file__).parents[1] / "plans" / "default.toml")
+    made = simulate(plan.flight(3848)).flight
+    session, rows = replayed(made)
+    found, log = landed.answer("one", session, rows, session.spans[0]), rw.diagnose(made)
+    assert (found.verdict, found.headline) == (log.verdict, log.headline)
+    assert "It may have been rotor 1" in found.headline
+    assert (
+        [r.status for r in found.rotors]
+        == [r.status for r in log.rotors]
+        == ["suspect", "healthy", "healthy", "healthy"]
+    )

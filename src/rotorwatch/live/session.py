@@ -218,6 +218,10 @@ class Session:
         spread = np.where(loss > 0, 1.96 * sd, unseen)
         return loss, np.clip(loss - spread, 0.0, 1.0), np.clip(loss + spread, 0.0, 1.0)
 
+    def doubted(self, found: Sequence[Event]) -> tuple[Event, ...]:
+        """The events `found`, with the rotors that may have made the vehicle leave control (`answer.unseen`)."""
+        return tuple(found) if self._judge is None else self._judge.unseen.doubted(found)
+
     def suspected(self, found: Sequence[Event]) -> tuple[ResidualEvidence, ...]:
         """Rotors that a step accuses which has stayed and that none of the events `found` explains (`answer.unseen`)."""
         if self._judge is None or self._judge.now is None or conclusion.main_event(found) is not None:
