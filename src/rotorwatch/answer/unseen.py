@@ -188,7 +188,7 @@ class Unseen:
 
     def losses(self) -> np.ndarray:
         """Upper bound (n,) of what each rotor can have lost since judging began and was not announced; 1 where too little was judged."""
-        return self._of(np.eye(self.B.shape[1]), 3).upper()
+        return self._of(np.eye(self.B.shape[1]), 3).upper(self.B)
 
     def step(self) -> Step | None:
         """The step of one rotor that explains most, or None where too little was judged."""
@@ -202,7 +202,7 @@ class Unseen:
         sets = np.zeros((self.B.shape[1], len(pairs)))
         for k, pair in enumerate(pairs):
             sets[list(pair), k] = 1.0
-        return float(self._of(sets, 4).upper().max(initial=0.0))
+        return float(self._of(sets, 4).upper(self.B).max(initial=0.0))
 
     def _of(self, sets: np.ndarray, axes: int) -> _Steps:
         """Equal losses of sets of rotors (n, m), by the first axes."""
@@ -239,11 +239,12 @@ class _Steps(NamedTuple):
         """Half a 95 % interval (K, m)."""
         return student_quantile(0.975, self.N - 2) / np.sqrt(self.information)
 
-    def upper(self) -> np.ndarray:
-        """(m,): the largest upper end over all onsets; 1 without any."""
+    def upper(self, B: np.ndarray) -> np.ndarray:
+        """(m,): the largest upper end over all onsets, with what the model of a vehicle is uncertain of; 1 without any."""
         if not len(self.before):
             return np.ones(self.loss.shape[1])
-        return np.minimum((np.maximum(self.loss, 0.0) + self.half()).max(axis=0), 1.0)
+        loss = np.maximum(self.loss, 0.0)
+        return np.minimum((loss + WITHIN_95 * events.sd_of(loss, self.half() / WITHIN_95, B)).max(axis=0), 1.0)
 
     def largest(self) -> Step:
         nats = 0.5 * np.maximum(self.loss, 0.0) ** 2 * self.information
