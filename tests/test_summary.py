@@ -101,7 +101,7 @@ def faulty(count, **more):
     row = {"fault": "loss", "clear": True, "detected": True, "right": True, "named": True, "delay_s": 0.4, "loss": 0.2,
            "estimate": 0.21, "lower": 0.15, "upper": 0.25, "bound_sd": 0.01, "bound_delay_s": 0.2, "peak": -5.0, "false_alarms": 0.0,
            "sure_false_alarms": 0.0, "wrong": 0.0, "healthy_s": 36.0, "method": "default", "frame": "quad-x", "autopilot": "px4",
-           "profile": "fast", "trajectory": "hover", "wind_m_s": 1.0,
+           "profile": "fast", "trajectory": "hover", "wind_m_s": 1.0, "broken": "3", "answer": "fault", "accused": "3",
            **{f"peak_{s:g}s": 3.0 for s in score.WINDOWS_S}, **more}  # fmt: skip
     return {
         k: np.array([v] * count, object if isinstance(v, str | bool) or v is None else float) for k, v in row.items()
