@@ -87,11 +87,11 @@ def main() -> None:
         if not any(found):
             continue
         name, judged = path.name.split(".")[0], max(one["judged"] for one in found if one)
-        lines = [(f"{loss:.0%} seen after, s", [one and f"{one[loss]:.1f}" for one in found]) for loss in LOSSES]
-        lines.append(("error after 10 s", [one and f"{one['sd']:.3f}" for one in found]))
+        lines = [(f"{loss:.0%} seen after, s", [f"{one[loss]:.1f}" if one else "" for one in found]) for loss in LOSSES]
+        lines.append(("error after 10 s", [f"{one['sd']:.3f}" if one else "" for one in found]))
         for k, (what, cells) in enumerate(lines):
             first = f"{name} | {judged:.0f}" if k == 0 else " | "
-            print(f"| {first} | {what} | {' | '.join(cell or '' for cell in cells)} |", flush=True)
+            print(f"| {first} | {what} | {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -89,8 +89,8 @@ class Rows(NamedTuple):
         whole = len(self.sums) // k
         sums, odds, when, onset, leads, began = (a[: whole * k].reshape(whole, k, *a.shape[1:]) for a in self)
         most = odds.argmax(axis=1)[:, None]
-        best = (np.take_along_axis(column, most, axis=1)[:, 0] for column in (odds, when, onset))
-        return Rows(sums.sum(axis=1), *best, leads.any(axis=1), began.any(axis=1))
+        odds, when, onset = (np.take_along_axis(column, most, axis=1)[:, 0] for column in (odds, when, onset))
+        return Rows(sums.sum(axis=1), odds, when, onset, np.asarray(leads.any(axis=1)), np.asarray(began.any(axis=1)))
 
 
 class Unseen:
