@@ -307,6 +307,7 @@ def test_a_flight_that_begins_where_nothing_is_judged_is_noticed(step):
     for k in range(0, len(biases), step):
         piece = slice(k, k + step)
         seen.add(SimpleNamespace(**{name: column[piece] for name, column in vars(out).items()}), part(table, piece))
+        seen.losses()  # all so far is looked at
     assert seen.suspected((), table.time[-1]) == ()
 
 

@@ -43,11 +43,8 @@ STEP_S = 2.0  # length of a block; a longer one hides the scatter of wind, a sho
 BLOCKS = 8, 200  # at least, so that short flights have shorter ones, and at most
 SPELL = 3  # blocks before and after an onset
 CORRELATED = 0.9  # at most
-CLEARS = (
-    "controller",
-    "saturated",
-    "unknown",
-)  # causes of a loss of control that rest on how rotors answer their commands
+# Causes of a loss of control that rest on how rotors answer their commands.
+CLEARS = ("controller", "saturated", "unknown")
 TOGETHER = 256  # pieces of a flight that are looked at together: one by one they cost more than the estimator
 ROWS = 2048  # that are stored of a flight; of longer ones a row is the sum of several ticks
 
@@ -99,7 +96,7 @@ class Unseen:
     def __init__(self, B: np.ndarray, dt: float):
         self.B, self._dt, self._each = B, dt, 1
         n = B.shape[1]
-        none = np.empty((0, n))
+        self._disturbance, none = ~hypotheses.make(n).fault, np.empty((0, n))
         self._rows = Rows(np.empty((0, 4 + n)), none, none, none, none > 0.0, np.empty(0, bool))  # of `_each` ticks
         self._rest = self._rows  # ticks that are too few for a row
         self._new: list[tuple[np.ndarray, ...]] = []  # what is looked at once it is many, or asked for
@@ -132,7 +129,7 @@ class Unseen:
         count = begun[use]
         self._began = bool(begun[-1] > count[-1]) if count.size else bool(begun[-1])
         n = self.B.shape[1]
-        odds, others = log_odds[use, :n], log_odds[use][:, ~hypotheses.make(n).fault].max(axis=1)
+        odds, others = log_odds[use, :n], log_odds[use][:, self._disturbance].max(axis=1)
         when = np.broadcast_to(time[use, None], odds.shape)
         since = when - self._dt * onset[use, None]
         sums = np.concatenate([biases[use], thrust[use]], axis=1)

@@ -160,22 +160,27 @@ def measures(d: dict[str, np.ndarray]) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _told(d: dict[str, np.ndarray]) -> np.ndarray:
+    """Flights of a method that answers to the whole flight."""
+    return np.array([answer is not None for answer in d["answer"]], bool)
+
+
 def _answered(d: dict[str, np.ndarray]) -> dict[str, float] | None:
     """Share of the clear faults whose rotor the answer to the whole flight names, alone or among others."""
-    has = d["clear"].astype(bool) & (d["answer"] != None)  # noqa: E711 - None of a method that gives no answer
+    has = d["clear"].astype(bool) & _told(d)
     return share(np.array([b in a.split("+") for a, b in zip(d["accused"][has], d["broken"][has])], bool))
 
 
 def _misled(d: dict[str, np.ndarray]) -> np.ndarray:
     """Flights with a fault whose answer names other rotors only."""
-    has = (d["fault"] != "") & (d["answer"] != None)  # noqa: E711
+    has = (d["fault"] != "") & _told(d)
     pairs = zip(d["accused"], d["broken"], has, strict=True)
     return np.array([bool(h and a) and not set(a.split("+")) & set(b.split("+")) for a, b, h in pairs], bool)
 
 
 def _accused(d: dict[str, np.ndarray]) -> dict[str, float] | None:
     """Answers that name rotors of vehicles without a fault, per healthy hour of such flights."""
-    sound = (d["fault"] == "") & (d["answer"] != None)  # noqa: E711
+    sound = (d["fault"] == "") & _told(d)
     return rate(int((d["accused"][sound] != "").sum()), float(d["healthy_s"][sound].sum() / 3600.0))
 
 

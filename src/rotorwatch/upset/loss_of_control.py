@@ -310,9 +310,8 @@ def _strikes(flight: Flight, start: float, end: float) -> LossOfControl | None:
         before, after = (time > blow - 0.5) & (time <= blow), (time > blow + 0.5) & (time < blow + 2.5)
         struck = down[before].max() if before.any() else 0.0
         if struck > CRASHES_M_S and (np.abs(velocity.values[after]) < STOPS_M_S).all():
-            slow = np.flatnonzero(
-                (time < blow - HIT_S) & (down < 0.2 * struck)
-            )  # it may have been asked to descend before
+            # It may have been asked to descend before.
+            slow = np.flatnonzero((time < blow - HIT_S) & (down < 0.2 * struck))
             onset = float(time[slow[-1]]) if slow.size else start
             return LossOfControl(onset, blow, None, blow, f"striking the ground at {struck:.0f} m/s")
         at = blow + 0.5
