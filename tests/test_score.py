@@ -1,5 +1,6 @@
 """Rows of a campaign's table, of made-up flights whose answer is known."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,6 +12,7 @@ from rotorwatch.default.announcement import TICKS
 from rotorwatch.experiments import limits
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.motion.ticks import JUDGE, LEARN
+from rotorwatch.simulation import scenario as scenarios
 
 DT, ONSET = 0.1, 30.0
 PLAN = SimpleNamespace(false_alarm_period_h=10.0)
@@ -27,10 +29,10 @@ def flown(*faults, learn_until=8.0, upset_from=np.inf, duration=60.0, loss=0.2):
     theta = np.zeros((time.size, 4))
     for k, one in enumerate(faults, start=1):
         theta[time >= one["onset_s"], one["rotor"] - 1] = k * loss
-    scenario = SimpleNamespace(
-        faults=faults, airframe={"frame": "quad-x"}, autopilot="px4", logging={"profile": "fast"},
-        trajectory={"kind": "hover"}, wind={"speed_m_s": 2.5},
-    )  # fmt: skip
+    scenario = replace(scenarios.from_table({
+        "airframe": {"frame": "quad-x"}, "autopilot": "px4", "logging": {"profile": "fast"}, "trajectory": {"kind": "hover"},
+        "wind": {"speed_m_s": 2.5},
+    }), faults=faults)  # fmt: skip
     ticks = SimpleNamespace(
         time=time, dt=DT, mode=np.where(time < learn_until, LEARN, JUDGE), upset=time >= upset_from
     )  # fmt: skip
@@ -59,6 +61,7 @@ def test_a_healthy_flight_has_healthy_time_and_no_fault():
     assert (found["fault"], found["broken"], found["clear"], found["onset_s"]) == ("", "", False, None)
     assert found["detected"] is None and found["delay_s"] is None and found["estimate"] is None
     assert (found["flight"], found["method"], found["rotors"], found["wind_m_s"]) == (7, "default", 4, 2.5)
+    assert 2.0 < found["induced_m_s"] < 20.0
     assert (found["frame"], found["autopilot"], found["profile"], found["trajectory"]) == (
         "quad-x", "px4", "fast", "hover",
     )  # fmt: skip

@@ -219,7 +219,10 @@ def test_every_flight_is_flown_once_in_batches_of_one_cell(monkeypatch):
 
     def part(work):
         asked.append(work)
-        return [{"flight": k, "at": 50.0 - k, "kind": "pair", "frame": "y6", "outcome": "right"} for k in work[1]]
+        return [
+            {"flight": k, "at": 50.0 - k, "kind": "pair", "frame": "y6", "induced_m_s": 6.0, "outcome": "right"}
+            for k in work[1]
+        ]
 
     monkeypatch.setattr(sequences, "_part", part)
     result = sequences.run(53, seed=4, jobs=1, progress=lambda *what: told.append(what))
@@ -234,15 +237,16 @@ def test_every_flight_is_flown_once_in_batches_of_one_cell(monkeypatch):
         sequences.run(0)
 
 
-def test_shares_of_outcomes_by_kind_and_frame():
-    rows = [{"kind": "second", "frame": "y6", "outcome": "right"}] * 3
+def test_shares_of_outcomes_by_kind_frame_and_velocity_in_hover():
+    rows = [{"kind": "second", "frame": "y6", "induced_m_s": 4.0, "outcome": "right"}] * 3
     rows += [
-        {"kind": "second", "frame": "quad-x", "outcome": "missed"},
-        {"kind": "arm", "frame": "y6", "outcome": "wrong"},
+        {"kind": "second", "frame": "quad-x", "induced_m_s": 1.0, "outcome": "missed"},
+        {"kind": "arm", "frame": "y6", "induced_m_s": 7.0, "outcome": "wrong"},
     ]
     lines = sequences.table(rows)
     assert [(line["by"], line["name"], line["states"]) for line in lines] == [
         ("all", "", 5), ("kind", "second", 4), ("kind", "arm", 1), ("frame", "quad-x", 1), ("frame", "y6", 4),
+        ("induced", "0 to 2 m/s", 1), ("induced", "3.5 to 5 m/s", 3), ("induced", "over 5 m/s", 1),
     ]  # fmt: skip
     assert [lines[0][o]["value"] for o in sequences.OUTCOMES] == pytest.approx([0.6, 0.0, 0.2, 0.2, 0.0])
     assert lines[1]["right"]["value"] == 0.75 and lines[4]["wrong"]["value"] == 0.25

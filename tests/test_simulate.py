@@ -24,7 +24,7 @@ from rotorwatch.simulation import (
     wind,
 )
 from rotorwatch.simulation.multirotor import MULTIROTOR
-from rotorwatch.simulation.prepare import plan
+from rotorwatch.simulation.prepare import induced_velocity, plan
 
 jax = load_jax()
 flatten = import_module("jax.flatten_util").ravel_pytree
@@ -476,6 +476,14 @@ def test_a_quad_in_steady_hover_gives_every_rotor_its_thrust_back():
     lift_max = [record.lift_max[(record.time > a) & (record.time < b)].mean() for a, b in ((15, 19.9), (27, 30))]
     expected = before * lift_max[0] / lift_max[1] / np.array([1, 1, 0.75, 1])
     assert after == pytest.approx(expected, rel=0.01)
+
+
+def test_velocity_of_the_air_that_carries_a_vehicle():
+    """Momentum: each rotor's thrust is the mass flow through it, rho A v, times what the air gains far below, 2 v."""
+    table = {"airframe": {"frame": "hexa-x", "mass_kg": 3.0, "rotor_radius_m": 0.127, "payload_kg": 0.5}}
+    v = induced_velocity(scenario.from_table(table))
+    assert 6 * (1.225 * np.pi * 0.127**2 * v) * 2.0 * v == pytest.approx(3.0 * 9.80665)
+    assert 5.0 < v < 6.5
 
 
 def test_payload_is_carried_where_it_hangs():

@@ -66,7 +66,7 @@ def test_a_ratio_of_errors_resamples_flights_not_numbers():
 
 def test_edges_and_thresholds_go_up_and_cover_what_there_is():
     """A curve needs points in order; a loss of 1 and a calm of 0 m/s have to be somewhere; 0 is the threshold in use."""
-    for points in (summary.LOSS_EDGES, summary.WIND_EDGES, summary.DELAYS_S, summary.THRESHOLDS):
+    for points in (summary.LOSS_EDGES, summary.WIND_EDGES, summary.INDUCED_EDGES, summary.DELAYS_S, summary.THRESHOLDS):
         assert (np.diff(points) > 0).all()
     assert summary.LOSS_EDGES[0] <= 0.03 and summary.LOSS_EDGES[-1] > 1.0 and summary.WIND_EDGES[0] == 0.0
     assert np.array(summary.THRESHOLDS) == pytest.approx(np.arange(-24, 25) / 2.0)
@@ -82,9 +82,15 @@ def test_a_tenth_is_a_tenth():
 def test_winds_are_told_by_their_edges():
     d = {name: np.array(["x"] * 4, object) for name in ("frame", "autopilot", "profile", "trajectory", "fault")}
     labels = summary._labels(
-        {**d, "wind_m_s": np.array([0.0, 2.9, 3.1, 60.0]), "fault": np.array(["", "", "loss", ""])}
+        {
+            **d,
+            "wind_m_s": np.array([0.0, 2.9, 3.1, 60.0]),
+            "induced_m_s": np.array([1.0, 2.1, 3.6, 16.0]),
+            "fault": np.array(["", "", "loss", ""]),
+        }
     )
     assert labels["wind"].tolist() == ["0 to 3 m/s", "0 to 3 m/s", "3 to 6 m/s", "over 6 m/s"]
+    assert labels["induced velocity"].tolist() == ["0 to 2 m/s", "2 to 3.5 m/s", "3.5 to 5 m/s", "over 5 m/s"]
     assert labels["fault"].tolist() == ["none", "none", "loss", "none"] and labels["profile"][0] == "x x"
 
 
@@ -101,7 +107,7 @@ def faulty(count, **more):
     row = {"fault": "loss", "clear": True, "detected": True, "right": True, "named": True, "delay_s": 0.4, "loss": 0.2,
            "estimate": 0.21, "lower": 0.15, "upper": 0.25, "bound_sd": 0.01, "bound_delay_s": 0.2, "peak": -5.0, "false_alarms": 0.0,
            "sure_false_alarms": 0.0, "wrong": 0.0, "healthy_s": 36.0, "method": "default", "frame": "quad-x", "autopilot": "px4",
-           "profile": "fast", "trajectory": "hover", "wind_m_s": 1.0, "broken": "3", "answer": "fault", "accused": "3",
+           "profile": "fast", "trajectory": "hover", "wind_m_s": 1.0, "induced_m_s": 6.0, "broken": "3", "answer": "fault", "accused": "3",
            **{f"peak_{s:g}s": 3.0 for s in score.WINDOWS_S}, **more}  # fmt: skip
     return {
         k: np.array([v] * count, object if isinstance(v, str | bool) or v is None else float) for k, v in row.items()

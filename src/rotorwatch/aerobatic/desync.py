@@ -43,7 +43,7 @@ LEAST_SIZE, MOST_SIZE = 0.5, 1.4
 ROUGHER = (1.0, 1.4, 2.0, 2.8)  # times the scale within a second: propwash lasts less
 SLOWER_S = (0.0, 0.015, 0.03)  # than a motor that is commanded to
 YAW = 2
-FITS = 0.7  # of what each axis would explain with a size of its own: gains of the axes are known to some 20 %
+UNEVEN = 0.3  # of all that is explained, that roll and pitch may explain more with sizes of their own: gains are known to some 20 %
 RETURNS_S = (0.15, 0.3)  # after its end: by then it is clear that the motor is back
 AROUND_S, LEFT = 0.3, 0.5  # before and after: the rotor works there, and lacks less than that
 IDLE = 0.03  # share of full thrust: below, a motor gives next to nothing anyway
@@ -129,7 +129,7 @@ def search(seen: list[Channel]) -> list[Desync]:
     found: list[Desync] = []
     for i in rotors:
         for start, length in _peaks(seen, i, lengths, dt):
-            best = _judged(seen, i, start, length, rotors, limit)
+            best = _judged(seen, i, start, length, lengths, rotors, limit)
             if best is not None:
                 found.append(best)
     separate: list[Desync] = []
@@ -182,10 +182,12 @@ def _peaks(seen: list[Channel], i: int, lengths: np.ndarray, dt: float) -> list[
     return out
 
 
-def _judged(seen: list[Channel], i: int, start: int, length: int, rotors: list[int], limit: float) -> Desync | None:
+def _judged(
+    seen: list[Channel], i: int, start: int, length: int, lengths: np.ndarray, rotors: list[int], limit: float
+) -> Desync | None:
     """The desync of rotor i near (start, length); None where it is none."""
     dt = seen[0].width
-    start, length = _refined(seen, i, start, length, limit - REFINED)
+    start, length = _refined(seen, i, start, length, lengths, limit - REFINED)
     if not SHORTEST_S <= length * dt <= LONGEST_S:
         return None
     inside = slice(start, start + length)
@@ -199,7 +201,9 @@ def _judged(seen: list[Channel], i: int, start: int, length: int, rotors: list[i
     firm = np.delete(each, YAW, axis=0)
     together = firm.sum(axis=0)
     size = float(SIZES[np.argmax(together)])
-    if not LEAST_SIZE - 1e-9 <= size <= MOST_SIZE + 1e-9 or together.max() < FITS * firm.max(axis=1).sum():
+    turning = each[:YAW]  # that a speed has a size of its own makes it no knock
+    uneven = turning.max(axis=1).sum() - turning.sum(axis=0).max()
+    if not LEAST_SIZE - 1e-9 <= size <= MOST_SIZE + 1e-9 or uneven > UNEVEN * firm.max(axis=1).sum():
         return None
     if _works_not(seen, i, start, length) or not _returns(seen, i, start, length):
         return None
@@ -218,9 +222,12 @@ def _judged(seen: list[Channel], i: int, start: int, length: int, rotors: list[i
     )
 
 
-def _refined(seen: list[Channel], i: int, start: int, length: int, least: float) -> tuple[int, int]:
-    """The likeliest start and length near these: first the start, then the end over half the length, as a speed that falls makes the
-    likelihood a narrow ridge; then both by ever smaller steps, where that may come to `least`. (0, 0) where it does not."""
+def _refined(
+    seen: list[Channel], i: int, start: int, length: int, lengths: np.ndarray, least: float
+) -> tuple[int, int]:
+    """The likeliest start and length near these: first the start, then the end, over half the length and over all of `lengths`, as a speed
+    that falls makes the likelihood a narrow ridge, and a part of a desync, or more than it, may be the peak; then both by ever smaller
+    steps, where that may come to `least`. (0, 0) where it does not."""
 
     def value(s: int, n: int) -> float:
         possible = s >= 0 and n >= 2 and s + n + LAGS < len(seen[0].left)
@@ -228,9 +235,9 @@ def _refined(seen: list[Channel], i: int, start: int, length: int, least: float)
 
     reach = max(ALONG, length // 2)
     step = max(1, reach // POINTS)
-    moves = range(-(reach // step) * step, reach + 1, step)
-    best, start, length = max((value(start + d, length - d), start + d, length - d) for d in moves)
-    best, length = max((value(start, length + d), length + d) for d in moves)
+    near, end = range(length - (reach // step) * step, length + reach + 1, step), start + length
+    best, start, length = max((value(end - n, n), end - n, n) for n in {*near, *lengths.tolist()})
+    best, length = max((value(start, n), n) for n in {*near, *lengths.tolist()})
     if best < least:
         return 0, 0
     while step >= 1:

@@ -21,7 +21,8 @@ COLUMNS = {
     "delay_ratio": "times the bound", "loss_rmse": "loss RMSE", "rmse_ratio": "times the bound", "typical_ratio": "typically",
     "coverage": "coverage",
 }  # fmt: skip
-TITLES = {"all": "All flights", "frame": "By frame", "profile": "By logging profile", "wind": "By wind"}
+TITLES = {"all": "All flights", "frame": "By frame", "profile": "By logging profile", "wind": "By wind",
+          "induced velocity": "By velocity of the air through the rotors in hover"}  # fmt: skip
 AXES = {
     "roc": ("false alarms per healthy hour (first of a flight)", "share of clear faults"),
     "delay_curve": ("seconds after the onset", "share of clear faults"),

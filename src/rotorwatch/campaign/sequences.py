@@ -24,12 +24,14 @@ import numpy as np
 from rotorwatch.base import files
 from rotorwatch.campaign import batch
 from rotorwatch.campaign.plan import Cell, drawn
+from rotorwatch.campaign.summary import INDUCED_EDGES, by_speed
 from rotorwatch.default import events
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import tools
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.motion.ticks import JUDGE, Ticks
 from rotorwatch.simulation import scenario
+from rotorwatch.simulation.prepare import induced_velocity
 from rotorwatch.simulation.scenario import Scenario
 
 FRAMES = {"quad-x": 4, "hexa-x": 6, "octa-x": 8, "y6": 6, "octaquad-x": 8}
@@ -215,17 +217,19 @@ def judged(plan: Sequences, flown: Sequence[batch.Flown]) -> list[dict[str, Any]
         for s in states(f, accusing):
             rows.append(
                 {"flight": f.number, "kind": plan.kind(f.number), "frame": f.scenario.airframe["frame"], "at": s.at,
-                 "truth": s.truth, "named": s.named, "outcome": s.outcome}
+                 "induced_m_s": induced_velocity(f.scenario), "truth": s.truth, "named": s.named, "outcome": s.outcome}
             )  # fmt: skip
     return rows
 
 
 def table(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Shares of outcomes, with Wilson's intervals: all states, by kind, by frame."""
+    """Shares of outcomes, with Wilson's intervals: all states, by kind, by frame, by velocity of the air through the rotors in hover."""
     lines = []
     groups = [("all", "", rows)]
     groups += [("kind", k, [r for r in rows if r["kind"] == k]) for k in dict.fromkeys(KINDS)]
     groups += [("frame", f, [r for r in rows if r["frame"] == f]) for f in FRAMES]
+    speeds = by_speed(np.array([r["induced_m_s"] for r in rows]), INDUCED_EDGES)
+    groups += [("induced", s, [r for r, here in zip(rows, speeds) if here == s]) for s in sorted(set(speeds))]
     for by, name, mine in groups:
         if mine:
             shares = {o: tools.share([r["outcome"] == o for r in mine]) for o in OUTCOMES}

@@ -18,9 +18,10 @@ from rotorwatch.experiments.tools import RESAMPLES, boot, interval, rate, share,
 
 LOSS_EDGES = (0.03, 0.06, 0.12, 0.25, 0.5, 1.01)
 WIND_EDGES = (0.0, 3.0, 6.0, np.inf)
+INDUCED_EDGES = (0.0, 2.0, 3.5, 5.0, np.inf)  # real vehicles have 3.5 m/s and more
 DELAYS_S = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0)
 THRESHOLDS = (*np.arange(-12.0, 0.0, 0.5), 0.0, *np.arange(0.5, 12.1, 0.5))
-DRAWN = ("frame", "profile", "wind")  # groups with curves of their own
+DRAWN = ("frame", "profile", "wind", "induced velocity")  # groups with curves of their own
 LIKELY = 0.6744897501960817  # half of normal errors are smaller than so many standard deviations
 
 
@@ -227,18 +228,21 @@ def _errors(d: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _labels(d: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    wind = np.array(
-        [f"{a:g} to {b:g} m/s" if np.isfinite(b) else f"over {a:g} m/s" for a, b in itertools.pairwise(WIND_EDGES)],
-        object,
-    )
     profile = np.array([f"{a} {p}" for a, p in zip(d["autopilot"], d["profile"])], object)
     return {
         "frame": d["frame"],
         "profile": profile,
-        "wind": wind[np.digitize(d["wind_m_s"], WIND_EDGES[1:-1])],
+        "wind": by_speed(d["wind_m_s"], WIND_EDGES),
+        "induced velocity": by_speed(d["induced_m_s"], INDUCED_EDGES),
         "trajectory": d["trajectory"],
         "fault": np.array([f or "none" for f in d["fault"]], object),
     }
+
+
+def by_speed(speeds: np.ndarray, edges: Sequence[float]) -> np.ndarray:
+    """The name of the stretch between two edges in which each speed [m/s] lies."""
+    names = [f"{a:g} to {b:g} m/s" if np.isfinite(b) else f"over {a:g} m/s" for a, b in itertools.pairwise(edges)]
+    return np.array(names, object)[np.digitize(speeds, edges[1:-1])]
 
 
 def _groups(d: dict[str, np.ndarray], labels: np.ndarray, count: Callable) -> dict[str, dict]:

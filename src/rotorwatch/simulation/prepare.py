@@ -152,6 +152,16 @@ def craft(scenario: Scenario, known: Vehicle | None = None) -> dynamics.Craft:
     return _craft(scenario, bare, _full_speed(scenario, bare))
 
 
+def induced_velocity(scenario: Scenario) -> float:
+    """Of the air through the rotors in hover [m/s], each carrying the same weight: sqrt(T / (2 rho A)), momentum theory (Leishman,
+    Principles of Helicopter Aerodynamics, 2006, section 2.2). Raises ConfigError."""
+    return float(_induced(_bare(scenario, vehicle(scenario))))
+
+
+def _induced(bare: Bare) -> np.floating:
+    return np.sqrt(bare.mass * G0 / len(bare.x) / (2.0 * AIR * np.pi * bare.radius**2))
+
+
 def _full_speed(scenario: Scenario, bare: Bare) -> float:
     """rad/s."""
     return scenario.airframe["rotor_speed_rad_s"] or TIP_SPEED / bare.radius
@@ -207,10 +217,8 @@ def _craft(scenario: Scenario, bare: Bare, full_speed: float) -> dynamics.Craft:
         raise ConfigError(f"airframe.payload_kg: {total:.3g} kg are too much for {full:.3g} N of full thrust.")
     hub = 0.1 * bare.arm if a["hub_height_m"] is None else a["hub_height_m"]
     each = bare.mass * G0 / n
-    induced = np.sqrt(each / (2.0 * AIR * np.pi * bare.radius**2))
-    slope = (
-        each / induced / np.sqrt(bare.hover)
-    )  # N s/m at full speed: hover thrust over induced velocity, at hover speed
+    # N s/m at full speed: hover thrust over induced velocity, at hover speed
+    slope = each / _induced(bare) / np.sqrt(bare.hover)
     return dynamics.Craft(
         mass=np.array(total),
         J=J,
