@@ -241,7 +241,8 @@ def judge(plan, flights, size):
     for k in flights:
         s = plan.flight(k)
         row = dict.fromkeys(score.COLUMNS)
-        row |= {"flight": k, "method": "default", "frame": s.airframe["frame"], "wind_m_s": s.wind["speed_m_s"], "induced_m_s": 5.0, "rotors": 4,
+        row |= {"flight": k, "method": "default", "frame": s.airframe["frame"], "wind_m_s": s.wind["speed_m_s"], "induced_m_s": 5.0,
+                "rotors": 4,
                 "judged_s": 30.0, "healthy_s": 20.0, "fault": "loss" if s.faults else "", "clear": bool(s.faults),
                 "false_alarms": 0, "sure_false_alarms": 0, "wrong": 0, "trajectory": "hover", "autopilot": "ardupilot",
                 "profile": "default"}
@@ -441,7 +442,8 @@ def test_without_pyarrow_one_sentence(monkeypatch, tmp_path):
 
 def made(rows):
     full = [dict.fromkeys(score.COLUMNS) | {"method": "default", "frame": "quad-x", "autopilot": "px4", "profile": "fast", "trajectory":
-            "hover", "rotors": 4, "wind_m_s": 1.0, "induced_m_s": 6.0, "fault": "", "broken": "", "clear": False, "false_alarms": 0, "sure_false_alarms": 0,
+            "hover", "rotors": 4, "wind_m_s": 1.0, "induced_m_s": 6.0, "fault": "", "broken": "", "clear": False, "false_alarms": 0,
+            "sure_false_alarms": 0,
             "wrong": 0,
             "judged_s": 36.0, "healthy_s": 36.0, "flight": k} | row for k, row in enumerate(rows)]  # fmt: skip
     types = {"int64": pyarrow.int64(), "string": pyarrow.string(), "double": pyarrow.float64(), "bool": pyarrow.bool_()}
