@@ -87,12 +87,12 @@ def test_what_cannot_be_is_not_judged_or_began_before_the_bank_is_not_announced(
     assert ticks_until_alarm(fault=fault, since=EDGE * REACH - 1.0) is not None
 
 
-def test_what_began_before_the_bank_is_announced_where_no_disturbance_comes_near():
+@pytest.mark.parametrize("refused", [{"since": EDGE * REACH}, {"possible": False}])
+def test_what_a_gate_refuses_is_announced_where_no_disturbance_comes_near(refused):
     fault = LIMIT + CERTAIN_NATS + 1.0
-    assert ticks_until_alarm(fault=fault, since=EDGE * REACH) == TICKS
-    assert ticks_until_alarm(fault=fault, since=EDGE * REACH, other=fault - MUCH - CERTAIN_NATS + 1.0) is None
-    assert ticks_until_alarm(fault=fault, since=EDGE * REACH, possible=False) is None
-    assert ticks_until_alarm(fault=fault, since=EDGE * REACH, rotors=(1, 3)) is None
+    assert ticks_until_alarm(fault=fault, **refused) == TICKS
+    assert ticks_until_alarm(fault=fault, other=fault - MUCH - CERTAIN_NATS + 1.0, **refused) is None
+    assert ticks_until_alarm(fault=fault, rotors=(1, 3), **refused) is None
 
 
 def ticks_until_absorbed(**more):

@@ -24,13 +24,15 @@ def run():
     start, keep = np.arange(TICKS) >= 6, np.arange(TICKS) >= 6
 
     def tick(state, row):
-        h, K, w, nu, start, keep = row
-        state = jumps.observe(jumps.advance(state, A, start, keep), h, K, w, nu)
+        h, K, w, nu, start, keep, noted = row
+        state = jumps.observe(jumps.advance(state, A, start, keep, noted), h, K, w, nu)
         return state, state
 
     w = np.where(np.arange(TICKS) % 7 == 3, 0.0, 1.0 / S)  # now and then nothing is measured
     K = np.where((w > 0)[:, None], K, 0.0)
-    states = jax.jit(lambda first, *rows: jax.lax.scan(tick, first, rows)[1])(jumps.init(), h, K, w, nu, start, keep)
+    noted = np.stack([np.arange(TICKS), np.arange(TICKS) ** 2.0], axis=1)
+    rows = (h, K, w, nu, start, keep, noted)
+    states = jax.jit(lambda first, *rows: jax.lax.scan(tick, first, rows)[1])(jumps.init(2), *rows)
     return jumps, directions, (A, h, K, w, nu), jax.tree.map(np.asarray, states)
 
 
@@ -70,6 +72,13 @@ def test_recent_onsets_are_dense_and_older_ones_sparse(run):
     assert bank.Jumps(np.eye(3), 0.2).stride.tolist() == np.repeat(STRIDES[0.1], SLOTS).tolist()
 
 
+def test_of_each_onset_is_kept_what_was_noted_then(run):
+    states = run[3]
+    used = states.age >= 0
+    onset = np.arange(TICKS)[:, None] - states.age
+    assert used.any() and (states.before[used] == np.stack([onset[used], onset[used] ** 2.0], axis=1)).all()
+
+
 def test_losses_that_build_up_are_there_after_a_while(run):
     """All shares of a gradual jump add up to one, 63 % of them within its time constant."""
     jumps = run[0]
@@ -83,7 +92,9 @@ def test_the_last_direction_integrated_out_leaves_the_marginal():
     rng = np.random.default_rng(0)
     A = rng.standard_normal((3, 20, 6))
     C, z = np.einsum("wki,wkj->wij", A, A), rng.standard_normal((3, 6))
-    told = bank.without_last(bank.Bank(np.zeros((3, 9, 6)), C, z, np.zeros(3, np.int32), np.int32(0)), 0.3)
+    told = bank.without_last(
+        bank.Bank(np.zeros((3, 9, 6)), C, z, np.zeros(3, np.int32), np.int32(0), np.zeros((3, 1))), 0.3
+    )
     for w in range(3):
         full = np.linalg.inv(C[w] + np.diag([0.0] * 5 + [1 / 0.3]))
         assert np.asarray(told.C)[w] == pytest.approx(np.linalg.inv(full[:5, :5]), rel=1e-9)

@@ -125,7 +125,7 @@ def test_a_rotors_jitter_is_smoothed_and_its_steps_are_not():
         memory, seen = look(settled(), inputs(EVEN + step + 0.07))
         passes = max(0.0, 1.0 - (model_error.GARROTE / times) ** 2)
         assert np.asarray(seen.u)[:N] == pytest.approx(EVEN + 0.07 + passes * step)
-        assert np.asarray(seen.rise) == pytest.approx(passes * step, abs=1e-12)
+        assert np.asarray(seen.part - seen.trim) == pytest.approx(passes * step, abs=1e-12)
         assert np.asarray(memory.thrust) == pytest.approx(EVEN - 1.0 + step * DT / plant.ANSWER_S)
         assert np.asarray(memory.trim) == pytest.approx(EVEN - 1.0 + step * DT / plant.USUAL_S)
         wanted = level**2 * (1.0 + DT / model_error.LEVEL_MEMORY_S * (min(times**2, 6.0) - 1.0))
@@ -205,7 +205,7 @@ def test_evidence_counts_less_while_innovations_are_larger_than_the_model_expect
 
 def error(u, y=(0.0,) * 4, before=(0.0,) * 4, far=0.0, white=0.01**2, dt=DT):
     memory = model_error.init(N)._replace(y=np.asarray(before, float))
-    seen = model_error.Look(u, np.ones(1), np.float64(far), np.zeros(N))
+    seen = model_error.Look(u, np.ones(1), np.float64(far), np.zeros(N), np.zeros(N))
     return np.asarray(model_error.variance(memory, seen, X, np.asarray(y, float), np.full(4, white), B, N, dt))
 
 

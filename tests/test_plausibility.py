@@ -17,6 +17,8 @@ from rotorwatch.default.plausibility import (
     MISSING_SLACK,
     Missing,
 )
+from rotorwatch.diagnose import diagnose
+from rotorwatch.simulation import scenario, simulate
 
 N, DT = 4, 0.1
 NOTHING = np.zeros(N)
@@ -211,3 +213,16 @@ def test_what_is_asked_of_two_rotors_follows_from_geometry():
     assert np.diagonal(coupling) == pytest.approx(np.ones(6))
     assert coupling @ [0.3, 0.3, 0, 0, 0, 0] == pytest.approx([0.3, 0.3, *(coupling[2:, :2].sum(axis=1) * 0.3)])
     assert (coupling @ [0.3, 0, 0.3, 0, 0, 0])[0] == pytest.approx((answer @ [0.3, 0, 0.3, 0, 0, 0])[0] / answer[0, 0])
+
+
+@pytest.mark.parametrize("onset", [26.0, 28.0])
+def test_a_loss_while_a_manoeuvre_lowers_the_rotors_command_is_announced(onset):
+    """An octa that turns on the spot in calm air: yaw swings the commands by more than a loss of 45 % raises them."""
+    flight = simulate(scenario.from_table({
+        "duration_s": 40.0, "autopilot": "ardupilot", "airframe": {"frame": "octa-x", "mass_kg": 2.0, "arm_m": 0.3},
+        "trajectory": {"kind": "yaw", "speed_m_s": 4.0, "land": False}, "logging": {"profile": "fast"}, "seed": 3,
+        "faults": [{"kind": "loss", "rotor": 1, "onset_s": onset, "strength": 0.45}],
+    })).flight  # fmt: skip
+    (event,) = diagnose(flight).events
+    assert event.rotors == (1,) and not event.alternatives
+    assert event.onset_s == pytest.approx(onset, abs=0.1) and event.detected_s < onset + 0.7

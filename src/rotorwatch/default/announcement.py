@@ -3,7 +3,8 @@
 A fault is announced when the Shiryaev-Roberts statistic, the evidence of all faults at any onset, passes a threshold. Without a fault its
 mean time to do so is at least the threshold (in ticks, over the sum of prior weights; Pollak, Ann. Statist. 13, 1985): the stated
 false-alarm rate is the threshold. Evidence only ranks the given hypotheses, so the fault must also be ten times (CLEAR) likelier than
-any disturbance, at two ticks in a row, at an onset within the bank's reach, and possible at all (plausibility.py).
+any disturbance, at two ticks in a row, and either certain (CERTAIN_NATS) or at an onset within the bank's reach and possible at all
+(plausibility.py).
 """
 
 from __future__ import annotations
@@ -71,10 +72,10 @@ def decide(
     again = weak & (best.rotors.sum() < 2)
     other = jnp.where(again, jnp.logaddexp(found.other, found.far), found.other)
     statistic = jnp.minimum(found.fault - limit, found.fault - other - hypotheses.CLEAR)
-    # The most probable onset at the edge of the bank speaks of a drift that began before it, unless no disturbance comes near. Two rotors
-    # fit the drift of thrust of a vehicle that begins to sink.
+    # The most probable onset at the edge of the bank speaks of a drift that began before it. Where no disturbance comes near nothing more is
+    # asked of one rotor; two fit the drift of thrust of a vehicle that begins to sink.
     sure = (statistic > CERTAIN_NATS) & (best.rotors.sum() < 2)
-    possible &= (best.since < EDGE * onsets.reach) | sure
+    possible = (possible & (best.since < EDGE * onsets.reach)) | sure
     above = jnp.where(judge & (statistic > 0.0) & possible, state.above + 1, 0)
     alarm = above >= TICKS
     # What certainly happened is explained, whatever it was; where nothing is known to be wrong, only what is no fault.

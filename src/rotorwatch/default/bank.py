@@ -25,13 +25,14 @@ SLOW_S = 0.08
 
 class Bank(NamedTuple):
     """W slots, n_s states, q directions. M (W, n_s, q), C (W, q, q), z (W, q); age (W,): ticks since the onset, -1 unused;
-    count: ticks so far."""
+    count: ticks so far; before (W, m): what was noted just before the onset."""
 
     M: Array
     C: Array
     z: Array
     age: Array
     count: Array
+    before: Array
 
 
 class Jumps:
@@ -49,13 +50,15 @@ class Jumps:
         self.slow = np.repeat((*[False] * (groups - 1), True), SLOTS)
         self.decay = numpy.exp(-dt / plant.ANSWER_S)
 
-    def init(self) -> Bank:
-        """All slots unused."""
+    def init(self, noted: int) -> Bank:
+        """All slots unused. noted: how many numbers are noted of an onset."""
         W, (n_s, q) = self.stride.size, self.directions.shape
-        return Bank(np.zeros((W, n_s, q)), np.zeros((W, q, q)), np.zeros((W, q)), np.full(W, -1, np.int32), np.int32(0))
+        unused, none = np.full(W, -1, np.int32), np.int32(0)
+        return Bank(np.zeros((W, n_s, q)), np.zeros((W, q, q)), np.zeros((W, q)), unused, none, np.zeros((W, noted)))
 
-    def advance(self, bank: Bank, A, start, keep) -> Bank:
-        """One tick on: state transition A (n_s,); with `start` a slot of each group becomes a jump now; not `keep`: all unused."""
+    def advance(self, bank: Bank, A, start, keep, noted) -> Bank:
+        """One tick on: state transition A (n_s,); with `start` a slot of each group becomes a jump now, with noted (m,) of the time before;
+        not `keep`: all unused."""
         import jax.numpy as jnp
 
         turn = (bank.count % self.stride == 0) & ((bank.count // self.stride) % SLOTS == self.place)
@@ -68,7 +71,8 @@ class Jumps:
         C = jnp.where(fresh[:, :, None], 0.0, bank.C)
         z = jnp.where(fresh, 0.0, bank.z)
         age = jnp.where(new, 0, jnp.where(bank.age >= 0, bank.age + 1, -1))
-        return Bank(M, C, z, jnp.where(keep, age, -1).astype(jnp.int32), bank.count + 1)
+        before = jnp.where(fresh, noted, bank.before)
+        return Bank(M, C, z, jnp.where(keep, age, -1).astype(jnp.int32), bank.count + 1, before)
 
     @staticmethod
     def observe(bank: Bank, h, K, w, nu) -> Bank:

@@ -105,7 +105,7 @@ class JumpBank:
         return Carry(
             branches=posterior.init(np.concatenate([np.asarray(self.system.x0), np.zeros(self.n)]), P, self.n),
             noise=noise.init(self.dt, *(self.noise_prior or ())),
-            bank=self.jumps.init(),
+            bank=self.jumps.init(self.n),
             model_error=model_error.init(self.n),
             missing=plausibility.init(self.n),
             alarm_state=announcement.init(),
@@ -128,7 +128,7 @@ class JumpBank:
         burst_factor = (1.0 / model_error.calm(carry.model_error)).mean()
         branches = kalman.predict(branches, system.decay(dt), variances, burst_factor, flying, dt)
         A = plant.arrays(dt).concatenate([system.decay(dt), np.ones(n)])
-        onsets = self.jumps.advance(carry.bank, A, judge, judge & ~restart)
+        onsets = self.jumps.advance(carry.bank, A, judge, judge & ~restart, carry.model_error.thrust)
 
         # How far this tick's inputs and the model can be believed.
         x = branches.s[0, :n_x]
@@ -167,8 +167,10 @@ class JumpBank:
         best = evidence.jump(hyp, statistics, found, first)
         rough = noise.spread(variances)
         coupling = plausibility.demand_coupling(system.B)
+        # A manoeuvre swings commands about their trim: what a rotor was commanded at the onset counts as well.
+        rise = seen.part - jnp.minimum(seen.trim, best.slot @ onsets.before)
         possible = plausibility.plausible(
-            best.each, best.since * dt, seen.u[:n], seen.rise, missing, carry.missing, valid[3], active, rough, coupling
+            best.each, best.since * dt, seen.u[:n], rise, missing, carry.missing, valid[3], active, rough, coupling
         )
         alarm_state, alarm_decision = announcement.decide(
             carry.alarm_state, found, best, self.jumps, self.limit, possible, active.any(), judge, dt

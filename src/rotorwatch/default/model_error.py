@@ -47,12 +47,13 @@ class Memory(NamedTuple):
 
 class Look(NamedTuple):
     """How informative this tick's inputs are. u: with smoothed thrusts. gain_share (n_s,): share of the Kalman gain each state gets.
-    far: hover thrusts away from hover. rise (n,): commanded thrust above trim."""
+    far: hover thrusts away from hover. part (n,): commanded thrust above the mean of all, trim (n,): lately."""
 
     u: Array
     gain_share: Array
     far: Array
-    rise: Array
+    part: Array
+    trim: Array
 
 
 def init(n: int) -> Memory:
@@ -128,7 +129,7 @@ def look(memory: Memory, u, y, lost, valid, flying, restart, x, variances, n: in
         memory.lasting,
     )
     gain_share = jnp.concatenate([gain_share.reshape(-1), jnp.ones(x.size - AXIS_STATES + n)])
-    return new, Look(jnp.concatenate([smooth, u[n:]]), gain_share, far, smooth - collective - memory.trim)
+    return new, Look(jnp.concatenate([smooth, u[n:]]), gain_share, far, smooth - collective, memory.trim)
 
 
 def calm(memory: Memory):
