@@ -15,7 +15,6 @@ from tests.loss_prior import beside_steps, moments, one_of
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.default import announcement, hypotheses, kalman, model_error, noise, opposite, posterior
-from rotorwatch.default import bank as onsets
 from rotorwatch.default.estimator import JumpBank
 from rotorwatch.default.hypotheses import AIR_SHARE, LOSS_WIDTH
 from rotorwatch.default.plant import ANSWER_S, B3, GAIN, PER_AXIS, SIDEWAYS, WrenchBalance
@@ -370,21 +369,6 @@ def test_a_side_force_that_tilts_the_vehicle_is_no_loss_and_is_learned():
         np.abs(out.estimate.x[-1, [B3, PER_AXIS + B3]]).max()
         < 0.5 * np.abs(blind.estimate.x[-1, [B3, PER_AXIS + B3]]).max()
     )
-
-
-def test_an_unknown_yaw_gain_is_integrated_out():
-    """Schur complement: what is left of (C, z) is the information on the other directions, whatever the last one did."""
-    rng = np.random.default_rng(0)
-    A = rng.standard_normal((3, 20, 6))
-    C, z = np.einsum("wki,wkj->wij", A, A), rng.standard_normal((3, 6))
-    bank = onsets.Bank(np.zeros((3, 9, 6)), C, z, np.zeros(3, np.int32), np.int32(0))
-    told = onsets.without_last(bank, 0.3)
-    for w in range(3):
-        full = np.linalg.inv(C[w] + np.diag([0.0] * 5 + [1 / 0.3]))
-        assert np.asarray(told.C)[w] == pytest.approx(np.linalg.inv(full[:5, :5]), rel=1e-9)
-        assert np.linalg.solve(np.asarray(told.C)[w], np.asarray(told.z)[w]) == pytest.approx(
-            (full @ z[w])[:5], rel=1e-9
-        )
 
 
 def test_a_loss_that_ends_is_announced_as_a_recovery():

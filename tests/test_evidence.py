@@ -41,7 +41,7 @@ def told(strength=60.0, jump=(0, 0.1), seed=0, sd=0.03):
     z = np.einsum("wij,j->wi", C, jump[1] * np.eye(q)[jump[0]]) + sd * np.sqrt(size)[:, None] * rng.standard_normal(
         (W, q)
     )
-    return bank.Bank(rng.uniform(0, 1, (W, N_X + N, q)), C, z, age.astype(np.int32), np.int32(9))
+    return bank.Bank(rng.uniform(0, 1, (W, N_X + N, q)), C, z, age.astype(np.int32), np.int32(9), np.zeros((W, N)))
 
 
 def gather(bank_, theta=(0.0,) * N, active=(), variances=CALM):
