@@ -101,7 +101,7 @@ def _row(name: str, f, found, bound, plan: Plan) -> dict[str, Any]:
     row |= {
         "flight": f.number, "method": name, "frame": s.airframe["frame"], "autopilot": s.autopilot, "profile": s.logging["profile"],
         "rotors": f.theta.shape[1], "trajectory": s.trajectory["kind"], "wind_m_s": s.wind["speed_m_s"],
-        "induced_m_s": prepare.induced_velocity(s),
+        "induced_m_s": prepare.induced_velocity(s) if isinstance(s, Scenario) else None,
         "fault": s.faults[0]["kind"] if s.faults else "", "clear": clear_fault(s) is not None, "crashed_s": f.lost_s,
         "judged_s": float(judged.sum() * dt), "healthy_s": float((judged & before).sum() * dt),
     }  # fmt: skip

@@ -240,9 +240,9 @@ def _labels(d: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def by_speed(speeds: np.ndarray, edges: Sequence[float]) -> np.ndarray:
-    """The name of the stretch between two edges in which each speed [m/s] lies."""
+    """The name of the stretch between two edges in which each speed [m/s] lies; "unknown" where it is NaN."""
     names = [f"{a:g} to {b:g} m/s" if np.isfinite(b) else f"over {a:g} m/s" for a, b in itertools.pairwise(edges)]
-    return np.array(names, object)[np.digitize(speeds, edges[1:-1])]
+    return np.where(np.isnan(speeds), "unknown", np.array(names, object)[np.digitize(speeds, edges[1:-1])])
 
 
 def _groups(d: dict[str, np.ndarray], labels: np.ndarray, count: Callable) -> dict[str, dict]:
