@@ -79,14 +79,14 @@ def gather(
     stride = jnp.asarray(onsets.log_stride)
     per_slot = log_bf + stride[:, None] + jnp.log(jnp.asarray(hyp.weight))[None, :]
     far = far + stride[:, None] + jnp.log(hypotheses.FAR_SHARE * hypotheses.WEIGHT["disturbance"])
-    known = jnp.asarray(hyp.pick.sum(axis=1)) @ (~active).astype(float) < 0.5
-    barred = jnp.asarray(hyp.well) & ~known
-    fault = jnp.asarray(hyp.fault)
-    # A rotor that has failed is likely to change again, another one less so, and far less where it is lost altogether: the vehicle then
-    # flies at its limits, where the others look weak.
+    # With a rotor lost altogether the vehicle flies at its limits, where the others look weak: no two of them are judged at once.
+    new = jnp.asarray(hyp.pick.sum(axis=1)) @ (~active).astype(float)  # rotors of each hypothesis
     dead = (active & (theta > hypotheses.TOTAL_LOSS)).any()
+    barred = (dead & (new > 1.5)) | (jnp.asarray(hyp.well) & (new > 0.5))
+    fault = jnp.asarray(hyp.fault)
+    # A rotor that has failed is likely to change again, another one less so, and far less beside one that is lost.
     another = jnp.where(dead, -3.0, jnp.where(active.any(), -1.0, 0.0)) * hypotheses.CLEAR
-    prior = jnp.where(known, hypotheses.CLEAR, another)
+    prior = jnp.where(new < 0.5, hypotheses.CLEAR, another)
     per_slot = jnp.where(barred & fault, 2.0 * NOTHING, per_slot + jnp.where(fault, prior, 0.0))
     top = per_slot.max(0)
     odds = top + jnp.log(jnp.exp(per_slot - top[None]).sum(0))
