@@ -168,6 +168,15 @@ def test_a_loss_that_goes_back_to_nothing_is_a_recovery_rather_than_a_change():
         assert hyp.kinds[max(mine, key=lambda h: logbf[0, h])] == kind
 
 
+def test_a_rotor_that_is_well_again_gives_more_not_less():
+    """A known loss of 0.97 and evidence for 0.25 more: no recovery explains that."""
+    C, z = quad_evidence(loss=0.25)
+    hyp, log_bf, sizes = factors(4, C, z, lo=-np.ones(4), hi=np.full(4, 0.03), gone=np.full((len(z), 4), -0.97))
+    well = [h for h, kind in enumerate(hyp.kinds) if kind == "recovery"]
+    assert (sizes[:, well] <= 0.0).all()
+    assert (log_bf[:, well] < 0.0).all()
+
+
 @pytest.mark.parametrize("n", [4, 6, 8])
 def test_every_explanation_is_listed_once(n):
     hyp = hypotheses.make(n)

@@ -149,7 +149,7 @@ def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, recovery, slop, air)
         return factor + gain[:, None], size, spread
 
     single, size, spread = _mixed([(*one(*moving), AIR_SHARE), (*one(*still), 1.0 - AIR_SHARE)])
-    over, recovered, _ = near(c, score, recovery, recovery_sd(recovery) ** 2, None, None)
+    over, recovered, _ = near(c, score, recovery, recovery_sd(recovery) ** 2, None, 0.0)  # it gives more, not less
     over = over + gain[:, None]
     nu = [
         jnp.stack([size, jnp.zeros_like(size)], -1),
