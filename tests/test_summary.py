@@ -80,18 +80,24 @@ def test_a_tenth_is_a_tenth():
 
 
 def test_winds_are_told_by_their_edges():
-    d = {name: np.array(["x"] * 4, object) for name in ("frame", "autopilot", "profile", "trajectory", "fault")}
+    d = {name: np.array(["x"] * 5, object) for name in ("frame", "autopilot", "profile", "trajectory", "fault")}
     labels = summary._labels(
         {
             **d,
-            "wind_m_s": np.array([0.0, 2.9, 60.0, np.nan]),
-            "induced_m_s": np.array([1.0, 2.1, 3.6, 16.0]),
-            "fault": np.array(["", "", "loss", ""]),
+            "wind_m_s": np.array([0.0, 2.9, 3.1, 60.0, np.nan]),
+            "induced_m_s": np.array([1.0, 2.1, 3.6, 16.0, np.nan]),
+            "fault": np.array(["", "", "loss", "", ""]),
         }
     )
-    assert labels["wind"].tolist() == ["0 to 3 m/s", "0 to 3 m/s", "over 6 m/s", "unknown"]
-    assert labels["induced velocity"].tolist() == ["0 to 2 m/s", "2 to 3.5 m/s", "3.5 to 5 m/s", "over 5 m/s"]
-    assert labels["fault"].tolist() == ["none", "none", "loss", "none"] and labels["profile"][0] == "x x"
+    assert labels["wind"].tolist() == ["0 to 3 m/s", "0 to 3 m/s", "3 to 6 m/s", "over 6 m/s", "unknown"]
+    assert labels["induced velocity"].tolist() == [
+        "0 to 2 m/s",
+        "2 to 3.5 m/s",
+        "3.5 to 5 m/s",
+        "over 5 m/s",
+        "unknown",
+    ]
+    assert labels["fault"].tolist() == ["none", "none", "loss", "none", "none"] and labels["profile"][0] == "x x"
 
 
 def test_cells_as_people_read_them():

@@ -235,9 +235,10 @@ def _refined(
 
     reach = max(ALONG, length // 2)
     step = max(1, reach // POINTS)
-    near, end = range(length - (reach // step) * step, length + reach + 1, step), start + length
-    best, start, length = max((value(end - n, n), end - n, n) for n in {*near, *lengths.tolist()})
-    best, length = max((value(start, n), n) for n in {*near, *lengths.tolist()})
+    tried = {*range(length - (reach // step) * step, length + reach + 1, step), *lengths.tolist()}
+    end = start + length
+    best, start, length = max((value(end - n, n), end - n, n) for n in tried)
+    best, length = max((value(start, n), n) for n in tried)
     if best < least:
         return 0, 0
     while step >= 1:

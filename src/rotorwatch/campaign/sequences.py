@@ -214,10 +214,11 @@ def judged(plan: Sequences, flown: Sequence[batch.Flown]) -> list[dict[str, Any]
     for f, out in zip(flown, batch.by_default(flown, B, WIDTH)):
         losses = events.read(out.kept, f.ticks, B)
         accusing = [e for e in events.Report(B).events(losses, f.overrides) if e.kind == "loss_of_effectiveness"]
+        induced = induced_velocity(f.scenario)
         for s in states(f, accusing):
             rows.append(
                 {"flight": f.number, "kind": plan.kind(f.number), "frame": f.scenario.airframe["frame"], "at": s.at,
-                 "induced_m_s": induced_velocity(f.scenario), "truth": s.truth, "named": s.named, "outcome": s.outcome}
+                 "induced_m_s": induced, "truth": s.truth, "named": s.named, "outcome": s.outcome}
             )  # fmt: skip
     return rows
 

@@ -83,7 +83,7 @@ def demand_coupling(B):
 
 
 def plausible(jump, since_s, smooth, rise, now: Missing, before: Missing, thrust_valid, active, rough, coupling):
-    """bool: may the jump (2, n; two rotors at most, 0 elsewhere) be a loss? coupling (n, n): `asked_of`.
+    """bool: may the jump (2, n; two rotors at most, 0 elsewhere) be a loss? coupling (n, n): `demand_coupling`.
 
     smooth (n,): thrust of each rotor; rise (n,): commands above what they were. active (n,): rotors already known to be weak.
     rough (4,): variance of this flight's disturbances.
