@@ -348,6 +348,23 @@ def test_a_loss_is_announced_with_its_rotor_and_size(frame, rotor):
     assert abs(out.theta[-1, rotor] - 0.25) < 4 * np.hypot(out.theta_sd[-1, rotor], 0.004)
 
 
+def test_a_rotor_that_a_turn_commands_less_is_announced_all_the_same(monkeypatch):
+    """Yaw swings the commands: more is asked of the rotor that fails than at the onset, and only half a second later more than usual."""
+    monkeypatch.setattr(announcement, "CERTAIN_NATS", np.inf)  # evidence this large asks nothing of the command
+    method, period = make.__wrapped__("ardupilot-quad-x"), 40
+    u, y, valid = hover(seed=3, losses=[(1, ONSET, 0.2)])
+    B, lost = airframes.named("ardupilot-quad-x").effectiveness(), np.zeros((TICKS, 4))
+    lost[ONSET:, 1] = 0.2
+    swing = 0.3 * np.cos(2.0 * np.pi * (np.arange(TICKS) - ONSET) / period)
+    turn = -swing[:, None] * np.sign(B[2] * B[2, 1])
+    u[:, :4] += turn
+    y += (turn * lost) @ B.T
+    out, _ = method.over(u, y, valid)
+    (announced,) = np.flatnonzero(out.announced)
+    assert announced - ONSET < 12
+    assert out.active[announced, 0].tolist() == [False, True, False, False]
+
+
 def test_a_side_force_that_tilts_the_vehicle_is_no_loss_and_is_learned():
     """Gusts push the vehicle about and tilt it: without the push in its plant the filter would have to call that torque a jump."""
     method, lever = make("ardupilot-quad-x"), 0.6

@@ -94,6 +94,21 @@ def test_beginning_and_end_of_a_long_one_are_those_of_the_speed():
     ]
 
 
+@pytest.mark.parametrize(
+    "after, lasting", [(0.0, 0.03), (0.05, 0.04), (0.1, 0.03), (0.15, 0.04), (0.0, 0.5), (-0.1, 0.3), (-0.3, 0.5)]
+)
+def test_from_any_part_of_a_desync_or_more_than_it_the_whole_is_found(after, lasting):
+    """The matched filter may peak at a part of a desync of 200 ms; the rest of it lies on another slope of the likelihood."""
+    channels = seen("long", True)
+    dt, begin = channels[0].width, channels[0].time[0]
+    lengths = np.unique(np.round(desync.LENGTHS_S / dt).astype(int))
+    for at in (7.3, 24.9):
+        peak = round((at + after - begin) / dt), round(lasting / dt)
+        start, length = desync._refined(channels, 2, *peak, lengths, 0.0)
+        assert channels[0].time[start] == pytest.approx(at, abs=0.005)
+        assert length * dt == pytest.approx(0.2, abs=0.005)
+
+
 @pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize(("name", "rpm"), [
     *((name, rpm) for name in ("healthy", "dead", "weak", "knocks", "gone") for rpm in (False, True)), ("second", True),
