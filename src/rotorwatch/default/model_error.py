@@ -1,8 +1,9 @@
 """How far commands and motion can be trusted: which states the filter may learn from them, and how wrong its model may be for a moment.
 
-In closed loop the commands answer the noise. Three things follow, each learned the hard way: from small motion the filter would learn the
+In closed loop the commands answer the noise. Four things follow, each learned the hard way: from small motion the filter would learn the
 controller's gains instead of the vehicle's; a loss must not be regressed on a rotor's own jitter; and gains, damping,
-thrust curve and lag are wrong by some share of what they multiply, which belongs in the measurement noise.
+thrust curve and lag are wrong by some share of what they multiply, which belongs in the measurement noise. Nor may an accelerometer's
+noise count as a side force: a regressor that holds noise makes its coefficient too small (errors in variables).
 """
 
 from __future__ import annotations
@@ -32,11 +33,16 @@ BELOW_LIMIT, AT_LIMIT = 0.6, 0.9
 
 class Memory(NamedTuple):
     """level (6,): calm variance of angular accelerations and rates. thrust, trim (n,): each rotor's thrust less the mean of all, in
-    half a second and in six; thrust_level (n,): its calm variance. collective: the mean. y (4,): last wrench."""
+    half a second and in six; thrust_level (n,): its calm variance. side (2,): last side force, push (2,): its mean over half a second,
+    side_level (2,): variance of its noise. collective: mean thrust. y (4,): last wrench."""
 
     level: Array
     thrust: Array
     thrust_level: Array
+    side: Array
+    push: Array
+    lately: Array
+    side_level: Array
     trim: Array
     collective: Array
     y: Array
@@ -46,7 +52,7 @@ class Memory(NamedTuple):
 
 
 class Look(NamedTuple):
-    """How informative this tick's inputs are. u: with smoothed thrusts. gain_share (n_s,): share of the Kalman gain each state gets.
+    """How informative this tick's inputs are. u: with smoothed thrusts, side forces without noise. gain_share (n_s,): share of the Kalman gain each state gets.
     far: hover thrusts away from hover. part (n,): commanded thrust above the mean of all, trim (n,): lately."""
 
     u: Array
@@ -57,11 +63,15 @@ class Look(NamedTuple):
 
 
 def init(n: int) -> Memory:
-    """Nothing known: motion counts as calm up to about 0.3 rad/s^2."""
+    """Nothing known: motion counts as calm up to about 0.3 rad/s^2, side forces are known to about 0.3 m/s^2."""
     return Memory(
         np.array([0.3, 0.3, 0.3, 0.05, 0.05, 0.05]) ** 2,
         np.zeros(n),
         np.full(n, 0.05**2),
+        np.zeros(2),
+        np.zeros(2),
+        np.zeros(2),
+        np.full(2, 0.3**2),
         np.zeros(n),
         np.float64(1.0),
         np.zeros(4),
@@ -93,7 +103,9 @@ def look(memory: Memory, u, y, lost, valid, flying, restart, x, variances, n: in
     need = needs[:3] + needs[3:]
     made = y[:3] - lost[:3] - x[:AXIS_STATES].reshape(4, PER_AXIS)[:3, :3].sum(axis=1)
     shrink = shrink * jnp.tile(jnp.clip(made * need / jnp.maximum(need**2, 1e-12), 0.0, 1.0), 2)
-    fade = jnp.where(flying & valid[0], dt / LEVEL_MEMORY_S, 0.0)
+    # A tick without commands (a gap in the log, a link that was cut) says nothing of what is usual.
+    past = jnp.where(valid[0], dt, 0.0)
+    fade = jnp.where(flying, past / LEVEL_MEMORY_S, 0.0)
     level = memory.level + fade * (jnp.minimum(motion**2, 6.0 * memory.level) - memory.level)
     one = jnp.ones(1)
     gain_share = jnp.ones((4, PER_AXIS)).at[:, GAIN].set(jnp.concatenate([shrink[:3], one]))
@@ -108,19 +120,32 @@ def look(memory: Memory, u, y, lost, valid, flying, restart, x, variances, n: in
     away = part - before
     stands_out = jnp.maximum(0.0, 1.0 - GARROTE**2 * memory.thrust_level / jnp.maximum(away**2, 1e-12)) * away
     trim = jnp.where(restart, part, memory.trim)
-    fade = jnp.where(flying & valid[0] & ~restart, dt / LEVEL_MEMORY_S, 0.0)
+    fade = jnp.where(restart, 0.0, fade)
     thrust_level = memory.thrust_level + fade * (jnp.minimum(away**2, 6.0 * memory.thrust_level) - memory.thrust_level)
     smooth = jnp.maximum(collective + before + stands_out, 0.0)
+
+    # A side force counts while its mean stands out of the noise, which is white, unlike wind and motion, and shows from tick to tick.
+    side = u[n + 7 : n + 9]
+    share = jnp.minimum(past / plant.ANSWER_S, 1.0)
+    push = jnp.where(restart, side, memory.push)
+    push = push + (side - push) * share
+    white = 0.5 * share * memory.side_level
+    lately = jnp.maximum(push**2, memory.lately * (1.0 - share))  # also where it changes its sign
+    felt = side * jnp.maximum(0.0, 1.0 - GARROTE**2 * white / jnp.maximum(lately, 1e-12))
+    change = 0.5 * (side - memory.side) ** 2
+    side_level = memory.side_level + fade * (jnp.minimum(change, 6.0 * memory.side_level) - memory.side_level)
 
     # Punch-outs, drops and knocks: far from hover the thrust curve and the lag are no longer known well.
     usual = jnp.where(restart, collective, memory.collective)
     far = jnp.maximum(jnp.abs(collective - usual) - FAR, 0.0) + jnp.maximum(jnp.abs(u[n + 3] / n - 1.0) - FAR, 0.0)
-    # A tick without commands (a gap in the log, a link that was cut) says nothing of what is usual.
-    past = jnp.where(valid[0], dt, 0.0)
     new = Memory(
         level,
-        before + away * jnp.minimum(past / plant.ANSWER_S, 1.0),
+        before + away * share,
         thrust_level,
+        jnp.where(valid[0], side, memory.side),
+        push,
+        lately,
+        side_level,
         trim + (part - trim) * (past / plant.USUAL_S),
         usual + (collective - usual) * (past / plant.USUAL_S),
         jnp.where(valid, y, memory.y),
@@ -129,7 +154,9 @@ def look(memory: Memory, u, y, lost, valid, flying, restart, x, variances, n: in
         memory.lasting,
     )
     gain_share = jnp.concatenate([gain_share.reshape(-1), jnp.ones(x.size - AXIS_STATES + n)])
-    return new, Look(jnp.concatenate([smooth, u[n:]]), gain_share, far, smooth - collective, memory.trim)
+    return new, Look(
+        jnp.concatenate([smooth, u[n : n + 7], felt, u[n + 9 :]]), gain_share, far, smooth - collective, memory.trim
+    )
 
 
 def calm(memory: Memory):
