@@ -52,7 +52,8 @@ class Memory(NamedTuple):
 
 
 class Look(NamedTuple):
-    """How informative this tick's inputs are. u: with smoothed thrusts, side forces without noise. gain_share (n_s,): share of the Kalman gain each state gets.
+    """How informative this tick's inputs are. u: with smoothed thrusts, side forces without noise. gain_share (n_s,): share of the
+    Kalman gain each state gets.
     far: hover thrusts away from hover. part (n,): commanded thrust above the mean of all, trim (n,): lately."""
 
     u: Array
