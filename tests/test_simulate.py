@@ -24,7 +24,7 @@ from rotorwatch.simulation import (
     wind,
 )
 from rotorwatch.simulation.multirotor import MULTIROTOR
-from rotorwatch.simulation.prepare import induced_velocity, plan
+from rotorwatch.simulation.prepare import induced_velocity, plan, vehicle
 
 jax = load_jax()
 flatten = import_module("jax.flatten_util").ravel_pytree
@@ -236,6 +236,16 @@ def test_law_notices(name, monkeypatch):
     value = law(3)
     glide.clear_cache()
     assert not LAWS[law](value), value
+
+
+@pytest.mark.parametrize(
+    "autopilot, frame", [("ardupilot", "octaquad-x"), ("ardupilot", "y6"), ("px4", "octaquad-x"), ("px4", "y6")]
+)
+def test_lower_rotors_of_coaxial_arms_give_their_share(autopilot, frame):
+    made = scenario.from_table({"autopilot": autopilot, "airframe": {"frame": frame, "lower_rotor": 0.8}})
+    rotors, thrust = vehicle(made).rotors, np.asarray(plan(made).craft.thrust_max)
+    assert sum(r.lower for r in rotors) == len(rotors) // 2
+    assert thrust / thrust.max() == pytest.approx([0.8 if r.lower else 1.0 for r in rotors])
 
 
 def test_same_as_a_simulator_written_elsewhere(monkeypatch):

@@ -41,7 +41,7 @@ def vehicle(scenario: Scenario) -> Vehicle:
     else:
         found = _geometry(scenario.autopilot, frame)
         arm = a["arm_m"] / max(np.hypot(r.x, r.y) for r in found)
-    rotors = tuple(Rotor(r.x * arm, r.y * arm, r.spin) for r in found)
+    rotors = tuple(Rotor(r.x * arm, r.y * arm, r.spin, lower=r.lower) for r in found)
     for k, fault in enumerate(scenario.faults):
         if fault["rotor"] > len(rotors):
             raise ConfigError(
