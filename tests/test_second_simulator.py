@@ -27,7 +27,13 @@ def second():
 def test_one_step_is_ours_where_the_models_agree(second, frame, monkeypatch):
     """A leaning, turning vehicle in wind, rotors of different strength speeding up; without what RotorPy does not know."""
     monkeypatch.setattr(dynamics, "G0", 9.81)  # as they round it
-    asked = scenario.from_table({"airframe": {"frame": frame, "hub_height_m": 0.05, "ground_effect": False}})
+    craft = {
+        "frame": frame,
+        "hub_height_m": 0.05,
+        "ground_effect": False,
+        "lower_rotor": 1.0,
+    }  # a weaker rotor is a slower one there
+    asked = scenario.from_table({"airframe": craft})
     craft = plan(asked).craft._replace(rotor_momentum=np.array(0.0))
     rng = np.random.default_rng(1)
     n, dt = len(craft.x), 0.005
