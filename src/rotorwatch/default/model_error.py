@@ -34,7 +34,7 @@ BELOW_LIMIT, AT_LIMIT = 0.6, 0.9
 class Memory(NamedTuple):
     """level (6,): calm variance of angular accelerations and rates. thrust, trim (n,): each rotor's thrust less the mean of all, in
     half a second and in six; thrust_level (n,): its calm variance. side (2,): last side force, push (2,): its mean over half a second,
-    side_level (2,): variance of its noise. collective: mean thrust. y (4,): last wrench."""
+    lately (2,): the largest square of that, fading as fast; side_level (2,): variance of what changes from tick to tick. collective: mean thrust. y (4,): last wrench."""
 
     level: Array
     thrust: Array
@@ -125,7 +125,8 @@ def look(memory: Memory, u, y, lost, valid, flying, restart, x, variances, n: in
     thrust_level = memory.thrust_level + fade * (jnp.minimum(away**2, 6.0 * memory.thrust_level) - memory.thrust_level)
     smooth = jnp.maximum(collective + before + stands_out, 0.0)
 
-    # A side force counts while its mean stands out of the noise, which is white, unlike wind and motion, and shows from tick to tick.
+    # A side force counts while its mean stands out of what noise would leave there: as much as changes from tick to tick, were that white.
+    # At first 0.2 m/s^2 have to be exceeded; as the flight's own changes become known, less.
     side = u[n + 7 : n + 9]
     share = jnp.minimum(past / plant.ANSWER_S, 1.0)
     push = jnp.where(restart, side, memory.push)
