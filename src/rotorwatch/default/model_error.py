@@ -34,7 +34,8 @@ BELOW_LIMIT, AT_LIMIT = 0.6, 0.9
 class Memory(NamedTuple):
     """level (6,): calm variance of angular accelerations and rates. thrust, trim (n,): each rotor's thrust less the mean of all, in
     half a second and in six; thrust_level (n,): its calm variance. side (2,): last side force, push (2,): its mean over half a second,
-    lately (2,): the largest square of that, fading as fast; side_level (2,): variance of what changes from tick to tick. collective: mean thrust. y (4,): last wrench."""
+    lately (2,): the largest square of that, fading as fast; side_level (2,): variance of what changes from tick to tick.
+    collective: mean thrust. y (4,): last wrench."""
 
     level: Array
     thrust: Array
