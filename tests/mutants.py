@@ -54,6 +54,7 @@ PARTS: dict[str, tuple[tuple[str, ...], float]] = {
 
 # Tests of a file besides tests/test_<its name>.py: the ones that fail soonest first.
 NAMED: dict[str, tuple[str, ...]] = {
+    "simulation/prepare.py": ("simulate",),
     "logs/container.py": ("logs_open",),
     "logs/__init__.py": ("logs_open",),
     "logs/crazyflie.py": ("logs_crazyflie",),
