@@ -101,6 +101,7 @@ NAMED: dict[str, tuple[str, ...]] = {
     "estimators/lyapunov.py": ("lyapunov_mhe",),
     "estimators/mh*.py": ("lyapunov_mhe",),
     "default/estimator.py": ("default_estimator",),
+    "default/model_error.py": ("default_estimator",),
     "default/bank.py": ("default_estimator",),
     "default/evidence.py": ("default_estimator",),
     "default/kalman.py": ("default_estimator",),
