@@ -23,18 +23,14 @@ def second():
     return module
 
 
-@pytest.mark.parametrize("frame", ["hexa-x", "y6"])
-def test_one_step_is_ours_where_the_models_agree(second, frame, monkeypatch):
+@pytest.mark.parametrize("frame, lower", [("hexa-x", 1.0), ("y6", 1.0), ("y6", 0.85)])
+def test_one_step_is_ours_where_the_models_agree(second, frame, lower, monkeypatch):
     """A leaning, turning vehicle in wind, rotors of different strength speeding up; without what RotorPy does not know."""
     monkeypatch.setattr(dynamics, "G0", 9.81)  # as they round it
-    craft = {
-        "frame": frame,
-        "hub_height_m": 0.05,
-        "ground_effect": False,
-        "lower_rotor": 1.0,
-    }  # a weaker rotor is a slower one there
-    asked = scenario.from_table({"airframe": craft})
-    craft = plan(asked).craft._replace(rotor_momentum=np.array(0.0))
+    airframe = {"frame": frame, "lower_rotor": lower, "hub_height_m": 0.05, "ground_effect": False}
+    craft = plan(scenario.from_table({"airframe": airframe})).craft._replace(rotor_momentum=np.array(0.0))
+    if lower < 1.0:  # a weaker rotor is a slower one there, which other air damps less
+        craft = craft._replace(k_d=np.array(0.0), k_z=np.array(0.0))
     rng = np.random.default_rng(1)
     n, dt = len(craft.x), 0.005
     q = np.array([0.9, 0.2, -0.15, 0.3])

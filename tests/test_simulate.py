@@ -246,6 +246,7 @@ def test_lower_rotors_of_coaxial_arms_give_their_share(autopilot, frame):
     rotors, thrust = vehicle(made).rotors, np.asarray(plan(made).craft.thrust_max)
     assert sum(r.lower for r in rotors) == len(rotors) // 2
     assert thrust / thrust.max() == pytest.approx([0.8 if r.lower else 1.0 for r in rotors])
+    assert thrust / thrust.mean() == pytest.approx(vehicle(made).effectiveness()[3])  # what an allocation goes by
 
 
 def test_same_as_a_simulator_written_elsewhere(monkeypatch):

@@ -41,7 +41,8 @@ def vehicle(scenario: Scenario) -> Vehicle:
     else:
         found = _geometry(scenario.autopilot, frame)
         arm = a["arm_m"] / max(np.hypot(r.x, r.y) for r in found)
-    rotors = tuple(Rotor(r.x * arm, r.y * arm, r.spin, lower=r.lower) for r in found)
+    shares = (a["lower_rotor"] if r.lower else 1.0 for r in found)
+    rotors = tuple(Rotor(r.x * arm, r.y * arm, r.spin, share, r.lower) for r, share in zip(found, shares))
     for k, fault in enumerate(scenario.faults):
         if fault["rotor"] > len(rotors):
             raise ConfigError(
@@ -148,7 +149,7 @@ def craft(scenario: Scenario, known: Vehicle | None = None) -> dynamics.Craft:
     else:
         arm = scenario.airframe["arm_m"] / max(np.hypot(r.x, r.y) for r in known.rotors)
         rotors = tuple(replace(r, x=r.x * arm, y=r.y * arm) for r in known.rotors)
-        bare = _bare(scenario, replace(known, rotors=rotors), np.array([r.share for r in rotors]))
+        bare = _bare(scenario, replace(known, rotors=rotors))
     return _craft(scenario, bare, _full_speed(scenario, bare))
 
 
@@ -167,14 +168,12 @@ def _full_speed(scenario: Scenario, bare: Bare) -> float:
     return scenario.airframe["rotor_speed_rad_s"] or TIP_SPEED / bare.radius
 
 
-def _bare(scenario: Scenario, craft: Vehicle, shares: np.ndarray | None = None) -> Bare:
-    """What a paper says of its airframe, else what the scenario asks for or what is usual. shares (n,): of thrust, instead of the
-    scenario's `lower_rotor`."""
+def _bare(scenario: Scenario, craft: Vehicle) -> Bare:
+    """What a paper says of its airframe, else what the scenario asks for or what is usual."""
     a, known = scenario.airframe, _paper(scenario.airframe["frame"])
-    x, y, spin = (np.array([getattr(r, k) for r in craft.rotors], float) for k in ("x", "y", "spin"))
+    x, y, spin, share = (np.array([getattr(r, k) for r in craft.rotors], float) for k in ("x", "y", "spin", "share"))
     arm = float(np.hypot(x, y).max())
     mass = float(known["mass"]) if known else a["mass_kg"]
-    share = np.array([a["lower_rotor"] if r.lower else 1.0 for r in craft.rotors]) if shares is None else shares
     if known:
         thrust_max = np.full(len(x), float(known["thrust_max"]))
     else:
