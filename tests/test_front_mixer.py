@@ -284,6 +284,17 @@ def test_a_mixer_at_its_limits_that_gives_up_yaw_is_not_accused(fly):
     assert fly(control, one_off).found()[0][:2] == (0, OVERRIDDEN)
 
 
+def test_an_output_that_rests_with_one_at_its_limit_is_not_stuck(fly):
+    """Rotors 0 and 3 differ in yaw alone: with the first at full thrust, and throttle given up for that, the other may not move."""
+    control = demands()
+    there = after(20.0)
+    control[there] = [0.0, 0.0, 0.1, 0.85]
+    control[there, 0] = np.linspace(-0.05, -0.45, there.sum())
+    outputs = control @ FACTORS.T
+    outputs -= np.maximum(outputs.max(axis=1, keepdims=True) - 1.0, 0.0)
+    assert np.ptp(outputs[after(26.0), 3]) < 1e-9 and not fly(control, outputs).found()
+
+
 def test_a_mixer_that_is_not_known_is_learned(fly):
     control = demands()
     outputs = control @ FACTORS.T @ np.diag([1.0, 0.9, 1.1, 1.0])

@@ -49,10 +49,11 @@ def of(
         out.append(_desynced(event, places))
     elif event is not None and not event.alternatives:
         who = rotors(event.rotors, places)
-        looked_at = f"{who} has been looked at: {_parts(event, stays)}"
         if event.kind == "output_override":
             places_to_look = "output functions and passthrough, motor test, failsafe, a second controller"
             looked_at = f"it is clear why the output of {who} left the mixer: {places_to_look}"
+        else:
+            looked_at = f"{who} has been looked at: {_parts(event, stays)}"
         out.append(f"Do not fly again before {looked_at}.")
     elif broken:
         parts = "nicked, bent or loose propeller, motor bearing, ESC"

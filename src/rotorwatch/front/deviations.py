@@ -95,7 +95,7 @@ class Deviations(Struct):
     alone = array(Rest, ROTORS)  # of all outputs
     last: Time = -LASTS  # time of the last comparison
     own = array(REAL, ROTORS)  # demanded of each rotor more than of all, at that time
-    own_at_rest = array(REAL, ROTORS)  # ... when its output came to rest
+    own_at_rest = array(REAL, ROTORS, ROTORS)  # ... of all, when the output of each came to rest
     power: Time = 0.0  # sum of the squares of the largest deviations of comparisons that fitted
     unexplained: Time = 0.0  # ... of the differences between outputs that were not as demanded
     differences: Time = 0.0  # ... of all differences between outputs
@@ -175,11 +175,15 @@ class Deviations(Struct):
             frozen = c.time - still > 0.5 and interior[k]
             off = c.output[k] < low - 0.01 * span and c.demanded[k] > 2.0 * FLYING
             # At a limit the mixer takes from all others what it has too much, and in calm air they may rest: stuck is what does not stir at
-            # all while it should have moved against them.
+            # all while it should have moved against them. What is to keep its distance to a rotor that cannot move rests with it.
             rest = self.rest[k].update(c.time, c.output[k], 1e-9)
             if rest >= c.time:
-                self.own_at_rest[k] = self.own[k]
-            moved = abs(own[k] - self.own_at_rest[k]) > PART
+                for j in range(v.rotors):
+                    self.own_at_rest[k][j] = self.own[j]
+            moved = abs(own[k] - self.own_at_rest[k][k]) > PART
+            for j in range(v.rotors):
+                apart = own[k] - own[j] - (self.own_at_rest[k][k] - self.own_at_rest[k][j])
+                moved = moved and (interior[j] or abs(apart) > PART)
             dead = c.time - rest > _STUCK_S and interior[k] and moved and abs(c.deviation[k]) > limit
             wrong = known[k] and (abs(deviation[k]) > limit or (frozen and abs(deviation[k]) > still_limit))
             wrong = proven and flying and (wrong or off or dead)
