@@ -28,16 +28,16 @@ LOSSES, AFTER_S, PERIOD_S = (0.2, 0.3), 10.0, 36_000.0
 TURNS, LEAST_S, ONSETS = 3.0, 20.0, 4  # rad/s; seconds judged; onsets spread over the flight
 
 
-def thinned(flight, hz: float):
-    """The flight with every signal at this rate at most: samples are left out."""
+def thinned(flight, rates: dict[str, float]):
+    """The flight with these signals only, each at its rate [Hz] at most: samples are left out."""
 
-    def thin(signal):
+    def thin(signal, hz):
         if signal.rate_hz <= 1.05 * hz:
             return signal
         keep = np.unique(np.searchsorted(signal.time, np.arange(signal.time[0], signal.time[-1], 1.0 / hz)))
         return signal.with_arrays(signal.time[keep], signal.values[keep], signal.valid[keep])
 
-    return replace(flight, signals={name: thin(signal) for name, signal in flight.signals.items()})
+    return replace(flight, signals={name: thin(flight.signals[name], hz) for name, hz in rates.items()})
 
 
 def measured(flight, vehicle, air) -> dict | None:
@@ -83,7 +83,8 @@ def main() -> None:
         vehicle = airframes.identify(flight)
         air = airborne(flight)
         most = flight["motors"].rate_hz
-        found = [measured(thinned(flight, hz), vehicle, air) if hz <= 1.1 * most else None for hz in RATES_HZ]
+        every = (thinned(flight, dict.fromkeys(flight.signals, hz)) if hz <= 1.1 * most else None for hz in RATES_HZ)
+        found = [None if thin is None else measured(thin, vehicle, air) for thin in every]
         if not any(found):
             continue
         name, judged = path.name.split(".")[0], max(one["judged"] for one in found if one)

@@ -16,10 +16,10 @@ import json
 import sys
 import time
 from collections import defaultdict
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from logging_rate import thinned
 
 from rotorwatch import airframes
 from rotorwatch.campaign import methods, summary
@@ -69,22 +69,15 @@ def drawn(k: int, loss: float | None):
     )  # fmt: skip
 
 
-def thinned(flight, hz: float):
+def over_link(flight, hz: float):
     """The flight as a link of that rate brings it: samples are left out, not averaged."""
-
-    def thin(signal, rate):
-        if signal.rate_hz <= rate:
-            return signal
-        keep = np.unique(np.searchsorted(signal.time, np.arange(signal.time[0], signal.time[-1], 1.0 / rate)))
-        return signal.with_arrays(signal.time[keep], signal.values[keep], signal.valid[keep])
-
-    wanted = {name: hz if name == "motors" else max(2.0 * hz, LEAST_MOTION_HZ) for name in flight.signals}
-    return replace(flight, signals={k: thin(s, wanted[k]) for k, s in flight.signals.items() if k != "control"})
+    motion = max(2.0 * hz, LEAST_MOTION_HZ)
+    return thinned(flight, {name: hz if name == "motors" else motion for name in flight.signals if name != "control"})
 
 
 def judged(k: int, made, record, hz: float) -> tuple[dict, dict | None]:
     """The row of one flight at one rate, and what its bound needs."""
-    flight = thinned(logbook.flight(made, flight_plan(made), record), hz)
+    flight = over_link(logbook.flight(made, flight_plan(made), record), hz)
     craft = airframes.identify(flight)
     air = airborne(flight)
     table = observe(flight, craft, air, READY_S)
