@@ -42,7 +42,7 @@ def with_spread(n, C, z, lo=None, hi=None, gone=None, reach=0.0):
     hyp = hypotheses.make(n)
     lo, hi = np.zeros(n) if lo is None else lo, np.ones(n) if hi is None else hi
     gone = np.zeros((len(z), n)) if gone is None else gone
-    slop = hypotheses.slop(C, z, lo, hi, np.full(n, reach))
+    slop = hypotheses.slop(C, z, lo, hi, np.full(n, reach), np.zeros(n))
     found = hypotheses.log_bayes_factors(hyp, C, z, lo, hi, WIDTH, gone, slop, AIR**2)
     return hyp, *(np.asarray(a) for a in found)
 
@@ -91,16 +91,19 @@ def test_a_rotor_whose_effect_differs_a_little_from_geometry_is_still_named():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_slop_is_a_share_of_what_the_likeliest_rotor_lacks(seed):
-    """Four axes, each its own share; a rotor that reaches further leaves more; never more than the whole loss allows."""
+    """Four axes, each its own share; a rotor that reaches further leaves more; never more than the whole loss allows. In yaw its drag."""
     n = 6
     C, z = information(n, seed)
     reach = np.random.default_rng(seed).uniform(0.3, 2.0, n)
-    found = np.asarray(hypotheses.slop(C, z, np.zeros(n), np.ones(n), reach))
+    drag = np.random.default_rng(seed + 9).uniform(-2.0, 2.0, n)
+    found = np.asarray(hypotheses.slop(C, z, np.zeros(n), np.ones(n), reach, drag))
     for w in range(len(C)):
         precision = np.diag(C[w])[:n] + LOSS_WIDTH**-2
         nu = np.clip(z[w, :n] / precision, 0.0, 1.0)
         i = np.argmax(z[w, :n] * nu - 0.5 * precision * nu**2)
-        np.testing.assert_allclose(found[w], (np.array(hypotheses.SLOP) * nu[i] * reach[i]) ** 2 + 1e-12, rtol=1e-9)
+        wanted = (np.array(hypotheses.SLOP) * nu[i] * reach[i]) ** 2 + 1e-12
+        wanted[2] += (nu[i] * drag[i]) ** 2
+        np.testing.assert_allclose(found[w], wanted, rtol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -124,7 +127,7 @@ def test_slop_is_steps_of_the_axes_integrated_out(seed):
 def test_a_single_rotor_with_slop_is_weighed_as_the_integral_over_loss_and_axes(loss, sd):
     C, z = quad_evidence(wrong=(1.05, 0.95, 0.8, 1.1), loss=loss, sd=sd)
     _, logbf, _ = factors(4, C, z, reach=1.0)
-    steady = np.asarray(hypotheses.slop(C, z, np.zeros(4), np.ones(4), np.ones(4)))[0]
+    steady = np.asarray(hypotheses.slop(C, z, np.zeros(4), np.ones(4), np.ones(4), np.zeros(4)))[0]
     moved = steady + np.array([0.0, 0.0, 0.0, AIR**2])
     often = hypotheses.AIR_SHARE
     parts = [
@@ -145,7 +148,7 @@ def test_a_recovery_is_weighed_as_the_integral_around_the_known_loss(ended, back
     gone = np.zeros((1, n))
     gone[0, 0] = -ended
     hyp, logbf, nu = factors(n, C, z, lo=np.array([-1.0, 0, 0, 0]), gone=gone, reach=reach)
-    prior = np.asarray(hypotheses.slop(C, z, np.array([-1.0, 0, 0, 0]), np.ones(n), np.full(n, reach)))[0]
+    prior = np.asarray(hypotheses.slop(C, z, np.array([-1.0, 0, 0, 0]), np.ones(n), np.full(n, reach), np.zeros(n)))[0]
     h = hyp.names.index("rotor 1 is well again")
     expected = evidence(lambda v: with_steps(C[0], z[0], 0, prior, v), -ended, sd)
     assert logbf[0, h] == pytest.approx(expected, abs=1e-4)
@@ -275,7 +278,7 @@ def test_a_manoeuvre_in_calm_air_is_no_loss():
     and worse than a disturbance far larger."""
     C, z = quad_evidence(wrong=(0.25, 1.0, 0.2, 0.5), loss=0.3, sd=0.02)
     calm, hyp = np.full(4, 0.03), hypotheses.make(4)
-    slop = hypotheses.slop(C, z, np.zeros(4), np.ones(4), np.ones(4))
+    slop = hypotheses.slop(C, z, np.zeros(4), np.ones(4), np.ones(4), np.zeros(4))
     logbf, _, _ = hypotheses.log_bayes_factors(hyp, C, z, np.zeros(4), np.ones(4), calm, np.zeros((1, 4)), slop, 0.0)
     told = dict(zip(hyp.names, np.asarray(logbf)[0]))
     far = np.asarray(hypotheses.disturbances(hyp, C, z, hypotheses.FAR * calm))[0]

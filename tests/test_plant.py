@@ -28,6 +28,20 @@ def table(n, count=3, side=True):
     )  # fmt: skip
 
 
+def yaw_of_drag(B, thrust, forward, right, arm=0.2):
+    """(n,) yaw, over hover thrust times drag ratio, of the drag of rotors that takes all of a side force: r x H, rotor by rotor.
+
+    arm [m]: one unit of B; the drag ratio is such that arms over drag ratios times the gap between rotors are plant.DRAG."""
+    places = [(b[1] / b[3], -b[0] / b[3]) for b in np.transpose(B)]  # forward, right
+    gap = min(d for a in places for b in places if (d := np.hypot(a[0] - b[0], a[1] - b[1])) > 0.1)
+    drag_ratio, mass = arm * gap / plant.DRAG, 1.3
+    moments = []
+    for (x, y), share in zip(places, np.sqrt(thrust) / len(thrust)):
+        H_x, H_y = mass * forward * share, mass * right * share
+        moments.append((arm * x * H_y - arm * y * H_x) / (mass * 9.80665 / len(thrust) * drag_ratio))
+    return np.array(moments)
+
+
 @pytest.mark.parametrize("side", [True, False])
 def test_the_commanded_wrench_is_what_the_motion_needs_and_what_is_lost(side):
     """y_a = G_a m_a + c_a r_a + l f_a + b1_a + b2_a + b3_a + sum_i B_ai T_i theta_i, written out."""
@@ -43,6 +57,8 @@ def test_the_commanded_wrench_is_what_the_motion_needs_and_what_is_lost(side):
         for a in range(4):
             damped = state[a, DAMPING] * turning[a] + x[SIDEWAYS] * push[a]
             wanted = state[a, GAIN] * motion[a] + damped + state[a, :3].sum() + (QUAD[a] * ticks.thrust[k]) @ theta
+            if a == 2:  # what is left of the rotors' drag turns it without a command
+                wanted -= yaw_of_drag(QUAD, ticks.thrust[k], forward, right) @ (1.0 - theta)
             assert np.asarray(system.h(x, u[k], theta))[a] == pytest.approx(wanted)
         assert u[k, -1] == pytest.approx(1.0 / ticks.hover[k])
 
@@ -54,10 +70,13 @@ def test_lower_rotors_give_more_and_all_give_less():
     u, share = system.pack(table(6))[0], 0.1
     x = np.append(np.zeros(AXIS_STATES), share)
     more = lower - (Y6[3] * lower).mean()
-    assert np.asarray(system.h(x, u, np.zeros(6))) == pytest.approx(-share * Y6 @ (more * u[:6]))
+    still = np.concatenate([u[:13], [0.0, 0.0], u[15:]])  # no air from the side
+    assert np.asarray(system.h(x, still, np.zeros(6))) == pytest.approx(-share * Y6 @ (more * u[:6]))
     assert Y6[3] @ more == pytest.approx(0.0, abs=1e-9)
-    assert np.asarray(system.H(u, x)) == pytest.approx(Y6 * u[:6] * (1.0 + share * more))
-    assert np.asarray(system.H(u)) == pytest.approx(Y6 * u[:6])
+    assert np.asarray(system.H(still, x)) == pytest.approx(Y6 * u[:6] * (1.0 + share * more))
+    assert np.asarray(system.H(still)) == pytest.approx(Y6 * u[:6])
+    across = np.asarray(system.H(u)) - Y6 * u[:6]  # rotors of one arm have no gap
+    assert across[2] == pytest.approx(yaw_of_drag(Y6, u[:6], *u[13:15])) and not across[[0, 1, 3]].any()
     assert system.n_x == 21 == len(system.x_names) == len(system.x0) and WrenchBalance(QUAD).n_x == 20 == len(
         WrenchBalance(QUAD).x_names
     )

@@ -140,8 +140,9 @@ class JumpBank:
         missing = plausibility.follow(carry.missing, lacking, u[n + 3] / n, u[:n] / u[n + 9], valid[3], restart, dt)
 
         # The measurement: to every explanation, and to the bank.
-        rows = jnp.concatenate([system.C(seen.u), system.H(seen.u, x)], axis=1)
-        counts, R = valid & flying, variances[0] + error
+        rows, drag = jnp.concatenate([system.C(seen.u), system.H(seen.u, x)], axis=1), system.drag(seen.u)
+        y = y + drag.sum(axis=1)
+        counts, R = valid & flying, variances[0] + error + model_error.ERROR_TICKS * (drag @ branches.s[0, n_x:]) ** 2
         left = y - rows @ branches.s[0]
         s, P, gains, innovation, variance = jax.vmap(
             lambda s, P: kalman.update(s, P, rows, y, counts, R, seen.gain_share)
@@ -160,9 +161,9 @@ class JumpBank:
         theta, P, active = branches.s[0, n_x:], branches.P[0], branches.active[0]
         statistics = bank.without_last(onsets, model_error.unknown_damping(branches.s[0, :n_x], onsets.z[:, -1], n))
         statistics = bank.without_last(statistics, jnp.maximum(P[self.yaw_gain, self.yaw_gain], 1e-12))
-        reach = jnp.abs(rows[:, n_x:]).max(axis=0)
+        reach = jnp.abs(system.B).max(axis=0) * seen.u[:n]
         air = plausibility.air(missing, n) ** 2
-        found = evidence.gather(hyp, self.jumps, statistics, theta, active, variances, reach, air)
+        found = evidence.gather(hyp, self.jumps, statistics, theta, active, variances, reach, drag[2], air)
         first = jnp.argmax(found.probability)
         best = evidence.jump(hyp, statistics, found, first)
         rough = noise.spread(variances)

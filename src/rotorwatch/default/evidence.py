@@ -54,10 +54,11 @@ class Jump(NamedTuple):
 
 
 def gather(
-    hyp: Hypotheses, onsets: bank.Jumps, statistics: bank.Bank, theta, active, variances, reach, air
+    hyp: Hypotheses, onsets: bank.Jumps, statistics: bank.Bank, theta, active, variances, reach, drag, air
 ) -> Evidence:
-    """The evidence of a bank without its last direction. theta (n,): known losses, of the rotors `active` (n,); variances (4, 4) of
-    the noise model; reach (n,): the most that a whole loss of each rotor does to any axis; air: `plausibility.air`, as a variance."""
+    """The evidence of a bank without its last direction. theta (n,): known losses, of the rotors `active` (n,); variances (4, 4) of the
+    noise model; reach (n,): the most that a whole loss of each rotor does to any axis by geometry; drag (n,): what the drag of each does
+    to yaw; air: `plausibility.air`, as a variance."""
     import jax.numpy as jnp
 
     n = hyp.n
@@ -70,7 +71,7 @@ def gather(
     own = jnp.diagonal(statistics.M[:, -n:, :n], axis1=1, axis2=2)
     to_come = jnp.where(jnp.asarray(onsets.slow), onsets.decay ** (jnp.maximum(statistics.age, 0) + 1.0), 0.0)
     recovery = jnp.where(active, -theta / jnp.maximum(own + to_come[:, None], 0.3), 0.0)
-    slop = hypotheses.slop(statistics.C, statistics.z, lo, hi, reach)
+    slop = hypotheses.slop(statistics.C, statistics.z, lo, hi, reach, drag)
     log_bf, nu, spread = hypotheses.log_bayes_factors(
         hyp, statistics.C, statistics.z, lo, hi, width, recovery, slop, air
     )

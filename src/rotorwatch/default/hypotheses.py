@@ -30,8 +30,8 @@ AIR_SHARE = 0.05
 SLOP = (0.1, 0.1, 0.4, 0.3)
 # A flight does not show what a vehicle with a weak rotor will do: this share of disturbances is so many times their usual size then.
 FAR_SHARE, FAR = 0.2, 4.0
-# Prior weights: how often each kind of jump happens, relative to one particular rotor failing. Disturbances are common.
-WEIGHT = {"single": 1.0, "pair": losses.PAIR_WEIGHT, "recovery": 1.0, "disturbance": 3.0}
+# Prior weights: how often each kind of jump happens, relative to one particular rotor failing, or working again. Disturbances are common.
+WEIGHT = {"pair": losses.PAIR_WEIGHT, "disturbance": 3.0}
 # By what share of it a loss that ends may differ from what it was thought to be.
 RECOVERY_SHARE = 0.3
 # Disturbances: which of roll, pitch, yaw, thrust they touch.
@@ -79,7 +79,7 @@ def make(n: int) -> Hypotheses:
     for block in DISTURBANCES:
         what = {3: "torque bias", 4: "any disturbance"}.get(len(block)) or " and ".join(axes[a] for a in block)
         add("disturbance", what if len(block) > 2 or block == (3,) else what + " bias" if 3 not in block else what)
-    weight = np.array([WEIGHT[k] for k in kinds])
+    weight = np.array([WEIGHT.get(k, 1.0) for k in kinds])
     fault = np.array([k != "disturbance" for k in kinds])
     pick = np.zeros((len(names), 2, n))
     for h, who in enumerate(rotors):
@@ -212,9 +212,9 @@ def disturbances(hyp: Hypotheses, C, z, width):
     return jnp.stack(factors, axis=1)
 
 
-def slop(C, z, lo, hi, reach):
-    """(W, 4) variance by which each axis may differ from what a rotor's loss does to it: SLOP of what the likeliest rotor would lack;
-    reach (n,): the most that a whole loss of each does to any axis."""
+def slop(C, z, lo, hi, reach, drag):
+    """(W, 4) variance by which each axis may differ from what a rotor's loss does to it: SLOP of what the likeliest rotor would lack, and
+    in yaw all of its drag. reach (n,): the most that a whole loss of each does to any axis by geometry; drag (n,): `WrenchBalance.drag`."""
     import jax.numpy as jnp
 
     n = z.shape[1] - 4
@@ -222,8 +222,8 @@ def slop(C, z, lo, hi, reach):
     nu = jnp.clip(z[:, :n] / c, lo, hi)
     fit = z[:, :n] * nu - 0.5 * c * nu**2
     best = fit == fit.max(axis=1, keepdims=True)
-    lacks = jnp.where(best, jnp.abs(nu) * reach, 0.0).max(axis=1)
-    return (jnp.asarray(SLOP) * lacks[:, None]) ** 2 + 1e-12
+    lacks, dragged = (jnp.where(best, jnp.abs(nu * whole), 0.0).max(axis=1)[:, None] for whole in (reach, drag))
+    return (jnp.asarray(SLOP) * lacks) ** 2 + (jnp.arange(4) == 2) * dragged**2 + 1e-12
 
 
 def with_slop(C, z, prior):

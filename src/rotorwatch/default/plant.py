@@ -9,8 +9,10 @@ thrust the load factor times n; r: angular rate [rad/s] (damping, none for thrus
 and forward for pitch, with one l; b1, b2: coloured disturbances with time
 constants TAU (gusts, and what the controller makes of them); b3: slow drift (wind,
 centre of mass, battery), a random walk. theta_i: loss of rotor i. Per axis the state is (b1, b2, b3, G, c). It is linear
-in the state for given u, and in theta. On coaxial frames the lower rotors of all arms give a share s more than B says, which is
-one more state: y_a - ... - s (dB/ds T)_a, with B kept such that hover takes the same command.
+in the state for given u, and in theta. Air that pushes the vehicle to one side pushes at its rotors, at each in proportion to its
+speed (Martin and Salaun, ICRA 2010): unequal rotors yaw in wind, and the part of one that is gone is missing, `drag`. On coaxial frames
+the lower rotors of all arms give a share s more than B says, which is one more state: y_a - ... - s (dB/ds T)_a, with B kept such
+that hover takes the same command.
 """
 
 from __future__ import annotations
@@ -18,6 +20,8 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
+
+from rotorwatch.front.contact import G0
 
 TAU = (0.25, 1.0)  # s
 PER_AXIS = 5
@@ -35,6 +39,10 @@ DAMPING_RATE, DAMPING_RATE_SD = 2.0, 1.5
 # Hover thrusts per m/s^2 of side force and rotor: air that pushes the body sideways also tilts it, by the flapping of its blades and by
 # where it pushes. Real quadrotors: 0.05 to 0.2; rigid rotors in the plane of the centre of mass: 0.
 SIDE, SIDE_SD = 0.05, 0.07
+# Yaw, in hover thrusts, that a side force of 1 g through one rotor makes where rotors stand one unit of B apart: arm over drag ratio.
+# Arms grow with that gap and drag ratios with the propeller that fills it, so the product is alike for all frames: about 20 where rotors
+# take all of the side force, and 8 +- 2 in flights of real quadrotors (docs/methods/default.md).
+DRAG = 6.0
 BIAS_SD = np.array([0.5, 0.5, 1.0, 0.4])
 SHARE_SD = (
     0.12  # of a lower rotor's thrust, relative to what its share in B says: 75 to 95 % and more of the upper one's
@@ -114,8 +122,21 @@ class WrenchBalance:
 
     def H(self, u, x=None):
         """(4, n) dy/dtheta; where x (n_x,) is given, with the lower rotors' share in it."""
-        effect = self.B * u[: self.n_theta][None, :]
+        effect = self.B * u[: self.n_theta][None, :] + self.drag(u)
         return effect if x is None or self.lower is None else effect * (1.0 + x[-1] * self._more())[None, :]
+
+    def drag(self, u):
+        """(4, n) yaw that each rotor's drag in the plane of the rotors makes; of all of them together, what a healthy vehicle need not be
+        commanded."""
+        from jax import numpy as jnp
+
+        n = self.n_theta
+        place = self.B[:2] / self.B[3]
+        apart = jnp.sqrt(((place[:, :, None] - place[:, None, :]) ** 2).sum(axis=0))
+        gap = jnp.where(one_arm(self.B), jnp.inf, apart).min()
+        across = place[0] * u[n + 7] + place[1] * u[n + 8]
+        yaw = DRAG / (gap * G0) * jnp.sqrt(jnp.maximum(u[:n], 0.0)) * across
+        return jnp.stack([0.0 * yaw, 0.0 * yaw, yaw, 0.0 * yaw])
 
     def _more(self):
         """(n,) by how much each rotor's thrust grows with the share. The unit of thrust stays the hover command: what the lower rotors
@@ -128,7 +149,7 @@ class WrenchBalance:
 
     def h(self, x, u, theta):
         """Commanded wrench (4,)."""
-        return self.C(u) @ x + self.H(u) @ theta
+        return self.C(u) @ x + self.H(u) @ theta - self.drag(u).sum(axis=1)
 
     def decay(self, dt):
         """(n_x,) diagonal of the state transition: constant for a dt that is known, traced for one that is not."""
@@ -182,10 +203,14 @@ def _with_share(mean, P, share):
 
 def lower_rotors(B: np.ndarray) -> np.ndarray | None:
     """(n,) 1 for each rotor that stands where a stronger one does: the lower ones of coaxial arms. None where there are none."""
-    place = B[:2] / B[3]
-    together = np.abs(place[:, :, None] - place[:, None, :]).max(axis=0) < 0.05
-    lower = (together & (B[3][None, :] > 1.02 * B[3][:, None])).any(axis=1)
+    lower = (one_arm(B) & (B[3][None, :] > 1.02 * B[3][:, None])).any(axis=1)
     return lower.astype(float) if lower.any() else None
+
+
+def one_arm(B):
+    """(n, n) bool: which rotors of effectiveness B (4, n), also a traced one, stand in the same place; each does with itself."""
+    place = B[:2] / B[3]
+    return abs(place[:, :, None] - place[:, None, :]).max(axis=0) < 0.05
 
 
 def usual_gains(n: int) -> np.ndarray:

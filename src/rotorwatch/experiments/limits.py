@@ -143,7 +143,7 @@ def _program(n: int, dt: float, batch: bool):
         system = WrenchBalance(B)
         A = system.decay(dt)
         x0, P0 = jnp.asarray(system.x0), jnp.asarray(system.P0)
-        clean = y - jnp.einsum("ai,ti->ta", B, u[:, :n] * theta)
+        clean = y + jax.vmap(lambda u, theta: system.drag(u).sum(axis=1) - system.H(u) @ theta)(u, theta)
 
         def learn(carry, row):
             x, P, noises = carry
