@@ -142,7 +142,7 @@ def test_noise_is_not_learned_from_a_growing_suspicion_but_not_for_ever():
 
 def test_the_threshold_is_the_promised_time_in_ticks_over_the_weights_of_new_faults():
     """Pollak: at least threshold / sum of weights ticks to a false alarm. A rotor that is well again is no new fault."""
-    weight = 4 * hypotheses.WEIGHT["single"] + 6 * hypotheses.WEIGHT["pair"]
+    weight = 4 + 6 * hypotheses.WEIGHT["pair"]
     assert np.exp(announcement.threshold(HYP, DT, 600.0)) == pytest.approx(600.0 / DT * weight)
     promised = announcement.GATES * announcement.FALSE_ALARM_PERIOD_S
     assert (
