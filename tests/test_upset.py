@@ -318,3 +318,24 @@ def test_a_rotor_that_dies_while_air_takes_the_thrust_is_not_cleared():
     (flown,) = batch.fly(flights, [881], 1)
     (judged,) = flown.upsets
     assert judged.found[0].kind == "common" and judged.cause == "unknown"
+
+
+@pytest.mark.parametrize(
+    "announced, fall, told",
+    [
+        ((0.29, 0.2, 0.38), (0.95, 0.81, 1.0), (0.95, 0.81, 1.0)),  # a few ticks saw the loss begin
+        ((0.66, 0.43, 0.89), (0.91, 0.75, 1.0), (0.66, 0.43, 0.89)),  # they agree
+        ((0.98, 0.95, 1.0), (0.8, 0.65, 0.92), (0.98, 0.95, 1.0)),  # the fall hides some of it
+    ],
+)
+def test_the_size_of_a_loss_is_the_falls_where_that_shows_more_for_certain(announced, fall, told):
+    left = loss_of_control.LossOfControl(5.0, 5.4, 7.0, None, "tilted")
+    best = Explanation("rotor", (2,), 0.0, 5.0, *fall, np.zeros((3, 4)))
+    judged = find.Judged(left, "rotor", (best,), np.ones(1), None, 5.0, ("the motion",))
+    known = Event("loss_of_effectiveness", (3,), 4.9, 5.1, None, announced[:1], (announced[1:],), 1.0, (), "announced")
+    loss, lost = find.events([judged], [known], 4)
+    assert (
+        (loss.loss, *loss.interval) == (told[:1], told[1:])
+        and loss.detected_s == 5.1
+        and loss.rotors == lost.rotors == (3,)
+    )

@@ -252,9 +252,11 @@ def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
         best, p = rotors[0]
         sure = p > SURE and judged.cause == "rotor" and best.low > 0.0  # a fault has a loss above nothing
         others = () if sure else others or (tuple(range(1, n + 1)),)
-        result.append(
-            _loss(best, p, others, n, decided, judged) if same is None or others != same.alternatives else same
-        )
+        if same is None or others != same.alternatives:
+            result.append(_loss(best, p, others, n, decided, judged))
+        else:  # announced already, from a few ticks of a vehicle that leaves hover: where the fall shows more for certain, that counts
+            sizes = {"loss": (best.size,), "interval": ((best.low, best.high),)}
+            result.append(replace(same, **sizes) if best.low > same.interval[0][1] else same)
         result.append(_control_lost(judged, n, rotor, others, decided))
     elif judged.cause == "motor_order":
         others = tuple(
