@@ -136,7 +136,7 @@ class WrenchBalance:
         gap = jnp.where(one_arm(self.B), jnp.inf, apart).min()
         across = place[0] * u[n + 7] + place[1] * u[n + 8]
         yaw = DRAG / (gap * G0) * jnp.sqrt(jnp.maximum(u[:n], 0.0)) * across
-        return jnp.stack([0.0 * yaw, 0.0 * yaw, yaw, 0.0 * yaw])
+        return jnp.zeros((4, n)).at[AXES.index("yaw")].set(yaw)
 
     def _more(self):
         """(n,) by how much each rotor's thrust grows with the share. The unit of thrust stays the hover command: what the lower rotors
