@@ -284,14 +284,17 @@ def test_a_mixer_at_its_limits_that_gives_up_yaw_is_not_accused(fly):
     assert fly(control, one_off).found()[0][:2] == (0, OVERRIDDEN)
 
 
-def test_an_output_that_rests_with_one_at_its_limit_is_not_stuck(fly):
-    """Rotors 0 and 3 differ in yaw alone: with the first at full thrust, and throttle given up for that, the other may not move."""
+@pytest.mark.parametrize("wanted", [(0.1, 0.1), (1.0, 1.6)])
+def test_an_output_that_rests_with_one_at_its_limit_is_not_stuck(fly, wanted):
+    """Rotors 0 and 3 differ in yaw alone: with the first at full thrust, throttle given up for that, and yaw beyond 0.1 as well, the other
+    may not move. wanted: yaw at the beginning and at the end."""
     control = demands()
     there = after(20.0)
     control[there] = [0.0, 0.0, 0.1, 0.85]
     control[there, 0] = np.linspace(-0.05, -0.45, there.sum())
     outputs = control @ FACTORS.T
     outputs -= np.maximum(outputs.max(axis=1, keepdims=True) - 1.0, 0.0)
+    control[there, 2] = np.linspace(*wanted, there.sum())
     assert np.ptp(outputs[after(26.0), 3]) < 1e-9 and not fly(control, outputs).found()
 
 

@@ -94,8 +94,8 @@ class Deviations(Struct):
     rest = array(Rest, ROTORS)  # the same, exactly
     alone = array(Rest, ROTORS)  # of all outputs
     last: Time = -LASTS  # time of the last comparison
-    own = array(REAL, ROTORS)  # demanded of each rotor more than of all, at that time
-    own_at_rest = array(REAL, ROTORS, ROTORS)  # ... of all, when the output of each came to rest
+    tilt = array(REAL, ROTORS)  # demanded of each rotor for roll and pitch, at that time
+    tilt_at_rest = array(REAL, ROTORS, ROTORS)  # ... of all, when the output of each came to rest
     power: Time = 0.0  # sum of the squares of the largest deviations of comparisons that fitted
     unexplained: Time = 0.0  # ... of the differences between outputs that were not as demanded
     differences: Time = 0.0  # ... of all differences between outputs
@@ -121,7 +121,7 @@ class Deviations(Struct):
         known = local(FLAG, ROTORS)
         deviation = local(REAL, ROTORS)
         ordered = local(REAL, ROTORS)
-        own = local(REAL, ROTORS)
+        tilt = local(REAL, ROTORS)
         mean_demanded: Real = 0.0
         mean_thrust: Real = 0.0
         for k in range(v.rotors):
@@ -144,9 +144,10 @@ class Deviations(Struct):
                 known[k] = True
             whole = whole and known[k]
             fits = fits and known[k] and abs(deviation[k]) < PART
-            own[k] = c.demanded[k] - mean_demanded
+            own: Time = c.demanded[k] - mean_demanded
+            tilt[k] = real(own) - c.yaw[k]
             got: Time = c.thrust[k] - mean_thrust
-            missing = got - own[k]
+            missing = got - own
             unexplained += missing * missing
             differences += got * got + NOISE_SD * NOISE_SD
             if known[k]:
@@ -169,23 +170,24 @@ class Deviations(Struct):
         if c.time > self.last:
             self.last = c.time
             for k in range(v.rotors):
-                self.own[k] = own[k]
+                self.tilt[k] = tilt[k]
         for k in range(v.rotors):
             still = self.still[k].update(c.time, c.output[k], span / 400.0)
             frozen = c.time - still > 0.5 and interior[k]
             off = c.output[k] < low - 0.01 * span and c.demanded[k] > 2.0 * FLYING
-            # At a limit the mixer takes from all others what it has too much, and in calm air they may rest: stuck is what does not stir at
-            # all while it should have moved against them. What is to keep its distance to a rotor that cannot move rests with it.
+            # At a limit the mixer takes from all others what it has too much, gives up yaw, and in calm air they may rest: stuck is what
+            # does not stir at all while it should have moved against them. What keeps its distance to one that cannot move rests with it.
             rest = self.rest[k].update(c.time, c.output[k], 1e-9)
             if rest >= c.time:
                 for j in range(v.rotors):
-                    self.own_at_rest[k][j] = self.own[j]
-            moved = abs(own[k] - self.own_at_rest[k][k]) > PART
+                    self.tilt_at_rest[k][j] = self.tilt[j]
+            moved = abs(tilt[k] - self.tilt_at_rest[k][k]) > PART
             for j in range(v.rotors):
-                apart = own[k] - own[j] - (self.own_at_rest[k][k] - self.own_at_rest[k][j])
+                apart = tilt[k] - tilt[j] - (self.tilt_at_rest[k][k] - self.tilt_at_rest[k][j])
                 moved = moved and (interior[j] or abs(apart) > PART)
             dead = c.time - rest > _STUCK_S and interior[k] and moved and abs(c.deviation[k]) > limit
-            wrong = known[k] and (abs(deviation[k]) > limit or (frozen and abs(deviation[k]) > still_limit))
+            rough = 0.0 if c.yaw_granted else 0.05 * abs(c.yaw[k])  # shares of yaw are tried in tenths
+            wrong = known[k] and (abs(deviation[k]) > limit or (frozen and abs(deviation[k]) > still_limit + rough))
             wrong = proven and flying and (wrong or off or dead)
             back = (abs(c.deviation[k]) < PART and not frozen) or not flying
             place = self._follow(BY_MIXER, k, c.time, wrong, back, c.output[k], _CONFIRM_S, _CONFIRM_SAMPLES)
@@ -423,19 +425,17 @@ def _single(rotors: int, c: Comparison, interior: Flags, deviation: Reals, known
     """
     other = local(REAL, ROTORS)
     agreed = local(FLAG, ROTORS)
-    odd = False
     least = c.demanded[0]
     most = c.demanded[0]
     _against_others(rotors, c, 0.0, interior, deviation, known)
     for k in range(rotors):
-        odd = odd or not known[k] or not abs(deviation[k]) < PART
         least = min(least, c.demanded[k])
         most = max(most, c.demanded[k])
     if not most - least < 0.97 * c.top:
         for k in range(rotors):
             known[k] = False
         return
-    if not odd or c.yaw_granted:
+    if c.yaw_granted:
         return
     for i in range(1, _SHARES_OF_YAW):
         _against_others(rotors, c, real(i) * 0.1, interior, other, agreed)
