@@ -17,7 +17,7 @@ from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.default import announcement, hypotheses, kalman, model_error, noise, opposite, posterior
 from rotorwatch.default.estimator import JumpBank
 from rotorwatch.default.hypotheses import AIR_SHARE, LOSS_WIDTH
-from rotorwatch.default.plant import ANSWER_S, B3, GAIN, PER_AXIS, SIDEWAYS, WrenchBalance
+from rotorwatch.default.plant import ANSWER_S, B3, BURST_S, GAIN, PER_AXIS, SIDEWAYS, WrenchBalance
 from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN
 
 DT = 0.05
@@ -299,7 +299,7 @@ def test_explanations_go_on_as_kalman_filters_and_are_weighed_by_what_they_predi
             fits[j - k - 1, column] = -0.5 * np.linalg.slogdet(S)[1] - 0.5 * e @ np.linalg.solve(S, e)
         np.testing.assert_allclose(quad.carries.branches.s[last, b], mean, atol=1e-8)
         np.testing.assert_allclose(quad.carries.branches.P[last, b], P, atol=1e-9)
-    counts = posterior.TEMPER * np.exp(-DT * np.arange(last - k) / posterior.RESOLVE_S)
+    counts = posterior.TEMPER * np.exp(-DT * np.arange(last - k) / BURST_S)
     expected = born.weight[alive] + counts @ (fits - fits[:, :1])
     assert np.abs(expected - born.weight[alive]).max() > 0.01  # there was something to be told
     np.testing.assert_allclose(quad.carries.branches.weight[last, alive], expected, atol=1e-6)

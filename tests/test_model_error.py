@@ -165,11 +165,9 @@ def remembered(innovations, variance=1.0, ok=YES, start=None):
 def test_bursts_are_remembered_for_three_seconds():
     """Mean square of innovations in standard deviations, clipped, first order; and forgotten again."""
     loud = remembered([3.0] * 20, variance=4.0)
-    part = 1.0 - (1.0 - DT / model_error.BURST_MEMORY_S) ** 20
+    part = 1.0 - (1.0 - DT / plant.BURST_S) ** 20
     assert np.asarray(loud.burst) == pytest.approx(1.0 + part * (1.5**2 - 1.0))
-    assert np.asarray(remembered([100.0]).burst) == pytest.approx(
-        1.0 + DT / model_error.BURST_MEMORY_S * (noise.CLIP - 1.0)
-    )
+    assert np.asarray(remembered([100.0]).burst) == pytest.approx(1.0 + DT / plant.BURST_S * (noise.CLIP - 1.0))
     quiet = remembered([0.0] * 20, start=loud)
     assert np.asarray(quiet.burst) == pytest.approx(np.asarray(loud.burst) * (1.0 - part))
     blind = remembered([9.0] * 20, ok=NO)

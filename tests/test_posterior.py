@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from rotorwatch.default import posterior
 from rotorwatch.default.hypotheses import CLEAR
-from rotorwatch.default.posterior import NEVER, OUT, PLACES, RESOLVE_S, TEMPER
+from rotorwatch.default.plant import BURST_S
+from rotorwatch.default.posterior import NEVER, OUT, PLACES, TEMPER
 from rotorwatch.front.losses import YOUNG_S
 
 DT, N, STATES = 0.05, 6, 9
@@ -68,7 +69,7 @@ def test_weights_are_log_likelihoods_that_count_for_less_with_age(seed):
     expected = w0.copy()
     for k in range(ticks):
         told = sum(calm[k, a] * density[k, :, a] for a in range(4) if valid[k, a])
-        expected += TEMPER * np.exp(-(first_age + k * DT) / RESOLVE_S) * told
+        expected += TEMPER * np.exp(-(first_age + k * DT) / BURST_S) * told
     expected -= expected[0]
     assert np.asarray(b.weight)[:3] == pytest.approx(expected[:3], rel=1e-9, abs=1e-9)
     assert b.weight[3] == NEVER and b.age == pytest.approx(first_age + ticks * DT)

@@ -22,7 +22,6 @@ LEVEL_MEMORY_S = 10.0
 GAIN_ERROR, DAMPING_ERROR = (0.0, 0.0, 0.35, 0.15), 0.3
 ERROR_TICKS = 4.0
 LAG_ERROR_S = 0.015
-BURST_MEMORY_S = 3.0
 LASTING_MEMORY_S = 30.0
 GUST_SHARE, LEAST_GAIN = 2.0, 0.3
 FAR, FAR_ERROR = 0.3, 0.5
@@ -190,7 +189,7 @@ def remember(memory: Memory, innovation, variance, ok, dt) -> Memory:
     # White innovations would give a mean over plant.TAU[1] this variance.
     lasting = jnp.minimum(innovation_mean**2 * (2.0 * plant.TAU[1] / dt - 1.0), noise.CLIP)
     return memory._replace(
-        burst=memory.burst + fade / BURST_MEMORY_S * (burst - memory.burst),
+        burst=memory.burst + fade / plant.BURST_S * (burst - memory.burst),
         innovation_mean=innovation_mean,
         lasting=memory.lasting + fade / LASTING_MEMORY_S * (lasting - memory.lasting),
     )

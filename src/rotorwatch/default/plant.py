@@ -41,15 +41,16 @@ DAMPING_RATE, DAMPING_RATE_SD = 2.0, 1.5
 SIDE, SIDE_SD = 0.05, 0.07
 # Yaw, in hover thrusts, that a side force of 1 g through one rotor makes where rotors stand one unit of B apart: arm over drag ratio.
 # Arms grow with that gap and drag ratios with the propeller that fills it, so the product is alike for all frames: about 20 where rotors
-# take all of the side force, and 8 +- 2 in flights of real quadrotors (docs/methods/default.md).
+# take all of the side force, and 9 +- 3 in flights of real quadrotors (docs/methods/default.md).
 DRAG = 6.0
 BIAS_SD = np.array([0.5, 0.5, 1.0, 0.4])
 SHARE_SD = (
     0.12  # of a lower rotor's thrust, relative to what its share in B says: 75 to 95 % and more of the upper one's
 )
 AXIS_STATES = 4 * PER_AXIS
-# Times [s] that all parts share: by when a controller has answered what happened; over which what is usual is averaged.
-ANSWER_S, USUAL_S = 0.5, 6.0
+# Times [s] that all parts share: by when a controller has answered what happened; how long a burst lasts, of errors that the noise model
+# does not expect, as a change brings them; over which what is usual is averaged.
+ANSWER_S, BURST_S, USUAL_S = 0.5, 3.0, 6.0
 
 
 class WrenchBalance:

@@ -5,7 +5,7 @@ branch: a set of weak rotors with its own filter state s = [x; theta], covarianc
 measurements; a branch's weight grows by the log-likelihood of its innovations nu with variances S (a bank of Kalman filters; D. T.
 Magill, IEEE Trans. Automatic Control 10 (1965) 434-439),
 
-    log w_b += g sum_a c_a [ -log S_a / 2 - nu_a^2 / (2 S_a) ],       g = TEMPER exp(-age / RESOLVE_S)
+    log w_b += g sum_a c_a [ -log S_a / 2 - nu_a^2 / (2 S_a) ],       g = TEMPER exp(-age / BURST_S)
 
 c_a: weight of evidence in weather that the noise model lacks (model_error.py). g: evidence of the age of an explanation tells less and
 less; what decides is how a change looked, and after it the errors of the model. The branch in place 0 leads: it has the jump bank, and
@@ -24,7 +24,7 @@ from rotorwatch.default.hypotheses import Hypotheses
 from rotorwatch.front import losses
 
 PLACES = 4
-RESOLVE_S, TEMPER = 3.0, 0.3
+TEMPER = 0.3
 OUT = -7.0  # log weight relative to the leader's at which a branch is dropped, once it is YOUNG_S old
 ALIKE = -hypotheses.CLEAR  # the same, below which a pair that looks like the leading one does not fall
 NEVER = -1e3
@@ -72,7 +72,7 @@ def weigh(branches: Branches, innovation, variance, valid, calm, counts, dt) -> 
 
     fit = -0.5 * jnp.log(variance) - 0.5 * innovation**2 / variance
     counted = jnp.where(valid, calm, 0.0)
-    share = jnp.where(counts, TEMPER * jnp.exp(-branches.age / RESOLVE_S), 0.0)
+    share = jnp.where(counts, TEMPER * jnp.exp(-branches.age / plant.BURST_S), 0.0)
     weight = branches.weight + share * (fit @ counted)
     weight = weight - weight[0]
     # How rotors differ in hover is not known well enough to drop one of several pairs that look the same.
