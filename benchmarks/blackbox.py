@@ -2,7 +2,8 @@
 
     python benchmarks/blackbox.py [LOG ...] [--others FOLDER] [--repeats 5]
 
-LOG: Blackbox logs, by default those of the folder of test flights next to the repository. FOLDER: the site-packages in which other decoders are installed:
+LOG: Blackbox logs, by default those of the folder of test flights next to the repository. FOLDER: the site-packages in which other
+decoders are installed:
 
     python -m venv /tmp/others
     /tmp/others/bin/pip install --no-deps betaflight-chirp-core==0.4.1
