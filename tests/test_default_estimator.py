@@ -389,6 +389,23 @@ def test_a_side_force_that_tilts_the_vehicle_is_no_loss_and_is_learned():
     )
 
 
+@pytest.mark.parametrize("dragged", [False, True])
+@pytest.mark.parametrize("side", [(0.0, 8.0), (-8.0, 0.0)])
+def test_a_loss_in_wind_has_its_size_whether_or_not_the_rotors_take_the_side_force(side, dragged):
+    """How much of it they take nobody knows: of a dead rotor's drag, here three times its torque, all may be missing, or nothing."""
+    method = make("ardupilot-quad-x")
+    u, y, valid = hover(seed=5, losses=[(0, ONSET, 0.3)])
+    u[:, -5:-3] = side
+    if dragged:
+        drag = np.array([np.asarray(method.system.drag(row[:-2]))[2] for row in u])
+        y[:, 2] -= drag.sum(axis=1)
+        y[ONSET:, 2] += 0.3 * drag[ONSET:, 0]
+    out, _ = method.over(u, y, valid)
+    (found,) = np.flatnonzero(out.announced)
+    assert ONSET <= found < ONSET + 5
+    assert out.theta[[found, -1]] == pytest.approx(np.tile([0.3, 0.0, 0.0, 0.0], (2, 1)), abs=0.02)
+
+
 def test_noise_of_the_accelerometer_teaches_nothing_about_side_forces():
     """A regressor that is all noise would show that side forces turn nothing, and the first manoeuvre would look like a jump."""
     method, lever = make("ardupilot-quad-x"), 0.6

@@ -186,8 +186,7 @@ class Deviations(Struct):
                 apart = tilt[k] - tilt[j] - (self.tilt_at_rest[k][k] - self.tilt_at_rest[k][j])
                 moved = moved and (interior[j] or abs(apart) > PART)
             dead = c.time - rest > _STUCK_S and interior[k] and moved and abs(c.deviation[k]) > limit
-            rough = 0.0 if c.yaw_granted else 0.05 * abs(c.yaw[k])  # shares of yaw are tried in tenths
-            wrong = known[k] and (abs(deviation[k]) > limit or (frozen and abs(deviation[k]) > still_limit + rough))
+            wrong = known[k] and (abs(deviation[k]) > limit or (frozen and abs(deviation[k]) > still_limit))
             wrong = proven and flying and (wrong or off or dead)
             back = (abs(c.deviation[k]) < PART and not frozen) or not flying
             place = self._follow(BY_MIXER, k, c.time, wrong, back, c.output[k], _CONFIRM_S, _CONFIRM_SAMPLES)
