@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.default.plant import WrenchBalance
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import limits
 from rotorwatch.experiments.limits import Rows
@@ -213,3 +214,21 @@ def test_on_ticks_in_white_noise():
         B, *(np.stack([a] * 2) for a in (u, y, ok, ok[:, 0], theta)), [1, 1], [onset] * 2, 0.1, batch=True
     )
     np.testing.assert_allclose(many.information[1], found.information, rtol=1e-9)
+
+
+def test_the_drag_of_unequal_rotors_is_no_noise_on_ticks():
+    """Commands that change from tick to tick in wind: what the rotors' drag yaws is known, and of a loss taken out of the noise."""
+    n, T, onset, sd = 4, 600, 300, 0.05
+    B = np.array([[-1.0, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1], [1, 1, 1, 1]])
+    rng = np.random.default_rng(3)
+    u = np.zeros((T, n + 10))
+    u[:, :n], u[:, n + 3] = rng.uniform(0.4, 1.6, (T, n)), n
+    u[:, n + 7 : n + 9] = 4.0, -3.0
+    theta = np.zeros((T, n))
+    theta[onset:, 1] = 0.3
+    drag = np.array([np.asarray(WrenchBalance(B).drag(row))[2] for row in u])
+    y = np.array([0.0, 0.0, 0.0, float(n)]) + (u[:, :n] * theta) @ B.T + sd * rng.standard_normal((T, 4))
+    y[:, 2] -= (drag * (1.0 - theta)).sum(axis=1)
+    ok = np.ones((T, 4), bool)
+    found = limits.on_ticks(B, u, y, ok, ok[:, 0], theta, 1, onset, 0.1)
+    assert np.sqrt(found.variances[0]) == pytest.approx(sd, rel=0.15)
