@@ -89,7 +89,7 @@ class Link:
             raise AssertionError("no clock began anew here") from None
 
     def take(self, outputs=(1, 2, 3, 4), aloft=False):
-        return self.messages.take(outputs, aloft)[0]
+        return self.messages.take(tlog.Outputs(outputs), aloft)[0]
 
 
 def servo(us, values, port=0):
@@ -107,13 +107,13 @@ def test_outputs_of_both_banks():
     for k in range(5):
         link.put(servo(1_000_000 + 20_000 * k, range(1001, 1017)))
         link.put(servo(1_000_000 + 20_000 * k, range(1101, 1117), port=1))
-    first, second = link.messages, tlog.readings((17, 18, 19, 32))["motors"][0].make(link.messages)
+    first, second = link.messages, tlog.readings(tlog.Outputs((17, 18, 19, 32)))["motors"][0].make(link.messages)
     assert second is not None and second.values[0].tolist() == [1101.0, 1102.0, 1103.0, 1116.0]
     assert link.take((9, 10, 11, 16))["motors"].values[0].tolist() == [1009.0, 1010.0, 1011.0, 1016.0]
     link.put(servo(2_000_000, range(1001, 1017)))
-    assert tlog.readings((9, 17))["motors"][0].make(first) is None and any("both banks" in n for n in first.notes)
+    assert tlog.readings(tlog.Outputs((9, 17)))["motors"][0].make(first) is None and any("both banks" in n for n in first.notes)
     mapped = {f"SERVO{16 + k}_FUNCTION": 32.0 + k for k in range(1, 5)}
-    assert tlog.rotor_outputs(first, mapped) == (17, 18, 19, 20)
+    assert tlog.rotor_outputs(first, mapped).numbers == (17, 18, 19, 20)
 
 
 def test_the_faster_message_tells_of_the_outputs():

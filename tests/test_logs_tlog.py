@@ -349,3 +349,47 @@ def test_a_head_that_ends_where_the_second_frame_would_begin_is_believed():
     wrong = bytearray(data[: first + 40])
     wrong[first + 8] = 0
     assert not tlog.sniff(bytes(wrong), "")
+
+
+def px4(**parameters):
+    """A telemetry log of PX4 that calls itself a quadrotor; outputs 1 to 8 move, each about its own middle."""
+    log = Writer()
+    log.add("heartbeat", 2, 12, 0x81, 0, 4, 3)
+    for name, value in parameters.items():
+        log.add("param_value", name.encode(), struct.unpack("<f", struct.pack("<i", value))[0], 6, len(parameters), 0)
+    for k in range(300):
+        ms = 5000 + 20 * k
+        log.add("attitude", ms, 0, 0, 0.1, 0, 0, 0)
+        log.add("servo_output_raw", ms * 1000, 0, *(1200 + 50 * n + k % 150 for n in range(8)))
+    return read(log)
+
+
+def functions(driver, *motors):
+    return {f"{driver}_FUNC{n}": 100 + k for n, k in enumerate(motors, 1)}
+
+
+@pytest.mark.parametrize("driver", ["PWM_MAIN", "PWM_AUX", "HIL_ACT"])
+def test_outputs_of_px4_are_put_in_rotor_order_by_their_functions(driver):
+    flight = px4(CA_ROTOR_COUNT=4, **functions(driver, 3, 2, 1, 4))
+    assert flight["motors"].values[0].tolist() == [1300.0, 1250.0, 1200.0, 1350.0]
+    assert flight.facts["outputs"] == (3, 2, 1, 4) and flight["motors"].unit == "us"
+
+
+def test_the_rotors_of_px4_are_counted_by_its_parameters():
+    assert px4(CA_ROTOR_COUNT=6).rotor_count == 6
+    assert px4(**functions("PWM_MAIN", 1, 2, 3, 4, 5, 6)).rotor_count == 6
+    unknown = px4()  # no parameter at all: those count that move
+    assert unknown.rotor_count == 8 and any("rotor k was taken to be output k" in w for w in unknown.warnings)
+
+
+def test_limits_of_pulses_are_those_of_the_outputs_that_drive_motors():
+    limits = {f"PWM_MAIN_MIN{n}": v for n, v in ((1, 900), (5, 1100), (6, 1100), (7, 1100), (8, 1100))}
+    flight = px4(CA_ROTOR_COUNT=4, **limits, **{f"PWM_MAIN_FUNC{4 + k}": 100 + k for k in range(1, 5)})
+    assert flight["motors"].values[0].tolist() == [1400.0, 1450.0, 1500.0, 1550.0]
+    assert flight.facts["pwm_min"] == 1100.0
+
+
+def test_counts_of_a_can_bus_are_shares():
+    flight = px4(CA_ROTOR_COUNT=4, UAVCAN_EC_MIN1=1000, UAVCAN_EC_MAX1=2000, **functions("UAVCAN_EC", 1, 2, 3, 4))
+    assert flight["motors"].unit == "1"
+    assert flight["motors"].values[0].tolist() == pytest.approx([0.2, 1250 / 8191, 1300 / 8191, 1350 / 8191])

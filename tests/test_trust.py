@@ -85,6 +85,22 @@ def test_outputs_of_another_flight_explain_nothing():
     assert any("explain nothing" in d for d in found)
 
 
+EXCHANGES = [(a, b) for a in range(4) for b in range(a)]
+
+
+@pytest.mark.parametrize("seed, kind", [(1, "figure-eight"), (3, "square")])
+def test_outputs_that_are_taken_for_those_of_other_rotors(seed, kind):
+    """Two of four outputs exchanged in the log, in all six ways: some axis follows the command of another one. Some pass, as there
+    is some of each axis in every command."""
+    flight, found = flown(seed, kind), 0
+    for a, b in EXCHANGES:
+        order = np.arange(4)
+        order[[a, b]] = b, a
+        said = doubts(with_signal(flight, "motors", values=flight["motors"].values[:, order]))
+        found += any("drive other rotors" in why for why in said)
+    assert found >= 4
+
+
 @pytest.mark.parametrize(
     "name, factor, says", [("gyro", np.degrees(1.0), "gyro turns 57"), ("accel", 1.0 / 9.80665, "g over the flight")]
 )

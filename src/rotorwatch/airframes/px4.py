@@ -157,7 +157,7 @@ def _frame(flight: Flight, notes: list[str]) -> tuple[str | None, str]:
     if airframes.kind(flight) == "tri":
         return "tri", "vehicle type"
     guess = f"{airframes.kind(flight)}-x"
-    if guess in FRAMES:
+    if guess in FRAMES and flight.rotor_count in (0, len(FRAMES[guess][0])):  # a heartbeat may tell of another kind
         notes.append(f"The log only names its vehicle type: frame {guess} assumed.")
         return guess, "vehicle type"
     frame = {4: "quad-x", 6: "hexa-x", 8: "octa-x"}.get(flight.rotor_count)

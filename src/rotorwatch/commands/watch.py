@@ -300,5 +300,5 @@ def _code(vehicles) -> int:
         for e in found
     ):
         return FAULT
-    open_ = any(v.trouble or v.session is None or not v.session.judged for v in vehicles)
+    open_ = any(v.trouble or v.session is None or v.session.doubt or not v.session.judged for v in vehicles)
     return NOTHING if not vehicles or open_ or any(e.kind == TOTAL_LOSS for e in found) else 0

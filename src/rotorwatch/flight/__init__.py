@@ -3,6 +3,7 @@
 flight.py         signals, messages and parameters of a log
 identity.py       whose flight is it? what a log holds that tells its aircraft apart
 vehicle_kind.py   what a log is of, when it is no multirotor
+output_functions.py  which output drives which motor, by the autopilots' parameters
 vehicle.py        rotors, thrust curve, mixer, and what was learned of them
 vehicle_file.py   the same as a TOML file
 notebook.py       a flight as notebooks show it

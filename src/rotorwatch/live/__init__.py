@@ -13,6 +13,7 @@ stream.py     samples to ticks: the front end of a diagnosis, piece by piece
 account.py    losses, falls and contacts, with a way back
 beginnings.py losses in the blind time, looked for again
 control.py    loss of control: samples of ten minutes to losses of control and their causes
+trust.py      whether what comes can be what flies
 judge.py      ticks to events, and what is withdrawn when a landing is certain
 session.py    one vehicle's stream, judge and loss of control
 rotors.py     what ESC telemetry says of a vehicle that flies

@@ -53,6 +53,10 @@ class Control:
             self._window.forget(now - WINDOW_S)
         return tuple((start, min(end, self._impacts.get(start, np.inf))) for start, end in spans)
 
+    def flight(self, since: float) -> Flight:
+        """The samples from `since` s on, as far as they are kept."""
+        return self._window.flight(since)
+
     def events(self, known: tuple[Event, ...], n: int) -> tuple[Event, ...]:
         """The events `known` of n rotors with those of the losses of control."""
         return upset.events(self.found, known, n) if self.found else known

@@ -13,6 +13,7 @@ from typing import Any
 from rotorwatch import airframes
 from rotorwatch.errors import LinkError, VehicleError
 from rotorwatch.flight import Flight
+from rotorwatch.flight.output_functions import motor_outputs
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.flight.vehicle_kind import OTHERS
 from rotorwatch.live import mavlink, requests
@@ -23,13 +24,17 @@ from rotorwatch.live.record import Record
 from rotorwatch.live.senders import Senders
 from rotorwatch.live.watched import Notify, Watched
 from rotorwatch.logs.px4_topics import MAV_TYPES
-from rotorwatch.logs.tlog import FORMAT
+from rotorwatch.logs.tlog import BY_NUMBER, FORMAT, MOTORS, STATUS, Outputs, rotor_outputs
 
 BEAT_S, HELLO_S = 1.0, 0.5
 ANEW_S, ANEW_MOST_S = 1.0, 60.0  # before a vehicle is watched anew after an error: doubled each time
 VEHICLES = 100  # of a link; five times what one process judges
 ALL_S = 0.05  # between two looks at vehicles of which nothing has come
 SILENT_S = 3.0
+MISSED_S, UNANSWERED_S = (
+    3.0,
+    10.0,
+)  # without what judging begins with, before that is said: where nothing is asked for, and where it is
 PEERS = 200  # whose unfinished frames are kept
 TREND, MIXED, UNMIXED = (
     0.02,
@@ -42,6 +47,22 @@ NO_AUTOPILOT, ON_BOARD, GROUND = 8, 18, 6
 COMMAND_ACK, MESSAGE_INTERVAL = 77, 244
 
 
+def _missing(what: str, asked: bool) -> str:
+    """What has not come, and what would help. asked: it was requested of the vehicle."""
+    if what == "outputs":
+        helps = "the vehicle has to send them here" + (
+            "." if asked else ", or leave out --listen-only, so that they are requested."
+        )
+        return f"no motor outputs come ({MOTORS} or {STATUS}); {helps}"
+    why = "the parameters have not come, which say what airframe it is and which output drives which rotor; "
+    if asked:
+        return why + "they were requested, so let a ground station fetch them, or give --vehicle FILE."
+    return (
+        why
+        + "leave out --listen-only, so that they are requested, let a ground station fetch them, or give --vehicle FILE."
+    )
+
+
 class LinkedVehicle:
     """One vehicle on a link. watched: what is made of its samples."""
 
@@ -52,11 +73,12 @@ class LinkedVehicle:
         self._rates = requests.Rates(*key, autopilot, link.endpoint.slow)
         self._begun: dict[str, float] | None = None
         self._unfit = False  # the parameters kept of it
-        self._outputs: tuple[int, ...] = ()
+        self._outputs = Outputs(())
         self._sequence: int | None = None
         self._silent = self._mixed = False
         self._senders = Senders()
         self._first = link.clock()
+        self._missed: tuple[str, ...] = ()
         self._anew_s, self._anew_at = ANEW_S, math.inf
 
     def counted(self, sequence: int) -> bool:
@@ -136,7 +158,7 @@ class LinkedVehicle:
     def _anew(self) -> None:
         messages = mavlink.Messages(self.messages.autopilot, self.messages.vehicle)
         messages.inherit(self.messages)
-        self.messages, self._sequence = messages, None
+        self.messages, self._sequence, self._first = messages, None, self._link.clock()
         self._rates = requests.Rates(*self._key, messages.autopilot, self._link.endpoint.slow)
         if self._begun is not None:
             self._begin(self._begun)
@@ -168,6 +190,7 @@ class LinkedVehicle:
         if self._mixed:
             return
         self._know(now)
+        self._miss(now)
         if self._begun is None or self.messages.clock.start is None:
             return
         session = self.watched.session
@@ -210,38 +233,58 @@ class LinkedVehicle:
             self.watched.say("the parameters kept of it do not fit it: those of another vehicle; its own are asked for")
         if not there and (self._parameters.given_up or self._link.known is not None or not self._link.talks):
             there = self.messages.parameters()
-            if (
-                not mavlink.known(there, self.messages.autopilot)
-                and self._link.known is None
-                and not self._parameters.given_up
-            ):
-                return
-        if there or self._link.known is not None or self._parameters.given_up:
+            if not mavlink.known(there, self.messages.autopilot) and self._link.known is None:
+                return  # its heartbeat does not say the frame, and may tell of another kind of vehicle
+        if there or self._link.known is not None:
             self._begin(there)
+
+    def _miss(self, now: float) -> None:
+        """Say what judging waits for, when it does not come, and what would help."""
+        talks = self._link.talks
+        if self._silent or now - self._first < (UNANSWERED_S if talks else MISSED_S):
+            return
+        coming = talks and self._parameters.count and not self._parameters.given_up
+        missing = [] if self._begun is not None or coming else ["parameters"]
+        if (self.watched.session is None or self.watched.session.vehicle is None) and not self.messages.heard(
+            MOTORS, STATUS
+        ):
+            missing.append("outputs")
+        if tuple(missing) == self._missed:
+            return
+        self._missed = tuple(missing)
+        if missing:
+            self.watched.say(
+                f"nothing can be judged yet: {' '.join(_missing(what, talks) for what in missing)}", missing=missing
+            )
 
     def _begin(self, parameters: dict[str, float]) -> None:
         self._begun = parameters
-        about = self._about(parameters)
-        self._outputs = about.facts["outputs"]
-        self.watched.begin(about)
+        self._outputs = self._wired(parameters)
+        if not motor_outputs(parameters):
+            self.watched.say(BY_NUMBER)
+        self.watched.begin(self._about(parameters, self._outputs))
 
-    def _about(self, parameters: dict[str, float]) -> Flight:
+    def _wired(self, parameters: dict[str, float]) -> Outputs:
+        """Where the commands of its rotors are."""
+        known = self._link.known
+        return rotor_outputs(self.messages, parameters, 0 if known is None else len(known.rotors))
+
+    def _about(self, parameters: dict[str, float], outputs: Outputs) -> Flight:
         """What is known of a flight with these parameters besides its signals."""
         return Flight(
             FORMAT, self.messages.autopilot, {}, 0.0, vehicle_type=MAV_TYPES.get(self.messages.vehicle, ("", 0))[0],
-            parameters=parameters, name=self.watched.name, facts=mavlink.facts(self.messages, parameters),
+            parameters=parameters, name=self.watched.name, facts=mavlink.facts(self.messages, parameters, outputs),
         )  # fmt: skip
 
     def _airframe(self, parameters: dict[str, float]) -> tuple | None:
         """All by which these parameters decide how the vehicle is judged; None where they do not fit what it says of itself."""
-        about, vehicle = self._about(parameters), self._link.known
-        outputs = about.facts["outputs"]
+        outputs, vehicle = self._wired(parameters), self._link.known
         if vehicle is None:
             try:
-                vehicle = airframes.identify(about)
+                vehicle = airframes.identify(self._about(parameters, outputs))
             except VehicleError:
                 return None
-            if len(vehicle.rotors) != len(outputs):
+            if len(vehicle.rotors) != len(outputs.numbers):
                 return None
         return outputs, vehicle.rotors, vehicle.curve
 

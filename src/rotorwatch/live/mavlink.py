@@ -126,6 +126,10 @@ class Messages:
         """Whether anything has come since the last `take`."""
         return bool(self._rows)
 
+    def heard(self, *names: str) -> bool:
+        """Whether any of these messages has come."""
+        return any(name in self._seen for name in names)
+
     def reached(self, time: float) -> bool:
         """Whether all that a tick is made of has come up to `time` s; what is missing is not waited for longer than WAIT_S."""
         now = self.clock.now
@@ -223,8 +227,8 @@ class Messages:
         """All that have come so far, by name."""
         return tlog.parameters_of(self)[0]
 
-    def take(self, outputs: tuple[int, ...], aloft: bool) -> tuple[dict[str, Signal], list[Message]]:
-        """New samples of each signal and what the autopilot said, and forget them. outputs: servo output of each rotor; aloft: in flight
+    def take(self, outputs: tlog.Outputs, aloft: bool) -> tuple[dict[str, Signal], list[Message]]:
+        """New samples of each signal and what the autopilot said, and forget them. outputs: of `tlog.rotor_outputs`; aloft: in flight
         the message that tells of a signal is changed only when it falls silent."""
         now = self.clock.now
         there = {name for name in self._rows if self.get(name) is not None}
@@ -244,7 +248,7 @@ class Messages:
                     self._source[name], self._usable_at[name] = reading.source, now
                     break
         if not ESC.isdisjoint(there):
-            esc = mavlink_esc.read(self.get, outputs, self.notes)
+            esc = mavlink_esc.read(self.get, outputs.numbers, self.notes)
             if esc is not None:
                 signals["esc"] = esc
         messages = [m for m in tlog.messages_of(self) if self._new(m)]
@@ -279,10 +283,10 @@ class Messages:
         return changed
 
 
-def facts(messages: Messages, parameters: Mapping[str, float]) -> dict[str, Any]:
-    """Facts of a flight, as `logs.tlog` gives them."""
-    outputs = tlog.rotor_outputs(messages, parameters)
-    return {"mav_type": messages.vehicle, "clock_jumps": [], "outputs": outputs}
+def facts(messages: Messages, parameters: Mapping[str, float], outputs: tlog.Outputs) -> dict[str, Any]:
+    """Facts of a flight, as `logs.tlog` gives them. outputs: of `tlog.rotor_outputs`."""
+    limits = tlog.output_limits(messages, parameters, outputs)
+    return {"mav_type": messages.vehicle, "clock_jumps": [], "outputs": outputs.numbers, **limits}
 
 
 def known(parameters: Mapping[str, float], autopilot: str) -> bool:

@@ -18,6 +18,7 @@ from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.live.control import Control
 from rotorwatch.live.judge import Judge
 from rotorwatch.live.stream import Piece, Stream
+from rotorwatch.live.trust import MEMORY_S, Trust
 from rotorwatch.motion.ticks import JUDGE, LEARN, READY_KNOWN_S, READY_S
 
 _ONE = threading.Lock()
@@ -57,6 +58,7 @@ class Session:
         self.about, self.vehicle = about, vehicle
         self._judge: Judge | None = None
         self._control: Control | None = None
+        self._trust: Trust | None = None
         self._building: Building | None = None
         self._pieces: list[Piece] = []
         self._dynamics = (vehicle.identified or {}).get("dynamics") if vehicle is not None else None
@@ -96,6 +98,7 @@ class Session:
     def _open(self) -> None:
         assert self.vehicle is not None
         self._stream, self._judge = Stream(self.about, self.vehicle, self._ready_s), None
+        self._trust = Trust(self.vehicle)
         self._building, self._pieces = None, []
 
     def advance(self, complete: float | None = None) -> bool:
@@ -133,6 +136,7 @@ class Session:
         must be read: unless told to `wait`, pieces are put by until it is there."""
         stream = self._stream_of()
         assert self.vehicle is not None and stream.plan is not None
+        assert self._trust is not None and self._control is not None
         self._spans = piece.spans
         self._pieces.append(piece)
         if self._judge is None:
@@ -145,6 +149,10 @@ class Session:
         pieces, self._pieces = self._pieces, []
         for one in pieces:
             self._judge.on(one, final and one is pieces[-1])
+            if one.table is not None:
+                self._trust.add(one.table)
+        if final or self._trust.due(self.now, self._judge.revision):
+            self._trust.look(self._control.flight(self.now - MEMORY_S), self._spans, self.now, self._judge.revision)
         return any(one.table is not None for one in pieces)
 
     @property
@@ -165,9 +173,14 @@ class Session:
     def events(self) -> tuple[Event, ...]:
         """All that has happened, as it looks now."""
         known = () if self._judge is None else self._judge.events()
-        if self._control is None or self.vehicle is None:
+        if self._control is None or self._trust is None or self.vehicle is None:
             return known
-        return self._control.events(known, len(self.vehicle.rotors))
+        return self._trust.believed(self._control.events(known, len(self.vehicle.rotors)))
+
+    @property
+    def doubt(self) -> str:
+        """Why what comes cannot be what flies, a sentence; empty while nothing contradicts it. Then nothing is concluded from it."""
+        return "" if self._trust is None else self._trust.doubt
 
     @property
     def lost(self) -> tuple[float, ...]:
@@ -224,7 +237,7 @@ class Session:
 
     def suspected(self, found: Sequence[Event]) -> tuple[ResidualEvidence, ...]:
         """Rotors that a step accuses which has stayed and that none of the events `found` explains (`answer.unseen`)."""
-        if self._judge is None or self._judge.now is None or conclusion.main_event(found) is not None:
+        if self._judge is None or self._judge.now is None or self.doubt or conclusion.main_event(found) is not None:
             return ()
         return self._judge.unseen.suspected(found, float(self._judge.now[0].time[-1]))
 
@@ -240,6 +253,8 @@ class Session:
             return "on the ground"
         if self._judge.now is None:
             return "taking off"
+        if self.doubt:
+            return self.doubt
         table, _ = self._judge.now
         if self.now - table.time[-1] > 2.0:
             return "motor outputs stopped"

@@ -51,14 +51,14 @@ class Watched:
         self.session: Session | None = None
         self.rotors = Rotors()
         self.changes = Changes()
-        self._looked, self._revision, self._limits = -np.inf, 0, ""
+        self._looked, self._revision, self._limits, self._doubt = -np.inf, 0, "", ""
 
     def begin(self, about: Flight) -> None:
         """A flight begins: what is known of it besides its signals."""
         self.session, self.changes = Session(about, self._vehicle), Changes()
         self.trouble, self.broken = "", False
         self.rotors = Rotors()
-        self._looked, self._revision = -np.inf, 0
+        self._looked, self._revision, self._doubt = -np.inf, 0, ""
 
     def add(self, signals: Mapping[str, Signal], messages: Iterable[Message] = ()) -> None:
         """More of the flight, in time order."""
@@ -101,7 +101,11 @@ class Watched:
             if self._limits:
                 self.say(self._limits)
         revision = self.session.revision
-        if revision != self._revision or ((revision or self.changes.now) and self.session.now - self._looked > LOOK_S):
+        if (
+            revision != self._revision
+            or self.session.doubt != self._doubt
+            or ((revision or self.changes.now) and self.session.now - self._looked > LOOK_S)
+        ):
             self._look()
         return stepped
 
@@ -130,6 +134,9 @@ class Watched:
         self._revision, self._looked = self.session.revision, self.session.now
         for change in self.changes.of(self.session.events(), final):
             self._alert(change)
+        if self.session.doubt != self._doubt:
+            self._doubt = self.session.doubt
+            self.say(self._doubt or "what comes fits again; it is judged", "error" if self._doubt else "notice")
 
     def _alert(self, change: Change) -> None:
         alert = {"type": "event", "vehicle": self.name, "number": change.number, "state": change.what}
@@ -137,7 +144,7 @@ class Watched:
         if change.what == WITHDRAWN:
             self.notice = "an event was taken back: it began with the landing, or the data favour another explanation"
 
-    def say(self, text: str, kind: str = "notice", **more: int) -> None:
+    def say(self, text: str, kind: str = "notice", **more: int | list[str]) -> None:
         """A sentence on the link or the vehicle. more: further fields of the alert."""
         self.notice = text
         self._notify({"type": kind, "vehicle": self.name, "text": text, **more})

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 
 import numpy as np
 
-# SERVOn_FUNCTION numbers of motors 1..8 and 9..12.
-MOTOR_FUNCTIONS = {**{32 + k: k for k in range(1, 9)}, **{73 + k: k for k in range(9, 13)}}
+from rotorwatch.flight import output_functions
+from rotorwatch.flight.output_functions import SERVO_MOTORS
+
 # FRAME_CLASS -> motor numbers. A tricopter's motor 7 is its tail servo, motor 3 does not exist.
 FRAME_ROTORS: dict[int, tuple[int, ...]] = {
     class_: tuple(range(1, count + 1))
@@ -54,11 +54,11 @@ def outputs(
     """
     functions = {}
     for name, value in parameters.items():
-        if match := re.fullmatch(r"SERVO(\d{1,2})_FUNCTION", name):
-            functions[int(match.group(1))] = int(value)
+        if (one := output_functions.function(name, value)) is not None and one.driver == output_functions.SERVO:
+            functions[one.output] = int(value)
     mapped: dict[int, int] = {}
     for output in sorted(functions):
-        rotor = MOTOR_FUNCTIONS.get(functions[output])
+        rotor = SERVO_MOTORS.get(functions[output])
         if rotor and (rotor not in mapped or rotor == output):
             mapped[rotor] = output
     expected = FRAME_ROTORS.get(frame_class or 0)
@@ -111,7 +111,7 @@ def follow(time: np.ndarray, pulses: np.ndarray, stamps: np.ndarray, throttle: n
 
 def _one_bit_off(function: int, rotor: int) -> bool:
     """Whether a logged SERVOn_FUNCTION is one wrong bit of a float32 away from that of the rotor."""
-    meant = next(f for f, k in MOTOR_FUNCTIONS.items() if k == rotor)
+    meant = next(f for f, k in SERVO_MOTORS.items() if k == rotor)
     a, b = np.array([function, meant], np.float32).view(np.uint32).tolist()
     return (a ^ b).bit_count() == 1
 

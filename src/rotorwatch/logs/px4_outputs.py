@@ -20,20 +20,19 @@ https://docs.px4.io/main/en/msg_docs/EscStatus.html and EscReport.html
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from rotorwatch.flight import Signal
+from rotorwatch.flight.output_functions import MOTOR_1, MOTOR_12, in_order, motor_outputs
 from rotorwatch.logs import esc_columns
 
-MOTOR_1, MOTOR_12 = 101, 112  # output functions, *_FUNCn
-FUNCTION = re.compile(r"(PWM_MAIN|PWM_AUX|UAVCAN_EC|HIL_ACT|PCA9685|VOXL_ESC|TAP_ESC)_FUNC(\d{1,2})")
-CAN = "UAVCAN_EC"
+CAN, PWM = "UAVCAN_EC", "PWM_MAIN"
 CAN_FULL, DSHOT_FULL = 8191.0, 1999.0
+TIMERS, DSHOT_TIMERS = 16, (-5, -4, -3, -2)  # PWM_MAIN_TIMn of DShot 150, 300, 600 and 1200
 PULSES_US = (800.0, 2500.0)  # what a motor gets when it gets anything
 NO_COMMAND = 65535.0  # drivers that take counts log this while disarmed
 MOVING, MOVING_US = 0.01, 100.0  # an output that moves less, of full command and in us, need not be a rotor's
@@ -49,7 +48,7 @@ ESC_FIELDS = {"speed": "esc_rpm", "current": "esc_current", "voltage": "esc_volt
 class Reading:
     """One instance read as rotors: values (n, rotors) in us or shares, swing as a share of full, facts on limits.
 
-    named: the log's output functions name these outputs as motors.
+    named: the log's output functions name these outputs as motors. outputs: of each rotor, from 1.
     """
 
     values: np.ndarray
@@ -58,6 +57,7 @@ class Reading:
     named: bool
     facts: dict = field(default_factory=dict)
     note: str = ""
+    outputs: tuple[int, ...] = ()
 
 
 def read(values: np.ndarray, parameters, count: int) -> Reading | None:
@@ -66,14 +66,10 @@ def read(values: np.ndarray, parameters, count: int) -> Reading | None:
     count: rotors of the vehicle, 0 where the log does not say.
     """
     values = np.where(values == NO_COMMAND, 0.0, values)
-    functions: dict[str, dict[int, int]] = {}
-    for name, value in parameters.items():
-        match = FUNCTION.fullmatch(name)
-        if match and MOTOR_1 <= value <= MOTOR_12:
-            functions.setdefault(match[1], {})[int(value) - MOTOR_1] = int(match[2]) - 1
+    functions = motor_outputs(parameters)
     for driver, outputs in functions.items():
-        picked = [outputs[k] for k in sorted(outputs)]
-        if sorted(outputs) == list(range(len(outputs))) and max(picked) < values.shape[1]:
+        picked = [n - 1 for n in in_order(outputs)]
+        if picked and max(picked) < values.shape[1]:
             found = _scaled(values[:, picked], picked, driver, parameters)
             if found is not None:
                 return found
@@ -109,6 +105,11 @@ def _scaled(values, picked, driver, parameters, moving=False) -> Reading | None:
 
     moving: only when all of them move as rotors do.
     """
+    found = _in_unit(values, picked, driver, parameters, moving)
+    return None if found is None else replace(found, outputs=tuple(k + 1 for k in picked))
+
+
+def _in_unit(values, picked, driver, parameters, moving) -> Reading | None:
     low, top = _extremes(values)
     if not np.isfinite(top).all():
         return None
@@ -120,7 +121,7 @@ def _scaled(values, picked, driver, parameters, moving=False) -> Reading | None:
         swing = top - low
         if moving and swing.min() <= MOVING_US:
             return None
-        return Reading(values, "us", float(swing.mean()) / 1e3, named, _pulse_limits(parameters, len(picked)))
+        return Reading(values, "us", float(swing.mean()) / 1e3, named, pulse_limits(parameters, driver or PWM, picked))
     if (top > CAN_FULL).any() or (low < 0.0).any() or (top < 2.0).any():
         return None
     return _counts(values, low, top, picked, driver, parameters, named)
@@ -137,21 +138,31 @@ def _shares(values, low, top, named) -> Reading | None:
 
 def _counts(values, low, top, picked, driver, parameters, named) -> Reading | None:
     """Counts of a UAVCAN or DShot command as shares of full; UAVCAN_EC_MINn and MAXn count where logged."""
-    full = CAN_FULL if driver == CAN or top.max() > DSHOT_FULL else DSHOT_FULL
-    least, most = np.zeros(len(picked)), np.full(len(picked), full)
-    if full == CAN_FULL:
-        limits = [
-            [parameters.get(f"{CAN}_{end}{k + 1}", d) for k in picked] for end, d in (("MIN", 0.0), ("MAX", full))
-        ]
-        if (np.array(limits[0]) < np.array(limits[1])).all():
-            least, most = np.array(limits, float)
+    can = driver == CAN or top.max() > DSHOT_FULL
+    least, most = _can_range(parameters, picked) if can else (np.zeros(len(picked)), np.full(len(picked), DSHOT_FULL))
     span = most - least
     if ((top - low) < MOVING * span).all():
         return None
-    bus = "UAVCAN" if full == CAN_FULL else "DShot"
+    bus = "UAVCAN" if can else "DShot"
     note = f"actuator_outputs are {bus} counts; {most.max():.0f} was taken as full command"
     shares = np.maximum((values - least) / span, 0.0)
     return Reading(shares, "1", float(((top - low) / span).mean()), named, {"motors_scaled": bus}, note)
+
+
+def _can_range(parameters, picked) -> tuple[np.ndarray, np.ndarray]:
+    """(k,) least and most counts of UAVCAN outputs, from 0."""
+    ends = (("MIN", 0.0), ("MAX", CAN_FULL))
+    least, most = np.array([[parameters.get(f"{CAN}_{end}{k + 1}", d) for k in picked] for end, d in ends], float)
+    return (least, most) if (least < most).all() else (np.zeros(len(picked)), np.full(len(picked), CAN_FULL))
+
+
+def count_range(parameters, driver: str, picked) -> tuple[np.ndarray, np.ndarray] | None:
+    """(k,) least and most counts of a driver's outputs, from 0, as far as its parameters say that it takes counts; None for pulses."""
+    if driver == CAN:
+        return _can_range(parameters, picked)
+    if any(parameters.get(f"{driver}_TIM{k}", 0) in DSHOT_TIMERS for k in range(TIMERS)):
+        return np.zeros(len(picked)), np.full(len(picked), DSHOT_FULL)
+    return None
 
 
 def _extremes(values) -> tuple[np.ndarray, np.ndarray]:
@@ -165,12 +176,13 @@ def _extremes(values) -> tuple[np.ndarray, np.ndarray]:
     return ends[0], ends[1]
 
 
-def _pulse_limits(parameters, count) -> dict:
-    """facts pwm_min and pwm_max in us: PWM_MAIN_MINn (1.13+), PWM_MAIN_MIN (1.11+), PWM_MIN (older), as logged."""
+def pulse_limits(parameters, driver: str, picked) -> dict:
+    """facts pwm_min and pwm_max in us: of the driver's outputs `picked`, from 0 (PWM_MAIN_MINn, 1.13+), PWM_MAIN_MIN (1.11+), PWM_MIN
+    (older), as logged."""
     facts = {}
     for fact, word in (("pwm_min", "MIN"), ("pwm_max", "MAX")):
-        each = [parameters.get(f"PWM_MAIN_{word}{k + 1}", 0) for k in range(count)]
-        usable = [v for v in (*each, parameters.get(f"PWM_MAIN_{word}", 0), parameters.get(f"PWM_{word}", 0)) if v > 0]
+        each = [parameters.get(f"{driver}_{word}{k + 1}", 0) for k in picked]
+        usable = [v for v in (*each, parameters.get(f"{PWM}_{word}", 0), parameters.get(f"PWM_{word}", 0)) if v > 0]
         if usable:
             facts[fact] = float(usable[0])
     return facts

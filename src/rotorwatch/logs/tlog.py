@@ -5,17 +5,27 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message, Signal
+from rotorwatch.flight.output_functions import in_order, motor_outputs
 from rotorwatch.flight.vehicle_kind import OTHERS
-from rotorwatch.logs import mavlink_esc, mavlink_frames, mavlink_messages, parameter_ranges, series, wall_clock
+from rotorwatch.logs import (
+    mavlink_esc,
+    mavlink_frames,
+    mavlink_messages,
+    parameter_ranges,
+    px4_outputs,
+    series,
+    wall_clock,
+)
 from rotorwatch.logs.dataflash_clock import make_clock
 from rotorwatch.logs.dataflash_text import MODES
 from rotorwatch.logs.px4_topics import MAV_TYPES, custom_mode
+from rotorwatch.logs.px4_topics import rotor_count as px4_rotor_count
 
 FORMAT = "MAVLink tlog"
 
@@ -188,7 +198,8 @@ def _columns(table, fields) -> np.ndarray:
 
 # Signals that several messages may carry: the fastest counts. Of the others the first one that there is.
 FASTEST = ("motors", "gyro", "rates", "accel", "attitude")
-MOTORS = "SERVO_OUTPUT_RAW"
+MOTORS, STATUS = "SERVO_OUTPUT_RAW", "ACTUATOR_OUTPUT_STATUS"
+BY_NUMBER = "no parameter says which output drives which rotor: rotor k was taken to be output k"
 BANK = 16  # outputs of each of its ports
 AXES, TURNS, PUSH = ("xgyro", "ygyro", "zgyro"), ("rollspeed", "pitchspeed", "yawspeed"), ("xacc", "yacc", "zacc")
 IMUS = ("SCALED_IMU", "RAW_IMU", "SCALED_IMU2", "SCALED_IMU3")
@@ -215,8 +226,17 @@ class Reading:
     make: Callable[[Messages], Signal | None]
 
 
+class Outputs(NamedTuple):
+    """Where the commands of the rotors are. numbers: output of each rotor, from 1. least, most: of its counts, where its driver takes
+    counts; empty where the outputs are pulses in us."""
+
+    numbers: tuple[int, ...]
+    least: tuple[float, ...] = ()
+    most: tuple[float, ...] = ()
+
+
 @cache
-def readings(outputs: tuple[int, ...]) -> dict[str, tuple[Reading, ...]]:
+def readings(outputs: Outputs) -> dict[str, tuple[Reading, ...]]:
     """Signal -> the messages that carry it, in order of preference: of a file and of a link. outputs: of `rotor_outputs`."""
 
     def by(kind, name, read, rows=lambda table: slice(None)):
@@ -238,13 +258,14 @@ def readings(outputs: tuple[int, ...]) -> dict[str, tuple[Reading, ...]]:
 
     return {
         "motors": (
-            Reading("SERVO_OUTPUT_RAW", lambda log: _motors(log, outputs)),
-            Reading("ACTUATOR_OUTPUT_STATUS", lambda log: _actuators(log, outputs)),
+            Reading(MOTORS, lambda log: _motors(log, outputs)),
+            Reading(STATUS, lambda log: _actuators(log, outputs)),
         ),
-        # Raw rates come in steps of 1 mrad/s, so at equal speed the attitude message's finer ones are preferred.
+        # At equal speed the attitude's rates are preferred: they are filtered, where an IMU's samples that far apart alias its vibration;
+        # those of RAW_IMU come in steps of 1 mrad/s besides.
         "gyro": (
-            of("gyro", "HIGHRES_IMU", AXES),
             *(of("rates", name, TURNS) for name in ATTITUDES),
+            of("gyro", "HIGHRES_IMU", AXES),
             *(of("gyro", name, AXES, 1e-3) for name in IMUS),
         ),
         "rates": tuple(of("rates", name, TURNS) for name in ATTITUDES),
@@ -271,55 +292,143 @@ def readings(outputs: tuple[int, ...]) -> dict[str, tuple[Reading, ...]]:
 
 
 def _signals(log: _Log) -> tuple[dict, dict]:
-    outputs = rotor_outputs(log, parameters_of(log)[0])
+    parameters = parameters_of(log)[0]
+    outputs = rotor_outputs(log, parameters)
     found: dict[str, Signal | None] = {}
     for name, options in readings(outputs).items():
+        if name == "motors" and log.autopilot == "PX4":
+            continue
         there = [signal for option in options if (signal := option.make(log)) is not None]
         found[name] = series.fastest(*there) if name in FASTEST else (there or [None])[0]
-    facts = {"outputs": outputs} if found["motors"] is not None else {}
+    facts: dict = {}
+    if log.autopilot == "PX4":
+        found["motors"], facts = _px4_motors(log, parameters)
+    if found["motors"] is not None:
+        facts.setdefault("outputs", outputs.numbers)
+        if not motor_outputs(parameters):
+            log.notes.append(BY_NUMBER)
     found["esc"] = mavlink_esc.read(log.get, facts.get("outputs", ()), log.notes)
     return {k: v for k, v in found.items() if v is not None}, facts
 
 
-def rotor_outputs(log: Messages, parameters: Mapping[str, float]) -> tuple[int, ...]:
-    """Servo output of each rotor, from 1: by SERVOn_FUNCTION where that is known, else the first ones; empty for an unknown vehicle."""
-    count = MAV_TYPES.get(log.vehicle, ("", 0))[1]
-    mapped = {}
-    for n in range(1, 33):
-        function = int(parameters.get(f"SERVO{n}_FUNCTION", 0))
-        if 33 <= function <= 40 or 82 <= function <= 85:
-            mapped[function - 32 if function <= 40 else function - 73] = n
-    if mapped and sorted(mapped) == list(range(1, len(mapped) + 1)) and len(mapped) >= count:
-        return tuple(mapped[k] for k in sorted(mapped))
-    return tuple(range(1, count + 1))
+def rotor_count(log: Messages, parameters: Mapping[str, float]) -> int:
+    """Rotors of a vehicle: of PX4 by its parameters, as its heartbeat may tell of another kind; 0 for an unknown one."""
+    told = MAV_TYPES.get(log.vehicle, ("", 0))[1]
+    if log.autopilot != "PX4":
+        return told
+    if "CA_ROTOR_COUNT" in parameters:
+        return px4_rotor_count(parameters) or told
+    named = max((len(in_order(one)) for one in motor_outputs(parameters).values()), default=0)
+    return named or px4_rotor_count(parameters) or told
 
 
-def _motors(log: Messages, outputs: tuple[int, ...]) -> Signal | None:
-    """Rotor commands from SERVO_OUTPUT_RAW: outputs 1 to 16 are on port 0, 17 to 32 on port 1."""
-    found = log.get("SERVO_OUTPUT_RAW")
-    if found is None or not outputs:
+def rotor_outputs(log: Messages, parameters: Mapping[str, float], rotors: int = 0) -> Outputs:
+    """Where the rotors' commands are: by the outputs' functions (`output_functions`) where those are known, else the first outputs; empty
+    for an unknown vehicle. rotors: number of them, where more is known than the log says.
+
+    Of several drivers of PX4 that have all motors the first counts; a whole log is asked which of them moves (`px4_outputs.best`)."""
+    count = rotors or rotor_count(log, parameters)
+    numbers, driver = tuple(range(1, count + 1)), px4_outputs.PWM
+    for name, outputs in motor_outputs(parameters).items():
+        if len(named := in_order(outputs)) >= max(count, 1):
+            numbers, driver = named, name
+            break
+    counts = px4_outputs.count_range(parameters, driver, [n - 1 for n in numbers]) if log.autopilot == "PX4" else None
+    return Outputs(numbers) if counts is None else Outputs(numbers, *(tuple(ends.tolist()) for ends in counts))
+
+
+def output_limits(log: Messages, parameters: Mapping[str, float], outputs: Outputs) -> dict:
+    """Facts pwm_min and pwm_max of PX4's pulses, where its parameters say them."""
+    if log.autopilot != "PX4" or outputs.least:
+        return {}
+    driver = next(
+        (d for d, known in motor_outputs(parameters).items() if in_order(known) == outputs.numbers), px4_outputs.PWM
+    )
+    return px4_outputs.pulse_limits(parameters, driver, [n - 1 for n in outputs.numbers])
+
+
+def _px4_motors(log: _Log, parameters: Mapping[str, float]) -> tuple[Signal | None, dict]:
+    """Rotor commands of a whole log of PX4 and the facts about them, as its ULog has them: each port is an instance of its outputs.
+
+    Where no parameter says how many rotors there are, those are counted that move: a heartbeat may tell of another kind of vehicle."""
+    count, found = rotor_count(log, parameters), []
+    known = "CA_ROTOR_COUNT" in parameters or bool(motor_outputs(parameters))
+    for source, instances in ((MOTORS, _ports(log)), (STATUS, [_status(log)])):
+        tried = (
+            px4_outputs.best(((source, one) for one in instances), parameters, n)
+            for n in ((count,) if known else (0, count))
+        )
+        best = next((one for one in tried if one is not None), None)
+        if best is None:
+            continue
+        _, time, reading = best
+        driven = reading.values > 0 if reading.unit == "us" else None
+        signal = series.motors(time, reading.values, reading.unit, source, log.notes, driven)
+        if signal is not None:
+            found.append((signal, reading))
+    motors = series.fastest(*(signal for signal, _ in found))
+    reading = next((reading for signal, reading in found if signal is motors), None)
+    if reading is None:
+        return None, {}
+    log.notes += [reading.note] if reading.note else []
+    return motors, {**reading.facts, "outputs": reading.outputs}
+
+
+def _ports(log: Messages) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(time, outputs (m, 16)) of each port of SERVO_OUTPUT_RAW."""
+    found = log.get(MOTORS)
+    if found is None:
+        return []
+    time, table = found
+    rows = [table["port"] == port for port in np.unique(table["port"])]
+    fields = [f"servo{k + 1}_raw" for k in range(BANK)]
+    return [(time[own], _columns(table[own], fields)) for own in rows]
+
+
+def _status(log: Messages) -> tuple[np.ndarray, np.ndarray] | None:
+    """(time, outputs (m, k)) of ACTUATOR_OUTPUT_STATUS, as many as are active."""
+    found = log.get(STATUS)
+    if found is None:
         return None
-    bank = int(min(outputs) > BANK)
-    if max(outputs) > BANK * (bank + 1):
+    return found[0], found[1]["actuator"][:, : int(found[1]["active"].max())].astype(float)
+
+
+def _motors(log: Messages, outputs: Outputs) -> Signal | None:
+    """Rotor commands from SERVO_OUTPUT_RAW: outputs 1 to 16 are on port 0, 17 to 32 on port 1."""
+    found = log.get(MOTORS)
+    numbers = outputs.numbers
+    if found is None or not numbers:
+        return None
+    bank = int(min(numbers) > BANK)
+    if max(numbers) > BANK * (bank + 1):
         log.notes.append(f"{MOTORS}: rotors on both banks of outputs (port 0 and 1) are not read")
         return None
     own = found[1]["port"] == bank
     time, table = found[0][own], found[1][own]
     if not time.size:
         return None
-    values = _columns(table, [f"servo{n - BANK * bank}_raw" for n in outputs])
-    return series.motors(time, values, "us", MOTORS, log.notes, values > 0)  # 0: not driven yet
+    values = _columns(table, [f"servo{n - BANK * bank}_raw" for n in numbers])
+    return _commands(log, time, values, outputs, MOTORS, values > 0)  # 0: not driven yet
 
 
-def _actuators(log: Messages, outputs: tuple[int, ...]) -> Signal | None:
+def _actuators(log: Messages, outputs: Outputs) -> Signal | None:
     """Rotor commands from ACTUATOR_OUTPUT_STATUS, in the units of SERVO_OUTPUT_RAW."""
-    found = log.get("ACTUATOR_OUTPUT_STATUS")
-    if found is None or not outputs:
+    found = log.get(STATUS)
+    if found is None or not outputs.numbers:
         return None
-    values = found[1]["actuator"][:, [n - 1 for n in outputs]].astype(float)
+    values = found[1]["actuator"][:, [n - 1 for n in outputs.numbers]].astype(float)
     with np.errstate(invalid="ignore"):
-        driven = (values > 0) & (np.array(outputs) <= found[1]["active"][:, None])
-    return series.motors(found[0], values, "us", "ACTUATOR_OUTPUT_STATUS", log.notes, driven)
+        driven = (values > 0) & (np.array(outputs.numbers) <= found[1]["active"][:, None])
+    return _commands(log, found[0], values, outputs, STATUS, driven)
+
+
+def _commands(log: Messages, time, values, outputs: Outputs, source: str, driven) -> Signal | None:
+    """Values of the rotors' outputs, pulses or counts, as commands."""
+    if not outputs.least:
+        return series.motors(time, values, "us", source, log.notes, driven)
+    values = np.where(values == px4_outputs.NO_COMMAND, 0.0, values)
+    least, most = np.array(outputs.least), np.array(outputs.most)
+    return series.motors(time, np.clip((values - least) / (most - least), 0.0, 1.0), "1", source, log.notes)
 
 
 def _angles(table):

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from rotorwatch.flight import Flight, Signal
+from rotorwatch.flight import Flight, Signal, output_functions
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion.allocation import within
 from rotorwatch.motion.contact import G0
@@ -41,6 +41,10 @@ LONG_S = 30.0  # of flight, before commands are held against motion
 SLOWEST_S = 0.1  # ticks in which commands and the motion they cause can be seen together
 SHIFTS = 40  # how often commands are compared with motion at times that are not theirs
 SIGNIFICANT = 2.5  # standard deviations of those comparisons
+EXCHANGED = (
+    8.0  # the same, from which motion that follows the command of another axis is no coupling of a sound vehicle
+)
+AXES = ("roll", "pitch", "yaw")
 GEOMETRY = ("FRAME_CLASS", "FRAME_TYPE", "CA_ROTOR_COUNT", "CA_AIRFRAME", "SYS_AUTOSTART", "MAV_TYPE")
 
 
@@ -83,8 +87,8 @@ def clock_jumped(case: Case) -> str | None:
 def another_airframe(case: Case) -> str | None:
     """Parameters of the airframe that change in the air: two logs, or two vehicles, in one file."""
     for time, name, value in case.flight.parameter_changes:
-        motor = name.startswith("SERVO") and name.endswith("_FUNCTION") and (33 <= value <= 40 or 82 <= value <= 85)
-        if (name in GEOMETRY or motor) and within(np.array([time]), case.air).any():
+        output = output_functions.function(name, value)
+        if (name in GEOMETRY or (output is not None and output.motor)) and within(np.array([time]), case.air).any():
             return f"the airframe changes in the air ({name} becomes {value:g} at {time:.1f} s): the log is not of one vehicle."
     return None
 
@@ -199,6 +203,26 @@ def command_without_effect(case: Case) -> str | None:
     return "the motor outputs explain nothing of how the vehicle moves: they are of another vehicle, another time or another airframe."
 
 
+def outputs_of_other_rotors(case: Case) -> str | None:
+    """Two axes whose motion does not follow their own commands, but those of another axis, or their own reversed: the outputs drive other
+    rotors than they are taken for."""
+    if not case.flight.has("gyro"):
+        return None
+    astray = []
+    for axis in range(3):
+        own = _coherence(case, axis)
+        if own is None or own.sigmas > SIGNIFICANT:
+            continue
+        others = [(k, sign) for k in range(3) for sign in (1.0, -1.0) if (k, sign) != (axis, 1.0)]
+        follows = [_coherence(case, axis, *other) for other in others]
+        best, sigmas = max(zip(others, (c.sigmas if c else 0.0 for c in follows)), key=lambda one: one[1])
+        if sigmas > EXCHANGED:
+            astray.append(f"{AXES[axis]} follows the command of {'' if best[1] > 0 else 'reversed '}{AXES[best[0]]}")
+    if len(astray) < 2:
+        return None
+    return f"the motor outputs drive other rotors than the ones they were taken for: {', '.join(astray)}."
+
+
 @dataclass(frozen=True)
 class Coherence:
     """Commanded torque and angular acceleration of one axis. alike: correlation, -1..1, at the best lag; sigmas: how far above that at
@@ -210,13 +234,15 @@ class Coherence:
     commanded: float
 
 
-def _coherence(case: Case, axis: int) -> Coherence | None:
-    """None where the flight is too short or too slowly logged. Trim, over a second, is left out."""
+def _coherence(case: Case, axis: int, commanded: int | None = None, sign: float = 1.0) -> Coherence | None:
+    """Of the motion of an axis with the torque commanded of it, or of the axis `commanded`, times a sign. None where the flight is too
+    short or too slowly logged. Trim, over a second, is left out."""
     table, ok = case.table, case.flying & case.table.valid[:, axis]
     if ok.sum() * table.dt < LONG_S or table.dt > SLOWEST_S:
         return None
     width = max(3, round(1.0 / table.dt))
-    command, motion = (_without_trim(np.where(ok, x[:, axis], 0.0), width) for x in (table.wrench, table.rate_dot))
+    torque = sign * table.wrench[:, axis if commanded is None else commanded]
+    command, motion = (_without_trim(np.where(ok, x, 0.0), width) for x in (torque, table.rate_dot[:, axis]))
     command, motion = np.where(ok, command, 0.0), np.where(ok, motion, 0.0)
     # Bounded to what is usual: one knock must not speak for a flight.
     usual = [float(np.quantile(np.abs(x[ok]), 0.8)) for x in (command, motion)]
@@ -319,5 +345,6 @@ TESTS = (
     weightless,
     attitude_against_gyro,
     motion_without_command,
+    outputs_of_other_rotors,
     command_without_effect,
 )
