@@ -204,3 +204,13 @@ def test_json_terminal_and_page_say_the_same():
         assert "critical below 80 %" in " ".join(text.split())
     nothing = hexa_diagnosis(events=(), judged_s=0.0)
     assert report.health(nothing) == [] and "Health" not in text_of(nothing)
+
+
+def test_a_rotor_that_rests_has_no_trend():
+    """As beside an opposite one that stopped: where nothing is commanded of a rotor, nothing shows what it would give."""
+    out, ticks = flight(growth={2: 0.1})
+    ticks.thrust[:, 0] = 0.0
+    out.theta[:] = 0.0
+    with np.errstate(all="raise"):
+        first, *others = trends((out, ticks), QUAD)
+    assert first is None and all(t is None or np.isfinite(t.interval).all() for t in others)

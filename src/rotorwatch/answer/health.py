@@ -31,6 +31,7 @@ from rotorwatch.motion.ticks import JUDGE, Ticks
 UNGRADED = "not judged"
 LEAST_S = 30.0  # of flight, below which no trend is looked for
 BLOCKS = 40  # at most
+LEAST_THRUST = 0.05  # hover thrusts: a rotor that is commanded less rests, and shows nothing
 ALIKE = 0.95  # cosine of the drifts of two rotors, above which a growing loss of one cannot be distinguished from one of the other
 CHI2_3, CHI2_2 = 7.815, 5.991  # 95 % of chi-squared with 3 and 2 degrees of freedom
 
@@ -75,15 +76,19 @@ def trends(out, table: Ticks, B: np.ndarray, found: Sequence[Event]) -> tuple[Tr
     slopes = [line.slope(when, values, step / 60.0) for values in z.T]
     theta, early = out.theta[rows], slice(0, max(1, rows.size // 4))
     # A rotor that makes up for theta is commanded T = c / (1 - theta), and T theta grows by T^2 / c times what theta does.
-    need = np.maximum((T[early] * (1.0 - theta[early])).mean(axis=0), 0.05)
-    columns = B[:3] * (T.mean(axis=0) ** 2 / need / T.mean())
+    need = np.maximum((T[early] * (1.0 - theta[early])).mean(axis=0), LEAST_THRUST)
+    columns = B[:3] * (np.maximum(T.mean(axis=0), LEAST_THRUST) ** 2 / need / T.mean())
     d, sd = np.array([s.slope for s in slopes]), np.array([s.sd for s in slopes])
     left = (z - z.mean(axis=0) - np.outer(when - when.mean(), d)) / sd
     scatter = (left @ (columns / sd[:, None])).std(axis=0) / ((columns / sd[:, None]) ** 2).sum(axis=0)
     weak, known = (theta > 0.0).any(axis=0), theta[-1] - theta[0]
     span = float(time[0]), float(time[-1])
     each = zip(_per_rotor(d, sd, columns, weak), weak, known, scatter)
-    return tuple(None if row is None else _trend(row, minutes, span, w, float(k), float(s)) for row, w, k, s in each)
+    rests = T.mean(axis=0) < LEAST_THRUST
+    return tuple(
+        None if row is None or rests[i] else _trend(row, minutes, span, w, float(k), float(s))
+        for i, (row, w, k, s) in enumerate(each)
+    )
 
 
 def _trend(row, minutes: float, span, weak: bool, known: float, scatter: float) -> Trend:
