@@ -267,9 +267,10 @@ def test_a_gap_in_the_air_is_no_landing(names):
     flight = without(made_up([(10, 50)]), 25, 45, names)
     ((start, end),) = airborne(flight)
     assert (start, end) == pytest.approx(airborne(made_up([(10, 50)]))[0])
-    ((begin, over),) = gaps(flight, ((start, end),))
-    assert (begin, over) == pytest.approx((25, 45), abs=0.1)
-    assert gaps(flight, ((26.0, end),)) == ()
+    (gap,) = gaps(flight, ((start, end),))
+    assert (gap.start, gap.end) == pytest.approx((25, 45), abs=0.1)
+    assert gap.rotors == (1, 2, 3, 4) and not gap.first and not gap.lasts
+    assert gaps(flight, ((46.0, end),)) == ()
 
 
 def test_a_gap_that_hides_a_landing_ends_the_flight():

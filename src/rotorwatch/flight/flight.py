@@ -176,6 +176,11 @@ class Flight:
     def __getitem__(self, name: str) -> Signal:
         return self.signals[name]
 
+    def angular_rate(self) -> Signal | None:
+        """The gyro, or else the rates that the controller used; None where the log has neither with all its axes."""
+        found = (self.signals[name] for name in ("gyro", "rates") if self.has(name))
+        return next((signal for signal in found if signal.valid.all(axis=1).any()), None)
+
     @property
     def rotor_count(self) -> int:
         """Number of rotors the log shows commands for; 0 when it shows none."""

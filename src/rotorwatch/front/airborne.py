@@ -13,6 +13,7 @@ from rotorwatch.compiling.structs import (
     REAL,
     TIME,
     Flags,
+    Mask,
     Real,
     Reals,
     Struct,
@@ -24,7 +25,7 @@ from rotorwatch.compiling.structs import (
     real,
     sqrt,
 )  # fmt: skip
-from rotorwatch.front.sizes import FLIGHTS, HALF_SECOND
+from rotorwatch.front.sizes import FLIGHTS, HALF_SECOND, ROTORS
 from rotorwatch.front.vehicle import Vehicle
 
 TICK_S = 0.05
@@ -155,6 +156,8 @@ class Airborne(Struct):
     start: Time = LASTS  # of the flight that goes on, LASTS on the ground
     flights = array(Span, FLIGHTS)  # that are over
     ended: int = 0  # how many these are
+    seen = array(TIME, ROTORS)  # when each output was known last
+    unseen: Mask = 0  # outputs that are not known for longer than a gap, in the flight that goes on or was the last
 
     def outputs(self, v: Vehicle, time: Time, output: Reals, valid: Flags) -> None:
         """Motor outputs at `time` s.
@@ -164,6 +167,7 @@ class Airborne(Struct):
         """
         total: Real = 0.0
         count = 0
+        unseen: Mask = 0
         self.walk(time, False)
         for k in range(v.rotors):
             if valid[k]:
@@ -171,8 +175,13 @@ class Airborne(Struct):
                 share = max(0.0, min(1.0, share))
                 total += share * share
                 count += 1
+                self.seen[k] = time
+            elif time - max(self.seen[k], self.start) > GAP_S:
+                unseen |= 1 << k
         if count == 0:
             return
+        if self.start < LASTS:
+            self.unseen = unseen
         self.command = sqrt(total / real(count))
         if not self.walking:
             if self.last > -LASTS and not self._continues(time):
