@@ -346,7 +346,9 @@ def test_a_rotor_whose_output_is_not_known_clears_and_accuses_nobody(since_s):
     """From so long before control was lost, or from the begin of the log on."""
     flight, truth = tumbling.fly("quad-x", "climb", 1, 50.0, 11.0)
     motors, other = flight["motors"], truth.rotors[0] % 4
-    valid = motors.valid & ~((motors.time > (truth.begins_s - since_s if since_s else 0.0))[:, None] & (np.arange(4) == other))
+    valid = motors.valid & ~(
+        (motors.time > (truth.begins_s - since_s if since_s else 0.0))[:, None] & (np.arange(4) == other)
+    )
     diagnosis = diagnose(replace(flight, signals={**flight.signals, "motors": replace(motors, valid=valid)}), QUAD)
     (lost,) = of(diagnosis, "loss_of_control")
     assert not lost.rotors and not lost.alternatives

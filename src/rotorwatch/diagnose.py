@@ -24,6 +24,7 @@ from rotorwatch.flight.diagnosis import Diagnosis, Event
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.healthy import baselines, population
 from rotorwatch.healthy.baselines import Given
+from rotorwatch.logs import plausible
 from rotorwatch.motion import ticks, trust
 from rotorwatch.motion.airborne import Gap, airborne, gaps
 from rotorwatch.motion.allocation import Spans
@@ -131,6 +132,7 @@ def diagnose(
         from rotorwatch import logs
 
         flight = logs.read(flight, lambda share: tell(0.3 * share, "reading"))
+    flight = plausible.checked(flight)
     clock.lap("read_s")
     if estimator != "default":
         aerobatic.decline(flight, "the published methods model hover; leave out the estimator.")
@@ -192,7 +194,9 @@ def _prepare(flight: Flight, vehicle, baseline, hovers: bool, clock: _Clock) -> 
         )
     assumptions += table.notes if table is not None else ()
     clock.lap("prepare_s")
-    return Prepared(flight, craft, known, dynamics, source, air, upsets, table, ready_s, hovers, assumptions, warnings, missing)
+    return Prepared(
+        flight, craft, known, dynamics, source, air, upsets, table, ready_s, hovers, assumptions, warnings, missing
+    )
 
 
 def _no_flight(ready: Prepared, clock: _Clock) -> Diagnosis:

@@ -150,7 +150,15 @@ def _concluded(seen: Evidence, verdict, reason, headline, main, doubts) -> Concl
     states = tuple(_state(seen, k, verdict) for k in range(1, seen.n + 1))
     stays = main is not None and (seen.events[main].end_s is None or _landed(seen, seen.events[main].end_s))
     next_steps = advice.of(
-        verdict, seen.events, main, states, bool(seen.whole) or not seen.comparable, seen.places, doubts, stays, bool(seen.missing)
+        verdict,
+        seen.events,
+        main,
+        states,
+        bool(seen.whole) or not seen.comparable,
+        seen.places,
+        doubts,
+        stays,
+        bool(seen.missing),
     )
     story_lines = story.narrate(seen.events, main, seen.n, seen.places, seen.hops, not doubts)
     return Conclusion(verdict, reason, headline, main, states, next_steps, tuple(seen.events), story_lines)

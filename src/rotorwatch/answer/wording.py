@@ -71,7 +71,11 @@ def not_commanded(gaps: Sequence[Gap], n: int) -> list[str]:
     """Sentences on the commands that the log of n rotors lacks in the air."""
     said = []
     for gap in gaps[:NAMED]:
-        what = "No motor outputs are logged" if len(gap.rotors) == n else f"The log holds no command for {rotors(gap.rotors)}"
+        what = (
+            "No motor outputs are logged"
+            if len(gap.rotors) == n
+            else f"The log holds no command for {rotors(gap.rotors)}"
+        )
         if gap.lasts:
             said.append(f"{what} from {gap.start:.1f} s to the end of the flight: nothing can be judged after that.")
         elif gap.first:

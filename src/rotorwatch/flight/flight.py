@@ -140,7 +140,8 @@ class Flight:
     the clock of the autopilot [us]. facts: what else a reader found and later steps use.
     signals: canonical name -> Signal (module docstring). parameters: the autopilot's, never the simulator's
     (``SIM_*``). parameter_changes: (time s, name, value) after the start. messages: in time order. warnings: sentences
-    about what was damaged, missing or assumed while reading.
+    about what was damaged, missing or assumed while reading. checked: values that the log's damage made have been looked for
+    (`logs.plausible`); others are looked for before a flight is judged.
     """
 
     format: str
@@ -156,6 +157,7 @@ class Flight:
     name: str = ""
     start_us: int = 0
     facts: Mapping[str, Any] = field(default_factory=dict)
+    checked: bool = False
 
     def __post_init__(self):
         for name in ("autopilot", "firmware", "vehicle_type", "name"):
