@@ -490,7 +490,7 @@ def _broken(loss: float) -> str:
 
 
 def _worked(seen: Evidence, rotor: int) -> str:
-    """Until when a rotor was seen to work, of a flight in which control was lost; since when it was not judged because commands are missing."""
+    """Until when a rotor was seen to work, of a flight in which control was lost; since when commands are missing that judging it takes."""
     until = seen.lost.extra.get("worked_until_s", ()) if seen.lost is not None else ()
     known = rotor <= len(until) and until[rotor - 1] is not None
     notes = [f"seen to work until {seconds(until[rotor - 1])}"] if known else []
