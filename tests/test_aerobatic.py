@@ -161,3 +161,25 @@ def test_flights_that_never_hover_are_not_compared_with_healthy_ones():
     assert known.identified and known.identified["whole_flight"]
     assert answer.whole_flight is None and all(r.from_takeoff == "not judged" for r in answer.rotors)
     assert any("not compared with healthy ones" in sentence for sentence in answer.assumptions)
+
+
+def flown_without(names, spoilt=()):
+    """A flight with a weak rotor whose log lacks signals, or the second axis of some."""
+    flight = flights()["weak"]
+    signals = {k: s for k, s in flight.signals.items() if k not in names}
+    signals |= {k: replace(signals[k], valid=signals[k].valid & [True, False, True]) for k in spoilt}
+    return replace(flight, signals=signals)
+
+
+@pytest.mark.parametrize("spoilt", [False, True])
+def test_without_a_gyro_the_answer_says_so(spoilt):
+    answer = diagnose(flown_without(() if spoilt else ("gyro",), ("gyro",) if spoilt else ()), CRAFT)
+    assert answer.verdict == "inconclusive" and not answer.events
+    assert {r.status for r in answer.rotors} == {"unobservable"}
+    assert "gyro" in answer.reason
+
+
+def test_without_a_gyro_the_rates_of_the_controller_tell_the_same():
+    flight = flights()["weak"]
+    rates = {"motors": flight["motors"], "rates": flight["gyro"]}
+    assert diagnose(replace(flight, signals=rates), CRAFT).events == diagnose(flight, CRAFT).events

@@ -88,7 +88,7 @@ def test_a_cut_log_gives_the_same_intervals_cut(name):
 # Made-up flights
 
 
-def made_up(hops, duration=60.0, idle=0.12, hover=0.45, velocity=True, rate=50, seed=0, ramp=0.6) -> Flight:
+def made_up(hops, duration=60.0, idle=0.12, hover=0.45, velocity=True, rate=50, seed=0, ramp=0.6, noise=0.01) -> Flight:
     """A vehicle that climbs at 0.8 m/s for 2 s at the start of each hop and sinks as fast before its end."""
     rng = np.random.default_rng(seed)
     t = np.arange(0, duration, 1 / rate)
@@ -98,7 +98,7 @@ def made_up(hops, duration=60.0, idle=0.12, hover=0.45, velocity=True, rate=50, 
         command = np.maximum(command, idle + (hover - idle) * up)
         climb += 0.8 * ((t > start) & (t < start + 2)) - 0.8 * ((t > end - 2) & (t < end))
     columns = {"time_s": t}
-    columns |= {f"motor_{k}": command + 0.01 * rng.standard_normal(t.size) for k in range(1, 5)}
+    columns |= {f"motor_{k}": command + noise * rng.standard_normal(t.size) for k in range(1, 5)}
     columns |= {f"gyro_{a}_rad_s": 0.02 * rng.standard_normal(t.size) for a in "xyz"}
     columns |= {f"accel_{a}_m_s2": v + 0.3 * rng.standard_normal(t.size) for a, v in zip("xyz", (0, 0, -9.81))}
     if velocity:
@@ -115,6 +115,34 @@ def test_hops_are_found_without_a_word_from_the_autopilot(hops, velocity, idle, 
     assert len(found) == len(hops)
     for (a, b), (start, end) in zip(found, hops):
         assert start - 0.3 < a < start + 1.1 and end - 0.3 < b < end + 0.3
+
+
+@pytest.mark.parametrize("idle, hover", [(0.0, 0.08), (0.02, 0.11), (0.04, 0.16), (0.06, 0.13)])
+def test_a_vehicle_with_much_more_thrust_than_weight_takes_off(idle, hover):
+    """Its climb says so, however little is commanded; a landing without a climb before it is as low as ever."""
+    hops = [(10, 30), (40, 55)]
+    found = airborne(made_up(hops, idle=idle, hover=hover, noise=0.002))
+    assert len(found) == len(hops)
+    for (a, b), (start, end) in zip(found, hops):
+        assert start < a < start + 2.0 and end - 0.3 < b < end + 0.3
+    said = replace(made_up(hops, idle=idle, hover=hover, noise=0.002), messages=(Message(9.8, "landed", "", 0.0),))
+    assert airborne(said)[0][0] <= found[0][0]
+
+
+@pytest.mark.parametrize("hover", [0.1, 0.2])
+def test_rotors_that_turn_faster_on_the_ground_are_no_flight(hover):
+    """Run up twice without a climb; the velocity drifts by less than the least climb. The autopilot may believe that it is in the air."""
+    flight = made_up([(10, 30), (40, 55)], idle=0.03, hover=hover, noise=0.002)
+    velocity, time = flight["velocity"], flight["velocity"].time
+    drift = 0.1 * np.sin(0.3 * time)[:, None] * [0.3, 0.3, 1.0]
+    still = {**flight.signals, "velocity": replace(velocity, values=drift)}
+    assert airborne(replace(flight, signals=still)) == ()
+    assert airborne(replace(flight, signals=still, messages=(Message(9.8, "landed", "", 0.0),))) == ()
+
+
+def test_a_vehicle_that_is_lifted_while_its_rotors_idle_is_no_flight():
+    flight = made_up([(10, 30)], idle=0.05, hover=0.05, noise=0.002)
+    assert airborne(flight) == ()
 
 
 def test_running_up_on_the_ground_is_no_flight():
@@ -267,9 +295,10 @@ def test_a_gap_in_the_air_is_no_landing(names):
     flight = without(made_up([(10, 50)]), 25, 45, names)
     ((start, end),) = airborne(flight)
     assert (start, end) == pytest.approx(airborne(made_up([(10, 50)]))[0])
-    ((begin, over),) = gaps(flight, ((start, end),))
-    assert (begin, over) == pytest.approx((25, 45), abs=0.1)
-    assert gaps(flight, ((26.0, end),)) == ()
+    (gap,) = gaps(flight, ((start, end),))
+    assert (gap.start, gap.end) == pytest.approx((25, 45), abs=0.1)
+    assert gap.rotors == (1, 2, 3, 4) and not gap.first and not gap.lasts
+    assert gaps(flight, ((46.0, end),)) == ()
 
 
 def test_a_gap_that_hides_a_landing_ends_the_flight():

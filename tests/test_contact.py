@@ -62,6 +62,17 @@ def test_flying_is_no_contact(drag, wave, climb, turn, loss):
     assert not hit.any() and found == ()
 
 
+@settings(max_examples=40, deadline=None)
+@given(turn=st.floats(0.0, 15.0), falls_turning=st.floats(0.0, 4.5))
+def test_a_vehicle_whose_motors_are_cut_in_the_air_is_not_struck(turn, falls_turning):
+    """Motors that run down turn it for a tick or two, and then the air does, gently: no rotor is commanded to, and nothing struck it."""
+    cut = TIME > 10.0
+    thrust, load = np.where(cut, 0.0, 1.0)[:, None].repeat(N, axis=1), np.where(cut, 0.1, 1.0)
+    rate_dot = np.where(cut, np.where(TIME < 10.25, turn, falls_turning), 0.0)[:, None] * [1.0, -1.0, 0.1]
+    hit, found = struck(None, load, rate_dot, thrust)
+    assert not hit.any() and found == ()
+
+
 @pytest.mark.parametrize(
     "what, axis, size",
     [("sideways", 0, 8.0), ("sideways", 1, -20.0), ("upwards", 0, 1.2), ("turned", 2, 60.0), ("turned", 0, 900.0)],

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from onboard_law import ACCEL, ATTITUDE, BATTERY, GYRO, LASTS, events_in_c, flown
+from onboard_law import ACCEL, ATTITUDE, BATTERY, GYRO, LASTS, OUTPUTS, events_in_c, flown
 from rotorwatch import logs
 from rotorwatch.aerobatic import judge as aerobatic
 from rotorwatch.commands.cli import SAMPLES
@@ -84,6 +84,10 @@ def test_samples_have_the_same_events_on_board(name, tmp_path):
     told, what = diagnose(flight), flown(flight)
     what = replace(what, table=with_broken_samples(what.table))
     assert same(told, what, tmp_path / "double", False) == ("hexa" in name)
+    unseen = what.table.copy()
+    unseen[(unseen[:, 0] == OUTPUTS) & (unseen[:, 1] > 0.7 * what.until), 2] -= 1 << 2
+    found, verdict, _ = events_in_c(tmp_path / "double", replace(what, table=unseen))
+    assert verdict == (VERDICTS["fault"] if len(found) else 0), "a rotor that is not seen to the end is not healthy"
     if FULL or told.events:
         assert same(told, what, tmp_path / "single", True) == len(told.events)
 

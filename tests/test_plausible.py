@@ -1,11 +1,14 @@
 """Lone values: what the neighbours of a sample give away, and what they do not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conftest import trials
+from rotorwatch import airframes, diagnose
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.logs import parameter_ranges, plausible
 
@@ -133,9 +136,10 @@ def changed(name, rows, columns, by):
     return {name: Signal(signal.time, values, signal.columns, signal.unit, signal.frame, signal.source)}
 
 
-def test_an_intact_flight_is_the_same_object():
+def test_an_intact_flight_keeps_its_signals():
     one = flight()
-    assert plausible.checked(one) is one
+    found = plausible.checked(one)
+    assert all(found[name] is one[name] for name in one.signals) and not found.warnings and not found.facts
 
 
 @pytest.mark.parametrize(
@@ -317,3 +321,59 @@ def test_outputs_that_are_switched_off_are_not_damage():
     assert plausible.checked(outputs(slice(85, 200))).warnings == ()
     assert plausible.checked(outputs([0, 199])).warnings == ()
     assert plausible.checked(outputs(slice(10, 190, 5))).warnings == ()  # too many for damage: what the log is like
+
+
+# -- flights in memory -------------------------------------------------------------------------------------------------
+
+
+def flight_in_memory(n=900):
+    """A minute and a half of hover: take-off at 5 s."""
+    rng, time = np.random.default_rng(4), times(n)
+    aloft = np.clip((time - 5.0) / 0.5, 0.0, 1.0)[:, None]
+    values = {
+        "motors": (1100.0 + 400.0 * aloft + rng.normal(0.0, 4.0, (n, 4)), "us"),
+        "gyro": (0.02 * rng.standard_normal((n, 3)), "rad/s"),
+        "accel": ([0.0, 0.0, -9.80665] + 0.1 * rng.standard_normal((n, 3)), "m/s^2"),
+        "velocity": (0.02 * rng.standard_normal((n, 3)) - [0.0, 0.0, 1.0] * (aloft * (time < 8.0)[:, None]), "m/s"),
+        "battery": (np.tile([12.0, 9.0], (n, 1)), "V,A"),
+    }
+    made = {k: Signal(time, v, tuple("abcd"[: v.shape[1]]), unit, source=k) for k, (v, unit) in values.items()}
+    return Flight("arrays", "ArduPilot", made, float(time[-1]))
+
+
+QUAD = airframes.named("ardupilot-quad-x")
+
+
+@pytest.mark.parametrize("name", ["motors", "gyro", "accel", "velocity", "battery"])
+@pytest.mark.parametrize("wrong", [1e300, -1e300, np.inf, np.nan])
+def test_one_value_that_cannot_be_changes_no_answer_of_a_flight_in_memory(name, wrong):
+    flight = flight_in_memory()
+    values = flight[name].values.copy()
+    values[600, 0] = wrong
+    damaged = replace(flight, signals={**flight.signals, name: replace(flight[name], values=values)})
+    answer, clean = diagnose(damaged, QUAD), diagnose(flight, QUAD)
+    assert (answer.verdict, answer.events) == (clean.verdict, clean.events) == ("healthy", ())
+    assert bool(answer.warnings) == np.isfinite(wrong)
+
+
+@pytest.mark.parametrize("wrong", [1e300, -1e300, np.inf, np.nan, 0.0])
+def test_one_time_that_cannot_be_costs_one_sample_of_a_flight_in_memory(wrong):
+    flight = flight_in_memory()
+    time = flight["motors"].time.copy()
+    time[600] = wrong
+    damaged = replace(flight, signals={**flight.signals, "motors": replace(flight["motors"], time=time)})
+    assert len(plausible.checked(damaged)["motors"]) == len(time) - 1
+    assert diagnose(damaged, QUAD).verdict == "healthy"
+
+
+def test_a_flight_is_looked_over_for_lone_values_once_and_for_impossible_ones_always():
+    flight = flight_in_memory()
+    values = flight["accel"].values.copy()
+    values[600, 0] += 60.0
+    signals = {**flight.signals, "accel": replace(flight["accel"], values=values)}
+    found = plausible.checked(replace(flight, signals=signals))
+    assert not found["accel"].valid[600, 0] and found["accel"].valid.sum() == found["accel"].valid.size - 1
+    assert plausible.checked(found) is found
+    values[600, 0] = 1e300
+    again = plausible.checked(replace(found, signals={**signals, "accel": replace(flight["accel"], values=values)}))
+    assert not again["accel"].valid[600, 0]

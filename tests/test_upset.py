@@ -339,3 +339,19 @@ def test_the_size_of_a_loss_is_the_falls_where_that_shows_more_for_certain(annou
         and loss.detected_s == 5.1
         and loss.rotors == lost.rotors == (3,)
     )
+
+
+@pytest.mark.parametrize("since_s", [0.0, 5.0])
+def test_a_rotor_whose_output_is_not_known_clears_and_accuses_nobody(since_s):
+    """From so long before control was lost, or from the begin of the log on."""
+    flight, truth = tumbling.fly("quad-x", "climb", 1, 50.0, 11.0)
+    motors, other = flight["motors"], truth.rotors[0] % 4
+    valid = motors.valid & ~(
+        (motors.time > (truth.begins_s - since_s if since_s else 0.0))[:, None] & (np.arange(4) == other)
+    )
+    diagnosis = diagnose(replace(flight, signals={**flight.signals, "motors": replace(motors, valid=valid)}), QUAD)
+    (lost,) = of(diagnosis, "loss_of_control")
+    assert not lost.rotors and not lost.alternatives
+    worked = lost.extra["worked_until_s"][other]
+    assert worked is None or worked <= truth.begins_s - since_s
+    assert not of(diagnosis, "loss_of_effectiveness")

@@ -12,7 +12,7 @@ import numpy as np
 
 from rotorwatch.aerobatic import desync
 from rotorwatch.aerobatic import judge as aerobatic
-from rotorwatch.answer import common_mode, conclusion, health, picture, places, traces, unseen
+from rotorwatch.answer import common_mode, conclusion, health, picture, places, traces, unseen, wording
 from rotorwatch.base import discovery
 from rotorwatch.default import events, excitation_response, hindsight, hypotheses, residual_evidence
 from rotorwatch.default.announcement import threshold
@@ -24,8 +24,9 @@ from rotorwatch.flight.diagnosis import Diagnosis, Event
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.healthy import baselines, population
 from rotorwatch.healthy.baselines import Given
+from rotorwatch.logs import plausible
 from rotorwatch.motion import ticks, trust
-from rotorwatch.motion.airborne import airborne, gaps
+from rotorwatch.motion.airborne import Gap, airborne, gaps
 from rotorwatch.motion.allocation import Spans
 from rotorwatch.motion.ticks import JUDGE, READY_KNOWN_S, READY_S, Ticks, observe
 from rotorwatch.published import decide, detectors, published
@@ -50,7 +51,7 @@ class Prepared:
     known: the vehicle brings what healthy flights of it say, from `source`; dynamics: of them, None where they do not fit this log.
     air: its flights ((start, end), ...) s, up to an impact; table: its ticks, None without a flight; ready_s: after take-off, in which
     trim and noise are learned; hovers: False where the default method judges angular motion alone. assumptions, warnings: grow as the
-    flight is judged.
+    flight is judged. missing: commands that the log lacks in the air.
     """
 
     flight: Flight
@@ -65,6 +66,7 @@ class Prepared:
     hovers: bool
     assumptions: list[str]
     warnings: list[str]
+    missing: tuple[Gap, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -130,6 +132,7 @@ def diagnose(
         from rotorwatch import logs
 
         flight = logs.read(flight, lambda share: tell(0.3 * share, "reading"))
+    flight = plausible.checked(flight)
     clock.lap("read_s")
     if estimator != "default":
         aerobatic.decline(flight, "the published methods model hover; leave out the estimator.")
@@ -169,11 +172,8 @@ def _prepare(flight: Flight, vehicle, baseline, hovers: bool, clock: _Clock) -> 
     air = upset.until_impact(flight, air, upsets)
     table = observe(flight, craft, air, ready_s)
     warnings = [*flight.warnings, *notes]
-    warnings += [
-        f"No motor outputs are logged from {start:.1f} s to {end:.1f} s, in the air: what happened in that time is only told by what "
-        "was different after it."
-        for start, end in gaps(flight, air)
-    ]
+    missing = gaps(flight, air) if air else ()
+    warnings += wording.not_commanded(missing, len(craft.rotors))
     assumptions = list(craft.assumptions)
     if table is not None and dynamics and dynamics.get("dt") != table.dt:
         assumptions.append(
@@ -194,12 +194,17 @@ def _prepare(flight: Flight, vehicle, baseline, hovers: bool, clock: _Clock) -> 
         )
     assumptions += table.notes if table is not None else ()
     clock.lap("prepare_s")
-    return Prepared(flight, craft, known, dynamics, source, air, upsets, table, ready_s, hovers, assumptions, warnings)
+    return Prepared(
+        flight, craft, known, dynamics, source, air, upsets, table, ready_s, hovers, assumptions, warnings, missing
+    )
 
 
 def _no_flight(ready: Prepared, clock: _Clock) -> Diagnosis:
     n = len(ready.vehicle.rotors)
-    why = "no flight: the vehicle never took off" if ready.flight.has("motors") else "no motor outputs"
+    never = sorted({rotor for gap in ready.missing for rotor in gap.rotors})
+    why = "no motor outputs" if not ready.flight.has("motors") else "no flight: the vehicle never took off"
+    if ready.air:
+        why = f"no command for {wording.rotors(never)}" if never else "too few motor outputs"
     doubts = (f"the log shows {why}; nothing can be judged.",)
     found = upset.events(ready.upsets, (), n)
     names = places.names(ready.vehicle.rotors)
@@ -257,6 +262,7 @@ def _concluded(ready: Prepared, logged: Ticks, done: Estimated, found: Found) ->
     table, out, B = done.table, done.out, ready.vehicle.effectiveness()
     n, hyp = B.shape[1], hypotheses.make(B.shape[1])
     doubts = trust.contradictions(flight, craft, air, logged)
+    doubts += () if ready.hovers else aerobatic.lacks(flight)
     trusted = not doubts and ready.hovers
     whole = _whole_flight(flight, craft, air) if trusted else None
     other = None
@@ -276,6 +282,7 @@ def _concluded(ready: Prepared, logged: Ticks, done: Estimated, found: Found) ->
     seen = conclusion.Evidence(
         seen_events, n, whole, hidden, hidden_pair, float(judged.sum() * table.dt), spells, places.names(craft.rotors), air,
         health.trends(out, table, B, found.events) if trusted else (), other, ready.hovers,
+        tuple(g for g in ready.missing if g.lasts and g.start >= air[-1][0]),
     )  # fmt: skip
     return Judgement(conclusion.conclude(seen, doubts), doubts, spells, whole)
 

@@ -8,7 +8,7 @@
  *   RWEV  an event that is new (What 0), changed (1) or withdrawn (2). Kind: 0 loss of effectiveness, 1 output overridden, 2 contact. Rot, Alt:
  *         masks of rotors, bit 0 is motor 1; Alt is the likeliest other set, 0 without. On, End: s since boot; End 0 while it lasts.
  *         Loss, Lo, Hi: of the first rotor of the set, 0 to 1. P: probability of the set.
- *   RWLS  five times a second: verdict (0 not judged yet, 1 healthy so far, 2 fault, 3 ambiguous) and losses of motors 1 to 8.
+ *   RWLS  five times a second: verdict (0 not judged, 1 healthy so far, 2 fault, 3 ambiguous) and losses of motors 1 to 8.
  */
 #pragma once
 

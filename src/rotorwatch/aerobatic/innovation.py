@@ -53,9 +53,10 @@ class Channel:
 
 def channels(flight: Flight, vehicle: Vehicle, air: Spans) -> list[Channel]:
     """The three axes, and the motors whose speed is logged; empty where the log is too slow or too short."""
-    if not flight.has("motors", "gyro"):
+    gyro = flight.angular_rate()
+    if gyro is None or not flight.has("motors"):
         return []
-    thrusts, gyro = motor_thrusts(flight, vehicle), flight["gyro"]
+    thrusts = motor_thrusts(flight, vehicle)
     known = thrusts.valid.all(axis=1)
     if known.sum() < 100 or gyro.valid.all(axis=1).sum() < 100:
         return []

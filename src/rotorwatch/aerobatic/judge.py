@@ -103,6 +103,16 @@ def decline(flight: Flight, why: str) -> None:
         raise ConfigError(f"{flight.name or 'The log'} is flown by commanded rates and does not hover: {why}")
 
 
+def lacks(flight: Flight) -> tuple[str, ...]:
+    """What the log of such a vehicle lacks without which nothing can be judged, a sentence; empty where it lacks nothing."""
+    if flight.angular_rate() is not None:
+        return ()
+    return (
+        "the log holds no gyro, and a vehicle that does not hover is judged by its angular motion; log the gyro (Betaflight: "
+        "set blackbox_disable_gyro = OFF).",
+    )
+
+
 def look(known: Blocks, B: np.ndarray, variance: np.ndarray, weak: list[Weak]) -> Look:
     """The blocks of a flight so far, of a vehicle with effectiveness B (4, n). variance (3,): of `scatter`."""
     z, T = known.missing, known.thrust
@@ -197,7 +207,8 @@ def _observed(table: Ticks, air: Spans, since: float) -> Ticks:
         mode[(table.time >= start) & (table.time <= end)] = LEARNING
         mode[(table.time > max(start + EDGE_S, since)) & (table.time <= end)] = JUDGE
     nothing, turns = np.zeros(len(table.time), bool), np.array([True, True, True, False])
-    return replace(table, mode=mode, upset=nothing, contact=None, contacts=(), valid=(mode > GROUND)[:, None] & turns)
+    valid = (mode > GROUND)[:, None] & turns & (True if table.seen is None else table.seen[:, None])
+    return replace(table, mode=mode, upset=nothing, contact=None, contacts=(), valid=valid)
 
 
 def _follow(out: TickOutput, known: Blocks, table: Ticks, B: np.ndarray) -> None:

@@ -29,14 +29,15 @@ def of(
     places: Sequence[str],
     doubts: Sequence[str],
     stays: bool = True,
+    missing: bool = False,
 ) -> tuple[str, ...]:
     """Sentences, the most urgent first. compared: with healthy flights, or it cannot
-    be. stays: the main event was not over before the landing."""
+    be. stays: the main event was not over before the landing. missing: commands, up to the end of the flight."""
     out: list[str] = []
     event = None if main is None else events[main]
     broken = [s.rotor for s in states if s.status in ("degraded", "failed")]
     suspects = [s.rotor for s in states if s.status == "suspect"]
-    if doubts:
+    if doubts or missing:
         out += [sentence(d) for d in doubts[1:]]
         out.append("Log the outputs that reach the motors; `rotorwatch info LOG` lists what a log holds and lacks.")
     elif verdict == "inconclusive" and (event is None or event.kind != "loss_of_control"):

@@ -33,6 +33,7 @@ from rotorwatch.default.residual_evidence import ResidualEvidence
 from rotorwatch.flight.diagnosis import Event, RotorState, StoryLine, Trend
 from rotorwatch.front import whole
 from rotorwatch.front.definition import FRONT
+from rotorwatch.motion.airborne import Gap
 
 LOSS, OVERRIDE, CONTACT = "loss_of_effectiveness", "output_override", "contact"
 LOST, ORDER, DESYNC = "loss_of_control", "motor_order", "desync"
@@ -84,7 +85,7 @@ class Evidence:
     hidden_pair: the same of two opposite rotors. judged_s: seconds of flight judged. whole: `WholeFlight.to_dict()` against healthy
     flights, or None; population: `population.judge` against healthy vehicles of any build. residual_evidence: against rotors, that no
     event explains. hops: ((take-off, landing), ...) s. trends: `health.trends`, of each rotor, shown of rotors that are no suspects, or
-    empty. comparable: flights of this kind can be compared with healthy ones.
+    empty. comparable: flights of this kind can be compared with healthy ones. missing: commands that the log lacks up to the end.
     """
 
     events: Sequence[Event]
@@ -99,6 +100,12 @@ class Evidence:
     trends: Sequence[Trend | None] = ()
     population: Mapping[str, Any] | None = None
     comparable: bool = True
+    missing: Sequence[Gap] = ()
+
+    @property
+    def missing_s(self) -> float:
+        """From when on nothing could be judged any more because commands are missing; infinite where it could [s]."""
+        return min((gap.start for gap in self.missing), default=np.inf)
 
     @property
     def losses(self) -> list[Event]:
@@ -143,7 +150,15 @@ def _concluded(seen: Evidence, verdict, reason, headline, main, doubts) -> Concl
     states = tuple(_state(seen, k, verdict) for k in range(1, seen.n + 1))
     stays = main is not None and (seen.events[main].end_s is None or _landed(seen, seen.events[main].end_s))
     next_steps = advice.of(
-        verdict, seen.events, main, states, bool(seen.whole) or not seen.comparable, seen.places, doubts, stays
+        verdict,
+        seen.events,
+        main,
+        states,
+        bool(seen.whole) or not seen.comparable,
+        seen.places,
+        doubts,
+        stays,
+        bool(seen.missing),
     )
     story_lines = story.narrate(seen.events, main, seen.n, seen.places, seen.hops, not doubts)
     return Conclusion(verdict, reason, headline, main, states, next_steps, tuple(seen.events), story_lines)
@@ -176,7 +191,7 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
     if whole and whole["verdict"] == "ambiguous":
         return "ambiguous", whole["reason"]
     if seen.hidden is None:
-        why = "the vehicle was hardly in the air, or its motion is not logged"
+        why = _missing(seen) or "the vehicle was hardly in the air, or its motion is not logged"
         return "inconclusive", f"only {seen.judged_s:.1f} s of flight could be judged: {why}."
     if (spell := _lasting(seen)) is not None:
         return "ambiguous", f"{_as_if(spell, ())}: a loss that wind hides, or wind that turned then."
@@ -190,7 +205,18 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
         )
     slow = "".join(f"; but slowly {rotors([k])} {grows(t)}" for k, t in _growing(seen))
     unseen = f"a loss of up to {_bound(seen)} could have gone unseen"
-    return "healthy", f"no rotor lost effectiveness in {seen.judged_s:.0f} s of judged flight, {scope}{slow}; {unseen}."
+    healthy = f"no rotor lost effectiveness in {seen.judged_s:.0f} s of judged flight, {scope}{slow}; {unseen}."
+    if seen.missing:
+        return "inconclusive", f"{_missing(seen)}, without which nothing can be judged; until then {healthy}"
+    return "healthy", healthy
+
+
+def _missing(seen: Evidence) -> str:
+    """Which commands the log lacks up to the end; empty where it lacks none."""
+    if not seen.missing:
+        return ""
+    who = sorted({rotor for gap in seen.missing for rotor in gap.rotors})
+    return f"the log holds no command for {rotors(who)} from {seconds(seen.missing_s)} on"
 
 
 def _lasting(seen: Evidence) -> ResidualEvidence | None:
@@ -218,6 +244,8 @@ def _cleared(seen: Evidence, lost: Event) -> str:
     until = "" if when is None else f" until {seconds(when)}"
     if lost.extra.get("cause") in NOT_A_ROTOR:
         return f"Not a rotor: all {seen.n} followed their commands{until}, when {NOT_A_ROTOR[lost.extra['cause']]}."
+    if any(until is None for until in lost.extra.get("worked_until_s", ())) and not lost.rotors:
+        return "No rotor is accused, and the log does not show all of their commands."
     if lost.alternatives:
         return f"It may have been {candidates(replace(lost, rotors=lost.alternatives[0]), seen.places)}, or something else."
     return f"No rotor is accused: as far as the log shows, all {seen.n} followed their commands{until}."
@@ -244,6 +272,8 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
     event = None if main is None else seen.events[main]
     if event is not None and event.kind == LOST:
         return f"The vehicle left control at {seconds(event.onset_s)}. {_cleared(seen, event)}"
+    if verdict == "inconclusive" and seen.missing and seen.hidden is not None:
+        return f"No rotor lost thrust until {seconds(seen.missing_s)}. What came then cannot be said: {_missing(seen)}."
     if verdict == "inconclusive":
         return "This log cannot say."
     knocks = [seconds(e.onset_s) for e in seen.events if e.kind == CONTACT]
@@ -375,7 +405,7 @@ def _state(seen: Evidence, rotor: int, verdict: str) -> RotorState:
         loss, high = max(loss, whole["loss"][rotor - 1]), max(high, whole["interval"][rotor - 1][1])
     if suspicions:
         return state(loss, (0.0, max(high, loss)), "suspect", "; ".join(why for why, _ in suspicions))
-    if seen.hidden is None:
+    if seen.hidden is None or seen.missing:
         return state(0.0, INVISIBLE, "unobservable", _worked(seen, rotor))
     since, note = (0.0, float(seen.hidden[rotor - 1])), _past(seen, rotor, claims)
     if whole:
@@ -460,10 +490,16 @@ def _broken(loss: float) -> str:
 
 
 def _worked(seen: Evidence, rotor: int) -> str:
-    """Until when a rotor was seen to work, of a flight in which control was lost."""
+    """Until when a rotor was seen to work, of a flight in which control was lost; since when commands are missing that judging it takes."""
     until = seen.lost.extra.get("worked_until_s", ()) if seen.lost is not None else ()
     known = rotor <= len(until) and until[rotor - 1] is not None
-    return f"seen to work until {seconds(until[rotor - 1])}" if known else ""
+    notes = [f"seen to work until {seconds(until[rotor - 1])}"] if known else []
+    own = min((gap.start for gap in seen.missing if rotor in gap.rotors), default=np.inf)
+    if np.isfinite(own):
+        notes.append(f"no command for it in the log since {seconds(own)}")
+    if seen.missing_s < own:
+        notes.append(f"not judged since {seconds(seen.missing_s)}")
+    return listed(notes)
 
 
 def most(event: Event, rotor: int) -> float:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from rotorwatch.default.hypotheses import TOTAL_LOSS
 from rotorwatch.flight.diagnosis import Event, Trend
+from rotorwatch.motion.airborne import Gap
 
 KINDS = {
     "loss_of_effectiveness": "loss of effectiveness",
@@ -22,6 +23,7 @@ KINDS = {
 }
 CAUSES = {"propeller": "propeller", "motor_or_esc": "motor or ESC", "bearing": "bearing"}
 BASELINE = "To see smaller damage that was there from take-off, give a healthy flight of the same build: --baseline HEALTHY.LOG."
+NAMED = 5  # gaps that warnings name
 VERDICTS = {"healthy": "Healthy", "fault": "Fault found", "ambiguous": "Ambiguous", "inconclusive": "Inconclusive"}
 
 # Grade of health, and the loss from which it holds. 5 %: propellers and motors of one build differ by as much. 20 %: the rotor turns 12 %
@@ -63,6 +65,32 @@ def rotors(numbers: Iterable[int], places: Sequence[str] = ()) -> str:
     if not names:
         return "no rotor"
     return f"rotor{'s' if len(names) > 1 else ''} {listed(names)}"
+
+
+def not_commanded(gaps: Sequence[Gap], n: int) -> list[str]:
+    """Sentences on the commands that the log of n rotors lacks in the air."""
+    said = []
+    for gap in gaps[:NAMED]:
+        what = (
+            "No motor outputs are logged"
+            if len(gap.rotors) == n
+            else f"The log holds no command for {rotors(gap.rotors)}"
+        )
+        if gap.lasts:
+            said.append(f"{what} from {gap.start:.1f} s to the end of the flight: nothing can be judged after that.")
+        elif gap.first:
+            said.append(
+                f"{what} from lift-off at {gap.start:.1f} s to {gap.end:.1f} s: the flight is judged from then on, and what happened "
+                "before counts as there from take-off."
+            )
+        else:
+            said.append(
+                f"{what} from {gap.start:.1f} s to {gap.end:.1f} s, in the air: what happened in that time is only told by what was "
+                "different after it."
+            )
+    if len(gaps) > NAMED:
+        said.append(f"The same holds for {len(gaps) - NAMED} more gaps, the last one up to {gaps[-1].end:.1f} s.")
+    return said
 
 
 def explanations(event: Event) -> tuple[tuple[int, ...], ...]:

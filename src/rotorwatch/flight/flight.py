@@ -140,7 +140,8 @@ class Flight:
     the clock of the autopilot [us]. facts: what else a reader found and later steps use.
     signals: canonical name -> Signal (module docstring). parameters: the autopilot's, never the simulator's
     (``SIM_*``). parameter_changes: (time s, name, value) after the start. messages: in time order. warnings: sentences
-    about what was damaged, missing or assumed while reading.
+    about what was damaged, missing or assumed while reading. checked: values that the log's damage made have been looked for
+    (`logs.plausible`); others are looked for before a flight is judged.
     """
 
     format: str
@@ -156,6 +157,7 @@ class Flight:
     name: str = ""
     start_us: int = 0
     facts: Mapping[str, Any] = field(default_factory=dict)
+    checked: bool = False
 
     def __post_init__(self):
         for name in ("autopilot", "firmware", "vehicle_type", "name"):
@@ -175,6 +177,11 @@ class Flight:
 
     def __getitem__(self, name: str) -> Signal:
         return self.signals[name]
+
+    def angular_rate(self) -> Signal | None:
+        """The gyro, or else the rates that the controller used; None where the log has neither with all its axes."""
+        found = (self.signals[name] for name in ("gyro", "rates") if self.has(name))
+        return next((signal for signal in found if signal.valid.all(axis=1).any()), None)
 
     @property
     def rotor_count(self) -> int:

@@ -13,6 +13,7 @@ from rotorwatch.compiling.structs import (
     REAL,
     TIME,
     Flags,
+    Mask,
     Real,
     Reals,
     Struct,
@@ -24,7 +25,7 @@ from rotorwatch.compiling.structs import (
     real,
     sqrt,
 )  # fmt: skip
-from rotorwatch.front.sizes import FLIGHTS, HALF_SECOND
+from rotorwatch.front.sizes import FLIGHTS, HALF_SECOND, ROTORS
 from rotorwatch.front.vehicle import Vehicle
 
 TICK_S = 0.05
@@ -42,6 +43,9 @@ _HOVER_S = 5.0  # time constant of the usual command in the air
 _RISE = 0.08  # command above idle, share of the range, below which nothing flies
 _HIGH, _HIGH_RISE = 0.25, 0.10  # command, and its rise above idle, that by themselves mean flight once they last
 _HIGH_S, _HIGH_BLIND_S = 5.0, 1.0  # ... this long, with and without a velocity that could tell
+# A vehicle with much more thrust than weight hovers on less than all these. It has left the ground when it climbs on more than it rests on.
+_ABOVE, _LEAST = 1.3, 0.02  # times the command at rest, and share of the range, beyond which it is more
+_REST_S_UP = 10.0  # time constant with which the command at rest may rise; it falls at once
 _CLIMB, _SPEED = 0.25, 1.0  # m/s
 _SINKING = 1.0  # m/s down: the ground is not there yet, however little the rotors are commanded
 _HEIGHT = 0.2  # m gained since the command became high
@@ -118,7 +122,8 @@ class Senses(Struct):
 class Airborne(Struct):
     """Follows one vehicle, sample by sample in the order of time.
 
-    A flight starts when the command is well above idle and the vehicle climbs or moves, or when the command is high for long. It ends when
+    A flight starts when the command is well above idle and the vehicle climbs or moves, when it goes on to climb on more than it rested
+    on, or when the command is high for long. It ends when
     the command stays low while the vehicle neither falls nor sinks fast nor turns, at once where the autopilot says landed or disarmed;
     or when something other than the rotors carries the vehicle: it lies on the ground tilted or upside down. A vehicle that had come to
     rest from sinking just before that stood on the ground since then, however long its rotors pushed on.
@@ -150,11 +155,16 @@ class Airborne(Struct):
     hover: Real = 0.0
     drift: Real = 0.0
     height: Real = 0.0
+    rest: Real = 0.0  # least command of late
+    drift_at_rest: Real = 0.0
+    climbed: Real = 0.0  # m, of a climb that goes on, on more than that
     idle_known: bool = False
     flying: bool = False
     start: Time = LASTS  # of the flight that goes on, LASTS on the ground
     flights = array(Span, FLIGHTS)  # that are over
     ended: int = 0  # how many these are
+    seen = array(TIME, ROTORS)  # when each output was known last
+    unseen: Mask = 0  # outputs that are not known for longer than a gap, in the flight that goes on or was the last
 
     def outputs(self, v: Vehicle, time: Time, output: Reals, valid: Flags) -> None:
         """Motor outputs at `time` s.
@@ -164,6 +174,7 @@ class Airborne(Struct):
         """
         total: Real = 0.0
         count = 0
+        unseen: Mask = 0
         self.walk(time, False)
         for k in range(v.rotors):
             if valid[k]:
@@ -171,8 +182,13 @@ class Airborne(Struct):
                 share = max(0.0, min(1.0, share))
                 total += share * share
                 count += 1
+                self.seen[k] = time
+            elif time - max(self.seen[k], self.start) > GAP_S:
+                unseen |= 1 << k
         if count == 0:
             return
+        if self.start < LASTS:
+            self.unseen = unseen
         self.command = sqrt(total / real(count))
         if not self.walking:
             if self.last > -LASTS and not self._continues(time):
@@ -266,12 +282,19 @@ class Airborne(Struct):
         turns = self.high_since < LASTS and isnan(now.climb) and now.turning > _STILL
         self.high_since = _lasting(self.high_since, high or turns, time)
         self.height = self.height + TICK_S * climb if high else 0.0
-        if self._lifted(time, now, climb):
+        self.rest = min(now.command, _blend(self.rest, now.command, _REST_S_UP)) if self.idle_known else now.command
+        above = now.command > _ABOVE * self.rest + _LEAST
+        plain = 0.0 if isnan(now.climb) else now.climb - self.drift_at_rest
+        self.climbed = self.climbed + TICK_S * plain if above and plain > _CLIMB else 0.0
+        if not above and not isnan(now.climb):
+            self.drift_at_rest = _blend(self.drift_at_rest, now.climb, _IDLE_S)
+        lifted = self._lifted(time, now, climb)
+        if lifted or self._climbs_away():
             self.flying = True
             self.since = time
-            self.floor = ground
-            self.hover = max(now.command, ground + _HIGH_RISE)
-            self.idle = ground
+            self.floor = ground if lifted else self.rest
+            self.hover = max(now.command, ground + _HIGH_RISE) if lifted else now.command
+            self.idle = self.floor
             self.idle_known = True
             self.low_since = LASTS
             self.rest_since = LASTS
@@ -297,6 +320,11 @@ class Airborne(Struct):
         if climb > _CLIMB or self.height > _HEIGHT or now.speed > _SPEED + 2.0 * abs(self.drift):
             return True
         return high_for >= (_HIGH_BLIND_S if isnan(now.climb) else _HIGH_S)
+
+    def _climbs_away(self) -> bool:
+        """However little is commanded; farther where the autopilot does not say that it is in the air."""
+        said = self.landed == 0 and self.armed != 0
+        return self.lying_since >= LASTS and self.climbed > (_HEIGHT if said else 5.0 * _HEIGHT)
 
     def _in_the_air(self, time: Time, now: Senses) -> None:
         low = self._little(now.command)
@@ -326,6 +354,8 @@ class Airborne(Struct):
         self.since = max(end, self.since)
         self.high_since = LASTS
         self.height = 0.0
+        self.rest = now.command
+        self.climbed = 0.0
 
     def _rests(self, time: Time, now: Senses) -> None:
         """Since when the vehicle has neither climbed nor sunk nor moved after it sank, for _REST_S at most: longer, it hovers."""
@@ -380,6 +410,9 @@ class Airborne(Struct):
         self.hover = 0.0
         self.drift = 0.0
         self.height = 0.0
+        self.rest = 0.0
+        self.drift_at_rest = 0.0
+        self.climbed = 0.0
         self.idle_known = False
         self.flying = False
 

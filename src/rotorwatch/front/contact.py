@@ -7,7 +7,7 @@ vehicle, an obstacle, the ground. What follows - tumbling, saturated outputs, a 
 
 from __future__ import annotations
 
-from rotorwatch.compiling.structs import FLAG, LASTS, REAL, Real, Struct, Time, Times, array, local, real, sqrt
+from rotorwatch.compiling.structs import FLAG, LASTS, REAL, Real, Reals, Struct, Time, Times, array, local, real, sqrt
 from rotorwatch.front.sizes import ROTORS, TICKS_BEFORE
 from rotorwatch.front.vehicle import Vehicle
 
@@ -80,6 +80,7 @@ class Contact(Struct):
     )  # side force, load, load less mean thrust of the ticks before; 0 where not fresh
     fresh = array(FLAG, TICKS_BEFORE)
     turning: Real = 0.0  # rad/s^2, of the tick before
+    recent = array(REAL, ROTORS)  # thrust of late: motors that are cut still turn
     next: int = 0
 
     def tick(self, v: Vehicle, x: Shove, back: int, found: Touch) -> None:
@@ -96,13 +97,14 @@ class Contact(Struct):
         self.turning = turning
         for k in range(v.rotors):
             mean += x.thrust[k] / real(v.rotors)
+            self.recent[k] = max(x.thrust[k], self.recent[k] * (1.0 - 2.0 / real(max(back, 2))))
         usable = x.fresh and x.accelerometer
         for k in range(back):
             usable = usable and self.fresh[k]
         limits[PUSHED_SIDEWAYS] = max(SIDEWAYS, SHAKES * x.shake / G0)
         limits[PUSHED_UP] = max(UPWARD, SHAKES * x.shake / G0)
-        if x.fresh:
-            sizes[TURNED] = _unexplained(v, x)
+        if x.fresh and turns:
+            sizes[TURNED] = _unexplained(v, x, self.recent)
         if usable and turns:
             forward = self._change(x.forward, 0, back)
             right = self._change(x.right, 1, back)
@@ -147,10 +149,10 @@ class Contact(Struct):
         return value - total / real(back)
 
 
-def _unexplained(v: Vehicle, x: Shove) -> Real:
+def _unexplained(v: Vehicle, x: Shove, recent: Reals) -> Real:
     """Torque that the motion takes at least, beyond what was commanded that way and the loss of any two rotors explains.
 
-    Commands against the motion count for nothing: they may come a tick early.
+    recent: thrusts of late, at least those of now. Commands against the motion count for nothing: they may come a tick early.
     """
     most: Real = -1e30
     first: Real = 0.0
@@ -160,9 +162,9 @@ def _unexplained(v: Vehicle, x: Shove) -> Real:
         commanded = x.torque[axis] if turn > 0.0 else -x.torque[axis] if turn < 0.0 else 0.0
         most = max(most, LEAST_GAIN[axis] * real(v.rotors) * abs(turn) - max(commanded, 0.0))
     for k in range(v.rotors):
-        if x.thrust[k] > first:
+        if recent[k] > first:
             second = first
-            first = x.thrust[k]
-        elif x.thrust[k] > second:
-            second = x.thrust[k]
+            first = recent[k]
+        elif recent[k] > second:
+            second = recent[k]
     return most - (first + second)

@@ -28,8 +28,8 @@ from rotorwatch.front.vehicle import PITCH, ROLL, THRUST, Vehicle
 # What happened: a rotor makes less thrust than its command asks for; an output does not follow the mixer, and nothing is wrong with the
 # rotor; something outside the vehicle pushed it.
 LOSS, OUTPUT_OVERRIDE, CONTACT = 0, 1, 2
-# The state at this moment: not in the air for long enough yet; healthy so far; something happened, and to which rotor or output;
-# something happened, and several sets of rotors explain it.
+# The state at this moment: not in the air for long enough yet, or a rotor's commands are not known; healthy so far; something happened, and
+# to which rotor or output; something happened, and several sets of rotors explain it.
 NOT_JUDGED, HEALTHY, FAULT, AMBIGUOUS = 0, 1, 2, 3
 # Of a loss: opposite rotors may share it, and then so may the battery; the same, and that is all that is known; two rotors of one arm lack
 # about one whole rotor.

@@ -102,13 +102,15 @@ class Mixer(Struct):
 
     def outputs(self, v: Vehicle, time: Time, output: Reals, valid: bool, battery: Real, out: Comparison) -> int:
         """Outputs at `time` s. How many comparisons are made, 0 or 1, in `out`."""
+        if not valid:
+            return 0
         at = self.controls - 1
         while at >= 0 and not self.controller[at].time < time:
             at -= 1
         if at >= 0 and time - self.controller[at].time < _TOGETHER_S:
             self._compare(v, time, time, output, battery, self.controller[at].value, out)
             return 1
-        if at < 0 or not valid:
+        if at < 0:
             return 0
         if self.waiting == PENDING:
             self.first = (self.first + 1) % PENDING

@@ -21,6 +21,7 @@ UPSET_RATE = 6.0  # rad/s of roll or pitch rate: the vehicle tumbles, hover phys
 UPSET_LEVEL = 0.42261826174069944  # cosine of 65 degrees
 CONTROLLED_SHARE, CONTROLLED_RATE = 0.9, 2.0  # of full thrust, and rad/s: below both a vehicle is under control
 LEAST_HOVER = 0.02
+LEAST_SEEN = 0.5  # share of the blind time after lift-off in which commands must be known; judging waits for that
 
 
 class Made(Struct):
@@ -68,6 +69,7 @@ class Ticks(Struct):
     hop: Time = -LASTS  # s, start of the flight that the last tick was in
     settling = array(REAL, SETTLING)  # share of full thrust over load factor, sorted
     hover: Real = 1.0  # share of full thrust that carries the vehicle
+    flown: int = 0  # ticks with commands in this flight
     learned: int = -1  # ticks of controlled flight since the last contact of this flight, -1 without one
     hover_samples: int = 0
     tumbling: int = 0  # ticks in a row
@@ -97,7 +99,9 @@ class Ticks(Struct):
     def make(self, v: Vehicle, p: Plan, row: Sensed, start: Time, out: Made) -> None:
         """One row, in order, on the ground too. start: of the flight that it lies in (time >= start + 1 s and when <= its end), else
         LASTS."""
-        inside = start < LASTS
+        begins = start < self.hop or start > self.hop
+        # A flight in whose first second nothing is commanded begins with its first commands.
+        inside = start < LASTS and (row.some or not begins or self.hover_samples > 0)
         if not self.begun and p.hover > 0.0:
             self.hover = p.hover
         self.begun = True
@@ -105,7 +109,7 @@ class Ticks(Struct):
         out.when = row.when
         out.start = start
         out.some = row.some
-        out.restart = inside and (start < self.hop or start > self.hop)
+        out.restart = inside and begins
         if (self.flight <= row.time and (self.hover_samples > 0 or inside)) or (
             self.flight > row.time and out.restart and self.hover_samples == 0
         ):
@@ -115,8 +119,12 @@ class Ticks(Struct):
             self.tumbled = False
             self.tumbling = 0
             self.learned = -1
+            self.flown = 0
             self.hover_samples = 0
-        out.mode = GROUND if not inside else JUDGE if row.time >= start + p.ready else LEARN
+        self.flown += 1 if inside and row.some else 0
+        # Ticks without commands teach nothing of the vehicle; single ones are missing in many a log.
+        ready = row.time >= start + p.ready and self.flown >= int(LEAST_SEEN * (p.ready - HOVER_LEARN_S) / p.dt)
+        out.mode = GROUND if not inside else JUDGE if ready else LEARN
         self._tumble(p, row, inside, out)
 
         turns = False

@@ -197,11 +197,9 @@ def vehicle_of(vehicle: Vehicle | str | PathLike | None) -> Vehicle | None:
 
 
 def _read(given) -> Flight:
-    if isinstance(given, Flight):
-        return given
-    from rotorwatch.logs import read
+    from rotorwatch.logs import plausible, read
 
-    return read(given)
+    return plausible.checked(given) if isinstance(given, Flight) else read(given)
 
 
 def _other_frame(flight: Flight, vehicle: Vehicle | None) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from rotorwatch import airframes
 from rotorwatch.answer import conclusion
+from rotorwatch.answer.wording import rotors
 from rotorwatch.default import events
 from rotorwatch.default.residual_evidence import ResidualEvidence
 from rotorwatch.flight import Flight, Message, Signal
@@ -19,6 +20,7 @@ from rotorwatch.live.control import Control
 from rotorwatch.live.judge import Judge
 from rotorwatch.live.stream import Piece, Stream
 from rotorwatch.live.trust import MEMORY_S, Trust
+from rotorwatch.motion.airborne import Gap
 from rotorwatch.motion.ticks import JUDGE, LEARN, READY_KNOWN_S, READY_S
 
 _ONE = threading.Lock()
@@ -204,6 +206,17 @@ class Session:
         return next((note for note in plan.notes if "are judged every" in note), "") if plan is not None else ""
 
     @property
+    def missing(self) -> tuple[Gap, ...]:
+        """Commands that the link has not brought for long, in the flight that goes on or was the last."""
+        return () if self._stream is None else self._stream.missing
+
+    @property
+    def unseen(self) -> str:
+        """The same in words, empty where it brings all."""
+        who = [rotor for gap in self.missing for rotor in gap.rotors]
+        return f"no command for {rotors(who)}" if who else ""
+
+    @property
     def flying(self) -> bool:
         return bool(self._spans) and self._spans[-1][1] == np.inf
 
@@ -258,6 +271,10 @@ class Session:
         table, _ = self._judge.now
         if self.now - table.time[-1] > 2.0:
             return "motor outputs stopped"
+        if self.unseen:
+            return self.unseen
+        if table.seen is not None and not table.seen[-1]:
+            return "not all motor outputs are known"
         if table.upset[-1]:
             return "upset"
         if table.mode[-1] == LEARN:

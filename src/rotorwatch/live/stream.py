@@ -18,6 +18,7 @@ from rotorwatch.front import front, ticks, whole
 from rotorwatch.front.definition import FRONT, merged, states
 from rotorwatch.live.window import WINDOW_S, Window
 from rotorwatch.motion import allocation
+from rotorwatch.motion.airborne import Gap
 from rotorwatch.motion.allocation import Spans
 from rotorwatch.motion.contact import Contact
 from rotorwatch.motion.deviations import Override, found
@@ -97,6 +98,15 @@ class Stream:
         sense, how = self._front.part("sense"), self.plan
         end = float(sense["origin"][0]) + how.dt * int(sense["next"][0])
         return min(end + how.lag_s + max(how.half.values(), default=0.0) - SUM_S, self.window.now + LOOK_S)
+
+    @property
+    def missing(self) -> tuple[Gap, ...]:
+        """Commands that have been missing for longer than a gap, in the flight that goes on or was the last."""
+        air, spans = self._front.part("air"), self._spans()
+        who = [k for k in range(len(self.vehicle.rotors)) if int(air["unseen"][0]) >> k & 1]
+        start, end = spans[-1] if spans else (np.inf, np.inf)
+        since = {k: max(float(air["seen"][0, k]), start) for k in who}
+        return tuple(Gap((k + 1,), since[k], end, since[k] == start, True) for k in who)
 
     def replanned(self) -> Flight | None:
         """At the first lift-off: the flight that is kept, when its rates are not those that it was planned by, so that it must be begun

@@ -51,7 +51,7 @@ class Watched:
         self.session: Session | None = None
         self.rotors = Rotors()
         self.changes = Changes()
-        self._looked, self._revision, self._limits, self._doubt = -np.inf, 0, "", ""
+        self._looked, self._revision, self._said, self._doubt = -np.inf, 0, ("", ""), ""
 
     def begin(self, about: Flight) -> None:
         """A flight begins: what is known of it besides its signals."""
@@ -96,10 +96,13 @@ class Watched:
     def _advanced(self, complete: float | None) -> bool:
         assert self.session is not None
         stepped = self.session.advance(complete)
-        if stepped and self.session.flying and self.session.limits != self._limits:
-            self._limits = self.session.limits
-            if self._limits:
-                self.say(self._limits)
+        if stepped and self.session.flying:
+            unseen = self.session.unseen
+            unseen += " comes over the link: nothing is judged until it does" if unseen else ""
+            before, self._said = self._said, (self.session.limits, unseen)
+            for text, known in zip(self._said, before):
+                if text and text != known:
+                    self.say(text)
         revision = self.session.revision
         if (
             revision != self._revision

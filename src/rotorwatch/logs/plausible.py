@@ -23,6 +23,7 @@ from dataclasses import replace
 import numpy as np
 
 from rotorwatch.flight import Flight, Signal
+from rotorwatch.logs import esc_columns, series
 
 SCALES = 8.0
 AGREE = 3.0
@@ -57,10 +58,15 @@ COUPLED = ("motors", "control", "gyro", "rates", "accel")
 
 
 def checked(flight: Flight) -> Flight:
-    """The flight with lone values marked invalid, named in its warnings and counted in facts["damage"].
+    """The flight with impossible values and lone ones marked invalid, named in its warnings and counted in facts["damage"]; `checked`.
 
-    facts["damage"]: {signal: share of its values that were lone}, only of signals that had any.
+    facts["damage"]: {signal: share of its values that were lone}, only of signals that had any. Lone values of a flight that has been
+    checked before are left alone.
     """
+    flight = possible(flight)
+    if flight.checked:
+        return flight
+    flight = replace(flight, checked=True)
     signals, warnings, shares, heavy = dict(flight.signals), [], {}, []
     if "motors" in signals:
         signals["motors"], record_notes = _whole_records(signals["motors"])
@@ -91,6 +97,37 @@ def checked(flight: Flight) -> Flight:
         return flight
     facts = {**flight.facts, "damage": shares} if shares else flight.facts
     return replace(flight, signals=signals, warnings=(*flight.warnings, *warnings), facts=facts)
+
+
+def possible(flight: Flight) -> Flight:
+    """The flight without values that no sensor or autopilot could mean and with time that does not run back, as the readers of files leave
+    it; named in its warnings. A signal of which nothing is left is dropped."""
+    signals, notes = dict(flight.signals), list[str]()
+    for name, signal in flight.signals.items():
+        limit, steps = _limit(name, signal), np.diff(signal.time)
+        fine = (np.abs(signal.values) <= np.minimum(limit, series.LARGEST)).all() and np.isfinite(signal.time).all()
+        if fine and (steps >= 0.0).all() and len(signal):
+            continue
+        source = signal.source or name
+        one = series.build(
+            signal.time, signal.values, signal.columns, signal.unit, signal.frame, source, limit, notes, signal.valid
+        )
+        signals.pop(name)
+        if one is not None:
+            signals[name] = one
+    if not notes and len(signals) == len(flight.signals):
+        return flight
+    end = flight.duration if np.isfinite(flight.duration) else series.end_of(signals)
+    return replace(flight, signals=signals, duration=end, warnings=(*flight.warnings, *notes))
+
+
+def _limit(name: str, signal: Signal):
+    """The largest absolute value that is taken seriously, of all columns or of each."""
+    if name == "esc":
+        return np.array(
+            [max(map(abs, esc_columns.LIMITS.get(c.rstrip("0123456789"), (np.inf,)))) for c in signal.columns]
+        )
+    return series.MOTORS.get(signal.unit, np.inf) if name == "motors" else series.SHAPES.get(name, (np.inf,))[-1]
 
 
 def _whole_records(motors: Signal) -> tuple[Signal, list[str]]:

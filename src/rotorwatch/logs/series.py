@@ -43,6 +43,8 @@ SHAPES = {
     "baro": (("up",), "m", "", 1e5),
     "lift": (("lift_max", "voltage_ratio", "limit"), "1", "", 100.0),
 }
+MOTORS = {"us": 3000.0, "1": 1.5}
+"""The same of motor commands, by their unit."""
 
 
 def make(name, time, values, source, notes, valid=None) -> Signal | None:
@@ -59,16 +61,16 @@ def motors(time, values, unit, source, notes, valid=None) -> Signal | None:
     """The Signal `motors`: values (n, rotors) in us or in shares of full command (unit "1")."""
     values = np.asarray(values, float)
     columns = tuple(f"r{k + 1}" for k in range(values.shape[1]))
-    return build(time, values, columns, unit, "", source, 3000.0 if unit == "us" else 1.5, notes, valid)
+    return build(time, values, columns, unit, "", source, MOTORS[unit], notes, valid)
 
 
 def build(time, values, columns, unit, frame, source, limit, notes, valid=None) -> Signal | None:
-    """A Signal with any columns; see `make`. limit: largest absolute value taken seriously."""
+    """A Signal with any columns; see `make`. limit: largest absolute value taken seriously, of all columns or of each."""
     time, values = np.asarray(time, np.float64), np.asarray(values, np.float64)
     if values.ndim == 1:
         values = values[:, None]
     with np.errstate(invalid="ignore"):
-        fine = np.abs(values) <= min(limit, LARGEST)
+        fine = np.abs(values) <= np.minimum(limit, LARGEST)
         wild = 0 if fine.all() else int(np.count_nonzero(np.isfinite(values) & ~fine))
     if wild:
         notes.append(f"{source}: {wild} impossible value{'s' if wild > 1 else ''} ignored")

@@ -6,6 +6,8 @@ the landing or the fall began to show, up to `CONFIRM_S` before it was certain; 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from rotorwatch.flight import Flight
@@ -15,7 +17,7 @@ from rotorwatch.front.airborne import CONFIRM_S, GAP_S, MOST_GAP_S, TICK_S
 from rotorwatch.front.definition import FRONT, craft, known, merged, states
 from rotorwatch.motion.allocation import output_range
 
-__all__ = ["CONFIRM_S", "GAP_S", "MOST_GAP_S", "TICK_S", "airborne", "commands", "gaps", "output_range"]
+__all__ = ["CONFIRM_S", "GAP_S", "MOST_GAP_S", "TICK_S", "Gap", "airborne", "commands", "gaps", "output_range"]
 
 BATCH = 16384  # samples in one call: fewer flights than sizes.FLIGHTS fit in
 
@@ -64,14 +66,46 @@ def _ended(follow) -> list[tuple[float, float]]:
     return [(start, min(end, last)) for start, end in spans]
 
 
-def gaps(flight: Flight, air) -> tuple[tuple[float, float], ...]:
-    """(start s, end s) of each gap of more than `GAP_S` in the motor commands within an interval in the air."""
-    if not air:
-        return ()
-    time, _ = commands(flight)
-    long = np.flatnonzero(np.diff(time) > GAP_S)
-    found = [(float(time[k]), float(time[k + 1])) for k in long]
-    return tuple((a, b) for a, b in found if any(start <= a and b <= end for start, end in air))
+@dataclass(frozen=True)
+class Gap:
+    """Commands that a log lacks in the air. rotors: 1-based; start, end: from the last command of these before it, or from lift-off, to the
+    first after it, or to the end of the flight [s]; first: none comes before it in this flight; lasts: none after it."""
+
+    rotors: tuple[int, ...]
+    start: float
+    end: float
+    first: bool = False
+    lasts: bool = False
+
+
+def gaps(flight: Flight, air) -> tuple[Gap, ...]:
+    """Each gap of more than `GAP_S` in the commands of one rotor or more within an interval in the air, in the order of time.
+
+    A flight ends with its last command; where no landing shows by then, the log's motion goes on, and nothing says that it is on the
+    ground, a gap of all rotors follows.
+    """
+    motors, found = flight["motors"], dict[tuple[float, float, bool, bool], list[int]]()
+    for start, end in air:
+        for k in range(motors.values.shape[1]):
+            known = motors.time[motors.valid[:, k]]
+            edges = np.concatenate([[start], known[(known >= start) & (known <= end)], [end]])
+            for i in np.flatnonzero(np.diff(edges) > GAP_S):
+                key = float(edges[i]), float(edges[i + 1]), bool(i == 0), bool(i + 2 == edges.size)
+                found.setdefault(key, []).append(k + 1)
+    every = tuple(range(1, motors.values.shape[1] + 1))
+    last = float(motors.time[motors.valid.any(axis=1)][-1]) if air else np.inf
+    moved = max(
+        (float(s.time[-1]) for name in ("gyro", "accel") if (s := flight.signals.get(name)) and len(s)), default=0.0
+    )
+    grounded = any(m.time > last - CONFIRM_S and m.kind == kind and (m.value > 0.5) == down
+                   for m in flight.messages for kind, down in (("landed", True), ("armed", False)) if m.time <= last + GAP_S)  # fmt: skip
+    open_ended = (
+        [(last, moved, False, True)] if air and air[-1][1] >= last and moved > last + GAP_S and not grounded else []
+    )
+    return tuple(
+        Gap(rotors, *span)
+        for span, rotors in sorted([*((k, tuple(v)) for k, v in found.items()), *((s, every) for s in open_ended)])
+    )
 
 
 def commands(flight: Flight) -> tuple[np.ndarray, np.ndarray]:

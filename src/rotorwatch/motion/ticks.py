@@ -218,7 +218,7 @@ def table(plan: Plan, hover: float | None = None, rebuilt: bool = False) -> dict
 
 
 def sense(flight: Flight, thrust: Signal, plan: Plan) -> Sensed:
-    """The ticks of a flight with these thrusts."""
+    """The ticks of a flight with these thrusts; none where the thrusts of all rotors are never known together."""
     n = thrust.values.shape[1]
     valid = thrust.valid.all(axis=1, keepdims=True)
     parts = [("thrust", thrust.time, np.where(valid, thrust.values, np.nan))]
@@ -237,9 +237,8 @@ def sense(flight: Flight, thrust: Signal, plan: Plan) -> Sensed:
     while count := FRONT.call(whole.rest, state, vehicle, how, rows, ROOM):
         pieces.append(rows.cut(count))
     whole_rows = Rows.joined(pieces)
-    whole_rows = whole_rows.cut(
-        int(np.flatnonzero(whole_rows["some"])[-1]) + 1
-    )  # those after the last command are no flight
+    commanded = np.flatnonzero(whole_rows["some"])  # the rows after the last command are no flight
+    whole_rows = whole_rows.cut(int(commanded[-1]) + 1 if commanded.size else 0)
     columns = {name: whole_rows[name] for name in Sensed.__dataclass_fields__ if name not in ("share", "rows")}
     return Sensed(share=whole_rows["share"][:, :n], rows=whole_rows, **columns)
 

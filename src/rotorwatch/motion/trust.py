@@ -284,11 +284,8 @@ def _magnitude(signal: Signal, air: Spans) -> tuple[np.ndarray, np.ndarray]:
 
 def _angle(flight: Flight, start: float, end: float) -> float:
     """Angle in rad that the vehicle turned through, back and forth counted alike; NaN without a gyro."""
-    name = "gyro" if flight.has("gyro") else "rates" if flight.has("rates") else None
-    if name is None:
-        return np.nan
-    part = flight[name].between(start, end)
-    if len(part) < 2:
+    gyro = flight.angular_rate()
+    if gyro is None or len(part := gyro.between(start, end)) < 2:
         return np.nan
     rate = np.linalg.norm(part.values, axis=1)
     # The trapezoidal rule, whose name changed with NumPy 2.

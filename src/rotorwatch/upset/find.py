@@ -53,7 +53,8 @@ TRIM = 0.1  # arm lengths: healthy vehicles are commanded less of roll and pitch
 @dataclass(frozen=True)
 class Judged:
     """The verdict on one loss of control. cause; explanations with their probabilities, () where the log shows too little; window; onset
-    [s]; evidence: sentences."""
+    [s]; evidence: sentences; commanded: until when the log holds commands of each rotor, infinite where up to the onset, None where it
+    never did [s]."""
 
     left: LossOfControl
     cause: str
@@ -62,11 +63,22 @@ class Judged:
     window: Window | None
     onset: float
     evidence: tuple[str, ...]
+    commanded: tuple[float | None, ...] = ()
 
 
 def judged(flight: Flight, vehicle: Vehicle, air) -> tuple[Judged, ...]:
     """Every loss of control of a flight with its cause. air: intervals ((start, end), ...) s in the air."""
-    return tuple(judge(flight, vehicle, air, left) for left in loss_of_control.find(flight, air))
+    found = (judge(flight, vehicle, air, left) for left in loss_of_control.find(flight, air))
+    return tuple(replace(one, commanded=_commanded(flight, one.onset)) for one in found)
+
+
+def _commanded(flight: Flight, onset: float) -> tuple[float | None, ...]:
+    """`Judged.commanded`."""
+    if not flight.has("motors"):
+        return ()
+    motors = flight["motors"].between(-np.inf, onset)
+    known = [motors.time[column] for column in motors.valid.T]
+    return tuple(None if not t.size else np.inf if t[-1] == motors.time[-1] else float(t[-1]) for t in known)
 
 
 def events(found: Sequence[Judged], known: Sequence[Event], n: int) -> tuple[Event, ...]:
@@ -357,6 +369,12 @@ def _control_lost(judged: Judged, n: int, named, others, decided: float) -> Even
 
 def _worked(judged: Judged, n: int, named, others, decided: float) -> list[float | None]:
     """Until when each rotor was seen to work [s]; None where that is not known."""
+    until, known = _until(judged, n, named, others, decided), judged.commanded or (np.inf,) * n
+    return [None if a is None or b is None else min(a, b) for a, b in zip(until, known)]
+
+
+def _until(judged: Judged, n: int, named, others, decided: float) -> list[float | None]:
+    """The same, of rotors whose commands are known."""
     suspects = {r for who in others for r in who}
     if not judged.found:
         return [None if r in named or r in suspects else judged.onset for r in range(1, n + 1)]

@@ -150,11 +150,15 @@ int rw_diagnoser_events(const rw_diagnoser *d, const rw_event **events)
 
 int rw_diagnoser_main(const rw_diagnoser *d) { return (int)rw_events_main_event(d->listed, d->event_count); }
 
-int rw_diagnoser_verdict(const rw_diagnoser *d) { return (int)rw_events_verdict(d->listed, d->event_count, d->judged); }
+int rw_diagnoser_verdict(const rw_diagnoser *d)
+{
+    const bool judged = d->judged && !d->front.air.unseen; /* what is not seen is not healthy */
+    return (int)rw_events_verdict(d->listed, d->event_count, judged);
+}
 
 const char *rw_diagnoser_verdict_text(const rw_diagnoser *d)
 {
-    static const char *const words[] = {"not judged yet", "healthy so far", "fault found", "ambiguous"};
+    static const char *const words[] = {"not judged", "healthy so far", "fault found", "ambiguous"};
     return words[rw_diagnoser_verdict(d)];
 }
 
