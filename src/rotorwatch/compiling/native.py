@@ -1,8 +1,8 @@
 """Estimators as machine code of this computer: exported C, built once by the system's compiler, called through ctypes.
 
 The library is kept in the cache under a hash of its source, of the compiler with its flags and of the processor, so a changed
-definition never meets an old build. C that came with the package is compiled when it is first needed. What else `run_built` runs is known by the package's own sources and the shapes it is given: from
-the second time on nothing is traced, and JAX is not even imported.
+definition never meets an old build. C that came with the package is compiled when it is first needed. What else `run_built` runs is known
+by the package's own sources and the shapes it is given: from the second time on nothing is traced, and JAX is not even imported.
 """
 
 from __future__ import annotations

@@ -144,7 +144,9 @@ def kept(portable: bool) -> Path:
     """Where the cache keeps what `ship` makes of this definition with this compiler on this computer. Raises toolchain.Unavailable."""
     return toolchain.cached_path(
         "shipped",
-        json.dumps([definition()["digest"], *(shipped.digest(shipped.files_in(r)) for r in DEFINED), portable, FIRST, FRAMES]),
+        json.dumps(
+            [definition()["digest"], *(shipped.digest(shipped.files_in(r)) for r in DEFINED), portable, FIRST, FRAMES]
+        ),
     )
 
 

@@ -197,7 +197,10 @@ def _one_thread() -> Iterator[None]:
 
 def _shown(kind: type[Warning]) -> bool:
     """Whether warnings of a kind are shown by this process."""
-    return next((action for action, _, of, *_ in warnings.filters if issubclass(kind, of)), "default") != "ignore"
+    of_all = (
+        action for action, text, of, module, _ in warnings.filters if not (text or module) and issubclass(kind, of)
+    )
+    return next(of_all, "default") != "ignore"
 
 
 def _serve(pipe: Any, work: bytes, place: str, told: bool) -> None:
