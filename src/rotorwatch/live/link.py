@@ -31,14 +31,9 @@ VEHICLES = 100  # of a link; five times what one process judges
 ALL_S = 0.05  # between two looks at vehicles of which nothing has come
 SILENT_S = 3.0
 PEERS = 200  # whose unfinished frames are kept
-TREND, MIXED, UNMIXED = (
-    0.02,
-    0.3,
-    0.1,
-)  # weight of a frame; share of frames whose number goes back with two senders, and with one
 ONE_ID = "give each vehicle an id of its own (SYSID_THISMAV, MAV_SYS_ID)"
 TWO_SENDERS = f"two vehicles seem to send with the same id: {ONE_ID}"
-NO_AUTOPILOT, ON_BOARD, GROUND = 8, 18, 6
+NO_AUTOPILOT = 8
 COMMAND_ACK, MESSAGE_INTERVAL = 77, 244
 
 
