@@ -138,6 +138,7 @@ def test_shares_are_probabilities_of_what_is_left(others, absent):
     assert np.log(p[real] / p[0]) == pytest.approx(weights[real], abs=1e-9)
 
 
+@pytest.mark.filterwarnings("ignore:invalid value")
 @pytest.mark.parametrize("bad", [np.inf, -np.inf, np.nan])
 @pytest.mark.parametrize("leads", [0, 1])
 def test_a_branch_that_has_come_apart_spoils_no_other(bad, leads):
