@@ -1,9 +1,9 @@
 """The build of the package: native code of the default method goes into the wheel, so that JAX is not needed to run it.
 
-`pip install .` and `pip install -e .` build for this computer, or take what they built of the same sources before; without a C compiler the
-package comes without native code and needs JAX and SciPy, which do the work instead. Environment: ROTORWATCH_SHIP=portable builds for every
-processor of this kind (wheels that are given away), ROTORWATCH_SHIP=none builds nothing. CC: the compiler; a cross compiler makes a wheel
-for its kind of processor.
+`pip install .` and `pip install -e .` build for this computer what most need (the rest goes along as C), or take what they built of the
+same sources before; without a C compiler the package comes without native code and needs JAX and SciPy, which do the work instead.
+Environment: ROTORWATCH_SHIP=portable compiles all, for every processor of this kind (wheels that are given away); ROTORWATCH_SHIP=none
+builds nothing. CC: the compiler; a cross compiler makes a wheel for its kind of processor.
 """
 
 from __future__ import annotations

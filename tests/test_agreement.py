@@ -96,7 +96,7 @@ def random_answer(seed):
     events = []
     for _ in range(rng.integers(0, 5)):
         kind = rng.choice(
-            ["loss_of_effectiveness", "loss_of_effectiveness", "output_override", "contact", "torque_bias"]
+            ["loss_of_effectiveness", "loss_of_effectiveness", "output_override", "contact", "loss_of_control"]
         )
         onset = float(rng.uniform(9, 55))
         detected = onset + float(rng.uniform(0, 2))

@@ -326,6 +326,39 @@ def test_python_writes_into_the_arrays_that_are_given(made):
     assert out[0] == 12 & 10 | 3 ^ 12
 
 
+@pytest.mark.parametrize("way", [1, 2])
+def test_arguments_of_other_types_are_refused(made, way):
+    """By name: C would read, and write, whatever lies at that address."""
+    small, definition = made[0], made[way]
+    out, data = np.zeros(6, np.int32), np.zeros(8, np.uint8)
+    for a, wrong, why in (
+        (1.0, out, "a must be int, not float"),
+        (1, out.astype(np.int64), "out must be an array of int32 without gaps, not an array of int64"),
+        (1, np.zeros(12, np.int32)[::2], "not an array of int32 with gaps"),
+        (1, out.tolist(), "not list"),
+        (1, definition.new(small.Outer), "not Outer"),
+    ):
+        with pytest.raises(TypeError, match=f"bits: .*{re.escape(why)}"):
+            definition.call(small.bits, a, 10, 1, wrong)
+    with pytest.raises(TypeError, match="data must be an array of uint8"):
+        definition.call(small.from_bytes, data.view(np.int8), 8, out)
+    with pytest.raises(TypeError, match="must be Text, not Outer"):
+        definition.call(small.texts, definition.new(small.Outer), 1, "a")
+    with pytest.raises(TypeError, match="bits takes 4 arguments, not 3"):
+        definition.call(small.bits, 1, 2, 3)
+
+
+def test_whole_numbers_are_numbers(made):
+    """Where C takes 2.0, 2 is not what lies in another register."""
+    small, compiled, _ = made
+    out = np.zeros(8)
+    compiled.call(small.conversions, 2, 3, out)
+    both(made, "conversions", "real", 8, 2.0, 3)
+    again = np.zeros(8)
+    compiled.call(small.conversions, 2.0, 3, again)
+    same(out, again)
+
+
 def test_several_definitions_are_shipped_side_by_side(made, tmp_path):
     _, compiled, _ = made
     other = Definition("other", compiled.modules, compiled.sizes, files=["logs/table.py"])

@@ -16,6 +16,7 @@ import pytest
 
 import rotorwatch as rw
 from rotorwatch import airframes, logs
+from rotorwatch.answer.wording import KINDS
 from rotorwatch.base.optional import tomllib
 from rotorwatch.commands import cli
 from rotorwatch.flight import diagnosis
@@ -27,6 +28,7 @@ CLIENTS = sorted((ROOT / "docs" / "mcp").glob("*.md"))  # their commands are tho
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 README = (ROOT / "README.md").read_text()
 ANSWER = (ROOT / "docs" / "answer.md").read_text()
+SOURCES = ("src", "tests", "benchmarks", "tools", "docs", "examples", "embedded")
 COMMANDS = (ROOT / "docs" / "commands.md").read_text()
 
 
@@ -74,6 +76,37 @@ def test_named_files_exist(page):
     for path in re.findall(r"`((?:[\w.]+/)+[\w.]*\.(?:py|md|toml|png))`", prose(page.read_text())):
         homes = (ROOT, ROOT / "src" / "rotorwatch", ROOT / "src", page.parent)
         assert "NAME" in path or any((home / path).exists() for home in homes), f"{path} does not exist"
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if p.name != "renamed.md"], ids=name)  # which tells of what was
+def test_named_sources_exist(page):
+    """`bank.py` and its like, wherever they stand, also in diagrams."""
+    sources = {path.name for folder in SOURCES for path in (ROOT / folder).rglob("*.py")} | {
+        p.name for p in ROOT.glob("*.py")
+    }
+    named = set(re.findall(r"(\w+\.py)\b", page.read_text())) - {"NAME.py"}
+    assert named <= sources, named - sources
+
+
+def test_kinds_of_events_are_those_that_are_made():
+    """The table, the words for them, what the class says of itself; and some part of the judging makes each."""
+    kinds = {row[0].strip("`") for row in table((ROOT / "docs" / "json.md").read_text(), "The kinds of events are")}
+    assert kinds == set(KINDS)
+    assert all(kind in (diagnosis.Event.__doc__ or "") for kind in kinds)
+    made = {
+        node.value
+        for room in ("default", "front", "upset", "esc", "aerobatic")
+        for path in (ROOT / "src" / "rotorwatch" / room).rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    }
+    assert kinds <= made, kinds - made
+
+
+def test_a_term_is_explained_once():
+    terms = re.findall(r"^\| ([^|]+) \|", (ROOT / "docs" / "glossary.md").read_text(), re.MULTILINE)
+    terms = [term for term in terms if term != "term"]
+    assert len(terms) > 30 and sorted(set(terms)) == sorted(terms)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)

@@ -1,5 +1,6 @@
 """All events of a vehicle in one list - losses, outputs that left the mixer, contacts - and what is new about it."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -152,6 +153,16 @@ def test_in_the_end_any_difference_is_told():
     said(changes, [loss(10.0), loss(20.0)])
     nearly = loss(10.0, size=0.301)
     assert said(changes, [nearly, loss(20.0)], final=True) == [(1, "final", nearly)]
+
+
+def test_kinds_and_causes_are_never_taken_for_one_another():
+    """Whatever they are called: what changes from one to the other is told."""
+    names = [f"case {k}" for k in range(1000)]
+    found = [replace(loss(10.0), kind=name) for name in names]
+    found += [replace(loss(10.0), extra={"override": name, "cause": "b"}) for name in names]
+    found += [replace(loss(10.0), extra={"override": name, "cause": ""}) for name in [names[0] + "b", "b"]]
+    rows = events.packed(found)
+    assert len(set(zip(rows["kind"].tolist(), rows["detail"].tolist()))) == len(found)
 
 
 def test_what_ended_long_ago_and_is_forgotten_is_not_withdrawn():

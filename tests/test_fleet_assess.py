@@ -105,6 +105,33 @@ def test_a_service_makes_a_rotor_new(given):
     assert found["A"]["headline"] == "No rotor has lost thrust over its flights."
 
 
+@pytest.mark.parametrize(
+    ("dates", "ordinals", "given", "place"),
+    [
+        (("01", "03", None), (1, 2, 3), {"utc": "02", "after": 3}, 1),  # the third was added after March's
+        ((None, "01", "03"), (1, 2, 3), {"utc": "02", "after": 3}, 2),
+        (("01", None, "03"), (1, 2, 3), {"utc": "02", "after": 3}, 2),
+        (("01", None, None), (1, 2, 3), {"utc": "02", "after": 2}, 2),  # the third was not there when it was noted
+        (("01", None, None), (1, 2, 3), {"utc": "02", "after": 0}, 1),
+        (("03", "04"), (1, 2), {"utc": "02", "after": 2}, 0),
+        (("01", "02", "03", "04"), (4, 3, 2, 1), {"utc": None, "after": 3}, 2),  # it names a flight
+        (("01", "02", "03", "04"), (5, 4, 1, 2), {"utc": None, "after": 3}, 4),  # which was deleted
+        ((None, None, None), (1, 2, 3), {"utc": "02", "after": 1}, 1),
+        ((None, None), (1, 2), {"utc": None, "after": 0}, 0),
+    ],
+)
+def test_a_service_is_behind_the_last_flight_that_is_known_to_be_before_it(dates, ordinals, given, place):
+    def day(month):
+        return month and f"2026-{month}-01T00:00:00.000Z"
+
+    rows = flights(losses(len(dates), 4))
+    for r, month, ordinal in zip(rows, dates, ordinals, strict=True):
+        r |= {"utc": day(month), "ordinal": ordinal, "count": None}
+    one = assess.history("A", rows, [service(1, day(given["utc"]), given["after"])])
+    assert [r["ordinal"] for r in one.rows] == list(ordinals)
+    assert one.services[0][0] == place
+
+
 def test_after_a_service_that_no_flight_followed():
     rows = flights(losses(30, 4, 2, np.linspace(0.0, 0.2, 30)), seed=1)
     found, _ = assess.standings({"A": rows}, {"A": [service(3, after=30)]})

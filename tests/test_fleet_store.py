@@ -102,6 +102,15 @@ def test_maintenance_is_kept(url):
             store.service("A", 5, "new propeller")
 
 
+def test_maintenance_without_a_time_lies_after_the_last_flight_of_the_aircraft(url):
+    """Not after the one that was added last: old logs may be added later."""
+    with Store(url) as store:
+        for number, day in ((1, "02"), (2, "03"), (3, "01")):
+            store.add(entry(number, utc=f"2026-05-{day}T00:00:00.000Z"))
+        store.add(entry(4, "uid B"))
+        assert [store.service(aircraft, 0, "new motors")["after"] for aircraft in "AB"] == [2, 4]
+
+
 def test_a_judgement_is_replaced_and_nothing_else(url):
     with Store(url) as store:
         store.add(entry(1))

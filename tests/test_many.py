@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 import time
+import warnings
 from collections import Counter
 from contextlib import suppress
 from pathlib import Path
@@ -17,7 +18,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rotorwatch import many
-from rotorwatch.errors import ConfigError, LogError, WorkerError
+from rotorwatch.errors import BackendWarning, ConfigError, FirstUse, LogError, WorkerError
 from rotorwatch.many import cluster, processes
 from rotorwatch.many.result_cache import ResultCache
 
@@ -54,6 +55,21 @@ def work(item):
 
 def number(item):
     return work(item)() if item[1] != "unpackable" else work(item)
+
+
+def building(item):
+    warnings.warn("Building something.", FirstUse, stacklevel=1)
+    warnings.warn("Noise.", RuntimeWarning, stacklevel=1)
+
+
+@pytest.mark.parametrize("action", ["always", "ignore"])
+def test_processes_say_what_they_build_unless_warnings_are_hushed(action, capfd):
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        warnings.filterwarnings(action, category=BackendWarning)
+        warnings.filterwarnings("ignore", message="size changed")  # as NumPy does: of that text only
+        assert len(list(many.run(building, range(3), jobs=1, limit_s=60.0))) == 3
+    assert capfd.readouterr().err.splitlines() == ["rotorwatch: Building something."] * (action == "always")
 
 
 def begun(folder):

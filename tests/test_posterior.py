@@ -136,3 +136,30 @@ def test_shares_are_probabilities_of_what_is_left(others, absent):
     assert (p[weights == NEVER] == 0.0).all()
     real = weights > NEVER
     assert np.log(p[real] / p[0]) == pytest.approx(weights[real], abs=1e-9)
+
+
+@pytest.mark.filterwarnings("ignore:invalid value")
+@pytest.mark.parametrize("bad", [np.inf, -np.inf, np.nan])
+@pytest.mark.parametrize("leads", [0, 1])
+def test_a_branch_that_has_come_apart_spoils_no_other(bad, leads):
+    """Numbers of one that overflowed: nobody else's change, also where places are exchanged, and it never leads."""
+    weights = np.array([0.0, 2.0 * CLEAR * (1 if leads else -1), 1.0, -2.0])
+    b = some(weights)
+    b.s[2], b.P[2] = bad, bad
+    new, changed = posterior.lead(b)
+    assert bool(changed) == bool(leads)
+    order = [1, 0, 3] if leads else [0, 1, 3]
+    for name in ("s", "P", "learning", "active"):
+        assert (np.asarray(getattr(new, name))[[0, 1, 3]] == np.asarray(getattr(b, name))[order]).all()
+    e, variance, valid, calm = (part[0] for part in stretch(0, 1))
+    usual = np.asarray(posterior.weigh(b, e, variance, valid, calm, True, DT).weight)
+    e[2], variance[2] = bad, abs(bad)
+    after = posterior.weigh(b, e, variance, valid, calm, True, DT)
+    spoilt = np.asarray(after.weight)
+    assert (spoilt[[0, 1, 3]] == usual[[0, 1, 3]]).all() and spoilt[2] == NEVER
+    assert np.isfinite(np.asarray(posterior.shares(after))).all()
+    # An axis that was not measured says nothing, whatever its numbers are.
+    e, variance, valid, calm = (part[0] for part in stretch(0, 1))
+    valid[3], usual = False, posterior.weigh(b, e, variance, np.array([*valid[:3], False]), calm, True, DT)
+    e[:, 3] = bad
+    assert (posterior.weigh(b, e, variance, valid, calm, True, DT).weight == usual.weight).all()

@@ -11,6 +11,7 @@ import pytest
 
 from conftest import hexa_diagnosis, hexa_trace
 from rotorwatch import report
+from rotorwatch.answer import wording
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import Event, RotorState
@@ -228,11 +229,11 @@ def test_page_without_trace_events_or_rotors():
 
 
 def test_page_of_an_odd_trace(fault):
-    """No airborne part, estimates that are not finite, a common-mode event without rotors."""
+    """No airborne part, estimates that are not finite, an event without rotors."""
     trace = fault.trace
     odd = replace(trace, airborne=(), blind=(), loss=np.full_like(trace.loss, np.nan), evidence={})
-    page = html.page(replace(fault, trace=odd, events=(event(kind="common_mode", rotors=(), loss=(), interval=()),)))
-    assert "Common mode: no single rotor" in page and 'id="plot-evidence"' not in page
+    page = html.page(replace(fault, trace=odd, events=(event(kind="contact", rotors=(), loss=(), interval=()),)))
+    assert "Knock or contact" in page and 'id="plot-evidence"' not in page
     assert "NaN" not in re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
 
 
@@ -282,7 +283,7 @@ def test_report_in_a_missing_folder_is_one_sentence(fault, tmp_path):
 
 
 def test_event_kinds_have_words():
-    for kind in ("loss_of_effectiveness", "output_override", "common_mode", "torque_bias"):
+    for kind in wording.KINDS:
         assert "_" not in report.kind(event(kind=kind))
     assert isinstance(event(), Event)
 

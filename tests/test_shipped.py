@@ -1,8 +1,9 @@
-"""Native code that comes with the package: only of this definition, only for this computer, and enough to judge flights without JAX."""
+"""Code that comes with the package: only of this definition, only for this computer, and enough to judge flights without JAX."""
 
 import hashlib
 import json
 import os
+import platform
 import shutil
 import subprocess
 import sys
@@ -18,10 +19,13 @@ from rotorwatch.compiling import native, shipped, toolchain
 from rotorwatch.compiling.run import run_built
 from rotorwatch.default import program, shipping
 from rotorwatch.default.plant import lower_rotors
+from rotorwatch.flight import vehicle_file
+from rotorwatch.front.definition import FRONT
+from rotorwatch.logs.blackbox.decoder import BLACKBOX
 from rotorwatch.motion.ticks import JUDGE, TICKS_S
 
 SAMPLE = SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"
-FRAME = shipping.Frame(6)
+FRAME, LATER = shipping.Frame(6), shipping.Frame(6, True)
 
 needs_compiler = pytest.mark.skipif(
     not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="needs a C compiler: install gcc or clang"
@@ -30,11 +34,12 @@ needs_compiler = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """What a build of the package makes, for hexarotors; the one that came with this installation, if it is of this definition."""
-    if shipped.find(key()):
+    """What a build of the package makes, for hexarotors; the one that came with this installation, if it is of this definition. Code of
+    those with coaxial arms is C."""
+    if shipped.find(key()) and shipped.source(key(LATER)):
         return shipped.FOLDER
     made = tmp_path_factory.mktemp("built")
-    shipping.ship(made, [FRAME])
+    shipping.ship(made, [FRAME, LATER])
     return made
 
 
@@ -192,8 +197,9 @@ def version(name):
 metadata.version = version
 from rotorwatch.compiling import shipped
 place = Path(sys.argv.pop(1))
-find, why_not = shipped.find, shipped.why_not
-shipped.find, shipped.why_not = (lambda wanted: find(wanted, place)), (lambda: why_not(place))
+find, source, why_not = shipped.find, shipped.source, shipped.why_not
+shipped.find, shipped.source = (lambda wanted: find(wanted, place)), (lambda wanted: source(wanted, place))
+shipped.why_not = lambda: why_not(place)
 from rotorwatch.commands import cli
 cli.main(sys.argv[1:])
 """
@@ -212,6 +218,90 @@ def test_flights_are_judged_without_jax_scipy_and_a_compiler(folder):
     done = without(folder, "diagnose", str(SAMPLE), "--json", CC="nonesuch")
     assert done.returncode == 1, done.stderr
     assert json.loads(done.stdout)["verdict"] == "fault"
+
+
+@pytest.fixture
+def y6(tmp_path):
+    """A vehicle file that makes the sample's hexarotor one with coaxial arms."""
+    vehicle_file.write(airframes.named("ardupilot-y6"), tmp_path / "y6.toml")
+    return tmp_path / "y6.toml"
+
+
+def counted(folder):
+    """The compiler, quick and without optimisation; a line in `folder`/count each time that it compiles an estimator."""
+    fast, real = folder / "fast", shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+    count = f'case "$*" in *estimator.c*) echo built >> {folder}/count;; esac'
+    fast.write_text(f'#!/bin/sh\n{count}\nexec {real} "$@" -O0\n')
+    fast.chmod(0o755)
+    return str(fast)
+
+
+@needs_compiler
+def test_code_of_other_frames_is_compiled_when_one_is_first_met(folder, y6, tmp_path):
+    env = {"CC": counted(tmp_path), "ROTORWATCH_CACHE": str(tmp_path / "cache")}
+    done = without(folder, "diagnose", str(SAMPLE), "--vehicle", str(y6), **env)
+    assert done.returncode in (0, 1, 3)
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(
+        "rotorwatch: Building the estimator for vehicles with 6 rotors on coaxial arms, the first time only"
+    )
+
+
+FIRST_USE = """
+import warnings
+from rotorwatch.compiling import native, shipped
+warnings.showwarning = lambda message, *where: print(message)
+c = shipped.Source("somebody", "", "void estimator_run(void) {} void estimator_step(void) {}", ["estimator", [], [], [], 0, 0, 0])
+native._compiled(c)
+"""
+
+
+@needs_compiler
+def test_code_is_compiled_once_also_where_two_ask_for_it_at_the_same_time(tmp_path):
+    """One of them says so, and afterwards nobody has to."""
+    env = {**os.environ, "CC": counted(tmp_path), "ROTORWATCH_CACHE": str(tmp_path / "cache")}
+    line = [sys.executable, "-c", FIRST_USE]
+    both = [subprocess.Popen(line, env=env, stdout=subprocess.PIPE, text=True) for _ in "ab"]
+    said = [process.communicate()[0] for process in both]
+    assert [process.returncode for process in both] == [0, 0]
+    assert sorted(said) == ["", "Building the estimator for somebody, the first time only: about 10 s.\n"]
+    assert subprocess.run(line, env=env, check=True, capture_output=True).stdout == b""
+    assert (tmp_path / "count").read_text() == "built\n"
+
+
+@needs_compiler
+def test_without_a_compiler_one_sentence_says_what_other_frames_need(folder, y6):
+    done = without(folder, "diagnose", str(SAMPLE), "--vehicle", str(y6), CC="nonesuch")
+    (line,) = done.stderr.strip().splitlines()
+    assert done.returncode == 2 and "no C compiler (nonesuch)" in line
+    assert "vehicles with 6 rotors on coaxial arms" in line and "pip install jax" in line
+
+
+@needs_compiler
+def test_c_that_was_changed_is_not_compiled(folder, tmp_path):
+    place = copied(folder, tmp_path / "built")
+    assert shipped.source(key(LATER), place)
+    (path,) = place.glob(f"{LATER.name}.c.xz")
+    shipped.write_source(path, "", "int estimator_run;")
+    assert shipped.source(key(LATER), place) is None and not shipped.whole(place)
+
+
+@pytest.mark.parametrize("portable", [True, False])
+def test_wheels_hold_compiled_code_of_all_frames_and_checkouts_of_those_of_the_demo(portable, tmp_path, monkeypatch):
+    compiled = {}
+    monkeypatch.setattr(
+        shipping, "made", lambda frame, marches, folder: (compiled.update({frame: marches}) or frame.name, {})
+    )
+    monkeypatch.setattr(shipping.os, "cpu_count", lambda: 1)  # in this process
+    monkeypatch.setattr(toolchain, "compiler", lambda: "cc")
+    monkeypatch.setattr(toolchain, "processor", platform.machine)
+    for definition in (FRONT, BLACKBOX):
+        monkeypatch.setattr(definition, "ship", lambda folder: None)
+    shipping.ship(tmp_path, portable=portable)
+    assert {frame for frame, marches in compiled.items() if marches} == set(
+        shipping.FRAMES if portable else shipping.FIRST
+    )
+    assert set(compiled) == set(shipping.FRAMES)
 
 
 def test_a_report_without_bokeh_is_refused_before_the_work(tmp_path):

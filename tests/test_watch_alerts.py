@@ -295,7 +295,7 @@ def test_values_of_each_rotor_come_once_a_second_and_nothing_is_a_command(told):
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
-@pytest.mark.parametrize("kind", ["loss_of_effectiveness", "output_override", "torque_bias"])
+@pytest.mark.parametrize("kind", ["loss_of_effectiveness", "output_override", "motor_order"])
 def test_words_fit_one_message(count, kind):
     event = hexa_event(
         kind=kind, rotors=tuple(range(10, 10 + count)), loss=(1.0,) * count, interval=((0.99, 1.0),) * count,

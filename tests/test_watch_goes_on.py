@@ -47,6 +47,25 @@ def test_after_a_short_stamp_a_reboot_is_a_plain_truth():
     assert why.value.reboot is True
 
 
+BUILDS_FOR_LONG = """
+import os, signal, threading, time
+from rotorwatch.live import session
+session.Judge = lambda: time.sleep(30.0)
+building = session.Building()
+assert building.judge(wait=False) is None
+threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
+time.sleep(30.0)
+"""
+
+
+def test_code_that_is_being_built_keeps_nobody_from_ending_the_watch():
+    """Ctrl-C ends it at once."""
+    began = time.monotonic()
+    done = subprocess.run([sys.executable, "-c", BUILDS_FOR_LONG], capture_output=True, text=True, timeout=60.0)
+    assert done.returncode == -signal.SIGINT and "KeyboardInterrupt" in done.stderr
+    assert time.monotonic() - began < 20.0
+
+
 def test_short_stamps_that_are_not_believed_do_not_pile_up():
     clock = Clock()
     clock.take(6000e6, 0.0, False)

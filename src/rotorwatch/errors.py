@@ -40,6 +40,10 @@ class BackendWarning(RuntimeWarning):
     """Native code cannot be had, or not be kept; one sentence says why and what happens instead."""
 
 
+class FirstUse(BackendWarning):
+    """Native code is being built, which takes seconds and is done once on a computer; one sentence says of what."""
+
+
 class PluginWarning(RuntimeWarning):
     """A plug-in of another package is not used; one sentence says which and why."""
 

@@ -12,8 +12,6 @@ KINDS = {
     "loss_of_effectiveness": "loss of effectiveness",
     "output_override": "output overridden",
     "contact": "knock or contact",
-    "common_mode": "common mode",
-    "torque_bias": "torque bias",
     "loss_of_control": "loss of control",
     "motor_order": "motors in the wrong order",
     "desync": "motor lost step",

@@ -189,7 +189,7 @@ def day(utc: str | None) -> str:
 @option("--rotor", "Which rotor; default: all of them.", type=click.IntRange(1), metavar="N")
 @option(
     "--at",
-    "When, in UTC: 2026-05-01 or 2026-05-01T14:30; default: after the last flight that was added.",
+    "When, in UTC: 2026-05-01 or 2026-05-01T14:30; default: after its last flight.",
     metavar="TIME",
 )
 @option("--after", "After this flight (the start of its hash), for logs without a time.", metavar="FLIGHT")
@@ -210,7 +210,7 @@ def service(store, aircraft, what, rotor, at, after, quiet) -> None:
     assess.refresh(store)
     name = store.find(row["aircraft"])["name"]
     who = f"rotor {rotor}" if rotor else "all rotors"
-    when = day(utc) if utc else f"after flight {after}" if after else "after the last flight in the store"
+    when = day(utc) if utc else f"after flight {after}" if after else "after its last flight"
     click.echo(f"{name}: {who}, {what}, {when}")
 
 

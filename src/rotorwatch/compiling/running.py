@@ -5,8 +5,8 @@
     definition.call(whole.fly, one, vehicle, n, kinds, times, ...)
     one["ended"]                      # a field; rows["time"] of an array of structs
 
-Arguments: structs and arrays of them made here; NumPy arrays; numbers. A function may write into arrays of whole numbers, and into structs.
-Both ways give the same bits.
+Arguments: structs and arrays of them made here; NumPy arrays of the type that the function names, without gaps; numbers. A function may
+write into arrays of whole numbers, and into structs. Both ways give the same bits.
 """
 
 from __future__ import annotations
@@ -38,7 +38,9 @@ TYPES = {
     "mask": np.uint16,
     "small": np.int16,
     "letter": np.int8,
+    "byte": np.uint8,
 }
+WHOLE = "int", "mask", "small"  # kinds of numbers that are int32 as arguments
 # No fused multiply and add: the same operations as Python's.
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-shared")
 
@@ -272,17 +274,58 @@ class Definition:
         return Rows(kind, np.zeros(count, self.type_of(kind)), None, many=True)
 
     def call(self, function: Callable, *arguments: Any) -> Any:
-        """Call a free function of the modules."""
+        """Call a free function of the modules. Raises TypeError for arguments that are not of its types: C would read what lies there."""
+        taken = _taken(function)
+        if len(taken) != len(arguments):
+            raise TypeError(f"{function.__name__} takes {len(taken)} arguments, not {len(arguments)}.")
+        for (name, kind), x in zip(taken, arguments):
+            if not _fits(kind, x):
+                raise TypeError(f"{function.__name__}: {name} must be {_called(kind)}, not {_called(x)}.")
         if self.library is None:
             return function(*(_plain(x) for x in arguments))
         name = f"rw_{function.__module__.rpartition('.')[2]}_{function.__name__}"
         called = getattr(self.library, name)
         result = str(function.__annotations__.get("return"))
         called.restype = {"int": ctypes.c_int32, "bool": ctypes.c_bool, "None": None}.get(result, ctypes.c_double)
-        return called(*(_native(x) for x in arguments))
+        return called(*(_native(kind, x) for (_, kind), x in zip(taken, arguments)))
 
 
-def _native(x: Any) -> Any:
+@functools.cache
+def _taken(function: Callable) -> tuple[tuple[str, Any], ...]:
+    """(name, kind) of a function's arguments: a Struct, NumPy's type of an array's elements, or the kind of a number or a text."""
+
+    def kind(text: str) -> Any:
+        if text in structs.SCALARS:
+            return structs.SCALARS[text]
+        if text == "Vectors" or text in structs.LISTS:
+            return np.dtype(TYPES[structs.LISTS.get(text, structs.REAL)])
+        return function.__globals__[text.removeprefix("list[").removesuffix("]")]
+
+    return tuple((name, kind(text)) for name, text in function.__annotations__.items() if name != "return")
+
+
+def _fits(kind: Any, x: Any) -> bool:
+    if isinstance(kind, np.dtype):
+        return isinstance(x, np.ndarray) and x.dtype == kind and x.flags.c_contiguous
+    if isinstance(kind, str):
+        numbers = int | np.integer if kind in WHOLE else int | float | np.integer | np.floating
+        return isinstance(x, str if kind == "text" else bool | np.bool_ if kind == "flag" else numbers)
+    return isinstance(x, Rows) and x.kind is kind and (x.native is None or x.native.flags.c_contiguous)
+
+
+def _called(x: Any) -> str:
+    """A kind, or an argument, in words."""
+    if isinstance(x, np.dtype):
+        return f"an array of {x} without gaps"
+    if isinstance(x, np.ndarray):
+        return f"an array of {x.dtype}{'' if x.flags.c_contiguous else ' with gaps'}"
+    if isinstance(x, Rows):
+        return f"{x.kind.__name__}{'' if x.native is None or x.native.flags.c_contiguous else ' with gaps'}"
+    return x if isinstance(x, str) else (x if isinstance(x, type) else type(x)).__name__
+
+
+def _native(kind: Any, x: Any) -> Any:
+    """An argument that fits, as C takes it."""
     if isinstance(x, Rows):
         assert x.native is not None
         return ctypes.c_void_p(x.native.ctypes.data)
@@ -290,9 +333,9 @@ def _native(x: Any) -> Any:
         return ctypes.c_void_p(x.ctypes.data)
     if isinstance(x, str):
         return ctypes.c_char_p(x.encode("ascii", "replace"))
-    if isinstance(x, bool | np.bool_):
+    if kind == "flag":
         return ctypes.c_bool(bool(x))
-    return ctypes.c_int32(int(x)) if isinstance(x, int | np.integer) else ctypes.c_double(float(x))
+    return ctypes.c_int32(int(x)) if kind in WHOLE else ctypes.c_double(float(x))
 
 
 def _plain(x: Any) -> Any:

@@ -1,8 +1,8 @@
-"""Native code that comes with the package: built when the package is, found here by what it was made of, run without JAX.
+"""Native code that comes with the package: made when the package is, found here by what it was made of, run without JAX.
 
-A folder holds libraries and `index.json`: what each of them is (functions, shapes, layout, SHA-256), and the definition that all were
-traced from, as the files of this package and a hash of them. Where a file has changed since, nothing of the folder is used: a library
-that is older than the definition, or not the one that was built, never runs.
+A folder holds libraries, C to be compiled when it is first needed, and `index.json`: what each of them is (functions, shapes, layout,
+SHA-256), and the definition that all were traced from, as the files of this package and a hash of them. Where a file has changed since,
+nothing of the folder is used: code that is older than the definition, or not what was made, never runs.
 """
 
 from __future__ import annotations
@@ -11,11 +11,12 @@ import ast
 import functools
 import hashlib
 import json
+import lzma
 import platform
 import sys
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 HOME = Path(__file__).parents[1]
 FOLDER = Path(__file__).parent / "built"
@@ -23,7 +24,7 @@ INDEX = "index.json"
 DEFINITIONS = (
     "definitions.json"  # what `compiling.running` runs: room -> digest of its files, target, library and its SHA-256
 )
-FORMAT = 2
+FORMAT = 3
 
 # Levels of processors, best first: the compiler's -march and the flags of /proc/cpuinfo that code of that level needs
 # (x86-64 psABI, micro-architecture levels). A processor of another kind has its compiler's own baseline.
@@ -147,6 +148,30 @@ def find(program: str, folder: Path = FOLDER) -> tuple[Path, list] | None:
     return None
 
 
+class Source(NamedTuple):
+    """C that came with the package, to be compiled for this computer. words: whose it is, in a sentence."""
+
+    words: str
+    header: str
+    source: str
+    layout: list
+
+
+def source(program: str, folder: Path = FOLDER) -> Source | None:
+    """The C of a program by its `key`; None where there is none."""
+    known = _index(folder)[0].get(program)
+    name, sha256 = (known or {}).get("source") or ("", "")
+    if not known or not name or digest_of(folder / name) != sha256:
+        return None
+    header, text = json.loads(lzma.decompress((folder / name).read_bytes()))
+    return Source(known["words"], header, text, known["layout"])
+
+
+def write_source(path: Path, header: str, text: str) -> None:
+    """Keep C as `source` reads it, the same bytes at every time."""
+    path.write_bytes(lzma.compress(json.dumps([header, text]).encode()))
+
+
 @functools.cache
 def _as_built(library: Path, sha256: str) -> bool:
     """Asked once of each: what is loaded stays loaded."""
@@ -162,9 +187,10 @@ def digest_of(path: Path) -> str:
 
 
 def whole(folder: Path) -> bool:
-    """Whether every library that a folder's index names is there, as it was built."""
+    """Whether every file that a folder's index names is there, as it was made."""
     programs, _ = _index(folder)
     named = [library for program in programs.values() for library in program["libraries"].values()]
+    named += [program["source"] for program in programs.values() if program.get("source")]
     return bool(named) and all(digest_of(folder / name) == sha256 for name, sha256 in named)
 
 

@@ -64,6 +64,9 @@ SCALARS = {
     "str": "text",
 }
 
+# The same, of arrays.
+LISTS = {"Reals": REAL, "Times": TIME, "Ints": INT, "Flags": FLAG, "Masks": MASK, "Bytes": "byte"}
+
 S = TypeVar("S", bound="Struct")
 
 

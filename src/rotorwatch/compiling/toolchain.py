@@ -13,6 +13,8 @@ import shlex
 import shutil
 import subprocess
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from rotorwatch.base import incoming
@@ -82,6 +84,19 @@ def folder() -> Path:
     except OSError:
         reason = f"{cache_folder()} cannot be written"
     return _temporary(reason)
+
+
+@contextmanager
+def alone(goal: Path) -> Iterator[None]:
+    """No other process makes that file of the cache meanwhile; the lock goes with the process."""
+    with open(goal.with_suffix(".lock"), "w") as file:
+        try:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX)
+        except (ImportError, OSError):  # no such locks here: it is made twice, which only takes longer
+            pass
+        yield
 
 
 @functools.cache

@@ -15,10 +15,9 @@ from types import ModuleType
 from typing import Any
 
 from rotorwatch.compiling.body import Body, Function, Type, comment, is_struct, number
-from rotorwatch.compiling.structs import SCALARS, snake
+from rotorwatch.compiling.structs import LISTS, SCALARS, snake
 from rotorwatch.errors import ConfigError
 
-LISTS = {"Reals": "real", "Times": "time", "Ints": "int", "Flags": "flag", "Masks": "mask", "Bytes": "byte"}
 HEAD = """#include <stdbool.h>
 #include <stdint.h>
 

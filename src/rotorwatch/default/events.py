@@ -5,10 +5,10 @@ What happened, and which explanations are left, is the estimator's, live; here i
 
 from __future__ import annotations
 
-import zlib
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,6 +33,8 @@ from rotorwatch.motion.ticks import JUDGE, Ticks
 __all__ = ["CREDIBLE", "CURVE_SHARE"]
 
 KINDS = ("loss_of_effectiveness", "output_override", "contact", "loss_of_control")
+# Numbers, of 16 bits, that stand for other kinds, for what became of an output and for causes: each its own, while the process lasts.
+_NUMBERS: dict[Any, int] = defaultdict(iter(range(len(KINDS), 1 << 15)).__next__)
 COLUMNS = (
     "theta",
     "theta_sd",
@@ -242,15 +244,12 @@ def packed(events: Sequence[Event]) -> Rows:
         width = max(map(len, values), default=0)
         return np.array([[*row, *[0] * (width - len(row))] for row in values]).reshape(len(events), -1)
 
-    def number(text: str) -> int:
-        return len(KINDS) + zlib.crc32(text.encode()) % 30000
-
     def kind(event: Event) -> int:
-        return KINDS.index(event.kind) if event.kind in KINDS else number(event.kind)
+        return KINDS.index(event.kind) if event.kind in KINDS else _NUMBERS[event.kind]
 
     def detail(event: Event) -> int:
-        text = f"{event.extra.get('override', '')}{event.extra.get('cause', '')}"
-        return number(text) if text else definition.PLAIN
+        what = event.extra.get("override", ""), event.extra.get("cause", "")
+        return _NUMBERS[what] if any(what) else definition.PLAIN
 
     rows.fill(
         onset=np.array([e.onset_s for e in events]), detected=np.array([e.detected_s for e in events]),

@@ -70,7 +70,7 @@ def weigh(branches: Branches, innovation, variance, valid, calm, counts, dt) -> 
     """One tick's innovations (K, 4) of variance (K, 4) where valid (4,); calm (4,): their weight; counts: whether they do at all."""
     import jax.numpy as jnp
 
-    fit = -0.5 * jnp.log(variance) - 0.5 * innovation**2 / variance
+    fit = jnp.where(valid, -0.5 * jnp.log(variance) - 0.5 * innovation**2 / variance, 0.0)
     counted = jnp.where(valid, calm, 0.0)
     share = jnp.where(counts, TEMPER * jnp.exp(-branches.age / plant.BURST_S), 0.0)
     weight = branches.weight + share * (fit @ counted)
@@ -79,7 +79,8 @@ def weigh(branches: Branches, innovation, variance, valid, calm, counts, dt) -> 
     weight = jnp.where(branches.alike.any(axis=1) & branches.alike[0].any(), jnp.maximum(weight, ALIKE), weight)
     # Yaw and thrust tell a pair from the rotor between them, and are slower than what announced it.
     stays = (weight > OUT) | (branches.age < losses.YOUNG_S)
-    weight = jnp.where((branches.weight > 0.5 * NEVER) & stays, weight, NEVER)
+    # One whose numbers have overflowed is none.
+    weight = jnp.where((branches.weight > 0.5 * NEVER) & stays & jnp.isfinite(weight), weight, NEVER)
     return branches._replace(weight=weight, onset=branches.onset + 1.0, age=branches.age + dt)
 
 
@@ -89,15 +90,11 @@ def lead(branches: Branches) -> tuple[Branches, Array]:
 
     best = jnp.argmax(branches.weight)
     change = branches.weight[best] > hypotheses.CLEAR
-    first, here = jnp.arange(PLACES) == 0, jnp.arange(PLACES) == best
-    swapped = jnp.eye(PLACES) - jnp.outer(first * 1.0 - here, first * 1.0 - here)
-    turn = jnp.where(change, swapped, jnp.eye(PLACES))
-
-    def moved(a):
-        there = (turn @ a.reshape(PLACES, -1).astype(float)).reshape(a.shape)
-        return there > 0.5 if a.dtype == bool else there
-
-    new = Branches(*[moved(a) if getattr(a, "ndim", 0) else a for a in branches])
+    place = jnp.arange(PLACES)
+    swapped = jnp.where(place == 0, best, jnp.where(place == best, 0, place))
+    turn = jnp.where(change, swapped, place)
+    # Taken, not multiplied by ones and zeros: what has overflowed in one place would spoil all.
+    new = Branches(*[jnp.asarray(a)[turn] if getattr(a, "ndim", 0) else a for a in branches])
     return new._replace(weight=jnp.where(new.weight > 0.5 * NEVER, new.weight - new.weight[0], NEVER)), change
 
 

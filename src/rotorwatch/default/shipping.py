@@ -1,8 +1,9 @@
 """The default estimator built for whoever installs rotorwatch: `python -m rotorwatch.default.shipping FOLDER`.
 
-The build of the package calls it (hatch_build.py). One program for each number of rotors, coaxial or not, whatever the length of ticks;
-each traced in a process of its own, as many at once as there are processors. What was built of the same definition by the same compiler
-is taken from the cache. What asks the cache (`kept`) needs nothing but Python.
+The build of the package calls it (hatch_build.py). One program for each number of rotors, coaxial or not, whatever the length of ticks.
+Tracing one takes a second and compiling it ten: for this computer alone only the FIRST are compiled, and the C of the others goes along,
+to be compiled when such a vehicle is first met (compiling/native.py). What was made of the same definition by the same compiler is taken
+from the cache. What asks the cache (`kept`) needs nothing but Python.
 """
 
 from __future__ import annotations
@@ -34,12 +35,19 @@ class Frame(NamedTuple):
         """Of its files."""
         return f"rotors-{self.rotors}{'-coaxial' if self.coaxial else ''}"
 
+    @property
+    def words(self) -> str:
+        """In a sentence."""
+        return f"vehicles with {self.rotors} rotors{' on coaxial arms' if self.coaxial else ''}"
+
 
 # What takes longest to build comes first.
 FRAMES = (
     Frame(12, True), Frame(12), Frame(10), Frame(8, True), Frame(8), Frame(7), Frame(6, True), Frame(6), Frame(5), Frame(4, True),
     Frame(4), Frame(3),
 )  # fmt: skip
+# Most vehicles, and those of the demo: compiled when the package is built, wherever that is.
+FIRST = (Frame(6), Frame(4))
 # Rooms with definitions that are shipped, too.
 DEFINED = ("front", "logs/blackbox")
 # What the programs are traced from: modules with all that they import, and such of which only the file counts.
@@ -79,36 +87,44 @@ def levels(portable: bool) -> tuple[str, ...]:
     return tuple(shipped.LEVELS) if portable and runs[0] != shipped.BASELINE else runs[:1]
 
 
-def built(frame: Frame, marches: Sequence[str], folder: Path) -> tuple[str, dict]:
-    """(key, entry of the index) of one program, its libraries written into the folder. Raises toolchain.Unavailable."""
+def made(frame: Frame, marches: Sequence[str], folder: Path) -> tuple[str, dict]:
+    """(key, entry of the index) of one program, written into the folder: its libraries, or where there are no marches its C. Raises
+    toolchain.Unavailable."""
     from rotorwatch.compiling import native
     from rotorwatch.default import program
 
     parameters, sizes = example(frame)
-    made, layout = native.exported(program.estimator, program.tick_output, parameters, sizes)
-    libraries = {}
+    c, layout = native.exported(program.estimator, program.tick_output, parameters, sizes)
+    libraries, source = {}, None
     for march in marches:
         name = f"{frame.name}{march and '-' + march}.so"
-        shutil.copyfile(native.build(made.header, made.source, "estimator", march), folder / name)
+        shutil.copyfile(native.build(c.header, c.source, "estimator", march), folder / name)
         libraries[march] = name, shipped.digest_of(folder / name)
+    if not marches:
+        name = f"{frame.name}.c.xz"
+        shipped.write_source(folder / name, c.header, c.source)
+        source = name, shipped.digest_of(folder / name)
     known = native.known_by(program.estimator, program.tick_output, parameters, sizes)
     assert known is not None
-    return known, {"frame": frame.name, "libraries": libraries, "layout": layout, "source": made.digest}
+    return known, {"words": frame.words, "libraries": libraries, "source": source, "layout": layout}
 
 
 def ship(folder: Path, frames: Sequence[Frame] = FRAMES, portable: bool = False) -> None:
-    """Build the programs of `frames` into a folder, as `shipped.find` reads it. portable: for every processor of this kind, not this
-    computer's alone. Raises toolchain.Unavailable without a compiler."""
+    """Make the programs of `frames` in a folder, as `shipped.find` and `shipped.source` read it. portable: compiled for every processor of
+    this kind; else for this computer alone, the FIRST only. Raises toolchain.Unavailable without a compiler."""
     compiler, marches, about = toolchain.compiler(), levels(portable), definition()
     folder.mkdir(parents=True, exist_ok=True)
     for old in folder.iterdir():
         old.unlink()
-    workers = min(len(frames), os.cpu_count() or 1)
+    compiled = [frame for frame in frames if portable or frame in FIRST]
+    order = [*compiled, *(frame for frame in frames if frame not in compiled)]  # what takes longest comes first
+    wanted = [marches if frame in compiled else () for frame in order]
+    workers = min(len(frames), len(compiled) + 1, os.cpu_count() or 1)
     if workers == 1:
-        programs = dict(built(frame, marches, folder) for frame in frames)
+        programs = dict(map(made, order, wanted, [folder] * len(order)))
     else:
         with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            programs = dict(pool.map(built, frames, [marches] * len(frames), [folder] * len(frames)))
+            programs = dict(pool.map(made, order, wanted, [folder] * len(order)))
     jax = backend.jax()
     index = {
         "definition": about,
@@ -128,7 +144,9 @@ def kept(portable: bool) -> Path:
     """Where the cache keeps what `ship` makes of this definition with this compiler on this computer. Raises toolchain.Unavailable."""
     return toolchain.cached_path(
         "shipped",
-        json.dumps([definition()["digest"], *(shipped.digest(shipped.files_in(r)) for r in DEFINED), portable, FRAMES]),
+        json.dumps(
+            [definition()["digest"], *(shipped.digest(shipped.files_in(r)) for r in DEFINED), portable, FIRST, FRAMES]
+        ),
     )
 
 

@@ -288,7 +288,8 @@ def losses(table: Ticks, vehicle: Vehicle) -> tuple[tuple[Event, ...], program.T
 
 
 def _judge(flight: Flight, vehicle: Vehicle, air) -> tuple[tuple[Event, ...], float]:
-    """Losses that are announced, as `diagnose` judges such a flight; seconds judged."""
+    """Losses that the default diagnoser announces while the vehicle flies; seconds judged. Overrides, contacts, falls and what `diagnose`
+    finds only afterwards are left out."""
     table = observe(flight, vehicle, air, ready_s(vehicle))
     if table is None:
         return (), 0.0

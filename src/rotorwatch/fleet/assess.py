@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.fleet import explain, false_discovery, prognosis, scatter
+from rotorwatch.fleet import explain, false_discovery, listing, prognosis, scatter
 from rotorwatch.fleet.explain import CENTRE, STEP, WORN, Found, Series
 from rotorwatch.fleet.store import Store
 from rotorwatch.healthy.whole_flight import LIMITED, SLOPE_BETWEEN_SD, of_wind
@@ -95,18 +95,8 @@ def standings(
 
 
 def history(key: str, rows: list, services: Iterable[Mapping]) -> History:
-    """Flights put in order: by time where all have one, else by the autopilot's count, else as they were added; one without a time stays
-    where it was added among those that have one."""
-    if all(r["utc"] for r in rows):
-        rows = sorted(rows, key=lambda r: (r["utc"], r["ordinal"]))
-    elif not any(r["utc"] for r in rows) and all(r["count"] is not None for r in rows):
-        rows = sorted(rows, key=lambda r: (r["count"], r["clock_us"], r["ordinal"]))
-    else:
-        last, timed = "", []
-        for r in sorted(rows, key=lambda r: r["ordinal"]):
-            last = r["utc"] or last
-            timed.append((last, r["ordinal"], r))
-        rows = [r for *_, r in sorted(timed, key=lambda x: x[:2])]
+    """Flights in order, and where services lie among them."""
+    rows = listing.in_order(rows)
     n = max((r["rotors"] for r in rows), default=0)
     left_out = tuple(_why_not(r, n) for r in rows)
     ended = np.cumsum([max(float(r["airborne_s"]), 1.0) / 3600.0 for r in rows])
@@ -115,10 +105,13 @@ def history(key: str, rows: list, services: Iterable[Mapping]) -> History:
 
 
 def _place(rows: Sequence[Mapping], service: Mapping) -> int:
-    """Index of the first flight after a service."""
-    if service["utc"] and any(r["utc"] for r in rows):
-        return sum(1 for r in rows if (r["utc"] or "") < service["utc"])
-    return sum(1 for r in rows if r["ordinal"] <= service["after"])
+    """Index of the first flight after a service: behind the flight that it names, else behind the last one that is known to be before it,
+    by its time, or where there is none by when it was added."""
+    utc, after = service["utc"], service["after"]
+    named = [] if utc else [k for k, r in enumerate(rows) if r["ordinal"] == after]
+    later = next((k for k, r in enumerate(rows) if utc and r["utc"] and r["utc"] >= utc), len(rows))
+    before = [k for k, r in enumerate(rows[:later]) if (utc and r["utc"]) or r["ordinal"] <= after]
+    return max(named or before, default=-1) + 1
 
 
 def _why_not(row: Mapping, rotors: int) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import difflib
 import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from typing import Any
@@ -123,6 +124,18 @@ def moment(name: str, given: str) -> tuple[str, str]:
 def text(given: str) -> str:
     """Without what no database keeps: zero bytes, and bytes of file names that are no text."""
     return str(given).replace("\0", "").encode("utf-8", "backslashreplace").decode()
+
+
+def in_order(rows: Iterable[Mapping]) -> list:
+    """Flights of an aircraft: by time where all have one, else by the autopilot's count, else as they were added; one without a time stays
+    where it was added among those that have one."""
+    rows, last, timed = sorted(rows, key=lambda r: r["ordinal"]), "", []
+    if not any(r["utc"] for r in rows) and all(r["count"] is not None for r in rows):
+        return sorted(rows, key=lambda r: (r["count"], r["clock_us"]))
+    for r in rows:
+        last = r["utc"] or last
+        timed.append((last, r))
+    return [r for _, r in sorted(timed, key=lambda x: x[0])]
 
 
 def _kept(time: datetime) -> str:

@@ -21,7 +21,6 @@ from rotorwatch.maths.tails import normal_cdf
 
 LIMIT = 0.10  # loss
 COVERED = 0.90
-Z = 1.6448536  # its ends, in standard deviations
 FAR = 20.0  # times what was flown so far: nothing is said beyond
 SURE_SD = 1.96
 

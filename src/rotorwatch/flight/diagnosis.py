@@ -70,7 +70,7 @@ class Event:
     """Something that happened in flight. Times in s from the first record of the log.
 
     onset_s: when it began. detected_s: when that could be said. end_s: when it ended; None while it lasts.
-    kind: loss_of_effectiveness, output_override, contact, loss_of_control, motor_order, desync, common_mode, torque_bias.
+    kind: loss_of_effectiveness, output_override, contact, loss_of_control, motor_order, desync, slow_motor, high_current, low_current.
     rotors: 1-based. loss: of each of them, 0 to 1.
     interval: (low, high) of each loss, 95 %. alternatives: other rotor sets that explain the data as well. probability: of these
     rotors, given the data. reason: one sentence. extra: what only some kinds have. history: (time, loss...) rows of the causal

@@ -36,14 +36,9 @@ MISSED_S, UNANSWERED_S = (
     10.0,
 )  # without what judging begins with, before that is said: where nothing is asked for, and where it is
 PEERS = 200  # whose unfinished frames are kept
-TREND, MIXED, UNMIXED = (
-    0.02,
-    0.3,
-    0.1,
-)  # weight of a frame; share of frames whose number goes back with two senders, and with one
 ONE_ID = "give each vehicle an id of its own (SYSID_THISMAV, MAV_SYS_ID)"
 TWO_SENDERS = f"two vehicles seem to send with the same id: {ONE_ID}"
-NO_AUTOPILOT, ON_BOARD, GROUND = 8, 18, 6
+NO_AUTOPILOT = 8
 COMMAND_ACK, MESSAGE_INTERVAL = 77, 244
 
 

@@ -27,11 +27,11 @@ _ONE = threading.Lock()
 
 
 class Building:
-    """A judge that is made in a thread of its own."""
+    """A judge that is made in a thread of its own, which ends with the program: code that is half built is built again another time."""
 
     def __init__(self, *about):
         self._made: list[Judge | BaseException] = []
-        self._thread = threading.Thread(target=self._make, args=about)
+        self._thread = threading.Thread(target=self._make, args=about, daemon=True)
         self._thread.start()
 
     def _make(self, *about) -> None:

@@ -64,7 +64,6 @@ _ARDUPILOT_MODES = "STABILIZE ALT_HOLD GUIDED LOITER RTL LAND POSHOLD SMART_RTL 
 _NUMBERS = {1: "bool_value", 2: "integer_value", 3: "double_value"}  # rcl_interfaces/ParameterType
 _LAST_SEVERE = 3
 _ESC = {"speed": "rpm", "current": "current", "voltage": "voltage", "temperature": "temperature"}
-_UNIX_S = 1e8
 
 
 def place(topic: str, kind: str) -> tuple[str, str] | None:

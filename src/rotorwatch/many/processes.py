@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import pickle
 import signal
+import sys
 import tempfile
 import threading
 import time
@@ -21,7 +22,7 @@ from multiprocessing import connection, get_context, parent_process
 from typing import Any
 
 from rotorwatch.base import incoming
-from rotorwatch.errors import WorkerError
+from rotorwatch.errors import FirstUse, WorkerError
 from rotorwatch.many.done import Done, Task, attempt, packed, portable
 
 START_S, EXIT_S = 120.0, 10.0
@@ -111,11 +112,11 @@ class Worker:
 
     def __init__(self, work: bytes, limit_s: float | None, task: Task = NOTHING):
         """work: (function, prepare), packed. limit_s: for one item."""
-        context = get_context("spawn")
+        context, told = get_context("spawn"), _shown(FirstUse)
         place = str(incoming.spool())  # one that is killed removes nothing
         self.task, self.limit_s, self.ready, self.hung = task, limit_s, False, False
         self.pipe, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs, work, place), daemon=True)
+        self.process = context.Process(target=_serve, args=(theirs, work, place, told), daemon=True)
         with _one_thread():
             self.process.start()
         theirs.close()
@@ -194,12 +195,24 @@ def _one_thread() -> Iterator[None]:
             os.environ.pop(name, None)
 
 
-def _serve(pipe: Any, work: bytes, place: str) -> None:
-    """A process: sends READY, then items in, packed results out, until the pipe closes. place: for its temporary files."""
+def _shown(kind: type[Warning]) -> bool:
+    """Whether warnings of a kind are shown by this process."""
+    of_all = (
+        action for action, text, of, module, _ in warnings.filters if not (text or module) and issubclass(kind, of)
+    )
+    return next(of_all, "default") != "ignore"
+
+
+def _serve(pipe: Any, work: bytes, place: str, told: bool) -> None:
+    """A process: sends READY, then items in, packed results out, until the pipe closes. place: for its temporary files. told: whether the
+    user hears of native code that it builds."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who started it decides when to stop
     tempfile.tempdir = place
     if not os.environ.get("ROTORWATCH_DEBUG"):
         warnings.simplefilter("ignore")  # of numerical libraries; each process would say the same
+        if told:  # as one process of all does
+            warnings.filterwarnings("once", category=FirstUse)
+            warnings.showwarning = lambda message, *where, **more: print(f"rotorwatch: {message}", file=sys.stderr)
     parent = parent_process()
     assert parent is not None
     threading.Thread(target=_follow, args=(parent.sentinel,), daemon=True).start()

@@ -250,7 +250,7 @@ def _other_checks(autopilot: str) -> tuple[str, str, str, str]:
 
 
 def words(key: str) -> str:
-    """'detected_s' -> 'detected', 'torque_bias' -> 'torque bias'."""
+    """'detected_s' -> 'detected', 'high_current' -> 'high current'."""
     return key.removesuffix("_s").replace("_", " ")
 
 

@@ -18,7 +18,6 @@ from rotorwatch.logs import esc_columns
 from rotorwatch.simulation.logged import LOGGED
 
 HEAD = b"\xa3\x95"
-FMT = 128
 MESSAGES: dict[str, tuple[int, str, str]] = {name: tuple(row) for name, row in LOGGED["dataflash"].items()}
 """Name -> (type, format, columns)."""
 CODES = {"Q": "Q", "f": "f", "B": "B", "M": "B", "H": "H", "I": "I", "c": "h", "n": "4s", "N": "16s", "Z": "64s"}
