@@ -24,6 +24,9 @@ _REFUSED = {
     b"PK\x03\x04": ("zip", "unzip"),
     b"7z\xbc\xaf\x27\x1c": ("7-zip", "7z x"),
 }
+PACKED = tuple(suffix for suffix, _ in _MAGIC.values())
+REFUSED = (".zst", ".zip", ".7z")
+"""Endings of names: of what is unpacked here, and of what is not."""
 
 
 class _Gzip:

@@ -18,7 +18,6 @@ from rotorwatch.logs import bag_storage, cdr, mavros, px4_topics, ros2_definitio
 from rotorwatch.logs.container import open_log
 
 FORMAT = "ROS 2 bag"
-
 ENDINGS = (".mcap", ".db3")
 _ENOUGH = 20  # samples of a topic that is published all the time
 _UNIX_US = 1e14  # larger stamps count from 1970, smaller ones from the autopilot's start

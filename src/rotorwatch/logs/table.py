@@ -11,6 +11,7 @@ from rotorwatch.flight import Flight
 from rotorwatch.logs import memory
 
 FORMAT = "CSV or Parquet table"
+COMMON_ENDINGS = (".csv", ".parquet")
 
 _PARQUET = b"PAR1"
 _MOST_CELLS = 500_000_000
@@ -19,7 +20,7 @@ _MOST_CELLS = 500_000_000
 def sniff(head: bytes, name: str) -> bool:
     """True for Parquet, for text whose first line has a column time_s, and for .csv and .parquet names."""
     if name:
-        return name.lower().endswith((".csv", ".parquet"))
+        return name.lower().endswith(COMMON_ENDINGS)
     return head.startswith(_PARQUET) or "time_s" in memory.header(head)
 
 
