@@ -5,6 +5,7 @@ import io
 import re
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -64,6 +65,18 @@ def test_parquet_and_data_frames(tmp_path):
     path.write_bytes(path.read_bytes()[:-200])
     with pytest.raises(LogError, match="damaged"):
         logs.read(path)
+
+
+def test_empty_cells_take_no_more_memory_than_others():
+    tracemalloc.start()
+    try:
+        notes: list[str] = []
+        for more, dropped in ((b"", 0), (b"1\n", 1)):  # all lines whole, or one not, which is read another way
+            table = memory.numbers(b"time_s,a,b,c\n" + b"0,,,\n" * 50_000 + more, notes)
+            assert np.isnan(table["b"]).all() and table["c"].size == 50_000 and len(notes) == dropped
+        assert tracemalloc.get_traced_memory()[1] < 50 * 4 * 50_000
+    finally:
+        tracemalloc.stop()
 
 
 def parquet(pages, **options):
