@@ -1,6 +1,7 @@
 """The DataFlash reader on logs made here: formats of all firmware ages, mapping to rotors, units, clock."""
 
 import struct
+import time
 from pathlib import Path
 
 import numpy as np
@@ -354,6 +355,29 @@ def test_a_message_redefined_half_way():
         log.add("BAT", 1000 * k, 0, 13.0, 13.5, 2.0)
     battery = dataflash.read(log.data, "made.bin")["battery"]
     assert battery.values.tolist() == [[12, 1]] * 5 + [[13, 2]] * 5
+
+
+def test_messages_redefined_in_turns_cost_no_more_than_others():
+    """Two meanings of one type, thousands of times: each record is read by the one that holds, and time grows with the log."""
+    log, count = Writer(), 3000
+    for k in range(2):
+        log.define("BAT", "Qff" if k else "QBff", "TimeUS,Volt,Curr" if k else "TimeUS,Instance,Volt,Curr", 7)
+        log.add("BAT", k, *(() if k else (0,)), 10.0 + k, 1.0)
+    start, turn = log.data[:89], log.data[89:]
+    before = time.process_time()
+    read = BinaryLog(start + turn * count)
+    battery = read.table("BAT")
+    assert time.process_time() - before < 1.0
+    assert battery["Volt"].tolist() == [10.0, 11.0] * count and read.counts["BAT"] == 2 * count
+    assert not np.isnan(read.stamps()[read.table("FMT").record[-1] + 1])
+
+
+def test_a_log_that_defines_endless_kinds_is_refused():
+    log = Writer()
+    for k in range(4100):
+        log.define("BAT", "Qf", f"TimeUS,V{k}", 7)
+    with pytest.raises(LogError, match="defines more than 4096 kinds of messages"):
+        BinaryLog(log.data)
 
 
 def test_header_bytes_inside_payloads_are_no_records():

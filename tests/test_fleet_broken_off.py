@@ -76,7 +76,6 @@ def test_a_deletion_killed_at_random_moments(urls, tmp_path, monkeypatch):
     for _ in range(KILLS):
         begin_and_kill(chance, url, "delete")
         with Store(url) as store:
-            store.reports.settle()
             rows = {row["hash"] for row in store.flights(limit=None)}
             assert {path.name for path in store.reports.folder.iterdir()} == {f"{hash}.html" for hash in rows}
             assert all(store.flight(hash) for hash in rows), "diagnosis and trim are there"
@@ -124,6 +123,46 @@ def test_a_database_that_goes_away(server):
         server.start()
         fill(store)
     assert tables(url) == tables(whole)
+
+
+def test_the_report_of_a_deletion_that_was_killed_goes_when_the_store_is_opened(tmp_path):
+    """Whoever opens it: the flight is gone, and its report must not stay until a page is served."""
+    url = tmp_path / "fleet.db"
+    with Store(url) as store:
+        store.add(entry(0))
+        store.add(entry(1))
+        store.reports.folder.mkdir()
+        gone, there = (store.reports.path(entry(k).hash) for k in range(2))
+        for page in (gone, there):
+            page.write_text("a report")
+        store.reports._settle = lambda aside: None  # as when killed after the commit
+        store.delete(entry(0).hash)
+        os.replace(there, there.with_suffix(".deleted"))  # as when killed before it
+    assert gone.with_suffix(".deleted").exists()
+    with Store(url, make=False):
+        assert list(there.parent.iterdir()) == [there]
+
+
+def test_who_reads_waits_for_no_writer_and_needs_no_right_to_write(tmp_path, monkeypatch):
+    from rotorwatch.fleet import database as module
+
+    folder = tmp_path / "store"
+    with Store(folder / "fleet.db") as store:
+        store.add(entry(1))
+        monkeypatch.setattr(module, "WAIT_S", 0.05)
+        with store._database.writing(), Store(folder / "fleet.db") as other:
+            assert other.count() == 1
+    if os.name != "posix" or os.geteuid() == 0:
+        pytest.skip("root may write everywhere")
+    (folder / "fleet.db").chmod(0o444)
+    folder.chmod(0o555)
+    try:
+        with Store(folder / "fleet.db") as store:
+            assert store.count() == 1
+            with pytest.raises(StoreError, match="cannot be written to"):
+                store.add(entry(2))
+    finally:
+        folder.chmod(0o755)
 
 
 def test_another_writer_is_waited_for_and_then_named(tmp_path, monkeypatch):

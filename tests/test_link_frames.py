@@ -59,6 +59,25 @@ def test_no_sound_frame_is_lost_to_damage_before_it():
     assert found == wanted and 100 < parser.damaged
 
 
+@pytest.mark.parametrize(
+    "stride",
+    [b"\xfe", b"\xfd", b"\xfe\x6e", b"\xfe\x00", b"\xfd\xff\x00\x00\x00", b"\xfd\xff\x00\x01\x00\x01\x01\x1e\x00\x00"],
+)
+def test_work_grows_with_the_bytes_whatever_they_are(stride, monkeypatch):
+    """A frame may seem to begin at every byte, at every second, at every fifth: not every one of them is summed up to its end."""
+    summed, sums = [], frames.sums
+    parser, wanted = frames.Frames(), packed(1, np.random.default_rng(6))
+    data = stride * (200_000 // len(stride))
+    parser.on(data[:1400])
+    monkeypatch.setattr(
+        frames, "sums", lambda frame, extra: (summed.append(len(frame) + frames.ATTEMPT), sums(frame, extra))[1]
+    )
+    for at in range(0, len(data), 1400):
+        parser.on(data[at : at + 1400])
+    assert sum(summed) < (frames.VAIN + 1) * len(data) + frames.SAVED
+    assert parser.on(bytes(600) + wanted[0]) == wanted, "what comes after is found"
+
+
 def test_the_sums_are_those_of_pymavlink():
     rng = np.random.default_rng(3)
     for _ in range(200):

@@ -23,6 +23,7 @@ from rotorwatch import airframes, logs
 from rotorwatch.compiling.running import Definition
 from rotorwatch.errors import LogError, VehicleError
 from rotorwatch.experiments import fuzz
+from rotorwatch.logs import container
 from rotorwatch.logs.blackbox import decoder, encodings, frames, header, sizes
 from rotorwatch.many import gathering
 from rotorwatch.many.diagnose_many import diagnose_many
@@ -425,6 +426,17 @@ def test_of_logs_without_end_a_part_is_read(file, monkeypatch):
     monkeypatch.setattr(decoder, "CELLS", 1000)
     flight = logs.read(file("x.bbl", small(writer.betaflight(), 400).bytes()))
     assert 60 < len(flight["motors"]) < 400 and "which is more than is read" in " ".join(flight.warnings)
+
+
+def test_frames_of_one_byte_do_not_fill_memory(way, monkeypatch):
+    """A slow frame of two hundred fields that take no byte each."""
+    monkeypatch.setattr(decoder, "FEW", 100)
+    monkeypatch.setattr(container, "SLACK", 1 << 20)
+    log = Log([TIME, Field("motor[0]")], [Field(f"s{k}", encode=writer.NONE) for k in range(200)])
+    log.add("I", [1000, 5])
+    log.data += b"S" * 10_000  # 8 MB
+    one = decoded(log)
+    assert one.cut and 1000 < len(one.slow) < 2000 and len(one.main) == 1
 
 
 # Flights

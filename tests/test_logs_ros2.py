@@ -1,5 +1,12 @@
 """ROS 2 bags: what rosbags writes of a flight is read as the flight's own log is, and answered alike."""
 
+import bz2
+import io
+import signal
+import sqlite3
+import struct
+import tracemalloc
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -8,9 +15,10 @@ import pytest
 import ros2_bags
 import rotorwatch as rw
 from rotorwatch import airframes
+from rotorwatch.base import incoming
 from rotorwatch.errors import LogError, VehicleError
 from rotorwatch.experiments import fuzz
-from rotorwatch.logs import bag_storage, cdr, mavros, ros2
+from rotorwatch.logs import bag_storage, cdr, container, mavros, ros2
 from rotorwatch.simulation import scenario, simulate
 
 FAULT = {"kind": "loss", "rotor": 3, "onset_s": 25.0, "strength": 0.4}
@@ -88,6 +96,9 @@ def test_a_single_file_of_a_bag_is_enough(bag, px4, tmp_path, monkeypatch):
     for in_memory in {bag_storage.IN_MEMORY, False}:  # Python 3.10 opens databases from files only
         monkeypatch.setattr(bag_storage, "IN_MEMORY", in_memory)
         assert np.array_equal(flight["gyro"].values, rw.read(other)["gyro"].values)
+    (tmp_path / "packed").mkdir()
+    (tmp_path / "packed" / "FLIGHT_0.DB3.bz2").write_bytes(bz2.compress(other.read_bytes()))
+    assert np.array_equal(flight["gyro"].values, rw.read(tmp_path / "packed")["gyro"].values)
 
 
 def chunked(bag, path):
@@ -309,3 +320,147 @@ def test_damaged_bags_are_read_or_refused_politely(px4, tmp_path, storage):
     result = fuzz.fuzz(file, mutations=60, seed=5, jobs=0, diagnosed=0.0)
     assert result["failures"] == [] and sum(result["outcomes"].values()) == 60
     assert result["outcomes"]["read with warnings"] > 0
+
+
+ENDLESS = "WITH RECURSIVE c(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM c)"
+TOPICS = "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT)"
+MESSAGES = "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)"
+COMPUTED = "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB AS (zeroblob(1000000)))"
+ATTITUDE = "INSERT INTO topics VALUES (1, '/fmu/out/vehicle_attitude', 'px4_msgs/msg/VehicleAttitude', 'cdr')"
+
+
+def database(path, *statements):
+    with closing(sqlite3.connect(path)) as base:
+        base.execute("PRAGMA page_size = 512")
+        for statement in statements:
+            base.execute(statement)
+        base.commit()
+    return path
+
+
+def test_only_plain_tables_of_a_database_are_read(tmp_path):
+    """Views may be endless, or say that they are tables, and computed columns may be of any size."""
+    view = f"CREATE VIEW topics AS {ENDLESS} SELECT n AS id, 'x' AS name, 'y' AS type, 'json' AS serialization_format FROM c WHERE n < 0"
+    messages = f"CREATE VIEW messages AS {ENDLESS} SELECT n AS rowid, 1 AS topic_id, 1 AS timestamp, zeroblob(1000000) AS data FROM c"
+    named = "UPDATE sqlite_master SET type = 'table', rootpage = 2 WHERE name = 'topics'"
+    columns = "'x' AS topic_type, 'y' AS encoded_message_definition, 'ros2msg' AS encoding"
+    defined = f"CREATE VIEW message_definitions AS {ENDLESS} SELECT {columns} FROM c"
+    for k, statements in enumerate(
+        [
+            (view, MESSAGES),
+            (MESSAGES, view, "PRAGMA writable_schema = ON", named),
+            (TOPICS, ATTITUDE, messages),
+            (TOPICS, ATTITUDE, COMPUTED),
+        ]
+    ):
+        path = database(tmp_path / f"{k}.db3", *statements)
+        for source in (path, path.read_bytes()):
+            with pytest.raises(LogError, match="no ROS 2 bag, or too damaged"):
+                bag_storage.read_sqlite(source, bag_storage.Bag(ros2._wanted, 1 << 28))
+    bag = bag_storage.Bag(ros2._wanted, 1 << 28)
+    bag_storage.read_sqlite(database(tmp_path / "x.db3", TOPICS, MESSAGES, ATTITUDE, defined), bag)
+    assert (
+        list(bag.topics) == ["/fmu/out/vehicle_attitude"] and bag.topics["/fmu/out/vehicle_attitude"].definition == ""
+    )
+
+
+def circular(path, topic):
+    """A table of one row whose pages are each the child of another one seventy times, eight levels deep."""
+    data = bytearray(
+        database(
+            path, TOPICS, MESSAGES, ATTITUDE, f"INSERT INTO messages VALUES (1, {topic}, 1, x'00010000')"
+        ).read_bytes()
+    )
+    with closing(sqlite3.connect(path)) as base:
+        ((root,),) = base.execute("SELECT rootpage FROM sqlite_master WHERE name = 'messages'")
+    leaf, last = bytes(data[(root - 1) * 512 : root * 512]), len(data) // 512
+    children, pages = range(last + 1, last + 9), {last + 8: leaf}
+    for page, child in zip([root, *children], children):
+        cells = b"".join(child.to_bytes(4, "big") + b"\x01" for _ in range(70))
+        head = (
+            b"\x05\0\0"
+            + (70).to_bytes(2, "big")
+            + (512 - len(cells)).to_bytes(2, "big")
+            + b"\0"
+            + child.to_bytes(4, "big")
+        )
+        places = b"".join((512 - len(cells) + 5 * k).to_bytes(2, "big") for k in range(70))
+        pages[page] = (head + places).ljust(512 - len(cells), b"\0") + cells
+    data += bytes(512 * 8)
+    for page, content in pages.items():
+        data[(page - 1) * 512 : page * 512] = content
+    data[28:32] = (len(data) // 512).to_bytes(4, "big")
+    path.write_bytes(data)
+    return path
+
+
+@pytest.mark.parametrize("topic", [1, 2])
+def test_a_database_that_never_ends_is_given_up_and_lets_signals_in(tmp_path, topic, monkeypatch):
+    path = circular(tmp_path / "x.db3", topic)
+    assert path.stat().st_size < 20_000
+    with pytest.raises(
+        LogError, match="unfolds to more than 16 MB" if topic == 1 else "takes longer to read than its size allows"
+    ):
+        bag_storage.read_sqlite(path, bag_storage.Bag(ros2._wanted, 1 << 24))
+    monkeypatch.setattr(bag_storage, "STEPS_BESIDES", 1 << 60)
+    if hasattr(signal, "setitimer"):
+        with pytest.raises(incoming.TooLong), incoming.within(0.2):
+            bag_storage.read_sqlite(path, bag_storage.Bag(ros2._wanted, 1 << 60))
+
+
+def mcap(*records):
+    """A file of one topic with these records: (kind, content)."""
+
+    def text(value):
+        return struct.pack("<I", len(value)) + value
+
+    known = (
+        3,
+        struct.pack("<H", 1)
+        + text(b"px4_msgs/msg/VehicleAttitude")
+        + text(b"ros2msg")
+        + text(b"uint64 timestamp\nfloat32[4] q"),
+    )
+    channel = (4, struct.pack("<HH", 1, 1) + text(b"/fmu/out/vehicle_attitude") + text(b"cdr") + text(b""))
+    whole = ((1, text(b"ros2") + text(b"")), known, channel, *records)
+    return bag_storage.MCAP + b"".join(bytes([kind]) + struct.pack("<Q", len(data)) + data for kind, data in whole)
+
+
+def message(data):
+    return 5, struct.pack("<HIQQ", 1, 0, 1, 1) + data
+
+
+def chunk(packing, packed, declared):
+    name = struct.pack("<I", len(packing)) + packing.encode()
+    return 6, struct.pack("<QQQI", 0, 0, declared, 0) + name + struct.pack("<Q", len(packed)) + packed
+
+
+def test_what_an_mcap_file_unfolds_to_is_limited(monkeypatch):
+    """By what a chunk declares, by what it really holds, by all messages together, and by each that is packed for itself."""
+    zstandard, lz4 = pytest.importorskip("zstandard"), pytest.importorskip("lz4.frame")
+    kind, body = message(bytes(4 << 20))
+    record = bytes([kind]) + struct.pack("<Q", len(body)) + body
+    squeezed = {"zstd": zstandard.ZstdCompressor().compress(record), "lz4": lz4.compress(record)}
+    packer = zstandard.ZstdCompressor().compressobj(size=1 << 32)
+    claims = packer.compress(bytes(1000)) + packer.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)  # 4 GB, it says
+    small = struct.pack("<BQ", 5, 22 + 30) + message(bytes(30))[1]
+    many = zstandard.ZstdCompressor().compress(small * 40_000)
+    monkeypatch.setattr(container, "SLACK", 3 << 20)
+    large = [(chunk("zstd", many, 40_000 * len(small)),) * 2, (chunk("zstd", claims, 1 << 32),)]
+    large += [(chunk(name, data, len(record)),) for name, data in squeezed.items()]
+    damaged = [(chunk(name, data, 1000),) for name, data in squeezed.items()]
+    damaged += [(chunk("zstd", claims, 1000),), (message(claims),)]
+    tracemalloc.start()
+    try:
+        for records, words in [
+            *((r, "unfolds to more than 3 MB") for r in large),
+            *((r, "none could be read") for r in damaged),
+        ]:
+            with pytest.raises(LogError, match=words):
+                ros2.read(io.BytesIO(mcap(*records)).getbuffer(), "x.mcap")
+        assert tracemalloc.get_traced_memory()[1] < 20 << 20
+    finally:
+        tracemalloc.stop()
+    bag = bag_storage.Bag(ros2._wanted, 1 << 30)
+    bag_storage.read_mcap(mcap(chunk("zstd", squeezed["zstd"], len(record))), bag)
+    assert [len(p) for t in bag.topics.values() for p in t.payloads] == [4 << 20]

@@ -5,7 +5,9 @@ import io
 import re
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +17,8 @@ from hypothesis import strategies as st
 from conftest import trials
 from rotorwatch import logs
 from rotorwatch.errors import LogError
-from rotorwatch.logs import memory
+from rotorwatch.logs import container, memory, parquet_pages
+from rotorwatch.logs import table as logs_table
 from rotorwatch.logs.memory import from_arrays
 
 DOCS = Path(__file__).parents[1] / "docs" / "readers.md"
@@ -62,6 +65,72 @@ def test_parquet_and_data_frames(tmp_path):
     path.write_bytes(path.read_bytes()[:-200])
     with pytest.raises(LogError, match="damaged"):
         logs.read(path)
+
+
+def test_empty_cells_take_no_more_memory_than_others():
+    tracemalloc.start()
+    try:
+        notes: list[str] = []
+        for more, dropped in ((b"", 0), (b"1\n", 1)):  # all lines whole, or one not, which is read another way
+            table = memory.numbers(b"time_s,a,b,c\n" + b"0,,,\n" * 50_000 + more, notes)
+            assert np.isnan(table["b"]).all() and table["c"].size == 50_000 and len(notes) == dropped
+        assert tracemalloc.get_traced_memory()[1] < 50 * 4 * 50_000
+    finally:
+        tracemalloc.stop()
+
+
+def parquet(pages, **options):
+    pyarrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    out = io.BytesIO()
+    parquet.write_table(pyarrow.table(pages), out, **options)
+    return out.getvalue()
+
+
+@pytest.mark.parametrize("compression", ["none", "snappy", "zstd", "gzip"])
+@pytest.mark.parametrize("version", ["1.0", "2.0"])
+def test_pages_of_parquet_are_counted_whoever_wrote_them(compression, version):
+    from pyarrow.parquet import ParquetFile
+
+    rng = np.random.default_rng(1)
+    table = columns(5000, armed=rng.integers(0, 2, 5000), rpm_1=np.where(rng.random(5000) < 0.5, np.nan, 1.0))
+    data = parquet(table, compression=compression, data_page_version=version, data_page_size=4096, row_group_size=2000)
+    pages, cells = parquet_pages.unfolded(data, ParquetFile(io.BytesIO(data)).metadata, 1 << 30), 8 * 5000 * len(table)
+    assert cells <= pages < 1.5 * cells
+    assert np.array_equal(logs_table.read(data, "x.parquet")["gyro"].values, from_arrays(table)["gyro"].values)
+
+
+def test_what_parquet_unfolds_to_is_limited(monkeypatch):
+    """By the number of values, by the kind of a column, and by what pages say of themselves."""
+    from pyarrow.parquet import ParquetFile
+
+    monkeypatch.setattr(container, "SLACK", 1 << 20)
+    table = columns(3)
+    bombs = [
+        dict.fromkeys(table, np.zeros(100_000)),
+        table | {"motor_4": [np.zeros(200_000)] * 3},
+        table | {"motor_4": ["0" * 2_000_000] * 3},
+    ]
+    for bomb in bombs:
+        with pytest.raises(LogError, match="unfolds to more than 1 MB"):
+            logs_table.read(parquet(bomb, compression="zstd"), "x.parquet")
+    with pytest.raises(LogError, match="no numbers"):
+        logs_table.read(parquet(table | {"motor_4": ["0"] * 3}), "x.parquet")
+    data = parquet({"time_s": np.zeros(500_000)}, compression="zstd", use_dictionary=False)
+    real = ParquetFile(io.BytesIO(data)).metadata.row_group(0).column(0)
+    told = {name: getattr(real, name) for name in ("data_page_offset", "has_dictionary_page", "total_compressed_size")}
+    column = SimpleNamespace(num_values=3, **told)
+    lying = SimpleNamespace(
+        num_row_groups=1, num_columns=1, row_group=lambda _: SimpleNamespace(column=lambda _: column)
+    )
+    assert parquet_pages.unfolded(data, lying, 1 << 30) > 4_000_000
+    rng = np.random.default_rng(2)
+    for _ in range(300):
+        damaged = bytearray(data)
+        damaged[4 + int(rng.integers(40))] = int(rng.integers(256))
+        try:
+            parquet_pages.unfolded(damaged, lying, 1 << 20)
+        except parquet_pages.Damaged:
+            pass
 
 
 def test_parquet_without_pyarrow_says_what_to_install(tmp_path):

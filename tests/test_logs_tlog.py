@@ -2,6 +2,7 @@
 
 import lzma
 import struct
+import time
 from pathlib import Path
 
 import numpy as np
@@ -393,3 +394,12 @@ def test_counts_of_a_can_bus_are_shares():
     flight = px4(CA_ROTOR_COUNT=4, UAVCAN_EC_MIN1=1000, UAVCAN_EC_MAX1=2000, **functions("UAVCAN_EC", 1, 2, 3, 4))
     assert flight["motors"].unit == "1"
     assert flight["motors"].values[0].tolist() == pytest.approx([0.2, 1250 / 8191, 1300 / 8191, 1350 / 8191])
+
+
+def test_the_next_frame_is_found_in_time_that_grows_with_the_log():
+    """A frame seems to begin at every second byte, and none is followed by another."""
+    flight = Writer().flight(samples=20).data
+    before = time.process_time()
+    frames = mavlink_frames.Frames(flight + b"\xfe\x01" * 700_000 + flight, range(256))
+    assert time.process_time() - before < 1.0
+    assert frames.count == 2 * 61 and 1_399_990 < frames.skipped <= 1_400_000

@@ -4,6 +4,7 @@
 """
 
 import json
+import lzma
 import os
 import re
 import runpy
@@ -225,30 +226,81 @@ def test_the_action_writes_through_no_link(judge, tmp_path, reports):
     assert not list((tmp_path / "elsewhere").iterdir()) and not (tmp_path / "said.txt").exists()
 
 
-def test_the_action_judges_the_logs_that_a_pull_request_changes(judge, tmp_path):
-    git = ["git", "-c", "user.name=x", "-c", "user.email=x@example.org"]
+@pytest.fixture
+def pull_request(tmp_path):
+    """pull_request(files, folder="") -> the commit of a repository, after these files (name -> bytes) were written and added in it."""
 
-    def commit(*names):
-        for name in names:
-            (tmp_path / name).write_text(name)
-        subprocess.run(["git", "add", *names], cwd=tmp_path, check=True)
-        subprocess.run([*git, "commit", "-qm", "x"], cwd=tmp_path, check=True)
-        return subprocess.run(
-            ["git", "rev-parse", "HEAD"], cwd=tmp_path, check=True, capture_output=True, text=True
-        ).stdout.strip()
+    def commit(files, folder=""):
+        at = tmp_path / folder
+        at.mkdir(exist_ok=True)
+        git = ["git", "-c", "user.name=x", "-c", "user.email=x@example.org"]
+        if not (at / ".git").exists():
+            subprocess.run([*git, "init", "-q"], cwd=at, check=True)
+        for name, data in files.items():
+            (at / name).write_bytes(data)
+            subprocess.run([*git, "add", name], cwd=at, check=True)
+        subprocess.run([*git, "commit", "-qm", "x", "--allow-empty"], cwd=at, check=True)
+        said = subprocess.run([*git, "rev-parse", "HEAD"], cwd=at, check=True, capture_output=True, text=True)
+        return said.stdout.strip()
 
-    subprocess.run(["git", "init", "-q"], cwd=tmp_path, check=True)
-    base = commit("old.bin")
-    commit("readme.txt")
+    return commit
+
+
+def test_the_action_judges_the_logs_that_a_pull_request_changes(judge, pull_request, tmp_path):
+    base = pull_request({"old.bin": b"x"})
+    text = b"FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\n"
+    pull_request(
+        {"readme.txt": b"x", "build.log": b"compiled\n", "prices.csv": b"timestamp,price\n1,2\n", "model.parquet": b""}
+    )
     assert "no flight logs" in judge(1, BASE_SHA=base).stdout
-    commit("new flight.ulg")
+    named = [
+        "00000012.BIN",
+        "btfl.BFL",
+        "b.bbl",
+        "r.db3",
+        "r.MCAP",
+        "c.bin.bz2",
+        "d.Tlog.xz",
+        "new flight.ulg",
+        "e.bin.zip",
+    ]
+    content = {
+        "t.log": text,
+        "t.log.xz": lzma.compress(text),
+        "t.TXT": text,
+        "nameless": text,
+        "t.csv": b"time_s,gyro_x_rad_s\n",
+    }
+    pull_request({**dict.fromkeys(named, b"x"), **content})
     assert judge(1, BASE_SHA=base).returncode == 1
-    assert (tmp_path / "said.txt").read_text().splitlines()[-1] == "./new flight.ulg"
+    said = (tmp_path / "said.txt").read_text().splitlines()
+    assert sorted(said[said.index("--") + 1 :]) == sorted(f"./{name}" for name in (*named, *content))
+
+
+def test_the_action_follows_no_link(judge, pull_request, tmp_path):
+    base = pull_request({})
     (tmp_path / "link.bin").symlink_to("/etc/hostname")
     subprocess.run(["git", "add", "link.bin"], cwd=tmp_path, check=True)
-    subprocess.run([*git, "commit", "-qm", "x"], cwd=tmp_path, check=True)
-    assert judge(1, BASE_SHA=base).returncode == 1
-    assert "./link.bin" not in (tmp_path / "said.txt").read_text().splitlines()
+    pull_request({})
+    assert "no flight logs" in (done := judge(1, BASE_SHA=base)).stdout and "::notice::1 symbolic link" in done.stdout
+
+
+def test_the_action_fails_where_it_cannot_tell_what_changed(judge, pull_request, tmp_path):
+    """A checkout without the base, one without a place to fetch it from, one that leaves a log out, and none at all."""
+    base = pull_request({"a.txt": b"x"}, "theirs")
+    pull_request({"a.bin": b"x"}, "theirs")
+    for command in (["clone", "-q", "--depth=1", f"file://{tmp_path}/theirs", "shallow"], ["init", "-q"]):
+        subprocess.run(["git", *command], cwd=tmp_path, check=True)
+    shallow = {"BASE_SHA": base, "GIT_DIR": f"{tmp_path}/shallow/.git", "GIT_WORK_TREE": f"{tmp_path}/shallow"}
+    done = judge(1, BASE_SHA=base)
+    assert done.returncode == 2 and "::error::git fetch failed" in done.stdout and "fetch-depth: 0" in done.stdout
+    assert judge(1, BASE_SHA="main").returncode == 2
+    done = judge(1, **shallow)
+    assert done.returncode == 2 and "leaves out" in done.stdout, "the base was fetched, but a.bin is not in the folder"
+    assert not (tmp_path / "said.txt").exists()
+    (tmp_path / "a.bin").write_bytes(b"x")
+    assert judge(1, **shallow).returncode == 1
+    assert (tmp_path / "said.txt").read_text().splitlines()[-1] == "./a.bin"
 
 
 # The action's steps, as a runner runs them, beside a gh that has one pull request with comments

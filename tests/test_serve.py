@@ -136,6 +136,11 @@ def test_other_sites_cannot_send(served):
         assert answer.status_code == 403 and "another site" in answer.json()["error"]
 
 
+@pytest.mark.parametrize("origin", ["http://[", "http://[::1", "http://]", "null", ""])
+def test_an_origin_that_is_no_address_is_another_site(served, origin):
+    assert served[0].post("/api/flights", headers={"Origin": origin}).status_code == 403
+
+
 def test_without_the_token_there_is_only_the_form(closed):
     for path in ("/", "/api/flights", "/api/live", "/static/serve.js", "/flights/" + 64 * "0", "/nothing"):
         answer = closed.get(path)
@@ -225,9 +230,9 @@ def test_a_flight_of_another_version_says_so(tmp_path, monkeypatch):
 # Connections
 
 
-@pytest.fixture
-def listening(monkeypatch):
-    """The port of a server of plain pages, with few and hasty connections."""
+@pytest.fixture(params=[""])
+def listening(request, monkeypatch):
+    """The port of a server of plain pages, with few and hasty connections; param: its token."""
     import threading
 
     from starlette.applications import Starlette
@@ -245,8 +250,8 @@ def listening(monkeypatch):
     monkeypatch.setattr(connections, "PER_ADDRESS", 8)
     sock, begun, hub = server.listen("127.0.0.1", 0), threading.Event(), Hub(dict)
     feed = types.SimpleNamespace(hub=hub)
-    app = Starlette(routes=[Route("/", plain, methods=["GET", "POST"]), Route("/slow", slow)])
-    serving = server.http_server(app, begun.set, feed.hub.close)
+    app = Starlette(routes=[Route("/", plain, methods=["GET", "POST"]), Route("/slow", slow, methods=["GET", "POST"])])
+    serving = server.http_server(security.Guard(app, "127.0.0.1", request.param), begun.set, feed.hub.close)
     serving.config.lifespan = "off"
     thread = threading.Thread(target=lambda: asyncio.run(serving.serve([sock])), daemon=True)
     thread.start()
@@ -272,7 +277,7 @@ def answered(sock):
     return text
 
 
-ASK = b"GET / HTTP/1.1\r\nHost: a\r\n"
+ASK = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n"
 
 
 def test_connections_without_a_request_lock_nobody_out(listening):
@@ -287,7 +292,7 @@ def test_connections_without_a_request_lock_nobody_out(listening):
 @pytest.mark.parametrize("first", [
     ASK,  # a header that never ends
     ASK + b"\r\n" + ASK,  # so for the second request of a connection
-    b"POST / HTTP/1.1\r\nHost: a\r\nContent-Length: 999\r\n\r\n",  # answered, and its body never ends
+    b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 999\r\n\r\n",  # answered, and its body never ends
 ])  # fmt: skip
 def test_a_drop_now_and_then_keeps_no_connection(listening, first):
     sock, began = connected(listening, first), time.monotonic()
@@ -302,6 +307,26 @@ def test_a_drop_now_and_then_keeps_no_connection(listening, first):
         except ConnectionError:
             closed = True
     assert 0.3 < time.monotonic() - began < 1.5
+
+
+@pytest.mark.parametrize("listening", [TOKEN], indirect=True)
+def test_forms_for_the_token_that_do_not_end_lock_nobody_out(listening):
+    """Nor do they end an upload of somebody who is let in."""
+    head = b"POST %s HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 5\r\n"
+    upload = connected(
+        listening, head % b"/slow" + b"Authorization: Bearer %s\r\nConnection: close\r\n\r\nb" % TOKEN.encode()
+    )
+    time.sleep(0.1)
+    slow = []
+    for _ in range(12):
+        slow.append(connected(listening, head % b"/login" + b"\r\nt"))
+        time.sleep(0.01)  # until it is under way
+    for _ in range(10):
+        assert b" 401 " in answered(connected(listening, ASK + b"Connection: close\r\n\r\n"))
+    upload.sendall(b"odys")
+    assert b"slow" in answered(upload)
+    for sock in slow:
+        sock.close()
 
 
 def test_one_address_has_so_many_requests_at_once(listening):

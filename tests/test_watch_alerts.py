@@ -156,6 +156,24 @@ def test_a_scrape_says_what_is_known_of_each_vehicle():
     assert 'rotorwatch_state{state="OK",vehicle="odd\\"name\\\\\\n"}' in said
 
 
+def test_connections_that_ask_nothing_keep_no_thread(monkeypatch):
+    monkeypatch.setattr(metrics, "CONNECTIONS", 4)
+    before = threading.active_count()
+    page = metrics.Metrics("0")
+    try:
+        idle = [socket.create_connection(("127.0.0.1", page.port)) for _ in range(40)]
+        assert scraped(page) == {}
+        until = time.monotonic() + 5.0
+        while (over := threading.active_count() - before > 6) and time.monotonic() < until:
+            time.sleep(0.01)
+        assert not over
+        monkeypatch.setattr(metrics, "ASKS_S", 0.1)
+    finally:
+        page.leave()
+    for sock in idle:
+        sock.close()
+
+
 def test_a_page_that_cannot_be_opened_is_said():
     with pytest.raises(ConfigError, match="give a port, or HOST:PORT"):
         metrics.Metrics("everywhere")

@@ -311,6 +311,29 @@ def test_parameters_and_heartbeats_without_end_take_no_memory_without_end():
     assert any(v.name.endswith("/255.77") for v in link.vehicles) and len(link.vehicles) <= VEHICLES
 
 
+def test_those_that_send_only_heartbeats_give_way_to_one_that_sends_more():
+    """They never fall silent, and the real one is heard after them; what it sent before is not needed."""
+    now, alerts, wire = [0.0], [], Wire()
+    link = Link(wire, alerts.append, talks=False, clock=lambda: now[0])
+    beat = mavlink.MAVLink_heartbeat_message(QUAD, ARDUPILOT, 0x80, 0, 4, 3)
+    packs = {k: mavlink.MAVLink(None, srcSystem=k, srcComponent=1) for k in range(1, VEHICLES + 50)}
+    real = VEHICLES + 60
+    packs[real] = mavlink.MAVLink(None, srcSystem=real, srcComponent=1)
+    for _ in range(5):
+        for k, pack in packs.items():
+            wire.queue.append(("c" if k == real else "b", beat.pack(pack)))
+            pack.seq = (pack.seq + 1) % 256
+            if k == real:
+                wire.queue.append(
+                    ("c", mavlink.MAVLink_attitude_message(int(now[0] * 1e3), 0, 0, 0, 0, 0, 0).pack(pack))
+                )
+                pack.seq = (pack.seq + 1) % 256
+        now[0] += 1.0
+        link.poll(0.0)
+    assert any(v.name.endswith(f"/{real}") and v.health.taken > 5 for v in link.vehicles)
+    assert len(link.vehicles) == VEHICLES and len(alerts) < 2 * VEHICLES
+
+
 def free_port():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))

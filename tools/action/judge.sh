@@ -17,13 +17,10 @@ if [ -n "${LOGS:-}" ]; then
         [ -n "$line" ] && logs+=("$line")
     done <<<"$LOGS"
 elif [ -n "${BASE_SHA:-}" ]; then
-    # Only what looks like a log: a pull request also changes other files.
-    while IFS= read -r -d '' file; do
-        case $file in
-            *.bin | *.log | *.ulg | *.tlog | *.mcap | *.bin.xz | *.bin.gz | *.ulg.xz | *.ulg.gz | *.tlog.xz | *.tlog.gz)
-                [ -f "$file" ] && [ ! -L "$file" ] && logs+=("./$file") ;;
-        esac
-    done < <(git diff -z --name-only --diff-filter=AMR "$BASE_SHA" HEAD)
+    list=$(mktemp) || exit 2
+    trap 'rm -f "$list"' EXIT
+    python "$(dirname "${BASH_SOURCE[0]}")/changed.py" "$BASE_SHA" "$list" || exit 2
+    while IFS= read -r -d '' file; do logs+=("$file"); done <"$list"
     if [ ${#logs[@]} -eq 0 ]; then
         say "This pull request changes no flight logs."
         [ -n "${GITHUB_OUTPUT:-}" ] && say "exit-code=0" >>"$GITHUB_OUTPUT"
@@ -41,7 +38,7 @@ while IFS= read -r line; do
 done <<<"${BASELINE:-}"
 
 # A pull request may hold a link of that name, which would send the reports elsewhere.
-if ! python - "$reports" <<'PYTHON'
+if ! python -I - "$reports" <<'PYTHON'
 import sys
 from pathlib import Path
 
@@ -56,7 +53,7 @@ fi
 mkdir -p "$reports"
 rm -f "$reports/verdicts.jsonl" "$reports/summary.md"
 # What is printed about a stranger's files is no command to the runner.
-quiet=$(python -c 'import secrets; print(secrets.token_hex(16))')
+quiet=$(python -I -c 'import secrets; print(secrets.token_hex(16))')
 say "::stop-commands::$quiet"
 rotorwatch diagnose --jsonl --out "$reports/verdicts.jsonl" --html "$reports" --markdown - ${options[@]+"${options[@]}"} \
     -- "${logs[@]}" >"$reports/summary.md"

@@ -18,7 +18,6 @@ LOOKED_AT = 20_000  # entries of folders in one search
 DEEPEST = 12  # folders inside folders
 LONGEST = 1024  # letters of a path
 ID = re.compile(r"[0-9a-f]{12}")
-LOG = re.compile(r"(\.(?:bin|log|ulg|tlog|usd|px4log|bbl|bfl|csv|parquet)(?:\.(?:xz|gz|bz2))?)$", re.IGNORECASE)
 TABLE = re.compile(r"(\.toml)$", re.IGNORECASE)
 OUTSIDE = "lies in none of the allowed folders; `list_logs` shows what may be read."
 
@@ -57,7 +56,7 @@ class Folders:
 
     def log(self, given: str) -> Allowed:
         """The log of that path or id. Raises ConfigError."""
-        return self._file("log", given, LOG)
+        return self._file("log", given, logs.named())
 
     def vehicle(self, given: str) -> Allowed:
         """The vehicle file of that path. Raises ConfigError."""
@@ -92,7 +91,7 @@ class Folders:
                 self.list("")
             if given in self._known:
                 return self._inside(what, self._known[given]), None
-        asked, part = logs.of_part(given) if endings is LOG else (Path(given), None)
+        asked, part = logs.of_part(given) if endings is not TABLE else (Path(given), None)
         if not self.roots:
             raise ConfigError(f"{what}: no folder is allowed; start the server with the folders of your logs.")
         candidates = [asked] if asked.is_absolute() else [root / asked for root in self.roots]
@@ -113,11 +112,11 @@ class Folders:
 
     def list(self, search: str) -> list[tuple[str, Path, Path, os.stat_result]]:
         """(id, its folder, path, facts) of every log, the newest first. search: words that the path holds."""
-        words, found = search.lower().split(), []
+        words, found, ending = search.lower().split(), [], logs.named()
         for root in self.roots:
             for path in islice(_files(root, DEEPEST), LOOKED_AT):
                 shown = str(path.relative_to(root)).lower()
-                if LOG.search(path.name) and all(word in shown for word in words):
+                if ending.search(path.name) and all(word in shown for word in words):
                     try:
                         about = path.stat()
                     except OSError:

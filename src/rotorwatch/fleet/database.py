@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import re
+import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -100,27 +101,44 @@ def _engine(url: str, lite: bool) -> sa.Engine:
         if not lite:
             args = {"connect_timeout": 10, "application_name": "rotorwatch"}
             return sa.create_engine(url, connect_args=args, pool_pre_ping=True)
-        engine = sa.create_engine(url, connect_args={"timeout": WAIT_S})
+        path = Path(url.removeprefix("sqlite:///"))
+        engine = sa.create_engine(url, creator=lambda: _connected(path))
     except ImportError:
         raise ConfigError(
             'A store in PostgreSQL needs psycopg, which is not installed: pip install "psycopg[binary]".'
         ) from None
 
     # SQLite's Python driver would begin transactions late and leave tables out of them: they are begun here, at once for writers.
-    @event.listens_for(engine, "connect")
-    def connected(connection: Any, record: Any) -> None:
-        connection.isolation_level = None
-        cursor = connection.cursor()
-        for pragma in ("foreign_keys=ON", "journal_mode=WAL", "synchronous=FULL"):
-            cursor.execute(f"PRAGMA {pragma}")
-        cursor.close()
-
     @event.listens_for(engine, "begin")
     def begun(connection: Any) -> None:
         write = connection.get_execution_options().get("rotorwatch_write")
         connection.exec_driver_sql("BEGIN IMMEDIATE" if write else "BEGIN")
 
     return engine
+
+
+def _connected(path: Path) -> sqlite3.Connection:
+    """A connection to a file, which is read also where nothing may be written. Raises sqlite3.Error."""
+    options: dict[str, Any] = {"timeout": WAIT_S, "check_same_thread": False, "isolation_level": None}
+    base = sqlite3.connect(path, **options)
+    try:
+        log = base.execute("PRAGMA journal_mode").fetchone()[0]
+        base.execute("SELECT count(*) FROM sqlite_master").fetchone()
+    except sqlite3.DatabaseError as why:
+        base.close()
+        left = path.with_name(f"{path.name}-wal")
+        fine = not os.access(path.parent, os.W_OK) and not (left.exists() and left.stat().st_size)
+        if not fine or not isinstance(why, sqlite3.OperationalError):
+            raise
+        # Beside such a file SQLite keeps others, and here it cannot make them. Nobody writes to it: the writer's would be there.
+        base = sqlite3.connect(f"{path.resolve().as_uri()}?immutable=1", uri=True, **options)
+        log = "wal"
+    pragmas = ["foreign_keys=ON", "synchronous=FULL"]
+    if log != "wal" and os.access(path, os.W_OK):
+        pragmas.append("journal_mode=WAL")
+    for pragma in pragmas:
+        base.execute(f"PRAGMA {pragma}")
+    return base
 
 
 AGAIN = "Nothing was half-written; run the same command again afterwards."

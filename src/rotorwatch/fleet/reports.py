@@ -28,7 +28,8 @@ class Reports:
     @contextmanager
     def removed(self, hash: str) -> Iterator[None]:
         """Inside, the flight is deleted. Its report is set aside before, and gone or back afterwards as the flight is gone or still
-        there; where a kill comes between, `settle` does so later. Raises StoreError where the report cannot be touched."""
+        there; where a kill comes between, `settle` does so when the store is opened next. Raises StoreError where the report cannot be
+        touched."""
         aside = self.folder / f"{hash}{ASIDE}"
         try:
             with suppress(FileNotFoundError):
@@ -42,16 +43,18 @@ class Reports:
 
     def settle(self) -> None:
         """Finish what deletions that were killed have left."""
-        for aside in self.folder.glob(f"*{ASIDE}"):
-            self._settle(aside)
+        with suppress(OSError):
+            for name in os.listdir(self.folder):
+                if name.endswith(ASIDE):
+                    self._settle(self.folder / name)
 
     def _settle(self, aside: Path) -> None:
         """Where store or disk refuse, all stays for the next time."""
         page = self.path(aside.stem)
         with suppress(StoreError, OSError):
             if not self._known(aside.stem):
+                aside.unlink(missing_ok=True)  # first: another program that opens the store may be putting it back
                 page.unlink(missing_ok=True)
-                aside.unlink(missing_ok=True)
             elif page.exists():  # judged again since
                 aside.unlink(missing_ok=True)
             elif aside.exists():

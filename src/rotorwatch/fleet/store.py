@@ -97,8 +97,12 @@ class Store:
         self._database = Database(url, make)
         self.url, self.label = self._database.url, self._database.label
         self.reports = Reports(Path(self.label) if self.url.startswith("sqlite") else data_file(), self.has)
-        with self._database.writing() as db:
-            tables.upgrade(db.connection)
+        with self._database.reading() as db:
+            old = tables.version(db.connection) < len(tables.STEPS)
+        if old:  # who only reads waits for no writer, and needs no right to write
+            with self._database.writing() as db:
+                tables.upgrade(db.connection)
+        self.reports.settle()
 
     def close(self) -> None:
         """Let go of the database."""

@@ -153,22 +153,25 @@ STEPS = (_add(meta, aircraft, identities, flights, diagnoses, trims, services), 
 """Step k makes version k + 1 of version k. Steps are never changed once stores were made with them."""
 
 
+def version(connection: Any) -> int:
+    """Of a store's tables: 0 where it has none. Raises StoreError for one of a later rotorwatch."""
+    if not sa.inspect(connection).has_table("meta"):
+        return 0
+    found = connection.execute(sa.select(meta.c.value).where(meta.c.key == "version")).scalar()
+    if not str(found or 0).isdecimal():
+        raise StoreError("The store is damaged (table meta, version): put a copy back, or add the logs to a new one.")
+    if int(found or 0) > len(STEPS):
+        raise StoreError(
+            f"The store was made by a later version of rotorwatch (tables {found}, known {len(STEPS)}); update rotorwatch."
+        )
+    return int(found or 0)
+
+
 def upgrade(connection: Any) -> None:
     """Bring a store, new or old, to today's version, inside the caller's transaction. Raises StoreError for one of a later rotorwatch."""
-    version = 0
-    if sa.inspect(connection).has_table("meta"):
-        found = connection.execute(sa.select(meta.c.value).where(meta.c.key == "version")).scalar()
-        if not str(found or 0).isdecimal():
-            raise StoreError(
-                "The store is damaged (table meta, version): put a copy back, or add the logs to a new one."
-            )
-        version = int(found or 0)
-    if version > len(STEPS):
-        raise StoreError(
-            f"The store was made by a later version of rotorwatch (tables {version}, known {len(STEPS)}); update rotorwatch."
-        )
-    for step in STEPS[version:]:
+    before = version(connection)
+    for step in STEPS[before:]:
         step(connection)
-    if version < len(STEPS):
+    if before < len(STEPS):
         connection.execute(meta.delete().where(meta.c.key == "version"))
         connection.execute(meta.insert().values(key="version", value=str(len(STEPS))))

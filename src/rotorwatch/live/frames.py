@@ -5,15 +5,21 @@ pymavlink's parser makes an object of every message, which costs more than all t
 
 from __future__ import annotations
 
+import struct
 from binascii import crc_hqx
+from bisect import bisect_left
 from functools import cache
 from typing import NamedTuple
+
+import numpy as np
 
 from rotorwatch.logs import mavlink_messages
 
 V1, V2 = 0xFE, 0xFD
 SIGNED = 0x01
 MOST = 280  # bytes of the longest frame
+# Bytes that may be summed up in vain for each byte that comes, saved up to so many; an attempt costs so many more. Damage costs about 1.
+VAIN, SAVED, ATTEMPT = 4, 16 * MOST, 64
 
 # MAVLink's check sum, CRC-16/MCRF4XX, takes bits from the low end; the one of the standard library takes them from the high end.
 _TURNED = bytes(int(f"{k:08b}"[::-1], 2) for k in range(256))
@@ -31,37 +37,58 @@ def seeds() -> dict[int, int]:
     return {number: message.seed for number, message in mavlink_messages.by_id().items()}
 
 
+@cache
+def _known() -> tuple[np.ndarray, np.ndarray]:
+    """(longest payload of each message id of MAVLink 1, -1: unknown; whether each id of MAVLink 2 is known, the last: all larger ones)."""
+    messages = mavlink_messages.by_id()
+    longest, known = np.full(256, -1), np.zeros(max(messages) + 2, bool)
+    for number, message in messages.items():
+        known[number] = True
+        if number < longest.size:
+            longest[number] = struct.calcsize(message.form)
+    return longest, known
+
+
 class Frames:
     """The frames in the bytes of one peer, however these are cut. damaged: stretches that were no sound frame; unknown: whole frames of
-    messages that nobody here knows, so that their sums cannot be checked."""
+    messages that nobody here knows, so that their sums cannot be checked.
+
+    Work grows with the bytes, whatever they are: places where no frame can begin are passed over at once, and where sums are wrong again
+    and again as many bytes are given up as an attempt costs, instead of one."""
 
     def __init__(self):
         self._left = b""
         self._seeds = seeds()
         self._skipping = False
+        self._may = SAVED
         self.damaged = self.unknown = 0
 
     def on(self, data: bytes) -> list[bytes]:
         """The sound frames that these bytes complete."""
+        self._may = min(self._may + VAIN * len(data), max(SAVED, VAIN * len(data)))
         data, self._skipping = self._left + data if self._left else data, False
-        found, at, size = [], 0, len(data)
+        found, at, size, places = [], 0, len(data), None
         while at < size:
             length, sound = self._frame(data, at, size)
             if sound:
                 found.append(data[at : at + length])
                 self._skipping = False
+                at += length
             elif not length and size - at < MOST:
                 break  # the rest of it is still to come
-            elif length <= 0:
+            else:
                 # Only this byte is given up: a sound frame may begin within what looked like a long one.
                 self.damaged += not self._skipping
-                self._skipping, length = True, _next(data, at + 1, size) - at
-            at += length
+                self._skipping = True
+                if places is None:
+                    places = _places(data)
+                k = bisect_left(places, at + max(1, -length))
+                at = places[k] if k < len(places) else size
         self._left = data[at:] if at < size else b""
         return found
 
     def _frame(self, data: bytes, at: int, size: int) -> tuple[int, bool]:
-        """(length, whether it is sound) of the frame that begins here: 0 where bytes are missing, -1 where none begins."""
+        """(length, whether it is sound) of the frame that begins here: 0 where bytes are missing, -k where k bytes are given up."""
         magic = data[at]
         if magic == V2:
             if at + 12 > size:
@@ -90,14 +117,24 @@ class Frames:
                 )
             return -1, False
         if sums(data[at:end], seed) != data[end : end + 2]:
-            return -1, False
+            cost = whole - at + ATTEMPT
+            self._may -= cost
+            return -1 if self._may > 0 else -cost, False
         return whole - at, True
 
 
-def _next(data: bytes, at: int, size: int) -> int:
-    """Where the next frame may begin."""
-    places = [p for p in (data.find(V1, at), data.find(V2, at)) if p >= 0]
-    return min(places, default=size)
+def _places(data: bytes) -> list[int]:
+    """Where frames of messages that are known may begin, and where too few bytes are left to tell."""
+    at = np.frombuffer(data, np.uint8)
+    longest, known = _known()
+    sure = max(at.size - 11, 0)  # from there on a head may be cut off
+    first = np.flatnonzero(at[:sure] == V1)
+    first = first[at[first + 1] <= longest[at[first + 5]]]
+    second = np.flatnonzero((at[:sure] == V2) & (at[2 : sure + 2] <= SIGNED))
+    number = at[second + 7] | at[second + 8].astype(np.int64) << 8 | at[second + 9].astype(np.int64) << 16
+    second = second[known[np.minimum(number, known.size - 1)]]
+    rest = sure + np.flatnonzero((at[sure:] == V1) | (at[sure:] == V2))
+    return np.sort(np.concatenate([first, second, rest])).tolist()
 
 
 class Outgoing(NamedTuple):

@@ -71,6 +71,7 @@ class LinkedVehicle:
         self._outputs = Outputs(())
         self._sequence: int | None = None
         self._silent = self._mixed = False
+        self.only_beats = True  # nothing but heartbeats has come
         self._senders = Senders()
         self._first = link.clock()
         self._missed: tuple[str, ...] = ()
@@ -109,6 +110,7 @@ class LinkedVehicle:
 
     def _on(self, identity: int, frame: bytes, arrival: float) -> None:
         self.watched.health.last_frame = arrival
+        self.only_beats = self.only_beats and identity == 0
         if not self._one_sender():
             return
         if self._silent:
@@ -320,6 +322,7 @@ class Link:
         self._fresh: dict[LinkedVehicle, None] = {}  # those that something has come of since they were judged
         self._stepped = 0.0
         self._refused: set[int] = set()
+        self._outside: dict[tuple[int, int], bytes] = {}  # the heartbeats of those that there was no room for
         self.frames = self._damaged_before = 0
         self._began, self._beat = clock(), 0.0
         self._sender = Sender(requests.SYSTEM, requests.COMPONENT)
@@ -426,8 +429,9 @@ class Link:
         sequence, system, component, identity = mavlink.header(frame)
         vehicle = self._vehicles.get((system, component))
         if vehicle is None:
-            if identity == 0:
-                self._meet(peer, frame, system, component)
+            beat = frame if identity == 0 else self._outside.pop((system, component), None)
+            if beat is not None:
+                self._meet(peer, beat, system, component, identity != 0)
             return
         if vehicle.peer != peer and not self._followed(vehicle, peer, arrival):
             return
@@ -446,8 +450,8 @@ class Link:
         vehicle.watched.health.others += 1
         return False
 
-    def _meet(self, peer: Any, frame: bytes, system: int, component: int) -> None:
-        """A heartbeat of someone new."""
+    def _meet(self, peer: Any, frame: bytes, system: int, component: int, more: bool) -> None:
+        """A heartbeat of someone new. more: it has sent something else as well."""
         beat = mavlink.row(frame, mavlink.layouts()[0])
         autopilot, kind = int(beat["autopilot"]), int(beat["type"])
         if autopilot == NO_AUTOPILOT:
@@ -464,7 +468,8 @@ class Link:
                     }
                 )
             return
-        if len(self._vehicles) >= VEHICLES and not self._room():
+        if len(self._vehicles) >= VEHICLES and not self._room(more):
+            self._outside[system, component] = frame
             return
         self._first_version = frame[0] == 0xFE
         name = self._name(system, component)
@@ -474,11 +479,13 @@ class Link:
         self._vehicles[system, component] = LinkedVehicle(watched, (system, component), words, kind, self, peer)
         watched.say(f"{words}, {MAV_TYPES[kind][0]}")
 
-    def _room(self) -> bool:
-        """Whether there is room for one more vehicle: that of one of which nothing but a heartbeat has come, and which is silent."""
+    def _room(self, more: bool) -> bool:
+        """Whether there is room for one more vehicle: that of one of which nothing has come that could be judged, and which is silent; for
+        one that sends more than heartbeats also that of one that sends nothing else."""
         now = self.clock()
         for key, vehicle in self._vehicles.items():
-            if vehicle.empty and now - vehicle.watched.health.last_frame > SILENT_S:
+            silent = now - vehicle.watched.health.last_frame > SILENT_S
+            if vehicle.empty and (silent or (more and vehicle.only_beats)):
                 vehicle.restore_rates()
                 self._fresh.pop(vehicle, None)
                 del self._vehicles[key]

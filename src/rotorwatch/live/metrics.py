@@ -5,8 +5,10 @@ The loop leaves a picture of all vehicles once a second; a scrape, in a thread o
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +19,7 @@ from rotorwatch.live.watch import Source
 from rotorwatch.live.watched import Watched
 
 EVERY_S = 1.0
+CONNECTIONS, ASKS_S = 32, 10.0  # at once, the oldest of which goes for a new one; between two bytes of a request
 STATES = ("LOST", "FAULT", "MAYBE", "OK", "GROUND", "BLIND", "SILENT", "ERROR")
 
 
@@ -67,12 +70,14 @@ class Metrics:
         self._pictures: tuple[Picture, ...] = ()
         self._taken = 0.0
         try:
-            self._server, self._thread = prometheus.start_http_server(port, host, registry)
+            self._server = _server(host, port, prometheus.make_wsgi_app(registry))
         except (OSError, UnicodeError) as why:
             reason = getattr(why, "strerror", None) or why
             raise ConfigError(
                 f"--metrics {where} cannot be opened ({reason}); is another program using this port?"
             ) from why
+        self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
+        self._thread.start()
         self.port: int = self._server.server_port
 
     def take(self, alert: dict) -> None:
@@ -131,3 +136,47 @@ class Metrics:
             share.add_metric([one.name], one.lost / max(one.lost + one.taken, 1))
             age.add_metric([one.name], max(now - one.last_frame, 0.0))
         yield from (state, *columns, events, ticks, taken, lost, share, age)
+
+
+def _server(host: str, port: int, page: Any) -> Any:
+    """A server of a WSGI application in threads, of which those that wait for a request are limited. Raises OSError, UnicodeError."""
+    import socket
+    from socketserver import ThreadingMixIn
+    from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
+
+    class Handler(WSGIRequestHandler):
+        timeout = ASKS_S
+
+        def log_message(self, format: str, *args: Any) -> None:
+            """Standard error is the watch's."""
+
+    class Server(ThreadingMixIn, WSGIServer):
+        daemon_threads = True
+        address_family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+
+        def __init__(self) -> None:
+            self._open: dict[socket.socket, None] = {}
+            self._lock = threading.Lock()
+            super().__init__((host, port), Handler)
+
+        def process_request(self, request: Any, client_address: Any) -> None:
+            with self._lock:
+                self._open[request] = None
+                if len(self._open) > CONNECTIONS:
+                    with suppress(OSError):  # its thread ends by that
+                        oldest = next(iter(self._open))
+                        del self._open[oldest]
+                        oldest.shutdown(socket.SHUT_RDWR)
+            super().process_request(request, client_address)
+
+        def shutdown_request(self, request: Any) -> None:
+            with self._lock:
+                self._open.pop(request, None)
+            super().shutdown_request(request)
+
+        def handle_error(self, request: Any, client_address: Any) -> None:
+            """A connection that breaks is nobody's trouble here."""
+
+    server = Server()
+    server.set_app(page)
+    return server

@@ -4,6 +4,9 @@
     sniff(head: bytes, name: str) -> bool        is it mine? name is "" when only the content may decide
     read(data, name, progress=None) -> Flight    data: bytes or a memory map; may raise LogError
 
+ENDINGS, where given, are the ends of names that only its files have, as ".tlog"; COMMON_ENDINGS those that other files have as well.
+Nothing else lists names of logs.
+
 A format that is a folder of tables has sniff_folder(path) and read_folder(path, progress=None) besides or instead. One whose files hold
 several flights has parts(data) -> their numbers, the longest first, and its read takes part=NUMBER.
 progress, where given, is called with the finished share, 0..1.
@@ -15,6 +18,7 @@ It is tried when no format of ours recognises the file.
 from __future__ import annotations
 
 import hashlib
+import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -50,6 +54,20 @@ def offered() -> dict[str, tuple[Any, Any]]:
         return "" if whole else "it needs sniff and read, or sniff_folder and read_folder"
 
     return {found.FORMAT: (entry, found) for entry, found in discovery.others(__name__, ("FORMAT",), refuse)}
+
+
+@cache
+def named(common: bool = True, archives: bool = False) -> re.Pattern:
+    """What names of logs end with, packed or not, in letters of any size; group 1 is that ending. common: also with what other files' names
+    end with. archives: also packed in ways that are not opened here."""
+    from rotorwatch.logs.container import PACKED, REFUSED
+
+    known: list[Any] = [*formats(), *(found for _, found in offered().values())]
+    parts = ("ENDINGS", "COMMON_ENDINGS") if common else ("ENDINGS",)
+    endings = {ending for m in known for part in parts for ending in getattr(m, part, ())}
+    endings = sorted(ending for ending in endings if len(ending) > 1 and ending[0] == ".")
+    some, packed = ("|".join(map(re.escape, all_)) for all_ in (endings, PACKED + REFUSED * archives))
+    return re.compile(rf"((?:{some})(?:{packed})?)$", re.IGNORECASE)
 
 
 def read(path, progress=None) -> Flight:

@@ -15,7 +15,7 @@ SLACK, SHRINKS = 256 << 20, 16
 """Logs shrink to a third to a sixth; what unfolds to more than so many bytes, and so many times its size, is made to fill memory."""
 _CHUNK, _HEAD = 1 << 20, 1 << 16
 _MAGIC = {
-    b"\xfd7zXZ\x00": (".xz", lzma.LZMADecompressor),
+    b"\xfd7zXZ\x00": (".xz", lambda: lzma.LZMADecompressor(memlimit=SLACK)),
     b"\x1f\x8b": (".gz", lambda: _Gzip()),
     b"BZh": (".bz2", bz2.BZ2Decompressor),
 }
@@ -24,6 +24,9 @@ _REFUSED = {
     b"PK\x03\x04": ("zip", "unzip"),
     b"7z\xbc\xaf\x27\x1c": ("7-zip", "7z x"),
 }
+PACKED = tuple(suffix for suffix, _ in _MAGIC.values())
+REFUSED = (".zst", ".zip", ".7z")
+"""Endings of names: of what is unpacked here, and of what is not."""
 
 
 class _Gzip:
@@ -74,6 +77,16 @@ def open_log(path: Path, progress=None, limit: int = incoming.MOST):
         raise LogError(f"{path}: cannot be opened ({error})") from None
 
 
+def most(size: int, limit: int = incoming.MOST) -> int:
+    """Bytes that a file of `size` bytes may unfold to, in whatever way it is packed; never more than `limit`."""
+    return min(limit, SLACK + SHRINKS * size)
+
+
+def too_much(limit: int, where: str = "") -> LogError:
+    """The error of a log that unfolds to more than `limit` bytes."""
+    return LogError(f"{where}unfolds to more than {limit >> 20} MB, which no flight log does")
+
+
 def head(path: Path, count: int) -> tuple[bytes, str]:
     """The first `count` bytes of what a log file holds, unpacked, and its name without the compression suffix; no bytes where it cannot
     be opened or unpacked."""
@@ -91,7 +104,7 @@ def head(path: Path, count: int) -> tuple[bytes, str]:
 
 def _unfold(file, size, decoder, path, progress, limit):
     """Decompress stream after stream. Returns (bytes, warnings)."""
-    limit = min(limit, SLACK + SHRINKS * size)
+    limit = most(size, limit)
     pieces, total, warnings = [], 0, []
     stream, data = decoder(), file.read(_CHUNK)
     try:
@@ -100,7 +113,7 @@ def _unfold(file, size, decoder, path, progress, limit):
             pieces.append(piece)
             total += len(piece)
             if total > limit:
-                raise LogError(f"{path}: unfolds to more than {limit >> 20} MB, which no flight log does")
+                raise too_much(limit, f"{path}: ")
             if stream.eof:
                 data = stream.unused_data.lstrip(b"\0") or file.read(_CHUNK)
                 if not data:

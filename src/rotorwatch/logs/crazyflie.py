@@ -14,6 +14,7 @@ from rotorwatch.flight import Flight
 from rotorwatch.logs import series
 
 FORMAT = "Crazyflie uSD log"
+COMMON_ENDINGS = (".usd",)
 
 _FULL = 65535.0
 _FLIP = np.array([1.0, -1.0, -1.0])

@@ -31,6 +31,8 @@ from rotorwatch.logs.dataflash_text import FIRST_LINE, TextLog
 from rotorwatch.logs.series import SHAPES, quaternion, steady
 
 FORMAT = "dataflash"
+ENDINGS = (".bin",)
+COMMON_ENDINGS = (".log",)
 
 FMT_HEADER = b"\xa3\x95\x80"
 NEAR_START = 512  # bytes that damage or a ground station may have put before the first FMT
@@ -65,7 +67,7 @@ def sniff(head: bytes, name: str) -> bool:
         return False  # PX4's, in the same framing
     if 0 <= head.find(FMT_HEADER) < NEAR_START or FIRST_LINE.search(head):
         return True
-    return name.lower().endswith(".bin") and FMT_HEADER in head
+    return name.lower().endswith(ENDINGS) and FMT_HEADER in head
 
 
 @np.errstate(all="ignore")  # damaged numbers may be NaN or huge; they are masked, not computed with

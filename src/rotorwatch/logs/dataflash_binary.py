@@ -17,10 +17,13 @@ from typing import Any
 
 import numpy as np
 
+from rotorwatch.errors import LogError
+
 HEADER = b"\xa3\x95"
 SDLOG2 = re.compile(rb"\xa3\x95\x80..(ATTC|ATSP|OUT0)", re.DOTALL)  # definitions that only PX4 made
 FMT_TYPE = 128
 FMT_LENGTH = 89
+MOST_FORMATS = 4096  # definitions that differ; a vehicle's log has about 250, and those of several may be joined
 SCAN_CHUNK = 1 << 22  # bytes compared at a time: the comparison's result stays small
 
 # Format character -> (numpy type, divisor); the characters of ArduPilot's Logger. `M` is a flight mode number.
@@ -144,13 +147,16 @@ class BinaryLog:
         """Type number -> [(position from which it holds, Format)]; more than one where a log redefines a type."""
         fmt = Format(FMT_TYPE, "FMT", FMT_LENGTH, "BBnNZ", ("Type", "Length", "Name", "Format", "Columns"))
         formats = {FMT_TYPE: [(0, fmt)]}
+        known: dict[bytes, Format | None] = {}
         self._bad_formats: list[int] = []
         for at in positions.tolist():
             row = self._bytes[at + 3 : at + FMT_LENGTH].tobytes()
             if len(row) < FMT_LENGTH - 3:
                 continue
-            name, codes, columns = (_text(row[a:b]) for a, b in ((2, 6), (6, 22), (22, 86)))
-            new = make_format(row[0], row[1], name, codes, columns)
+            if row not in known:
+                name, codes, columns = (_text(row[a:b]) for a, b in ((2, 6), (6, 22), (22, 86)))
+                known[row] = make_format(row[0], row[1], name, codes, columns)
+            new = known[row]
             if new is None or (new.type == FMT_TYPE and new != fmt):
                 self._bad_formats.append(at)
                 continue
@@ -159,6 +165,8 @@ class BinaryLog:
                 versions.append((0, new))
             elif versions[-1][1] != new:
                 versions.append((at, new))
+        if sum(new is not None for new in known.values()) > MOST_FORMATS:
+            raise LogError(f"this log defines more than {MOST_FORMATS} kinds of messages, which no flight log does")
         return formats
 
     def _record_lengths(self, positions: np.ndarray, types: np.ndarray) -> np.ndarray:
@@ -168,8 +176,10 @@ class BinaryLog:
             table[type_] = versions[0][1].length
         lengths = table[types]
         for type_, versions in self._formats.items():
-            for since, version in versions[1:]:
-                lengths[(types == type_) & (positions >= since)] = version.length
+            if len(versions) > 1:
+                since, length = np.array([(since, version.length) for since, version in versions], self._index).T
+                own = np.flatnonzero(types == type_)
+                lengths[own] = length[np.searchsorted(since, positions[own], "right") - 1]
         return lengths
 
     def _chain(self, at: np.ndarray, end: np.ndarray) -> np.ndarray:
@@ -267,15 +277,21 @@ class BinaryLog:
         return counts
 
     def _versions(self, name: str | None = None):
-        """(type, Format, record numbers) for each definition of `name` (all names if None)."""
+        """(type, Format, record numbers in order) for each definition of `name` (all names if None)."""
+        return self._defined if name is None else [each for each in self._defined if each[1].name == name]
+
+    @cached_property
+    def _defined(self) -> list[tuple[int, Format, np.ndarray]]:
+        """For all names. A type may be defined anew any number of times; what is defined alike is one."""
+        found = []
         for type_, versions in self._formats.items():
-            if name is not None and all(v.name != name for _, v in versions):
-                continue
             records = self._by_type[self._type_start[type_] : self._type_start[type_ + 1]]
-            limits = [0, *(np.searchsorted(self._at[records], since) for since, _ in versions[1:]), records.size]
-            for (_, fmt), a, b in zip(versions, limits[:-1], limits[1:], strict=True):
-                if name is None or fmt.name == name:
-                    yield type_, fmt, records[a:b]
+            limits = np.searchsorted(self._at[records], [since for since, _ in versions[1:]]) if versions[1:] else []
+            pieces: dict[Format, list[np.ndarray]] = {}
+            for (_, fmt), piece in zip(versions, np.split(records, limits), strict=True):
+                pieces.setdefault(fmt, []).append(piece)
+            found += [(type_, fmt, np.concatenate(p) if p[1:] else p[0]) for fmt, p in pieces.items()]
+        return found
 
     def _gather(self, records: np.ndarray, offset: int, dtype: np.dtype) -> np.ndarray:
         """(n,) `dtype` items `offset` bytes after the start of each record."""

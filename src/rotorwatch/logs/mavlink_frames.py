@@ -8,6 +8,7 @@ Frame format and check sum: https://mavlink.io/en/guide/serialization.html
 from __future__ import annotations
 
 from array import array
+from bisect import bisect_left
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from rotorwatch.logs.mavlink_messages import Message, parts
 _STAMP = 8
 _V1, _V2 = 0xFE, 0xFD
 _SIGNED = 0x01
+_WINDOW = 1 << 20  # bytes that are looked through at once behind a damaged place
 
 
 class Frames:
@@ -30,6 +32,7 @@ class Frames:
 
     def _scan(self, data, wanted, progress):
         at, size, count = 0, len(data), 0
+        places, seen = [], 0  # where the chain may go on, up to `seen`
         found = self.found
         while at + _STAMP + 8 <= size:
             start = at + _STAMP
@@ -46,7 +49,11 @@ class Frames:
                 end = size + 1
             # The next frame's magic is where this one says, or this one is damaged.
             if end > size or (end + _STAMP < size and data[end + _STAMP] not in (_V1, _V2)):
-                later = _next_magic(data, start + 1)
+                later = size
+                while (k := bisect_left(places, start + 1)) == len(places) and seen < size:
+                    places, seen = self._places(max(start + 1, seen)), min(max(start + 1, seen) + _WINDOW, size)
+                if k < len(places):
+                    later = places[k]
                 self.skipped += later - start
                 at = later - _STAMP
                 continue
@@ -61,6 +68,21 @@ class Frames:
             if progress and not count & 0xFFFF:
                 progress(0.5 + 0.4 * at / size)
         self.count = count
+
+    def _places(self, at: int) -> list[int]:
+        """Where, from there on, a frame may begin that another one follows, and where too few bytes are left to tell."""
+        data, size = self._bytes, self._bytes.size
+        window = data[at : at + _WINDOW]
+        start = at + np.flatnonzero((window == _V1) | (window == _V2))
+        sure = start[: np.searchsorted(start, size - 11)]
+        second = data[sure] == _V2
+        end = sure + 8 + data[sure + 1].astype(np.int64)
+        end += second * (4 + 13 * (data[sure + 2] & _SIGNED).astype(np.int64))
+        follows = end + _STAMP >= size
+        inside = ~follows
+        magic = data[end[inside] + _STAMP]
+        follows[inside] = (magic == _V1) | (magic == _V2)
+        return np.concatenate([sure[follows & (end <= size)], start[sure.size :]]).tolist()
 
     def decode(self, source: int, component: int, layout: Message) -> tuple[np.ndarray, np.ndarray]:
         """All sound messages of one type: (structured array, (n,) running number of the frame in the file).
@@ -88,12 +110,6 @@ class Frames:
         starts = np.array(self.found.get((source, component, layout.id), ((),))[0], np.int64)
         stamps = self._bytes[starts[:, None] - _STAMP + np.arange(_STAMP)]
         return stamps.copy().view(">u8")[:, 0].astype(float) * 1e-6
-
-
-def _next_magic(data, at: int) -> int:
-    """Position of the next byte that may start a frame, or the end of the data."""
-    places = [p for p in (data.find(bytes([_V1]), at), data.find(bytes([_V2]), at)) if p >= 0]
-    return min(places, default=len(data))
 
 
 def payload_type(layout: Message) -> np.dtype:

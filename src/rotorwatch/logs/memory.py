@@ -6,6 +6,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+from array import array
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -40,7 +41,8 @@ _NUMBERED = re.compile(
 )
 _STATES = ("armed", "landed")
 _MOST_ROTORS = 16
-_EMPTY = re.compile(rb"(?:(?<=,)(?=[,\r\n])|(?<=\n)(?=,)|(?<=,)\Z)")
+_EMPTY = ((b",,", b",nan,"), (b",,", b",nan,"), (b",\n", b",nan\n"), (b",\r", b",nan\r"), (b"\n,", b"\nnan,"))
+"""Empty cells, and what is read instead; of three commas in a row the first turn sees two."""
 _MOST_COLUMNS = 2000
 _KNOWN = {"time_s", *_STATES, *(c for ways in _GROUPS.values() for way, _ in ways for c in way)}
 
@@ -225,7 +227,11 @@ def numbers(data, notes, name="", wanted: Callable[[str], bool] = lambda column:
     if not body.strip():
         raise LogError(f"{where}the table has no line of numbers")
     try:
-        filled = io.BytesIO(_EMPTY.sub(b"nan", body))
+        full = body
+        for empty, filled in _EMPTY:
+            full = full.replace(empty, filled)
+        filled = io.BytesIO(full + b"nan" if full.endswith(b",") else full)
+        del full
         if len(used) < len(names):
             rows = np.loadtxt(filled, delimiter=",", ndmin=2, comments=None, encoding="ascii", usecols=used)
         else:
@@ -241,22 +247,20 @@ def numbers(data, notes, name="", wanted: Callable[[str], bool] = lambda column:
 
 def _line_by_line(body: bytes, width: int, used: list[int], notes, where: str) -> np.ndarray:
     """Slower than loadtxt, but takes damage: a wrong number of cells drops the line, a wrong cell becomes NaN."""
-    rows, dropped, cells = [], 0, 0
-    lines = io.StringIO(body.decode("utf-8", "replace").replace("\0", ""), newline="")
+    rows, dropped, cells = array("d"), 0, 0
+    lines = io.TextIOWrapper(io.BytesIO(body.replace(b"\0", b"")), "utf-8", "replace", newline="")
     for line in csv.reader(lines):
         if not line:
             continue
         if len(line) != width:
             dropped += 1
             continue
-        row = []
         for cell in (line[k] for k in used):
             try:
-                row.append(float(cell) if cell else np.nan)
+                rows.append(float(cell) if cell else np.nan)
             except ValueError:
-                row.append(np.nan)
+                rows.append(np.nan)
                 cells += 1
-        rows.append(row)
     if dropped:
         notes.append(f"{where}{dropped} line{'s' if dropped > 1 else ''} with a wrong number of cells dropped")
     if cells:

@@ -14,11 +14,10 @@ import numpy as np
 
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight
-from rotorwatch.logs import bag_storage, cdr, mavros, px4_topics, ros2_definitions, series, wall_clock
+from rotorwatch.logs import bag_storage, cdr, container, mavros, px4_topics, ros2_definitions, series, wall_clock
 from rotorwatch.logs.container import open_log
 
 FORMAT = "ROS 2 bag"
-
 ENDINGS = (".mcap", ".db3")
 _ENOUGH = 20  # samples of a topic that is published all the time
 _UNIX_US = 1e14  # larger stamps count from 1970, smaller ones from the autopilot's start
@@ -35,12 +34,16 @@ def sniff(head: bytes, name: str) -> bool:
 
 def read(data, name: str, progress=None) -> Flight:
     """Read one file of a bag. Raises LogError when it holds no topic of PX4 or mavros."""
-    bag = bag_storage.Bag(_wanted)
-    if bytes(data[: len(bag_storage.MCAP)]) == bag_storage.MCAP:
-        bag_storage.read_mcap(data, bag, progress)
-    else:
-        bag_storage.read_sqlite(bytes(data), bag, progress)
+    bag = bag_storage.Bag(_wanted, container.most(len(data)))
+    _take(data, bag, progress)
     return _flight(bag)
+
+
+def _take(data, bag: bag_storage.Bag, progress) -> None:
+    if bytes(data[: len(bag_storage.SQLITE)]) == bag_storage.SQLITE:
+        bag_storage.read_sqlite(bytes(data), bag, progress)
+    else:
+        bag_storage.read_mcap(data, bag, progress)
 
 
 def sniff_folder(path: Path) -> bool:
@@ -50,8 +53,8 @@ def sniff_folder(path: Path) -> bool:
 
 def read_folder(path: Path, progress=None) -> Flight:
     """Read a bag: its files in the order of their numbers. Raises LogError when it holds no topic of PX4 or mavros."""
-    bag = bag_storage.Bag(_wanted)
     files = _files(path)
+    bag = bag_storage.Bag(_wanted, container.most(sum(file.stat().st_size for file in files)))
     for done, file in enumerate(files):
 
         def report(share, done=done):
@@ -59,14 +62,14 @@ def read_folder(path: Path, progress=None) -> Flight:
                 progress((done + share) / len(files))
 
         try:
-            if file.name.endswith(".db3"):
+            if file.name.lower().endswith(".db3"):
                 bag_storage.read_sqlite(file, bag, report)
                 if (left := file.with_name(file.name + "-wal")).exists() and left.stat().st_size:
                     bag.notes.append(f"{file.name}: the recording was interrupted; what {left.name} holds was not read")
             else:
                 data, _, warnings = open_log(file)
                 bag.notes += [f"{file.name}: {w}" for w in warnings]
-                bag_storage.read_mcap(data, bag, report)
+                _take(data, bag, report)
         except LogError as error:
             if len(files) == 1:
                 raise
@@ -81,10 +84,8 @@ def _files(path: Path) -> list[Path]:
         found = re.search(r"_(\d+)\.\w+(?:\.\w+)?$", file.name)
         return (int(found[1]) if found else -1), file.name
 
-    fine = [
-        p for p in path.iterdir() if p.name.removesuffix(".xz").removesuffix(".gz").endswith(ENDINGS) and p.is_file()
-    ]
-    return sorted(fine, key=number)
+    endings = tuple(ending + packed for ending in ENDINGS for packed in ("", *container.PACKED))
+    return sorted((p for p in path.iterdir() if p.name.lower().endswith(endings) and p.is_file()), key=number)
 
 
 def place(topic: str) -> tuple[str, str, int, bool] | None:

@@ -19,6 +19,7 @@ from rotorwatch.logs.dataflash_binary import SDLOG2, BinaryLog
 from rotorwatch.logs.dataflash_clock import make_clock
 
 FORMAT = "PX4 sdlog2"
+COMMON_ENDINGS = (".px4log",)
 
 _ARMED = 2  # STAT.ArmS
 _QUATERNION, _ANGLES = ("qw", "qx", "qy", "qz"), ("Roll", "Pitch", "Yaw")

@@ -8,18 +8,19 @@ import numpy as np
 
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight
-from rotorwatch.logs import memory
+from rotorwatch.logs import container, memory, parquet_pages
 
 FORMAT = "CSV or Parquet table"
+COMMON_ENDINGS = (".csv", ".parquet")
 
 _PARQUET = b"PAR1"
-_MOST_CELLS = 500_000_000
+_NO_NUMBERS = "this Parquet table is damaged or holds columns that are no numbers"
 
 
 def sniff(head: bytes, name: str) -> bool:
     """True for Parquet, for text whose first line has a column time_s, and for .csv and .parquet names."""
     if name:
-        return name.lower().endswith((".csv", ".parquet"))
+        return name.lower().endswith(COMMON_ENDINGS)
     return head.startswith(_PARQUET) or "time_s" in memory.header(head)
 
 
@@ -40,10 +41,20 @@ def _parquet(data) -> dict[str, np.ndarray]:
         raise LogError("Parquet needs pyarrow, which is not installed: pip install pyarrow") from None
     try:
         file = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(memoryview(data)))
-        if file.metadata.num_rows * file.metadata.num_columns > _MOST_CELLS:
-            raise LogError("this Parquet table claims more cells than any flight has")
         memory.check_names(file.schema_arrow.names)  # before anything large is decoded
-        table = file.read()
-        return {n: table[n].cast(pyarrow.float64()).to_numpy() for n in table.column_names}
-    except pyarrow.ArrowException as error:
-        raise LogError("this Parquet table is damaged or holds columns that are no numbers") from error
+        most = container.most(len(data))
+        if parquet_pages.unfolded(data, file.metadata, most) > most:
+            raise container.too_much(most)
+        if not all(_is_number(pyarrow.types, column.type) for column in file.schema_arrow):
+            raise LogError(_NO_NUMBERS)
+        # One after the other: a column is there twice while it is converted.
+        return {n: file.read(columns=[n])[n].cast(pyarrow.float64()).to_numpy() for n in file.schema_arrow.names}
+    except (pyarrow.ArrowException, parquet_pages.Damaged) as error:
+        raise LogError(_NO_NUMBERS) from error
+
+
+def _is_number(types, kind) -> bool:
+    """Texts and lists are of any length."""
+    return any(
+        of(kind) for of in (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal, types.is_null)
+    )

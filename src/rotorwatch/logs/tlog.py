@@ -28,6 +28,7 @@ from rotorwatch.logs.px4_topics import MAV_TYPES, custom_mode
 from rotorwatch.logs.px4_topics import rotor_count as px4_rotor_count
 
 FORMAT = "MAVLink tlog"
+ENDINGS = (".tlog",)
 
 _AUTOPILOTS = {3: "ArduPilot", 12: "PX4"}
 _NO_AUTOPILOT = 8
@@ -49,7 +50,7 @@ _MG = series.G / 1000
 def sniff(head: bytes, name: str) -> bool:
     """True when a MAVLink frame follows an 8-byte time stamp and another one follows that."""
     if name:
-        return name.lower().endswith(".tlog")
+        return name.lower().endswith(ENDINGS)
     if len(head) < 30 or head[8] not in (0xFE, 0xFD):
         return False
     end = 8 + head[9] + (8 if head[8] == 0xFE else 12 + (13 if head[10] & 1 else 0))

@@ -13,6 +13,7 @@ from rotorwatch.flight import Flight, Message
 from rotorwatch.logs import parameter_ranges, px4_topics, series
 
 FORMAT = "PX4 ULog"
+ENDINGS = (".ulg",)
 
 _MAGIC = b"ULog\x01\x12\x35"
 _BUFFER = 1 << 18  # bytes

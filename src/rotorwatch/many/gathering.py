@@ -22,10 +22,6 @@ ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
 PATTERN = re.compile(r"[*?\[]")
 TABLES = (".csv", ".parquet")
 """Names that many files have which are no flights: their content has to say that they are."""
-NAMES = re.compile(r"\.(bin|log|ulg|tlog|usd|px4log|bbl|bfl|csv|parquet)(\.xz|\.gz|\.bz2)?$", re.IGNORECASE)
-"""Of logs behind an address, which are not looked into before their turn."""
-MEANT = re.compile(r"\.(bin|ulg|tlog|bbl|bfl)(\.xz|\.gz|\.bz2)?$", re.IGNORECASE)
-"""Of files that are meant as logs: one that cannot be read was a flight, and is not passed over."""
 
 
 def is_address(source: Any) -> bool:
@@ -98,7 +94,7 @@ class Gathered:
                 yield from self._recognised(path)
 
     def _recognised(self, path: Path) -> Iterator[Path]:
-        if MEANT.search(path.name) or is_log(path):
+        if is_meant(path):
             yield from self._flights(path)
         else:
             self.others += 1
@@ -118,7 +114,7 @@ class Gathered:
         for name in sorted(found):
             if name.rpartition("/")[2].startswith("."):
                 continue
-            if NAMES.search(name.split("?")[0]):
+            if logs.named().search(name.split("?")[0]):
                 yield system.unstrip_protocol(name)
             else:
                 self.others += 1
@@ -161,6 +157,12 @@ def is_there(path: Path) -> bool:
     return logs.of_part(path)[0].exists()
 
 
+def is_meant(path: Path, archives: bool = False) -> bool:
+    """Whether a file is a log, by its content, or meant as one, by its name: one that cannot be read was a flight, and is not passed over.
+    archives: also one that is packed in a way that is not opened here."""
+    return logs.named(common=False, archives=archives).search(path.name) is not None or is_log(path)
+
+
 def is_log(path: Path) -> bool:
     """Whether a reader knows it, by its content; by its name only where that is not one of any table."""
     if path.is_dir():
@@ -171,7 +173,11 @@ def is_log(path: Path) -> bool:
     if not path.is_file():
         return False
     data, name = container.head(path, logs.HEAD)
-    return bool(data) and logs.recognise(data, "" if name.lower().endswith(TABLES) else name) is not None
+    table = name.lower().endswith(TABLES)
+    found: Any = logs.recognise(data, "" if table else name) if data else None
+    if table and hasattr(found, "sniff_folder"):  # a table of a set: others begin with such a column, too
+        return found.sniff_folder(path.parent)
+    return found is not None
 
 
 def _fsspec(address: str) -> Any:

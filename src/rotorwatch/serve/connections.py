@@ -9,16 +9,18 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 HEADER_S = 10.0  # from its beginning, or the end of an answer, to the end of the next header, however it trickles in
 MOST, PER_ADDRESS = 512, 256
+LET_IN = "rotorwatch.let_in"  # key of a request's scope: whether it may pass
 
 
 class Connection(H11Protocol):
     """uvicorn's connection with these limits, of which it has only one: a pause after an answer, which every byte ends.
 
-    A new connection is worth more than one without a request: where there are too many, the one that has waited longest goes. Only where
-    all have requests under way the new one is answered 503.
+    A new connection is worth more than one without a request, or with one that is not let in and does not end: where there are too many,
+    the one that has waited longest goes. Only where all have requests under way the new one is answered 503.
     """
 
     waits: asyncio.TimerHandle | None = None  # while no request is under way: closes the connection
+    since = 0.0  # when it began to wait
 
     def connection_made(self, transport: Any) -> None:
         super().connection_made(transport)
@@ -28,11 +30,9 @@ class Connection(H11Protocol):
             crowd = [c for c in ours if not c.transport.is_closing()]
             if len(crowd) <= most:
                 continue
-            # A connection with something left to write has an answer under way.
-            idle = [(c.waits.when(), c) for c in crowd if c.waits and not c.transport.get_write_buffer_size()]
-            idle = [(when, c) for when, c in idle if c is not self]
+            idle = [c for c in crowd if c is not self and c._idle]
             if idle:
-                min(idle, key=lambda one: one[0])[1].transport.abort()
+                min(idle, key=lambda c: c.since).transport.abort()
             else:
                 self.limit_concurrency = 0
 
@@ -50,11 +50,19 @@ class Connection(H11Protocol):
         super().connection_lost(exc)
 
     @property
+    def _idle(self) -> bool:
+        """Whether nothing is lost with it: no request is under way, or one of somebody without the token whose end has not come, as the
+        form's. One with something left to write has an answer under way."""
+        unknown = self.cycle is not None and self.cycle.more_body and not self.cycle.scope.get(LET_IN)
+        return (self.waits is not None or unknown) and not self.transport.get_write_buffer_size()
+
+    @property
     def _address(self) -> str:
         return self.client[0] if self.client else ""
 
     def _wait(self) -> None:
         self._stop_waiting()
+        self.since = self.loop.time()
         self.waits = self.loop.call_later(HEADER_S, self.timeout_keep_alive_handler)
 
     def _stop_waiting(self) -> None:

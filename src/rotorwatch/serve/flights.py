@@ -34,7 +34,6 @@ class Flights:
     def __init__(self, url: str | None = None):
         self._store = Store(url)
         self._folder = files.folder(self._store.reports.folder, "--store")
-        self._store.reports.settle()
 
     def folder(self, name: str) -> Path:
         """A folder of that name next to the store, made when it is missing."""

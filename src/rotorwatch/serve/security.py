@@ -15,6 +15,7 @@ from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Re
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rotorwatch.errors import ConfigError
+from rotorwatch.serve.connections import LET_IN
 
 # The page runs its own files and nothing else: nothing inline, nothing of another host, in nobody's frame.
 POLICY = (
@@ -78,6 +79,7 @@ class Guard:
             await send(message)
 
         answer = await self._refusal(Request(scope, receive))
+        scope[LET_IN] = answer is None
         await (answer or self._app)(scope, receive, guarded)
 
     async def _refusal(self, request: Request) -> Response | None:
@@ -170,7 +172,10 @@ def from_here(headers: Headers) -> bool:
     origin = headers.get("origin")
     if headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none"):
         return False
-    return origin is None or urlsplit(origin).netloc.lower() == headers.get("host", "").lower()
+    try:
+        return origin is None or urlsplit(origin).netloc.lower() == headers.get("host", "").lower()
+    except ValueError:  # no address at all
+        return False
 
 
 def refused(request: Request, code: int, why: str) -> Response:

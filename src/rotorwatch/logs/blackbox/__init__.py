@@ -24,6 +24,7 @@ from rotorwatch.logs import series
 from rotorwatch.logs.blackbox import decoder, flight, frames, header, modes
 
 FORMAT = "Blackbox"
+ENDINGS = (".bbl", ".bfl")
 
 VELOCITY, PLACE = tuple(f"GPS_velned[{k}]" for k in range(3)), ("GPS_coord[0]", "GPS_coord[1]")
 LEAST_SATELLITES = 4
@@ -43,7 +44,7 @@ REASONS = (
 
 def sniff(head: bytes, name: str) -> bool:
     """True where a session's header begins near the start; by name for .bbl and .bfl."""
-    return header.START in head or header.FIELDS_START in head or name.lower().endswith((".bbl", ".bfl"))
+    return header.START in head or header.FIELDS_START in head or name.lower().endswith(ENDINGS)
 
 
 def parts(data) -> list[int]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from rotorwatch.compiling.running import Definition
 from rotorwatch.errors import LogError
+from rotorwatch.logs import container
 from rotorwatch.logs.blackbox import encodings, frames, header, sizes
 from rotorwatch.logs.blackbox.header import Header
 
@@ -17,7 +18,7 @@ BLACKBOX = Definition("blackbox", (encodings, frames), sizes, FILES)
 CELLS, FEW = 1 << 21, 4096
 """Numbers of main frames, and rows of other frames, that are read before the buffers are emptied."""
 MOST_CELLS = 200_000_000
-"""Numbers of main frames that are kept: 90 minutes of 35 fields at 1 kHz."""
+"""Numbers of frames that are kept: 90 minutes of 35 fields at 1 kHz; of a small log fewer, by the limit of all that is packed."""
 
 
 @dataclass(frozen=True)
@@ -85,13 +86,14 @@ def decode(
     names = about.layouts["I"].names
     used = np.array([k for k, name in enumerate(names) if name == "time" or wanted(name)])
     done, cells, first = False, 0, 0
-    while not done and cells < MOST_CELLS:
+    most = min(MOST_CELLS, container.most(size) // main.itemsize)
+    while not done and cells < most:
         done = BLACKBOX.call(frames.decode, stream, raw, main, slow, gps, events, room, FEW)
         counts = [int(stream[name][0]) for name in ("rows", "slow_rows", "gps_rows", "event_rows")]
         for table, count, pieces in zip((main, slow, gps, events), counts, chunks):
             some = slice(first, count) if table is main else slice(count)
             pieces.append(table[some, used] if table is main and used.size < len(names) else table[some].copy())
-        cells += chunks[0][-1].size
+        cells += sum(pieces[-1].size for pieces in chunks)
         # The two last frames go first: the next ones are coded as differences to them.
         two = [int(stream["before"][0]), int(stream["previous"][0])]
         main[:2], first = main[two].copy(), 2

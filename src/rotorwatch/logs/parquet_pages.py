@@ -1,0 +1,96 @@
+"""How much a Parquet file unfolds to, told by the heads of its pages before any of them is unpacked.
+
+What the file's end says of its columns is not enough: a page of some kB may say of itself that it holds 2 GB, and is believed.
+https://parquet.apache.org/docs/file-format/data-pages/ and Thrift's compact protocol, which the heads are written in.
+"""
+
+from __future__ import annotations
+
+_UNPACKED, _PACKED = 2, 3  # fields of a page's head
+_INTEGERS, _STRUCT = (4, 5, 6), 12
+_DEEPEST = 10
+
+
+class Damaged(ValueError):
+    """No head of a page is where one has to be."""
+
+
+def unfolded(data, metadata, most: int) -> int:
+    """Bytes of all pages and of all values as numbers of 8 bytes, whichever is more; counting ends beyond `most`. data: the whole file;
+    metadata: pyarrow's of it. Raises Damaged."""
+    values = pages = 0
+    for group in range(metadata.num_row_groups):
+        for number in range(metadata.num_columns):
+            column = metadata.row_group(group).column(number)
+            values += max(column.num_values, 0)
+            start = column.data_page_offset
+            if column.has_dictionary_page and 0 < column.dictionary_page_offset < start:
+                start = column.dictionary_page_offset
+            end = start + column.total_compressed_size
+            if not 0 < start <= end <= len(data):
+                raise Damaged
+            while start < end and max(pages, 8 * values) <= most:
+                unpacked, packed, start = _head(data, start)
+                pages, start = pages + unpacked, start + packed
+    return max(pages, 8 * values)
+
+
+def _head(data, at: int) -> tuple[int, int, int]:
+    """(bytes of the page unpacked, bytes of it packed, the first of them)."""
+    try:
+        found, at = _fields(data, at, 0)
+        unpacked, packed = found[_UNPACKED], found[_PACKED]
+    except (IndexError, KeyError):
+        raise Damaged from None
+    if unpacked < 0 or packed < 0:
+        raise Damaged
+    return unpacked, packed, at
+
+
+def _fields(data, at: int, depth: int) -> tuple[dict[int, int], int]:
+    """(number -> value of the whole numbers in the structure that begins here, byte after it)."""
+    found: dict[int, int] = {}
+    number = 0
+    if depth > _DEEPEST:
+        raise Damaged
+    while head := data[at]:
+        kind, step = head & 15, head >> 4
+        at += 1
+        if step:
+            number += step
+        else:
+            number, at = _integer(data, at)
+        if kind in _INTEGERS:
+            found[number], at = _integer(data, at)
+        else:
+            at = _after(data, at, kind, depth)
+    return found, at + 1
+
+
+def _integer(data, at: int) -> tuple[int, int]:
+    """A whole number, the lowest seven bits first, the sign last of all."""
+    value, at = _count(data, at)
+    return (value >> 1) ^ -(value & 1), at
+
+
+def _count(data, at: int) -> tuple[int, int]:
+    value = shift = 0
+    while shift < 70:
+        byte = data[at]
+        value |= (byte & 0x7F) << shift
+        at, shift = at + 1, shift + 7
+        if byte < 0x80:
+            return value, at
+    raise Damaged
+
+
+def _after(data, at: int, kind: int, depth: int) -> int:
+    """The byte after a value that is no whole number. Heads have truths, texts and structures; anything else is damage."""
+    if kind in (1, 2):  # true and false
+        return at
+    if kind == 8:
+        size, at = _count(data, at)
+        return at + size
+    if kind == _STRUCT:
+        return _fields(data, at, depth + 1)[1]
+    raise Damaged
