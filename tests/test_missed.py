@@ -1,4 +1,4 @@
-"""Outputs that a log has missed: what all of them repeat while the rate controller asks for other ones."""
+"""Outputs that a log has missed: what all of them repeat while others must have flown the vehicle."""
 
 from dataclasses import replace
 from functools import cache
@@ -31,6 +31,10 @@ def held(flight, start, seconds, columns: slice | list[int] = slice(None)):
     return replace(flight, signals={**flight.signals, "motors": replace(motors, values=values)})
 
 
+def without_control(flight):
+    return replace(flight, signals={name: signal for name, signal in flight.signals.items() if name != "control"})
+
+
 def missed(flight):
     """(n,) bool: outputs that are taken for missed."""
     return ~without_missed(flight, airborne(flight))["motors"].valid.all(axis=1)
@@ -42,6 +46,22 @@ def test_what_repeats_is_not_known(start, seconds):
     time, found = flown()["motors"].time, missed(held(flown(), start, seconds))
     assert (found <= ((time > start) & (time < start + seconds))).all()
     assert found.sum() >= 0.8 * seconds * flown()["motors"].rate_hz
+
+
+def test_without_the_rate_controller_the_motion_tells():
+    """Where the vehicle turns as elsewhere; what rests in a dead calm was not missed."""
+    time, flight = flown()["motors"].time, without_control(flown())
+    found = missed(held(flight, 33.0, 3.0))
+    assert found.sum() >= 0.8 * 3.0 * flight["motors"].rate_hz and (found <= ((time > 33.0) & (time < 36.0))).all()
+    assert not missed(flight).any() and not missed(without_control(flown("hover", 0.0))).any()
+
+
+def test_motors_at_idle_may_rest_while_the_vehicle_turns_over():
+    flight = without_control(flown())
+    motors = flight["motors"]
+    values, idle = motors.values.copy(), (motors.time > 33.0) & (motors.time < 34.5)
+    values[idle] = 1150.0
+    assert not missed(replace(flight, signals={**flight.signals, "motors": replace(motors, values=values)})).any()
 
 
 @pytest.mark.parametrize("start", [20.0, 33.0, 46.0])
