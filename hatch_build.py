@@ -27,6 +27,12 @@ HERE = Path("rotorwatch") / "compiling" / "built"
 DOCUMENTS = "glossary", "limits"  # what `rotorwatch mcp` gives as resources
 
 
+def _paths() -> list[str]:
+    """Where this build finds modules, without what changes that as Python starts: pip's own would take the sources out where they are
+    installed in place already."""
+    return [path for path in sys.path if not (Path(path) / "sitecustomize.py").exists()]
+
+
 class ShippedCode(BuildHookInterface):
     """Hatchling's hook; see the file."""
 
@@ -70,7 +76,7 @@ class ShippedCode(BuildHookInterface):
         options = ["--portable"] if self.portable else []
         done = subprocess.run(
             [sys.executable, "-m", "rotorwatch.default.shipping", str(self._folder / "built"), *options],
-            env={**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(self.root) / "src"), *sys.path])},
+            env={**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(self.root) / "src"), *_paths()])},
             capture_output=True, text=True, check=False,
         )  # fmt: skip
         if done.returncode:

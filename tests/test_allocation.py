@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorwatch import airframes, logs
+from rotorwatch import airframes, diagnose, logs
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import ThrustCurve
 from rotorwatch.front import deviations, mixer
@@ -257,6 +257,26 @@ def test_an_output_that_rests_in_calm_air_beside_a_damaged_record_is_not_stuck(v
     signals = {"motors": replace(motors, values=rough, valid=known)}
     (found,) = overrides(replace(flight, signals=signals), vehicle, ((1.0, 30.0),))
     assert (found.rotor, found.kind) == (4, "stuck") and found.onset == pytest.approx(10.0, abs=0.2)
+
+
+@pytest.mark.parametrize("rounded_us, rebuilt", [(1.0, False), (10.0, False), (25.0, True), (50.0, True)])
+def test_coarse_outputs_are_rebuilt_from_a_rate_controller_that_is_no_faster(rounded_us, rebuilt):
+    flight, vehicle, _ = hover(rate=10.0)
+    motors = flight["motors"]
+    values = rounded_us * np.round(motors.values / rounded_us)
+    coarse = replace(flight, signals={**flight.signals, "motors": replace(motors, values=values)})
+    assert allocation.faster_control(coarse) == rebuilt
+    true = allocation.motor_thrusts(flight, vehicle).values
+    error = np.abs(allocation.rotor_thrusts(coarse, vehicle).values - true)[len(true) // 2 :]
+    assert np.sqrt((error**2).mean()) < 0.006 and (rebuilt or np.array_equal(coarse["motors"].time, motors.time))
+
+
+@needs_flights
+@pytest.mark.parametrize("rounded_us", [25.0, 50.0])
+def test_a_healthy_octa_with_coarse_outputs_is_not_accused(rounded_us):
+    flight = read("ardupilot-sitl/octa_healthy_circle_wind.bin.xz")
+    motors = replace(flight["motors"], values=rounded_us * np.round(flight["motors"].values / rounded_us))
+    assert diagnose(replace(flight, signals={**flight.signals, "motors": motors})).verdict == "healthy"
 
 
 def test_an_output_that_is_driven_by_something_else():

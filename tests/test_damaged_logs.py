@@ -71,6 +71,25 @@ def test_a_log_damaged_inside_its_framing(name):
         assert any("time" in w and "impossible" in w for w in found.warnings)
 
 
+@pytest.mark.parametrize(
+    "name, verdict, says",
+    [
+        (
+            "gyro_in_degrees",
+            "inconclusive",
+            "the gyro turns 57.8 times as fast as the attitude: it seems to be in degrees/s",
+        ),
+        ("outputs_held_3s", "healthy", "all outputs repeat from 74.6 to 77.5 s"),
+    ],
+)
+def test_wrong_units_and_outputs_that_were_missed(name, verdict, says):
+    if not (DAMAGED / f"{name}.bin.xz").exists():
+        pytest.skip("the flight logs for tests are not here (../shared/flights)")
+    found = rw.diagnose(DAMAGED / f"{name}.bin.xz")
+    assert found.verdict == verdict and says in " ".join((found.reason, *found.warnings))
+    assert not [e for e in found.events if e.rotors]
+
+
 @pytest.mark.parametrize("name, rotor, loss", [("gap_hides_loss_1", 1, 0.19), ("gap_hides_loss_2", 2, 0.37)])
 def test_a_loss_soon_after_a_gap_in_the_air_is_found(name, rotor, loss):
     if not (DAMAGED / f"{name}.bin.xz").exists():

@@ -240,6 +240,35 @@ def test_an_output_that_is_stuck(fly):
 
 
 @pytest.mark.parametrize("compared", [True, False])
+@pytest.mark.parametrize("seconds", [0.5, 1.0, 3.0, 8.0])
+def test_outputs_that_all_repeat_were_missed_and_are_not_stuck(fly, seconds, compared):
+    control = demands()
+    outputs = control @ FACTORS.T
+    for begin in (10.0, 20.0):
+        held = after(begin) & ~after(begin + seconds)
+        outputs[held] = outputs[np.argmax(held)]
+    assert not fly(control, outputs, compared=compared).found()
+
+
+@pytest.mark.parametrize("compared", [True, False])
+def test_a_stuck_output_is_found_once_the_others_move_again(fly, compared):
+    control = demands()
+    outputs = control @ FACTORS.T
+    outputs[after(20.0), 1] = outputs[np.argmax(after(20.0)), 1]
+    held = after(20.2) & ~after(23.2)
+    outputs[held] = outputs[np.argmax(held)]
+    ((rotor, kind, _, detected, end, _),) = fly(control, outputs, compared=compared).found()
+    assert (rotor, kind, end) == (1, STUCK, LASTS) and 23.2 < detected < 24.2
+
+
+@pytest.mark.parametrize("compared", [True, False])
+@pytest.mark.parametrize("step", [0.005, 0.01, 0.025, 0.05])
+def test_coarse_outputs_are_not_stuck(fly, step, compared):
+    control = demands()
+    assert not fly(control, np.round(control @ FACTORS.T / step) * step, compared=compared).found()
+
+
+@pytest.mark.parametrize("compared", [True, False])
 def test_an_output_that_is_off(fly, compared):
     control = demands()
     outputs = control @ FACTORS.T

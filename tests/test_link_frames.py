@@ -130,7 +130,9 @@ def test_outputs_of_both_banks():
     assert second is not None and second.values[0].tolist() == [1101.0, 1102.0, 1103.0, 1116.0]
     assert link.take((9, 10, 11, 16))["motors"].values[0].tolist() == [1009.0, 1010.0, 1011.0, 1016.0]
     link.put(servo(2_000_000, range(1001, 1017)))
-    assert tlog.readings(tlog.Outputs((9, 17)))["motors"][0].make(first) is None and any("both banks" in n for n in first.notes)
+    assert tlog.readings(tlog.Outputs((9, 17)))["motors"][0].make(first) is None and any(
+        "both banks" in n for n in first.notes
+    )
     mapped = {f"SERVO{16 + k}_FUNCTION": 32.0 + k for k in range(1, 5)}
     assert tlog.rotor_outputs(first, mapped).numbers == (17, 18, 19, 20)
 

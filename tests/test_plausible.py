@@ -1,6 +1,7 @@
 """Lone values: what the neighbours of a sample give away, and what they do not."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,10 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conftest import trials
-from rotorwatch import airframes, diagnose
+from rotorwatch import airframes, diagnose, logs
 from rotorwatch.flight import Flight, Signal
-from rotorwatch.logs import parameter_ranges, plausible
+from rotorwatch.logs import parameter_ranges, plausible, series
 
+FLIGHTS = Path(__file__).parents[1] / "../shared/flights"
 HZ = 10.0
 MANY = settings(max_examples=trials(150), deadline=None)
 
@@ -238,9 +240,29 @@ def test_a_motor_at_idle_is_as_rough_as_the_others_when_it_moves(by, stays):
     assert plausible.checked(flown)["motors"].valid[200, 1] == stays
 
 
-def test_heavy_damage_is_said():
-    checked = plausible.checked(flight(**changed("lift", np.arange(20, 390, 37), 1, 0.3)))
-    assert any(w.startswith("This log is damaged: too many values of lift") for w in checked.warnings)
+@pytest.mark.parametrize("impossible, damaged", [(0, False), (1, False), (40, True)])
+def test_heavy_damage_is_said_where_something_is_impossible(impossible, damaged):
+    """Jolts alone are what vehicles do that tumble, are tuned or lose a motor's step."""
+    notes = (series.Impossible(impossible, "records with an impossible time stamp"),) if impossible else ()
+    one = replace(flight(**changed("lift", np.arange(20, 390, 37), 1, 0.3)), warnings=("first", *notes))
+    said = plausible.checked(one).warnings
+    assert any(w.startswith("This log is damaged: 40 of its records") and "lift" in w for w in said) == damaged
+    assert {type(w) for w in said} == {str} and said[: 1 + len(notes)] == one.warnings
+
+
+NOT_DAMAGED = [
+    "open/ap_quad_autotune",
+    "wild/desync-called-damage-1",
+    "crash/take-off-dead-1",
+    "crash/take-off-swapped-2",
+]
+
+
+@pytest.mark.skipif(not FLIGHTS.is_dir(), reason="the shared test flights are not beside the repository")
+@pytest.mark.parametrize("name", [*NOT_DAMAGED, "damaged/flip5_healthy_0", "damaged/flip5_healthy_3"])
+def test_logs_of_vehicles_that_jolt_are_not_called_damaged(name):
+    said = any("Copy the log" in w for w in logs.read(FLIGHTS / f"{name}.bin.xz").warnings)
+    assert said == (name not in NOT_DAMAGED)
 
 
 def test_a_log_cut_short_keeps_what_was_said_before_the_cut():

@@ -18,8 +18,8 @@ WILD = Path(__file__).resolve().parents[2] / "shared" / "flights" / "wild"
 
 
 @cache
-def flown(seed=1, kind="figure-eight", loss=0.0, rotor=2, duration=45.0):
-    """A quad that flies about in a light wind, and may lose thrust of a rotor."""
+def flown(seed=1, kind="figure-eight", loss=0.0, rotor=2, duration=45.0, wind=3.0):
+    """A quad that flies about in a light wind (m/s), and may lose thrust of a rotor."""
     faults = [{"kind": "loss", "rotor": rotor, "onset_s": 25.0, "strength": loss}] if loss else []
     return simulate(
         scenario.from_table(
@@ -28,7 +28,7 @@ def flown(seed=1, kind="figure-eight", loss=0.0, rotor=2, duration=45.0):
                 "seed": seed,
                 "airframe": {"frame": "quad-x"},
                 "trajectory": {"kind": kind, "land": False, "speed_m_s": 4.0},
-                "wind": {"speed_m_s": 3.0},
+                "wind": {"speed_m_s": wind},
                 "faults": faults,
             }
         )
@@ -101,13 +101,61 @@ def test_outputs_that_are_taken_for_those_of_other_rotors(seed, kind):
     assert found >= 4
 
 
+@pytest.mark.parametrize("calm", [False, True])
 @pytest.mark.parametrize(
-    "name, factor, says", [("gyro", np.degrees(1.0), "gyro turns 57"), ("accel", 1.0 / 9.80665, "g over the flight")]
+    "name, factor, says",
+    [
+        ("gyro", np.degrees(1.0), "seems to be in degrees/s"),
+        ("gyro", 1e3, "seems to be in mrad/s"),
+        ("gyro", np.radians(1.0), "as fast as the attitude"),
+        ("gyro", 2.0, "as fast as the attitude"),
+        ("gyro", 0.5, "as fast as the attitude"),
+        ("accel", 1.0 / 9.80665, "the accelerometer shows"),
+        ("accel", 0.5, "the accelerometer shows"),
+        ("accel", 2.0, "the accelerometer shows"),
+    ],
 )
-def test_units(name, factor, says):
-    flight = flown()
+def test_units(name, factor, says, calm):
+    """In the calmest hover, too, the attitude tells the gyro's unit, and the weight that of the accelerometer."""
+    flight = flown(2, "hover", 0.2, wind=0.0) if calm else flown()
     found = doubts(with_signal(flight, name, values=flight[name].values * factor))
-    assert any(says in d for d in found)
+    assert any(says in d for d in found) or (factor == 1e3 and any("none survives" in d for d in found))
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+def test_a_calm_hover_is_trusted(seed):
+    """Where hardly anything moves, noise of two sensors is no contradiction."""
+    assert doubts(flown(seed, "hover", 0.2 * (seed % 2), wind=0.0)) == ()
+
+
+@pytest.mark.parametrize("faster, later", [(1.02, 0.0), (0.98, 0.0), (1.0, 0.6), (1.0, -0.6)])
+@pytest.mark.parametrize("kind", ["hover", "square"])
+def test_a_gyro_of_another_clock(kind, faster, later):
+    flight = flown(2, kind, duration=90.0)
+    found = doubts(with_signal(flight, "gyro", time=flight["gyro"].time * faster + later))
+    assert any("not of one clock" in d and " s apart" in d for d in found)
+
+
+def test_a_scale_has_an_error_that_noise_makes():
+    """Two noisy measurements of one motion: the interval holds the truth, and is no narrower than what the noise allows."""
+    rng, held = np.random.default_rng(1), 0
+    for _ in range(50):
+        motion = np.convolve(rng.normal(size=600), np.ones(10), "same")
+        noise = rng.uniform(0.0, 3.0, 2) * motion.std()
+        low, high = trust._scale(
+            1.5 * motion + noise[0] * rng.normal(size=600), motion + noise[1] * rng.normal(size=600)
+        )
+        held += low < 1.5 < high
+    assert held >= 48
+    low, high = trust._scale(rng.normal(size=600), rng.normal(size=600))
+    assert low < 0.1 and high > 10.0
+
+
+@pytest.mark.parametrize("greatest, wrong", [(1500.0, True), (1950.0, False)])
+def test_outputs_beyond_what_is_said_to_be_full_thrust(greatest, wrong):
+    flight = flown()
+    found = doubts(replace(flight, parameters={**flight.parameters, "MOT_PWM_MAX": greatest}))
+    assert any("said to be full thrust" in d for d in found) == wrong
 
 
 def test_a_gyro_of_another_vehicle():

@@ -28,6 +28,7 @@ from rotorwatch.logs import plausible
 from rotorwatch.motion import ticks, trust
 from rotorwatch.motion.airborne import Gap, airborne, gaps
 from rotorwatch.motion.allocation import Spans
+from rotorwatch.motion.missed import without_missed
 from rotorwatch.motion.ticks import JUDGE, READY_KNOWN_S, READY_S, Ticks, observe
 from rotorwatch.published import decide, detectors, published
 from rotorwatch.published.published import Tuning
@@ -168,6 +169,7 @@ def _prepare(flight: Flight, vehicle, baseline, hovers: bool, clock: _Clock) -> 
     # Without a gyro every take-off swing looks like a torque that is missing: no short blind time then.
     ready_s = READY_KNOWN_S if dynamics and flight.has("gyro") else READY_S
     air = airborne(flight) if flight.has("motors") else ()
+    flight = without_missed(flight, air)
     upsets = upset.judged(flight, craft, air)
     air = upset.until_impact(flight, air, upsets)
     table = observe(flight, craft, air, ready_s)

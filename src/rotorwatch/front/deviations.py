@@ -3,6 +3,9 @@
 Two ways to find one: each output against what the mixer demands of it (`Deviations.compared`), and outputs alone (`Deviations.logged`): one
 that is off, or does not move while all others fly and move. Loss of effectiveness never shows here: the commands are what is compared.
 
+Rest is compared with what the others do: a sample in which every output repeats the one before says nothing of any of them. A log that
+missed some samples shows the last ones again.
+
 Sample by sample; times do not decrease. Causal: an override's `detected` is when an observer in flight would have known.
 """
 
@@ -44,6 +47,7 @@ _AGREEING = 0.7  # share of the other outputs that must agree on what is common 
 _CONFIRM_S, _CONFIRM_SAMPLES = 0.25, 3  # how long an output must differ
 _STUCK_S = 1.0  # an output that does not move for this long while it should have, whatever limits the others, is stuck
 _SILENT_S = 0.5  # an output that does not move for this long while all others do is stuck
+_STEPS = 4.0  # steps of the outputs' resolution that the others must move while one rests
 _BACK_S = 0.5  # an output must follow again for this long before its override is over
 
 
@@ -74,6 +78,10 @@ class Rest(Struct):
             self.since = time
         return self.since
 
+    def wait(self, time: Time, seconds: Time) -> None:
+        """These seconds up to `time` do not count."""
+        self.since = min(self.since + seconds, time)
+
 
 class Run(Struct):
     """Samples in a row that may become an override, or are one."""
@@ -94,6 +102,8 @@ class Deviations(Struct):
     rest = array(Rest, ROTORS)  # the same, exactly
     alone = array(Rest, ROTORS)  # of all outputs
     last: Time = -LASTS  # time of the last comparison
+    last_logged: Time = -LASTS  # ... and of the last outputs
+    step: Real = inf  # the smallest change of an output so far: their resolution
     tilt = array(REAL, ROTORS)  # demanded of each rotor for roll and pitch, at that time
     tilt_at_rest = array(REAL, ROTORS, ROTORS)  # ... of all, when the output of each came to rest
     power: Time = 0.0  # sum of the squares of the largest deviations of comparisons that fitted
@@ -122,10 +132,24 @@ class Deviations(Struct):
         deviation = local(REAL, ROTORS)
         ordered = local(REAL, ROTORS)
         tilt = local(REAL, ROTORS)
+        rest = local(TIME, ROTORS)
         mean_demanded: Real = 0.0
         mean_thrust: Real = 0.0
+        repeated = True
+        inside = 0
         for k in range(v.rotors):
             interior[k] = low + 0.01 * span < c.output[k] < low + 0.99 * span
+            inside += 1 if interior[k] else 0
+            # What does not stir at all; at a limit, and in calm air, others rest as well.
+            rest[k] = self.rest[k].update(c.time, c.output[k], 1e-9)
+            repeated = repeated and rest[k] < c.time
+        if repeated and inside > 1:
+            for k in range(v.rotors):
+                self.rest[k].wait(c.time, c.time - self.last)
+                self.still[k].wait(c.time, c.time - self.last)
+            self.last = max(self.last, c.time)
+            return
+        for k in range(v.rotors):
             ordered[k] = c.thrust[k]
             mean_demanded += c.demanded[k]
             mean_thrust += c.thrust[k]
@@ -177,15 +201,14 @@ class Deviations(Struct):
             off = c.output[k] < low - 0.01 * span and c.demanded[k] > 2.0 * FLYING
             # At a limit the mixer takes from all others what it has too much, gives up yaw, and in calm air they may rest: stuck is what
             # does not stir at all while it should have moved against them. What keeps its distance to one that cannot move rests with it.
-            rest = self.rest[k].update(c.time, c.output[k], 1e-9)
-            if rest >= c.time:
+            if rest[k] >= c.time:
                 for j in range(v.rotors):
                     self.tilt_at_rest[k][j] = self.tilt[j]
             moved = abs(tilt[k] - self.tilt_at_rest[k][k]) > PART
             for j in range(v.rotors):
                 apart = tilt[k] - tilt[j] - (self.tilt_at_rest[k][k] - self.tilt_at_rest[k][j])
                 moved = moved and (interior[j] or abs(apart) > PART)
-            dead = c.time - rest > _STUCK_S and interior[k] and moved and abs(c.deviation[k]) > limit
+            dead = c.time - rest[k] > _STUCK_S and interior[k] and moved and abs(c.deviation[k]) > limit
             wrong = known[k] and (abs(deviation[k]) > limit or (frozen and abs(deviation[k]) > still_limit))
             wrong = proven and flying and (wrong or off or dead)
             back = (abs(c.deviation[k]) < PART and not frozen) or not flying
@@ -212,8 +235,21 @@ class Deviations(Struct):
         moved = local(REAL, ROTORS)
         self._remember(v.rotors, time, thrust, valid)
         some = False
+        repeated = valid
+        between_limits = 0
         for k in range(v.rotors):
+            step = abs(output[k] - self.alone[k].anchor)
+            if valid and step > 1e-9:
+                self.step = min(self.step, step)
             still[k] = self.alone[k].update(time, output[k], 1e-9)
+            repeated = repeated and still[k] < time
+            between_limits += 1 if low + 0.01 * span < output[k] < low + 0.99 * span else 0
+        if repeated and between_limits > 1:
+            for k in range(v.rotors):
+                self.alone[k].wait(time, time - self.last_logged)
+                still[k] = self.alone[k].since
+        self.last_logged = max(self.last_logged, time)
+        for k in range(v.rotors):
             resting[k] = inside and time - still[k] > _SILENT_S
             some = some or resting[k]
         for k in range(v.rotors):
@@ -227,7 +263,7 @@ class Deviations(Struct):
                 if j != k:
                     others[count] = thrust[j]
                     count += 1
-                    moving = moving and moved[j] > 0.03
+                    moving = moving and moved[j] > max(0.03, _STEPS * self.step / span)
                     between = between and FLYING < thrust[j] < 0.99
             interior = low + 0.02 * span < output[k] < low + 0.98 * span
             # Below the minimum: no mixer demands that. At the minimum, where outputs have nothing below it: no quad flies on with a rotor

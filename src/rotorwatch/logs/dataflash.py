@@ -202,7 +202,8 @@ class _Signals:
 
     def _store(self, name: str, signal: Signal, wild: int) -> None:
         if wild:
-            self.warnings.append(f"{name} ({signal.source}): {amount(wild, 'impossible value')} dropped.")
+            text = f"{name} ({signal.source}): {amount(wild, 'impossible value')} dropped."
+            self.warnings.append(series.Impossible(wild, text))
         if signal.valid is not None and signal.valid.any():
             self.signals[name] = signal
 
@@ -349,7 +350,8 @@ class _Signals:
         fine = np.all(np.abs(degrees) <= np.array([200.0, 100.0, 400.0]), axis=1)
         wild = int((~fine & np.isfinite(degrees).all(axis=1)).sum())
         if wild:
-            self.warnings.append(f"{name} ({message}): {amount(wild, 'impossible value')} dropped.")
+            text = f"{name} ({message}): {amount(wild, 'impossible value')} dropped."
+            self.warnings.append(series.Impossible(wild, text))
         angles = np.radians(np.where(fine[:, None], degrees, 0.0))
         q = quaternion(angles[:, 0], angles[:, 1], angles[:, 2])
         # q and -q are the same attitude; keep the sign that makes the series continuous.

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.errors import LogError
+from rotorwatch.logs.series import Impossible
 
 HEADER = b"\xa3\x95"
 SDLOG2 = re.compile(rb"\xa3\x95\x80..(ATTC|ATSP|OUT0)", re.DOTALL)  # definitions that only PX4 made
@@ -259,7 +260,8 @@ class BinaryLog:
         # (Its last fields may be zeros of the record itself, hence no count of bytes.)
         if damages:
             lost = max(size - used - (size - tail), 0)
-            self.warnings.append(f"The log is damaged in {amount(damages, 'place')}; {lost} bytes were skipped.")
+            text = f"The log is damaged in {amount(damages, 'place')}; {lost} bytes were skipped."
+            self.warnings.append(Impossible(damages, text))
         elif tail - used > 2:
             self.warnings.append("The log ends inside a record; the incomplete record was dropped.")
         if unknown:

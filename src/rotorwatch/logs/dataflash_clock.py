@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorwatch.logs.dataflash_binary import amount
-from rotorwatch.logs.series import wrong_gap
+from rotorwatch.logs.series import Impossible, wrong_gap
 
 STEP_BACK_US = 0.5e6  # larger steps back are no matter of record order
 GAP_US = 0.4e6  # where stamps are in doubt, a silence this long starts a new stretch; less than a step back, so that a
@@ -64,7 +64,8 @@ def make_clock(stamps: np.ndarray) -> Clock:
         good[timed[~intact]] = False
         timed, us = timed[intact], us[intact]
         if garbage := int((~intact).sum()):
-            warnings.append(f"{amount(garbage, 'record')} with an impossible time stamp dropped.")
+            text = f"{amount(garbage, 'record')} with an impossible time stamp dropped."
+            warnings.append(Impossible(garbage, text))
     else:
         resets = []
     start = float(us.min())

@@ -42,7 +42,7 @@ def build(time, measured: dict[str, np.ndarray], rotors: Sequence[int], source: 
         blocks.append(np.where(fine, values, np.nan))
         masks.append(fine if valid is None else fine & valid)
     if wild:
-        notes.append(f"{source}: {wild} impossible value{'s' if wild > 1 else ''} ignored")
+        notes.append(series.Impossible(wild, f"{source}: {wild} impossible value{'s' if wild > 1 else ''} ignored"))
     mask = np.concatenate(masks, axis=1)
     if not mask[:, : 2 * shape[1]].any():
         return None

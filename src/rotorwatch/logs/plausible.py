@@ -24,6 +24,7 @@ import numpy as np
 
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.logs import esc_columns, series
+from rotorwatch.logs.series import Impossible
 
 SCALES = 8.0
 AGREE = 3.0
@@ -38,7 +39,8 @@ FITTED, FIT_EVERY = 512, 64  # samples that the mixer's matrix is fitted to, and
 PARTNER_S = 0.1  # a command further than this from any output of the controller is not compared
 TINY = 1e-12
 NAMED = 3  # times that a warning names
-HEAVY, LEAST_HEAVY = 0.002, 5  # share and number of lone values of a signal beyond which chance does not explain them
+# Share and number of lone values of a signal beyond which chance does not explain them; and number of impossible ones beside them
+HEAVY, LEAST_HEAVY = 0.002, 5
 
 # What no diagnosis would notice is left alone: the least |r|, in the unit of the signal. Signals not named are not judged on.
 # In this order: the outputs are held against a control signal that has been cleaned.
@@ -88,15 +90,17 @@ def checked(flight: Flight) -> Flight:
         warnings.append(f"{name} ({signal.source}): {count} {each} not fit the ones before and after ignored.")
         if count >= LEAST_HEAVY and share > HEAVY:
             heavy.append(name)
-    if heavy:
+    # Vehicles that tumble, are tuned or lose a motor's step jolt as well: only what cannot be at all says that it is the log.
+    impossible = sum(warning.number for warning in flight.warnings if isinstance(warning, Impossible))
+    if heavy and impossible >= LEAST_HEAVY:
         warnings.append(
-            f"This log is damaged: too many values of {', '.join(heavy)} do not fit for it to be chance. "
-            "Copy the log from the autopilot again."
+            f"This log is damaged: {impossible} of its records or values are impossible, and too many of {', '.join(heavy)} do not fit "
+            "the ones before and after for it to be chance. Copy the log from the autopilot again."
         )
-    if not shares and not warnings:
+    if not shares and not warnings and not impossible:
         return flight
     facts = {**flight.facts, "damage": shares} if shares else flight.facts
-    return replace(flight, signals=signals, warnings=(*flight.warnings, *warnings), facts=facts)
+    return replace(flight, signals=signals, warnings=(*map(str, flight.warnings), *warnings), facts=facts)
 
 
 def possible(flight: Flight) -> Flight:

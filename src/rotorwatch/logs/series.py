@@ -19,6 +19,21 @@ EARTH_M, EARTH_E2 = 6_378_137.0, 6.69437999e-3
 
 LARGEST = np.finfo(np.float64).max
 
+
+class Impossible(str):
+    """A warning of what only damage explains: values, time stamps and places in the file that no vehicle and no autopilot can have made.
+
+    number: of these.
+    """
+
+    number: int
+
+    def __new__(cls, number: int, text: str) -> Impossible:
+        one = super().__new__(cls, text)
+        one.number = number
+        return one
+
+
 DAY_S = 86_400.0
 """A gap longer than this is a damaged time stamp, not a pause between two flights."""
 
@@ -73,7 +88,7 @@ def build(time, values, columns, unit, frame, source, limit, notes, valid=None) 
         fine = np.abs(values) <= np.minimum(limit, LARGEST)
         wild = 0 if fine.all() else int(np.count_nonzero(np.isfinite(values) & ~fine))
     if wild:
-        notes.append(f"{source}: {wild} impossible value{'s' if wild > 1 else ''} ignored")
+        notes.append(Impossible(wild, f"{source}: {wild} impossible value{'s' if wild > 1 else ''} ignored"))
     if valid is not None:
         valid = np.asarray(valid, bool)
         fine &= valid[:, None] if valid.ndim == 1 else valid

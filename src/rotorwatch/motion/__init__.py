@@ -1,6 +1,7 @@
 """Commands and the motion that they caused: what is made of a flight before any estimator sees it. Causal throughout.
 
 airborne.py     when it was in the air
+missed.py       outputs that the log shows again because it missed the next ones
 allocation.py   commands to the thrust of each rotor; rotors that cannot be distinguished
 deviations.py   outputs that deviate from the mixer
 contact.py      knocks: motion that no rotor can make

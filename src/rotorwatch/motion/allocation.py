@@ -27,6 +27,8 @@ from rotorwatch.front import mixer, whole
 from rotorwatch.front.definition import FRONT, craft, known, merged
 
 Spans = tuple[tuple[float, float], ...]
+FASTER = 1.5  # times as many samples of the one as of the other
+COARSE, ENOUGH_STEPS = 0.02, 100  # share of the range below which outputs never change, seen in so many changes
 YAW_HEADROOM = 200.0  # MOT_YAW_HEADROOM where nothing tells: ArduPilot's default
 
 
@@ -113,8 +115,17 @@ def mixed_thrusts(flight: Flight, vehicle: Vehicle) -> Signal | None:
 
 
 def faster_control(flight: Flight) -> bool:
-    """Is the rate controller's output logged so much faster than the rotors' commands that these are worth rebuilding from it?"""
-    return flight.has("control", "motors") and flight["control"].rate_hz >= 1.5 * flight["motors"].rate_hz
+    """Is the rate controller's output logged so much faster than the rotors' commands that these are worth rebuilding from it, or so much
+    finer, as these are rounded?"""
+    if not flight.has("control", "motors"):
+        return False
+    control, motors = flight["control"], flight["motors"]
+    if control.rate_hz >= FASTER * motors.rate_hz:
+        return True
+    steps = np.abs(np.diff(motors.values, axis=0))
+    steps, (low, high) = steps[steps > 0.0], output_range(flight)
+    coarse = steps.size > ENOUGH_STEPS and steps.min() > COARSE * (high - low)
+    return bool(coarse and FASTER * control.rate_hz >= motors.rate_hz)
 
 
 @dataclass(frozen=True)

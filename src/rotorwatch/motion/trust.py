@@ -7,8 +7,10 @@ no healthy or faulty flight shows; docs/limits.md has how often each was wrong.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -26,8 +28,13 @@ STILL_S, STILL_RAD = 1.0, 1.0
 STILL_LONG_S, STILL_LONG_RAD, STILL_SAMPLES = 5.0, 0.2, 25
 # rad/s and m/s^2, means of half a second: beyond what gyros of autopilots measure (2000 deg/s) and airframes bear
 WILD_RATE, WILD_FORCE, WILD_S = 60.0, 20.0 * G0, 0.5
-SCALE = 2.5  # factor by which two measurements of one thing may differ
-MOVING = 0.05  # rad/s rms of angular rate, above which attitude and gyro can be compared
+SCALE = 2.5  # factor by which the size of the specific force may differ from one g where nothing says how the vehicle was turned
+NEARER = 2.0**0.5  # beyond this factor a scale is nearer to a half or a double than to what it should be
+FASTEST_FALL = 15.0  # m/s by which a multirotor's vertical speed differs at most between two moments
+BEYOND, SELDOM = 0.1, 0.01  # share of the outputs' range, and of a flight, that outputs may lie above that range
+MOVING = 0.05  # rad/s rms of angular rate, above which attitude and gyro that do not agree tell of different turns
+# Parts of a flight in which biases stay, windows in a row that may have the same error, and how many standard errors a scale is given
+PARTS, ALIKE_FOR, ERRORS = 10, 5, 3.0
 ALIKE = 0.5  # correlation of two measurements of one motion
 # Hover thrusts of one rotor and rotor for each rad/s^2: the smallest vehicles turn for no less (radius of gyration 2 cm, arms of 3 cm),
 # large ones for no more.
@@ -45,6 +52,11 @@ EXCHANGED = (
     8.0  # the same, from which motion that follows the command of another axis is no coupling of a sound vehicle
 )
 AXES = ("roll", "pitch", "yaw")
+WINDOW_S = 0.2  # s over which gyro and attitude are compared
+# Gyro and attitude up to so far apart, in such steps; in parts of so long, of which there are at least so many
+APART_S, LAG_S, PART_S, LEAST_PARTS = 5.0, 0.1, 10.0, 3
+SURE = 0.8  # correlation of two measurements at a lag, beyond which it is the one they have
+GYRO_UNITS = {"degrees/s": np.degrees(1.0), "mrad/s": 1e3, "turns/s": 0.5 / np.pi}
 GEOMETRY = ("FRAME_CLASS", "FRAME_TYPE", "CA_ROTOR_COUNT", "CA_AIRFRAME", "SYS_AUTOSTART", "MAV_TYPE")
 
 
@@ -113,14 +125,22 @@ def wild_motion(case: Case) -> str | None:
 
 
 def weightless(case: Case) -> str | None:
-    """Over a flight the specific force is one g: what is not, is in another unit or of another sensor."""
+    """Over a flight the specific force is one g, and it points up: what does not is in another unit or of another sensor.
+
+    Its vertical part is one g on average, but for what the vehicle's speed has changed; its size is more where the vehicle shakes or turns.
+    """
     if not case.flight.has("accel"):
         return None
     time, size = _magnitude(case.flight["accel"], case.air)
-    if time.size < 50 or np.ptp(time) < LONG_S:
+    if time.size < 50:
         return None
     typical = float(np.median(size)) / G0
-    if 1.0 / SCALE < typical < SCALE:
+    wrong = not 1.0 / SCALE < typical < SCALE and np.ptp(time) >= LONG_S
+    if not wrong and case.flight.has("attitude"):
+        up = _upwards(case.flight["accel"], case.flight["attitude"], case.air)
+        speed = FASTEST_FALL / (G0 * float(np.ptp(time)))
+        wrong = max(typical, up + speed) < 1.0 / NEARER or min(typical, up - speed) > NEARER
+    if not wrong:
         return None
     return f"the accelerometer shows {typical:.3g} g over the flight instead of one: its unit is not m/s^2, or it is another vehicle's."
 
@@ -129,25 +149,99 @@ def attitude_against_gyro(case: Case) -> str | None:
     """Gyro and attitude tell of the same turns: same size, same sign, same time."""
     if not case.flight.has("gyro", "attitude"):
         return None
-    turned, rate = _turns(case.flight["attitude"], case.flight["gyro"], case.air)
-    if len(rate) < 50 or np.sqrt(np.mean(rate**2)) < MOVING / SCALE or np.sqrt(np.mean(turned**2)) < MOVING:
+    _, turned, (rate,) = _turns(case.flight["attitude"], case.flight["gyro"], case.air)
+    if len(rate) < 50:
         return None
-    # Of most of the flight: knocks and a crash show sensors' limits. The axis that agrees best: one that shakes is sampled too slowly.
+    # Of most of the flight: knocks and a crash show sensors' limits.
     bound = 5.0 * np.median(np.abs(rate)) + 1.0, 5.0 * np.median(np.abs(turned)) + 1.0
     calm = (np.abs(rate) < bound[0]).all(axis=1) & (np.abs(turned) < bound[1]).all(axis=1)
     rate, turned = rate[calm], turned[calm]
-    size = np.sqrt(np.sum(rate**2, axis=0)), np.sqrt(np.sum(turned**2, axis=0))
-    if len(rate) < 50 or min(s.max() for s in size) <= 0.0:
+    if len(rate) < 50:
         return None
-    each = np.sum(rate * turned, axis=0) / np.maximum(size[0] * size[1], 1e-12)
-    alike, scale = float(each.max()), float(size[0][each.argmax()] / max(size[1][each.argmax()], 1e-12))
-    if alike < ALIKE:
+    moving = np.sqrt(np.mean(rate**2)) > MOVING / SCALE and np.sqrt(np.mean(turned**2)) > MOVING
+    size = np.sqrt(np.sum(rate**2, axis=0) * np.sum(turned**2, axis=0))
+    alike = float((np.sum(rate * turned, axis=0) / np.maximum(size, 1e-12)).max())
+    if moving and alike < ALIKE:
         return (
             "gyro and attitude tell of different turns: they are not of one vehicle, one clock or one coordinate frame."
         )
-    if not 1.0 / SCALE < scale < SCALE:
-        return f"the gyro turns {scale:.3g} times as fast as the attitude: its unit is not rad/s, or it is not this vehicle's."
-    return None
+    low, high = min((_scale(rate[:, k], turned[:, k]) for k in range(3)), key=lambda one: one[1] / one[0])
+    if low <= NEARER and high >= 1.0 / NEARER:
+        return None
+    units = [name for name, factor in GYRO_UNITS.items() if low < factor * NEARER and high > factor / NEARER]
+    why = (
+        f"it seems to be in {units[0]} instead of rad/s."
+        if units
+        else "one of them is in a wrong unit, or of another vehicle."
+    )
+    return f"the gyro turns {(low * high) ** 0.5:.3g} times as fast as the attitude: {why}"
+
+
+def two_clocks(case: Case) -> str | None:
+    """Gyro and attitude tell of the same turns, but not at the same time: of most parts of the flight, in calm air as well."""
+    if not case.flight.has("gyro", "attitude"):
+        return None
+    when, (alike,) = _alike_at(case, (0.0,))
+    differ = alike.max(axis=1) < ALIKE
+    if differ.sum() < LEAST_PARTS or differ.mean() < 0.5:
+        return None
+    lags = np.arange(-APART_S, APART_S + 0.5 * LAG_S, LAG_S)
+    alike = _alike_at(case, lags)[1].max(axis=2)
+    found = differ & (alike.max(axis=0) > SURE)
+    when, apart = when[found], lags[alike.argmax(axis=0)][found]
+    if found.sum() < LEAST_PARTS or found.mean() < 0.5:
+        return None
+    if np.median(np.abs(apart - np.polyval(np.polyfit(when, apart, 1), when))) > 2.0 * LAG_S:
+        return None
+    least, most = (f"{value:.1f}" for value in sorted(np.abs(apart[[0, -1]])))
+    far = most if least == most else f"{least} to {most}"
+    return f"gyro and attitude tell of the same turns {far} s apart: they are not of one clock."
+
+
+def _alike_at(case: Case, lags: Sequence[float] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """When parts of the flight begin (parts,) s, and correlation of gyro and attitude in each at these lags s (lags, parts, 3)."""
+    time, turned, rates = _turns(case.flight["attitude"], case.flight["gyro"], case.air, lags)
+    count = int(np.ptp(time) / PART_S) if time.size else 0
+    edges = np.searchsorted(time, time[:1] + PART_S * np.arange(count + 1))
+    parts = [slice(a, b) for a, b in pairwise(edges) if b - a > 0.5 * PART_S / WINDOW_S]
+    alike = np.zeros((len(lags), len(parts), 3))
+    for k, part in enumerate(parts):
+        x, y = turned[part] - turned[part].mean(axis=0), rates[:, part] - rates[:, part].mean(axis=1, keepdims=True)
+        size = np.sqrt(np.sum(x * x, axis=0) * np.sum(y * y, axis=1))
+        alike[:, k] = np.sum(x * y, axis=1) / np.maximum(size, 1e-12)
+    return np.array([time[part.start] for part in parts]), alike
+
+
+def _scale(measured: np.ndarray, true: np.ndarray) -> tuple[float, float]:
+    """(least, most) by which one measurement (n,) of a motion is larger than another (n,), both with unknown errors of their own.
+
+    The slope on `true` is too low by the errors of `true`, the inverse of the slope on `measured` too high by those of `measured`, each
+    with its standard error, as `ALIKE_FOR` neighbours in time may have the same error. Biases of parts of the flight are left out.
+    """
+    x, y = (np.concatenate([part - part.mean() for part in np.array_split(z, PARTS)]) for z in (measured, true))
+
+    def least_slope(a: np.ndarray, b: np.ndarray) -> float:
+        """Of a on b."""
+        power = max(float(b @ b), 1e-30)
+        slope = float(a @ b) / power
+        return slope - ERRORS * float(np.sqrt(ALIKE_FOR * np.sum((b * (a - slope * b)) ** 2))) / power
+
+    return max(least_slope(x, y), 1e-9), 1.0 / max(least_slope(y, x), 1e-9)
+
+
+def outputs_beyond_range(case: Case) -> str | None:
+    """Outputs far above what is said to be full thrust: that range is not the one that flew, so no thrust is known."""
+    motors, curve = case.flight["motors"], case.vehicle.curve
+    inside = within(motors.time, case.air) & motors.valid.all(axis=1)
+    if inside.sum() < 50:
+        return None
+    reached = float(np.quantile(motors.values[inside].max(axis=1), 1.0 - SELDOM))
+    if reached < curve.u_max + BEYOND * (curve.u_max - curve.u_min):
+        return None
+    return (
+        f"the motor outputs reach {reached:.4g}, but {curve.u_max:.4g} is said to be full thrust: the range of the outputs is wrong in the "
+        "parameters or in the vehicle file."
+    )
 
 
 def outputs_at_rest(case: Case) -> str | None:
@@ -282,6 +376,18 @@ def _magnitude(signal: Signal, air: Spans) -> tuple[np.ndarray, np.ndarray]:
     return signal.time[ok], np.linalg.norm(signal.values[ok], axis=1)
 
 
+def _upwards(accel: Signal, attitude: Signal, air: Spans) -> float:
+    """Mean specific force against gravity in the air, in g; 0 where no attitude is valid."""
+    ok, known = within(accel.time, air) & accel.valid.all(axis=1), attitude.valid.all(axis=1)
+    if not known.any():
+        return 0.0
+    w, x, y, z = attitude.values[known].T
+    down = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
+    when = accel.time[ok]
+    parts = [np.interp(when, attitude.time[known], d) * a for d, a in zip(down, accel.values[ok].T)]
+    return -float(np.mean(sum(parts))) / G0
+
+
 def _angle(flight: Flight, start: float, end: float) -> float:
     """Angle in rad that the vehicle turned through, back and forth counted alike; NaN without a gyro."""
     gyro = flight.angular_rate()
@@ -292,30 +398,39 @@ def _angle(flight: Flight, start: float, end: float) -> float:
     return float(np.diff(part.time) @ (rate[1:] + rate[:-1]) / 2)
 
 
-def _turns(attitude: Signal, gyro: Signal, air: Spans, width_s: float = 0.2) -> tuple[np.ndarray, np.ndarray]:
-    """Mean angular rate (m, 3) rad/s, body, over windows in the air: from the attitude at their ends, and from the gyro."""
-    none = np.zeros((0, 3)), np.zeros((0, 3))
+def _turns(
+    attitude: Signal, gyro: Signal, air: Spans, lags: Sequence[float] | np.ndarray = (0.0,)
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of windows in the air: times (m,) s, mean angular rates rad/s, body, from the attitude (m, 3), and from the gyro (lags, m, 3), by so
+    many s later."""
+    none = np.zeros(0), np.zeros((0, 3)), np.zeros((len(lags), 0, 3))
     fine = attitude.valid.all(axis=1) & within(attitude.time, air)
     time, q = attitude.time[fine], attitude.values[fine]
-    step = max(1, round(width_s * attitude.rate_hz))
+    step = max(1, round(WINDOW_S * attitude.rate_hz))
     good = gyro.valid.all(axis=1)
     when, rate = gyro.time[good], gyro.values[good]
     if time.size < 2 * step or when.size < 2:
         return none
-    first, last = np.arange(0, time.size - step, step), np.arange(step, time.size, step)
-    length = time[last] - time[first]
-    total = np.concatenate([np.zeros((1, 3)), np.cumsum(rate, axis=0)])
-    lo, hi = np.searchsorted(when, time[first]), np.searchsorted(when, time[last])
-    use = (length > 0.5 * width_s) & (length < 3.0 * width_s) & (hi - lo >= max(1, 0.3 * width_s * gyro.rate_hz))
+    starts, ends = time[:-step:step], time[step::step]
+    length = ends - starts
+    count = np.searchsorted(when, ends) - np.searchsorted(when, starts)
+    use = (length > 0.5 * WINDOW_S) & (length < 3.0 * WINDOW_S) & (count >= max(1, 0.3 * WINDOW_S * gyro.rate_hz))
     if not use.any():
         return none
-    a, b = q[first[use]], q[last[use]]
+    a, b = q[:-step:step][use], q[step::step][use]
+    starts, ends, length = starts[use], ends[use], length[use, None]
     turned = _product(a * [1.0, -1.0, -1.0, -1.0], b)
     turned *= np.where(turned[:, :1] < 0, -1.0, 1.0)
-    angle = 2.0 * np.arctan2(np.linalg.norm(turned[:, 1:], axis=1), turned[:, 0])
-    axis = turned[:, 1:] / np.maximum(np.linalg.norm(turned[:, 1:], axis=1), 1e-12)[:, None]
-    mean = (total[hi] - total[lo])[use] / (hi - lo)[use, None]
-    return axis * (angle / length[use])[:, None], mean
+    sine = np.linalg.norm(turned[:, 1:], axis=1, keepdims=True)
+    angle = turned[:, 1:] / np.maximum(sine, 1e-12) * 2.0 * np.arctan2(sine, turned[:, :1])
+    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(when)[:, None]
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+
+    def until(moments: np.ndarray) -> np.ndarray:
+        return np.stack([np.interp(moments, when, axis) for axis in total.T], axis=1)
+
+    mean = np.array([(until(ends + lag) - until(starts + lag)) / length for lag in lags])
+    return starts, angle / length, mean
 
 
 def _product(p: np.ndarray, q: np.ndarray) -> np.ndarray:
@@ -337,10 +452,12 @@ TESTS = (
     two_publishers,
     clock_jumped,
     another_airframe,
-    outputs_at_rest,
+    outputs_beyond_range,
     wild_motion,
     weightless,
+    two_clocks,
     attitude_against_gyro,
+    outputs_at_rest,
     motion_without_command,
     outputs_of_other_rotors,
     command_without_effect,
