@@ -1,5 +1,6 @@
 """A page in a real browser, by Playwright: what it complained of, whom it asked, and what axe-core finds."""
 
+import time
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
@@ -16,6 +17,15 @@ def launched(chromium):
         browser = playwright.chromium.launch(executable_path=chromium, args=arguments)
         yield browser
         browser.close()
+
+
+def until(page, expression, seconds=30.0):
+    """Wait until an expression is true, or a function returns what is. Playwright's own wait asks from within the page, whose policy forbids
+    that from the second time on."""
+    end = time.monotonic() + seconds
+    while not page.evaluate(expression):
+        assert time.monotonic() < end, f"never true: {expression}"
+        time.sleep(0.02)
 
 
 class Tab:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from browser_tab import Tab, launched
+from browser_tab import Tab, launched, until
 from conftest import hexa_diagnosis
 
 SPANS = "Bokeh.documents.flatMap((d) => d.roots()).map((f) => f.center.find((thing) => thing.name === 'moment'))"
@@ -42,11 +42,13 @@ def test_the_fold_opens_by_keyboard_draws_and_locks_nobody_out(browser, address,
     assert page.locator("#plot-altitude").is_hidden() and page.locator("#track").is_hidden()
     page.focus("#context summary")
     page.keyboard.press("Enter")
-    page.wait_for_function("document.querySelector('#context').open")
+    until(page, "document.querySelector('#context').open")
     for name in ("altitude", "ground_speed", "voltage", "current", "vibration", "modes"):
         box = page.locator(f"#plot-{name}").bounding_box()
         assert box["height"] > 60 and box["width"] > 300, name
-    page.wait_for_function("""() => {
+    until(
+        page,
+        """() => {
         const canvases = [];
         (function walk(node) {
             if (node.tagName === "CANVAS" && node.width) canvases.push(node);
@@ -55,14 +57,15 @@ def test_the_fold_opens_by_keyboard_draws_and_locks_nobody_out(browser, address,
         })(document.getElementById("context"));
         const inked = (c) => c.getContext("2d").getImageData(0, 0, c.width, c.height).data.some((v, i) => i % 4 === 3 && v > 0);
         return canvases.filter(inked).length >= 6;
-    }""")
+    }""",
+    )
     one, other = (page.locator(f"#track {name}").bounding_box() for name in (".start", ".end"))
     assert other["x"] > one["x"] and other["y"] < one["y"], "it flew east and north"
     usual = ((390, "dark"), (1400, "light"))
     for width, looks in amount(usual, (*usual, (390, "light"), (1400, "dark"))):
         page.set_viewport_size({"width": width, "height": 900})
         page.emulate_media(color_scheme=looks)
-        page.wait_for_function("innerWidth - document.getElementById('plot-altitude').offsetWidth < 340")
+        until(page, "innerWidth - document.getElementById('plot-altitude').offsetWidth < 340")
         assert tab.violations() == [] and tab.overflow() <= 0, (width, looks)
         wide = page.locator("#plot-altitude").bounding_box()["width"]
         assert wide == pytest.approx(min(width, 1120) - (40 if width > 720 else 28), abs=2)
@@ -74,7 +77,7 @@ def test_the_address_shows_a_moment_in_every_plot(browser, address):
     page = tab.page
     assert marked(page) == [32.5] and page.evaluate(f"{SPANS}.every((s) => s && s.visible)")
     assert page.evaluate("document.getElementById('context').open") and page.input_value("#at-time") == "32.5"
-    page.wait_for_function("scrollY > 500 && document.getElementById('context').getBoundingClientRect().top < 100")
+    until(page, "scrollY > 500 && document.getElementById('context').getBoundingClientRect().top < 100")
     assert page.locator("#at").bounding_box()["y"] <= 1, "the time and the link stay in sight"
     x, y = page.evaluate(SPOT)
     corners = page.evaluate("[...document.querySelector('#track polyline').points].map((p) => [p.x, p.y])")
@@ -82,15 +85,15 @@ def test_the_address_shows_a_moment_in_every_plot(browser, address):
     assert x == pytest.approx(right, abs=0.7) and y == pytest.approx(0.5 * (low + high), abs=0.7), "half way north"
     page.evaluate("scrollTo(0, 0)")
     page.click("text=Show where it began")
-    page.wait_for_function(f"{SPANS}[0].location === 31.2 && scrollY > 500")
+    until(page, f"{SPANS}[0].location === 31.2 && scrollY > 500")
     page.evaluate("scrollTo(0, 0)")
     page.click("text=Show where it began")  # the address is the same now
-    page.wait_for_function("scrollY > 500")
+    until(page, "scrollY > 500")
     page.go_back()
-    page.wait_for_function(f"{SPANS}[0].location === 32.5")
+    until(page, f"{SPANS}[0].location === 32.5")
     assert left < right and tab.wrong == [] and tab.violations() == []
     page.evaluate("location.hash = '#t=20'")
-    page.wait_for_function(f"{SPANS}[0].location === 20")
+    until(page, f"{SPANS}[0].location === 20")
     page.click("#at-clear")
     assert (
         marked(page) == []
@@ -110,7 +113,7 @@ def test_other_addresses_are_ignored(browser, address):
         assert marked(page) == [] and not page.evaluate("document.getElementById('context').open"), wrong
     assert page.evaluate("scrollY") == 0 and tab.wrong == []
     page.evaluate("location.hash = 't=10'")
-    page.wait_for_function("document.getElementById('context').open")
+    until(page, "document.getElementById('context').open")
 
 
 def test_a_moment_is_chosen_by_a_click_on_the_map_and_by_keyboard(browser, address):
@@ -123,7 +126,7 @@ def test_a_moment_is_chosen_by_a_click_on_the_map_and_by_keyboard(browser, addre
         "(({ start, end }) => [start, end])(Bokeh.documents[0].roots().find((f) => f.name === 'loss').x_range)"
     )
     page.mouse.click(box["x"] + 0.5 * (72 + box["width"]), box["y"] + 150)
-    page.wait_for_function(f"{SPANS}[0].visible")
+    until(page, f"{SPANS}[0].visible")
     (time,) = marked(page)
     assert time == pytest.approx(0.5 * (start + end), abs=0.6) and page.evaluate("location.hash") == f"#t={time:g}"
     assert not page.evaluate("document.getElementById('context').open"), "a click leaves the reader where they are"

@@ -35,6 +35,7 @@ MISSED_S, UNANSWERED_S = (
     3.0,
     10.0,
 )  # without what judging begins with, before that is said: where nothing is asked for, and where it is
+FEW = 10  # vehicles of a link, up to which it is said of each what does not come
 PEERS = 200  # whose unfinished frames are kept
 ONE_ID = "give each vehicle an id of its own (SYSID_THISMAV, MAV_SYS_ID)"
 TWO_SENDERS = f"two vehicles seem to send with the same id: {ONE_ID}"
@@ -240,6 +241,8 @@ class LinkedVehicle:
         talks = self._link.talks
         if self._silent or now - self._first < (UNANSWERED_S if talks else MISSED_S):
             return
+        if self.messages.clock.start is None and len(self._link.vehicles) > FEW:
+            return  # many ids that only send heartbeats: nobody's vehicles, and a page of notices
         coming = talks and self._parameters.count and not self._parameters.given_up
         missing = [] if self._begun is not None or coming else ["parameters"]
         if (self.watched.session is None or self.watched.session.vehicle is None) and not self.messages.heard(
