@@ -20,8 +20,8 @@ def launched(chromium):
 
 
 def until(page, expression, seconds=30.0):
-    """Wait until an expression is true, or a function returns what is. Playwright's own wait asks from within the page, whose policy forbids
-    that from the second time on."""
+    """Wait until an expression is true, or a function returns what is. Playwright's own wait asks from within the page, and the page's
+    policy forbids that from the second time on."""
     end = time.monotonic() + seconds
     while not page.evaluate(expression):
         assert time.monotonic() < end, f"never true: {expression}"
