@@ -151,6 +151,6 @@ def test_a_cortex_m7_says_what_this_computer_says(project, tmp_path):
 
 @pytest.mark.parametrize("source", ["px4/RotorWatch.cpp", "ardupilot/AP_RotorWatch.cpp"])
 def test_autopilots_skeletons_compile(source, project, tmp_path):
-    command = [tool("g++"), "-std=c++14", "-Wall", "-Wextra", "-Werror", "-DROTORWATCH_FLOAT", f"-I{project}"]
+    command = [tool("g++"), "-std=c++14", *AUTOPILOTS, *CONSTANTS["gcc"], f"-I{project}"]
     command += [f"-I{EMBEDDED / 'stubs'}", "-c", str(EMBEDDED / source), "-o", str(tmp_path / "module.o")]
     subprocess.run(command, check=True)
