@@ -52,6 +52,7 @@ int main(void)
 {
     static rw_vehicle v;
     static rw_event losses[RW_RECORDS], list[RW_EVENTS], gone[RW_EVENTS];
+    static rw_records room;
     static rw_override overrides[RW_OVERRIDES];
     static rw_change news[2 * RW_EVENTS];
     static rw_found found;
@@ -98,7 +99,7 @@ int main(void)
             if (!more) break;
             explained(k, &found);
             COUNTED(LOSSES, rw_losses_on(&all, &v, made.time, made.when, made.mode, made.restart, &found));
-            COUNTED(LIST, loss_count = rw_losses_losses(&all, &v, false, losses));
+            COUNTED(LIST, loss_count = rw_losses_losses(&all, &v, false, &room, losses));
             rw_report_tick(&report, made.time, made.start, made.upset);
             COUNTED(REPORT, {
                 override_count = rw_deviations_found(&front.deviations, &v, overrides);
@@ -108,6 +109,6 @@ int main(void)
         }
     }
     for (int part = 0; part < PARTS; part++) printf("%s %lu\n", NAMES[part], (unsigned long)most[part]);
-    printf("seen %d %d\n", (int)rw_losses_losses(&all, &v, false, losses), (int)rw_deviations_found(&front.deviations, &v, overrides));
+    printf("seen %d %d\n", (int)rw_losses_losses(&all, &v, false, &room, losses), (int)rw_deviations_found(&front.deviations, &v, overrides));
     return 0;
 }

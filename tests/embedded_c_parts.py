@@ -17,7 +17,17 @@ from rotorwatch.front.definition import PARTS
 
 SOURCES = Path(rotorwatch.__file__).parent / "export" / "embedded_c"
 STUBS = Path(__file__).resolve().parents[1] / "embedded" / "stubs"  # of what the export generates
-STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror")
+STRICT = (
+    "-std=c99",
+    "-Wall",
+    "-Wextra",
+    "-Wpedantic",
+    "-Wconversion",
+    "-Wdouble-promotion",
+    "-Wfloat-equal",
+    "-Wshadow",
+    "-Werror",
+)
 
 
 def config(n: int, dt: float = 0.05, hz: tuple[float, float, float] = (50.0, 400.0, 400.0), **more: float) -> str:

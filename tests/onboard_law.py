@@ -13,8 +13,17 @@ from rotorwatch.motion.airborne import output_range
 
 OUTPUTS, ACCEL, GYRO, VELOCITY, STATE, CONTROL, ATTITUDE, BATTERY = range(8)
 FIRST = {BATTERY: 0, STATE: 1, ATTITUDE: 2, VELOCITY: 3, GYRO: 4, ACCEL: 5, OUTPUTS: 6, CONTROL: 7}  # of the same time
-WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
-WIDTH, LASTS = 24, 1e300
+WARNINGS = (
+    "-std=c99",
+    "-Wall",
+    "-Wextra",
+    "-Wpedantic",
+    "-Wconversion",
+    "-Wdouble-promotion",
+    "-Wfloat-equal",
+    "-Werror",
+)
+WIDTH = 24
 DRIVER = """#include "rw_diagnoser.h"
 #define WIDTH 24
 static rw_diagnoser d;

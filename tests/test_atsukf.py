@@ -124,7 +124,7 @@ def test_adaptation_is_the_papers_formula(plant):
     M, threshold = 10, 1.1
     u, y, _ = study.linear_table(plant, rows=ROWS)
     y[20:] += 3.0  # larger than predicted
-    estimator = ATSUKF(plant, DT, **TUNING, M=M, threshold=threshold)
+    estimator = ATSUKF(plant, DT, **TUNING, window_s=M * DT, threshold=threshold)
     _, carries = walk(estimator, u, y, True)
     e = np.stack([np.asarray(c.e) for c in carries])
     widened = 0
@@ -148,7 +148,9 @@ def test_the_window_holds_the_last_rows(plant, table):
     u, y, valid = table
     y, valid = y.copy(), valid.copy()
     y[spike], valid[spike] = 1e9, True
-    _, carries = walk(ATSUKF(plant, DT, **TUNING, M=M, threshold=1e30), u, np.where(valid, y, np.nan), valid)
+    _, carries = walk(
+        ATSUKF(plant, DT, **TUNING, window_s=M * DT, threshold=1e30), u, np.where(valid, y, np.nan), valid
+    )
     e = np.stack([np.asarray(c.e) for c in carries])
     before = np.vstack([np.zeros(3), e[:-1]])
     measured = np.flatnonzero(valid.any(axis=1))
@@ -166,7 +168,7 @@ def test_the_window_holds_the_last_rows(plant, table):
 def test_without_adaptation_it_is_the_plain_filter(plant, table):
     plain, _ = walk(TSUKF(plant, DT, **TUNING), *table)
     for options, same in (({"threshold": 1e9}, True), ({}, False)):
-        adaptive, _ = walk(ATSUKF(plant, DT, **TUNING, M=10, **options), *table)
+        adaptive, _ = walk(ATSUKF(plant, DT, **TUNING, window_s=10 * DT, **options), *table)
         assert (np.abs(adaptive.theta - plain.theta).max() < 1e-12) == same, options
 
 
@@ -175,8 +177,8 @@ def test_the_gate_tells_a_lag_from_noise(plant, correlated):
     """Innovations of the same size: pointing one way they widen the walk, changing sign each step they do not."""
     u, y, _ = study.linear_table(plant, rows=ROWS)
     y[20:] += 4.0 * (1.0 if correlated else (-1.0) ** np.arange(ROWS - 20)[:, None])
-    _, gated = walk(ATSUKF(plant, DT, theta_walk=1e-6, theta_var=1e-6, M=10, whiteness=0.2), u, y, True)
-    _, open_ = walk(ATSUKF(plant, DT, theta_walk=1e-6, theta_var=1e-6, M=10), u, y, True)
+    _, gated = walk(ATSUKF(plant, DT, theta_walk=1e-6, theta_var=1e-6, window_s=10 * DT, whiteness=0.2), u, y, True)
+    _, open_ = walk(ATSUKF(plant, DT, theta_walk=1e-6, theta_var=1e-6, window_s=10 * DT), u, y, True)
     assert max(float(c.delta) for c in open_[22:]) > 100
     assert (max(float(c.delta) for c in gated[22:]) > 100) == correlated
 
@@ -185,7 +187,7 @@ def test_motors_off_say_nothing_of_losses():
     """H = 0: no division by it, no loss found, and the losses' variance grows as it walks."""
     plant = RateDynamics.of(airframes.paper("niermeyer-hexa"))
     y = 5.0 * np.random.default_rng(1).standard_normal((20, 4))  # innovations far larger than predicted
-    out, _ = walk(ATSUKF(plant, DT, **TUNING, M=10), np.zeros((20, 6)), y, True)
+    out, _ = walk(ATSUKF(plant, DT, **TUNING, window_s=10 * DT), np.zeros((20, 6)), y, True)
     assert all(np.isfinite(leaf).all() for leaf in out)
     np.testing.assert_array_equal(out.theta, 0.0)
     np.testing.assert_allclose(out.theta_cov[-1], (0.3 + 20 * 0.001) * np.eye(6), atol=1e-9)
@@ -234,8 +236,7 @@ def test_bad_tuning_gets_one_sentence(method, options, says, plant):
 @pytest.mark.parametrize(
     "options, says",
     [
-        ({"M": 1}, "M must be a whole number, 2 or more"),
-        ({"M": 10.5}, "M must be a whole number"),
+        ({"window_s": 0.0}, "window_s must be above zero"),
         ({"threshold": 0.0}, "threshold must be above zero"),
         ({"whiteness": 2.0}, "whiteness must lie between -1 and 1"),
     ],

@@ -119,10 +119,10 @@ def from_augmented(method, table, **tuning):
     return max(np.abs(a - b).max() for a, b in zip(found, wanted, strict=True))
 
 
-def from_least_squares(method, table, forgetting=0.9):
+def from_least_squares(method, table, memory_s=1.0):
     """Largest difference from the batch, at the end of the table."""
-    out = run(method(Linear(), DT, theta_var=0.3, forgetting=forgetting, s_max=None), *table)[1]
-    theta, cov = weighted_least_squares(Linear(), *table, 0.3, forgetting)
+    out = run(method(Linear(), DT, theta_var=0.3, memory_s=memory_s, s_max=None), *table)[1]
+    theta, cov = weighted_least_squares(Linear(), *table, 0.3, np.exp(-DT / memory_s))
     return max(np.abs(out.theta[-1] - theta).max(), np.abs(out.theta_cov[-1] - cov).max())
 
 
@@ -132,7 +132,7 @@ def test_ekf_is_the_augmented_kalman_filter(table):
 
 @each_adaptive
 def test_without_forgetting_it_is_the_augmented_kalman_filter_of_constant_losses(method, table):
-    assert from_augmented(method, table, forgetting=1.0) < EXACT
+    assert from_augmented(method, table, memory_s=None) < EXACT
 
 
 @each_adaptive
@@ -160,12 +160,12 @@ def forgets_the_state_too(plain):
 
 
 def forgets_twice(plain):
-    return lambda S, tuned, dt=None: plain(plain(S, tuned, dt), tuned._replace(forgetting=0.9), dt)
+    return lambda S, memory, dt: plain(plain(S, memory, dt), memory._replace(seconds=1.0), dt)
 
 
 LAWS = {
     "ekf": lambda table: from_augmented(EKF, table, theta_walk=0.02),
-    "constant": lambda table: from_augmented(AdaptiveEKF, table, forgetting=1.0),
+    "constant": lambda table: from_augmented(AdaptiveEKF, table, memory_s=None),
     "weighted": lambda table: from_least_squares(AdaptiveEKF, table),
 }
 
@@ -209,7 +209,7 @@ def dense(state, x, F, Phi, e, C, D, Q, R, lam):
 
 
 @settings(max_examples=25, deadline=None)
-@given(st.integers(0, 2**31), st.floats(0.6, 1.0))
+@given(st.integers(0, 2**31), st.floats(0.6, 0.999))
 def test_one_measurement_after_the_other_is_all_at_once(seed, lam):
     rng = np.random.default_rng(seed)
 
@@ -223,29 +223,29 @@ def test_one_measurement_after_the_other_is_all_at_once(seed, lam):
     )
     shapes = ((n,), (n, n), (n, p), (m,), (m, n), (m, p))
     table = (*(rng.standard_normal(shape) for shape in shapes), covariance(n), rng.uniform(0.1, 1, m))
-    tuned = adaptive_kalman.Tuning(1.0, lam, np.inf, np.ones(p))
+    memory = adaptive_kalman.Memory(-1.0 / np.log(lam), np.inf)
     x, F, Phi, e, C, D, Q, R = table
     f, h = linearise.Linear(x, F, Phi), linearise.Linear(np.zeros(m), C, D)
-    found, out = adaptive_kalman.step(state, x, f, e, h, Q, R, np.ones(m, bool), tuned)
+    found, out = adaptive_kalman.step(state, x, f, e, h, Q, R, np.ones(m, bool), memory, 1.0)
     for a, b in zip(found, dense(state, *table, lam), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(out.x_cov, found.P + found.Upsilon @ found.S @ found.Upsilon.T, atol=1e-9)
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.integers(0, 2**31), st.floats(0.6, 1.0), st.floats(1e-3, 1e6))
-def test_forgetting_keeps_below_the_bound(seed, lam, bound):
-    """From any covariance up to the bound, however long nothing is excited."""
+@given(st.integers(0, 2**31), st.floats(0.02, 1e6), st.floats(1e-3, 1e6))
+def test_forgetting_keeps_below_the_bound(seed, memory_s, bound):
+    """From any covariance up to the bound, however long nothing is excited, and however long a step is against the memory."""
     root = np.random.default_rng(seed).standard_normal((3, 3))
     S = root @ root.T
     S = S * bound / np.linalg.eigvalsh(S).max()
-    tuned = adaptive_kalman.Tuning(1.0, lam, bound, np.ones(3))
+    memory = adaptive_kalman.Memory(memory_s, bound)
     for _ in range(50):
-        S = adaptive_kalman.forget(S, tuned)
+        S = adaptive_kalman.forget(S, memory, 1.0)
         values = np.linalg.eigvalsh(S)
         assert values.min() > -1e-9 * bound and values.max() <= bound * (1 + 1e-9)
-    unbounded = adaptive_kalman.forget(np.eye(3), tuned._replace(s_max=np.inf))
-    np.testing.assert_allclose(unbounded, np.eye(3) / lam, rtol=1e-14)
+    unbounded = adaptive_kalman.forget(np.eye(3), memory._replace(s_max=np.inf), 1.0)
+    np.testing.assert_allclose(unbounded, np.eye(3) * np.exp(1.0 / memory_s), rtol=1e-12)
 
 
 def hexa(**options):
@@ -270,7 +270,7 @@ def test_on_rate_dynamics_a_weak_rotor_is_found(method):
     u, y = map(np.array, jax.jit(lambda: jax.lax.scan(fly, jnp.zeros(3), (u, theta))[1])())
     y += rng.standard_normal(y.shape) * np.sqrt(np.asarray(plant.R(None)))
     y[700:710], y[900:950, 3] = np.nan, np.nan
-    tuning = {"theta_walk": 1e-3} if method is EKF else {"forgetting": 0.998}
+    tuning = {"theta_walk": 1e-3} if method is EKF else {"memory_s": 5.0}
     estimator = method(plant, dt, **tuning)
     out = run(estimator, u, y)[1]
     assert np.abs(out.theta[450:500]).max() < 0.08
@@ -300,14 +300,21 @@ def test_plants_may_be_built_inside_a_compiled_program(method):
 def test_two_half_steps_leave_as_much_uncertainty_as_one(method):
     """Time steps may change: random walk and forgetting follow the time passed."""
     plant = hexa()
-    tuning = {"theta_walk": 0.1} if method is EKF else {"forgetting": 0.8}
+    tuning = {"theta_walk": 0.1} if method is EKF else {"memory_s": 0.45}
     estimator = method(plant, DT, **tuning)
     nothing = (np.zeros(6), np.full(4, np.nan), np.zeros(4, bool))
     _, one = estimator.step(estimator.init(), *nothing)
     carry, _ = estimator.step(estimator.init(), *nothing, dt=0.5 * DT)
     _, two = estimator.step(carry, *nothing, dt=0.5 * DT)
-    # The bound is applied once a step: to second order in (1 - lambda) S / s_max.
-    np.testing.assert_allclose(one.theta_cov, two.theta_cov, rtol=1e-3)
+    np.testing.assert_allclose(one.theta_cov, two.theta_cov, rtol=1e-12)
+
+
+@each_adaptive
+def test_the_memory_is_the_papers_at_the_papers_step(method):
+    """0.995 a step of 1 ms; in an unbounded direction that nothing measures S grows by its inverse."""
+    estimator = method(hexa(), 1e-3, theta_var=0.1, s_max=None)
+    out = estimator.step(estimator.init(), np.zeros(6), np.full(4, np.nan), np.zeros(4, bool))[1]
+    np.testing.assert_allclose(out.theta_cov, 0.1 / 0.995 * np.eye(6), rtol=1e-12, atol=1e-14)
 
 
 def test_akf_about_a_trajectory_is_the_extended_filter_there():
@@ -339,7 +346,7 @@ NOT_A_PLANT = SimpleNamespace(name="nothing", x0=np.zeros(2))
         (lambda: EKF(Linear(), DT, theta_walk=-1.0), "theta_walk must lie between 0 and inf"),
         (lambda: EKF(Linear(), DT, theta_var=[0.1] * 3), "theta_var must be one number or 2 of them"),
         (lambda: AKF(NOT_A_PLANT, DT), "not defined for the plant nothing"),
-        (lambda: AKF(Linear(), DT, forgetting=1.01), "forgetting must lie between 0.6 and 1"),
+        (lambda: AKF(Linear(), DT, memory_s=0.0), "memory_s must be above zero"),
         (lambda: AKF(Linear(), DT, about=np.zeros(4)), r"about must have the shape \(3,\) or \(T, 3\), not \(4,\)"),
         (lambda: AdaptiveEKF(Linear(), DT, theta_var=2.0), "theta_var must lie between 0 and 1"),
         (lambda: AdaptiveEKF(Linear(), DT, s_max=0.0), "s_max must be above zero"),
@@ -366,7 +373,7 @@ def test_the_papers_tuning_sees_the_papers_losses_with_the_default_bound():
     y = flights.fly(plant.J, PortHamiltonianAttitude.of(airframe).B, u, theta)[:, :3]
     found = {}
     for name, more in (("default", {}), ("bound of 1", {"s_max": 1.0})):
-        method = AXKF(plant, flights.DT, gain=observer_gain.printed(), forgetting=0.995, theta_var=0.001, **more)
+        method = AXKF(plant, flights.DT, gain=observer_gain.printed(), theta_var=0.001, **more)
         found[name] = run(method, u, y)[1].theta[-1]
     np.testing.assert_allclose(found["default"], flights.LOSSES, rtol=0.01)
     assert np.abs(found["bound of 1"]).max() < 1e-3

@@ -7,7 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from rotorwatch.export.export_c import export_c
+from exporting import exported
+from rotorwatch.base import discovery
+from rotorwatch.compiling.body import exact
+from rotorwatch.export.export_c import SINGLE, export_c
+from rotorwatch.export.export_diagnoser import export_diagnoser
 
 EMBEDDED = Path(__file__).resolve().parents[1] / "embedded"
 ARM = (
@@ -24,6 +28,23 @@ ARM = (
 # Bytes, also in double precision, where constants weigh twice as much.
 TEXT = {"ekf": 12_000, "ukf": 16_000, "tsukf": 16_000}
 STACK = 24_000
+# What ArduPilot and PX4 ask of a compiler; clang has no constants of single precision.
+AUTOPILOTS = (
+    "-Wall",
+    "-Wextra",
+    "-Werror",
+    "-Wdouble-promotion",
+    "-Wfloat-equal",
+    "-Werror=overflow",
+    "-DROTORWATCH_FLOAT",
+)
+FRAME = "-Wframe-larger-than=1300"
+CONSTANTS = {
+    "gcc": ["-fsingle-precision-constant"],
+    "clang": [],
+    "arm-none-eabi-gcc": ["-fsingle-precision-constant", *ARM[:4]],
+}
+USUAL = ("ekf", "parity", "atsukf")  # products, constants beyond single precision, comparisons for equality
 
 
 def tool(name):
@@ -64,6 +85,50 @@ def test_code_is_small_and_stack_is_bounded(name, precision, tmp_path):
     assert taken[f"{name}_run"] + taken[f"{name}_step"] + kernels < STACK
 
 
+def no_warning(folder, *flags):
+    """No compiler there is warns with the flags of both autopilots. flags: of the Cortex-M7's alone, which then compiles."""
+    files = sorted(str(path) for path in folder.glob("*.c") if path.name != "example.c")
+    found = [cc for cc in CONSTANTS if shutil.which(cc)]
+    for cc in found:
+        more = ["-fsyntax-only"] if cc != "arm-none-eabi-gcc" or not flags else [*flags, "-c"]
+        done = subprocess.run(
+            [cc, "-std=c99", *AUTOPILOTS, *CONSTANTS[cc], *more, *files], cwd=folder, capture_output=True, text=True
+        )
+        assert done.returncode == 0 and not done.stderr, f"{cc}: {done.stderr[:2000]}"
+    if not found:
+        pytest.skip("no C compiler")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=[] if n in USUAL else pytest.mark.thorough) for n in [*discovery.estimators(), SINGLE]],
+)
+def test_estimators_meet_the_flags_of_both_autopilots(name, tmp_path):
+    program = exported(name)
+    (tmp_path / f"{program.name}.h").write_text(program.header)
+    (tmp_path / f"{program.name}.c").write_text(program.source)
+    no_warning(tmp_path, "-Os", FRAME)
+
+
+@pytest.mark.thorough
+def test_the_diagnoser_meets_the_flags_of_both_autopilots(tmp_path):
+    """A quad's, with the frames of all of its functions; the estimator of a hexacopter has a larger one (docs/export.md)."""
+    export_diagnoser(tmp_path)
+    no_warning(tmp_path, "-Os", FRAME)
+
+
+def test_times_are_exact_where_constants_are_of_single_precision(tmp_path):
+    """A number of seconds is the same with and without the flag that makes constants floats."""
+    cc = tool("gcc")
+    values = [0.05, 1.5, 1e-9, 9.80665, 0.999999, 60.0, 1e8, 0.7, -0.15]
+    lines = "".join(f'    printf("%.17g\\n", {exact(value)});\n' for value in values)
+    source = f"#include <stdio.h>\ntypedef double rw_time;\nint main(void)\n{{\n{lines}    return 0;\n}}\n"
+    (tmp_path / "times.c").write_text(source)
+    subprocess.run([cc, "-std=c99", *AUTOPILOTS, *CONSTANTS["gcc"], "times.c", "-o", "times"], cwd=tmp_path, check=True)
+    said = subprocess.run([str(tmp_path / "times")], capture_output=True, text=True, check=True).stdout
+    assert [float(word) for word in said.split()] == values
+
+
 def test_a_cortex_m7_says_what_this_computer_says(project, tmp_path):
     """Run under QEMU, one instruction after the other, in single precision."""
     cc, machine = tool("arm-none-eabi-gcc"), tool("qemu-system-arm")
@@ -86,6 +151,6 @@ def test_a_cortex_m7_says_what_this_computer_says(project, tmp_path):
 
 @pytest.mark.parametrize("source", ["px4/RotorWatch.cpp", "ardupilot/AP_RotorWatch.cpp"])
 def test_autopilots_skeletons_compile(source, project, tmp_path):
-    command = [tool("g++"), "-std=c++14", "-Wall", "-Wextra", "-Werror", "-DROTORWATCH_FLOAT", f"-I{project}"]
+    command = [tool("g++"), "-std=c++14", *AUTOPILOTS, *CONSTANTS["gcc"], f"-I{project}"]
     command += [f"-I{EMBEDDED / 'stubs'}", "-c", str(EMBEDDED / source), "-o", str(tmp_path / "module.o")]
     subprocess.run(command, check=True)

@@ -7,6 +7,7 @@ import pytest
 
 from onboard_c import doubles, library
 from rotorwatch import airframes
+from rotorwatch.compiling.structs import LASTS
 from rotorwatch.default import events, hypotheses
 from rotorwatch.default.plant import lower_rotors
 from rotorwatch.default.posterior import PLACES
@@ -27,6 +28,7 @@ int told(int count, const double *effectiveness, int coaxial, const double *rows
 {
     static rw_losses s;
     static rw_event list[RW_RECORDS];
+    static rw_records room;
     rw_vehicle v = {.coaxial = coaxial != 0, .rotors = RW_ROTORS};
     int events;
     for (int k = 0; k < 4 * RW_ROTORS; k++) v.effectiveness[k / RW_ROTORS][k % RW_ROTORS] = (rw_real)effectiveness[k];
@@ -48,7 +50,7 @@ int told(int count, const double *effectiveness, int coaxial, const double *rows
         for (int i = 0; i < RW_HYPOTHESES; i++) found.log_odds[i] = (rw_real)*rows++;
         rw_losses_on(&s, &v, row[0], row[1], (int32_t)row[2], row[3] > 0.5, &found);
     }
-    events = rw_losses_losses(&s, &v, false, list);
+    events = rw_losses_losses(&s, &v, false, &room, list);
     for (int i = 0; i < events && i < 40; i++, out += 48) {
         const rw_event *const e = &list[i];
         out[0] = e->onset;
@@ -114,7 +116,7 @@ def in_python(out, ticks, B, count):
     rows = []
     for e in events.read(cut(out), cut(ticks), B):
         row = np.zeros(ROW)
-        row[:5] = e.onset_s, e.detected_s, 1e300 if e.end_s is None else e.end_s, e.probability, mask(e.rotors)
+        row[:5] = e.onset_s, e.detected_s, LASTS if e.end_s is None else e.end_s, e.probability, mask(e.rotors)
         order = np.argsort(e.rotors)
         for first, values in ((5, e.loss), (9, [i[0] for i in e.interval]), (13, [i[1] for i in e.interval])):
             row[first : first + len(values)] = np.asarray(values)[order]

@@ -12,10 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from onboard_law import ACCEL, ATTITUDE, BATTERY, GYRO, LASTS, OUTPUTS, events_in_c, flown
+from onboard_law import ACCEL, ATTITUDE, BATTERY, GYRO, OUTPUTS, events_in_c, flown
 from rotorwatch import logs
 from rotorwatch.aerobatic import judge as aerobatic
 from rotorwatch.commands.cli import SAMPLES
+from rotorwatch.compiling.structs import LASTS
 from rotorwatch.diagnose import diagnose
 from rotorwatch.errors import RotorwatchError
 from rotorwatch.motion import ticks

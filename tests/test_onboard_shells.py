@@ -53,7 +53,19 @@ def test_shells_compile(autopilot, rotors, tmp_path):
     (tmp_path / "uORB" / "topics").mkdir(parents=True)
     (tmp_path / "uORB" / "topics" / "rotorwatch_verdict.h").write_text(topic())
     include = [f"-I{folder}" for folder in (tmp_path, SOURCES, EMBEDDED / "stubs")]
-    flags = ["-std=c++14", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-DROTORWATCH_FLOAT", "-fsyntax-only"]
+    flags = [
+        "-std=c++14",
+        "-Wall",
+        "-Wextra",
+        "-Wpedantic",
+        "-Werror",
+        "-DROTORWATCH_FLOAT",
+        "-fsyntax-only",
+        "-Wdouble-promotion",
+        "-Wfloat-equal",
+        "-Werror=overflow",
+        "-fsingle-precision-constant",
+    ]
     subprocess.run([compiler, *flags, *include, str(SHELLS[autopilot])], check=True)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
+from rotorwatch.compiling.structs import LASTS
 from rotorwatch.default import announcement
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.front import sense
@@ -338,11 +339,11 @@ def test_long_gaps_cost_no_ticks_but_at_their_ends(seed):
     state, craft, plan, row, numbers = sense.Sense(), Vehicle(), sense.Plan(), sense.Sensed(), []
     craft.rotors, plan.dt = 4, 0.5  # exact in binary
     most = int(sense.GAP_S / plan.dt)
-    for time in [*(0.5 * at + 0.125).tolist(), 1e300]:
+    for time in [*(0.5 * at + 0.125).tolist(), LASTS]:
         while state.ready(plan, time):
             state.make(craft, plan, row)
             numbers.append(row.number)
-        if time < 1e300:
+        if time < LASTS:
             state.thrust(craft, plan, time, [0.4] * 4, True)
     wanted = set()
     for a, b in itertools.pairwise(np.maximum(at - 1, 0).tolist()):  # ticks that a command says to be complete

@@ -96,9 +96,11 @@ def test_losses_put_in_keep_the_walk_from_vanishing(found):
     assert 1e-4 < found.tuning.keywords["theta_walk"] < 1.0
 
 
-def test_the_gradient_is_that_of_the_likelihood():
-    objective = jax.jit(tune._objective("ekf", [flight(0)], {}, "theta_walk"))
-    slope = np.asarray(jax.jit(jax.grad(tune._objective("ekf", [flight(0)], {}, "theta_walk")))(np.zeros(8)))
+@pytest.mark.parametrize(("name", "pace"), [("ekf", "theta_walk"), ("adaptive_ekf", "memory_s")])
+def test_the_gradient_is_that_of_the_likelihood(name, pace):
+    objective = jax.jit(tune._objective(name, [flight(0)], {}, pace))
+    slope = np.asarray(jax.jit(jax.grad(tune._objective(name, [flight(0)], {}, pace)))(np.zeros(8)))
+    assert abs(slope[7]) > 1e-4
     for k in (0, 4, 6, 7):
         step = 1e-4 * (np.arange(8) == k)
         numeric = float(objective(step) - objective(-step)) / 2e-4
@@ -210,10 +212,20 @@ def test_logs_to_tune_to_are_judged_first(tuned):
     assert any("hexa.bin was set aside: its frame" in n for n in found.notes)
 
 
-def test_walks_are_known_by_the_methods_own_names():
-    assert tune.walk_of("ekf") == "theta_walk"
-    for name in discovery.estimators():
-        assert tune.walk_of(name) in (None, *tune.WALKS)
+def test_how_fast_losses_change_is_known_by_the_methods_own_names():
+    named = {
+        name: tune.pace_of(name, published.method(name, WRONG, DT)) for name in discovery.names() if name != "default"
+    }
+    assert set(named.values()) <= {None, *tune.PACES}
+    wanted = {
+        "ekf": "theta_walk",
+        "atsukf": "theta_walk",
+        "akf": "memory_s",
+        "axkf": "memory_s",
+        "rls": "memory_s",
+        "mhe": None,
+    }
+    assert wanted.items() <= named.items()
 
 
 # Files.

@@ -56,7 +56,7 @@ void AP_RotorDiagnosis::update(bool landed, bool armed, float voltage_ratio, con
 
 void AP_RotorDiagnosis::feed(uint64_t now_us, bool landed, bool armed, float voltage_ratio, const float *control)
 {
-    const rw_time now = 1e-6 * double(now_us);
+    const rw_time now = double(now_us) / 1000000;
     rw_diagnoser_state(&_diagnoser, now, landed ? 1 : 0, armed ? 1 : 0);
 
     rw_diagnoser_battery(&_diagnoser, now, rw_real(voltage_ratio));
@@ -106,7 +106,7 @@ void AP_RotorDiagnosis::notify(const rw_notification &notification, uint64_t now
     AP::logger().Write("RWEV", "TimeUS,Num,What,Kind,Rot,Alt,On,End,Loss,Lo,Hi,P", "QHBBHHddffff", now_us, unsigned(notification.number),
                        unsigned(notification.kind), unsigned(event.kind), unsigned(event.rotors),
                        unsigned(event.alternative_count ? event.alternatives[0] : 0), event.onset,
-                       event.end < RW_LASTS ? event.end : 0.0, double(event.loss[0]), double(event.lower[0]), double(event.upper[0]),
+                       event.end < RW_LASTS ? event.end : 0, double(event.loss[0]), double(event.lower[0]), double(event.upper[0]),
                        double(event.probability));
 }
 

@@ -5,12 +5,12 @@
 
 static rw_time seconds(hrt_abstime us)
 {
-	return 1e-6 * static_cast<rw_time>(us);
+	return static_cast<rw_time>(us) / 1000000;
 }
 
 static uint64_t microseconds(rw_time s)
 {
-	return s < RW_LASTS && s > 0.0 ? static_cast<uint64_t>(s * 1e6) : 0;
+	return s < RW_LASTS && s > 0 ? static_cast<uint64_t>(s * 1000000) : 0;
 }
 
 RotorWatchDiagnoser::RotorWatchDiagnoser() : ModuleParams(nullptr), ScheduledWorkItem("rotorwatch", px4::wq_configurations::lp_default)
@@ -217,7 +217,7 @@ int RotorWatchDiagnoser::print_status()
 {
 	PX4_INFO("%s", rw_diagnoser_verdict_text(&_diagnoser));
 	for (int k = 0; k < RW_ROTORS; k++) {
-		PX4_INFO("rotor %d: loss %.0f %%", k + 1, 100.0 * static_cast<double>(_diagnoser.out.theta[k]));
+		PX4_INFO("rotor %d: loss %.0f %%", k + 1, 100 * static_cast<double>(_diagnoser.out.theta[k]));
 	}
 
 	return 0;

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import ast
 import inspect
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from decimal import Decimal
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from rotorwatch.compiling import structs
 from rotorwatch.compiling.structs import snake
@@ -35,6 +39,7 @@ WIDE: dict[Any, Any] = {
     "byte": "int",
 }  # as what stored numbers are read
 FIRST = {"lit": "real", "ilit": "int", **WIDE}  # type of a variable by its first value
+OPEN, CLOSE = "\x02", "\x03"  # around a number in a text, as long as its precision is open
 BINARY = {
     ast.Add: ("+", 6),
     ast.Sub: ("-", 6),
@@ -134,9 +139,32 @@ def number(value: Any, base: str) -> str:
         text = "RW_LASTS" if value > 0 else "-RW_LASTS"
     elif abs(value) == float("inf"):
         text = "INFINITY" if value > 0 else "-INFINITY"
+    elif base == "time":
+        return exact(float(value))
     else:
         text = repr(float(value))
-    return f"(rw_real){text}" if base == "real" else text
+    return (
+        f"(rw_real){text}" if base == "real" else OPEN + text + CLOSE if base == "lit" and text[-1].isdigit() else text
+    )
+
+
+def exact(value: float) -> str:
+    """A finite number in double precision, also where the compiler is told that constants are of single precision: a whole number over a
+    power of ten is rounded once, as the number itself would be."""
+    with np.errstate(over="ignore"):
+        if float(np.float32(value)) == value:
+            return f"(rw_time){value!r}"
+    sign, digits, power = Decimal(repr(value)).as_tuple()
+    whole = int("".join(map(str, digits)))
+    assert isinstance(power, int)
+    if not (-22 <= power < 0 and whole <= 2**53):
+        raise ConfigError(f"{value!r} cannot be written as a whole number over a power of ten in C.")
+    return f"({'-' * sign}(rw_time){whole} / {10**-power})"
+
+
+def settled(text: str, time: bool) -> str:
+    """Numbers whose precision was open until they met others, in double precision or as they stand."""
+    return re.sub(f"{OPEN}(.*?){CLOSE}", lambda m: exact(float(m[1])) if time else m[1], text)
 
 
 class Body:
@@ -160,7 +188,7 @@ class Body:
         doc = comment(ast.get_docstring(f.node) or "") if not f.public else ""
         head = ("static " if not f.public else "") + self.all.signature(f)
         hoisted = [f"    {text}" for text in self.hoisted.values()]
-        return "\n".join([*([doc] if doc else []), head, "{", *hoisted, *lines, "}", ""])
+        return settled("\n".join([*([doc] if doc else []), head, "{", *hoisted, *lines, "}", ""]), False)
 
     def wrong(self, node: ast.AST, why: str) -> ConfigError:
         return self.all.wrong(self.module, node, why)
@@ -329,8 +357,8 @@ class Body:
 
     def literal(self, code: Code, want: str) -> str:
         if want == "real" or (want == "time" and code.type.base == "ilit"):  # 1 / 2 is a half
-            return f"({C_NAMES[want]}){code.within(14)}"
-        return code.text
+            return f"({C_NAMES[want]}){settled(code.within(14), False)}"
+        return settled(code.within(14), True) if want == "time" else code.text
 
     def expression(self, node: ast.AST) -> Code:
         method = getattr(self, f"on_{type(node).__name__.lower()}", None)

@@ -39,7 +39,7 @@ Flags = list[bool]
 Bytes = Sequence[int]
 Vectors = list[list[float]]  # rows of three
 
-LASTS = 1e300
+LASTS = 1e30
 """Later than all times: the end of what lasts."""
 NAN = math.nan
 

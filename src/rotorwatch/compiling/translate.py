@@ -34,7 +34,7 @@ typedef double rw_real;
 /* Seconds since any one moment, the same for all that is fed; long sums. Double in both precisions: after a day a float knows only 8 ms. */
 typedef double rw_time;
 /* Later than all times: the end of what lasts. */
-#define RW_LASTS 1e300
+#define RW_LASTS ((rw_time)1e30)
 """
 HELPERS = """#ifdef ROTORWATCH_FLOAT
 #define RW_ROOT sqrtf

@@ -9,7 +9,7 @@ baseline of the flight test of Qi, Song, Dai, Han and Wang 2015; the rule's form
 from __future__ import annotations
 
 from rotorwatch.maths.augmented_ekf import AugmentedEKF
-from rotorwatch.maths.mit_rule import Adaptation
+from rotorwatch.maths.mit_rule import adaptation
 
 
 class AEKF(AugmentedEKF):
@@ -18,8 +18,10 @@ class AEKF(AugmentedEKF):
     name = "aekf"
     not_kalman = "it adapts the process noise to its innovations"
 
-    def __init__(self, system, dt: float, *, theta_walk=1e-3, theta_var=0.01, eta=0.5, window=50):
+    def __init__(self, system, dt: float, *, theta_walk=1e-3, theta_var=0.01, eta=0.5, window_s=1.0):
         """dt: s. theta_walk: variance that a loss gains per second [1/s] before adaptation; theta_var: variance of the losses at
-        the start; both a number or one per theta. eta: rate of adaptation [1/s]; window: steps that innovations are averaged
-        over. Raises ConfigError for wrong values."""
-        super().__init__(system, dt, theta_walk=theta_walk, theta_var=theta_var, adaptation=Adaptation(eta, window))
+        the start; both a number or one per theta. eta: rate of adaptation [1/s]; window_s: measured time over which
+        innovations are averaged [s]. Raises ConfigError for wrong values."""
+        super().__init__(
+            system, dt, theta_walk=theta_walk, theta_var=theta_var, adaptation=adaptation(eta, window_s, dt)
+        )

@@ -17,6 +17,7 @@ from rotorwatch.base.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import adaptive_kalman, linearise
+from rotorwatch.maths.adaptive_kalman import MEMORY_S
 
 
 class Carry(NamedTuple):
@@ -31,11 +32,20 @@ class AKF(adaptive_kalman.Zhang):
 
     name = "akf"
 
-    def __init__(self, system, dt: float, *, forgetting=0.995, theta_var=0.01, s_max: float | None = 1.0, about=None):
-        """dt: s. forgetting: lambda of one step, 0.6 to 1; theta_var: variance of the losses at the start, a number or one per
-        theta; s_max: bound of that variance, None for none. about: (n_x,) where to linearise (default: x0), or (T, n_x),
-        a point per step, the last one from then on. Raises ConfigError for wrong values."""
-        super().__init__(system, dt, forgetting=forgetting, theta_var=theta_var, s_max=s_max)
+    def __init__(
+        self,
+        system,
+        dt: float,
+        *,
+        memory_s: float | None = MEMORY_S,
+        theta_var=0.01,
+        s_max: float | None = 1.0,
+        about=None,
+    ):
+        """dt: s. memory_s: time after which a measurement counts 1/e for the losses [s], None to forget nothing; theta_var: variance of
+        the losses at the start, a number or one per theta; s_max: bound of that variance, None for none. about: (n_x,) where to
+        linearise (default: x0), or (T, n_x), a point per step, the last one from then on. Raises ConfigError for wrong values."""
+        super().__init__(system, dt, memory_s=memory_s, theta_var=theta_var, s_max=s_max)
         about = system.x0 if about is None else checks.finite("about", about)
         if np.ndim(about) not in (1, 2) or np.shape(about)[-1] != system.n_x or np.size(about) == 0:
             raise ConfigError(f"about must have the shape ({system.n_x},) or (T, {system.n_x}), not {np.shape(about)}.")

@@ -1,6 +1,6 @@
 """Adaptive two-stage unscented Kalman filter: the losses' random walk widens when innovations are larger than predicted.
 
-When e'e > threshold tr S and the window of M innovations is full, P_theta- = P_theta + delta Q_theta with
+When e'e > threshold tr S and the window of the last M innovations, window_s / dt of them, is full, P_theta- = P_theta + delta Q_theta with
 
     delta = max(1, [tr sum e e' / (M - 1) - tr P_yy - tr H P_theta H'] / tr H Q_theta H')
 
@@ -49,15 +49,16 @@ class ATSUKF(unscented.Unscented):
     not_kalman = "it widens the losses' random walk when innovations exceed their predicted size, so its gains depend on the data"
 
     def __init__(
-        self, system, dt, *, theta_walk=1e-3, theta_var=1e-2, M=150, threshold=1.0, whiteness=None, clip=False,
+        self, system, dt, *, theta_walk=1e-3, theta_var=1e-2, window_s=1.5, threshold=1.0, whiteness=None, clip=False,
         alpha=0.1, beta=2.0, kappa=0.0,
     ):  # fmt: skip
-        """As `unscented.Unscented`. M: steps in the window. threshold: how many times the predicted size counts as too large (the paper's
-        K). whiteness: widen only when the innovations' lag-1 correlation in the window exceeds this (0.2 is a good value; None: no gate, as
-        in the paper). Raises ConfigError."""
+        """As `unscented.Unscented`. window_s: length of the window [s], the paper's M = 150 steps of 10 ms; two steps of dt at least.
+        threshold: how many times the predicted size counts as too large (the paper's K). whiteness: widen only when the innovations'
+        lag-1 correlation in the window exceeds this (0.2 is a good value; None: no gate, as in the paper). Raises ConfigError."""
         shared = {"theta_walk": theta_walk, "theta_var": theta_var, "clip": clip}
         super().__init__(system, dt, alpha=alpha, beta=beta, kappa=kappa, **shared)
-        self.M, self.threshold = checks.whole("M", M, 2), checks.positive("threshold", threshold)
+        self.M = max(2, round(checks.positive("window_s", window_s) / dt))
+        self.threshold = checks.positive("threshold", threshold)
         self.whiteness = None if whiteness is None else checks.between("whiteness", whiteness, -1.0, 1.0)
 
     def init(self) -> Carry:

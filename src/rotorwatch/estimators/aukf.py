@@ -29,12 +29,12 @@ class AUKF(unscented.Unscented):
     not_kalman = "it adapts the process noise to its innovations"
 
     def __init__(
-        self, system, dt, *, theta_walk=1e-3, theta_var=1e-2, eta=0.5, window=50, alpha=1.0, beta=2.0, kappa=0.0
+        self, system, dt, *, theta_walk=1e-3, theta_var=1e-2, eta=0.5, window_s=1.0, alpha=1.0, beta=2.0, kappa=0.0
     ):
-        """As `unscented.Unscented`, the losses' walk before adaptation. eta: rate of adaptation [1/s]; window: steps that innovations are
-        averaged over. Raises ConfigError."""
+        """As `unscented.Unscented`, the losses' walk before adaptation. eta: rate of adaptation [1/s]; window_s: measured time over
+        which innovations are averaged [s]. Raises ConfigError."""
         super().__init__(system, dt, theta_walk=theta_walk, theta_var=theta_var, alpha=alpha, beta=beta, kappa=kappa)
-        self.adaptation = mit_rule.check(mit_rule.Adaptation(eta, window))
+        self.adaptation = mit_rule.adaptation(eta, window_s, dt)
 
     def init(self) -> Carry:
         """The plant's x0 and P0, no loss."""

@@ -17,6 +17,7 @@ from rotorwatch.base import checks
 from rotorwatch.base.backend import jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.maths import adaptive_kalman, linearise, observer_gain
+from rotorwatch.maths.adaptive_kalman import MEMORY_S
 
 S_MAX = 1e8
 """Keeps the digits of a loss that nothing excites, and stands in no loss's way: the paper's Q and R are tuning, with which a loss that is
@@ -37,13 +38,21 @@ class AXKF(adaptive_kalman.Zhang):
     name = "axkf"
 
     def __init__(
-        self, system, dt: float, *, gain=None, forgetting=0.995, theta_var=0.01, s_max: float | None = S_MAX, z0=None
+        self,
+        system,
+        dt: float,
+        *,
+        gain=None,
+        memory_s: float | None = MEMORY_S,
+        theta_var=0.01,
+        s_max: float | None = S_MAX,
+        z0=None,
     ):
         """dt: s. gain: (n_x, n_y) of the observer, for steps of dt; default: the stationary Kalman gain at x0, and others are
-        made by `rotorwatch.maths.observer_gain`. forgetting: lambda of one step, 0.6 to 1; theta_var: variance of the losses at
-        the start, a number or one per theta; s_max: bound of that variance, None for none. z0: (n_x,) where the observer
-        starts (default: x0). Raises ConfigError for wrong values."""
-        super().__init__(system, dt, forgetting=forgetting, theta_var=theta_var, s_max=s_max)
+        made by `rotorwatch.maths.observer_gain`. memory_s: time after which a measurement counts 1/e for the losses [s], None to
+        forget nothing; theta_var: variance of the losses at the start, a number or one per theta; s_max: bound of that variance, None
+        for none. z0: (n_x,) where the observer starts (default: x0). Raises ConfigError for wrong values."""
+        super().__init__(system, dt, memory_s=memory_s, theta_var=theta_var, s_max=s_max)
         if gain is None:
             gain = observer_gain.stationary(system, dt)
         self.gain = checks.finite("gain", checks.shape("gain", gain, system.n_x, system.n_y))

@@ -16,6 +16,7 @@ import numpy as np
 
 from rotorwatch import airframes
 from rotorwatch.base import checks
+from rotorwatch.compiling.body import exact
 from rotorwatch.compiling.c99.project import Field, Program, make
 from rotorwatch.compiling.translate import Translation
 from rotorwatch.core import Array
@@ -139,7 +140,7 @@ def text_of(table: dict[str, Any], kind: str, name: str) -> str:
             return "true" if x else "false"
         if isinstance(x, int | np.integer):
             return str(int(x))
-        return f"({real}){float(x)!r}"
+        return exact(float(x)) if real == "rw_time" and np.isfinite(x) else f"({real}){float(x)!r}"
 
     reals = {key: "rw_time" if kind == "rw_plan" and key != "hover" else "rw_real" for key in table}
     members = "".join(f"    .{key} = {value(x, reals[key])},\n" for key, x in table.items())

@@ -122,10 +122,10 @@ class Losses(Struct):
             if self.announced and ((self.before | self.latest.active[0]) & (1 << k)) != 0:
                 self.courses[k].add(self.tick, self.theta[k], self.sd[k])
 
-    def losses(self, v: Vehicle, flies: bool, out: list[Event]) -> int:
+    def losses(self, v: Vehicle, flies: bool, records: Records, out: list[Event]) -> int:
         """The losses so far, in the order in which they were noticed, into out [RECORDS]; how many. flies: the flight goes on, and what was
-        announced a moment ago may still turn out to be a pair."""
-        records = Records()
+        announced a moment ago may still turn out to be a pair. records: room to work in."""
+        reset(records)
         order = local(INT, RECORDS)
         records.count = self.records.count
         records.suspicion = self.records.suspicion

@@ -26,7 +26,7 @@ from rotorwatch.front.events import Event, Report, main_event
 from rotorwatch.front.front import Front
 from rotorwatch.front.losses import Losses
 from rotorwatch.front.mixer import CONTROLS, Comparison, Mixer
-from rotorwatch.front.records import Found
+from rotorwatch.front.records import Found, Records
 from rotorwatch.front.sense import Plan, Sense, Sensed
 from rotorwatch.front.sizes import ROTORS
 from rotorwatch.front.ticks import HOVER_LEARN_S, Made, Ticks
@@ -118,7 +118,7 @@ def cut(
 def rest(s: Sense, v: Vehicle, p: Plan, rows: list[Sensed], room: int) -> int:
     """The ticks that still wait at the end of a log; how many."""
     count = 0
-    while count < room and s.ready(p, 1e300):
+    while count < room and s.ready(p, LASTS):
         s.make(v, p, rows[count])
         count += 1
     return count
@@ -128,8 +128,8 @@ def assemble(
     t: Ticks, v: Vehicle, p: Plan, n: int, rows: list[Sensed], lifted: Times, start: Times, made: list[Made]
 ) -> None:
     """n rows as the estimator gets them. lifted, start (n,): of the flight that each comes after the start of, and of the one that it lies
-    in; 1e300 where there is none. The rows of the first second of a flight tell what carries the vehicle."""
-    flight: Time = -1e300
+    in; LASTS where there is none. The rows of the first second of a flight tell what carries the vehicle."""
+    flight: Time = -LASTS
     ahead = 0
     for i in range(n):
         if lifted[i] < LASTS and (lifted[i] < flight or lifted[i] > flight):
@@ -280,7 +280,8 @@ def announce(
 
 def losses(s: Losses, v: Vehicle, flies: bool, out: list[Event]) -> int:
     """The losses so far; how many."""
-    return s.losses(v, flies, out)
+    room = Records()
+    return s.losses(v, flies, room, out)
 
 
 def follow(

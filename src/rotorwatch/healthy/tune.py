@@ -6,8 +6,9 @@ The innovations e of a filter that is tuned right are white with the covariance 
 
 is a function of the tuning, and JAX differentiates it through every step (Abbeel et al., Discriminative training of Kalman
 filters, RSS 2005, compare such criteria). Fitted: a factor on each state's process noise and on each measurement's variance,
-and the random walk of the losses. Healthy data alone would say that losses never move; so every flight counts once more
-with a loss put in: an actuator of which less arrives is commanded more, u / (1 - loss), while the motion stays as measured.
+and how fast losses may change: their random walk, or the memory of a method that has none. Healthy data alone would say that losses
+never move; so every flight counts once more with a loss put in: an actuator of which less arrives is commanded more, u / (1 - loss),
+while the motion stays as measured.
 
 Works for every estimator that says innovation and innovation_cov.
 """
@@ -33,7 +34,8 @@ from rotorwatch.published import log_plant, published
 from rotorwatch.published.log_plant import LogPlant
 from rotorwatch.published.published import Scaled, Tuning
 
-WALKS = ("theta_walk", "Q_theta", "theta_drift")  # what methods call the variance that a loss gains per second
+# What methods call the variance that a loss gains per second, or the time after which they forget what they measured.
+PACES = ("theta_walk", "Q_theta", "theta_drift", "memory_s")
 ROWS, SETTLE = 600, 40  # rows of one window, and how many of its first do not count
 LEAST_ROWS = 4 * SETTLE  # of a table that says something
 WORDS = {"p": "roll rate", "q": "pitch rate", "r": "yaw rate", "f_z": "thrust"}
@@ -87,10 +89,10 @@ class Fit:
         }  # fmt: skip
 
 
-def walk_of(name: str) -> str | None:
-    """The keyword by which a method takes the random walk of the losses; None for a method without one."""
+def pace_of(name: str, estimator: Any) -> str | None:
+    """The keyword by which a method takes how fast losses may change, a number that it keeps under this name; None without one."""
     known = inspect.signature(discovery.estimator(name).__init__).parameters
-    return next((k for k in WALKS if k in known and np.ndim(known[k].default) == 0), None)
+    return next((k for k in PACES if k in known and np.ndim(known[k].default) == 0 and hasattr(estimator, k)), None)
 
 
 def fit(
@@ -109,9 +111,10 @@ def fit(
         raise ConfigError(f"Tuning needs a healthy flight of at least {LEAST_ROWS} rows after the learning time.")
     if len({(t.dt, t.system.n_u) for t in tables}) > 1:
         raise ConfigError("Tuning needs flights of one build, logged at one rate.")
-    system, dt, walk = tables[0].system, tables[0].dt, walk_of(name)
-    score = jax.jit(jax.value_and_grad(_objective(name, tables, dict(keywords or {}), walk)))
-    start = np.zeros(system.n_x + system.n_y + (walk is not None))
+    system, dt = tables[0].system, tables[0].dt
+    pace = pace_of(name, published.method(name, system, dt, Tuning(keywords=keywords or {})))
+    score = jax.jit(jax.value_and_grad(_objective(name, tables, dict(keywords or {}), pace)))
+    start = np.zeros(system.n_x + system.n_y + (pace is not None))
     first = float(score(start)[0])
     if not np.isfinite(first):
         raise ConfigError(f"{name} gives no finite likelihood on these flights; start from another tuning.")
@@ -135,11 +138,11 @@ def fit(
     factors = np.exp(best.x)
     n_x, n_y = system.n_x, system.n_y
     chosen = dict(keywords or {})
-    if walk is not None:
-        usual = inspect.signature(discovery.estimator(name).__init__).parameters[walk].default
-        chosen[walk] = float(chosen.get(walk, usual)) * float(factors[-1])
+    if pace is not None:
+        usual = inspect.signature(discovery.estimator(name).__init__).parameters[pace].default
+        chosen[pace] = float(chosen.get(pace, usual)) * float(factors[-1])
     tuning = Tuning(factors[:n_x], factors[n_x : n_x + n_y], chosen)
-    notes = _at_bounds(factors, system, walk)
+    notes = _at_bounds(factors, system, pace)
     if not best.fun < first:
         notes.append("The fit found nothing better than the tuning it started from.")
     return Fit(name, checks.plant_name(system), dt, tuning, -first, -float(best.fun), notes=tuple(notes))
@@ -205,11 +208,11 @@ def _held_out(flights: Sequence[tuple[str, list[LogPlant]]]) -> tuple[list[LogPl
     return [*hops[:-1], hops[-1].part(0, cut)], [hops[-1].part(cut)], f"the last quarter of {flights[0][0]}"
 
 
-def _at_bounds(factors: np.ndarray, system, walk: str | None) -> list[str]:
-    """A sentence on the factors (n_x + n_y, and the walk's) that ended at their bounds; none when there is none."""
+def _at_bounds(factors: np.ndarray, system, pace: str | None) -> list[str]:
+    """A sentence on the factors (n_x + n_y, and the pace's) that ended at their bounds; none when there is none."""
     what = [f"process noise of {name}" for name in _names(system, "x_names", system.n_x)]
     what += [f"measurement noise of {name}" for name in _names(system, "y_names", system.n_y)]
-    ends = [(w, f) for w, f in zip([*what, walk], factors) if abs(np.log(f)) > 0.999 * np.log(RANGE)]
+    ends = [(w, f) for w, f in zip([*what, pace], factors) if abs(np.log(f)) > 0.999 * np.log(RANGE)]
     if not ends:
         return []
     said = ", ".join(f"{name} ({'largest' if factor > 1 else 'smallest'})" for name, factor in ends)
@@ -251,7 +254,7 @@ def _log_normal(e, S, valid):
     return -0.5 * (z @ z) - jnp.log(jnp.diagonal(L)).sum() - 0.5 * np.log(2 * np.pi) * valid.sum()
 
 
-def _objective(name: str, tables, keywords: dict, walk: str | None) -> Callable:
+def _objective(name: str, tables, keywords: dict, pace: str | None) -> Callable:
     """Negative mean log-likelihood of the log factors p, over windows of all tables, each once healthy and once not."""
     jax = load_jax()
     jnp = jax.numpy
@@ -277,8 +280,8 @@ def _objective(name: str, tables, keywords: dict, walk: str | None) -> Callable:
         system = log_plant.plant(parameters) if shared else tables[0].system
         scaled = Scaled(system, jnp.exp(p[:n_x]), jnp.exp(p[n_x : n_x + n_y]))
         estimator = published.method(name, scaled, dt, Tuning(keywords=keywords))
-        if walk is not None:  # constructors may want numbers: the factor goes to what they made of them
-            setattr(estimator, walk, getattr(estimator, walk) * jnp.exp(p[-1]))
+        if pace is not None:  # constructors may want numbers: the factor goes to what they made of them
+            setattr(estimator, pace, getattr(estimator, pace) * jnp.exp(p[-1]))
 
         def step(carry, row):
             carry, out = estimator.step(carry, *row)

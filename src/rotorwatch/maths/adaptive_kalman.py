@@ -11,10 +11,11 @@ Manoonpong (2020), Table 1; D, the direct feedthrough of theta to y, is added he
 of the state augmented by a constant theta (Friedland's separation); with lambda < 1 theta minimises the squared whitened
 innovations weighted by lambda^age.
 
-What is not excited is forgotten without bound: S grows as lambda^-k. Here S is kept below s_max: the forgotten
-S / lambda loses (1 - lambda) / s_max times its square, which has its fixed point at lambda s_max and leaves what is well
-measured as it was. To first order it is the information 1 / s_max put back for what was forgotten
-(exponential forgetting and resetting: Salgado, Goodwin and Middleton, Int. J. Control 47, 1988).
+lambda = exp(-dt / memory_s): the memory is a time, and the same for any length of step. The sources give lambda for a step of 1 ms.
+
+What is not excited is forgotten without bound: S grows as lambda^-k. Here S is kept below s_max: for what is forgotten the information
+1 / s_max comes back, S^-1 becomes lambda S^-1 + (1 - lambda) / s_max I, which leaves what is well measured as it was (exponential
+forgetting and resetting: Salgado, Goodwin and Middleton, Int. J. Control 47, 1988). Two half steps forget as much as a whole one.
 """
 
 from __future__ import annotations
@@ -27,7 +28,10 @@ from rotorwatch.base import checks
 from rotorwatch.base.backend import jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.maths import linearise, plant
+from rotorwatch.maths.small import definite_solve, symmetric
 
+MEMORY_S = -1e-3 / float(np.log(0.995))
+"""s: the factor 0.995 of Rot et al. in their steps of 1 ms."""
 ROUNDING = 2e-15  # of the largest variance
 
 
@@ -41,13 +45,11 @@ class State(NamedTuple):
     Upsilon: Array
 
 
-class Tuning(NamedTuple):
-    """forgetting: lambda of a step of dt seconds. s_max: bound of S, inf without. theta_var (p,): S at the start."""
+class Memory(NamedTuple):
+    """seconds: after which a measurement counts 1/e, inf to forget nothing. s_max: bound of S, inf without."""
 
-    dt: float
-    forgetting: float
+    seconds: float
     s_max: float
-    theta_var: Array
 
 
 class Zhang:
@@ -55,48 +57,51 @@ class Zhang:
 
     name = ""
     not_kalman = (
-        "it forgets: measurements count the less for the losses the older they are; with forgetting=1 it is the augmented "
+        "it forgets: measurements count the less for the losses the older they are; with memory_s=None it is the augmented "
         "Kalman filter of constant losses"
     )
 
-    def __init__(self, system, dt: float, *, forgetting=0.995, theta_var=0.01, s_max: float | None = 1.0):
-        """dt: s. forgetting: lambda of one step, 0.6 to 1; theta_var: variance of the losses at the start, a number or one per
-        theta; s_max: bound of that variance, None for none. Raises ConfigError for wrong values."""
+    def __init__(
+        self, system, dt: float, *, memory_s: float | None = MEMORY_S, theta_var=0.01, s_max: float | None = 1.0
+    ):
+        """dt: s. memory_s: time after which a measurement counts 1/e for the losses [s], None to forget nothing; theta_var: variance of
+        the losses at the start, a number or one per theta; s_max: bound of that variance, None for none. Raises ConfigError for
+        wrong values."""
         self.system, self.dt = plant.checked("The adaptive Kalman filter", system, dt), dt
-        checks.between("forgetting", forgetting, 0.6, 1.0)  # below, the bound of S overshoots
-        theta_var = linearise.variances("theta_var", theta_var, system.n_theta)
-        bound = np.inf if s_max is None else checks.positive("s_max", s_max)
+        self.memory_s = np.inf if memory_s is None else checks.positive("memory_s", memory_s)
+        self.theta_var = linearise.variances("theta_var", theta_var, system.n_theta)
+        self.s_max = np.inf if s_max is None else checks.positive("s_max", s_max)
         if s_max is not None and checks.concrete((theta_var, s_max)):
             checks.between("theta_var", theta_var, 0.0, s_max)
-        self.tuned = Tuning(dt, forgetting, bound, theta_var)
 
     def start(self) -> State:
         """The plant's start, no loss."""
         n, p = self.system.n_x, self.system.n_theta
         x, P = jnp.asarray(self.system.x0, float), jnp.asarray(self.system.P0, float)
-        return State(x, P, jnp.zeros(p), jnp.diag(self.tuned.theta_var), jnp.zeros((n, p)))
+        return State(x, P, jnp.zeros(p), jnp.diag(self.theta_var), jnp.zeros((n, p)))
 
     def recursion(
         self, state: State, x, f: linearise.Linear, e, h: linearise.Linear, u, valid, dt
     ) -> tuple[State, Estimate]:
         """`step` with this plant's noise."""
-        Q, R = self.system.Q(self.dt if dt is None else dt), self.system.R(u)
-        return step(state, x, f, e, h, Q, R, valid, self.tuned, dt)
+        dt = self.dt if dt is None else dt
+        memory = Memory(self.memory_s, self.s_max)
+        return step(state, x, f, e, h, self.system.Q(dt), self.system.R(u), valid, memory, dt)
 
 
-def forget(S, tuned: Tuning, dt=None):
-    """S / lambda, kept below s_max; lambda to the power of the time passed."""
-    lam = tuned.forgetting if dt is None else tuned.forgetting ** (dt / tuned.dt)
-    forgotten = S / lam
+def forget(S, memory: Memory, dt):
+    """S after dt seconds of which nothing is measured: S / lambda, kept below s_max."""
+    lam, gone = jnp.exp(-dt / memory.seconds), -jnp.expm1(-dt / memory.seconds)
     # A direction rounded to below zero would be blown up by forgetting like any other.
-    floor = ROUNDING * S.diagonal().max() * np.eye(S.shape[0])
-    return forgotten - (1.0 - lam) / tuned.s_max * (forgotten @ forgotten) + floor
+    unit = np.eye(S.shape[0])
+    S = S + ROUNDING * S.diagonal().max() * unit
+    return symmetric(definite_solve(lam * unit + gone / memory.s_max * S, S))
 
 
 def step(
-    state: State, x, f: linearise.Linear, e, h: linearise.Linear, Q, R, valid, tuned: Tuning, dt=None
+    state: State, x, f: linearise.Linear, e, h: linearise.Linear, Q, R, valid, memory: Memory, dt
 ) -> tuple[State, Estimate]:
-    """One step from the prediction x (n,) at the old theta, and e (m,): y minus what it predicts.
+    """One step of dt seconds from the prediction x (n,) at the old theta, and e (m,): y minus what it predicts.
 
     f, h: the step, with F (n, n) and Phi (n, p), and the measurement, with C (m, n) and D (m, p). R (m,): variances. The equations
     above, one measurement after the other, because R is diagonal: nothing is inverted.
@@ -106,7 +111,7 @@ def step(
     n, p = len(x), len(state.theta)
     P = F @ state.P @ F.T + Q
     Upsilon = F @ state.Upsilon + Phi
-    S = forget(state.S, tuned, dt)
+    S = forget(state.S, memory, dt)
     Omega = C @ Upsilon + D
     S_e = C @ P @ C.T + Omega @ S @ Omega.T + jnp.diag(R)
     # Side by side, because one measurement changes them alike: [P, Upsilon, -dx] by K [c P, omega, r], [S, -dtheta] likewise.

@@ -35,7 +35,7 @@ class AugmentedEKF:
         n = system.n_theta
         self.theta_walk = linearise.variances("theta_walk", theta_walk, n)
         self.theta_var = linearise.variances("theta_var", theta_var, n)
-        self.adaptation = None if adaptation is None else mit_rule.check(adaptation)
+        self.adaptation = adaptation
 
     def init(self) -> Carry:
         """The plant's start, no loss."""

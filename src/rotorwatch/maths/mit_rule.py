@@ -23,8 +23,8 @@ LARGEST_STEP, SMALLEST, LARGEST = 0.5, 1e-4, 1e4
 class Adaptation(NamedTuple):
     """How fast (eta, 1/s), and over how many measured steps innovations are averaged: before there are so many, nothing adapts."""
 
-    eta: float = 0.5
-    window: int = 50
+    eta: float
+    window: int
 
 
 class MitState(NamedTuple):
@@ -36,11 +36,11 @@ class MitState(NamedTuple):
     seen: Array
 
 
-def check(adaptation: Adaptation) -> Adaptation:
-    """The same, when its values make sense. Raises ConfigError."""
-    checks.positive("eta", adaptation.eta)
-    checks.between("window", adaptation.window, 1, 10_000)
-    return adaptation
+def adaptation(eta: float, window_s: float, dt: float) -> Adaptation:
+    """With a window of so many seconds, in measured steps of dt [s]; one at least. Raises ConfigError for values that make no sense."""
+    steps = checks.positive("window_s", window_s) / checks.positive("dt", dt)
+    checks.between("window_s / dt", steps, 0, 10_000)
+    return Adaptation(checks.positive("eta", eta), max(1, round(steps)))
 
 
 def init(n: int, n_y: int, adaptation: Adaptation) -> MitState:

@@ -23,6 +23,10 @@ START = {
     "and": {"b": "true"},
     "or": {"b": "false"},
 }
+LEAST, MOST = (
+    2.0**-149,
+    float(np.finfo(np.float32).max),
+)  # of single precision; beyond, constants may not be written out for it
 COMBINE = {"sum": "add", "prod": "mul", "max": "max", "min": "min", "and": "and", "or": "or"}
 
 
@@ -292,7 +296,7 @@ class Emitter:
         self.line(f"    const {kind} here = {self.text(tree, names)};")
         worse = f"here {sign} best"
         if x.kind == "f":
-            worse = f"{worse} || (here != here && best == best)"
+            worse = f"{worse} || (isnan(here) && !isnan(best))"
         self.line(f"    if ({worse}) {{ best = here; at = {last}; }}")
         self.line("}")
         goal = f"t{number}" if target is None else self.text(target, [*names[:out_rank], "0"])
@@ -471,4 +475,6 @@ def literal(number, kind: str) -> str:
         return "(real)NAN"
     if math.isinf(number):
         return "(real)INFINITY" if number > 0 else "(-(real)INFINITY)"
+    if 0.0 < abs(number) < LEAST or abs(number) > MOST:
+        return f"{'-' * (number < 0)}{'R_TINY' if abs(number) < 1 else 'R_HUGE'}({abs(number)!r})"
     return f"R({number!r})"

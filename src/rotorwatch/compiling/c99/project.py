@@ -279,6 +279,15 @@ def _source(name, digest, structs, inputs, step: _C, init: _C | None) -> str:
     if macros:
         floats, doubles = ([f"#define r_{f} {f}{tail}" for f in macros] for tail in ("f", ""))
         lines += ["#ifdef ROTORWATCH_FLOAT", *floats, "#else", *doubles, "#endif"]
+    for macro, single in (("R_TINY", "R(0.0)"), ("R_HUGE", "(real)INFINITY")):
+        if f"{macro}(" in "\n".join([text, *(line for c in parts for line in c.tables)]):
+            lines += [
+                "#ifdef ROTORWATCH_FLOAT",
+                f"#define {macro}(x) {single}",
+                "#else",
+                f"#define {macro}(x) R(x)",
+                "#endif",
+            ]
     lines += ["", *helpers, ""] if helpers else [""]
     if init is not None:
         init = _renamed(init, "i_")

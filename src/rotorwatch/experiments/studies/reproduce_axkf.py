@@ -111,8 +111,9 @@ def histories(system, literal, lanes) -> History:
     valid = np.ones(3, bool)
 
     def one(u, y, forgetting, theta_var, s_max):
+        memory_s = -DT / jax.numpy.log(forgetting)
         method = AsPrinted(
-            system, DT, literal, gain=observer_gain.printed(), forgetting=forgetting, theta_var=theta_var, s_max=s_max
+            system, DT, literal, gain=observer_gain.printed(), memory_s=memory_s, theta_var=theta_var, s_max=s_max
         )
 
         def step(carry, row):

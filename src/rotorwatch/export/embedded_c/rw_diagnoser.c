@@ -14,7 +14,7 @@ void rw_diagnoser_init(rw_diagnoser *d, const rw_vehicle *v, const rw_plan *p)
     rw_losses_init(&d->losses);
     rw_report_init(&d->report);
     rw_changes_init(&d->changes);
-    rw_estimator_init(&d->estimator, &d->work);
+    rw_estimator_init(&d->estimator, &d->work.step);
 }
 
 /* One tick through the estimator, and its events. */
@@ -24,7 +24,7 @@ static void judge(rw_diagnoser *d, const rw_made *made)
     rw_found found;
     rw_real u[RW_INPUTS];
     rw_made_inputs(made, d->vehicle, u);
-    rw_estimator_step(&d->estimator, u, made->wrench, made->valid, &d->out, &d->work);
+    rw_estimator_step(&d->estimator, u, made->wrench, made->valid, &d->out, &d->work.step);
     memcpy(found.theta, out->theta, sizeof found.theta);
     memcpy(found.theta_sd, out->theta_sd, sizeof found.theta_sd);
     memcpy(found.active, out->active, sizeof found.active);
@@ -125,13 +125,11 @@ void rw_diagnoser_finish(rw_diagnoser *d, rw_time time)
 
 int rw_diagnoser_poll(rw_diagnoser *d, rw_notification *notifications)
 {
-    rw_event losses[RW_RECORDS];
-    rw_override overrides[RW_OVERRIDES];
-    rw_change changes[2 * RW_EVENTS];
+    rw_change *const changes = d->work.poll.changes;
     const bool flies = d->front.start < RW_LASTS;
-    const int32_t lost = rw_losses_losses(&d->losses, d->vehicle, flies, losses);
-    const int32_t deviating = rw_deviations_found(&d->front.deviations, d->vehicle, overrides);
-    d->event_count = (uint8_t)rw_report_events(&d->report, d->vehicle, losses, lost, overrides, deviating, d->listed);
+    const int32_t lost = rw_losses_losses(&d->losses, d->vehicle, flies, &d->work.poll.records, d->work.poll.losses);
+    const int32_t deviating = rw_deviations_found(&d->front.deviations, d->vehicle, d->work.poll.overrides);
+    d->event_count = (uint8_t)rw_report_events(&d->report, d->vehicle, d->work.poll.losses, lost, d->work.poll.overrides, deviating, d->listed);
     const rw_time final = d->front.newest - FINAL_S;
     const int32_t count = rw_changes_look(&d->changes, d->listed, d->event_count, final, -1, false, d->withdrawn, changes);
     for (int k = 0; k < count; k++) {

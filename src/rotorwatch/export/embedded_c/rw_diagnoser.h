@@ -56,7 +56,15 @@ typedef struct {
     rw_event listed[RW_EVENTS], withdrawn[RW_EVENTS];
     rw_estimator_state estimator;
     rw_estimator_out out;
-    rw_estimator_workspace work;
+    union { /* room to work in, of a step and of a poll: nothing in it outlives either */
+        rw_estimator_workspace step;
+        struct {
+            rw_records records;
+            rw_event losses[RW_RECORDS];
+            rw_override overrides[RW_OVERRIDES];
+            rw_change changes[2 * RW_EVENTS];
+        } poll;
+    } work;
     uint8_t event_count;
     bool judged;
 } rw_diagnoser;
