@@ -22,7 +22,7 @@ from rotorwatch.experiments.studies import reproduction
 from rotorwatch.experiments.studies import rot_flights as flights
 from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, graded, panels, silent
 from rotorwatch.experiments.studies.rot_flights import DT, LOSSES, MOTORS, ONSETS
-from rotorwatch.maths import adaptive_kalman, linearise, observer_gain
+from rotorwatch.maths import linearise, observer_gain
 from rotorwatch.maths.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
 
 PAPER = "axkf"
@@ -70,9 +70,7 @@ class AsPrinted(AXKF):
         h = linearise.measurement(system, z, u, state.theta)
         C, increment = h.by_x, f.value - z if "innovation" in self.literal else state.x + f.value - z
         x = system.f(state.x, u, state.theta, self.dt)
-        state, estimate = adaptive_kalman.step(
-            state, x, f, y - C @ increment, h, system.Q(self.dt), system.R(u), valid, self.tuned
-        )
+        state, estimate = self.recursion(state, x, f, y - C @ increment, h, u, valid, dt)
         z = f.value + correction
         return Carry(state, z, jnp.asarray(self.gain) @ (y - C @ z)), estimate
 
