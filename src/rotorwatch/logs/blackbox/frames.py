@@ -320,7 +320,7 @@ def _event(s: Stream, data: Bytes, at: int, out: Ints, place: int) -> int:
         return unsigned_vb(data, at, out, place + 3, place + 5)
     if kind == LOG_END:
         for k in range(11):
-            if data[at + k] != _END[k]:
+            if data[at + k] != int(_END[k]):
                 return 0
         s.end = at + 11  # what follows is no frame
         return at + 11
