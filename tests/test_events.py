@@ -1,5 +1,6 @@
 """From ticks to events: what the estimator announced is written down, with its times as they were, live."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -407,3 +408,32 @@ def test_a_rotor_that_is_gone_is_not_two_of_its_arm_for_certain(rotors, interval
     assert ("one of them alone may be gone" in said.reason) == told
     flat = airframes.named("ardupilot-octa-x").effectiveness()
     assert events.Report(flat).events((event,), ()) == (event,)
+
+
+@pytest.mark.parametrize(
+    "theta, sd, ticks_long, again, told",
+    [(0.3, 0.05, 8, False, 0), (0.3, 0.05, 30, False, 1), (0.95, 0.05, 8, False, 1), (0.3, 0.05, 8, True, 2)],
+)
+def test_a_loss_that_is_over_in_a_moment_is_none_unless_it_was_total_or_comes_again(theta, sd, ticks_long, again, told):
+    """A gust in a turn does the same; a motor that cuts out loses all, or does so again. Until it is over it is told."""
+    out, ticks = silence(), table()
+    for start in (100, 200) if again else (100,):
+        announce(out, start, {(2,): 1.0}, age=2)
+        out.theta[start : start + ticks_long, 2] = theta
+        out.theta_sd[start : start + ticks_long, 2] = sd
+        announce(out, start + ticks_long, {(): 1.0}, age=2)
+    found = events.read(out, ticks, QUAD)
+    assert len(found) == told and all(e.rotors == (3,) for e in found)
+    if not again:
+        state = events.Losses(QUAD)
+        state.add(ticks.part(np.arange(COUNT) < 105), SimpleNamespace(**{k: v[:105] for k, v in vars(out).items()}))
+        assert len(state.events(flies=True)) == 1
+
+
+def test_a_loss_just_before_the_end_of_a_flight_is_one():
+    """What ends with the flight has not recovered: a vehicle that falls."""
+    out, ticks = silence(), table()
+    announce(out, 100, {(2,): 1.0}, age=2)
+    out.theta[100:, 2] = 0.3
+    ticks = replace(ticks, mode=np.where(np.arange(COUNT) < 108, JUDGE, 0).astype(np.int32))
+    assert [e.rotors for e in events.read(out, ticks, QUAD)] == [(3,)]

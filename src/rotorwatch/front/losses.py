@@ -142,10 +142,13 @@ class Losses(Struct):
                 order[place] = order[place - 1]
                 place -= 1
             order[place] = i
+        count = 0
         for i in range(records.count):
-            reset(out[i])
-            self._event(v, records.all[order[i]], flies, out[i])
-        return records.count
+            reset(out[count])
+            self._event(v, records.all[order[i]], flies, out[count])
+            if not _momentary(records.all[order[i]], out[count], records):
+                count += 1
+        return count
 
     # Times
 
@@ -222,6 +225,7 @@ class Losses(Struct):
                     copy(to.all[place], whole)
                     to.all[place].only(ended)
                 to.all[place].end = began.time
+                to.all[place].recovered = True
                 _usual(v, to.all[place], self.before_courses, began.before)
                 for j in range(v.rotors):
                     if (ended & (1 << j)) != 0:
@@ -399,6 +403,21 @@ class Losses(Struct):
             for j in range(i + 1, n):
                 if paired and (opposite_of(v, i) & (1 << j)) != 0:
                     _name(e, (1 << i) | (1 << j))
+
+
+def _momentary(r: Record, e: Event, records: Records) -> bool:
+    """Whether a loss was over while it was young, cannot have been of all thrust, and is the only one of its rotors: what a gust, a
+    manoeuvre or a wrong sample does, and no rotor. Motors that cut out do so altogether, or again and again."""
+    if not r.recovered or r.end - r.onset >= YOUNG_S:
+        return False
+    for k in range(TOGETHER):
+        if e.upper[k] >= 1.0:
+            return False
+    same = 0
+    for i in range(records.count):
+        if (records.all[i].rotors & r.rotors) != 0:
+            same += 1
+    return same < 2
 
 
 def count_of(rotors: int) -> int:

@@ -56,6 +56,7 @@ class Record(Struct):
     hider: Small = 0
     hidden = array(FLAG, PAIRS)  # pairs that the data alone prefer to rotor `hider`
     suspicion: bool = False  # a shift of thrust that opposite rotors share, or something else
+    recovered: bool = False  # it ended in the air: its rotors work again
 
     def only(self, rotors: int) -> None:
         """It is of these rotors, and of no others."""
