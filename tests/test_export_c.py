@@ -463,7 +463,9 @@ def test_the_default_filter_takes_a_step_of_any_length():
     """A length given at run time, and the same length known beforehand: the same step."""
     rng = np.random.default_rng(2)
     usual, longer = prepare("default-filter"), prepare("default-filter", dt=0.1)
-    u = np.concatenate([np.ones(4), 0.1 * rng.standard_normal(3), [4.1], 0.2 * rng.standard_normal(5)])
+    u = np.concatenate(
+        [np.ones(4), 0.1 * rng.standard_normal(3), [4.1], 0.2 * rng.standard_normal(5), [2.5, 0.65, 0.0]]
+    )
     y, valid = np.array([0.1, -0.05, 0.02, 4.2]), np.ones(4, bool)
     carry, _ = usual.step(usual.init(), u, y, valid)
     given = jax.jit(usual.step)(carry, u, y, valid, 0.1)

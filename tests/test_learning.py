@@ -7,7 +7,7 @@ import pytest
 
 from rotorwatch import airframes
 from rotorwatch.default import learning
-from rotorwatch.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS, SHARE_SD, any_multirotor
+from rotorwatch.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS, SHARE_SD, any_curve, any_multirotor
 from rotorwatch.motion.ticks import JUDGE, LEARN
 
 DT = 0.05
@@ -16,11 +16,14 @@ Y6 = airframes.named("ardupilot-y6").effectiveness()
 KNOWN = np.array([a * PER_AXIS + k for a in range(4) for k in (GAIN, DAMPING)])
 
 
-def flight(gain=1.0, sd=0.1, noise=1.0, judged_s=20.0, dt=DT, share=0.0, share_sd=0.05, bias=0.0):
+def flight(
+    gain=1.0, sd=0.1, noise=1.0, judged_s=20.0, dt=DT, share=0.0, share_sd=0.05, bias=0.0, curve=0.0, curve_sd=1.0
+):
     """What the estimator would end with: gains and dampings `gain` times 1, 2 .. 8, known to `sd`; biases, which are not to be learned."""
-    s, P = np.full(AXIS_STATES + 1, bias), np.eye(AXIS_STATES + 1)
+    s, P = np.full(AXIS_STATES + 2, bias), np.eye(AXIS_STATES + 2)
     s[KNOWN], P[KNOWN, KNOWN] = gain * np.arange(1.0, 9.0), sd**2
     s[-1], P[-1, -1] = share, share_sd**2
+    s[-2], P[-2, -2] = curve, curve_sd**2
     ticks = round(judged_s / dt)
     mode = np.concatenate([np.full(100, LEARN), np.full(ticks, JUDGE)])
     carry = SimpleNamespace(s=s, P=P, noise=SimpleNamespace(variances=np.broadcast_to(noise, (4, 4))))
@@ -96,6 +99,13 @@ def test_what_is_judged_for_less_than_ten_seconds_teaches_nothing(learn, dt):
 
 def test_ticks_of_a_length_that_the_estimator_does_not_have_are_left_out(learn):
     assert learn([flight(dt=0.07)], QUAD) is None
+
+
+def test_the_thrust_curve_is_learned(learn):
+    """As the share is; a flight that showed nothing of it leaves it open."""
+    found = learn([flight(curve=-1.0, curve_sd=0.1), flight(curve=-1.4, curve_sd=0.3)], QUAD)
+    assert found["curve"] == pytest.approx([-1.2, (0.1**2 + 0.3**2) / 2 + 0.2**2])
+    assert learn([flight()], QUAD)["curve"] == pytest.approx(any_curve())
 
 
 def test_the_lower_rotors_share_is_learned_on_coaxial_frames_alone(learn):

@@ -27,7 +27,7 @@ from rotorwatch.default import (
     plausibility,
     posterior,
 )
-from rotorwatch.default.plant import B3, DAMPING, GAIN, PER_AXIS
+from rotorwatch.default.plant import B3, CURVE, DAMPING, GAIN, PER_AXIS
 from rotorwatch.front.ticks import AGAIN, GROUND, JUDGE
 
 
@@ -132,20 +132,31 @@ class JumpBank:
 
         # How far this tick's inputs and the model can be believed.
         x = branches.s[0, :n_x]
-        lost = system.H(u, x) @ branches.s[0, n_x:]
-        memory, seen = model_error.look(carry.model_error, u, y, lost, valid, flying, restart, x, variances, n, dt)
+        usual = jnp.maximum(jnp.where(restart, u[:n].mean(), carry.model_error.collective), 0.1)
+        lost = system.H(u, x, usual) @ branches.s[0, n_x:]
+        bend = system.bend(u, usual)
+        bent = system.B @ bend
+        memory, seen = model_error.look(
+            carry.model_error, u, y, lost, valid, flying, restart, x, variances, n, dt, bent
+        )
+        # What carries a vehicle that is not clear of the ground says nothing of the curve, and beside a weak rotor a curve looks like
+        # its loss.
+        seen = seen._replace(curve=seen.curve * (judge & ~branches.active[0].any()))
         error = model_error.variance(carry.model_error, seen, x, y, variances[0], system.B, n, dt)
         calm = model_error.calm(memory)
-        lacking = y[3] - u[n + 3] * x[3 * PER_AXIS + GAIN]
+        lacking = y[3] + bent[3] * x[CURVE] - u[n + 3] * x[3 * PER_AXIS + GAIN]
         missing = plausibility.follow(carry.missing, lacking, u[n + 3] / n, u[:n] / u[n + 9], valid[3], restart, dt)
 
         # The measurement: to every explanation, and to the bank.
-        rows, drag = jnp.concatenate([system.C(seen.u), system.H(seen.u, x)], axis=1), system.drag(seen.u)
-        y = y + drag.sum(axis=1)
+        rows, drag = jnp.concatenate([system.C(seen.u, usual), system.H(seen.u, x, usual)], axis=1), system.drag(seen.u)
+        bent = rows[:, CURVE]
+        rows = rows.at[:, CURVE].set(seen.curve * bent)
+        y = y + drag.sum(axis=1) - (1.0 - seen.curve) * bent * x[CURVE]
         counts, R = valid & flying, variances[0] + error + model_error.ERROR_TICKS * (drag @ branches.s[0, n_x:]) ** 2
         left = y - rows @ branches.s[0]
+        curve = (jnp.array([0.0, 1.0]) - u[n + 10]) / jnp.maximum(u[n + 11], 1e-9)
         s, P, gains, innovation, variance = jax.vmap(
-            lambda s, P: kalman.update(s, P, rows, y, counts, R, seen.gain_share)
+            lambda s, P: kalman.update(s, P, rows, y, counts, R, seen.gain_share, curve)
         )(branches.s, branches.P)
         for a in range(4):
             w = jnp.where(counts[a], calm[a] / variance[0, a], 0.0)
@@ -201,7 +212,13 @@ class JumpBank:
         shown = jnp.clip(after.s[n_x:], 0.0, 1.0)
         # The filter believes its noise model; where innovations have been larger or longer than that, so is the error.
         unsure = opposite.common(shown, branches.alike[0])
-        shown_var = (unsure / 1.96) ** 2 + branches.theta_var[0] + (1.0 / calm).mean() * jnp.diagonal(after.P)[n_x:]
+        # What of the curve is still open is open of a loss, too: by as much as the rotor is commanded more than is usual.
+        more = usual + jnp.maximum(memory.trim, 0.0)
+        bent_share = system.bend(jnp.concatenate([more, u[n:]]), usual) / more
+        curved = jnp.where(active, bent_share**2, 0.0) * after.P[CURVE, CURVE]
+        shown_var = (
+            (unsure / 1.96) ** 2 + branches.theta_var[0] + (1.0 / calm).mean() * jnp.diagonal(after.P)[n_x:] + curved
+        )
         status = jnp.where(~flying, 1, jnp.where(valid.any(), 0, 2)).astype(jnp.int32)
         estimate = Estimate(
             after.s[:n_x], after.P[:n_x, :n_x], shown, after.P[n_x:, n_x:], innovation[0], jnp.diag(variance[0]), status

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rotorwatch.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS, WrenchBalance, lower_rotors
+from rotorwatch.default.plant import CURVE, DAMPING, GAIN, PER_AXIS, any_multirotor, lower_rotors
 from rotorwatch.default.program import estimate
 from rotorwatch.motion.ticks import JUDGE, TICKS_S, Ticks
 
@@ -22,7 +22,6 @@ def learn(tables: Sequence[Ticks], B: np.ndarray) -> dict | None:
     Gains and damping: precision-weighted mean over the flights, with their spread added. Biases are left open: they are
     each flight's own. Noise: the largest of the flights', per component and axis.
     """
-    system = WrenchBalance(B)
     rows = (np.arange(4)[:, None] * PER_AXIS + np.array([GAIN, DAMPING])).reshape(-1)
     means, precisions, noises, shares = [], [], [], []
     for table in tables:
@@ -32,24 +31,23 @@ def learn(tables: Sequence[Ticks], B: np.ndarray) -> dict | None:
         means.append(np.asarray(carry.s)[rows])
         precisions.append(1.0 / np.maximum(np.diag(np.asarray(carry.P))[rows], 1e-12))
         noises.append(np.asarray(carry.noise.variances))
-        shares.append(
-            (float(carry.s[AXIS_STATES]), float(carry.P[AXIS_STATES, AXIS_STATES]))
-        )  # the share, on coaxial frames
+        # How the thrust curve is bent and, on coaxial frames, the lower rotors' share.
+        shares.append([(float(carry.s[k]), float(carry.P[k, k])) for k in (CURVE, CURVE + 1)])
     if not means:
         return None
     loudest = np.max(noises, axis=0)
     loudest = np.maximum(loudest, LEAST_SHARE * loudest.max(axis=0))
     mean = np.average(means, axis=0, weights=precisions)
     spread = np.average((np.array(means) - mean) ** 2, axis=0, weights=precisions)
-    x0, P0 = system.x0.copy(), system.P0.copy()
+    x0, P0 = any_multirotor(B.shape[1])
     x0[rows] = mean
     # Few flights do not show how much flights differ: until many do, part of what vehicles differ by is left open.
     open_ = FLIGHTS_DIFFER * np.diag(P0)[rows] / len(means)
     variance = np.minimum(np.diag(P0)[rows], 1.0 / np.sum(precisions, axis=0) + spread + open_)
     P0[rows[:, None], rows] = np.diag(variance)
-    # ... nor how much the lower rotors' share does.
-    share, spread_share = np.average(shares, axis=0), np.var([s for s, _ in shares])
-    known = {"share": [float(share[0]), float(share[1] + spread_share)]} if lower_rotors(B) is not None else {}
+    # ... nor how much the thrust curve and the lower rotors' share do.
+    own = [[float(m), float(v + s)] for (m, v), s in zip(np.mean(shares, axis=0), np.var(shares, axis=0)[:, 0])]
+    known = {"curve": own[0], **({"share": own[1]} if lower_rotors(B) is not None else {})}
     return {
         "x0": x0.tolist(), "P0": P0.tolist(), "noise": loudest.tolist(), "noise_weight": LEARNED_WEIGHT,
         "dt": tables[0].dt, **known,

@@ -31,7 +31,8 @@ BELOW_LIMIT, AT_LIMIT = 0.6, 0.9
 
 
 class Memory(NamedTuple):
-    """level (6,): calm variance of angular accelerations and rates. thrust, trim (n,): each rotor's thrust less the mean of all, in
+    """level (6,): calm variance of angular accelerations and rates; bent_level: the
+    same of what the thrust curve makes of the commands. thrust, trim (n,): each rotor's thrust less the mean of all, in
     half a second and in six; thrust_level (n,): its calm variance. side (2,): last side force, push (2,): its mean over half a second,
     lately (2,): the largest square of that, fading as fast; side_level (2,): variance of what changes from tick to tick.
     collective: mean thrust. y (4,): last wrench."""
@@ -49,11 +50,13 @@ class Memory(NamedTuple):
     burst: Array
     innovation_mean: Array
     lasting: Array
+    bent_level: Array
 
 
 class Look(NamedTuple):
     """How informative this tick's inputs are. u: with smoothed thrusts, side forces without noise. gain_share (n_s,): share of the
     Kalman gain each state gets.
+    curve: by how much this tick's commands stand out, so that they show the thrust curve, 0 to 1.
     far: hover thrusts away from hover. part (n,): commanded thrust above the mean of all, trim (n,): lately."""
 
     u: Array
@@ -61,6 +64,7 @@ class Look(NamedTuple):
     far: Array
     part: Array
     trim: Array
+    curve: Array = np.float64(0.0)
 
 
 def init(n: int) -> Memory:
@@ -79,13 +83,15 @@ def init(n: int) -> Memory:
         np.ones(4),
         np.zeros(4),
         np.ones(4),
+        np.float64(0.05**2),
     )
 
 
-def look(memory: Memory, u, y, lost, valid, flying, restart, x, variances, n: int, dt) -> tuple[Memory, Look]:
-    """One tick's inputs u (n + 10,) as `WrenchBalance.pack` lays them out, judged against what was usual.
+def look(memory: Memory, u, y, lost, valid, flying, restart, x, variances, n: int, dt, bent=0.0) -> tuple[Memory, Look]:
+    """One tick's inputs u (n + 12,) as `WrenchBalance.pack` lays them out, judged against what was usual.
 
-    y (4,): commanded wrench, lost (4,): what the known losses take of it. x (n_x,): state; variances (4, 4) of the noise model.
+    y (4,): commanded wrench, lost (4,): what the known losses take of it; bent (4,): what a standard deviation of the thrust curve gives
+    to it. x (n_x,): state; variances (4, 4) of the noise model.
     """
     import jax.numpy as jnp
 
@@ -137,6 +143,12 @@ def look(memory: Memory, u, y, lost, valid, flying, restart, x, variances, n: in
     change = 0.5 * (side - memory.side) ** 2
     side_level = memory.side_level + fade * (jnp.minimum(change, 6.0 * memory.side_level) - memory.side_level)
 
+    # What the thrust curve is shows where commands leave what they usually are.
+    bend = (jnp.asarray(bent) ** 2).sum()
+    # ... and the vehicle moves by them: what a controller answers to gusts moves nothing, and would teach that commands do nothing.
+    moved = jnp.clip((made * need).sum() / jnp.maximum((made**2).sum(), 1e-12), 0.0, 1.0)
+    curve = moved * jnp.maximum(0.0, 1.0 - GARROTE**2 * memory.bent_level / jnp.maximum(bend, 1e-12))
+
     # Punch-outs, drops and knocks: far from hover the thrust curve and the lag are no longer known well.
     usual = jnp.where(restart, collective, memory.collective)
     far = jnp.maximum(jnp.abs(collective - usual) - FAR, 0.0) + jnp.maximum(jnp.abs(u[n + 3] / n - 1.0) - FAR, 0.0)
@@ -154,10 +166,17 @@ def look(memory: Memory, u, y, lost, valid, flying, restart, x, variances, n: in
         jnp.where(restart, 1.0, memory.burst),
         jnp.where(restart, 0.0, memory.innovation_mean),
         memory.lasting,
+        memory.bent_level + fade * (jnp.minimum(bend, 6.0 * memory.bent_level) - memory.bent_level),
     )
+    curve = curve * jnp.maximum(0.0, 1.0 - far / FAR)
     gain_share = jnp.concatenate([gain_share.reshape(-1), jnp.ones(x.size - AXIS_STATES + n)])
     return new, Look(
-        jnp.concatenate([smooth, u[n : n + 7], felt, u[n + 9 :]]), gain_share, far, smooth - collective, memory.trim
+        jnp.concatenate([smooth, u[n : n + 7], felt, u[n + 9 :]]),
+        gain_share,
+        far,
+        smooth - collective,
+        memory.trim,
+        curve,
     )
 
 

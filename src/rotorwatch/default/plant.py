@@ -48,35 +48,37 @@ SHARE_SD = (
     0.12  # of a lower rotor's thrust, relative to what its share in B says: 75 to 95 % and more of the upper one's
 )
 AXIS_STATES = 4 * PER_AXIS
+CURVE = AXIS_STATES  # the state that says by how much the thrust curve is bent, in standard deviations of what is known of it
 # Times [s] that all parts share: by when a controller has answered what happened; how long a burst lasts, of errors that the noise model
 # does not expect, as a change brings them; over which what is usual is averaged.
 ANSWER_S, BURST_S, USUAL_S = 0.5, 3.0, 6.0
 
 
 class WrenchBalance:
-    """n rotors with effectiveness matrix B (4, n). x (20,), u (n + 10,): see `pack`; theta (n,) loss; y (4,) wrench."""
+    """n rotors with effectiveness matrix B (4, n). x (21,), u (n + 12,): see `pack`; theta (n,) loss; y (4,) wrench."""
 
     name = "wrench_balance"
     n_y = 4
 
-    def __init__(self, B, prior=None, lower=None, share=None):
+    def __init__(self, B, prior=None, lower=None, share=None, curve=None):
         """prior: (mean (20,), covariance (20, 20)) from healthy flights (calibrate), else what any multirotor is like. lower (n,): 1 for
         the lower rotors of coaxial arms, None on other frames: with it, how much more or less than in B they all give is a 21st state,
-        with mean and variance `share` (2,)."""
+        with mean and variance `share` (2,). curve (2,): mean and variance of how much the thrust curve is bent, where that is known."""
         self.B = B  # numpy, or traced: one compiled program serves every airframe with n rotors
         self.lower = lower
         self.n_theta = B.shape[1]
-        self.n_u = self.n_theta + 10
-        self.n_x = AXIS_STATES + (lower is not None)
-        self._prior, self._share = prior, share
+        self.n_u = self.n_theta + 12
+        self.n_x = AXIS_STATES + 1 + (lower is not None)
+        self._prior, self._share, self._curve = prior, share, curve
 
     @cached_property
     def prior(self):
         """(mean (n_x,), covariance (n_x, n_x)) of the state before anything is known; made when it is asked for, as `pack` needs none."""
         mean, P = any_multirotor(self.n_theta) if self._prior is None else self._prior
+        mean, P = _widened(mean, P, any_curve() if self._curve is None else self._curve)
         if self.lower is None:
             return mean, P
-        return _with_share(mean, P, np.array([0.0, SHARE_SD**2]) if self._share is None else self._share)
+        return _widened(mean, P, np.array([0.0, SHARE_SD**2]) if self._share is None else self._share)
 
     @property
     def x0(self):
@@ -96,18 +98,19 @@ class WrenchBalance:
             for axis in AXES
             for what in ("b1", "b2", "b3", "gain", "damping")
         )
-        return (*names, "lower rotors' share")[: self.n_x]
+        return (*names, "thrust curve", "lower rotors' share")[: self.n_x]
 
     def pack(self, ticks):
-        """(T, n + 10) inputs of a table of ticks: thrusts, angular accelerations, n times load factor, angular rates, side forces
+        """(T, n + 12) inputs of a table of ticks: thrusts, angular accelerations, n times load factor, angular rates, side forces
         forward and right [m/s^2], full thrust of a rotor. Thrusts in hover thrusts."""
         load = ticks.load[:, None] * self.n_theta
         side = np.zeros((len(load), 2)) if ticks.side is None else ticks.side
         full = 1.0 / ticks.hover[:, None]
-        return np.concatenate([ticks.thrust, ticks.rate_dot, load, ticks.rate, side, full], axis=1)
+        curve = np.broadcast_to(np.asarray(ticks.curve, float), (len(load), 2))
+        return np.concatenate([ticks.thrust, ticks.rate_dot, load, ticks.rate, side, full, curve], axis=1)
 
-    def C(self, u):
-        """(4, n_x) dy/dx."""
+    def C(self, u, usual=1.0):
+        """(4, n_x) dy/dx. usual: mean thrust lately, about which the curve is bent."""
         from jax import numpy as jnp
 
         n = self.n_theta
@@ -117,14 +120,33 @@ class WrenchBalance:
         C = (jnp.eye(4)[:, :, None] * rows[:, None, :]).reshape(4, AXIS_STATES)
         push = jnp.stack([-u[n + 8], u[n + 7], *jnp.zeros(2)])
         C = C + push[:, None] * (np.arange(AXIS_STATES) == SIDEWAYS)
+        C = jnp.concatenate([C, -(self.B @ self.bend(u, usual))[:, None]], axis=1)
         if self.lower is None:
             return C
         return jnp.concatenate([C, -(self.B @ (self._more() * u[:n]))[:, None]], axis=1)
 
-    def H(self, u, x=None):
-        """(4, n) dy/dtheta; where x (n_x,) is given, with the lower rotors' share in it."""
-        effect = self.B * u[: self.n_theta][None, :] + self.drag(u)
+    def H(self, u, x=None, usual=1.0):
+        """(4, n) dy/dtheta; where x (n_x,) is given, with the thrust curve and the lower rotors' share in it."""
+        from jax import numpy as jnp
+
+        thrust = (
+            u[: self.n_theta] if x is None else jnp.maximum(u[: self.n_theta] + x[CURVE] * self.bend(u, usual), 0.0)
+        )
+        effect = self.B * thrust[None, :] + self.drag(u)
         return effect if x is None or self.lower is None else effect * (1.0 + x[-1] * self._more())[None, :]
+
+    def bend(self, u, usual=1.0):
+        """(n,) thrust that each rotor gives more where the curve's expo is a standard deviation larger, at the same commands, while that of
+        the command that gives `usual` stays as it is: battery and air change that, too."""
+        from jax import numpy as jnp
+
+        n = self.n_theta
+        full, expo, sd = jnp.maximum(u[n + 9], 1e-3), u[n + 10], u[n + 11]
+        share = jnp.concatenate([jnp.clip(u[:n] / full, 0.0, 1.0), (usual / full)[None]])
+        straight = 1.0 - expo
+        command = 2.0 * share / (jnp.sqrt(straight**2 + 4.0 * expo * share) + straight + 1e-9)
+        more = command**2 - command
+        return sd * full * (more[:n] - u[:n] / usual * more[n])
 
     def drag(self, u):
         """(4, n) yaw that each rotor's drag in the plane of the rotors makes; of all of them together, what a healthy vehicle need not be
@@ -189,17 +211,18 @@ def any_multirotor(n: int) -> tuple[np.ndarray, np.ndarray]:
     return mean, P
 
 
-def _with_share(mean, P, share):
-    """The prior with one more state, of mean share[0] and variance share[1]. Also of traced arrays."""
-    if all(isinstance(a, np.ndarray) for a in (mean, P, share)):
-        wide = np.zeros((AXIS_STATES + 1, AXIS_STATES + 1))
-        wide[:-1, :-1], wide[-1, -1] = P, share[1]
-        return np.append(mean, share[0]), wide
+def _widened(mean, P, one):
+    """The prior with one more state, of mean one[0] and variance one[1]. Also of traced arrays."""
+    k = len(P)
+    if all(isinstance(a, np.ndarray) for a in (mean, P, one)):
+        wide = np.zeros((k + 1, k + 1))
+        wide[:-1, :-1], wide[-1, -1] = P, one[1]
+        return np.append(mean, one[0]), wide
     from jax import numpy as jnp
 
-    last = jnp.zeros(AXIS_STATES + 1).at[-1].set(share[1])
-    wide = jnp.concatenate([jnp.concatenate([P, jnp.zeros((AXIS_STATES, 1))], axis=1), last[None]])
-    return jnp.concatenate([mean, share[:1]]), wide
+    last = jnp.zeros(k + 1).at[-1].set(one[1])
+    wide = jnp.concatenate([jnp.concatenate([P, jnp.zeros((k, 1))], axis=1), last[None]])
+    return jnp.concatenate([mean, jnp.asarray(one[:1])]), wide
 
 
 def lower_rotors(B: np.ndarray) -> np.ndarray | None:
@@ -212,6 +235,11 @@ def one_arm(B):
     """(n, n) bool: which rotors of effectiveness B (4, n), also a traced one, stand in the same place; each does with itself."""
     place = B[:2] / B[3]
     return abs(place[:, :, None] - place[:, None, :]).max(axis=0) < 0.05
+
+
+def any_curve() -> np.ndarray:
+    """(2,) mean and variance of how much a thrust curve is bent, before anything has been seen of it."""
+    return np.array([0.0, 1.0])
 
 
 def usual_gains(n: int) -> np.ndarray:

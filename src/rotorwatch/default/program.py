@@ -8,7 +8,7 @@ import numpy as np
 
 from rotorwatch.compiling.run import Steps, chosen, run_built
 from rotorwatch.core import Array
-from rotorwatch.default.plant import AXIS_STATES
+from rotorwatch.default.plant import AXIS_STATES, any_curve, any_multirotor
 from rotorwatch.errors import ConfigError
 from rotorwatch.motion.ticks import AGAIN, TICKS_S, Ticks
 
@@ -61,12 +61,12 @@ def estimator(p):
     from rotorwatch.default.estimator import JumpBank
     from rotorwatch.default.plant import WrenchBalance
 
-    system = WrenchBalance(p["B"], (p["x0"], p["P0"]), p.get("lower"), p.get("share"))
+    system = WrenchBalance(p["B"], (p["x0"], p["P0"]), p.get("lower"), p.get("share"), p["curve"])
     return JumpBank(system, p["dt"], (p["noise"], p["noise_weight"]))
 
 
 def inputs(table: Ticks, B: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """u (T, n + 12), y (T, 4), valid (T, 4) of the estimator over ticks."""
+    """u (T, n + 14), y (T, 4), valid (T, 4) of the estimator over ticks."""
     from rotorwatch.default.plant import WrenchBalance
 
     again = table.restart if table.contact is None else np.where(table.contact, AGAIN, table.restart)
@@ -78,7 +78,7 @@ def parameters(B: np.ndarray, dt: float, dynamics=None) -> dict:
     """The arrays the estimator is built from: geometry B (4, n), length of a tick dt [s], and what `learn` found or any multirotor is
     like; on coaxial frames which rotors are the lower ones, and what is known of their share. Raises ConfigError for other ticks."""
     from rotorwatch.default import noise
-    from rotorwatch.default.plant import SHARE_SD, WrenchBalance, lower_rotors
+    from rotorwatch.default.plant import SHARE_SD, lower_rotors
 
     lower, coaxial = lower_rotors(B), {}
     if lower is not None:
@@ -86,14 +86,15 @@ def parameters(B: np.ndarray, dt: float, dynamics=None) -> dict:
     if dt not in TICKS_S:
         known = ", ".join(f"{t:g}" for t in TICKS_S)
         raise ConfigError(f"The default estimator has no ticks of {dt:g} s; it has {known}.")
-    arrays = {"B": B, "dt": np.array(dt), **coaxial}
+    curve = np.array((dynamics or {}).get("curve", any_curve()), float)
+    arrays = {"B": B, "dt": np.array(dt), "curve": curve, **coaxial}
     if dynamics:
         return {**arrays, **{k: np.array(dynamics[k], float) for k in ("x0", "P0", "noise", "noise_weight")}}
-    system = WrenchBalance(B)
+    mean, P = any_multirotor(B.shape[1])
     return {
         **arrays,
-        "x0": system.x0,
-        "P0": system.P0,
+        "x0": mean,
+        "P0": P,
         "noise": noise.GENERIC,
         "noise_weight": np.array(noise.GENERIC_WEIGHT),
     }
@@ -111,4 +112,4 @@ def estimate(table: Ticks, B: np.ndarray, dynamics=None, progress=None, keep=tic
 
 def steps(dt: float, B: np.ndarray, dynamics=None) -> Steps:
     """The default estimator for ticks of dt seconds, gone on with as ticks come; `inputs` makes its rows. Raises ConfigError."""
-    return Steps(estimator, parameters(B, dt, dynamics), tick_output, (B.shape[1] + 12, 4))
+    return Steps(estimator, parameters(B, dt, dynamics), tick_output, (B.shape[1] + 14, 4))

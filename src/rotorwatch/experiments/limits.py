@@ -145,13 +145,16 @@ def _program(n: int, dt: float, batch: bool):
         x0, P0 = jnp.asarray(system.x0), jnp.asarray(system.P0)
         clean = y + jax.vmap(lambda u, theta: system.drag(u).sum(axis=1) - system.H(u) @ theta)(u, theta)
 
+        def walks(variances):
+            return jnp.append(noise.process_variance(variances, dt), 0.0)
+
         def learn(carry, row):
             x, P, noises = carry
             u, y, ok, fly = row
-            q = jnp.where(fly, noise.process_variance(noises.variances, dt), 0.0)
+            q = jnp.where(fly, walks(noises.variances), 0.0)
             x, P = A * x, A[:, None] * P * A[None, :] + jnp.diag(q)
             C = system.C(u)
-            gains = np.tile([0.0, 0.0, 0.0, 1.0, 1.0], 4)
+            gains = np.append(np.tile([0.0, 0.0, 0.0, 1.0, 1.0], 4), 1.0)
             left = y - C @ (gains * x)
             for a in range(4):
                 Pc = P @ C[a]
@@ -163,7 +166,7 @@ def _program(n: int, dt: float, batch: bool):
         start = jax.tree.map(jnp.asarray, noise.init(dt))
         (_, _, noises), _ = jax.lax.scan(learn, (x0, P0, start), (u, clean, valid, flying))
         variances = noises.variances / noises.safety
-        Q = noise.process_variance(variances, dt)
+        Q = walks(variances)
 
         def model(row) -> Rows:
             u, fly = row
@@ -179,7 +182,7 @@ def on_ticks(B, u, y, valid, flying, theta, rotor, onset, dt: float, batch: bool
     """The bound for a diagnoser that sees these ticks: plant and noise model are the default diagnoser's (default/plant.py),
     its noise that of the whole flight with the true losses taken out, the rotor and the onset known.
 
-    B (4, n), u (T, n + 10), y (T, 4), valid (T, 4), flying (T,) bool; theta (T, n) true losses; rotor (0-based), onset (first tick with
+    B (4, n), u (T, n + 12), y (T, 4), valid (T, 4), flying (T,) bool; theta (T, n) true losses; rotor (0-based), onset (first tick with
     the loss): integers. batch: all but B have a first axis of flights. Arrays of NumPy.
     """
     program = _program(np.shape(B)[1], dt, batch)

@@ -21,7 +21,7 @@ from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.compiling.c99.project import Field, Program, make
 from rotorwatch.control import allocation
 from rotorwatch.default import noise
-from rotorwatch.default.plant import DAMPING, GAIN, PER_AXIS, WrenchBalance
+from rotorwatch.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS, WrenchBalance, any_multirotor
 from rotorwatch.default.program import parameters as balance_parameters
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.vehicle import Vehicle
@@ -67,10 +67,11 @@ class NoisyBalance(WrenchBalance):
         self.variances = checks.shape("variances", variances, 4, 4)
 
     def Q(self, dt):
-        """(20, 20): coloured disturbances stay as large as they are, the drift walks."""
+        """(n_x, n_x): coloured disturbances stay as large as they are, the drift walks."""
         from jax import numpy as jnp
 
-        return jnp.diag(noise.process_variance(jnp.asarray(self.variances), dt))
+        walks = noise.process_variance(jnp.asarray(self.variances), dt)
+        return jnp.diag(jnp.concatenate([walks, jnp.zeros(self.n_x - AXIS_STATES)]))
 
     def R(self, u):
         """(4,) white variances."""
@@ -221,7 +222,7 @@ def prepare(name: str, vehicle: Vehicle | str | None = None, dt: float | None = 
         return _balance(name, airframes.named(FRAME) if vehicle is None else vehicle, dt)
     if isinstance(vehicle, Vehicle):
         p, usual = _learned(vehicle), LOG_DT
-        c, any_vehicle = (np.reshape(x, (4, PER_AXIS)) for x in (p["x0"], WrenchBalance(p["B"]).x0))
+        c, any_vehicle = (np.reshape(x, (4, PER_AXIS)) for x in (p["x0"], any_multirotor(p["B"].shape[1])[0]))
         G = np.clip(c[:, GAIN], any_vehicle[:, GAIN] / 3, any_vehicle[:, GAIN] * 3)
         damping = np.maximum(c[:, DAMPING], 0.0) * [1.0, 1.0, 1.0, 0.0]
         step = dt or usual

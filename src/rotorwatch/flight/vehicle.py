@@ -72,6 +72,12 @@ class ThrustCurve:
     expo: float
     known: bool = True
 
+    @property
+    def believed(self) -> tuple[float, float]:
+        """expo, and the standard deviation of what it is: one that is assumed may be any from 0 to 1; one that a log says is taken as it
+        is, and what it may be wrong by counts in the interval of a loss (front/losses.py)."""
+        return self.expo, 0.0 if self.known else 0.35
+
     def __call__(self, u: np.ndarray, battery: np.ndarray | float = 1.0) -> np.ndarray:
         a = np.minimum(np.maximum((u - self.u_min) / (self.u_max - self.u_min), 0.0), 1.0) * battery
         return (1.0 - self.expo) * a + self.expo * a * a

@@ -45,8 +45,8 @@ class Made(Struct):
     touch = embedded(Touch)
 
     def inputs(self, v: Vehicle, u: Reals) -> None:
-        """u [rotors + 12] of the estimator: thrusts; angular accelerations; rotors times the load factor; angular rates; side forces; full
-        thrust of a rotor in hover thrusts; mode; 1 at the first tick of a flight, 2 at a contact."""
+        """u [rotors + 14] of the estimator: thrusts; angular accelerations; rotors times the load factor; angular rates; side forces; full
+        thrust of a rotor in hover thrusts; expo and its standard deviation; mode; 1 at the first tick of a flight, 2 at a contact."""
         n = v.rotors
         for k in range(n):
             u[k] = self.thrust[k]
@@ -57,8 +57,10 @@ class Made(Struct):
         u[n + 7] = self.side[0]
         u[n + 8] = self.side[1]
         u[n + 9] = 1.0 / self.hover
-        u[n + 10] = real(self.mode)
-        u[n + 11] = real(AGAIN if self.touch.hit else 1 if self.restart else 0)
+        u[n + 10] = v.expo
+        u[n + 11] = v.expo_sd
+        u[n + 12] = real(self.mode)
+        u[n + 13] = real(AGAIN if self.touch.hit else 1 if self.restart else 0)
 
 
 class Ticks(Struct):

@@ -21,7 +21,8 @@ class Vehicle(Struct):
     output_low: Real = 0.0  # ends of the outputs' range, as the autopilot counts it
     output_high: Real = 1.0
     expo: Real = 0.0  # thrust curve: (1 - expo) a + expo a^2, a the share of [u_min, u_max]
-    mixer_expo: Real = 0.0  # the same as the autopilot's mixer believes it
+    expo_sd: Real = 0.0  # standard deviation of what expo is
+    mixer_expo: Real = 0.0  # expo as the autopilot's mixer believes it
     yaw_headroom: Real = 0.2  # yaw that the mixer always grants (MOT_YAW_HEADROOM / 1000)
     mixer_known: bool = False  # else its factors are learned
     coaxial: bool = False  # rotors in pairs on one arm, one below the other

@@ -7,7 +7,7 @@ them.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -172,6 +172,7 @@ class Stream:
     def _table(self, count: int) -> Ticks:
         assert self.plan is not None
         made = columns(self._made.cut(count), self.plan, len(self.vehicle.rotors), self._contacts)
+        made = replace(made, curve=self.vehicle.curve.believed)
         self._contacts = made.contacts
         return made
 

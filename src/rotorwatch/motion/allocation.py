@@ -184,7 +184,7 @@ def table(vehicle: Vehicle, output: tuple[float, float], headroom: float = YAW_H
     return {
         "effectiveness": vehicle.effectiveness(), "mixer": np.zeros((n, 4)) if vehicle.mixer is None else np.asarray(vehicle.mixer, float),
         "u_min": curve.u_min, "u_max": curve.u_max, "output_low": output[0], "output_high": max(output[1], output[0] + 1e-6),
-        "expo": curve.expo, "mixer_expo": mixer_curve(vehicle).expo, "yaw_headroom": yaw_always(headroom),
+        "expo": curve.expo, "expo_sd": curve.believed[1], "mixer_expo": mixer_curve(vehicle).expo, "yaw_headroom": yaw_always(headroom),
         "mixer_known": vehicle.mixer is not None, "rests_at_minimum": bool(vehicle.extra.get("rests_at_minimum", False)),
     }  # fmt: skip
 

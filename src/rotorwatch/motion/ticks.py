@@ -43,7 +43,8 @@ class Ticks:
     valid (T, 4) bool; mode (T,) GROUND, LEARN or JUDGE; restart (T,) bool, first tick of a hop; dt s; hover (T,) mean share of full thrust
     per rotor that one unit of thrust stands for; side (T, 2): specific force forward and right [m/s^2], mean of the last SIDE_S, or None
     where nothing measures it. contact (T,) bool: something outside pushed the vehicle, and for `ready_s` after it its trim is learned
-    afresh (None: no contact); contacts: what and when. seen (T,) bool: a tick with commands in it, else thrust is 0.
+    afresh (None: no contact); contacts: what and when. seen (T,) bool: a tick with commands in it, else thrust is 0. curve: expo of the
+    thrust curve that they were made with, and the standard deviation of what it is.
     """
 
     time: np.ndarray
@@ -64,6 +65,7 @@ class Ticks:
     contact: np.ndarray | None = None
     contacts: tuple[Contact, ...] = ()
     seen: np.ndarray | None = None
+    curve: tuple[float, float] = (0.0, 0.0)
 
     def part(self, keep: np.ndarray) -> Ticks:
         """The ticks `keep` (T,) bool."""
@@ -250,7 +252,8 @@ def observe(flight: Flight, vehicle: Vehicle, air, ready_s: float) -> Ticks | No
     thrust = allocation.rotor_thrusts(flight, vehicle)
     if len(thrust) < 20 or not thrust.valid.all(axis=1).any():  # or one output is never a command
         return None
-    return make(flight, thrust, vehicle.effectiveness(), air, ready_s, hover=known_hover(vehicle))
+    made = make(flight, thrust, vehicle.effectiveness(), air, ready_s, hover=known_hover(vehicle))
+    return replace(made, curve=vehicle.curve.believed)
 
 
 def known_hover(vehicle: Vehicle) -> float | None:

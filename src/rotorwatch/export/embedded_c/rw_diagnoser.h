@@ -34,7 +34,7 @@ typedef uint16_t rw_rotors;
 #endif
 
 /* Numbers that the estimator takes of a tick: rw_made_inputs. */
-#define RW_INPUTS (RW_ROTORS + 12)
+#define RW_INPUTS (RW_ROTORS + 14)
 
 /* Characters of a text with the 0 at its end, as long as a MAVLink STATUSTEXT. */
 #define RW_TEXT 51

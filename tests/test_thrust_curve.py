@@ -1,0 +1,95 @@
+"""A thrust curve that is not known: a state of the default estimator, learned where commands stand out, and no rotor's loss meanwhile."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from rotorwatch.default import plant
+from rotorwatch.default.plant import CURVE, WrenchBalance
+from rotorwatch.flight.vehicle import ThrustCurve
+from rotorwatch.front.ticks import JUDGE, LEARN
+from test_default_estimator import DT, KNOWN_NOISE, make
+from test_plant import QUAD
+
+N, TICKS, READY = 4, 400, 60
+HOVER = 0.45  # command that carries the vehicle
+ASSUMED, LINEAR = 0.65, 0.0
+
+
+def row(thrust, expo, sd, hover=HOVER):
+    """(n + 12,) inputs of thrusts by a curve of that expo, at rest."""
+    carries = float(ThrustCurve(0.0, 1.0, expo)(np.array(hover)))
+    return np.concatenate([thrust, np.zeros(3), [N], np.zeros(5), [1.0 / carries, expo, sd]])
+
+
+@pytest.mark.parametrize("expo", [0.0, 0.3, 0.65, 1.0])
+@pytest.mark.parametrize("usual", [1.0, 1.4])
+def test_a_bent_curve_is_the_derivative_of_the_thrust(expo, usual):
+    """By expo, at the same commands, with the thrust of the usual command as it is: against two curves next to each other."""
+    commands, step = np.array([0.1, 0.3, HOVER, 0.8]), 1e-5
+    unit = float(ThrustCurve(0.0, 1.0, expo)(np.array(HOVER)))
+    thrust = ThrustCurve(0.0, 1.0, expo)(commands) / unit
+    system = WrenchBalance(QUAD)
+    found = np.asarray(system.bend(row(thrust, expo, 0.2), usual))
+    drive = np.interp(usual * unit, *(lambda a: (ThrustCurve(0.0, 1.0, expo)(a), a))(np.linspace(0.0, 1.0, 200_001)))
+
+    def given(e):
+        curve = ThrustCurve(0.0, 1.0, e)
+        return curve(commands) / curve(np.array(drive)) * usual
+
+    away = min(max(expo, step), 1.0 - step)
+    wanted = 0.2 * (given(away + step) - given(away - step)) / (2.0 * step)
+    assert found == pytest.approx(wanted, abs=2e-4)
+
+
+@cache
+def flown(sd, loss=0.0, turn=1.2, seed=0):
+    """(outputs, carries) of a flight by a straight curve that is taken for a bent one: hover, from tick 150 on a turn on the spot of `turn`
+    rad/s^2 and back, and from tick 300 on rotors 1 and 2 without so much of their thrust, made up for at once."""
+    quad, rng = make("ardupilot-quad-x"), np.random.default_rng(seed)
+    B, gain = QUAD, N * plant.GAIN_MEAN[:3]
+    when = np.arange(TICKS)
+    yaw = turn * np.where((when >= 150) & (when < 270), np.sign(np.sin((when - 150) * np.pi / 30.0)), 0.0)
+    yaw = np.convolve(yaw, np.ones(8) / 8.0, "same")
+    rates = np.cumsum(yaw) * DT
+    wrench = np.column_stack(
+        [np.zeros((TICKS, 2)), gain[2] * (yaw + plant.DAMPING_RATE * rates), np.full(TICKS, float(N))]
+    )
+    given = wrench @ np.linalg.pinv(B).T  # what each rotor has to give
+    lost = np.zeros((TICKS, N))
+    lost[300:, :2] = loss
+    commands = np.clip(given / (1.0 - lost) * HOVER, 0.0, 1.0)  # a straight curve
+    curve = ThrustCurve(0.0, 1.0, ASSUMED)
+    unit = float(curve(np.array(HOVER)))
+    thrust = curve(commands) / unit
+    y = thrust @ B.T + np.sqrt(KNOWN_NOISE[0]) * rng.standard_normal((TICKS, 4))
+    zeros, full = np.zeros((TICKS, 2)), np.full(TICKS, 1.0 / unit)
+    mode = np.where(when < READY, LEARN, JUDGE)
+    motion = [zeros, yaw, np.full(TICKS, float(N)), zeros, rates, zeros]
+    u = np.column_stack([thrust, *motion, full, np.full(TICKS, ASSUMED), np.full(TICKS, sd), mode, when == 0])
+    return quad.over(u.astype(float), y, np.ones((TICKS, 4), bool))
+
+
+def test_a_turn_by_another_curve_teaches_the_curve_and_accuses_nobody():
+    """Taken as known, the same turn is a loss of two rotors."""
+    out, carries = flown(0.35)
+    assert not out.announced.any()
+    expo = ASSUMED + 0.35 * carries.branches.s[-1, 0, CURVE]
+    assert LINEAR <= expo < 0.25 and carries.branches.P[-1, 0, CURVE, CURVE] < 0.1
+    known, _ = flown(0.0)
+    assert known.announced.any()
+
+
+def test_what_no_curve_explains_is_a_loss():
+    """Two rotors that make yaw lose as much as a curve could hide in part: its expo stays within 0 and 1."""
+    out, carries = flown(0.35, loss=0.4, turn=0.0)
+    bent = ASSUMED + 0.35 * carries.branches.s[:, 0, CURVE]
+    assert bent.min() > -0.01 and bent.max() < 1.01
+    assert out.announced.any() and (out.theta[-1, :2] > 0.2).all() and (out.theta[-1, 2:] < 0.15).all()
+
+
+def test_hover_teaches_no_curve():
+    """Where commands do not stand out nothing is learned, and nothing is less certain."""
+    _, carries = flown(0.35, turn=0.0)
+    assert abs(carries.branches.s[-1, 0, CURVE]) < 0.2 and carries.branches.P[-1, 0, CURVE, CURVE] > 0.9
