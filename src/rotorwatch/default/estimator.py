@@ -212,9 +212,9 @@ class JumpBank:
         shown = jnp.clip(after.s[n_x:], 0.0, 1.0)
         # The filter believes its noise model; where innovations have been larger or longer than that, so is the error.
         unsure = opposite.common(shown, branches.alike[0])
-        # What of the curve is still open is open of a loss, too: by as much as the rotor is commanded more than is usual.
+        # What of the curve is still open is open of a loss, too: by as much as the rotor is commanded more than is usual, and still gives.
         more = usual + jnp.maximum(memory.trim, 0.0)
-        bent_share = system.bend(jnp.concatenate([more, u[n:]]), usual) / more
+        bent_share = (1.0 - shown) * system.bend(jnp.concatenate([more, u[n:]]), usual) / more
         curved = jnp.where(active, bent_share**2, 0.0) * after.P[CURVE, CURVE]
         shown_var = (
             (unsure / 1.96) ** 2 + branches.theta_var[0] + (1.0 / calm).mean() * jnp.diagonal(after.P)[n_x:] + curved
