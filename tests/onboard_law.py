@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from embedded_c_parts import STRICT
 from rotorwatch import airframes
 from rotorwatch.export import export_diagnoser
 from rotorwatch.motion import allocation, ticks
@@ -13,16 +14,6 @@ from rotorwatch.motion.airborne import output_range
 
 OUTPUTS, ACCEL, GYRO, VELOCITY, STATE, CONTROL, ATTITUDE, BATTERY = range(8)
 FIRST = {BATTERY: 0, STATE: 1, ATTITUDE: 2, VELOCITY: 3, GYRO: 4, ACCEL: 5, OUTPUTS: 6, CONTROL: 7}  # of the same time
-WARNINGS = (
-    "-std=c99",
-    "-Wall",
-    "-Wextra",
-    "-Wpedantic",
-    "-Wconversion",
-    "-Wdouble-promotion",
-    "-Wfloat-equal",
-    "-Werror",
-)
 WIDTH = 24
 DRIVER = """#include "rw_diagnoser.h"
 #define WIDTH 24
@@ -169,7 +160,7 @@ def events_in_c(folder, what: Flown, single=False, compiler="cc"):
     sources = [str(folder / name) for name in what.texts if name.endswith(".c")]
     # More contacts than a library keeps on board: a log of the ground has many.
     flags = [
-        *WARNINGS,
+        *STRICT,
         "-O1",
         "-fPIC",
         "-shared",

@@ -228,10 +228,11 @@ class Reading:
 
 
 class Outputs(NamedTuple):
-    """Where the commands of the rotors are. numbers: output of each rotor, from 1. least, most: of its counts, where its driver takes
-    counts; empty where the outputs are pulses in us."""
+    """Where the commands of the rotors are. numbers: output of each rotor, from 1; driver: of PX4, who drives them. least, most: of its
+    counts, where its driver takes counts; empty where the outputs are pulses in us."""
 
     numbers: tuple[int, ...]
+    driver: str = ""
     least: tuple[float, ...] = ()
     most: tuple[float, ...] = ()
 
@@ -329,23 +330,20 @@ def rotor_outputs(log: Messages, parameters: Mapping[str, float], rotors: int = 
 
     Of several drivers of PX4 that have all motors the first counts; a whole log is asked which of them moves (`px4_outputs.best`)."""
     count = rotors or rotor_count(log, parameters)
-    numbers, driver = tuple(range(1, count + 1)), px4_outputs.PWM
+    numbers, driver = tuple(range(1, count + 1)), px4_outputs.PWM if log.autopilot == "PX4" else ""
     for name, outputs in motor_outputs(parameters).items():
         if len(named := in_order(outputs)) >= max(count, 1):
             numbers, driver = named, name
             break
     counts = px4_outputs.count_range(parameters, driver, [n - 1 for n in numbers]) if log.autopilot == "PX4" else None
-    return Outputs(numbers) if counts is None else Outputs(numbers, *(tuple(ends.tolist()) for ends in counts))
+    return Outputs(numbers, driver, *(() if counts is None else (tuple(ends.tolist()) for ends in counts)))
 
 
 def output_limits(log: Messages, parameters: Mapping[str, float], outputs: Outputs) -> dict:
     """Facts pwm_min and pwm_max of PX4's pulses, where its parameters say them."""
     if log.autopilot != "PX4" or outputs.least:
         return {}
-    driver = next(
-        (d for d, known in motor_outputs(parameters).items() if in_order(known) == outputs.numbers), px4_outputs.PWM
-    )
-    return px4_outputs.pulse_limits(parameters, driver, [n - 1 for n in outputs.numbers])
+    return px4_outputs.pulse_limits(parameters, outputs.driver, [n - 1 for n in outputs.numbers])
 
 
 def _px4_motors(log: _Log, parameters: Mapping[str, float]) -> tuple[Signal | None, dict]:
