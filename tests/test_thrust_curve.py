@@ -5,8 +5,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from rotorwatch.default import plant
-from rotorwatch.default.plant import CURVE, WrenchBalance
+from rotorwatch.default import kalman, model_error, plant
+from rotorwatch.default.plant import CURVE, GAIN, PER_AXIS, WrenchBalance
 from rotorwatch.flight.vehicle import ThrustCurve
 from rotorwatch.front.ticks import JUDGE, LEARN
 from test_default_estimator import DT, KNOWN_NOISE, make
@@ -44,13 +44,14 @@ def test_a_bent_curve_is_the_derivative_of_the_thrust(expo, usual):
 
 
 @cache
-def flown(sd, loss=0.0, turn=1.2, seed=0):
-    """(outputs, carries) of a flight by a straight curve that is taken for a bent one: hover, from tick 150 on a turn on the spot of `turn`
-    rad/s^2 and back, and from tick 300 on rotors 1 and 2 without so much of their thrust, made up for at once."""
+def flown(sd, loss=0.0, turn=1.2, seed=0, turns=150, fails=300, ready=READY, rotors=(0, 1)):
+    """(outputs, carries) of a flight by a straight curve that is taken for a bent one: hover, from tick `turns` on a turn on the spot of
+    `turn` rad/s^2 and back, and from tick `fails` on rotors without so much of their thrust, made up for at once. Judged from `ready`
+    on."""
     quad, rng = make("ardupilot-quad-x"), np.random.default_rng(seed)
     B, gain = QUAD, N * plant.GAIN_MEAN[:3]
     when = np.arange(TICKS)
-    yaw = turn * np.where((when >= 150) & (when < 270), np.sign(np.sin((when - 150) * np.pi / 30.0)), 0.0)
+    yaw = turn * np.where((when >= turns) & (when < turns + 120), np.sign(np.sin((when - turns) * np.pi / 30.0)), 0.0)
     yaw = np.convolve(yaw, np.ones(8) / 8.0, "same")
     rates = np.cumsum(yaw) * DT
     wrench = np.column_stack(
@@ -58,14 +59,14 @@ def flown(sd, loss=0.0, turn=1.2, seed=0):
     )
     given = wrench @ np.linalg.pinv(B).T  # what each rotor has to give
     lost = np.zeros((TICKS, N))
-    lost[300:, :2] = loss
-    commands = np.clip(given / (1.0 - lost) * HOVER, 0.0, 1.0)  # a straight curve
+    lost[fails:, list(rotors)] = loss
+    commands = np.clip(given / np.maximum(1.0 - lost, 0.4) * HOVER, 0.0, 1.0)  # a straight curve
     curve = ThrustCurve(0.0, 1.0, ASSUMED)
     unit = float(curve(np.array(HOVER)))
     thrust = curve(commands) / unit
     y = thrust @ B.T + np.sqrt(KNOWN_NOISE[0]) * rng.standard_normal((TICKS, 4))
     zeros, full = np.zeros((TICKS, 2)), np.full(TICKS, 1.0 / unit)
-    mode = np.where(when < READY, LEARN, JUDGE)
+    mode = np.where(when < ready, LEARN, JUDGE)
     motion = [zeros, yaw, np.full(TICKS, float(N)), zeros, rates, zeros]
     u = np.column_stack([thrust, *motion, full, np.full(TICKS, ASSUMED), np.full(TICKS, sd), mode, when == 0])
     return quad.over(u.astype(float), y, np.ones((TICKS, 4), bool))
@@ -93,3 +94,63 @@ def test_hover_teaches_no_curve():
     """Where commands do not stand out nothing is learned, and nothing is less certain."""
     _, carries = flown(0.35, turn=0.0)
     assert abs(carries.branches.s[-1, 0, CURVE]) < 0.2 and carries.branches.P[-1, 0, CURVE, CURVE] > 0.9
+
+
+def curve_of(carries, k=-1):
+    """(mean, variance) of the state after tick k."""
+    return carries.branches.s[k, 0, CURVE], carries.branches.P[k, 0, CURVE, CURVE]
+
+
+def test_the_ground_and_a_weak_rotor_teach_no_curve():
+    """The same turn before the flight is judged, and beside a loss that is known."""
+    mean, variance = curve_of(flown(0.35, ready=TICKS)[1])
+    assert mean == 0.0 and variance == pytest.approx(1.0)
+    out, carries = flown(0.35, loss=0.4, fails=100, turns=200, rotors=(0,))
+    known = int(np.flatnonzero(out.announced)[0])
+    assert 100 < known < 150 and carries.branches.active[199:, 0, 0].all()
+    assert curve_of(carries) == pytest.approx(curve_of(carries, 199), abs=1e-6)
+
+
+def test_what_is_open_of_the_curve_is_open_of_a_loss_as_far_as_the_rotor_still_gives_thrust():
+    def open_(loss):
+        unknown, known = (flown(sd, loss=loss, turn=0.0, fails=150, rotors=(0,))[0] for sd in (0.35, 0.0))
+        assert (unknown.theta[-1, 0] > 0.2) and (known.theta[-1, 0] > 0.2)
+        return unknown.theta_sd[-1, 0] - known.theta_sd[-1, 0], unknown.theta[-1, 0]
+
+    part, _ = open_(0.4)
+    assert part > 0.02
+    none, loss = open_(1.0)
+    assert none < part * (1.0 - loss) / 0.5 + 1e-3
+
+
+@pytest.mark.parametrize("bound", [0.001, 50.0])
+def test_an_update_keeps_the_curve_within_its_bounds_and_the_covariance_is_of_that_gain(bound):
+    rng = np.random.default_rng(3)
+    root = rng.standard_normal((25, 25))
+    s, P, h = np.zeros(25), root @ root.T, rng.standard_normal(25)
+    rows, only = np.stack([h, *np.zeros((3, 25))]), np.array([True, False, False, False])
+    new, cov, gains, nu, S = map(
+        np.asarray,
+        kalman.update(s, P, rows, np.full(4, 9.0), only, np.full(4, 0.5), np.ones(25), (-bound, bound)),
+    )
+    K = P @ h / S[0]
+    free = abs(K[CURVE] * nu[0]) <= bound
+    assert free == (bound > 1.0) and abs(new[CURVE]) <= bound + 1e-12
+    K[CURVE] = K[CURVE] if free else np.sign(K[CURVE] * nu[0]) * bound / nu[0]
+    left = np.eye(25) - np.outer(K, h)
+    assert gains[0] == pytest.approx(K) and cov == pytest.approx(left @ P @ left.T + 0.5 * np.outer(K, K))
+
+
+@pytest.mark.parametrize(
+    "made, load, teaches", [(1.0, 1.0, True), (0.0, 1.0, False), (-1.0, 1.0, False), (1.0, 1.7, False)]
+)
+def test_the_curve_shows_near_hover_in_what_moves_the_vehicle(made, load, teaches):
+    """made: how much of the turn its yaw has been commanded for, less what moves nothing."""
+    x, gain = np.zeros(21), N * plant.GAIN_MEAN[2]
+    x[2 * PER_AXIS + GAIN] = gain
+    u = np.concatenate([np.ones(N), [0.0, 0.0, 4.0 * made, load * N], np.zeros(5), [2.5, ASSUMED, 0.35]])
+    y = np.array([0.0, 0.0, 4.0 * gain, N])
+    seen = model_error.look(
+        model_error.init(N), u, y, np.zeros(4), np.ones(4, bool), True, False, x, KNOWN_NOISE, N, DT, np.full(4, 0.5)
+    )[1]
+    assert (seen.curve > 0.5) if teaches else (seen.curve == 0.0)
