@@ -1,6 +1,5 @@
 """From ticks to events: what the estimator announced is written down, with its times as they were, live."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -431,9 +430,10 @@ def test_a_loss_that_is_over_in_a_moment_is_none_unless_it_was_total_or_comes_ag
 
 
 def test_a_loss_just_before_the_end_of_a_flight_is_one():
-    """What ends with the flight has not recovered: a vehicle that falls."""
-    out, ticks = silence(), table()
+    """What ends with the flight has not recovered: a vehicle that falls, and takes off again."""
+    out, ticks = silence(), table(restarts=(0, 106))
     announce(out, 100, {(2,): 1.0}, age=2)
-    out.theta[100:, 2] = 0.3
-    ticks = replace(ticks, mode=np.where(np.arange(COUNT) < 108, JUDGE, 0).astype(np.int32))
-    assert [e.rotors for e in events.read(out, ticks, QUAD)] == [(3,)]
+    out.theta[100:106, 2] = 0.3
+    explain(out, 106, {(): 1.0}, age=0)
+    (event,) = events.read(out, ticks, QUAD)
+    assert event.rotors == (3,) and event.end_s is not None and event.end_s - event.onset_s < 1.0

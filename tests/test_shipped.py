@@ -1,6 +1,7 @@
 """Code that comes with the package: only of this definition, only for this computer, and enough to judge flights without JAX."""
 
 import hashlib
+import importlib.util
 import json
 import os
 import platform
@@ -397,3 +398,16 @@ def test_a_cross_compiler_builds_for_its_own_kind_of_processor(tmp_path, monkeyp
         assert shipped.target(toolchain.processor()) == f"{sys.platform} aarch64" != shipped.target()
     finally:
         toolchain.processor.cache_clear()
+
+
+def test_what_changes_pythons_start_is_kept_from_the_build_of_the_code(tmp_path, monkeypatch):
+    """Of an isolated build: it would take the sources out of the path where they are installed in place already."""
+    spec = importlib.util.spec_from_file_location("hatch_build", Path(__file__).parents[1] / "hatch_build.py")
+    assert spec is not None and spec.loader is not None
+    build = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(build)
+    isolated = tmp_path / "site"
+    isolated.mkdir()
+    (isolated / "sitecustomize.py").touch()
+    monkeypatch.setattr(sys, "path", [str(isolated), str(tmp_path)])
+    assert build._paths() == [str(tmp_path)]
