@@ -74,7 +74,7 @@ def decide(
     statistic = jnp.minimum(found.fault - limit, found.fault - other - hypotheses.CLEAR)
     # The most probable onset at the edge of the bank speaks of a drift that began before it. Where no disturbance comes near, nothing more
     # is asked of one rotor; two fit the drift of thrust of a vehicle that begins to sink.
-    sure = (statistic > CERTAIN_NATS) & (best.rotors.sum() < 2)
+    sure = (statistic > CERTAIN_NATS) & (best.rotors.sum() < 2) & (best.gives <= 0.0)
     possible = (possible & (best.since < EDGE * onsets.reach)) | sure
     above = jnp.where(judge & (statistic > 0.0) & possible, state.above + 1, 0)
     alarm = above >= TICKS

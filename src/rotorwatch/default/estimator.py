@@ -57,7 +57,7 @@ class Carry(NamedTuple):
 class Output(NamedTuple):
     """What one tick leaves behind, beside the Estimate and the Decision. announced: explanations were made at this tick; onsets
     (K,): ticks since the last jump of a rotor in each; active, each (K, n), share (K,): their rotors, losses and probabilities, the leader
-    first."""
+    first; gives (n,): thrust of the leader's rotors that follow no command, 0 of others."""
 
     estimate: Estimate
     decision: Decision
@@ -69,6 +69,7 @@ class Output(NamedTuple):
     active: Array
     each: Array
     share: Array
+    gives: Array
     detectable: Array
     plausible: Array
     opposite: opposite.Opposite
@@ -102,6 +103,7 @@ class JumpBank:
         """Before the first tick: nothing announced, the system's prior."""
         P = np.zeros((self.n_s, self.n_s))
         P[: self.n_x, : self.n_x] = self.system.P0
+        P[self.n_x :, self.n_x :] = plant.BUILT_SD**2 * (np.eye(self.n) - 1.0 / self.n)
         return Carry(
             branches=posterior.init(np.concatenate([np.asarray(self.system.x0), np.zeros(self.n)]), P, self.n),
             noise=noise.init(self.dt, *(self.noise_prior or ())),
@@ -174,15 +176,19 @@ class JumpBank:
         statistics = bank.without_last(statistics, jnp.maximum(P[self.yaw_gain, self.yaw_gain], 1e-12))
         reach = jnp.abs(system.B).max(axis=0) * seen.u[:n]
         air = plausibility.air(missing, n) ** 2
-        found = evidence.gather(hyp, self.jumps, statistics, theta, active, variances, reach, drag[2], air)
+        outside = model_error.outside(memory, n)
+        found = evidence.gather(
+            hyp, self.jumps, statistics, theta, active, variances, reach, drag[2], air, outside, system.B, u[n + 9]
+        )
         first = jnp.argmax(found.probability)
-        best = evidence.jump(hyp, statistics, found, first)
+        best = evidence.jump(hyp, statistics, found, first, system.B)
         rough = noise.spread(variances)
         coupling = plausibility.demand_coupling(system.B)
         # A manoeuvre swings commands about their trim: what a rotor was commanded at the onset counts as well.
-        rise = seen.part - jnp.minimum(seen.trim, best.slot @ onsets.before)
+        before = best.slot @ onsets.before
+        rise = seen.part - jnp.minimum(seen.trim, before), seen.part - jnp.maximum(seen.trim, before)
         possible = plausibility.plausible(
-            best.each, best.since * dt, seen.u[:n], rise, missing, carry.missing, valid[3], active, rough, coupling
+            best, best.since * dt, seen.u[:n], rise, missing, carry.missing, valid[3], active, rough, coupling
         )
         alarm_state, alarm_decision = announcement.decide(
             carry.alarm_state, found, best, self.jumps, self.limit, possible, active.any(), judge, dt
@@ -199,7 +205,9 @@ class JumpBank:
         other = jnp.maximum(found.log_odds, mine + posterior.ALIKE)
         odds = jnp.where(alike & alike[first], other, found.log_odds)
         even = found._replace(log_odds=jnp.where(shared & ~alike, 2.0 * evidence.NOTHING, odds))
-        branches = posterior.born(branches, hyp, statistics, even, alike, first, alarm, alarm_decision.absorbed)
+        branches = posterior.born(
+            branches, hyp, statistics, even, alike, first, alarm, alarm_decision.absorbed, system.B
+        )
         onsets = bank.forget(onsets, alarm | alarm_decision.absorbed)
 
         # The noise learns from what the calm parts leave over, biases included.
@@ -209,15 +217,19 @@ class JumpBank:
         noises = noise.step(carry.noise, left, valid & learns, variances[0] / R, dt)
 
         after = Carry(branches, noises, onsets, memory, missing, alarm_state, opposite_s)
-        shown = jnp.clip(after.s[n_x:], 0.0, 1.0)
+        weak = branches.active[0]
+        shown = jnp.where(weak, jnp.clip(after.s[n_x:], 0.0, 1.0), 0.0)
         # The filter believes its noise model; where innovations have been larger or longer than that, so is the error.
         unsure = opposite.common(shown, branches.alike[0])
         # What of the curve is still open is open of a loss, too: by as much as the rotor is commanded more than is usual, and still gives.
         more = usual + jnp.maximum(memory.trim, 0.0)
         bent_share = (1.0 - shown) * system.bend(jnp.concatenate([more, u[n:]]), usual) / more
-        curved = jnp.where(active, bent_share**2, 0.0) * after.P[CURVE, CURVE]
+        curved = jnp.where(weak, bent_share**2, 0.0) * after.P[CURVE, CURVE]
         shown_var = (
-            (unsure / 1.96) ** 2 + branches.theta_var[0] + (1.0 / calm).mean() * jnp.diagonal(after.P)[n_x:] + curved
+            (unsure / 1.96) ** 2
+            + branches.theta_var[0]
+            + jnp.where(weak, (1.0 / calm).mean() * jnp.diagonal(after.P)[n_x:], 0.0)
+            + curved
         )
         status = jnp.where(~flying, 1, jnp.where(valid.any(), 0, 2)).astype(jnp.int32)
         estimate = Estimate(
@@ -234,8 +246,9 @@ class JumpBank:
             announced=alarm | (alarm_decision.absorbed & active.any()),
             onsets=branches.onset,
             active=branches.active,
-            each=jnp.clip(branches.s[:, n_x:], 0.0, 1.0),
+            each=jnp.where(branches.active, jnp.clip(branches.s[:, n_x:], 0.0, 1.0), 0.0),
             share=posterior.shares(branches),
+            gives=jnp.where(weak, branches.gives[0], 0.0),
             detectable=evidence.detectable(statistics, found),
             plausible=alarm_decision.possible,
             opposite=pair._replace(pair=jnp.int32(-1)),

@@ -40,6 +40,7 @@ COLUMNS = (
     "theta_sd",
     "active",
     "share",
+    "gives",
     "onsets",
     "probability",
     "log_odds",
@@ -109,7 +110,9 @@ def read(out, ticks: Ticks, B: np.ndarray) -> tuple[Event, ...]:
 
     rows = state.rows()
     suspected = rows["detail"] == definition.SUSPECTED
-    return tuple(replace(e, extra={"loss_2s": shown(e, s)}) for e, s in zip(_in_words(rows), suspected.tolist()))
+    return tuple(
+        replace(e, extra={**e.extra, "loss_2s": shown(e, s)}) for e, s in zip(_in_words(rows), suspected.tolist())
+    )
 
 
 def rotor_sets(hyp: Hypotheses, probability: np.ndarray) -> dict[tuple[int, ...], float]:
@@ -297,6 +300,7 @@ class _Row(NamedTuple):
     loss: list[float]
     lower: list[float]
     upper: list[float]
+    size: float
 
 
 def _loss(row: _Row) -> Event:
@@ -310,6 +314,11 @@ def _loss(row: _Row) -> Event:
             + " would look the same"
             + (", and so would a sudden drop of battery voltage or more weight" if row.detail else "")
         )
+    elif row.size > 0.0:
+        reason = (
+            f"since {onset:.1f} s rotor {names} has given about {row.size:.1f} times the thrust of hover, whatever it was commanded: "
+            "it has lost all effectiveness"
+        )
     else:
         reason = (
             f"since {onset:.1f} s the rotors are commanded a torque and thrust that the motion does not show; the "
@@ -319,4 +328,5 @@ def _loss(row: _Row) -> Event:
     return Event(
         "loss_of_effectiveness", rotors, onset, row.detected, None if row.end >= LASTS else row.end, tuple(row.loss[:n]),
         tuple(zip(row.lower[:n], row.upper[:n])), row.probability, alternatives, reason,
+        {"gives": round(row.size, 2)} if row.size > 0.0 else {},
     )  # fmt: skip

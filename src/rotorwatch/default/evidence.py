@@ -24,7 +24,8 @@ class Evidence(NamedTuple):
     """Of all hypotheses (n_h,): log evidence over all onsets, probability among faults. fault, other: log of the sums; far: that
     of disturbances much larger than this flight's; log_bf (W, n_h): Bayes factors, per_slot (W, n_h): with prior weights; nu
     (W, n_fault, 2): sizes; spread (W, n): variance of the size of one rotor alone; recovery (W, n): sizes that end a known loss;
-    slop (W, 4): `hypotheses.slop`; width (4,): of disturbances; live (W,): slots in use."""
+    slop (W, 4): `hypotheses.slop`; width (4,): of disturbances; live (W,): slots in use; gives (2, W, n): thrust that
+    each rotor gives if it gives but one, and the variance of that."""
 
     log_odds: Array
     probability: Array
@@ -39,11 +40,13 @@ class Evidence(NamedTuple):
     slop: Array
     width: Array
     live: Array
+    gives: Array
 
 
 class Jump(NamedTuple):
     """One hypothesis at its most probable onset. slot (W,): that onset, one-hot; since: ticks since then; rotors (n,): whether it is
-    theirs; size (q,) with its covariance cov; each (2, n): size, rotor by rotor."""
+    theirs; size (q,) with its covariance cov; each (2, n): size, rotor by rotor; gives: the thrust that its rotor gives, whatever it is
+    commanded, where it is that, else 0."""
 
     slot: Array
     since: Array
@@ -51,29 +54,42 @@ class Jump(NamedTuple):
     size: Array
     cov: Array
     each: Array
+    gives: Array
 
 
 def gather(
-    hyp: Hypotheses, onsets: bank.Jumps, statistics: bank.Bank, theta, active, variances, reach, drag, air
+    hyp: Hypotheses,
+    onsets: bank.Jumps,
+    statistics: bank.Bank,
+    theta,
+    active,
+    variances,
+    reach,
+    drag,
+    air,
+    outside,
+    B,
+    full,
 ) -> Evidence:
     """The evidence of a bank without its last direction. theta (n,): known losses, of the rotors `active` (n,); variances (4, 4) of the
     noise model; reach (n,): the most that a whole loss of each rotor does to any axis by geometry; drag (n,): what the drag of each does
-    to yaw; air: `plausibility.air`, as a variance."""
+    to yaw; air: `plausibility.air`, as a variance; outside: `model_error.outside`; B (4, n): effectiveness; full: thrust of a rotor."""
     import jax.numpy as jnp
 
     n = hyp.n
     # A known loss may be taken back; what the filter has absorbed of that already is part of the jump.
     lo, hi = jnp.where(active, -1.0, 0.0), jnp.maximum(1.0 - theta, 0.0)
     width = jnp.clip(DISTURBANCE_SCALE * jnp.sqrt(noise.spread(variances)), *DISTURBANCE_RANGE)
-    width = width.at[3].set(jnp.sqrt(width[3] ** 2 + air))  # what moving air does to thrust needs no rotor
+    # What moving air does to thrust needs no rotor, nor what a force from the side does: it turns the vehicle at an arm as long as its own.
+    width = jnp.sqrt(width**2 + outside**2 + air * jnp.array([0.0, 0.0, 0.0, 1.0]))
     live = statistics.age >= 0
     # What ends a known loss: of a unit jump the filter has by now, or will have, so much of theta left.
     own = jnp.diagonal(statistics.M[:, -n:, :n], axis1=1, axis2=2)
     to_come = jnp.where(jnp.asarray(onsets.slow), onsets.decay ** (jnp.maximum(statistics.age, 0) + 1.0), 0.0)
     recovery = jnp.where(active, -theta / jnp.maximum(own + to_come[:, None], 0.3), 0.0)
     slop = hypotheses.slop(statistics.C, statistics.z, lo, hi, reach, drag)
-    log_bf, nu, spread = hypotheses.log_bayes_factors(
-        hyp, statistics.C, statistics.z, lo, hi, width, recovery, slop, air
+    log_bf, nu, spread, gives = hypotheses.log_bayes_factors(
+        hyp, statistics.C, statistics.z, lo, hi, width, recovery, slop, air, B, full
     )
     far = hypotheses.disturbances(hyp, statistics.C, statistics.z, hypotheses.FAR * width)
     log_bf, far = (jnp.where(live[:, None], b, NOTHING) for b in (log_bf, far))
@@ -83,7 +99,12 @@ def gather(
     # With a rotor lost altogether the vehicle flies at its limits, where the others look weak: no two of them are judged at once.
     new = jnp.asarray(hyp.pick.sum(axis=1)) @ (~active).astype(float)  # rotors of each hypothesis
     dead = (active & (theta > hypotheses.TOTAL_LOSS)).any()
-    barred = (dead & (new > 1.5)) | (jnp.asarray(hyp.well) & (new > 0.5))
+    # ... and beside a weak one it is not asked whether another gives one thrust.
+    barred = (
+        (dead & (new > 1.5))
+        | (jnp.asarray(hyp.well) & (new > 0.5))
+        | (jnp.asarray(hyp.stuck) & active.any() & (new > 0.5))
+    )
     fault = jnp.asarray(hyp.fault)
     # A rotor that has failed is likely to change again, another one less so, and far less beside one that is lost.
     another = jnp.where(dead, -3.0, jnp.where(active.any(), -1.0, 0.0)) * hypotheses.CLEAR
@@ -108,10 +129,11 @@ def gather(
         slop=slop,
         width=width,
         live=live,
+        gives=gives,
     )
 
 
-def jump(hyp: Hypotheses, statistics: bank.Bank, found: Evidence, h) -> Jump:
+def jump(hyp: Hypotheses, statistics: bank.Bank, found: Evidence, h, B) -> Jump:
     """Hypothesis h at its most probable onset: sizes of its rotors, or of the steps of a disturbance."""
     import jax.numpy as jnp
 
@@ -134,9 +156,14 @@ def jump(hyp: Hypotheses, statistics: bank.Bank, found: Evidence, h) -> Jump:
     single = jnp.concatenate([it[:n], jnp.zeros(4)])  # all kinds of losses that it may be count
     cov = jnp.where(single.sum() > 0.5, jnp.diag(single) * (slot @ found.spread @ it[:n]), cov)
     half = _half_inverse(C[n:, n:] + jnp.diag(1.0 / free))
-    size = jnp.concatenate([each.sum(axis=0), steps * (half.T @ (half @ z[n:]))])
+    stuck = (it @ jnp.asarray(hyp.stuck, float)) * rotors[0]
+    gives = jnp.einsum("kwr,w,r->k", found.gives, slot, stuck)
+    instead = jnp.concatenate([jnp.zeros(n), -B @ stuck])  # what it gives instead of what it is commanded
+    sure = jnp.diag(jnp.concatenate([stuck, jnp.zeros(4)])) * hypotheses.NONE**2
+    cov = jnp.where(stuck.sum() > 0.5, sure + gives[1] * instead[:, None] * instead[None, :], cov)
+    size = jnp.concatenate([each.sum(axis=0), steps * (half.T @ (half @ z[n:]))]) + gives[0] * instead
     since = slot @ jnp.where(found.live, statistics.age + 1.0, 0.0)
-    return Jump(slot=slot, since=since, rotors=rotors.sum(axis=0) > 0.5, size=size, cov=cov, each=each)
+    return Jump(slot, since, rotors.sum(axis=0) > 0.5, size, cov, each, gives[0])
 
 
 def detectable(statistics: bank.Bank, found: Evidence):

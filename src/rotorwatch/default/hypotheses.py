@@ -31,7 +31,8 @@ SLOP = (0.1, 0.1, 0.4, 0.3)
 # A flight does not show what a vehicle with a weak rotor will do: this share of disturbances is so many times their usual size then.
 FAR_SHARE, FAR = 0.2, 4.0
 # Prior weights: how often each kind of jump happens, relative to one particular rotor failing, or working again. Disturbances are common.
-WEIGHT = {"pair": losses.PAIR_WEIGHT, "disturbance": 3.0}
+# A rotor that follows no command any more but gives one thrust, whatever that is, is rarer than one that gives less.
+WEIGHT = {"pair": losses.PAIR_WEIGHT, "stuck": 0.1, "disturbance": 3.0}
 # By what share of it a loss that ends may differ from what it was thought to be.
 RECOVERY_SHARE = 0.3
 # Disturbances: which of roll, pitch, yaw, thrust they touch.
@@ -43,7 +44,7 @@ class Hypotheses:
     """All hypotheses of an n-rotor vehicle. names; kinds; rotors: 0-based sets; fault: bool; weight: prior weights.
 
     pairs (n_pairs, 2): rotors. blocks: directions of each disturbance. Of each hypothesis: pick (n_h, 2, n): its (at most two) rotors,
-    one-hot; steps (n_h, 4): the axes it steps; well (n_h,): whether it is a rotor that is well again.
+    one-hot; steps (n_h, 4): the axes it steps; well, stuck (n_h,): whether it is a rotor that is well again, or gives one thrust.
     """
 
     n: int
@@ -57,6 +58,7 @@ class Hypotheses:
     pick: np.ndarray
     steps: np.ndarray
     well: np.ndarray
+    stuck: np.ndarray
 
 
 def make(n: int) -> Hypotheses:
@@ -75,6 +77,8 @@ def make(n: int) -> Hypotheses:
         add("pair", f"rotors {i + 1}+{j + 1}", (i, j))
     for i in range(n):
         add("recovery", f"rotor {i + 1} is well again", (i,))
+    for i in range(n):
+        add("stuck", f"rotor {i + 1} gives one thrust", (i,))
     axes = ("roll", "pitch", "yaw", "common mode")
     for block in DISTURBANCES:
         what = {3: "torque bias", 4: "any disturbance"}.get(len(block)) or " and ".join(axes[a] for a in block)
@@ -98,6 +102,7 @@ def make(n: int) -> Hypotheses:
         pick=pick,
         steps=steps,
         well=np.array([k == "recovery" for k in kinds]),
+        stuck=np.array([k == "stuck" for k in kinds]),
     )
 
 
@@ -127,10 +132,11 @@ def _clip_pair(c11, c12, c22, z1, z2, lo1, hi1, lo2, hi2):
     return best_a, best_b, best
 
 
-def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, recovery, slop, air):
+def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, recovery, slop, air, B, full):
     """C (W, q, q), z (W, q) for W jump times; lo, hi (n,) bounds of rotor jumps; width (4,): how large disturbances of this
     aircraft are; recovery (W, n): the jump that would end each rotor's loss; slop (W, 4): of that name; air: variance of thrust that air
-    from below or above may make. -> log BF (W, n_h), nu (W, n_fault, 2), and the variance (W, n) of a single rotor's jump."""
+    from below or above may make; B (4, n): effectiveness; full: thrust of a rotor. -> log BF (W, n_h), nu (W, n_fault, 2), the variance
+    (W, n) of a single rotor's jump, and of a rotor that gives one thrust that thrust and its variance (W, n)."""
     import jax.numpy as jnp
 
     n, w2 = hyp.n, LOSS_WIDTH**2
@@ -155,9 +161,25 @@ def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, recovery, slop, air)
         jnp.stack([size, jnp.zeros_like(size)], -1),
         jnp.stack([pa, pb], -1),
         jnp.stack([recovered, jnp.zeros_like(size)], -1),
+        jnp.stack([jnp.broadcast_to(hi, size.shape), jnp.zeros_like(size)], -1),
     ]
     nu = jnp.concatenate(nu, axis=1)
-    return jnp.concatenate([single, pair, over, others], axis=1), nu, spread
+    stuck, gives = one_thrust(C, z, hi, B, full)
+    return jnp.concatenate([single, pair, over, stuck, others], axis=1), nu, spread, gives
+
+
+def one_thrust(C, z, hi, B, full):
+    """Log Bayes factor (W, n) of rotors that give one thrust between hover's and `full`, whatever they are commanded; and that thrust and
+    its variance (2, W, n). The command's part is gone, a jump of hi (n,), and a step of the axes along B (4, n) has come instead."""
+    import jax.numpy as jnp
+
+    n = B.shape[1]
+    along = -(C[:, n:, n:] @ B)  # what a unit of that thrust does to the axes' vector
+    c, own = -jnp.einsum("an,wan->wn", B, along), jnp.diagonal(C, axis1=1, axis2=2)[:, :n]
+    cross = -jnp.einsum("wna,an->wn", C[:, :n, n:], B)
+    left = -(z[:, n:] @ B) - cross * hi
+    factor, thrust, variance = near(c, left, 0.5 * (1.0 + full), (0.5 * (full - 1.0)) ** 2, 1.0, full)
+    return factor + z[:, :n] * hi - 0.5 * own * hi**2, jnp.stack([thrust, variance])
 
 
 def loss(c, z, lo, hi):

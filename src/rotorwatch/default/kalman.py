@@ -27,8 +27,8 @@ def restart(branches: Branches, P0, begins, hop) -> Branches:
     starts anew, and only what it is like stays known. Either ends the competition of explanations."""
     import jax.numpy as jnp
 
-    n_s, n_x = branches.s.shape[1], len(P0)
-    keep = jnp.ones(n_s).at[BIASES].set(0.0).at[n_x:].set(0.0)
+    n_s = branches.s.shape[1]
+    keep = jnp.ones(n_s).at[BIASES].set(0.0)
     rows = np.ix_(BIASES, BIASES)
     opened = jnp.zeros((n_s, n_s)).at[rows].set(jnp.asarray(P0)[rows])
     alone = jnp.where(jnp.arange(posterior.PLACES) == 0, 0.0, posterior.NEVER)

@@ -15,6 +15,7 @@ import numpy as np
 from rotorwatch.core import Array
 from rotorwatch.default import noise, plant
 from rotorwatch.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS
+from rotorwatch.front.contact import G0
 
 GARROTE = 2.5  # how many times its calm level motion must reach to stand out
 LEVEL_MEMORY_S = 10.0
@@ -25,6 +26,7 @@ LAG_ERROR_S = 0.015
 LASTING_MEMORY_S = 30.0
 GUST_SHARE, LEAST_GAIN = 2.0, 0.3
 FAR, FAR_ERROR = 0.3, 0.5
+SIDE_FORCE = 0.1  # g: a side force that has changed by more, within seconds, comes from outside
 # Shares of full thrust: up to the first a rotor gives what it is commanded; from the second on it is at its limit and may give only the
 # first: batteries sag, speed controllers and simulated motors reach their end early.
 BELOW_LIMIT, AT_LIMIT = 0.6, 0.9
@@ -33,8 +35,9 @@ BELOW_LIMIT, AT_LIMIT = 0.6, 0.9
 class Memory(NamedTuple):
     """level (6,): calm variance of angular accelerations and rates; bent_level: the
     same of what the thrust curve makes of the commands. thrust, trim (n,): each rotor's thrust less the mean of all, in
-    half a second and in six; thrust_level (n,): its calm variance. side (2,): last side force, push (2,): its mean over half a second,
-    lately (2,): the largest square of that, fading as fast; side_level (2,): variance of what changes from tick to tick.
+    half a second and in six; thrust_level (n,): its calm variance. side (2,): last side force, push, usual_push (2,): its mean over half a
+    second and over six, lately (2,): the largest square of push, fading as fast; side_level (2,): variance of what changes from tick to
+    tick.
     collective: mean thrust. y (4,): last wrench."""
 
     level: Array
@@ -42,6 +45,7 @@ class Memory(NamedTuple):
     thrust_level: Array
     side: Array
     push: Array
+    usual_push: Array
     lately: Array
     side_level: Array
     trim: Array
@@ -73,6 +77,7 @@ def init(n: int) -> Memory:
         np.array([0.3, 0.3, 0.3, 0.05, 0.05, 0.05]) ** 2,
         np.zeros(n),
         np.full(n, 0.05**2),
+        np.zeros(2),
         np.zeros(2),
         np.zeros(2),
         np.zeros(2),
@@ -158,6 +163,7 @@ def look(memory: Memory, u, y, lost, valid, flying, restart, x, variances, n: in
         thrust_level,
         jnp.where(valid[0], side, memory.side),
         push,
+        memory.usual_push + (push - memory.usual_push) * jnp.where(restart, 1.0, past / plant.USUAL_S),
         lately,
         side_level,
         trim + (part - trim) * (past / plant.USUAL_S),
@@ -185,6 +191,15 @@ def calm(memory: Memory):
     import jax.numpy as jnp
 
     return 1.0 / jnp.maximum(jnp.maximum(memory.burst, memory.lasting), 1.0)
+
+
+def outside(memory: Memory, n: int):
+    """Hover thrusts by which a force from the side may turn n rotors' vehicle: an obstacle, a tether, a hand or the ground push at an arm
+    like that of the rotors."""
+    import jax.numpy as jnp
+
+    change = jnp.sqrt(((memory.push - memory.usual_push) ** 2).sum()) / G0
+    return n * jnp.maximum(change - SIDE_FORCE, 0.0)
 
 
 def unknown_damping(x, score, n: int):

@@ -44,6 +44,7 @@ SIDE, SIDE_SD = 0.05, 0.07
 # take all of the side force, and 9 +- 3 in flights of real quadrotors (docs/methods/default.md).
 DRAG = 6.0
 BIAS_SD = np.array([0.5, 0.5, 1.0, 0.4])
+BUILT_SD = 0.03  # by which a rotor's thrust differs from the others' as vehicles are built: a share of it
 SHARE_SD = (
     0.12  # of a lower rotor's thrust, relative to what its share in B says: 75 to 95 % and more of the upper one's
 )

@@ -11,6 +11,7 @@ import numpy as np
 
 from rotorwatch.core import Array
 from rotorwatch.default import hypotheses, model_error, plant
+from rotorwatch.default.evidence import Jump
 from rotorwatch.front.contact import G0
 
 # Both may be off by a standard deviation of this flight's disturbances, and by as much as the slack in calm air.
@@ -18,6 +19,8 @@ DEMAND_SHARE, DEMAND_SLACK = 0.25, 0.05
 MISSING_SLACK = 0.15  # hover thrusts of one rotor
 # Share of a rotor's thrust that air from below adds for each m/s: 0.4 of hover thrust over induced velocity, which is 4 m/s and more.
 INFLOW = 0.1
+# Hover thrusts: a command is not less than the first; share of the mean command below which a rotor is taken off it.
+LEAST_THRUST, CUT_SHARE = 0.1, 0.5
 LIMIT_S = 2.0  # how long it is remembered that a rotor was at its limit
 
 
@@ -82,24 +85,28 @@ def demand_coupling(B):
     return jnp.where(against, 0.0, answer / jnp.maximum(jnp.diagonal(answer)[:, None], 1e-9))
 
 
-def plausible(jump, since_s, smooth, rise, now: Missing, before: Missing, thrust_valid, active, rough, coupling):
-    """bool: may the jump (2, n; two rotors at most, 0 elsewhere) be a loss? coupling (n, n): `demand_coupling`.
+def plausible(best: Jump, since_s, smooth, rise, now: Missing, before: Missing, thrust_valid, active, rough, coupling):
+    """bool: may the jump be what happened? coupling (n, n): `demand_coupling`.
 
-    smooth (n,): thrust of each rotor; rise (n,): commands above what they were. active (n,): rotors already known to be weak.
-    rough (4,): variance of this flight's disturbances.
+    smooth (n,): thrust of each rotor; rise (2, n): commands above the least and the most that they were. active (n,): rotors already known
+    to be weak. rough (4,): variance of this flight's disturbances.
     """
     import jax.numpy as jnp
 
-    # A controller asks more of a rotor that gives less: a candidate whose command has fallen instead is none. Of two rotors it asks what
-    # geometry leaves of that.
+    # Of a rotor that gives one thrust counts what that is more, or less, than its command.
+    more = best.gives / jnp.maximum(smooth, LEAST_THRUST)
+    jump = jnp.where(best.each > 0.0, best.each - more, best.each)
+    # A controller asks more of a rotor that gives less, and less of one that gives more: a candidate whose command went the other way is
+    # none. Of two rotors it asks what geometry leaves of that.
     # Two rotors at once are rare: they have to show as they would in calm air.
     n, two = smooth.shape[0], (jump != 0.0).any(axis=1).all()
     rough, below = jnp.where(two, 0.0, rough), jnp.where(two, 0.0, jnp.maximum(air(now, n), 0.0))
     swing = jnp.sqrt(rough[:3].sum()) / n
     demanded = coupling @ (jump.sum(axis=0) * smooth)
-    ok = (jnp.abs(jump).max() > hypotheses.NONE) & jnp.where(
-        jump > 0, rise > DEMAND_SHARE * demanded - jnp.maximum(DEMAND_SLACK, swing), True
-    ).all()
+    slack, (risen, fallen) = jnp.maximum(DEMAND_SLACK, swing), rise
+    asked = jnp.where(jump > 0, risen > DEMAND_SHARE * demanded - slack, True)
+    asked &= jnp.where((jump < 0) & ~active, fallen < DEMAND_SHARE * demanded + slack, True)
+    ok = (jnp.abs(jump).max() > hypotheses.NONE) & asked.all()
     # ... and what the rotors no longer give must be missing from the thrust, as far as its average can show that by now, and air from below
     # does not give it.
     slack = jnp.maximum(MISSING_SLACK, jnp.sqrt(rough[3])) + below
@@ -107,4 +114,7 @@ def plausible(jump, since_s, smooth, rise, now: Missing, before: Missing, thrust
     ok &= ~thrust_valid | (lost_thrust <= 0.0) | (now.fast - before.slow > DEMAND_SHARE * lost_thrust - slack)
     # ... and not because a rotor at its limit gives no more.
     claimed = (jump > 0) & ~active[None, :]
-    return ok & jnp.where(claimed, jump > now.limit[None, :], True).all()
+    ok &= jnp.where(claimed, jump > now.limit[None, :], True).all()
+    # What pushes a vehicle from below for a moment looks as if a rotor gave more: one that does is taken off the command, and stays so.
+    cut = (smooth * best.rotors).sum() < CUT_SHARE * smooth.mean()
+    return ok & ((best.gives <= 0.0) | ((since_s >= 0.5 * plant.ANSWER_S) & cut))

@@ -33,7 +33,8 @@ NEVER = -1e3
 class Branches(NamedTuple):
     """K = PLACES explanations, the leader first. s (K, n_s), P (K, n_s, n_s); weight (K,): log, 0 for the leader, NEVER where there is
     none; active (K, n): weak rotors; learning (K, n): seconds their losses are still refined; theta_var, theta_mean (K, n): variance
-    after that, and mean lately; alike (K, n): found together as a pair that others look like;
+    after that, and mean lately; gives (K, n): thrust of rotors that follow no command, 0 of others; alike (K, n): found together as a pair
+    that others look like;
     onset (K,): ticks since its last jump of a rotor; age: s since then."""
 
     s: Array
@@ -43,6 +44,7 @@ class Branches(NamedTuple):
     learning: Array
     theta_var: Array
     theta_mean: Array
+    gives: Array
     alike: Array
     onset: Array
     age: Array
@@ -60,6 +62,7 @@ def init(s: Array, P: Array, n: int) -> Branches:
         learning=none,
         theta_var=none,
         theta_mean=none,
+        gives=none,
         alike=np.zeros((K, n), bool),
         onset=np.zeros(K),
         age=np.float64(1e3),
@@ -107,7 +110,15 @@ def shares(branches: Branches):
 
 
 def born(
-    branches: Branches, hyp: Hypotheses, statistics: bank.Bank, found: evidence.Evidence, alike, first, alarm, absorbed
+    branches: Branches,
+    hyp: Hypotheses,
+    statistics: bank.Bank,
+    found: evidence.Evidence,
+    alike,
+    first,
+    alarm,
+    absorbed,
+    B,
 ) -> Branches:
     """What may have happened becomes branches of the one that leads: the likeliest disturbance and the likeliest faults. alike
     (n_h,): pairs that others look like. Hypothesis `first` leads where it is announced, the disturbance where something was
@@ -139,18 +150,20 @@ def born(
         # What adds a rotor to the first has to earn it at once.
         barred |= with_first[which] & (weight <= OUT)
         weight = jnp.where(barred, NEVER, weight)
-        child = jax.vmap(lambda h: _child(branches, hyp, statistics, found, alike, h))(which)
+        child = jax.vmap(lambda h: _child(branches, hyp, statistics, found, alike, h, B))(which)
         return child._replace(weight=weight, age=jnp.where(considered, 0.0, branches.age))
 
     return jax.lax.cond(alarm | absorbed, made, lambda same: same, branches)
 
 
-def _child(branches: Branches, hyp: Hypotheses, statistics: bank.Bank, found: evidence.Evidence, alike, h) -> Branches:
+def _child(
+    branches: Branches, hyp: Hypotheses, statistics: bank.Bank, found: evidence.Evidence, alike, h, B
+) -> Branches:
     """The leader with the jump of hypothesis h: exactly what an augmented filter with this jump would hold."""
     import jax.numpy as jnp
 
     n_x, n = branches.s.shape[1] - hyp.n, hyp.n
-    jump = evidence.jump(hyp, statistics, found, h)
+    jump = evidence.jump(hyp, statistics, found, h, B)
     M, _, _ = bank.pick(statistics, jump.slot)
     s, P = branches.s[0] + M @ jump.size, branches.P[0] + M @ jump.cov @ M.T
     theta, sd = s[n_x:], jnp.sqrt(jnp.maximum(jnp.diagonal(P)[n_x:], 0.0))
@@ -169,6 +182,7 @@ def _child(branches: Branches, hyp: Hypotheses, statistics: bank.Bank, found: ev
         learning=jnp.where(off, 0.0, jnp.where(jump.rotors, plant.USUAL_S, branches.learning[0])),
         theta_var=jnp.where(off, 0.0, branches.theta_var[0]),
         theta_mean=jnp.where(jump.rotors, s[n_x:], branches.theta_mean[0]),
+        gives=jnp.where(off, 0.0, jnp.where(jump.rotors, jump.gives, branches.gives[0])),
         alike=(branches.alike[0] | (jump.rotors & jnp.asarray(alike)[h])) & ~off.any(),
         onset=jnp.where(jump.rotors.any(), jump.since, branches.onset[0]),
         age=jnp.zeros(()),

@@ -30,6 +30,7 @@ class TickOutput(NamedTuple):
     active: Array
     each: Array
     share: Array
+    gives: Array
     detectable: Array
     biases: Array
     opposite: Array

@@ -44,6 +44,7 @@ class Found(NamedTuple):
     theta_sd: Array
     active: Array
     share: Array
+    gives: Array
     probability: Array
     log_odds: Array
     onsets: Array
@@ -82,7 +83,7 @@ def settings(B: np.ndarray, dt: float) -> dict[str, Any]:
     opposite = max(1, sum(map(len, events.opposites(B).values())) // 2)
     pairs, places = n * (n - 1) // 2, posterior.PLACES
     return {
-        "ROTORS": n, "PLACES": places, "PAIRS": pairs, "HYPOTHESES": 2 * n + pairs + 9, "TICK_S": dt,
+        "ROTORS": n, "PLACES": places, "PAIRS": pairs, "HYPOTHESES": 3 * n + pairs + 9, "TICK_S": dt,
         "REACH": bank.SLOTS * max(bank.STRIDES[0.1 if dt >= bank.SLOW_S else 0.05]) + 16,
         "RECORDS": 2 * n + 4, "SETS": max(opposite, places), "TOGETHER": min(4, n), "ALTERNATIVES": places + 2 + opposite,
         "CONTACTS": 4, "FALLS": 4, "EVENTS": 12,

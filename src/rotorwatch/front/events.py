@@ -52,7 +52,9 @@ class Event(Struct):
     lower = array(REAL, TOGETHER)  # 95 % interval
     upper = array(REAL, TOGETHER)
     probability: Real = 0.0  # of this set of rotors
-    size: Real = 0.0  # of a contact: g, or hover thrusts of one rotor where it turned the vehicle
+    # Of a contact: g, or hover thrusts of one rotor where it turned the vehicle. Of a loss: hover thrusts that the rotor gives whatever it
+    # is commanded, 0 where it follows its command.
+    size: Real = 0.0
     rotors: Mask = 0  # bit k: rotor k, from 0; of a contact 0
     alternatives = array(MASK, ALTERNATIVES)  # sets that would look the same, the likeliest first
     alternative_count: Small = 0

@@ -103,6 +103,9 @@ class Losses(Struct):
                     if found.active[p][k]:
                         self.latest.active[p] |= 1 << k
             self.latest.onset = self._jumped(found.onsets[0])
+            self.latest.gives = 0.0
+            for k in range(v.rotors):
+                self.latest.gives = max(self.latest.gives, found.gives[k])
             if found.announced or self.latest.active[0] != led:
                 self.latest.found = time
                 for k in range(v.rotors):  # what is estimated of rotors that no final record holds begins here
@@ -252,6 +255,8 @@ class Losses(Struct):
         for k in range(PAIRS):
             to.all[place].hidden[k] = self.hidden[k]
         _weigh(to.all[place], at, self.before)
+        if count_of(fresh) == 1:
+            to.all[place].gives = at.gives
         for k in range(v.rotors):
             if (fresh & (1 << k)) != 0:
                 to.of[k] = place
@@ -285,7 +290,7 @@ class Losses(Struct):
         best = -1.0
         likeliest = 0
         for k in range(n):
-            p = found.probability[k] + found.probability[n + pairs(v) + k]
+            p = found.probability[k] + found.probability[n + pairs(v) + k] + found.probability[2 * n + pairs(v) + k]
             if p > best:
                 best = p
                 likeliest = k
@@ -357,6 +362,7 @@ class Losses(Struct):
         e.detected = r.detected
         e.end = r.end
         e.rotors = r.rotors
+        e.size = r.gives
         place = 0
         for k in range(n):
             if (r.rotors & (1 << k)) != 0 and place < TOGETHER:

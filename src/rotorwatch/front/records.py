@@ -25,12 +25,14 @@ ESTIMATES = 16  # evenly spaced, that say what a loss was that is over
 
 
 class Found(Struct):
-    """What the estimator made of a tick. H hypotheses: rotors, pairs 0+1, 0+2 ..., recoveries, disturbances."""
+    """What the estimator made of a tick. H hypotheses: rotors, pairs 0+1, 0+2 ..., recoveries, rotors that
+    follow no command, disturbances."""
 
     theta = array(REAL, ROTORS)  # loss, 0 healthy to 1 dead
     theta_sd = array(REAL, ROTORS)  # its standard deviation
     active = array(FLAG, PLACES, ROTORS)  # weak rotors of every explanation, the leader first
     share = array(REAL, PLACES)  # probability of every explanation
+    gives = array(REAL, ROTORS)  # hover thrusts of the leader's rotors that follow no command, 0 of others
     onsets = array(REAL, PLACES)  # ticks since the last jump of a rotor in each
     probability = array(REAL, HYPOTHESES)  # read where something is announced
     log_odds = array(REAL, HYPOTHESES)  # read where opposite rotors are suspected
@@ -54,6 +56,7 @@ class Record(Struct):
     rotors: Mask = 0
     hiding: Mask = 0  # each of these may have failed together with rotor `hider`: the data do not show which
     hider: Small = 0
+    gives: Real = 0.0  # hover thrusts that its rotor gives whatever it is commanded, 0 where it follows
     hidden = array(FLAG, PAIRS)  # pairs that the data alone prefer to rotor `hider`
     suspicion: bool = False  # a shift of thrust that opposite rotors share, or something else
     recovered: bool = False  # it ended in the air: its rotors work again
@@ -112,6 +115,7 @@ class ExplanationState(Struct):
     found: Time = 0.0  # s, since when this set leads
     share = array(REAL, PLACES)
     onset: int = 0  # tick of the leader's last jump
+    gives: Real = 0.0  # as in Record, of the leader's rotors the most
     active = array(MASK, PLACES)
 
 

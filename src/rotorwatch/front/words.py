@@ -27,7 +27,11 @@ class Words(Struct):
             self._add("rotors " if many else "rotor ")
             self._rotors(e.rotors)
             self._add(" ")
-        if e.kind == LOSS:
+        if e.kind == LOSS and e.size > 0.0:
+            self._add("follows no command, gives ")
+            self._percent(e.size)
+            self._add(" % of hover")
+        elif e.kind == LOSS:
             self._add("lost ")
             place = 0
             for k in range(ROTORS):

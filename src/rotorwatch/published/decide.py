@@ -71,15 +71,15 @@ class Threshold:
         v = B @ estimate.theta[: hyp.n]
         away = v - carry.level
         logbf, jump = self.evidence(away, carry.scatter)
-        fault, weight = jnp.asarray(hyp.fault & ~hyp.well), jnp.log(jnp.asarray(hyp.weight))
+        fault, weight = jnp.asarray(hyp.fault & ~hyp.well & ~hyp.stuck), jnp.log(jnp.asarray(hyp.weight))
         log_odds = logbf + weight
         best = jnp.argmax(jnp.where(fault, log_odds, -jnp.inf)).astype(jnp.int32)
         pick = (jnp.arange(jump.shape[0]) == best).astype(float)
         size = jnp.einsum("h,hk->k", pick, jump)
-        double = jnp.asarray([float(kind == "pair") for kind in hyp.kinds if kind in ("single", "pair", "recovery")])
+        double = jnp.asarray([float(kind == "pair") for kind, fault in zip(hyp.kinds, hyp.fault) if fault])
         enough = (size[0] > self.least) & ((size[1] > self.least) | (pick @ double < 0.5))
         log_fault = jnp.max(jnp.where(fault, log_odds, -jnp.inf))
-        log_other = jnp.maximum(jnp.max(jnp.where(fault, -jnp.inf, log_odds)), 0.0)
+        log_other = jnp.maximum(jnp.max(jnp.where(jnp.asarray(hyp.fault), -jnp.inf, log_odds)), 0.0)
         over = 0.5 * self.sigmas**2
         statistic = jnp.minimum(log_fault - over, log_fault - log_other)
         ready = carry.seconds > WARM_UP_S
@@ -111,7 +111,7 @@ class Threshold:
         w = 1.0 / (scatter + common + TURNED**2 * (away @ away) / 4.0)
         Phi = jnp.concatenate([jnp.asarray(self.B), jnp.eye(4)], axis=1)
         C, z = Phi.T @ (w[:, None] * Phi), Phi.T @ (w * away)
-        logbf, jump, _ = hypotheses.log_bayes_factors(
+        logbf, jump, _, _ = hypotheses.log_bayes_factors(
             self.hyp,
             C[None],
             z[None],
@@ -121,5 +121,7 @@ class Threshold:
             jnp.zeros((1, n)),
             jnp.full((1, 4), 1e-12),
             0.0,
+            jnp.asarray(self.B),
+            1.0,
         )
         return logbf[0], jump[0]

@@ -194,8 +194,8 @@ def blank(T: int, hyp: hypotheses.Hypotheses) -> TickOutput:
     """T ticks on which nothing was seen; what only the default method looks at stays so."""
     n, n_h = hyp.n, len(hyp.names)
     numbers = {
-        "theta": (n,), "theta_sd": (n,), "innovation": (4,), "biases": (4,), "onset": (), "onsets": (PLACES,), "share": (PLACES,),
-        "each": (PLACES, n), "opposite_onset": (), "opposite_loss": (2,),
+        "theta": (n,), "theta_sd": (n,), "innovation": (4,), "biases": (4,), "onset": (), "onsets": (PLACES,),
+        "share": (PLACES,), "gives": (n,), "each": (PLACES, n), "opposite_onset": (), "opposite_loss": (2,),
     }  # fmt: skip
     flags = {"announced": (), "active": (PLACES, n)}
     filled = {k: np.zeros((T, *size)) for k, size in numbers.items()} | {

@@ -1,8 +1,8 @@
 """What the rotors of a vehicle did around the moment it left control: every explanation at every onset, by the balance (`balance`).
 
-Explanations: all rotors gave what was commanded; one of them lost a share theta from a tick on; all of them did alike (battery); something
-turned the vehicle from outside (a torque that lasts); two outputs went to each other's motor; yaw works the wrong way round. Sizes and
-onsets are summed over a grid, with the prior of each.
+Explanations: all rotors gave what was commanded; one of them lost a share theta from a tick on, or gave one thrust whatever it was
+commanded; all of them did alike (battery); something turned the vehicle from outside (a torque that lasts); two outputs went to each
+other's motor; yaw works the wrong way round. Sizes and onsets are summed over a grid, with the prior of each.
 """
 
 from __future__ import annotations
@@ -15,6 +15,9 @@ import numpy as np
 from rotorwatch.upset.balance import Fit, Offset, Window, delivered, fit
 
 SIZES = np.array([0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
+STUCK = np.array(
+    [0.5, 0.7, 0.9]
+)  # of full thrust, of a rotor that follows no command any more but gives more than in hover
 CARRIES = 1.5  # hover thrusts: a rotor that still gives so much, turns nothing over
 # How often each kind of explanation is met, of vehicles that left control.
 PRIOR = {"healthy": 0.4, "rotor": 0.4, "outside": 0.1}
@@ -29,7 +32,8 @@ CHUNK = 256  # courses that are fitted at once
 @dataclass(frozen=True)
 class Explanation:
     """One kind of explanation, summed over sizes and onsets. kind: healthy, rotor, common, outside, order or yaw; rotors (0-based); log:
-    of its evidence with its prior; onset: most probable [s]; size: mean loss, low, high: its 95 % interval; residual (K, 4) of the best."""
+    of its evidence with its prior; onset: most probable [s]; size: mean loss, low, high: its 95 % interval; residual (K, 4) of the best;
+    gives: the thrust that the rotor gave whatever it was commanded, in hover thrusts, where that is the likeliest, else 0."""
 
     kind: str
     rotors: tuple[int, ...]
@@ -39,6 +43,7 @@ class Explanation:
     low: float
     high: float
     residual: np.ndarray
+    gives: float = 0.0
 
 
 def explain(
@@ -53,14 +58,14 @@ def explain(
     T = delivered(window)
     healthy = T @ B.T
     courses: list[np.ndarray] = []
-    labels: list[tuple[str, tuple[int, ...], int, float]] = []
+    labels: list[tuple[str, tuple[int, ...], int, float, float]] = []
     prior = {**(ORDER if orders else PRIOR), "common": COMMON[sagged]}
 
     sizes = SIZES[(1.0 - SIZES) * window.full < CARRIES]
 
-    def add(kind, rotors, onset, size, wrench):
+    def add(kind, rotors, onset, size, wrench, gives=0.0):
         courses.append(wrench)
-        labels.append((kind, rotors, onset, size))
+        labels.append((kind, rotors, onset, size, gives))
 
     add("healthy", (), 0, 0.0, healthy)
     for k in onsets:
@@ -72,6 +77,11 @@ def explain(
                 add("rotor", (i,), k, size, np.where(since, (T * (1.0 - lost)) @ B.T, healthy))
             if size <= 0.9:
                 add("common", (), k, size, np.where(since, (1.0 - size) * healthy, healthy))
+        # At the first take-off outputs that go to the wrong motors look the same, and are met far more often.
+        for gives in () if orders else STUCK[STUCK * window.full > 1.0] * window.full:
+            for i in range(n):
+                other = np.where(np.arange(n) == i, gives, T)
+                add("rotor", (i,), k, 1.0, np.where(since, other @ B.T, healthy), gives)
         for a in range(3):
             for push in (-1.5, -0.6, 0.6, 1.5):
                 shifted = healthy.copy()
@@ -107,6 +117,5 @@ def _summed(kind, rotors, prior, labels, log, fits: list[Fit], window: Window) -
     onsets = np.array([labels[k][2] for k in mine])
     when = window.time[onsets[np.argmax(weight)]]
     residual = fits[best // CHUNK].residual[best % CHUNK]
-    return Explanation(
-        kind, rotors, evidence, float(when), mean, max(0.0, mean - 1.96 * sd), min(1.0, mean + 1.96 * sd), residual
-    )
+    low, high = max(0.0, mean - 1.96 * sd), min(1.0, mean + 1.96 * sd)
+    return Explanation(kind, rotors, evidence, float(when), mean, low, high, residual, labels[best][4])

@@ -131,7 +131,12 @@ def _cause(
     rotor = sum(float(q) for e, q in zip(found, probability) if e.kind == "rotor")
     struck = _struck(window, vehicle.effectiveness(), onset)
     if rotor > SURE and fits and not struck:
-        return "rotor", (f"the motion is what {_names(found, probability)} without its thrust would make it",)
+        without = (
+            f"with {best.gives:.1f} times the thrust of hover, whatever it was commanded,"
+            if best.gives
+            else "without its thrust"
+        )
+        return "rotor", (f"the motion is what {_names(found, probability)} {without} would make it",)
     order = sum(float(q) for e, q in zip(found, probability) if e.kind in ("order", "yaw"))
     if best.kind in ("order", "yaw") and order > SURE and fits:
         return "motor_order", ("the first movement went against the commands",)
@@ -298,14 +303,17 @@ def _who(rotors: Sequence[int]) -> str:
 def _loss(best: Explanation, p: float, others, n: int, decided: float, judged: Judged) -> Event:
     rotor = best.rotors[0] + 1
     onset = min(best.onset, judged.left.onset)
-    reason = f"from {onset:.1f} s on the vehicle turned as without {'the' if best.size > 0.5 else 'part of the'} thrust of rotor {rotor}"
+    how = f"as without {'the' if best.size > 0.5 else 'part of the'} thrust of rotor {rotor}"
+    if best.gives:
+        how = f"as if rotor {rotor} gave {best.gives:.1f} times the thrust of hover, whatever it was commanded"
+    reason = f"from {onset:.1f} s on the vehicle turned {how}"
     if others:
         who = ", ".join("all rotors alike" if len(o) == n else "+".join(map(str, o)) for o in others)
         reason += f", but {who} may have failed instead"
     reason += "; found afterwards, by the motion up to the impact" if judged.left.impact else "; found afterwards"
     return Event(
         LOSS, (rotor,), onset, decided, None, (best.size,), ((best.low, best.high),), p, others, reason,
-        {"live": False, "loss_2s": [best.size]},
+        {"live": False, "loss_2s": [best.size], **({"gives": round(best.gives, 2)} if best.gives else {})},
     )  # fmt: skip
 
 

@@ -29,6 +29,7 @@ static void judge(rw_diagnoser *d, const rw_made *made)
     memcpy(found.theta_sd, out->theta_sd, sizeof found.theta_sd);
     memcpy(found.active, out->active, sizeof found.active);
     memcpy(found.share, out->share, sizeof found.share);
+    memcpy(found.gives, out->gives, sizeof found.gives);
     memcpy(found.onsets, out->onsets, sizeof found.onsets);
     memcpy(found.probability, out->probability, sizeof found.probability);
     memcpy(found.log_odds, out->log_odds, sizeof found.log_odds);
