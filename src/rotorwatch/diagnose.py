@@ -12,7 +12,7 @@ import numpy as np
 
 from rotorwatch.aerobatic import desync
 from rotorwatch.aerobatic import judge as aerobatic
-from rotorwatch.answer import common_mode, conclusion, health, picture, places, traces, unseen, wording
+from rotorwatch.answer import common_mode, conclusion, health, picture, places, slow, traces, unseen, wording
 from rotorwatch.base import discovery
 from rotorwatch.default import events, excitation_response, hindsight, hypotheses, residual_evidence
 from rotorwatch.default.announcement import threshold
@@ -84,10 +84,11 @@ class Estimated:
 
 @dataclass(frozen=True)
 class Found:
-    """events: all of them; faint: losses that accuse no rotor."""
+    """events: all of them; faint: losses that accuse no rotor; grown: a loss that grew slowly, or None."""
 
     events: tuple[Event, ...]
     faint: tuple[Event, ...]
+    grown: slow.Growth | None = None
 
 
 class _Clock:
@@ -238,6 +239,8 @@ def _find(ready: Prepared, done: Estimated) -> Found:
         ready.assumptions += excitation_notes
     if done.last is not None and not ready.known:  # healthy flights would have told what happened in the blind time
         losses = hindsight.join(losses, hindsight.find(done.last, table, B))
+    grown = slow.find(done.out, table, B) if done.own and ready.hovers else None
+    losses = slow.join(losses, grown)
     overrides = events.overrides(flight, craft, air, table)
     faint = tuple(e for e in events.unexplained(losses, overrides) if not events.accuses(e))
     report = events.Report(B).add(table, air).finish(air).events(losses, overrides)
@@ -245,7 +248,7 @@ def _find(ready: Prepared, done: Estimated) -> Found:
     ready.warnings += notes
     if not ready.hovers:
         found = tuple(sorted((*found, *desync.find(flight, craft, air, found)), key=lambda e: e.detected_s))
-    return Found(found, faint)
+    return Found(found, faint, grown)
 
 
 @dataclass(frozen=True)
@@ -279,7 +282,11 @@ def _concluded(ready: Prepared, logged: Ticks, done: Estimated, found: Found) ->
     if done.own and ready.hovers:
         seen_events = steps.doubted(found.events)
         if conclusion.main_event(found.events) is None:
-            spells = steps.suspected(found.events, float(table.time[-1])) or spells
+            spells = (
+                slow.suspected(found.grown, found.events)
+                or steps.suspected(found.events, float(table.time[-1]))
+                or spells
+            )
     hidden, hidden_pair = _hidden(out, table, steps, B)
     seen = conclusion.Evidence(
         seen_events, n, whole, hidden, hidden_pair, float(judged.sum() * table.dt), spells, places.names(craft.rotors), air,

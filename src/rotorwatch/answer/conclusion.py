@@ -234,8 +234,18 @@ def _what_happened(seen: Evidence, event: Event) -> str:
     if event.kind in (OVERRIDE, ORDER, DESYNC):
         return why
     until = _until(seen, event, ", until")
-    what = f"{rotors(event.rotors)} lost {losses(event)} of its effectiveness at {seconds(event.onset_s)}{until}"
+    what = f"{rotors(event.rotors)} lost {losses(event)} of its effectiveness {_when(event)}{until}"
     return f"{what}: {why}" if why else what
+
+
+def _when(loss: Event) -> str:
+    """'at 41.20 s'; 'little by little from 41.20 s to 65.00 s' of one that grew."""
+    grew = loss.extra.get("grew_until_s")
+    return (
+        f"at {seconds(loss.onset_s)}"
+        if grew is None
+        else f"little by little from {seconds(loss.onset_s)} to {seconds(grew)}"
+    )
 
 
 def _cleared(seen: Evidence, lost: Event) -> str:
@@ -360,7 +370,7 @@ def _matter(seen: Evidence, verdict: str, main: int | None) -> str:
         return f"The outputs of motors {listed([str(r) for r in event.rotors])} go to each other's motor."
     if event.kind == OVERRIDE:
         return f"The output of {who} stopped following the mixer at {seconds(event.onset_s)}{until}{again}."
-    return f"{sentence(who)} lost {losses(event)} of thrust at {seconds(event.onset_s)}{until}{cause(event)}{again}."
+    return f"{sentence(who)} lost {losses(event)} of thrust {_when(event)}{until}{cause(event)}{again}."
 
 
 # Rotors
