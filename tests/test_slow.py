@@ -104,7 +104,7 @@ def test_growth_leaves_alone_what_is_known_better():
         hexa_event(rotors=(2,), loss=(0.2,), interval=((0.15, 0.25),)),
     ):
         assert slow.join((event,), grown) == (event,)
-    assert slow.join((), None) == () == slow.join((), grown._replace(odds=50.0))
+    assert slow.join((), None) == () == slow.join((), grown._replace(odds=5.0))
     faint = hexa_event(rotors=(1,), loss=(0.1,), interval=((0.0, 0.2),))
     (event,) = slow.join((faint,), grown)
     assert event.rotors == (1,) and event.extra == {

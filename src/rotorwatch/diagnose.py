@@ -84,11 +84,13 @@ class Estimated:
 
 @dataclass(frozen=True)
 class Found:
-    """events: all of them; faint: losses that accuse no rotor; grown: a loss that grew slowly, or None."""
+    """events: all of them; faint: losses that accuse no rotor; grown: a loss that grew slowly, or None; wrong: sentences on
+    outputs that the log has wrong up to its end."""
 
     events: tuple[Event, ...]
     faint: tuple[Event, ...]
     grown: slow.Growth | None = None
+    wrong: tuple[str, ...] = ()
 
 
 class _Clock:
@@ -242,13 +244,15 @@ def _find(ready: Prepared, done: Estimated) -> Found:
     grown = slow.find(done.out, table, B) if done.own and ready.hovers else None
     losses = slow.join(losses, grown)
     overrides = events.overrides(flight, craft, air, table)
+    together = wording.together([e for e in overrides if events.shared(e)])
+    ready.warnings += [text for text, lasts in together if not lasts]
     faint = tuple(e for e in events.unexplained(losses, overrides) if not events.accuses(e))
     report = events.Report(B).add(table, air).finish(air).events(losses, overrides)
     found, notes = consistency.check(flight, craft, air, table, upset.events(ready.upsets, report, B.shape[1]))
     ready.warnings += notes
     if not ready.hovers:
         found = tuple(sorted((*found, *desync.find(flight, craft, air, found)), key=lambda e: e.detected_s))
-    return Found(found, faint, grown)
+    return Found(found, faint, grown, tuple(text for text, lasts in together if lasts))
 
 
 @dataclass(frozen=True)
@@ -267,6 +271,7 @@ def _concluded(ready: Prepared, logged: Ticks, done: Estimated, found: Found) ->
     table, out, B = done.table, done.out, ready.vehicle.effectiveness()
     n, hyp = B.shape[1], hypotheses.make(B.shape[1])
     doubts = trust.contradictions(flight, craft, air, logged)
+    doubts += found.wrong
     doubts += () if ready.hovers else aerobatic.lacks(flight)
     trusted = not doubts and ready.hovers
     whole = _whole_flight(flight, craft, air) if trusted else None

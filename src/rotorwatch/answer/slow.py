@@ -66,7 +66,7 @@ class Growth(NamedTuple):
     @property
     def certain(self) -> bool:
         """Is it one rotor's, beyond doubt?"""
-        return len(self.rotors) == 1 and self.odds > CLEAR * CLEAR
+        return len(self.rotors) == 1 and self.odds > CLEAR
 
 
 class Trim(NamedTuple):
