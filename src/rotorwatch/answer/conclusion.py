@@ -166,8 +166,11 @@ def _concluded(seen: Evidence, verdict, reason, headline, main, doubts) -> Concl
 
 def main_event(events: Sequence[Event]) -> int | None:
     """Index of the event that matters: sure ones before ambiguous ones; the first that is large, or an override that came before it
-    (one that comes after is what a falling vehicle's controller does); of losses that began together the largest. Where no rotor is
-    accused, the loss of control."""
+    (one that comes after is what a falling vehicle's controller does); of losses that began together the largest. Motors in the wrong
+    order come before all, for nothing can follow its command then. Where no rotor is accused, the loss of control."""
+    swapped = next((i for i, e in enumerate(events) if e.kind == ORDER and not e.alternatives), None)
+    if swapped is not None:
+        return swapped
     order = [i for i, e in enumerate(events) if e.kind in ACCUSES]
     named = [events[i] if events[i].kind == LOSS else replace(events[i], kind=OVERRIDE) for i in order]
     place = FRONT.call(whole.most_important, packed(named), len(named))

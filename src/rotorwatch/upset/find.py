@@ -431,6 +431,9 @@ def window_of(
     inside = np.flatnonzero(
         (seen.time >= first) & (seen.time <= last + (how.lag_s if ground is None else 0.0)) & seen.some
     )[:MOST_TICKS]
+    commanded = np.flatnonzero(seen.share[inside].max(axis=1, initial=0.0) > loss_of_control.REST)
+    if commanded.size and not left.falls:  # with its motors stopped, a vehicle tumbles on as it likes
+        inside = inside[: commanded[-1] + 2]
     if inside.size < 3:
         return None
     T = seen.share / hover
