@@ -203,6 +203,20 @@ def test_what_a_vehicle_does_with_its_motors_stopped_is_not_its_rotors(seed):
     assert set(order.rotors) == set(truth.rotors)
 
 
+@pytest.mark.parametrize(("logged", "cause"), [("steady", "power"), ("doubles", False), ("none", None)])
+def test_a_voltage_that_sags_under_its_current_is_no_failure_of_power(logged, cause):
+    """The voltage falls by 20 % as control is lost at 20 s: while the current stays, while it doubles, or without one in the log."""
+    time = np.arange(0.0, 22.0, 0.2)
+    load = 10.0 + 2.0 * np.sin(time) + np.where(time > 20.0, 10.0, 0.0)
+    volts = 16.8 - 0.02 * time - 0.25 * load
+    if logged != "doubles":
+        volts, load = np.where(time > 20.0, volts.min(), volts), np.minimum(load, 12.0)
+    both = np.column_stack([volts, load])[:, : 1 if logged == "none" else 2]
+    battery = Signal(time, both, ("voltage", "current")[: both.shape[1]], "V,A")
+    flight = Flight("model", "ArduPilot", {"battery": battery}, 22.0)
+    assert find._fell(flight, 20.0) and find._sagged(flight, 20.0) is (True if cause == "power" else cause)
+
+
 def fallen(speed: float) -> Flight:
     """A vehicle that hovers, then comes down at so many m/s, believed level all the time, and stays where it struck."""
     flight = still(14.0)
