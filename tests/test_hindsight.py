@@ -86,7 +86,7 @@ def ends(ticks):
     return None if again is None else float(again.time[-1])
 
 
-@pytest.mark.parametrize("leaves", [0.0, 6.0, 9.0])
+@pytest.mark.parametrize("leaves", [0.0, 4.0, 7.0])
 def test_nothing_is_found_while_the_ground_carries_the_vehicle(leaves):
     """Rotors that spool up against the ground, which takes what one of them lacks; and a take-off at once."""
     ticks = flight()
