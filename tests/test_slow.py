@@ -40,7 +40,7 @@ def flight(
     biases[:, 2] += 0.5 * swing * B.shape[1]
     ticks = SimpleNamespace(
         time=time, thrust=thrust, mode=np.full(time.size, JUDGE), valid=np.ones((time.size, 4), bool),
-        upset=np.zeros(time.size, bool), dt=DT,
+        upset=np.zeros(time.size, bool), dt=DT, curve=(0.5, 0.1),
     )  # fmt: skip
     return SimpleNamespace(theta=known, biases=biases), ticks
 
@@ -96,11 +96,10 @@ def test_a_step_announced_within_a_ramp_is_its_beginning():
 
 
 def test_growth_leaves_alone_what_is_known_better():
-    """A step of the same size, a loss that is over, and certain losses of other rotors."""
+    """A step of the same size, and certain losses of other rotors."""
     grown = found(loss=0.4)
     for event in (
         hexa_event(rotors=(1,), loss=(0.4,), interval=((0.33, 0.47),)),
-        hexa_event(rotors=(1,), loss=(0.1,), interval=((0.05, 0.15),), end_s=50.0),
         hexa_event(rotors=(2,), loss=(0.2,), interval=((0.15, 0.25),)),
     ):
         assert slow.join((event,), grown) == (event,)
@@ -110,6 +109,22 @@ def test_growth_leaves_alone_what_is_known_better():
     assert event.rotors == (1,) and event.extra == {
         "live": False, "loss_2s": [round(event.loss[0], 4)], "grew_until_s": grown.end_s,
     }  # fmt: skip
+
+
+def test_a_loss_is_over_where_its_trim_is():
+    """Announced on, off, and on again, by what manoeuvres did, while it lasted; and one that ended."""
+    lasts = found(loss=0.3, rise=0.0)
+    spells = [
+        hexa_event(rotors=(1,), loss=(0.3,), interval=((0.2, 0.4),), onset_s=a, detected_s=a + 0.3, end_s=b)
+        for a, b in ((30.0, 36.0), (38.0, 41.0), (50.0, 62.0))
+    ]
+    (joined,) = slow.join(spells, lasts)
+    assert joined.onset_s == 30.0 and joined.detected_s == 30.3 and joined.end_s is None and "its end" in joined.reason
+    assert joined.interval[0][0] < 0.3 < joined.interval[0][1] and "grew_until_s" not in joined.extra
+    late = [*spells[:2], replace(spells[2], end_s=84.0)]
+    assert slow.join(late, lasts) == tuple(late)  # too little is left of the flight to tell
+    ended = lasts._replace(course=tuple((t, loss if t < 62.0 else 0.02) for t, loss in lasts.course))
+    assert slow.join(spells, ended) == tuple(spells)
 
 
 def test_the_answer_says_that_it_grew_and_how_much_it_is_now():

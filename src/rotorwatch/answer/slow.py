@@ -1,4 +1,4 @@
-"""Losses that grow slowly, found afterwards in the trim of a whole flight.
+"""Losses that grow slowly, and losses that are said to be over and last, found afterwards in the trim of a whole flight.
 
 The estimator announces steps. What grows over seconds or minutes it takes for a disturbance, and of a step within it only that step is
 announced. Over the whole flight a loss that grows shows in
@@ -17,6 +17,9 @@ The noise of each axis is a random walk and white noise of any size and ratio (`
 where z scatters more within a block of time. Manoeuvres show in z where gains are off, by GAIN or so: in proportion to commands of torque
 that come and go within SMOOTH blocks. Thrust, which battery and air move for all rotors alike, is left out. So a drift is a rotor's where
 it has the direction of that rotor, and is larger than drifts are.
+
+A step of one rotor is told by the estimator. Where it has told that the step is over, its end is held against the trim after it: a loss
+that is over leaves none.
 """
 
 from __future__ import annotations
@@ -32,7 +35,7 @@ from rotorwatch.default import events
 from rotorwatch.default.plant import USUAL_S
 from rotorwatch.default.residual_evidence import ResidualEvidence
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.front.losses import CLEAR, CREDIBLE, WITHIN_95
+from rotorwatch.front.losses import CLEAR, CREDIBLE, CURVE_SHARE, WITHIN_95
 from rotorwatch.maths.trend import DOUBT, LEAST, WHITE
 from rotorwatch.motion.ticks import JUDGE, Ticks
 
@@ -43,17 +46,22 @@ RISES = (0, 3, 5, 8, 12, 18, 27, 40)  # blocks from t0 to t1
 ONSETS = 20  # t0 that are tried for each, at most
 GROWS_S = 8.0  # less is a step, after which the biases take a while to settle
 SMOOTH, GAIN = 5, 0.2  # blocks; standard deviation of what gains are off by
+LATER = 3  # blocks after a loss, at least, that tell whether it is over
+LASTS = 0.5  # share of a loss that is still there when it is not over
 BEGUN = 0.95  # probability with which it had begun by the time that is told
 DRIFT = np.array([0.1, 0.1, 0.2])  # hover thrusts of one rotor, per mean thrust: roll, pitch, yaw
 AMOUNTS = np.concatenate([-np.geomspace(1.5, 0.01, 40), np.geomspace(0.01, 1.5, 40)])  # the same, of a drift
 RARE = 0.01  # how often a rotor loses slowly, to how often something else drifts
+CURVE_SD = 0.12  # of an expo, that makes a curve steeper by CURVE_SHARE
+LEAST_SHARE = 0.1  # of the mean thrust: a rotor that is commanded less shows nothing
 SIZES = np.linspace(0.03, 0.99, 33)
 
 
 class Growth(NamedTuple):
-    """A loss that has grown. rotors: who it may be of (from 1), the likeliest first; start_s: since when it has been more than `healthy` on
-    the scale of `wording`; end_s: when it ceased to grow, or was last seen; loss, interval: of each, at the end; odds: of the likeliest
-    rotor, to everything else; looked_s: the last time that was looked at."""
+    """A loss that has grown, or a step. rotors: who it may be of (from 1), the likeliest first; start_s: since when it has been more than
+    `healthy` on the scale of `wording`; end_s: when it ceased to grow, or was last seen; loss, interval: of each, at the end; odds: of the
+    likeliest rotor, to everything else; looked_s: the last time that was looked at; grew: it is no step; course: (time [s], loss of the
+    likeliest rotor) of each block."""
 
     rotors: tuple[int, ...]
     start_s: float
@@ -62,6 +70,13 @@ class Growth(NamedTuple):
     interval: tuple[tuple[float, float], ...]
     odds: float
     looked_s: float
+    grew: bool
+    course: tuple[tuple[float, float], ...]
+
+    def left(self, after_s: float) -> float:
+        """The loss that the trim shows after a time [s]; 0 where it shows too little."""
+        later = [loss for time, loss in self.course if time > after_s]
+        return float(np.median(later)) if len(later) >= LATER else 0.0
 
     @property
     def certain(self) -> bool:
@@ -112,23 +127,23 @@ def trim(out, table: Ticks, B: np.ndarray) -> Trim | None:
 
 
 def find(out, table: Ticks, B: np.ndarray) -> Growth | None:
-    """The loss of one rotor that has grown slowly by the end of a flight and is likelier than anything else; None where there is none."""
+    """The loss of one rotor that lasts to the end of a flight and is likelier than anything else; None where there is none."""
     seen = trim(out, table, B)
     if seen is None:
         return None
     starts, rises = _courses(seen.at)
     logs, nothing = _weighed(seen, B, starts, rises)
-    grows = rises * seen.length >= GROWS_S
-    if not grows.any():
-        return None
     rotor = _sum(logs, (0, 2))  # (n,), with the prior
     best = int(rotor.argmax())
     rest = np.logaddexp(nothing, _sum(np.delete(rotor, best), 0))
-    if rotor[best] < rest or _sum(logs[grows][:, best], (0, 1)) < _sum(logs[~grows][:, best], (0, 1)):
+    if rotor[best] < rest:
         return None
+    grows = rises * seen.length >= GROWS_S
+    grew = bool(grows.any() and _sum(logs[grows][:, best], (0, 1)) > _sum(logs[~grows][:, best], (0, 1)))
+    grows = grows if grew else ~grows
     who = np.flatnonzero(rotor > rotor[best] + np.log(CREDIBLE))
     who = who[np.argsort(-rotor[who])]
-    each = [_size(logs[grows][:, i], B) for i in who]
+    each = [_size(logs[grows][:, i], B, table.curve[1]) for i in who]
     if each[0][1] < dict(SCALE)["worn"]:
         return None
     weight = np.exp(_sum(logs[grows][:, best], 1) - rotor[best])
@@ -138,9 +153,11 @@ def find(out, table: Ticks, B: np.ndarray) -> Growth | None:
     )
     shows = start + (end - start) * min(dict(SCALE)["worn"] / each[0][0], 1.0)
     odds = float(np.exp(min(rotor[best] - rest, 50.0)))
+    before = seen.z[: max(1, int(np.searchsorted(seen.time, start)))].mean(axis=0)
+    course = (seen.z - before) @ B[:3, best] / ((B[:3, best] ** 2).sum() * np.maximum(seen.share[:, best], LEAST_SHARE))
     return Growth(
         tuple(int(i) + 1 for i in who), shows, min(end, float(seen.time[-1])), tuple(e[0] for e in each),
-        tuple(e[1:] for e in each), odds, float(seen.time[-1]),
+        tuple(e[1:] for e in each), odds, float(seen.time[-1]), grew, tuple(zip(seen.time.tolist(), course.tolist())),
     )  # fmt: skip
 
 
@@ -151,12 +168,14 @@ def _quantile(values: np.ndarray, weight: np.ndarray, share: float) -> float:
     return float(values[order][np.searchsorted(below, share * below[-1])])
 
 
-def _size(logs: np.ndarray, B: np.ndarray) -> tuple[float, float, float]:
-    """(loss, low, high) of one rotor, of its log-odds (courses, sizes)."""
+def _size(logs: np.ndarray, B: np.ndarray, curve_sd: float) -> tuple[float, float, float]:
+    """(loss, low, high) of one rotor, of its log-odds (courses, sizes). curve_sd: of the expo of the thrust curve, as in `Ticks`."""
     weight = np.exp(_sum(logs, 0) - logs.max())
     mean = float(weight @ SIZES / weight.sum())
     sd = np.sqrt(weight @ (SIZES - mean) ** 2 / weight.sum() + (0.5 * (SIZES[1] - SIZES[0])) ** 2)
-    half = WITHIN_95 * float(events.sd_of(np.array(mean), np.array(sd), B))
+    steeper = CURVE_SHARE * curve_sd / CURVE_SD * mean  # as in `losses.sd_of`, of a curve that nothing has told
+    open_ = steeper * (1.0 - mean) / (1.0 - mean + steeper)
+    half = WITHIN_95 * float(np.hypot(events.sd_of(np.array(mean), np.array(sd), B), open_))
     return mean, max(mean - half, 0.0), min(mean + half, 1.0)
 
 
@@ -231,26 +250,30 @@ def _sum(logs: np.ndarray, axis) -> np.ndarray:
 
 
 def join(losses: Sequence[Event], grown: Growth | None) -> tuple[Event, ...]:
-    """The losses of a flight with the one that has grown, if that is certain. One that was announced within it is its beginning: it grew.
-    Beside certain losses of other rotors, of which the trim is not clear, nothing is said."""
+    """The losses of a flight with the one that the trim shows, if that is certain. One that grew is an event; what was announced within it
+    is its beginning. Losses of its rotor that were said to be over, though the trim still shows them, are one that lasts. Beside certain
+    losses of other rotors, of which the trim is not clear, nothing is said."""
     if grown is None or not grown.certain:
         return tuple(losses)
     (rotor,), (size,), ((low, _),) = grown.rotors, grown.loss, grown.interval
     accusing = [e for e in losses if events.accuses(e)]
     own = [e for e in accusing if any(who == (rotor,) for who in explanations(e))]
-    if len(own) < len(accusing) or any(e.end_s is not None for e in own):
+    over = [e.end_s for e in own if e.end_s is not None]
+    stays = len(over) == len(own) > 0 and grown.left(max(over) + USUAL_S) > LASTS * size
+    step = any(not e.alternatives and low <= e.loss[0] for e in own)  # it is told already, as far as can be seen
+    if len(own) < len(accusing) or not (stays or (grown.grew and not over and not step)):
         return tuple(losses)
-    if any(not e.alternatives and low <= e.loss[0] for e in own):  # a step, as far as can be seen
-        return tuple(losses)
-    first = min((e.onset_s for e in own), default=np.inf)
+    first, grew = min((e.onset_s for e in own), default=np.inf), grown.grew and not stays
     reason = (
         f"the rotors came to be commanded a torque that the motion does not show, along the direction of rotor {rotor} and by more than "
         "wind or load drift"
     )
+    if stays:
+        reason = f"{own[0].reason}; what looked like its end left the trim as it was"
     event = Event(
-        LOSS, (rotor,), min(grown.start_s, first), min((e.detected_s for e in own), default=grown.looked_s), None, (size,),
-        grown.interval, grown.odds / (1.0 + grown.odds), (), reason,
-        {"live": bool(own), "loss_2s": [round(size, 4)], "grew_until_s": grown.end_s},
+        LOSS, (rotor,), min(grown.start_s, first) if grew else first, min((e.detected_s for e in own), default=grown.looked_s), None,
+        (size,), grown.interval, grown.odds / (1.0 + grown.odds), (), reason,
+        {"live": bool(own), "loss_2s": [round(size, 4)], **({"grew_until_s": grown.end_s} if grew else {})},
     )  # fmt: skip
     rest = [e for e in losses if e not in own and e.rotors != (rotor,)]
     return tuple(sorted((*rest, event), key=lambda e: e.detected_s))
@@ -258,6 +281,6 @@ def join(losses: Sequence[Event], grown: Growth | None) -> tuple[Event, ...]:
 
 def suspected(grown: Growth | None, found: Sequence[Event]) -> tuple[ResidualEvidence, ...]:
     """The rotors of a loss that seems to have grown, of a flight whose events tell of no loss."""
-    if grown is None or any(e.kind == LOSS for e in found):
+    if grown is None or not grown.grew or any(e.kind == LOSS for e in found):
         return ()
     return (ResidualEvidence(grown.rotors, grown.start_s, grown.looked_s, grown.interval),)
