@@ -153,8 +153,9 @@ class Flown:
                 made = way.call(self.mixer, "outputs", self.v, time, output, bool(valid[i]), 1.0, room[0])
                 way.call(self.deviations, "logged", self.v, time, output, thrust, bool(valid[i]), time > 2.0)
             else:
-                row, thrust, ok = way.reals(control[i].tolist()), way.reals([0.0] * 4), [False] * 4
-                ok = ok if isinstance(way, InPython) else (ctypes.c_bool * 4)()
+                rotors = outputs.shape[1]
+                row, thrust, ok = way.reals(control[i].tolist()), way.reals([0.0] * rotors), [False] * rotors
+                ok = ok if isinstance(way, InPython) else (ctypes.c_bool * rotors)()
                 made = 0
                 while way.call(self.mixer, "control", self.v, time, row, True, way.at(room, made)):
                     made += 1
@@ -171,8 +172,13 @@ class Flown:
         count = self.way.call(self.deviations, "found", self.v, room)
         return [(o.rotor, o.kind, o.onset, o.detected, o.end, o.demanded) for o in room[:count]]
 
+    def shared(self):
+        """Which of them left the mixer together with another output."""
+        room = self.way.new(Override, sizes.OVERRIDES)
+        return [o.shared for o in room[: self.way.call(self.deviations, "found", self.v, room)]]
+
     def everything(self):
-        return self.comparisons, self.rebuilt, plain(self.mixer), plain(self.deviations), self.found()
+        return self.comparisons, self.rebuilt, plain(self.mixer), plain(self.deviations), self.found(), self.shared()
 
 
 @pytest.fixture(scope="module")
@@ -311,6 +317,44 @@ def test_a_mixer_at_its_limits_that_gives_up_yaw_is_not_accused(fly):
     one_off = given_up @ FACTORS.T
     one_off[after(20.25) & ~after(24.0), 0] += 0.2
     assert fly(control, one_off).found()[0][:2] == (0, OVERRIDDEN)
+
+
+def test_a_mixer_beyond_its_limits_gives_up_yaw_that_it_grants_within_them(fly):
+    """PX4 gives up yaw and throttle for an output that is at full thrust, however small the yaw; what is left of yaw varies."""
+    control = demands()
+    there = after(20.0) & ~after(24.0)
+    control[there] = [-0.2, 0.2, 0.2, 0.8]
+    given_up = control.copy()
+    given_up[there, 2] = np.linspace(0.05, 0.15, there.sum())
+    outputs = given_up @ FACTORS.T
+    outputs -= np.maximum(outputs.max(axis=1, keepdims=True) - 1.0, 0.0)
+    flight = fly(control, outputs)
+    assert all(c["yaw_granted"] for c in flight.comparisons) and not flight.found()
+    off = (np.abs(numbers(flight.comparisons, "deviation")) > mixer.PART).any(axis=1)
+    assert off[there].all() and not off[~there].any()
+
+
+@pytest.mark.parametrize("asked", [-0.05, 0.1])
+def test_an_output_rests_at_its_minimum_where_the_mixer_asks_for_that(fly, asked):
+    """The controller takes one output to its end, against a vehicle that is held or whose motors are swapped; or it does not."""
+    control = demands()
+    there = after(20.0) & ~after(23.0)
+    control[there] = [0.3 - asked, asked - 0.3, 0.0, 0.3]
+    control[:, 3] += 0.02 * np.sin(7.0 * TIMES)
+    outputs = np.maximum(control @ FACTORS.T, 0.0)
+    outputs[there, 0] = 0.0
+    assert [o[:2] for o in fly(control, outputs, rests=True).found()] == ([] if asked < 0.0 else [(0, OFF)])
+
+
+def test_outputs_that_leave_the_mixer_at_the_same_samples_are_the_logs_doing(fly, monkeypatch):
+    monkeypatch.setitem(globals(), "FACTORS", np.vstack([FACTORS, FACTORS]))
+    control = demands()
+    outputs = control @ FACTORS.T
+    outputs[after(20.0) & ~after(22.0), 1] += 0.2
+    outputs[after(20.0) & ~after(22.0), 3] -= 0.2
+    outputs[after(25.0) & ~after(27.0), 2] += 0.2
+    flight = fly(control, outputs)
+    assert [o[0] for o in flight.found()] == [1, 3, 2] and flight.shared() == [True, True, False]
 
 
 @pytest.mark.parametrize("wanted", [(0.1, 0.1), (1.0, 1.6)])

@@ -86,6 +86,30 @@ def ends(ticks):
     return None if again is None else float(again.time[-1])
 
 
+@pytest.mark.parametrize("leaves", [0.0, 4.0, 7.0])
+def test_nothing_is_found_while_the_ground_carries_the_vehicle(leaves):
+    """Rotors that spool up against the ground, which takes what one of them lacks; and a take-off at once."""
+    ticks = flight()
+    ground = ticks.time < leaves
+    ticks.thrust[ground] = 0.6 + 0.01 * ticks.time[ground, None]
+    ticks.thrust[ground, 1] += 0.25
+    ticks.wrench[:] = ticks.thrust @ QUAD.T
+    again = hindsight.beginnings(ticks)
+    assert (
+        again is not None and again.time[0] == pytest.approx(max(leaves, ticks.time[0]), abs=1.1) and again.restart[0]
+    )
+    assert again.restart.sum() == 1 and found(ticks)[1] == ()
+
+
+def test_a_loss_of_a_vehicle_that_is_clear_of_the_ground_is_found_where_it_was():
+    ticks = flight(loss=0.4, onset=5.0)
+    ground = ticks.time < 3.0
+    ticks.thrust[ground] *= 0.7
+    ticks.wrench[:] = ticks.thrust @ QUAD.T
+    (event,) = found(ticks)[1]
+    assert event.rotors == (1,) and event.onset_s == pytest.approx(5.0, abs=0.3)
+
+
 def test_the_second_look_ends_at_an_upset_and_needs_the_blind_time():
     ticks = flight()
     assert ends(ticks) == pytest.approx(READY_S + hindsight.LOOK_S, abs=2 * DT)

@@ -172,6 +172,51 @@ def test_a_vehicle_that_follows_late_what_was_wanted_is_under_control():
     assert loss_of_control.find(flight, [(0.0, 10.0)]) == ()
 
 
+def attitudes(time, pitch, heading):
+    """(n, 4) of a vehicle that pitches, then turned to a heading, both in degrees."""
+    p, h = (np.radians(np.broadcast_to(x, time.shape)) / 2.0 for x in (pitch, heading))
+    return np.stack(
+        [np.cos(h) * np.cos(p), -np.sin(h) * np.sin(p), np.cos(h) * np.sin(p), np.sin(h) * np.cos(p)], axis=1
+    )
+
+
+def test_a_heading_that_is_wanted_suddenly_is_no_loss_of_control_and_hides_none():
+    """The vehicle leans, and turns for seconds to the heading that is wanted at once; half a minute later it tumbles."""
+    time = np.arange(0.0, 60.0, 0.1)
+    heading = np.clip((time - 15.0) * 20.0, 0.0, 130.0)
+    asked = attitudes(time, -25.0, np.where(time < 15.0, 0.0, 130.0))
+    flown = attitudes(time, np.where(time < 50.0, -25.0, 120.0), heading)
+    names = tuple("wxyz")
+    signals = {"attitude": Signal(time, flown, names, "1"), "attitude_wanted": Signal(time, asked, names, "1")}
+    (left,) = loss_of_control.find(Flight("model", "ArduPilot", signals, 60.0), [(0.0, 60.0)])
+    assert left.onset == pytest.approx(49.9, abs=0.11)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_what_a_vehicle_does_with_its_motors_stopped_is_not_its_rotors(seed):
+    """Outputs were swapped, and a failsafe stops the motors of the vehicle that tumbles."""
+    flight, truth = tumbling.fly("quad-x", "swapped", seed, 50.0, 8.0)
+    motors = flight["motors"]
+    stopped = np.where((motors.time > truth.lost_s + 0.3)[:, None], 1000.0, motors.values)
+    flight = replace(flight, signals={**flight.signals, "motors": replace(motors, values=stopped)})
+    (order,) = of(diagnose(flight, QUAD), "motor_order")
+    assert set(order.rotors) == set(truth.rotors)
+
+
+@pytest.mark.parametrize(("logged", "cause"), [("steady", "power"), ("doubles", False), ("none", None)])
+def test_a_voltage_that_sags_under_its_current_is_no_failure_of_power(logged, cause):
+    """The voltage falls by 20 % as control is lost at 20 s: while the current stays, while it doubles, or without one in the log."""
+    time = np.arange(0.0, 22.0, 0.2)
+    load = 10.0 + 2.0 * np.sin(time) + np.where(time > 20.0, 10.0, 0.0)
+    volts = 16.8 - 0.02 * time - 0.25 * load
+    if logged != "doubles":
+        volts, load = np.where(time > 20.0, volts.min(), volts), np.minimum(load, 12.0)
+    both = np.column_stack([volts, load])[:, : 1 if logged == "none" else 2]
+    battery = Signal(time, both, ("voltage", "current")[: both.shape[1]], "V,A")
+    flight = Flight("model", "ArduPilot", {"battery": battery}, 22.0)
+    assert find._fell(flight, 20.0) and find._sagged(flight, 20.0) is (True if cause == "power" else cause)
+
+
 def fallen(speed: float) -> Flight:
     """A vehicle that hovers, then comes down at so many m/s, believed level all the time, and stays where it struck."""
     flight = still(14.0)

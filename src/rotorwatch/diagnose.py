@@ -12,7 +12,7 @@ import numpy as np
 
 from rotorwatch.aerobatic import desync
 from rotorwatch.aerobatic import judge as aerobatic
-from rotorwatch.answer import common_mode, conclusion, health, picture, places, traces, unseen, wording
+from rotorwatch.answer import common_mode, conclusion, health, picture, places, slow, traces, unseen, wording
 from rotorwatch.base import discovery
 from rotorwatch.default import events, excitation_response, hindsight, hypotheses, residual_evidence
 from rotorwatch.default.announcement import threshold
@@ -84,10 +84,13 @@ class Estimated:
 
 @dataclass(frozen=True)
 class Found:
-    """events: all of them; faint: losses that accuse no rotor."""
+    """events: all of them; faint: losses that accuse no rotor; grown: a loss that grew slowly, or None; wrong: sentences on
+    outputs that the log has wrong up to its end."""
 
     events: tuple[Event, ...]
     faint: tuple[Event, ...]
+    grown: slow.Growth | None = None
+    wrong: tuple[str, ...] = ()
 
 
 class _Clock:
@@ -238,14 +241,18 @@ def _find(ready: Prepared, done: Estimated) -> Found:
         ready.assumptions += excitation_notes
     if done.last is not None and not ready.known:  # healthy flights would have told what happened in the blind time
         losses = hindsight.join(losses, hindsight.find(done.last, table, B))
+    grown = slow.find(done.out, table, B) if done.own and ready.hovers else None
+    losses = slow.join(losses, grown)
     overrides = events.overrides(flight, craft, air, table)
+    together = wording.together([e for e in overrides if events.shared(e)])
+    ready.warnings += [text for text, lasts in together if not lasts]
     faint = tuple(e for e in events.unexplained(losses, overrides) if not events.accuses(e))
     report = events.Report(B).add(table, air).finish(air).events(losses, overrides)
     found, notes = consistency.check(flight, craft, air, table, upset.events(ready.upsets, report, B.shape[1]))
     ready.warnings += notes
     if not ready.hovers:
         found = tuple(sorted((*found, *desync.find(flight, craft, air, found)), key=lambda e: e.detected_s))
-    return Found(found, faint)
+    return Found(found, faint, grown, tuple(text for text, lasts in together if lasts))
 
 
 @dataclass(frozen=True)
@@ -264,6 +271,7 @@ def _concluded(ready: Prepared, logged: Ticks, done: Estimated, found: Found) ->
     table, out, B = done.table, done.out, ready.vehicle.effectiveness()
     n, hyp = B.shape[1], hypotheses.make(B.shape[1])
     doubts = trust.contradictions(flight, craft, air, logged)
+    doubts += found.wrong
     doubts += () if ready.hovers else aerobatic.lacks(flight)
     trusted = not doubts and ready.hovers
     whole = _whole_flight(flight, craft, air) if trusted else None
@@ -279,7 +287,11 @@ def _concluded(ready: Prepared, logged: Ticks, done: Estimated, found: Found) ->
     if done.own and ready.hovers:
         seen_events = steps.doubted(found.events)
         if conclusion.main_event(found.events) is None:
-            spells = steps.suspected(found.events, float(table.time[-1])) or spells
+            spells = (
+                slow.suspected(found.grown, found.events)
+                or steps.suspected(found.events, float(table.time[-1]))
+                or spells
+            )
     hidden, hidden_pair = _hidden(out, table, steps, B)
     seen = conclusion.Evidence(
         seen_events, n, whole, hidden, hidden_pair, float(judged.sum() * table.dt), spells, places.names(craft.rotors), air,

@@ -166,8 +166,11 @@ def _concluded(seen: Evidence, verdict, reason, headline, main, doubts) -> Concl
 
 def main_event(events: Sequence[Event]) -> int | None:
     """Index of the event that matters: sure ones before ambiguous ones; the first that is large, or an override that came before it
-    (one that comes after is what a falling vehicle's controller does); of losses that began together the largest. Where no rotor is
-    accused, the loss of control."""
+    (one that comes after is what a falling vehicle's controller does); of losses that began together the largest. Motors in the wrong
+    order come before all, for nothing can follow its command then. Where no rotor is accused, the loss of control."""
+    swapped = next((i for i, e in enumerate(events) if e.kind == ORDER and not e.alternatives), None)
+    if swapped is not None:
+        return swapped
     order = [i for i, e in enumerate(events) if e.kind in ACCUSES]
     named = [events[i] if events[i].kind == LOSS else replace(events[i], kind=OVERRIDE) for i in order]
     place = FRONT.call(whole.most_important, packed(named), len(named))
@@ -234,8 +237,18 @@ def _what_happened(seen: Evidence, event: Event) -> str:
     if event.kind in (OVERRIDE, ORDER, DESYNC):
         return why
     until = _until(seen, event, ", until")
-    what = f"{rotors(event.rotors)} lost {losses(event)} of its effectiveness at {seconds(event.onset_s)}{until}"
+    what = f"{rotors(event.rotors)} lost {losses(event)} of its effectiveness {_when(event)}{until}"
     return f"{what}: {why}" if why else what
+
+
+def _when(loss: Event) -> str:
+    """'at 41.20 s'; 'little by little from 41.20 s to 65.00 s' of one that grew."""
+    grew = loss.extra.get("grew_until_s")
+    return (
+        f"at {seconds(loss.onset_s)}"
+        if grew is None
+        else f"little by little from {seconds(loss.onset_s)} to {seconds(grew)}"
+    )
 
 
 def _cleared(seen: Evidence, lost: Event) -> str:
@@ -360,7 +373,7 @@ def _matter(seen: Evidence, verdict: str, main: int | None) -> str:
         return f"The outputs of motors {listed([str(r) for r in event.rotors])} go to each other's motor."
     if event.kind == OVERRIDE:
         return f"The output of {who} stopped following the mixer at {seconds(event.onset_s)}{until}{again}."
-    return f"{sentence(who)} lost {losses(event)} of thrust at {seconds(event.onset_s)}{until}{cause(event)}{again}."
+    return f"{sentence(who)} lost {losses(event)} of thrust {_when(event)}{until}{cause(event)}{again}."
 
 
 # Rotors

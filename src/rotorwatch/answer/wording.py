@@ -91,6 +91,21 @@ def not_commanded(gaps: Sequence[Gap], n: int) -> list[str]:
     return said
 
 
+def together(outputs: Sequence[Event]) -> list[tuple[str, bool]]:
+    """Of outputs that left the mixer together: a sentence for each time, and whether it lasts up to the end."""
+    spans: dict[tuple[float, float | None], list[int]] = {}
+    for e in outputs:
+        spans.setdefault((e.onset_s, e.end_s), []).extend(e.rotors)
+    said = []
+    for (start, end), who in spans.items():
+        until = "to the end" if end is None else f"to {end:.1f} s"
+        what = f"the outputs of {rotors(sorted(who))} leave the mixer at the same sample, from {start:.1f} s {until}"
+        said.append(
+            (f"{sentence(what)}: the log has them wrong, and what it shows then accuses no rotor.", end is None)
+        )
+    return said
+
+
 def explanations(event: Event) -> tuple[tuple[int, ...], ...]:
     """All rotor sets that explain an event, its own first."""
     own = tuple(event.rotors)

@@ -193,6 +193,7 @@ class Report:
         outputs.fill(
             onset=np.array([o.onset_s for o in overridden]), detected=np.array([o.detected_s for o in overridden]),
             end=np.array([_end(o) for o in overridden]), rotor=np.array([o.rotors[0] - 1 for o in overridden], int),
+            shared=np.array([shared(o) for o in overridden], bool),
         )  # fmt: skip
         arguments = packed(lost), len(lost), outputs, len(overridden)
         rows = rows.cut(FRONT.call(whole.events, self._state, self.craft, *arguments, rows))
@@ -214,13 +215,28 @@ def overrides(flight: Flight, vehicle: Vehicle, air, table: Ticks) -> tuple[Even
     what they can."""
     found = tuple(map(overridden, deviating(flight, vehicle, air)))
     known = Report(vehicle.effectiveness()).add(table, air).finish(air).events((), found)
-    return tuple(e for e in known if e.kind == KINDS[definition.OUTPUT_OVERRIDE])
+    return tuple(e for e in (*known, *filter(shared, found)) if e.kind == KINDS[definition.OUTPUT_OVERRIDE])
+
+
+def shared(event: Event) -> bool:
+    """Did several outputs leave the mixer together? Then the log is wrong, and no rotor: that is no event, and explains losses."""
+    return bool(event.extra.get("shared"))
 
 
 def overridden(one: Override) -> Event:
     """An output that does not follow the mixer, as an event."""
     times = one.onset, one.detected, one.end
-    return Event("output_override", (one.rotor,), *times, (), (), 1.0, (), one.reason, {"override": one.kind})
+    return Event(
+        "output_override",
+        (one.rotor,),
+        *times,
+        (),
+        (),
+        1.0,
+        (),
+        one.reason,
+        {"override": one.kind, **({"shared": True} if one.shared else {})},
+    )
 
 
 def _contact(one: Contact) -> Event:

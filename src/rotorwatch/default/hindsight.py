@@ -4,9 +4,10 @@ The estimator learns a vehicle's trim, gains and noise in the blind time and so 
 flight gains and noise are known. The same estimator then runs again over the first seconds of each hop, judging from the end of the first
 second in the air on, with the biases open as for any multirotor. Nothing else differs: a loss announced there is an event like any.
 
-Three conditions are physics. What a knock broke looks like any loss, and motion after it is the knock's: the second look ends there, and
-where the vehicle is upset. A loss lasts: one that is over again before the second look ends was a gust, or the ground that was left. And a
-hop that hovers at less than half of the command of another stands on the ground.
+Four conditions are physics. What a knock broke looks like any loss, and motion after it is the knock's: the second look ends there, and
+where the vehicle is upset. A loss lasts: one that is over again before the second look ends was a gust, or the ground that was left. A hop
+that hovers at less than half of the command of another stands on the ground. And while the rotors give clearly less than what carries the
+vehicle later, the ground carries the rest, and takes torques as well: the second look begins when they carry all of it.
 """
 
 from __future__ import annotations
@@ -26,6 +27,10 @@ from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN, Ticks
 LOOK_S = 7.0  # beyond the blind time: a loss just before its end is announced in it, and has lasted
 REST_S = 20.0  # of flight after the blind time, from which gains and noise are learned without it
 LEAST = 0.05  # of a loss, by its interval: after few seconds the trim of a healthy rotor is not known better
+CARRIES, CARRIES_S = (
+    0.85,
+    1.0,
+)  # share of the thrust per load of later flight, in the mean of so many seconds: ground effect saves less
 STANDS = 0.5  # of the hover command of another hop: so much weight is not dropped in flight
 
 
@@ -45,16 +50,32 @@ def learned(carry, B: np.ndarray) -> dict:
 
 
 def beginnings(ticks: Ticks) -> Ticks | None:
-    """The first ticks of each hop, all of them judged: its blind time and LOOK_S more, up to a knock or an upset. A hop that has no tick
-    after its blind time is left out: nothing shows that what happened in it lasted. None when there is none."""
+    """The first ticks of each hop from when it is clear of the ground, all of them judged: its blind time and LOOK_S more, up to a knock or
+    an upset. A hop that has no tick after its blind time is left out: nothing shows that what happened in it lasted. None when there is
+    none."""
     stops = ticks.upset if ticks.contact is None else ticks.upset | ticks.contact
-    keep = np.zeros(len(ticks.time), bool)
+    keep, restart = np.zeros(len(ticks.time), bool), np.zeros(len(ticks.time), bool)
     for flying, blind in _hops(ticks):
-        look = flying[ticks.time[flying] < ticks.time[flying[blind]] + LOOK_S]
+        clear = _clear(ticks, flying, blind)
+        look = flying[clear:][ticks.time[flying[clear:]] < ticks.time[flying[blind]] + LOOK_S]
         stopped = np.flatnonzero(stops[look])
-        if not stopped.size or stopped[0] > blind:
+        if clear < blind and (not stopped.size or stopped[0] > blind - clear):
             keep[look[: stopped[0]] if stopped.size else look] = True
-    return _cut(ticks, keep, ticks.restart, JUDGE)
+            restart[look[0]] = True
+    return _cut(ticks, keep, restart, JUDGE)
+
+
+def _clear(ticks: Ticks, flying: np.ndarray, blind: int) -> int:
+    """From which of the ticks `flying` of a hop on its rotors carry the vehicle; `blind`: how many are blind."""
+    carried = ticks.thrust[flying].sum(axis=1) / np.maximum(ticks.load[flying], 0.1)
+    known = ticks.valid[flying, 3]
+    if not known[blind:].any():
+        return 0
+    carried = np.where(known, carried, np.median(carried[blind:][known[blind:]]))
+    few = max(1, round(CARRIES_S / ticks.dt))
+    mean = np.convolve(carried, np.ones(few) / few, "valid")
+    enough = np.flatnonzero(mean >= CARRIES * np.median(carried[blind:]))
+    return int(enough[0]) if enough.size else blind
 
 
 def rest(ticks: Ticks) -> Ticks | None:

@@ -63,6 +63,9 @@ class Override(Struct):
     rotor: int = 0  # from 0
     kind: int = OVERRIDDEN  # STUCK, OFF or OVERRIDDEN
     way: int = BY_MIXER  # how it was found
+    shared: bool = (
+        False  # another output left the mixer and came back at the same samples: the log is wrong, not a rotor
+    )
 
 
 class Rest(Struct):
@@ -101,6 +104,7 @@ class Deviations(Struct):
     still = array(Rest, ROTORS)  # of the outputs compared, but for rounding
     rest = array(Rest, ROTORS)  # the same, exactly
     alone = array(Rest, ROTORS)  # of all outputs
+    asked = array(TIME, ROTORS)  # when the mixer last asked something of each, as far as it was compared; 0 before
     last: Time = -LASTS  # time of the last comparison
     last_logged: Time = -LASTS  # ... and of the last outputs
     step: Real = inf  # the smallest change of an output so far: their resolution
@@ -150,6 +154,8 @@ class Deviations(Struct):
             self.last = max(self.last, c.time)
             return
         for k in range(v.rotors):
+            if c.demanded[k] > PART * c.top:
+                self.asked[k] = c.time
             ordered[k] = c.thrust[k]
             mean_demanded += c.demanded[k]
             mean_thrust += c.thrust[k]
@@ -267,12 +273,12 @@ class Deviations(Struct):
                     between = between and FLYING < thrust[j] < 0.99
             interior = low + 0.02 * span < output[k] < low + 0.98 * span
             # Below the minimum: no mixer demands that. At the minimum, where outputs have nothing below it: no quad flies on with a rotor
-            # at rest and the others off their limits (with more rotors, one opposite a dead one rests).
+            # at rest and the others off their limits (with more rotors, one opposite a dead one rests), unless the mixer asked for that.
             flown = inside and _median(others, count) > 2.0 * FLYING
             above = output[k] > low + 0.01 * span or not inside
             below = flown and output[k] < low - 0.01 * span
             idle = v.rotors == 4 and v.rests_at_minimum and flown and between and output[k] <= low + 0.002 * span
-            idle = idle and time - still[k] > 1.0
+            idle = idle and time - still[k] > 1.0 and not self.asked[k] < still[k] < self.last
             stuck = resting[k] and interior and moving
             again = time - still[k] < 0.2 or not inside
             at = self._follow(NOT_MOVING, k, time, stuck, again, output[k], 0.0, 1)
@@ -323,6 +329,7 @@ class Deviations(Struct):
         for i in range(distinct):
             if not self._balances(v, out[i]):
                 copy(out[reported], out[i])
+                out[reported].shared = self._together(out[i])
                 reported += 1
         return reported
 
@@ -335,6 +342,15 @@ class Deviations(Struct):
             roll = v.effectiveness[ROLL][o.rotor] + v.effectiveness[ROLL][one.rotor]
             pitch = v.effectiveness[PITCH][o.rotor] + v.effectiveness[PITCH][one.rotor]
             if o.onset < one.onset < o.end and abs(roll) < 0.1 and abs(pitch) < 0.1:
+                return True
+        return False
+
+    def _together(self, one: Override) -> bool:
+        """Did another output leave the mixer and come back to it at the same samples? One rotor's output fails alone."""
+        for i in range(self.overrides_count):
+            o = self.overrides[i]
+            apart = o.onset < one.onset or one.onset < o.onset or o.end < one.end or one.end < o.end
+            if o.rotor != one.rotor and not apart and o.way == BY_MIXER and one.way == BY_MIXER:
                 return True
         return False
 
@@ -470,7 +486,9 @@ def _single(rotors: int, c: Comparison, interior: Flags, deviation: Reals, known
         for k in range(rotors):
             known[k] = False
         return
-    if c.yaw_granted:
+    if (
+        c.yaw_granted and least >= 0.0 and most <= c.top
+    ):  # beyond its limits any mixer may give up what it grants within them
         return
     for i in range(1, _SHARES_OF_YAW):
         _against_others(rotors, c, real(i) * 0.1, interior, other, agreed)

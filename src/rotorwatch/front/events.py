@@ -208,7 +208,7 @@ class Report(Struct):
                 count = _put(out, count, one)
         for j in range(override_count):
             o = overrides[j]
-            if not self._falls(o.onset):
+            if not self._falls(o.onset) and not o.shared:
                 reset(one)
                 one.onset = o.onset
                 one.detected = o.detected

@@ -186,23 +186,26 @@ def mix(
             done.samples += 1
 
 
-def deviate(d: Deviations, v: Vehicle, n: int, checks: list[Comparison], aloft: Flags) -> None:
-    """n comparisons; aloft (n,): the vehicle flew."""
-    for i in range(n):
-        d.compared(v, checks[i], aloft[i])
-
-
-def log(
-    d: Deviations, v: Vehicle, n: int, time: Times, output: Reals, thrust: Reals, valid: Flags, aloft: Flags
-) -> None:
-    """n samples of outputs as they were logged, and their thrusts (n times rotors); valid, aloft (n,): all are known; the vehicle flew."""
+def deviate(
+    d: Deviations, v: Vehicle, m: int, checks: list[Comparison], checked_aloft: Flags, n: int, time: Times, output: Reals, thrust: Reals,
+    valid: Flags, aloft: Flags,
+) -> None:  # fmt: skip
+    """m comparisons, and n samples of outputs as they were logged with their thrusts (n times rotors), in the order in which they became
+    known; valid (n,): all outputs are known; checked_aloft (m,), aloft (n,): the vehicle flew."""
     u = local(REAL, ROTORS)
     t = local(REAL, ROTORS)
+    done = 0
     for i in range(n):
+        while done < m and checks[done].known <= time[i]:
+            d.compared(v, checks[done], checked_aloft[done])
+            done += 1
         for k in range(v.rotors):
             u[k] = output[i * v.rotors + k]
             t[k] = thrust[i * v.rotors + k]
         d.logged(v, time[i], u, t, valid[i], aloft[i])
+    while done < m:
+        d.compared(v, checks[done], checked_aloft[done])
+        done += 1
 
 
 def feed(

@@ -13,7 +13,7 @@ from rotorwatch.compiling.running import Rows
 from rotorwatch.compiling.structs import LASTS
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.front import deviations, whole
+from rotorwatch.front import deviations, mixer, whole
 from rotorwatch.front.definition import FRONT
 from rotorwatch.front.sizes import OVERRIDES
 from rotorwatch.motion import allocation
@@ -28,7 +28,8 @@ class Override:
     """An output that no longer follows the mixer.
 
     rotor: 1-based. kind: stuck, off or overridden. Times in s, end None while it lasts. reason: one sentence. demanded: share of
-    full thrust that the mixer demanded when it was noticed; None where the log does not show that.
+    full thrust that the mixer demanded when it was noticed; None where the log does not show that. shared: another output left the mixer
+    and came back at the same samples, so that the log is wrong, and no rotor.
     """
 
     rotor: int
@@ -38,6 +39,7 @@ class Override:
     end: float | None
     reason: str
     demanded: float | None = None
+    shared: bool = False
 
 
 def overrides(flight: Flight, vehicle: Vehicle, airborne: Spans) -> tuple[Override, ...]:
@@ -52,14 +54,17 @@ def overrides(flight: Flight, vehicle: Vehicle, airborne: Spans) -> tuple[Overri
     if not flight.has("motors"):
         return ()
     state, craft, motors = FRONT.new(deviations.Deviations), allocation.laid_out(vehicle, flight), flight["motors"]
+    checks, checked = FRONT.array(mixer.Comparison, 1), np.empty(0)
     if flight.has("control"):
         check = allocation.compare(flight, vehicle)
         if len(check.time) >= LEAST:
-            FRONT.call(whole.deviate, state, craft, len(check.time), check.rows, within(check.time, airborne))
+            checks, checked = check.rows, check.time
     thrust = np.ascontiguousarray(allocation.motor_thrusts(flight, vehicle).values)
     logged = np.ascontiguousarray(motors.values, float)
     known = np.asarray(motors.valid).all(axis=1)
-    FRONT.call(whole.log, state, craft, len(motors), motors.time, logged, thrust, known, within(motors.time, airborne))
+    compared = len(checked), checks, within(checked, airborne)
+    outputs = len(motors), motors.time, logged, thrust, known, within(motors.time, airborne)
+    FRONT.call(whole.deviate, state, craft, *compared, *outputs)
     return found(state, craft)
 
 
@@ -71,13 +76,14 @@ def found(state: Rows, craft: Rows) -> tuple[Override, ...]:
 
 def in_words(rows: Rows) -> tuple[Override, ...]:
     """Overrides as people read them."""
-    names = ("rotor", "kind", "onset", "detected", "end", "output", "demanded", "got")
+    names = ("rotor", "kind", "onset", "detected", "end", "output", "demanded", "got", "shared")
     return tuple(_in_words(*values) for values in zip(*(rows[name].tolist() for name in names)))
 
 
 def _in_words(
-    rotor: int, number: int, onset: float, detected: float, end: float, output: float, demanded: float, got: float
-) -> Override:
+    rotor: int, number: int, onset: float, detected: float, end: float, output: float, demanded: float, got: float,
+    shared: bool,
+) -> Override:  # fmt: skip
     kind, named = KINDS[number], f"output {rotor + 1}"
     if demanded >= 0.0:
         reason = (
@@ -86,4 +92,4 @@ def _in_words(
     else:
         reason = f"{named} {'did not move' if kind == 'stuck' else 'was off'} at {output:.4g} while all others flew on"
     known_demand = demanded if demanded >= 0.0 else None
-    return Override(rotor + 1, kind, onset, detected, None if end >= LASTS else end, reason, known_demand)
+    return Override(rotor + 1, kind, onset, detected, None if end >= LASTS else end, reason, known_demand, shared)

@@ -45,6 +45,9 @@ TOUCHED_S = 1.0  # from a blow in flight to the loss of control that follows fro
 SAME_S = 1.5  # a loss announced in flight so near to the onset is the one that is judged here
 DISARMED_S = 1.0
 SAG = 0.85  # share of the usual voltage below which the power fails
+BATTERY_S = 60.0  # of flight before, from which it is learned how the voltage follows the current
+UNSAID = "the battery's voltage fell, and no current is logged that would tell whether that was cause or effect"
+RESISTANCE = 0.05, 0.05  # share of the voltage that the usual current costs, and by how much batteries differ
 LIMIT, LIMIT_SHARE = 0.97, 0.5  # of full thrust; of the last second before the onset in which an output was there
 LEVEL_DEG = 40.0
 TRIM = 0.1  # arm lengths: healthy vehicles are commanded less of roll and pitch in calm flight (healthy/population.py, 95 %)
@@ -143,8 +146,9 @@ def _cause(
     blow = left.impact is not None and left.impact - onset <= HIT_S and not loss_of_control.low(flight, onset, start)
     if struck or blow:
         return "knock", ("something outside pushed the vehicle harder than its rotors can",)
-    if _sagged(flight, onset):
-        return "power", ("the battery's voltage collapsed",)
+    sagged = _sagged(flight, onset)
+    if sagged:
+        return "power", ("the battery's voltage collapsed, by more than its current explains",)
     early = (window.time > onset - 1.0) & (window.time <= onset)
     limit = (window.thrust[early] > LIMIT * window.full).any(axis=1)
     if best.kind == "healthy" and p > SURE and early.any() and limit.mean() > LIMIT_SHARE:
@@ -160,7 +164,8 @@ def _cause(
         return "controller", (
             "all rotors turned the vehicle as commanded, so the commands were wrong: from a sensor, an estimate or the pilot",
         )
-    return "unknown", ()
+    unsaid = sagged is None and _fell(flight, onset)
+    return "unknown", (UNSAID,) if unsaid else ()
 
 
 def _struck(window: Window, B: np.ndarray, onset: float) -> bool:
@@ -178,8 +183,8 @@ def _names(found, probability) -> str:
     return "rotor " + " or ".join(str(r) for r in who)
 
 
-def _sagged(flight: Flight, onset: float) -> bool | None:
-    """Did the battery's voltage collapse as control was lost? None where it is not known."""
+def _fell(flight: Flight, onset: float) -> bool | None:
+    """Did the battery's voltage fall far as control was lost? None where it is not known."""
     if not flight.has("battery"):
         return None
     battery = flight["battery"]
@@ -188,6 +193,37 @@ def _sagged(flight: Flight, onset: float) -> bool | None:
     if np.isfinite(usual).sum() < 3 or not np.isfinite(now).any() or np.nanmedian(usual) <= 0.0:
         return None
     return float(np.nanmin(now)) < SAG * float(np.nanmedian(usual))
+
+
+def _sagged(flight: Flight, onset: float) -> bool | None:
+    """Did it fall by more than its current explains? None where that is not known.
+
+    Before, the voltage is E + D t - R I: a controller that fights for a dead rotor draws twice the current, and the voltage sags by that.
+    """
+    fell = _fell(flight, onset)
+    if not fell:
+        return fell
+    battery = flight["battery"]
+    time, volts = battery.time, np.where(battery.valid[:, 0], battery.values[:, 0], np.nan)
+    before, now = time < onset - 1.0, np.abs(time - onset) < 1.5
+    usual = float(np.nanmedian(volts[before]))
+    logged = battery.values.shape[1] > 1 and battery.valid[:, 1]
+    amps = np.where(logged, battery.values[:, -1], np.nan)
+    known = np.isfinite(volts) & np.isfinite(amps)
+    if (known & before).sum() < 3 or not (known & now).any() or not np.nanmedian(amps[before]) > 0.0:
+        return None
+    load = amps / np.nanmedian(amps[before])
+    X = np.column_stack([np.ones(time.size), (time - onset) / BATTERY_S, -load])
+    lately = known & before & (time > onset - BATTERY_S)
+    lately = lately if lately.sum() > 2 else known & before
+    noise = max(float(np.diff(volts[lately]).std()), 0.002 * usual)
+    # How much the voltage falls with the current is open where the current has hardly changed: by RESISTANCE of the usual, or so.
+    mean, sd = np.array([usual, 0.0, RESISTANCE[0] * usual]), np.array([usual, usual, RESISTANCE[1] * usual])
+    P = np.linalg.inv(X[lately].T @ X[lately] / noise**2 + np.diag(sd**-2.0))
+    fit = P @ (X[lately].T @ volts[lately] / noise**2 + mean / sd**2)
+    x = X[known & now]
+    beyond = volts[known & now] - x @ fit + 2.0 * np.sqrt(np.einsum("ij,jk,ik->i", x, P, x) + noise**2)
+    return bool(beyond.min() < (SAG - 1.0) * usual)
 
 
 def _level(flight: Flight, left: LossOfControl, onset: float) -> bool:
@@ -439,6 +475,9 @@ def window_of(
     inside = np.flatnonzero(
         (seen.time >= first) & (seen.time <= last + (how.lag_s if ground is None else 0.0)) & seen.some
     )[:MOST_TICKS]
+    commanded = np.flatnonzero(seen.share[inside].max(axis=1, initial=0.0) > loss_of_control.REST)
+    if commanded.size and not left.falls:  # with its motors stopped, a vehicle tumbles on as it likes
+        inside = inside[: commanded[-1] + 2]
     if inside.size < 3:
         return None
     T = seen.share / hover

@@ -22,6 +22,10 @@ TUMBLED_DEG = 100.0  # two samples so far from all that was wanted: it tumbled, 
 SPINS = 20.0  # rad/s of yaw, faster than anybody asks for
 ANSWERS_S = 0.6  # within which a vehicle under control has the attitude, or the rates, that were wanted
 BACK = np.linspace(0.0, ANSWERS_S, 7)
+TURNS_S, TURNED_RAD = (
+    10.0,
+    0.2,
+)  # within which a vehicle turns to a heading that is wanted; how exactly headings are held
 RATE_ERROR = 6.0  # rad/s of roll or pitch between the wanted and the actual rate
 OVER_DEG = 100.0  # of tilt, which nobody has asked for where nothing says what was wanted
 BACK_DEG, BACK_S = 15.0, 2.0  # closer than that for so long: control has come back
@@ -64,6 +68,14 @@ def thrust_axis(q: np.ndarray) -> np.ndarray:
     return np.stack([2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)], axis=1)
 
 
+def without_heading(q: np.ndarray) -> np.ndarray:
+    """Quaternions (n, 4) body to world without their turn about the world's vertical axis: the tilt as seen from the vehicle."""
+    w, x, y, z = q.T
+    c, s = w, -z  # the turn back, but for its length
+    size = np.maximum(np.hypot(c, s), 1e-9)
+    return np.stack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w], axis=1) / size[:, None]
+
+
 def held(signal: Signal, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The last sample of all columns before each time, and how old it is [s]; infinitely old where there is none."""
     ok = signal.valid.all(axis=1)
@@ -83,10 +95,11 @@ def attitude_error(flight: Flight) -> tuple[np.ndarray, np.ndarray, str]:
     if flight.has("attitude"):
         attitude = flight["attitude"]
         ok = attitude.valid.all(axis=1)
-        time, axis = attitude.time[ok], thrust_axis(attitude.values[ok])
+        time, q = attitude.time[ok], attitude.values[ok]
+        axis = thrust_axis(q)
         angle, words = np.full(time.size, np.nan), "tilted {:.0f} degrees away from what was wanted"
         if flight.has("attitude_wanted"):
-            angle = _angle(flight["attitude_wanted"], time, axis)
+            angle = _angle(flight["attitude_wanted"], time, q)
         if flight.has("rates_wanted"):
             both = np.isnan(angle) & _known_rates(flight, time)
             rate = np.minimum(_rate_error(flight, time) / RATE_ERROR * ERROR_DEG, 90.0)
@@ -98,15 +111,39 @@ def attitude_error(flight: Flight) -> tuple[np.ndarray, np.ndarray, str]:
     return np.empty(0), np.empty(0), ""
 
 
-def _angle(wanted: Signal, time: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """(m,) degrees between the direction of thrust (m, 3) and the nearest of those wanted in the last ANSWERS_S: a vehicle that follows
-    what it is asked follows it late. NaN where nothing fresh was wanted."""
+def _angle(wanted: Signal, time: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """(m,) degrees between the direction of thrust, of attitudes (m, 4), and the nearest of those wanted in the last ANSWERS_S: a vehicle
+    that follows what it is asked follows it late. NaN where nothing fresh was wanted. A vehicle on its way to another heading that is
+    wanted leans as asked, seen from itself, while that points elsewhere in the world: there the nearer of the two directions counts."""
     least, fresh = np.full(time.size, -1.0), held(wanted, time)[1] <= FRESH_S
+    turns = _turns(wanted, time, q)
     for back in BACK:
         was, age = held(wanted, time - back)
-        cosine = (axis * thrust_axis(was)).sum(axis=1)
+        cosine = (thrust_axis(q) * thrust_axis(was)).sum(axis=1)
+        own = (thrust_axis(without_heading(q)) * thrust_axis(without_heading(was))).sum(axis=1)
+        cosine = np.where(turns, np.maximum(cosine, own), cosine)
         least = np.where(age <= FRESH_S, np.maximum(least, cosine), least)
     return np.where(fresh, np.degrees(np.arccos(np.clip(least, -1.0, 1.0))), np.nan)
+
+
+def heading(q: np.ndarray) -> np.ndarray:
+    """(n,) rad by which quaternions (n, 4) body to world turn about the world's vertical axis."""
+    return 2.0 * np.arctan2(q[:, 3], q[:, 0])
+
+
+def _turns(wanted: Signal, time: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """(m,) bool: the heading of attitudes (m, 4) is one of those wanted in the last TURNS_S, or on the way between them."""
+    ok = wanted.valid.all(axis=1)
+    at, asked = wanted.time[ok], np.unwrap(heading(wanted.values[ok]))
+    if not at.size:
+        return np.zeros(time.size, bool)
+
+    def then(when: np.ndarray) -> np.ndarray:
+        return asked[np.maximum(np.searchsorted(at, when, side="right") - 1, 0)]
+
+    apart = (heading(q) - then(time) + np.pi) % (2.0 * np.pi) - np.pi
+    before = [then(time - back) - then(time) for back in np.arange(0.0, TURNS_S + 0.1, 0.25)]
+    return (apart > np.min(before, axis=0) - TURNED_RAD) & (apart < np.max(before, axis=0) + TURNED_RAD)
 
 
 def _known_rates(flight: Flight, time: np.ndarray) -> np.ndarray:
