@@ -24,15 +24,15 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.aerobatic.innovation import DOF, LAGS, Channel, channels
-from rotorwatch.answer.wording import desynced
+from rotorwatch.answer.wording import said
 from rotorwatch.default.announcement import FALSE_ALARM_PERIOD_S
 from rotorwatch.default.hypotheses import CLEAR
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.kinds import DESYNC, LOST
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion.allocation import Spans
 
-DESYNC, LOSS, LOST = "desync", "loss_of_effectiveness", "loss_of_control"
 SHORTEST_S, LONGEST_S = 0.025, 0.65  # 30 to 500 ms, as well as ends are known
 LENGTHS_S = 0.03 * 10.0 ** (0.1 * np.arange(15))  # 30 to 750 ms: what lasts longer is none, and must be seen to
 SCREEN = 9.0  # nats, from which the matched filter's peaks are looked at
@@ -83,7 +83,7 @@ def find(flight: Flight, vehicle: Vehicle, air: Spans, known: tuple[Event, ...] 
     if not seen:
         return ()
     lost = min((e.onset_s for e in known if e.kind == LOST), default=np.inf) - CRASH_S
-    weak = [e for e in known if e.kind == LOSS and e.loss and max(e.loss) > LEAST_SIZE]
+    weak = [e for e in known if e.means.weakens and e.loss and max(e.loss) > LEAST_SIZE]
     found = [
         d for d in search(seen)
         if d.end < lost and not any(d.rotor + 1 in e.rotors and e.onset_s - CRASH_S < d.start < (e.end_s or np.inf) for e in weak)
@@ -112,7 +112,8 @@ def _event(who: tuple[int, ...], group: list[Desync], rpm: bool) -> Event:
     others = tuple((r + 1,) for r in who if r != rotor)
     event = Event(DESYNC, (rotor + 1,), first.start, first.end, last.end, (), (), p, others, "", extra)
     fell = ", and its speed fell" if rpm else ""
-    return replace(event, reason=f"{desynced(event)}: it was commanded up and gave nothing for {_span(length)}{fell}")
+    gave = f": it was commanded up and gave nothing for {_span(length)}{fell}"
+    return replace(event, reason=said("{motors} desynced {times} at {at}", event) + gave)
 
 
 def _span(length: list[float]) -> str:

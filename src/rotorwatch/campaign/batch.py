@@ -26,6 +26,7 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import limits
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.kinds import LOST
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion.airborne import airborne
 from rotorwatch.motion.ticks import GROUND, LAG_S, READY_S, Ticks, observe
@@ -188,7 +189,7 @@ def all_events(f: Flown, losses: Sequence[Event], upsets: Sequence[upset.Judged]
     belong to the default diagnosis, show of rotors."""
     B = f.vehicle.effectiveness()
     found = upset.events(upsets, events.Report(B).events(losses, f.overrides), len(f.vehicle.rotors))
-    return tuple(e for e in found if e.kind != "loss_of_control")
+    return tuple(e for e in found if e.kind != LOST)
 
 
 def _table(table: Ticks, B: np.ndarray, rows: slice = slice(None)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

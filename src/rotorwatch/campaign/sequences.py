@@ -213,7 +213,7 @@ def judged(plan: Sequences, flown: Sequence[batch.Flown]) -> list[dict[str, Any]
     rows = []
     for f, out in zip(flown, batch.by_default(flown, B, WIDTH)):
         losses = events.read(out.kept, f.ticks, B)
-        accusing = [e for e in events.Report(B).events(losses, f.overrides) if e.kind == "loss_of_effectiveness"]
+        accusing = [e for e in events.Report(B).events(losses, f.overrides) if e.means.weakens]
         induced = induced_velocity(f.scenario)
         for s in states(f, accusing):
             rows.append(

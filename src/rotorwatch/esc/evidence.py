@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from rotorwatch.answer.wording import CAUSES, rotors
 from rotorwatch.esc import ratios
 from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.kinds import LOSS
 
 
 def entry(
@@ -46,5 +47,5 @@ def loss(
     about = entry(rotor, cause, causes, parts, thrust_of_speed, current_ratio)
     extra = {"cause": cause, "causes": causes, "esc": [about]}
     return Event(
-        "loss_of_effectiveness", (rotor,), onset_s, detected_s, None, (size[0],), ((size[1], size[2]),), causes[cause], (), reason, extra
+        LOSS, (rotor,), onset_s, detected_s, None, (size[0],), ((size[1], size[2]),), causes[cause], (), reason, extra
     )  # fmt: skip

@@ -31,7 +31,7 @@ LEAST_LOSS, LEAST_UNLOADED = 0.95, 0.6
 
 
 def find(bins: Binned, events: Sequence[Event], air, upset: np.ndarray) -> tuple[tuple[Event, ...], list[str]]:
-    """(events loss_of_effectiveness of rotors that stand or have no load, warnings). upset (T,) bool: bins in which the vehicle tumbles."""
+    """(losses of rotors that stand or have no load, warnings). upset (T,) bool: bins in which the vehicle tumbles."""
     out, warnings = [], []
     for start, end in air:
         inside = (bins.report_time > start) & (bins.report_time < end)
@@ -95,9 +95,7 @@ def _usual(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
 
 
 def _explained(events: Sequence[Event], rotor: int, onset: float) -> bool:
-    kinds = ("loss_of_effectiveness", "output_override")
-    named = [e for e in events if e.kind in kinds and any(rotor in who for who in (e.rotors, *e.alternatives))]
-    return any(e.onset_s < onset + SAME_S for e in named)
+    return any(e.means.lasting_fault and rotor in e.suspects and e.onset_s < onset + SAME_S for e in events)
 
 
 def _stands(rotor: int, onset: float, known: float) -> Event:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rotorwatch.answer.conclusion import ACCUSES, MOTOR_NOTICES
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
@@ -59,4 +58,4 @@ class Trust:
     def believed(self, events: Sequence[Event]) -> tuple[Event, ...]:
         """The events without those that rest on outputs which cannot be what flies."""
         until = max(self._until, self._landed)
-        return tuple(e for e in events if e.onset_s > until or e.kind not in (*ACCUSES, *MOTOR_NOTICES))
+        return tuple(e for e in events if e.onset_s > until or not e.means.by_outputs)
