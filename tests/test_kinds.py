@@ -164,6 +164,7 @@ def test_some_part_of_the_judging_makes_each_kind():
     rooms = ("default", "front", "upset", "esc", "aerobatic")
     trees = [ast.parse(p.read_text(encoding="utf-8")) for room in rooms for p in (SOURCE / room).rglob("*.py")]
     nodes = [node for tree in trees for node in ast.walk(tree)]
-    made = {getattr(kinds, node.id, None) for node in nodes if isinstance(node, ast.Name)}
+    constants = {name: value for name, value in vars(kinds).items() if isinstance(value, str)}
+    made = {constants.get(node.id) for node in nodes if isinstance(node, ast.Name)}
     made |= {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
     assert {r.name for r in kinds.ROWS} <= made

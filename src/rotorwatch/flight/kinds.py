@@ -59,7 +59,7 @@ _WATCH = Words("{noun} of {who} at {ago}{over}", nameless="{noun} at {ago}{over}
 @dataclass(frozen=True)
 class Kind:
     """name: in JSON. noun: in tables and titles. meaning: in a few words (docs/json.md). weight, span: see there. weakens: its rotors lack
-    a share of their thrust, its `loss`. brief: follows its rotors on a ground station's screen, in 20 letters. headline: for a pilot.
+    a share of their thrust, its `loss`. brief: follows its rotors on a ground station's screen, in 30 letters. headline: for a pilot.
     reason: of the verdict. began: how a loss of control began. now, past: what a rotor's note says while it holds, and after it; of an
     event with several explanations, where `now` has no words for that, only its own rotors are suspects.
     advice: what to do. watch: a line on the screen while the vehicle flies."""
@@ -109,22 +109,20 @@ class Kind:
         return self.wrong and (self.span is Span.STAYS or (self.lasts and end_s is None))
 
 
-_ORDER = "Do not fly before the motor test has shown which motor answers to which output: swap the outputs of motors {numbers} "
-_ESC = " before the next flight: its ESC telemetry changed in flight, though no thrust was missed."
 _WRONG_WAY = "propellers or motors turn the wrong way round."
+
+
+def _notice(name: str, noun: str, meaning: str, verb: str, part: str) -> Kind:
+    """A kind that ESC telemetry alone shows. verb: what the motor does; part: what to look at."""
+    why = "before the next flight: its ESC telemetry changed in flight, though no thrust was missed."
+    past, advice = Words(f"{verb} since {{at}}"), Words(f"Look at {part} {{who}} {why}")
+    return Kind(name, noun, meaning, Weight.NOTICE, brief=verb, headline=Words(verb), past=past, advice=advice)
+
 
 ROWS = (
     Kind(
-        LOSS,
-        "loss of effectiveness",
-        "a rotor lost effectiveness",
-        Weight.FAULT,
-        Span.LASTS,
-        weakens=True,
-        headline=Words(
-            "{who} lost {losses} of thrust at {at}{until}{cause}{again}.",
-            "Something lost thrust at {at}: {candidates}.",
-        ),
+        LOSS, "loss of effectiveness", "a rotor lost effectiveness", Weight.FAULT, Span.LASTS, weakens=True,
+        headline=Words("{who} lost {losses} of thrust at {at}{until}{cause}{again}.", "Something lost thrust at {at}: {candidates}."),
         reason="{plain_who} lost {losses} of its effectiveness at {at}{comma_until}: {why}",
         began=Words("At {at} {who} lost {losses} of thrust{over}.", "At {at} something lost thrust: {candidates}."),
         now=Words("weak since {at}", "one of several explanations since {at}"),
@@ -133,50 +131,32 @@ ROWS = (
         watch=Words("{who} lost {losses} since {ago}{over}{others}"),
     ),
     Kind(
-        OVERRIDE,
-        "output overridden",
-        "an output does not follow the mixer: stuck, off, replaced",
-        Weight.FAULT,
-        Span.LASTS,
+        OVERRIDE, "output overridden", "an output does not follow the mixer: stuck, off, replaced", Weight.FAULT, Span.LASTS,
         headline=Words("The output of {who} stopped following the mixer at {at}{until}{again}."),
         began=Words("At {at} the output of {candidates} stopped following the mixer{over}."),
         now=Words("its output has not followed the mixer since {at}"),
         past=Words("its output did not follow the mixer from {at} to {end}"),
         advice=Words(
             "Do not fly again before it is clear why the output of {who} left the mixer: output functions and passthrough, motor test, "
-            "failsafe, a second controller.",
-            "",
+            "failsafe, a second controller.", "",
         ),
     ),
     Kind(
-        CONTACT,
-        "knock or contact",
-        "a knock, a collision, contact with the ground",
-        Weight.OUTSIDE,
-        Span.MOMENT,
+        CONTACT, "knock or contact", "a knock, a collision, contact with the ground", Weight.OUTSIDE, Span.MOMENT,
         advice=Words("Look the vehicle over for damage: it was knocked at {all_times}."),
     ),
     Kind(
-        LOST,
-        "loss of control",
-        "the vehicle left what was wanted and did not come back",
-        Weight.UPSET,
-        Span.STAYS,
+        LOST, "loss of control", "the vehicle left what was wanted and did not come back", Weight.UPSET, Span.STAYS,
         brief="LOSS OF CONTROL",
         headline=Words("The vehicle left control at {at}."),
         now=Words("may be why control was lost at {at}"),
         watch=Words("{noun} at {ago}, {who}{others}: {lost_why}", nameless="{noun} at {ago}{others}: {lost_why}"),
     ),
     Kind(
-        ORDER,
-        "motors in the wrong order",
-        "outputs go to the wrong motors, or yaw is reversed",
-        Weight.FAULT,
-        Span.STAYS,
+        ORDER, "motors in the wrong order", "outputs go to the wrong motors, or yaw is reversed", Weight.FAULT, Span.STAYS,
         brief="in the wrong order",
         headline=Words(
-            "The outputs of motors {numbers} go to each other's motor.",
-            "Something lost thrust at {at}: {candidates}.",
+            "The outputs of motors {numbers} go to each other's motor.", "Something lost thrust at {at}: {candidates}.",
             f"The vehicle yaws against its commands: {_WRONG_WAY}",
         ),
         began=Words(
@@ -186,18 +166,15 @@ ROWS = (
         now=Words("its output seems to go to motor {other}"),
         past=Words(""),
         advice=Words(
-            f"{_ORDER}(ArduPilot: {{servos}}; PX4: the actuator page), or their wires.",
+            "Do not fly before the motor test has shown which motor answers to which output: swap the outputs of motors {numbers} "
+            "(ArduPilot: {servos}; PX4: the actuator page), or their wires.",
             nameless="Do not fly before each motor's direction and its propeller have been checked against the frame's drawing: motor "
             "test.",
         ),
     ),
     Kind(
-        DESYNC,
-        "motor lost step",
-        "a motor lost step for moments: commanded up, it gave nothing for 30 to 500 ms and came back",
-        Weight.FAULT,
-        Span.SPELLS,
-        brief="lost step",
+        DESYNC, "motor lost step", "a motor lost step for moments: commanded up, it gave nothing for 30 to 500 ms and came back",
+        Weight.FAULT, Span.SPELLS, brief="lost step",
         headline=Words("{motors} desynced {times} at {at}{stopped}."),
         past=Words("desynced at {at}{in_all}", "may have desynced at {at}{in_all}"),
         advice=Words(
@@ -205,43 +182,19 @@ ROWS = (
             "frequency, a worn bearing or loose bell, solder joints{log_speed}."
         ),
     ),
-    *(
-        Kind(
-            name,
-            noun,
-            meaning,
-            Weight.NOTICE,
-            Span.STAYS,
-            brief=verb,
-            headline=Words(verb),
-            past=Words(f"{verb} since {{at}}"),
-            advice=Words(f"Look at {part} {{who}}{_ESC}"),
-        )
-        for name, noun, meaning, verb, part in (
-            (
-                SLOW,
-                "motor slower than commanded",
-                "a motor turns slower than commanded, by its ESC telemetry",
-                "turns slower than commanded",
-                "motor, ESC, their connectors and supply wires of",
-            ),
-            (
-                HIGH,
-                "motor draws more current",
-                "more current at the same speed than before: a bearing",
-                "draws more current than before",
-                "the motor bearings of",
-            ),
-            (
-                LOW,
-                "motor draws less current",
-                "less current at the same speed than before: a propeller",
-                "draws less current than before",
-                "the propeller of",
-            ),
-        )
+    _notice(
+        SLOW, "motor slower than commanded", "a motor turns slower than commanded, by its ESC telemetry", "turns slower than commanded",
+        "motor, ESC, their connectors and supply wires of",
     ),
-)
+    _notice(
+        HIGH, "motor draws more current", "more current at the same speed than before: a bearing", "draws more current than before",
+        "the motor bearings of",
+    ),
+    _notice(
+        LOW, "motor draws less current", "less current at the same speed than before: a propeller", "draws less current than before",
+        "the propeller of",
+    ),
+)  # fmt: skip
 TABLE = {row.name: row for row in ROWS}
 
 
