@@ -11,13 +11,14 @@ import pytest
 from rich.console import Console
 
 from conftest import hexa_diagnosis, hexa_event
+from rotorwatch.answer.ledger import believed
 from rotorwatch.answer.wording import said
 from rotorwatch.default.events import packed
 from rotorwatch.flight import kinds
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.flight.kinds import Kind, Span, Weight, Words
 from rotorwatch.front import events as definition
-from rotorwatch.live import ground, trust, view
+from rotorwatch.live import ground, view
 from rotorwatch.report import colours, html, terminal
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -114,11 +115,9 @@ def test_what_a_kind_means_is_asked_of_its_row(event):
         assert answer.verdict == "healthy" and all(r.status == "healthy" for r in answer.rotors)
     assert (colours.of_event(event) != colours.INK) == (row.wrong and bool(event.rotors))
     assert view.lasting([event]) == ([event] if row.ongoing(event.end_s) else [])
-    # Of a log that contradicts itself, and of a link that does, what rests on its outputs is not said.
+    # Of a log that contradicts itself, and of a link that does up to 60 s, what rests on outputs is not said.
     assert hexa_diagnosis(events=(event,), doubts=("Nothing moved.",)).events == (() if row.by_outputs else (event,))
-    doubted = trust.Trust.__new__(trust.Trust)
-    doubted._until, doubted._landed = 60.0, 0.0
-    assert doubted.believed((event,)) == (() if row.by_outputs else (event,))
+    assert believed((event,), 60.0) == (() if row.by_outputs else (event,)) and believed((event,), 10.0) == (event,)
 
 
 def test_a_kind_without_words_of_its_own_has_the_plain_ones():

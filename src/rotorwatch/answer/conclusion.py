@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.answer import advice, health, story
+from rotorwatch.answer import advice, health, ledger, story
+from rotorwatch.answer.ledger import main_event
 from rotorwatch.answer.wording import (
     SCALE,
     candidates,
@@ -24,13 +25,10 @@ from rotorwatch.answer.wording import (
     seconds,
     sentence,
 )
-from rotorwatch.default.events import packed
 from rotorwatch.default.hypotheses import TOTAL_LOSS
 from rotorwatch.default.residual_evidence import ResidualEvidence
 from rotorwatch.flight.diagnosis import Event, RotorState, StoryLine, Trend
-from rotorwatch.flight.kinds import CONTACT, LOSS, LOST, OVERRIDE, Weight
-from rotorwatch.front import whole
-from rotorwatch.front.definition import FRONT
+from rotorwatch.flight.kinds import CONTACT, LOST, Weight
 from rotorwatch.motion.airborne import Gap
 
 # Causes of a loss of control that clear the rotors, in words that follow "when".
@@ -126,8 +124,9 @@ class Evidence:
 def conclude(seen: Evidence, doubts: Sequence[str] = ()) -> Conclusion:
     """The answer to a flight. doubts: sentences on why the log may not show what flew; with any, nothing is concluded from its outputs."""
     if doubts:
-        shown = tuple(e for e in seen.events if not e.means.by_outputs)
-        seen = Evidence(shown, seen.n, judged_s=seen.judged_s, places=seen.places, hops=seen.hops)
+        seen = Evidence(
+            ledger.believed(seen.events), seen.n, judged_s=seen.judged_s, places=seen.places, hops=seen.hops
+        )
         return _concluded(seen, "inconclusive", doubts[0], "This log cannot say.", None, doubts)
     seen = replace(seen, events=tuple(seen.events), hidden=seen.hidden if seen.judged_s >= LEAST_S else None)
     main = main_event(seen.events)
@@ -151,18 +150,6 @@ def _concluded(seen: Evidence, verdict, reason, headline, main, doubts) -> Concl
     )
     story_lines = story.narrate(seen.events, main, seen.n, seen.places, seen.hops, not doubts)
     return Conclusion(verdict, reason, headline, main, states, next_steps, tuple(seen.events), story_lines)
-
-
-def main_event(events: Sequence[Event]) -> int | None:
-    """Index of the event that matters: sure ones before ambiguous ones; the first that is large, or an override that came before it
-    (one that comes after is what a falling vehicle's controller does); of losses that began together the largest. Where no rotor is
-    accused, what upset the vehicle."""
-    order = [i for i, e in enumerate(events) if e.means.accuses]
-    named = [replace(events[i], kind=LOSS if events[i].means.weakens else OVERRIDE) for i in order]
-    place = FRONT.call(whole.most_important, packed(named), len(named))
-    return (
-        order[place] if place >= 0 else next((i for i, e in enumerate(events) if e.means.weight is Weight.UPSET), None)
-    )
 
 
 # Verdict and words

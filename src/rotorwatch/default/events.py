@@ -17,7 +17,7 @@ from rotorwatch.compiling.structs import LASTS
 from rotorwatch.default.hypotheses import Hypotheses
 from rotorwatch.default.plant import lower_rotors
 from rotorwatch.flight import Flight
-from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import CONTACT, LOSS, OVERRIDE, TABLE, number
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.front import deviations, losses, whole
@@ -209,21 +209,26 @@ class Report:
 def overrides(flight: Flight, vehicle: Vehicle, air, table: Ticks) -> tuple[Event, ...]:
     """Outputs that do not follow the mixer; none that leaves it only once the vehicle tumbles: by then mixers, failsafes and pilots do
     what they can."""
-    found = tuple(map(overridden, deviating(flight, vehicle, air)))
+    found = claimed(flight, vehicle, air)
     known = Report(vehicle.effectiveness()).add(table, air).finish(air).events((), found)
     return tuple(e for e in known if e.kind == OVERRIDE)
+
+
+def claimed(flight: Flight, vehicle: Vehicle, air) -> tuple[Event, ...]:
+    """Outputs that do not follow the mixer."""
+    return tuple(map(overridden, deviating(flight, vehicle, air)))
 
 
 def overridden(one: Override) -> Event:
     """An output that does not follow the mixer, as an event."""
     times = one.onset, one.detected, one.end
-    return Event(OVERRIDE, (one.rotor,), *times, (), (), 1.0, (), one.reason, {"override": one.kind})
+    return Event(OVERRIDE, (one.rotor,), *times, (), (), 1.0, (), one.reason, {"override": one.kind}, Source.OUTPUTS)
 
 
 def _contact(one: Contact) -> Event:
     reason = f"something outside the vehicle {one.what}, by {one.size:.1f} {one.unit}"
     extra = {"size": one.size, "unit": one.unit}
-    return Event(CONTACT, (), one.time, one.time, one.time, (), (), 1.0, (), reason, extra)
+    return Event(CONTACT, (), one.time, one.time, one.time, (), (), 1.0, (), reason, extra, Source.CONTACTS)
 
 
 def _one_arm(event: Event) -> Event:
@@ -319,4 +324,5 @@ def _loss(row: _Row) -> Event:
     return Event(
         LOSS, rotors, onset, row.detected, None if row.end >= LASTS else row.end, tuple(row.loss[:n]),
         tuple(zip(row.lower[:n], row.upper[:n])), row.probability, alternatives, reason,
+        source=Source.ESTIMATOR,
     )  # fmt: skip

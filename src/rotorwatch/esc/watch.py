@@ -18,7 +18,7 @@ import numpy as np
 from rotorwatch.answer.wording import interval, percent, rotors, seconds
 from rotorwatch.esc import evidence, ratios
 from rotorwatch.esc.telemetry import BIN_S, Binned
-from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import HIGH, LOW, SLOW
 
 BLOCK_S = 5.0
@@ -74,7 +74,7 @@ def _notice(kind: str, rotor: int, onset: float, announced: float, size: float, 
     }[kind]
     reason = f"since {seconds(onset)} {phrases}, and the other rotors do not; commands and motion show no loss"
     extra = {"change": size, "change_interval": bounds}
-    return Event(kind, (rotor,), onset, announced, None, (), (), sure, (), reason, extra)
+    return Event(kind, (rotor,), onset, announced, None, (), (), sure, (), reason, extra, Source.ESC_CHANGED)
 
 
 def lost_speed(rotor: int, onset: float, announced: float, size: float, bounds) -> Event:
@@ -84,7 +84,8 @@ def lost_speed(rotor: int, onset: float, announced: float, size: float, bounds) 
         "motion alone do not show it; "
     )
     parts = {"speed": (size, *bounds), "propeller": (0.0, 0.0, 1.0)}
-    return evidence.loss(rotor, onset, announced, (size, *bounds), (0.0, 0.95, 0.02, 0.03), parts, sentence, 1.0 - size)
+    causes, source = (0.0, 0.95, 0.02, 0.03), Source.ESC_CHANGED
+    return evidence.loss(rotor, onset, announced, (size, *bounds), causes, parts, sentence, 1.0 - size, source=source)
 
 
 def _follows(time, law, k: int, onset: float, announced: float, change: float) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -66,6 +67,13 @@ class RotorState:
     trend: Trend | None = None
 
 
+class Source(Enum):
+    """Who claims an event. EXCITATION: the answer to an excitation of the commands; ESC_STANDS: a rotor that its ESC reports to stand or to
+    turn without load; ESC_CHANGED: one whose speed or current has changed."""
+
+    NOBODY, ESTIMATOR, EXCITATION, HINDSIGHT, OUTPUTS, CONTACTS, CONTROL, ESC_STANDS, ESC_CHANGED, DESYNC = range(10)
+
+
 @dataclass(frozen=True)
 class Event:
     """Something that happened in flight. Times in s from the first record of the log.
@@ -73,7 +81,7 @@ class Event:
     onset_s: when it began. detected_s: when that could be said. end_s: when it ended; None while it lasts.
     kind: its name in the table of kinds (`kinds`). rotors: 1-based. loss: of each of them, 0 to 1. interval: (low, high) of each
     loss, 95 %. alternatives: other rotor sets that explain the data as well. probability: of these rotors, given the data. reason: one
-    sentence. extra: what only some kinds have. history: (time, loss...) rows of the causal estimate, for plots.
+    sentence. extra: what only some kinds have. history: (time, loss...) rows of the causal estimate, for plots. source: not in the JSON.
     """
 
     kind: str
@@ -87,6 +95,7 @@ class Event:
     alternatives: tuple[tuple[int, ...], ...] = ()
     reason: str = ""
     extra: Mapping[str, Any] = field(default_factory=dict)
+    source: Source = field(default=Source.NOBODY, compare=False, repr=False)
 
     @property
     def means(self) -> kinds.Kind:
