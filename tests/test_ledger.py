@@ -79,6 +79,12 @@ def test_what_is_known_is_not_said_again(claim, known, told):
     assert not ledger.explained(claim, ())
 
 
+def test_claims_of_any_kind_are_events():
+    """A kind that is new has a row and somebody who finds it, no more."""
+    turned, gust, faint = other("mount_turned", 5.0), other("gust", 30.0, rotors=()), loss(10.0)
+    assert merged(gust, faint, turned).events == (turned, faint, gust)
+
+
 CLAIMS = st.lists(
     st.one_of(
         st.builds(loss, st.integers(0, 60), st.integers(1, 6), source=st.sampled_from([Source.ESTIMATOR, Source.HINDSIGHT]),
@@ -98,7 +104,11 @@ def test_who_testifies_first_does_not_matter_and_nothing_is_said_twice(claims, r
     assert merged(*found.events) == ledger.Merged(found.events, ())
     assert [e.detected_s for e in found.events] == sorted(e.detected_s for e in found.events)
     said = {*map(id, found.events), *map(id, found.faint)}
-    for claim in claims:  # each is said or is evidence, or an output explains it, or hindsight tells of its rotor since before
-        outputs = (o for o in claims if o.kind == OVERRIDE and o.onset_s - 1.0 <= claim.onset_s <= (o.end_s or 0.0) + 1.0)
+    for (
+        claim
+    ) in claims:  # each is said or is evidence, or an output explains it, or hindsight tells of its rotor since before
+        outputs = (
+            o for o in claims if o.kind == OVERRIDE and o.onset_s - 1.0 <= claim.onset_s <= (o.end_s or 0.0) + 1.0
+        )
         early = (h for h in claims if h.source is Source.HINDSIGHT and h.rotors == claim.rotors)
         assert id(claim) in said or (claim.kind == LOSS and (any(outputs) or any(early)))

@@ -47,13 +47,20 @@ class Merged:
 
 
 def merge(claims: Sequence[Event], report: Report, upsets: Sequence[upset.Judged], n: int) -> Merged:
-    """The events of a flight of n rotors, in the order in which they were detected. report: its falls and contacts; upsets: its losses of
-    control."""
+    """The events of a flight of n rotors, in the order in which they were detected. claims: of any kind; report: its falls and contacts;
+    upsets: its losses of control."""
     losses = [c for c in claims if c.means.weakens and not explained(c, claims)]
     losses.sort(key=lambda c: (c.detected_s, c.source is Source.HINDSIGHT))
-    flown = report.events(losses, [c for c in claims if c.kind == OVERRIDE])
-    open_ = unexplained(losses, [e for e in flown if e.kind == OVERRIDE])
-    return Merged(upset.events(upsets, flown, n), tuple(e for e in open_ if not accuses(e)))
+    known = report.events(losses, [c for c in claims if c.kind == OVERRIDE])
+    open_ = unexplained(losses, [e for e in known if e.kind == OVERRIDE])
+    others = [c for c in claims if not c.means.weakens and c.kind != OVERRIDE]
+    return Merged(upset.events(upsets, joined(known, others), n), tuple(e for e in open_ if not accuses(e)))
+
+
+def joined(known: Iterable[Event], claims: Iterable[Event]) -> tuple[Event, ...]:
+    """What is known with the claims that it does not explain, in the order in which they were detected."""
+    known = tuple(known)
+    return tuple(sorted((*known, *(c for c in claims if not explained(c, known))), key=lambda e: e.detected_s))
 
 
 def explained(claim: Event, known: Iterable[Event]) -> bool:

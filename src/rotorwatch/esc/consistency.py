@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotorwatch.answer.ledger import explained
+from rotorwatch.answer.ledger import joined
 from rotorwatch.answer.wording import CAUSES, listed, percent, probability, rotors
 from rotorwatch.esc import evidence, ratios, stopped, telemetry, watch
 from rotorwatch.esc.telemetry import Binned
@@ -52,8 +52,7 @@ def check(
     out = [_with_cause(e, bins, calm, healthy, air) if ask else e for e, ask in zip(events, open_)]
     # Once a rotor is weak the others work elsewhere than where their laws were learned.
     found, more = watch.look(bins, calm & healthy.all(axis=1, keepdims=True))
-    found = [claim for claim in found if not explained(claim, out)]
-    return tuple(sorted((*out, *found), key=lambda e: e.detected_s)), (*notes, *stopped_notes, *more)
+    return joined(out, found), (*notes, *stopped_notes, *more)
 
 
 def _upset(bins: Binned, table: Ticks) -> np.ndarray:
