@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from rotorwatch.answer.wording import BASELINE, listed, rotors, said, seconds, sentence
 from rotorwatch.default.hypotheses import TOTAL_LOSS
 from rotorwatch.flight.diagnosis import Event, RotorState
-from rotorwatch.flight.kinds import CONTACT, DESYNC, LOST, Weight
+from rotorwatch.flight.kinds import DESYNC, LOST, Weight
 
 PARTS = {
     "propeller": "its propeller first (nicked, bent, loose on its shaft); the motor turns as commanded",
@@ -58,9 +58,11 @@ def of(
     why = "its loss grew all the time, as a bearing, a hot motor or a propeller that comes loose does"
     growing = [s.rotor for s in states if s.trend and s.trend.word == "growing" and s.status == "healthy"]
     out += [f"Look at {rotors([rotor], places)} before the next flight: {why}." for rotor in growing]
-    knocks = [e for e in events if e.kind == CONTACT]
-    if knocks:
-        out.append(said(knocks[0].means.advice, knocks[0], all_times=listed([seconds(e.onset_s) for e in knocks[:5]])))
+    outside = [e for e in events if e.means.weight is Weight.OUTSIDE]
+    for kind in dict.fromkeys(e.kind for e in outside):
+        own = [e for e in outside if e.kind == kind]
+        when = listed([seconds(e.onset_s) for e in own[:5]])
+        out.append(said(own[0].means.advice, own[0], places, all_times=when))
     if verdict != "inconclusive" and not compared:
         out.append(BASELINE)
     return tuple(out)

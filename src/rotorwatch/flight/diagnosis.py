@@ -234,7 +234,7 @@ class Diagnosis:
     def important(self, most: int) -> list[int]:
         """Which events a short answer shows: indices in time order, at most so many; the main event, losses of control, then the first
         ones."""
-        first = [k for k, e in enumerate(self.events) if k == self.main or e.kind == kinds.LOST]
+        first = [k for k, e in enumerate(self.events) if k == self.main or e.means.weight is kinds.Weight.UPSET]
         return sorted([*first, *(k for k in range(len(self.events)) if k not in first)][:most])
 
     def to_dict(self) -> dict:
