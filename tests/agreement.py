@@ -15,8 +15,8 @@ import numpy as np
 from rich.console import Console
 
 from rotorwatch import report
-from rotorwatch.answer.conclusion import DESYNC, LOSS, OVERRIDE
 from rotorwatch.flight.diagnosis import EXIT_CODES
+from rotorwatch.flight.kinds import DESYNC, LOSS, OVERRIDE
 from rotorwatch.report import colours, drawing, figures, html, terminal
 
 WIDTHS = (40, 80, 200)
@@ -332,7 +332,7 @@ def events(views):
         )
         views.expect(all(set(a) != set(e["rotors"]) for a in e["alternatives"]), f"{me}: an alternative that is none")
         views.expect(e["kind"] != "contact" or not e["rotors"], f"{me}: a contact accuses a rotor")
-        views.shown(report.kind(event), f"{me}: its kind")
+        views.shown(event.means.noun, f"{me}: its kind")
         views.shown(report.candidates(event), f"{me}: its rotors", page=False)
         views.shown(report.candidates(event, report.places(views.diagnosis)), f"{me}: its rotors", screen=False)
         views.shown(report.seconds(event.onset_s), f"{me}: its beginning")

@@ -16,7 +16,6 @@ import pytest
 
 import rotorwatch as rw
 from rotorwatch import airframes, logs
-from rotorwatch.answer.wording import KINDS
 from rotorwatch.base.optional import tomllib
 from rotorwatch.commands import cli
 from rotorwatch.flight import diagnosis
@@ -86,21 +85,6 @@ def test_named_sources_exist(page):
     }
     named = set(re.findall(r"(\w+\.py)\b", page.read_text())) - {"NAME.py"}
     assert named <= sources, named - sources
-
-
-def test_kinds_of_events_are_those_that_are_made():
-    """The table, the words for them, what the class says of itself; and some part of the judging makes each."""
-    kinds = {row[0].strip("`") for row in table((ROOT / "docs" / "json.md").read_text(), "The kinds of events are")}
-    assert kinds == set(KINDS)
-    assert all(kind in (diagnosis.Event.__doc__ or "") for kind in kinds)
-    made = {
-        node.value
-        for room in ("default", "front", "upset", "esc", "aerobatic")
-        for path in (ROOT / "src" / "rotorwatch" / room).rglob("*.py")
-        for node in ast.walk(ast.parse(path.read_text()))
-        if isinstance(node, ast.Constant) and isinstance(node.value, str)
-    }
-    assert kinds <= made, kinds - made
 
 
 def test_a_term_is_explained_once():

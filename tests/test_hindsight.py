@@ -5,7 +5,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from conftest import hexa_event
 from rotorwatch import airframes
 from rotorwatch.default import events, hindsight, hypotheses
 from rotorwatch.default.program import estimate
@@ -126,15 +125,6 @@ def test_what_is_learned_from_is_all_that_follows_the_blind_time():
     assert (later.time >= READY_S).all()
     ticks.mode[:] = GROUND
     assert hindsight.rest(ticks) is None
-
-
-def test_what_was_told_in_flight_gives_way_to_what_is_known_afterwards():
-    early = hexa_event(onset_s=3.0, detected_s=15.0)
-    rest, later, other = (
-        hexa_event(onset_s=12.0), hexa_event(onset_s=31.0), hexa_event(rotors=(5,), onset_s=12.0, detected_s=32.0)
-    )  # fmt: skip
-    assert hindsight.join((rest,), ()) == (rest,)
-    assert hindsight.join((rest, later, other), (early,)) == (early, later, other)
 
 
 def test_what_a_flight_has_taught_leaves_biases_open():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from typing import Any
 
@@ -12,7 +12,8 @@ import numpy as np
 
 from rotorwatch.aerobatic import desync
 from rotorwatch.aerobatic import judge as aerobatic
-from rotorwatch.answer import common_mode, conclusion, health, picture, places, slow, traces, unseen, wording
+from rotorwatch.answer import common_mode, conclusion, health, ledger, picture, places, slow, traces, unseen, wording
+from rotorwatch.answer.ledger import Merged
 from rotorwatch.base import discovery
 from rotorwatch.default import events, excitation_response, hindsight, hypotheses, residual_evidence
 from rotorwatch.default.announcement import threshold
@@ -20,7 +21,7 @@ from rotorwatch.default.program import TickOutput, estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.esc import consistency
 from rotorwatch.flight import Flight, identity
-from rotorwatch.flight.diagnosis import Diagnosis, Event
+from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.healthy import baselines, population
 from rotorwatch.healthy.baselines import Given
@@ -80,17 +81,6 @@ class Estimated:
     limit: float
     last: Any
     own: bool
-
-
-@dataclass(frozen=True)
-class Found:
-    """events: all of them; faint: losses that accuse no rotor; grown: a loss that grew slowly, or None; wrong: sentences on
-    outputs that the log has wrong up to its end."""
-
-    events: tuple[Event, ...]
-    faint: tuple[Event, ...]
-    grown: slow.Growth | None = None
-    wrong: tuple[str, ...] = ()
 
 
 class _Clock:
@@ -211,7 +201,7 @@ def _no_flight(ready: Prepared, clock: _Clock) -> Diagnosis:
     if ready.air:
         why = f"no command for {wording.rotors(never)}" if never else "too few motor outputs"
     doubts = (f"the log shows {why}; nothing can be judged.",)
-    found = upset.events(ready.upsets, (), n)
+    found = ledger.merge((), events.Report(ready.vehicle.effectiveness()), ready.upsets, n).events
     names = places.names(ready.vehicle.rotors)
     end = conclusion.conclude(conclusion.Evidence(found, n, places=names, hops=ready.air), () if found else doubts)
     return _answer(end, ready, {}, clock, doubts=doubts)
@@ -232,27 +222,24 @@ def _estimate(ready: Prepared, table: Ticks, estimator: Any, tuning: Tuning | No
     return Estimated(table, out, 0.5 * decide.SIGMAS**2, None, own)
 
 
-def _find(ready: Prepared, done: Estimated) -> Found:
+def _find(ready: Prepared, done: Estimated) -> Merged:
     """The events of a flight: losses, overridden outputs, contacts, control that was lost, desyncs; with what ESCs say of them."""
     flight, craft, air, table, B = ready.flight, ready.vehicle, ready.air, done.table, ready.vehicle.effectiveness()
-    losses = events.read(done.out, table, B)
+    claims = events.read(done.out, table, B)
     if done.own and ready.hovers:
-        losses, excitation_notes = excitation_response.resolve(losses, table, B, ready.dynamics)
+        claims, excitation_notes = excitation_response.resolve(claims, table, B, ready.dynamics)
         ready.assumptions += excitation_notes
     if done.last is not None and not ready.known:  # healthy flights would have told what happened in the blind time
-        losses = hindsight.join(losses, hindsight.find(done.last, table, B))
+        claims = (*claims, *hindsight.find(done.last, table, B))
+    claims = (*claims, *events.claimed(flight, craft, air))
     grown = slow.find(done.out, table, B) if done.own and ready.hovers else None
-    losses = slow.join(losses, grown)
-    overrides = events.overrides(flight, craft, air, table)
-    together = wording.together([e for e in overrides if events.shared(e)])
-    ready.warnings += [text for text, lasts in together if not lasts]
-    faint = tuple(e for e in events.unexplained(losses, overrides) if not events.accuses(e))
-    report = events.Report(B).add(table, air).finish(air).events(losses, overrides)
-    found, notes = consistency.check(flight, craft, air, table, upset.events(ready.upsets, report, B.shape[1]))
+    merged = ledger.merge(claims, events.Report(B).add(table, air).finish(air), ready.upsets, B.shape[1], grown)
+    ready.warnings += [text for text, lasts in wording.together(merged.shared) if not lasts]
+    found, notes = consistency.check(flight, craft, air, table, merged.events)
     ready.warnings += notes
     if not ready.hovers:
         found = tuple(sorted((*found, *desync.find(flight, craft, air, found)), key=lambda e: e.detected_s))
-    return Found(found, faint, grown, tuple(text for text, lasts in together if lasts))
+    return replace(merged, events=found)
 
 
 @dataclass(frozen=True)
@@ -265,13 +252,13 @@ class Judgement:
     whole: dict | None
 
 
-def _concluded(ready: Prepared, logged: Ticks, done: Estimated, found: Found) -> Judgement:
+def _concluded(ready: Prepared, logged: Ticks, done: Estimated, found: Merged) -> Judgement:
     """The answer to a flight whose events are found. logged: the ticks as they were logged."""
     flight, craft, air = ready.flight, ready.vehicle, ready.air
     table, out, B = done.table, done.out, ready.vehicle.effectiveness()
     n, hyp = B.shape[1], hypotheses.make(B.shape[1])
     doubts = trust.contradictions(flight, craft, air, logged)
-    doubts += found.wrong
+    doubts += tuple(text for text, lasts in wording.together(found.shared) if lasts)
     doubts += () if ready.hovers else aerobatic.lacks(flight)
     trusted = not doubts and ready.hovers
     whole = _whole_flight(flight, craft, air) if trusted else None
@@ -285,13 +272,7 @@ def _concluded(ready: Prepared, logged: Ticks, done: Estimated, found: Found) ->
     )
     steps, seen_events = unseen.of(out, table, B), found.events
     if done.own and ready.hovers:
-        seen_events = steps.doubted(found.events)
-        if conclusion.main_event(found.events) is None:
-            spells = (
-                slow.suspected(found.grown, found.events)
-                or steps.suspected(found.events, float(table.time[-1]))
-                or spells
-            )
+        seen_events, spells = ledger.weighed(found, steps, spells, float(table.time[-1]))
     hidden, hidden_pair = _hidden(out, table, steps, B)
     seen = conclusion.Evidence(
         seen_events, n, whole, hidden, hidden_pair, float(judged.sum() * table.dt), spells, places.names(craft.rotors), air,
@@ -301,7 +282,7 @@ def _concluded(ready: Prepared, logged: Ticks, done: Estimated, found: Found) ->
     return Judgement(conclusion.conclude(seen, doubts), doubts, spells, whole)
 
 
-def _conclude(ready: Prepared, logged: Ticks, done: Estimated, found: Found, title: str, clock: _Clock) -> Diagnosis:
+def _conclude(ready: Prepared, logged: Ticks, done: Estimated, found: Merged, title: str, clock: _Clock) -> Diagnosis:
     """The diagnosis. logged: the ticks as they were logged; title: the estimator's."""
     flight, craft, air = ready.flight, ready.vehicle, ready.air
     table, out, B = done.table, done.out, ready.vehicle.effectiveness()

@@ -24,15 +24,16 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.aerobatic.innovation import DOF, LAGS, Channel, channels
-from rotorwatch.answer.wording import desynced
+from rotorwatch.answer.ledger import explained
+from rotorwatch.answer.wording import said
 from rotorwatch.default.announcement import FALSE_ALARM_PERIOD_S
 from rotorwatch.default.hypotheses import CLEAR
 from rotorwatch.flight import Flight
-from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.diagnosis import Event, Source
+from rotorwatch.flight.kinds import DESYNC
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion.allocation import Spans
 
-DESYNC, LOSS, LOST = "desync", "loss_of_effectiveness", "loss_of_control"
 SHORTEST_S, LONGEST_S = 0.025, 0.65  # 30 to 500 ms, as well as ends are known
 LENGTHS_S = 0.03 * 10.0 ** (0.1 * np.arange(15))  # 30 to 750 ms: what lasts longer is none, and must be seen to
 SCREEN = 9.0  # nats, from which the matched filter's peaks are looked at
@@ -51,7 +52,6 @@ KNOCK_S = (
     0.1  # without its speed, a motor that is missed once for less may as well have come from idle, or been a knock
 )
 APART_S = 0.06  # two that are nearer are one
-CRASH_S = 0.3  # before control is lost, what happens belongs to that
 
 
 @dataclass(frozen=True)
@@ -77,18 +77,16 @@ class Ratios(NamedTuple):
 
 
 def find(flight: Flight, vehicle: Vehicle, air: Spans, known: tuple[Event, ...] = ()) -> tuple[Event, ...]:
-    """The events `desync` of a flight, one a motor. known: other events: none is counted once control is lost, nor of a rotor that has
-    lost most of its thrust."""
+    """The events `desync` of a flight, one a motor. known: other events, which may explain some (answer/ledger.py)."""
     seen = channels(flight, vehicle, air)
     if not seen:
         return ()
-    lost = min((e.onset_s for e in known if e.kind == LOST), default=np.inf) - CRASH_S
-    weak = [e for e in known if e.kind == LOSS and e.loss and max(e.loss) > LEAST_SIZE]
-    found = [
-        d for d in search(seen)
-        if d.end < lost and not any(d.rotor + 1 in e.rotors and e.onset_s - CRASH_S < d.start < (e.end_s or np.inf) for e in weak)
-    ]  # fmt: skip
+    found = [d for d in search(seen) if not explained(_claim(d), known)]
     return events(found, any(c.rotor is not None for c in seen))
+
+
+def _claim(d: Desync) -> Event:
+    return Event(DESYNC, (d.rotor + 1,), d.start, d.end, d.end, (), (), 1.0, source=Source.DESYNC)
 
 
 def events(found: list[Desync], rpm: bool) -> tuple[Event, ...]:
@@ -110,9 +108,10 @@ def _event(who: tuple[int, ...], group: list[Desync], rpm: bool) -> Event:
     extra = {"times": [d.start for d in group], "durations": length, "count": len(group), "rpm": rpm, "live": False}
     p = 1.0 / len(who) if len(who) > 1 else 1.0 - float(np.exp(-min(30.0, CLEAR + first.ratio)))
     others = tuple((r + 1,) for r in who if r != rotor)
-    event = Event(DESYNC, (rotor + 1,), first.start, first.end, last.end, (), (), p, others, "", extra)
+    event = Event(DESYNC, (rotor + 1,), first.start, first.end, last.end, (), (), p, others, "", extra, Source.DESYNC)
     fell = ", and its speed fell" if rpm else ""
-    return replace(event, reason=f"{desynced(event)}: it was commanded up and gave nothing for {_span(length)}{fell}")
+    gave = f": it was commanded up and gave nothing for {_span(length)}{fell}"
+    return replace(event, reason=said("{motors} desynced {times} at {at}", event) + gave)
 
 
 def _span(length: list[float]) -> str:

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rotorwatch.answer.wording import BASELINE, explanations, listed, motor, rotors, seconds, sentence
+from rotorwatch.answer.wording import BASELINE, listed, rotors, said, seconds, sentence
 from rotorwatch.default.hypotheses import TOTAL_LOSS
 from rotorwatch.flight.diagnosis import Event, RotorState
+from rotorwatch.flight.kinds import DESYNC, LOST, Weight
 
-MOTORS = {
-    "slow_motor": "Look at motor, ESC, their connectors and supply wires of",
-    "high_current": "Look at the motor bearings of",
-    "low_current": "Look at the propeller of",
-}
 PARTS = {
     "propeller": "its propeller first (nicked, bent, loose on its shaft); the motor turns as commanded",
     "motor_or_esc": "its motor, ESC, connectors and supply wires first; it turns slower than commanded",
@@ -40,42 +36,33 @@ def of(
     if doubts or missing:
         out += [sentence(d) for d in doubts[1:]]
         out.append("Log the outputs that reach the motors; `rotorwatch info LOG` lists what a log holds and lacks.")
-    elif verdict == "inconclusive" and (event is None or event.kind != "loss_of_control"):
+    elif verdict == "inconclusive" and (event is None or event.kind != LOST):
         out.append(
             "Fly at least 20 s in the air; `rotorwatch info LOG` lists what this log holds and what to log next time."
         )
-    if event is not None and event.kind in ("motor_order", "loss_of_control"):
-        out.append(_upset(event))
-    elif event is not None and event.kind == "desync":
-        out.append(_desynced(event, places))
-    elif event is not None and not event.alternatives:
-        who = rotors(event.rotors, places)
-        if event.kind == "output_override":
-            places_to_look = "output functions and passthrough, motor test, failsafe, a second controller"
-            looked_at = f"it is clear why the output of {who} left the mixer: {places_to_look}"
-        else:
-            looked_at = f"{who} has been looked at: {_parts(event, stays)}"
-        out.append(f"Do not fly again before {looked_at}.")
+    first = "" if event is None else _first(event, places, stays)
+    if first:
+        out.append(first)
     elif broken:
         parts = "nicked, bent or loose propeller, motor bearing, ESC"
         out.append(f"Look at {rotors(broken, places)} before the next flight: {parts}.")
     rest = [r for r in (*broken, *suspects) if event is None or event.alternatives or r not in event.rotors]
     if rest and not (broken and event is None and not suspects):
         out.append(f"Look at {rotors(sorted(set(rest)), places)}{', too' if out else ' before the next flight'}.")
-    if verdict == "ambiguous" and (event is None or event.kind != "desync"):
+    if verdict == "ambiguous" and (event is None or event.kind != DESYNC):
         out.append(
             "To distinguish the explanations: swap the propellers of the suspects with others and see whether the loss moves along, or fly "
             "with brisk turns and rolls and a healthy flight of this build as --baseline."
         )
-    why = "its ESC telemetry changed in flight, though no thrust was missed"
-    noticed = [e for e in events if e.kind in MOTORS]
-    out += [f"{MOTORS[e.kind]} {rotors(e.rotors, places)} before the next flight: {why}." for e in noticed]
+    out += [said(e.means.advice, e, places) for e in events if e.means.weight is Weight.NOTICE]
     why = "its loss grew all the time, as a bearing, a hot motor or a propeller that comes loose does"
     growing = [s.rotor for s in states if s.trend and s.trend.word == "growing" and s.status == "healthy"]
     out += [f"Look at {rotors([rotor], places)} before the next flight: {why}." for rotor in growing]
-    knocks = [seconds(e.onset_s) for e in events if e.kind == "contact"]
-    if knocks:
-        out.append(f"Look the vehicle over for damage: it was knocked at {listed(knocks[:5])}.")
+    outside = [e for e in events if e.means.weight is Weight.OUTSIDE]
+    for kind in dict.fromkeys(e.kind for e in outside):
+        own = [e for e in outside if e.kind == kind]
+        when = listed([seconds(e.onset_s) for e in own[:5]])
+        out.append(said(own[0].means.advice, own[0], places, all_times=when))
     if verdict != "inconclusive" and not compared:
         out.append(BASELINE)
     return tuple(out)
@@ -92,27 +79,11 @@ CAUSES = {
 }
 
 
-def _upset(event: Event) -> str:
-    """What to do about motors in the wrong order, or about a loss of control that no certain rotor caused."""
-    if event.kind == "loss_of_control":
+def _first(event: Event, places: Sequence[str], stays: bool) -> str:
+    """What to do about the event that matters; empty where that is said of its suspects."""
+    if event.kind == LOST:
         return CAUSES.get(event.extra.get("cause", ""), CAUSES["unknown"])
-    if not event.rotors:
-        return "Do not fly before each motor's direction and its propeller have been checked against the frame's drawing: motor test."
-    i, j = event.rotors
-    return (
-        f"Do not fly before the motor test has shown which motor answers to which output: swap the outputs of motors {i} and {j} "
-        f"(ArduPilot: SERVO{i}_FUNCTION and SERVO{j}_FUNCTION; PX4: the actuator page), or their wires."
-    )
-
-
-def _desynced(event: Event, places: Sequence[str]) -> str:
-    """What makes a motor lose step."""
-    more = "" if event.extra.get("rpm") else "; log its speed next time (bidirectional DShot, eRPM)"
-    who = motor([r for own in explanations(event) for r in own], places)
-    return (
-        f"Do not fly again before {who} and its ESC have been looked at: motor timing, demag compensation, ESC firmware, PWM "
-        f"frequency, a worn bearing or loose bell, solder joints{more}."
-    )
+    return said(event.means.advice, event, places, parts=_parts(event, stays) if event.means.weakens else "")
 
 
 def _parts(event: Event, stays: bool) -> str:
@@ -120,6 +91,6 @@ def _parts(event: Event, stays: bool) -> str:
         return PARTS[event.extra["cause"]]
     if not stays:
         return "it came back by itself, so look first for a loose connector, a cold joint, an ESC that lost its motor, a hot motor"
-    if max(event.loss) > TOTAL_LOSS:
+    if max(event.loss, default=0.0) > TOTAL_LOSS:
         return "propeller missing or loose, motor, ESC, and the wires between them"
     return "nicked, bent or loose propeller, motor bearing, ESC, and their connectors"

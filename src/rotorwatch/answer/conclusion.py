@@ -11,39 +11,26 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.answer import advice, health, story
+from rotorwatch.answer import advice, health, ledger, story
+from rotorwatch.answer.ledger import main_event
 from rotorwatch.answer.wording import (
     SCALE,
     candidates,
-    cause,
-    desynced,
-    explanations,
     grows,
     interval,
     listed,
-    losses,
     percent,
     rotors,
+    said,
     seconds,
     sentence,
 )
-from rotorwatch.default.events import packed
 from rotorwatch.default.hypotheses import TOTAL_LOSS
 from rotorwatch.default.residual_evidence import ResidualEvidence
 from rotorwatch.flight.diagnosis import Event, RotorState, StoryLine, Trend
-from rotorwatch.front import whole
-from rotorwatch.front.definition import FRONT
+from rotorwatch.flight.kinds import CONTACT, LOST, Weight
 from rotorwatch.motion.airborne import Gap
 
-LOSS, OVERRIDE, CONTACT = "loss_of_effectiveness", "output_override", "contact"
-LOST, ORDER, DESYNC = "loss_of_control", "motor_order", "desync"
-ACCUSES = (LOSS, OVERRIDE, ORDER, DESYNC)
-# Events of ESC telemetry without a loss: the words for the rotor.
-MOTOR_NOTICES = {
-    "slow_motor": "turns slower than commanded",
-    "high_current": "draws more current than before",
-    "low_current": "draws less current than before",
-}
 # Causes of a loss of control that clear the rotors, in words that follow "when".
 NOT_A_ROTOR = {
     "disarmed": "the motors were stopped in the air",
@@ -109,12 +96,12 @@ class Evidence:
 
     @property
     def losses(self) -> list[Event]:
-        return [e for e in self.events if e.kind == LOSS]
+        return [e for e in self.events if e.means.weakens]
 
     @property
     def sure(self) -> list[Event]:
-        """Losses and overrides that name one set of rotors."""
-        return [e for e in self.events if e.kind in ACCUSES and not e.alternatives]
+        """Faults that name one set of rotors."""
+        return [e for e in self.events if e.means.accuses and not e.alternatives]
 
     @property
     def lost(self) -> Event | None:
@@ -137,8 +124,9 @@ class Evidence:
 def conclude(seen: Evidence, doubts: Sequence[str] = ()) -> Conclusion:
     """The answer to a flight. doubts: sentences on why the log may not show what flew; with any, nothing is concluded from its outputs."""
     if doubts:
-        shown = tuple(e for e in seen.events if e.kind not in (*ACCUSES, *MOTOR_NOTICES))
-        seen = Evidence(shown, seen.n, judged_s=seen.judged_s, places=seen.places, hops=seen.hops)
+        seen = Evidence(
+            ledger.believed(seen.events), seen.n, judged_s=seen.judged_s, places=seen.places, hops=seen.hops
+        )
         return _concluded(seen, "inconclusive", doubts[0], "This log cannot say.", None, doubts)
     seen = replace(seen, events=tuple(seen.events), hidden=seen.hidden if seen.judged_s >= LEAST_S else None)
     main = main_event(seen.events)
@@ -164,27 +152,14 @@ def _concluded(seen: Evidence, verdict, reason, headline, main, doubts) -> Concl
     return Conclusion(verdict, reason, headline, main, states, next_steps, tuple(seen.events), story_lines)
 
 
-def main_event(events: Sequence[Event]) -> int | None:
-    """Index of the event that matters: sure ones before ambiguous ones; the first that is large, or an override that came before it
-    (one that comes after is what a falling vehicle's controller does); of losses that began together the largest. Motors in the wrong
-    order come before all, for nothing can follow its command then. Where no rotor is accused, the loss of control."""
-    swapped = next((i for i, e in enumerate(events) if e.kind == ORDER and not e.alternatives), None)
-    if swapped is not None:
-        return swapped
-    order = [i for i, e in enumerate(events) if e.kind in ACCUSES]
-    named = [events[i] if events[i].kind == LOSS else replace(events[i], kind=OVERRIDE) for i in order]
-    place = FRONT.call(whole.most_important, packed(named), len(named))
-    return order[place] if place >= 0 else next((i for i, e in enumerate(events) if e.kind == LOST), None)
-
-
 # Verdict and words
 
 
 def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
     event = None if main is None else seen.events[main]
     whole = seen.compared
-    if event is not None and event.kind == LOST:
-        return "ambiguous" if event.alternatives else "inconclusive", f"{event.reason}. {_cleared(seen, event)}"
+    if event is not None and not event.means.accuses:
+        return "ambiguous" if event.alternatives else "inconclusive", f"{event.reason}. {_cleared(seen, event)}".strip()
     if event is not None and not event.alternatives:
         return "fault", _what_happened(seen, event) + _and_more(seen, event) + _open(seen) + "."
     if whole and whole["verdict"] == "fault":
@@ -233,26 +208,13 @@ def _as_if(spell: ResidualEvidence, places: Sequence[str]) -> str:
 
 
 def _what_happened(seen: Evidence, event: Event) -> str:
-    why = event.reason.strip().removesuffix(".")
-    if event.kind in (OVERRIDE, ORDER, DESYNC):
-        return why
-    until = _until(seen, event, ", until")
-    what = f"{rotors(event.rotors)} lost {losses(event)} of its effectiveness {_when(event)}{until}"
-    return f"{what}: {why}" if why else what
-
-
-def _when(loss: Event) -> str:
-    """'at 41.20 s'; 'little by little from 41.20 s to 65.00 s' of one that grew."""
-    grew = loss.extra.get("grew_until_s")
-    return (
-        f"at {seconds(loss.onset_s)}"
-        if grew is None
-        else f"little by little from {seconds(loss.onset_s)} to {seconds(grew)}"
-    )
+    return said(event.means.reason, event, comma_until=_until(seen, event, ", until")).removesuffix(": ")
 
 
 def _cleared(seen: Evidence, lost: Event) -> str:
     """A sentence on the rotors, of a loss of control that no rotor caused."""
+    if lost.kind != LOST:
+        return ""
     when = min((t for t in lost.extra.get("worked_until_s", ()) if t is not None), default=None)
     until = "" if when is None else f" until {seconds(when)}"
     if lost.extra.get("cause") in NOT_A_ROTOR:
@@ -271,7 +233,7 @@ def _until(seen: Evidence, event: Event, word: str) -> str:
 
 
 def _and_more(seen: Evidence, main: Event) -> str:
-    rest = [e for e in seen.events if e is not main and e.kind in ACCUSES]
+    rest = [e for e in seen.events if e is not main and e.means.accuses]
     return f"; {len(rest)} more event{'s' if len(rest) > 1 else ''} in this flight" if rest else ""
 
 
@@ -283,8 +245,9 @@ def _open(seen: Evidence) -> str:
 def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
     """One or two short sentences that a pilot understands."""
     event = None if main is None else seen.events[main]
-    if event is not None and event.kind == LOST:
-        return f"The vehicle left control at {seconds(event.onset_s)}. {_cleared(seen, event)}"
+    if event is not None and not event.means.accuses:
+        first = said(event.means.headline, event, seen.places, until=_until(seen, event, " until"), again="")
+        return sentence(f"{first} {_cleared(seen, event)}".strip())
     if verdict == "inconclusive" and seen.missing and seen.hidden is not None:
         return f"No rotor lost thrust until {seconds(seen.missing_s)}. What came then cannot be said: {_missing(seen)}."
     if verdict == "inconclusive":
@@ -299,7 +262,7 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
         first = "No rotor lost thrust at once."
     parts = [first]
     if seen.lost is not None:
-        parts.append(f"The vehicle left control at {seconds(seen.lost.onset_s)}.")
+        parts.append(said(seen.lost.means.headline, seen.lost))
     if verdict == "healthy" and max(_unseen(seen), seen.hidden_pair) >= dict(SCALE)["degraded"]:
         parts.append(f"A loss of up to {_bound(seen)} could have gone unseen.")
     parts += [sentence(f"{rotors([k], seen.places)} {grows(t)}.") for k, t in _growing(seen)]
@@ -312,7 +275,7 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
         parts.append(f"What {when} broke was not judged.")
     for rotor in sorted({r for e in _notices(seen) for r in e.rotors}):
         own = [e for e in _notices(seen) if rotor in e.rotors]
-        notices = listed([MOTOR_NOTICES[e.kind] for e in own])
+        notices = listed([said(e.means.headline, e) for e in own])
         parts.append(
             sentence(f"{rotors([rotor], seen.places)} {notices}, since {seconds(min(e.onset_s for e in own))}.")
         )
@@ -334,12 +297,12 @@ def _bound(seen: Evidence) -> str:
 def _growing(seen: Evidence) -> list[tuple[int, Trend]]:
     """Rotors whose loss grows, of those that are no suspects: (number, trend)."""
     open_ = {r for s in seen.residual_evidence for r in s.rotors}
-    open_ |= {r for e in seen.losses if e.alternatives for who in explanations(e) for r in who}
+    open_ |= {r for e in seen.losses if e.alternatives for r in e.suspects}
     return [(k, t) for k, t in enumerate(seen.trends, start=1) if t and t.word == "growing" and k not in open_]
 
 
 def _notices(seen: Evidence) -> list[Event]:
-    return [e for e in seen.events if e.kind in MOTOR_NOTICES]
+    return [e for e in seen.events if e.means.weight is Weight.NOTICE]
 
 
 def _matter(seen: Evidence, verdict: str, main: int | None) -> str:
@@ -358,22 +321,11 @@ def _matter(seen: Evidence, verdict: str, main: int | None) -> str:
         return sentence(f"{_as_if(spell, seen.places)}, or the wind turned then.")
     if event is None:
         return "Something is wrong, but the log cannot say which rotor."
-    if event.kind == DESYNC:
-        return f"{sentence(desynced(event, seen.places))}{_stopped(seen, event)}."
-    if event.alternatives:
-        return f"Something lost thrust at {seconds(event.onset_s)}: {candidates(event, seen.places)}."
-    more = sum(e.kind in ACCUSES for e in seen.events) - 1
+    more = sum(e.means.accuses for e in seen.events) - 1
     again = f" (the first of {more + 1} events)" if more and event is seen.events[0] else ""
     again = again or (f" (one of {more + 1} events)" if more else "")
-    until = _until(seen, event, " until")
-    who = rotors(event.rotors, seen.places)
-    if event.kind == ORDER:
-        if not event.rotors:
-            return "The vehicle yaws against its commands: propellers or motors turn the wrong way round."
-        return f"The outputs of motors {listed([str(r) for r in event.rotors])} go to each other's motor."
-    if event.kind == OVERRIDE:
-        return f"The output of {who} stopped following the mixer at {seconds(event.onset_s)}{until}{again}."
-    return f"{sentence(who)} lost {losses(event)} of thrust {_when(event)}{until}{cause(event)}{again}."
+    about = {"until": _until(seen, event, " until"), "again": again, "stopped": _stopped(seen, event)}
+    return sentence(said(event.means.headline, event, seen.places, **about))
 
 
 # Rotors
@@ -398,7 +350,7 @@ def _state(seen: Evidence, rotor: int, verdict: str) -> RotorState:
 
     if verdict == "inconclusive":
         return state(0.0, INVISIBLE, "unobservable", _worked(seen, rotor))
-    claims = [e for e in seen.losses if any(rotor in who for who in explanations(e))]
+    claims = [e for e in seen.losses if rotor in e.suspects]
     lasting = [e for e in claims if e.end_s is None]
     landed = [e for e in claims if _landed(seen, e.end_s)]
     maybe = [e for e in lasting if e.alternatives]
@@ -443,12 +395,12 @@ def _suspicions(seen: Evidence, rotor: int, maybe, landed, claims) -> list[tuple
     """(why a rotor is a suspect, how much it may have lost then), of what was seen in flight."""
     found = []
     for e in (*maybe, *landed):
-        what = "weak" if len(explanations(e)) == 1 else "one of several explanations"
         later = ", not judged again after landing" if e in landed else ""
-        found.append((f"{what} since {seconds(e.onset_s)}{later}", most(e, rotor)))
-    for e in _of_kind(seen, OVERRIDE, rotor):
-        if e.end_s is None or _landed(seen, e.end_s):
-            found.append((f"its output has not followed the mixer since {seconds(e.onset_s)}", 1.0))
+        found.append((f"{said(e.means.now, e)}{later}", most(e, rotor)))
+    for e in _other_faults(seen):
+        who = e.rotors if e.means.now.unsure is None else e.suspects
+        if rotor in who and e.means.ongoing(None if _landed(seen, e.end_s) else e.end_s):
+            found.append((said(e.means.now, e, other=listed([str(r) for r in e.rotors if r != rotor])), 1.0))
     for s in seen.residual_evidence:
         if rotor in s.rotors and s.interval:
             lost = interval(*s.interval[s.rotors.index(rotor)])
@@ -456,34 +408,23 @@ def _suspicions(seen: Evidence, rotor: int, maybe, landed, claims) -> list[tuple
         elif rotor in s.rotors:
             span = f"from {seconds(s.start_s)} to {seconds(s.end_s)}"
             found.append((f"evidence against it {span} that no event explains", 1.0))
-    for e in _of_kind(seen, ORDER, rotor):
-        found.append((f"its output seems to go to motor {next(r for r in e.rotors if r != rotor)}", 1.0))
     if seen.lost is not None and not claims and any(rotor in who for who in seen.lost.alternatives):
-        found.append((f"may be why control was lost at {seconds(seen.lost.onset_s)}", 1.0))
+        found.append((said(seen.lost.means.now, seen.lost), 1.0))
     return found
 
 
 def _past(seen: Evidence, rotor: int, claims) -> str:
     """What happened to a rotor that is healthy at the end."""
-    notes = []
-    for word, sure in (("was", True), ("may have been", False)):
-        over = [e for e in claims if e.end_s is not None and sure != bool(e.alternatives)]
-        notes += [f"{word} weak from {seconds(e.onset_s)} to {seconds(e.end_s)}" for e in over]
-    for e in _of_kind(seen, OVERRIDE, rotor):
-        notes.append(f"its output did not follow the mixer from {seconds(e.onset_s)} to {seconds(e.end_s)}")
-    for e in (e for e in seen.events if e.kind == DESYNC and any(rotor in who for who in explanations(e))):
-        may = "may have " if e.alternatives else ""
-        notes.append(
-            f"{may}desynced at {seconds(e.onset_s)}"
-            + (f", {n} times in all" if (n := e.extra.get("count", 1)) > 1 else "")
-        )
-    notes += filter(None, [_worked(seen, rotor)])
-    notes += [f"{MOTOR_NOTICES[e.kind]} since {seconds(e.onset_s)}" for e in _notices(seen) if rotor in e.rotors]
-    return listed(notes)
+    over = sorted((e for e in claims if e.end_s is not None), key=lambda e: bool(e.alternatives))
+    notes = [said(e.means.past, e) for e in (*over, *_other_faults(seen)) if rotor in e.suspects]
+    notes += [_worked(seen, rotor)]
+    notes += [said(e.means.past, e) for e in _notices(seen) if rotor in e.rotors]
+    return listed([note for note in notes if note])
 
 
-def _of_kind(seen: Evidence, kind: str, rotor: int) -> list[Event]:
-    return [e for e in seen.events if e.kind == kind and rotor in e.rotors]
+def _other_faults(seen: Evidence) -> list[Event]:
+    """Faults that take no share of a rotor's thrust."""
+    return [e for e in seen.events if e.means.accuses and not e.means.weakens]
 
 
 def _together(bounds: Sequence[float]) -> float:

@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.answer.story import LOST, initiating_event
+from rotorwatch.answer.story import initiating_event
 from rotorwatch.answer.traces import angles, rates
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event, StoryLine
+from rotorwatch.flight.kinds import DESYNC, LOST
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion import allocation
 
-DESYNC = "desync"
 MOST = 160  # samples of a series
 BEFORE_S, AFTER_S = 1.5, 1.0  # of the initiating event and of the end that are shown
 # Before and after control began to be lost: what is further away would make the rest too small to see.

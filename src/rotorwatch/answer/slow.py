@@ -30,16 +30,16 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.answer import unseen
-from rotorwatch.answer.wording import SCALE, explanations
+from rotorwatch.answer.wording import SCALE
 from rotorwatch.default import events
 from rotorwatch.default.plant import USUAL_S
 from rotorwatch.default.residual_evidence import ResidualEvidence
 from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.kinds import LOSS
 from rotorwatch.front.losses import CLEAR, CREDIBLE, CURVE_SHARE, WITHIN_95
 from rotorwatch.maths.trend import DOUBT, LEAST, WHITE
 from rotorwatch.motion.ticks import JUDGE, Ticks
 
-LOSS = "loss_of_effectiveness"
 LEAST_S = 30.0  # of flight, below which nothing is looked for
 BLOCK_S, BLOCKS = 2.0, 60  # length of a block at least; so many at most
 RISES = (0, 3, 5, 8, 12, 18, 27, 40)  # blocks from t0 to t1
@@ -257,7 +257,7 @@ def join(losses: Sequence[Event], grown: Growth | None) -> tuple[Event, ...]:
         return tuple(losses)
     (rotor,), (size,), ((low, _),) = grown.rotors, grown.loss, grown.interval
     accusing = [e for e in losses if events.accuses(e)]
-    own = [e for e in accusing if any(who == (rotor,) for who in explanations(e))]
+    own = [e for e in accusing if any(who == (rotor,) for who in e.explanations)]
     over = [e.end_s for e in own if e.end_s is not None]
     stays = len(over) == len(own) > 0 and grown.left(max(over) + USUAL_S) > LASTS * size
     step = any(not e.alternatives and low <= e.loss[0] for e in own)  # it is told already, as far as can be seen

@@ -6,11 +6,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rotorwatch.answer.wording import candidates, losses, rotors, seconds, sentence
+from rotorwatch.answer.wording import candidates, rotors, said, seconds, sentence
 from rotorwatch.flight.diagnosis import Event, StoryLine
+from rotorwatch.flight.kinds import LOST, Span
 
-LOST, LOSS, ORDER = "loss_of_control", "loss_of_effectiveness", "motor_order"
-ACCUSES = (LOSS, "output_override", ORDER)
 FIRST_S = 3.0  # after lift-off: the vehicle never flew well, and the last good moment is that it stood
 SOON_S = 0.1  # a tick of slow logs: moments closer than this count as one
 # Causes that clear the rotors: {who} are all of them, {when} is until when they were seen to work.
@@ -65,28 +64,21 @@ def initiating_event(events: Sequence[Event], main: int | None) -> Event | None:
     lost = next((e for e in events if e.kind == LOST), None)
     if lost is None:
         return None
-    before = [e for e in events if e.kind in ACCUSES and e.onset_s <= lost.detected_s]
+    before = [e for e in events if _may_begin(e) and e.onset_s <= lost.detected_s]
     if main is not None and events[main] in before:
         return events[main]
     lasted = [e for e in before if e.end_s is None or e.end_s >= lost.onset_s]
     return min(lasted, key=lambda e: e.onset_s, default=None)
 
 
+def _may_begin(event: Event) -> bool:
+    """A motor that lost step for a moment came back."""
+    return event.means.accuses and event.means.span is not Span.SPELLS
+
+
 def _initiating_sentence(event: Event, lost: Event, places: Sequence[str]) -> str:
-    at = seconds(event.onset_s)
-    if event.kind == ORDER:
-        first = f"From its first movement at {at} on it"
-        if not event.rotors:
-            return f"{first} yawed against its commands: propellers or motors turn the wrong way round."
-        i, j = event.rotors
-        who = rotors(event.rotors, places)
-        return f"{first} turned as if the outputs of motors {i} and {j} went to each other's motor: {who}."
-    if event.kind == LOSS and event.alternatives:
-        return f"At {at} something lost thrust: {candidates(event, places)}."
     over = f", until {seconds(event.end_s)}" if event.end_s is not None and event.end_s < lost.onset_s else ""
-    if event.kind == LOSS:
-        return f"At {at} {rotors(event.rotors, places)} lost {losses(event)} of thrust{over}."
-    return f"At {at} the output of {candidates(event, places)} stopped following the mixer{over}."
+    return said(event.means.began, event, places, over=over)
 
 
 def _no_rotor(lost: Event, n: int, places: Sequence[str]) -> str:
@@ -109,8 +101,8 @@ def _lost(lost: Event, when: float, first: Event | None, n: int) -> str:
     how = str(lost.extra.get("how") or "")
     since = "" if when - lost.onset_s < SOON_S else f"; it had begun to leave control at {seconds(lost.onset_s)}"
     text = f"Control was lost at {seconds(when)}{f', {how}' if how else ''}{since}."
-    named = set() if first is None else {r for who in (first.rotors, *first.alternatives) for r in who}
-    other = not named & {*lost.rotors, *sum(lost.alternatives, ())}
+    named = frozenset() if first is None else first.suspects
+    other = not named & lost.suspects
     if first is not None and lost.extra.get("cause") in CLEARED and other:
         text += f" {_cleared(lost, n)}"  # what had begun before is not why
     return text

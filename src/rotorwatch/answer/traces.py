@@ -10,7 +10,7 @@ import numpy as np
 
 from rotorwatch.answer import context
 from rotorwatch.answer.conclusion import most
-from rotorwatch.answer.wording import explanations, rotors
+from rotorwatch.answer.wording import rotors
 from rotorwatch.default import events
 from rotorwatch.default.hypotheses import Hypotheses
 from rotorwatch.flight import Flight, Signal
@@ -66,7 +66,7 @@ def _open(lower: np.ndarray, upper: np.ndarray, time: np.ndarray, found, spells)
     """Widen the bands of suspects as the rotor table does: over every explanation of an event, and up to all after unexplained evidence."""
     for e in found:
         inside = (time >= e.detected_s) & (time <= (np.inf if e.end_s is None else e.end_s))
-        for rotor in {r for who in explanations(e) for r in who} if e.alternatives and e.interval else ():
+        for rotor in e.suspects if e.alternatives and e.interval else ():
             lower[inside, rotor - 1] = 0.0
             upper[inside, rotor - 1] = np.maximum(upper[inside, rotor - 1], most(e, rotor))
     for spell in spells:

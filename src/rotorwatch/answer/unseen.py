@@ -35,6 +35,7 @@ from rotorwatch.answer.wording import SCALE
 from rotorwatch.default import announcement, events, hypotheses, plant, residual_evidence
 from rotorwatch.default.residual_evidence import ResidualEvidence
 from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.kinds import LOST
 from rotorwatch.front.losses import WITHIN_95
 from rotorwatch.maths.tails import student_quantile
 from rotorwatch.motion.ticks import JUDGE, Ticks
@@ -161,7 +162,7 @@ class Unseen:
     def doubted(self, found: Sequence[Event]) -> tuple[Event, ...]:
         """The events, but a loss of control that no rotor is blamed for has those as alternatives against which evidence was certain
         shortly before, and more than for any disturbance: what a rotor lacks by then is part of the trim that its rotors are judged by."""
-        return tuple(self._doubted(e, found) if e.kind == "loss_of_control" else e for e in found)
+        return tuple(self._doubted(e, found) if e.kind == LOST else e for e in found)
 
     def _doubted(self, lost: Event, found: Sequence[Event]) -> Event:
         self._join()

@@ -6,19 +6,9 @@ from collections.abc import Iterable, Sequence
 
 from rotorwatch.default.hypotheses import TOTAL_LOSS
 from rotorwatch.flight.diagnosis import Event, Trend
+from rotorwatch.flight.kinds import Words
 from rotorwatch.motion.airborne import Gap
 
-KINDS = {
-    "loss_of_effectiveness": "loss of effectiveness",
-    "output_override": "output overridden",
-    "contact": "knock or contact",
-    "loss_of_control": "loss of control",
-    "motor_order": "motors in the wrong order",
-    "desync": "motor lost step",
-    "slow_motor": "motor slower than commanded",
-    "high_current": "motor draws more current",
-    "low_current": "motor draws less current",
-}
 CAUSES = {"propeller": "propeller", "motor_or_esc": "motor or ESC", "bearing": "bearing"}
 BASELINE = "To see smaller damage that was there from take-off, give a healthy flight of the same build: --baseline HEALTHY.LOG."
 NAMED = 5  # gaps that warnings name
@@ -106,17 +96,11 @@ def together(outputs: Sequence[Event]) -> list[tuple[str, bool]]:
     return said
 
 
-def explanations(event: Event) -> tuple[tuple[int, ...], ...]:
-    """All rotor sets that explain an event, its own first."""
-    own = tuple(event.rotors)
-    return (own, *(tuple(a) for a in event.alternatives if tuple(a) != own)) if own else ()
-
-
 def candidates(event: Event, places: Sequence[str] = ()) -> str:
     """The rotors of an event with what else explains the data: 'rotors 1 and 2, or rotors 3 and 4'."""
     all_alike = f"all {len(places)} rotors alike"
     every = 2 < len(places)
-    sets = (all_alike if every and len(places) == len(s) else rotors(s, places) for s in explanations(event))
+    sets = (all_alike if every and len(places) == len(s) else rotors(s, places) for s in event.explanations)
     return ", or ".join(sets) or "no single rotor"
 
 
@@ -142,22 +126,51 @@ def motor(numbers: Iterable[int], places: Sequence[str] = ()) -> str:
     return f"motor {listed(names, 'or')}"
 
 
-def desynced(event: Event, places: Sequence[str] = ()) -> str:
-    """'motor 3 desynced 7 times, first at 34.20 s'."""
-    count = int(event.extra.get("count", 1))
-    who = motor([r for own in explanations(event) for r in own], places)
-    times = "once," if count == 1 else f"{count} times, first"
-    return f"{who} desynced {times} at {seconds(event.onset_s)}"
-
-
 def sentence(text: str) -> str:
     """With a capital at the beginning."""
     return text[:1].upper() + text[1:]
 
 
-def kind(event: Event) -> str:
-    """The event's kind in words; an unknown one as it is."""
-    return KINDS.get(event.kind, event.kind.replace("_", " "))
+def said(words: Words | str, event: Event, places: Sequence[str] = (), **more: str) -> str:
+    """A template of the table of kinds (flight/kinds.py) about an event. places: `places.names`; more: what else stands in its braces."""
+    extra, count = event.extra, int(event.extra.get("count", 1))
+    pieces = {
+        "noun": event.means.noun,
+        "who": rotors(event.rotors, places),
+        "plain_who": rotors(event.rotors),
+        "candidates": candidates(event, places),
+        "motors": motor([r for own in event.explanations for r in own], places),
+        "numbers": listed([str(r) for r in event.rotors]),
+        "servos": listed([f"SERVO{r}_FUNCTION" for r in event.rotors]),
+        "losses": losses(event),
+        "lost": lost(event, "thrust"),
+        "lost_effect": lost(event, "its effectiveness"),
+        "at": seconds(event.onset_s),
+        "when": when(event),
+        "end": seconds(event.end_s),
+        "why": event.reason.strip().removesuffix("."),
+        "cause": cause(event),
+        "times": "once," if count == 1 else f"{count} times, first",
+        "in_all": f", {count} times in all" if count > 1 else "",
+        "log_speed": "" if extra.get("rpm") else "; log its speed next time (bidirectional DShot, eRPM)",
+    }
+    template = words if isinstance(words, str) else words.of(event)
+    return template.format_map(pieces | more)
+
+
+def lost(event: Event, what: str) -> str:
+    """'lost 37 % (33-41 %) of thrust'; of a rotor that follows no command, what it gives."""
+    gives = event.extra.get("gives")
+    if gives is None:
+        return f"lost {losses(event)} of {what}"
+    return f"stopped following its command (it gives {gives:.1f} times the thrust of hover)"
+
+
+def when(event: Event) -> str:
+    """'at 41.20 s'; 'little by little from 41.20 s to 65.00 s' of a loss that grew."""
+    grew = event.extra.get("grew_until_s")
+    at = seconds(event.onset_s)
+    return f"at {at}" if grew is None else f"little by little from {at} to {seconds(grew)}"
 
 
 def cause(event: Event) -> str:

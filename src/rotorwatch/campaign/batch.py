@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from rotorwatch import airframes
+from rotorwatch.answer import ledger
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.campaign import methods, score
 from rotorwatch.campaign.plan import Plan
@@ -26,6 +27,7 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import limits
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.kinds import LOST
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion.airborne import airborne
 from rotorwatch.motion.ticks import GROUND, LAG_S, READY_S, Ticks, observe
@@ -187,8 +189,8 @@ def all_events(f: Flown, losses: Sequence[Event], upsets: Sequence[upset.Judged]
     """What accuses rotors, as `diagnose` puts it together: losses, outputs that do not follow the mixer, and what losses of control, which
     belong to the default diagnosis, show of rotors."""
     B = f.vehicle.effectiveness()
-    found = upset.events(upsets, events.Report(B).events(losses, f.overrides), len(f.vehicle.rotors))
-    return tuple(e for e in found if e.kind != "loss_of_control")
+    found = ledger.merge((*losses, *f.overrides), events.Report(B), upsets, B.shape[1]).events
+    return tuple(e for e in found if e.kind != LOST)
 
 
 def _table(table: Ticks, B: np.ndarray, rows: slice = slice(None)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

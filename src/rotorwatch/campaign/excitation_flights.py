@@ -173,8 +173,7 @@ def batch(frame: str, flights: Sequence[int], seed: int, limits: excitation.Limi
         new, named = old, ()
         if made is not None:
             answer = diagnose(flight)
-            kinds = ("loss_of_effectiveness", "output_override")
-            sure = [e for e in answer.events if e.kind in kinds and not e.alternatives]
+            sure = [e for e in answer.events if e.means.lasting_fault and not e.alternatives]
             new, named = answer.verdict, tuple(sorted({r for e in sure for r in e.rotors}))
         row = {
             "flight": k, "frame": frame, "mass_kg": float(s.airframe["mass_kg"]), "wind_m_s": float(s.wind["speed_m_s"]),

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.answer.conclusion import Conclusion
-from rotorwatch.answer.wording import explanations
 from rotorwatch.base import files
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.default import events
@@ -78,7 +77,7 @@ def estimator(
 
 def answer(end: Conclusion) -> dict[str, str]:
     """The columns of what `diagnose` answers to the whole flight."""
-    named = () if end.main is None else explanations(end.events[end.main])
+    named = () if end.main is None else end.events[end.main].explanations
     who = {state.rotor for state in end.rotors if state.status not in ("healthy", "unobservable")}.union(*named)
     return {"answer": end.verdict, "accused": "+".join(map(str, sorted(who)))}
 

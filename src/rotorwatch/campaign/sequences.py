@@ -21,6 +21,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from rotorwatch.answer import ledger
 from rotorwatch.base import files
 from rotorwatch.campaign import batch
 from rotorwatch.campaign.plan import Cell, drawn
@@ -213,7 +214,8 @@ def judged(plan: Sequences, flown: Sequence[batch.Flown]) -> list[dict[str, Any]
     rows = []
     for f, out in zip(flown, batch.by_default(flown, B, WIDTH)):
         losses = events.read(out.kept, f.ticks, B)
-        accusing = [e for e in events.Report(B).events(losses, f.overrides) if e.kind == "loss_of_effectiveness"]
+        merged = ledger.merge((*losses, *f.overrides), events.Report(B), (), B.shape[1])
+        accusing = [e for e in merged.events if e.means.weakens]
         induced = induced_velocity(f.scenario)
         for s in states(f, accusing):
             rows.append(

@@ -278,13 +278,11 @@ def _lines(alert: dict) -> None:
 
 def _sentences(quiet: bool):
     """Alerts for people, where no picture can be drawn."""
+    from rotorwatch.live.view import announced
 
     def show(alert: dict) -> None:
         if alert["type"] == "event":
-            event, what = alert["event"], alert["state"]
-            click.echo(
-                f"{alert['vehicle']}: {what}: {event['kind'].replace('_', ' ')} at {event['onset_s']:.1f} s; {event['reason']}"
-            )
+            click.echo(f"{alert['vehicle']}: {announced(alert)}")
         elif not quiet and alert["type"] != "vehicle":
             say(alert["text"] if alert["vehicle"] in alert["text"] else f"{alert['vehicle']}: {alert['text']}")
 
@@ -292,13 +290,8 @@ def _sentences(quiet: bool):
 
 
 def _code(vehicles) -> int:
-    from rotorwatch.live.ground import TOTAL_LOSS
-
-    found = [e for v in vehicles for e in v.events]
-    if any(
-        e.kind in ("loss_of_effectiveness", "output_override", "motor_order") or (e.kind == TOTAL_LOSS and e.rotors)
-        for e in found
-    ):
+    found = [e for v in vehicles for e in v.events if e.means.wrong]
+    if any(e.means.accuses or e.rotors for e in found):
         return FAULT
     open_ = any(v.trouble or v.session is None or v.session.doubt or not v.session.judged for v in vehicles)
-    return NOTHING if not vehicles or open_ or any(e.kind == TOTAL_LOSS for e in found) else 0
+    return NOTHING if not vehicles or open_ or found else 0

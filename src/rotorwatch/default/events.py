@@ -17,7 +17,8 @@ from rotorwatch.compiling.structs import LASTS
 from rotorwatch.default.hypotheses import Hypotheses
 from rotorwatch.default.plant import lower_rotors
 from rotorwatch.flight import Flight
-from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.diagnosis import Event, Source
+from rotorwatch.flight.kinds import CONTACT, LOSS, OVERRIDE, TABLE, number
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.front import deviations, losses, whole
 from rotorwatch.front import events as definition
@@ -32,9 +33,8 @@ from rotorwatch.motion.ticks import JUDGE, Ticks
 
 __all__ = ["CREDIBLE", "CURVE_SHARE"]
 
-KINDS = ("loss_of_effectiveness", "output_override", "contact", "loss_of_control")
-# Numbers, of 16 bits, that stand for other kinds, for what became of an output and for causes: each its own, while the process lasts.
-_NUMBERS: dict[Any, int] = defaultdict(iter(range(len(KINDS), 1 << 15)).__next__)
+# Numbers, of 16 bits, that stand for unknown kinds, for what became of an output and for causes: each its own, while the process lasts.
+_NUMBERS: dict[Any, int] = defaultdict(iter(range(1 << 8, 1 << 15)).__next__)
 COLUMNS = (
     "theta",
     "theta_sd",
@@ -213,9 +213,9 @@ class Report:
 def overrides(flight: Flight, vehicle: Vehicle, air, table: Ticks) -> tuple[Event, ...]:
     """Outputs that do not follow the mixer; none that leaves it only once the vehicle tumbles: by then mixers, failsafes and pilots do
     what they can."""
-    found = tuple(map(overridden, deviating(flight, vehicle, air)))
+    found = claimed(flight, vehicle, air)
     known = Report(vehicle.effectiveness()).add(table, air).finish(air).events((), found)
-    return tuple(e for e in (*known, *filter(shared, found)) if e.kind == KINDS[definition.OUTPUT_OVERRIDE])
+    return tuple(e for e in known if e.kind == OVERRIDE)
 
 
 def shared(event: Event) -> bool:
@@ -223,26 +223,22 @@ def shared(event: Event) -> bool:
     return bool(event.extra.get("shared"))
 
 
+def claimed(flight: Flight, vehicle: Vehicle, air) -> tuple[Event, ...]:
+    """Outputs that do not follow the mixer."""
+    return tuple(map(overridden, deviating(flight, vehicle, air)))
+
+
 def overridden(one: Override) -> Event:
     """An output that does not follow the mixer, as an event."""
     times = one.onset, one.detected, one.end
-    return Event(
-        "output_override",
-        (one.rotor,),
-        *times,
-        (),
-        (),
-        1.0,
-        (),
-        one.reason,
-        {"override": one.kind, **({"shared": True} if one.shared else {})},
-    )
+    extra = {"override": one.kind, **({"shared": True} if one.shared else {})}
+    return Event(OVERRIDE, (one.rotor,), *times, (), (), 1.0, (), one.reason, extra, Source.OUTPUTS)
 
 
 def _contact(one: Contact) -> Event:
     reason = f"something outside the vehicle {one.what}, by {one.size:.1f} {one.unit}"
     extra = {"size": one.size, "unit": one.unit}
-    return Event("contact", (), one.time, one.time, one.time, (), (), 1.0, (), reason, extra)
+    return Event(CONTACT, (), one.time, one.time, one.time, (), (), 1.0, (), reason, extra, Source.CONTACTS)
 
 
 def _one_arm(event: Event) -> Event:
@@ -264,7 +260,7 @@ def packed(events: Sequence[Event]) -> Rows:
         return np.array([[*row, *[0] * (width - len(row))] for row in values]).reshape(len(events), -1)
 
     def kind(event: Event) -> int:
-        return KINDS.index(event.kind) if event.kind in KINDS else _NUMBERS[event.kind]
+        return number(event.kind) if event.kind in TABLE else _NUMBERS[event.kind]
 
     def detail(event: Event) -> int:
         what = event.extra.get("override", ""), event.extra.get("cause", "")
@@ -342,7 +338,8 @@ def _loss(row: _Row) -> Event:
         )
     n = len(rotors)
     return Event(
-        "loss_of_effectiveness", rotors, onset, row.detected, None if row.end >= LASTS else row.end, tuple(row.loss[:n]),
+        LOSS, rotors, onset, row.detected, None if row.end >= LASTS else row.end, tuple(row.loss[:n]),
         tuple(zip(row.lower[:n], row.upper[:n])), row.probability, alternatives, reason,
         {"gives": round(row.size, 2)} if row.size > 0.0 else {},
+        source=Source.ESTIMATOR,
     )  # fmt: skip

@@ -37,7 +37,8 @@ from rotorwatch.default.noise import spread
 from rotorwatch.default.plant import AXIS_STATES, GAIN, PER_AXIS, TAU, lower_rotors
 from rotorwatch.default.program import estimate
 from rotorwatch.default.residual_evidence import TRIM_S, TRIM_SD
-from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.diagnosis import Event, Source
+from rotorwatch.flight.kinds import LOSS
 from rotorwatch.maths.nonnegative import least_squares
 from rotorwatch.maths.tails import normal_cdf
 from rotorwatch.motion.ticks import JUDGE, Ticks
@@ -403,7 +404,7 @@ def _unseen(
     reason += f", but {', '.join('+'.join(map(str, o)) for o in others)} would look the same" if others else ""
     extra = {"asked": _extra(responses, found)}
     start, end = responses[0].start, responses[-1].end
-    return Event("loss_of_effectiveness", who, start, end, None, loss, bounds, share, others, reason, extra), ""
+    return Event(LOSS, who, start, end, None, loss, bounds, share, others, reason, extra, Source.EXCITATION), ""
 
 
 def _when(responses: Sequence[ExcitationEvidence]) -> str:

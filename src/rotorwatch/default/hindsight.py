@@ -12,7 +12,6 @@ vehicle later, the ground carries the rest, and takes torques as well: the secon
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +20,7 @@ from rotorwatch.default import events, hypotheses
 from rotorwatch.default.learning import LEARNED_WEIGHT
 from rotorwatch.default.plant import CURVE, DAMPING, GAIN, PER_AXIS, any_multirotor, lower_rotors
 from rotorwatch.default.program import estimate
-from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN, Ticks
 
 LOOK_S = 7.0  # beyond the blind time: a loss just before its end is announced in it, and has lasted
@@ -127,12 +126,6 @@ def find(carry, ticks: Ticks, B: np.ndarray) -> tuple[Event, ...]:
         later = ticks.time[(ticks.mode == JUDGE) & (ticks.time >= starts[hop])]
         least = max(low for low, _ in event.interval)
         if event.end_s is None and event.onset_s < later[0] and (least > LEAST or event.alternatives):
-            found.append(replace(event, detected_s=float(ends[hop]), extra={**event.extra, "live": False}))
+            extra = {**event.extra, "live": False}
+            found.append(replace(event, detected_s=float(ends[hop]), extra=extra, source=Source.HINDSIGHT))
     return tuple(found)
-
-
-def join(losses: Sequence[Event], early: Sequence[Event]) -> tuple[Event, ...]:
-    """Both, in the order of time. Where a loss that was announced in flight names a rotor of an early one while that was looked for, the
-    early one tells when it began and its size; what the first look saw was its rest."""
-    kept = [e for e in losses if not any(set(e.rotors) & set(f.rotors) and e.onset_s <= f.detected_s for f in early)]
-    return tuple(sorted((*kept, *early), key=lambda e: e.detected_s))

@@ -16,6 +16,7 @@ import numpy as np
 from rotorwatch.default import hypotheses, plant
 from rotorwatch.default.hypotheses import Hypotheses
 from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.kinds import CONTACT
 from rotorwatch.motion.ticks import JUDGE, Ticks
 
 LASTS_S = 1.0
@@ -47,7 +48,7 @@ def find(
     `limit` [nats] and no disturbance explains them clearly better; and, with B (4, n), trims that were learned afresh and changed as a
     rotor's loss would change them. None in flights without an event: what they hide is `answer.unseen`'s. out: the estimator's stacked
     outputs."""
-    known = [e for e in events if e.kind in ("loss_of_effectiveness", "output_override")]
+    known = [e for e in events if e.means.lasting_fault]
     if not known:
         return ()
     time, n = table.time, out.theta.shape[1]
@@ -86,14 +87,14 @@ def knocked(time: np.ndarray, events: Sequence[Event]) -> np.ndarray:
     """Whether the evidence at these times [s] speaks of a knock among the events, which leaves it behind."""
     near = np.zeros(np.shape(time), bool)
     for e in events:
-        if e.kind == "contact":
+        if e.kind == CONTACT:
             near |= (time >= e.onset_s - 0.5) & (time <= max(e.detected_s, e.end_s or 0.0) + plant.USUAL_S)
     return near
 
 
 def faint(losses: Sequence[Event], found: Sequence[Event], end_s: float) -> tuple[ResidualEvidence, ...]:
     """Spells of `losses` that accuse nobody (`events.accuses`), but for those that a knock among the events explains."""
-    knocks = [e.onset_s for e in found if e.kind == "contact"]
+    knocks = [e.onset_s for e in found if e.kind == CONTACT]
     return tuple(
         ResidualEvidence(e.rotors, e.onset_s, end_s if e.end_s is None else e.end_s)
         for e in losses

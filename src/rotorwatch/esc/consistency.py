@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rotorwatch.answer.ledger import joined
 from rotorwatch.answer.wording import CAUSES, listed, percent, probability, rotors
 from rotorwatch.esc import evidence, ratios, stopped, telemetry, watch
 from rotorwatch.esc.telemetry import Binned
@@ -20,7 +21,6 @@ from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion import allocation
 from rotorwatch.motion.ticks import Ticks
 
-LOSS, OVERRIDE = "loss_of_effectiveness", "output_override"
 CLEAR_S = 1.0  # before an onset: it is known no better
 RESPONSE_S = 0.5  # after it: controllers and motors answer
 USED_S = 10.0  # how much of a loss is heard, its last
@@ -48,13 +48,11 @@ def check(
     events = (*events, *stopped_events)
     healthy = _healthy(bins, events)
     # A loss of known rotors, whose cause is not known yet.
-    open_ = [e.kind == LOSS and not e.alternatives and "cause" not in e.extra for e in events]
+    open_ = [e.means.weakens and not e.alternatives and "cause" not in e.extra for e in events]
     out = [_with_cause(e, bins, calm, healthy, air) if ask else e for e, ask in zip(events, open_)]
     # Once a rotor is weak the others work elsewhere than where their laws were learned.
     found, more = watch.look(bins, calm & healthy.all(axis=1, keepdims=True))
-    named = {rotor for e in out if e.kind == LOSS for rotor in e.rotors}
-    found = [e for e in found if e.kind != LOSS or not named & set(e.rotors)]  # what is known already
-    return tuple(sorted((*out, *found), key=lambda e: e.detected_s)), (*notes, *stopped_notes, *more)
+    return joined(out, found), (*notes, *stopped_notes, *more)
 
 
 def _upset(bins: Binned, table: Ticks) -> np.ndarray:
@@ -77,10 +75,10 @@ def _healthy(bins: Binned, events: Sequence[Event]) -> np.ndarray:
     """(T, n) bool: rotors that no event names at that time; CLEAR_S before an onset is doubtful."""
     out = np.ones(bins.known.shape, bool)
     for e in events:
-        if e.kind in (LOSS, OVERRIDE):
+        if e.means.lasting_fault:
             end = np.inf if e.end_s is None else e.end_s + CLEAR_S
             during = (bins.time > e.onset_s - CLEAR_S) & (bins.time < end)
-            for rotor in {r for who in (e.rotors, *e.alternatives) for r in who}:
+            for rotor in e.suspects:
                 out[during, rotor - 1] = False
     return out
 

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 
 from rotorwatch.answer.wording import CAUSES, rotors
 from rotorwatch.esc import ratios
-from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.diagnosis import Event, Source
+from rotorwatch.flight.kinds import LOSS
 
 
 def entry(
@@ -37,6 +38,7 @@ def loss(
     sentence: str,
     thrust_of_speed: float,
     current_ratio: float | None = None,
+    source: Source = Source.ESC_STANDS,
 ) -> Event:
     """A loss of effectiveness that an ESC alone shows. size: likeliest, least and largest loss; shares: probability of each cause, in the
     order of `ratios.PRIOR`; parts: as for `entry`; sentence: what the ESC shows, to follow "says that"."""
@@ -46,5 +48,5 @@ def loss(
     about = entry(rotor, cause, causes, parts, thrust_of_speed, current_ratio)
     extra = {"cause": cause, "causes": causes, "esc": [about]}
     return Event(
-        "loss_of_effectiveness", (rotor,), onset_s, detected_s, None, (size[0],), ((size[1], size[2]),), causes[cause], (), reason, extra
+        LOSS, (rotor,), onset_s, detected_s, None, (size[0],), ((size[1], size[2]),), causes[cause], (), reason, extra, source,
     )  # fmt: skip

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from rotorwatch.answer.ledger import explained
 from rotorwatch.answer.wording import rotors, seconds
 from rotorwatch.esc import evidence, ratios
 from rotorwatch.esc.telemetry import Binned
@@ -26,12 +27,11 @@ TURNS, UNLOADED = 0.6, 0.35  # of its usual speed; of the current that such a sp
 REPORTS, UNLOADED_REPORTS, UNLOADED_S = 2, 3, 0.5
 DOWN_S = 0.4  # before the end of the flight: propellers stop in the ground
 FLIES_ON_S = 3.0
-SAME_S = 3.0  # a loss found so near is the same
 LEAST_LOSS, LEAST_UNLOADED = 0.95, 0.6
 
 
 def find(bins: Binned, events: Sequence[Event], air, upset: np.ndarray) -> tuple[tuple[Event, ...], list[str]]:
-    """(events loss_of_effectiveness of rotors that stand or have no load, warnings). upset (T,) bool: bins in which the vehicle tumbles."""
+    """(losses of rotors that stand or have no load, warnings). upset (T,) bool: bins in which the vehicle tumbles."""
     out, warnings = [], []
     for start, end in air:
         inside = (bins.report_time > start) & (bins.report_time < end)
@@ -47,7 +47,8 @@ def find(bins: Binned, events: Sequence[Event], air, upset: np.ndarray) -> tuple
             if spell is not None:
                 onset, known = _times(bins, spell)
                 later = (bins.time > onset) & (bins.time < end) & ~upset
-                if onset > end - DOWN_S or _explained(events, rotor, onset):
+                claim = _stands(rotor, onset, known)
+                if onset > end - DOWN_S or explained(claim, events):
                     continue
                 if np.count_nonzero(later) * bins.width > FLIES_ON_S:
                     warnings.append(
@@ -55,7 +56,7 @@ def find(bins: Binned, events: Sequence[Event], air, upset: np.ndarray) -> tuple
                         "without a loss: its telemetry has failed, and it is not used from there."
                     )
                 else:
-                    out.append(_stands(rotor, onset, known))
+                    out.append(claim)
                 continue
             at = at[bins.amps_known[at, k] & (bins.speed[at, k] > TURNS * usual[k])]
             if at.size <= UNLOADED_REPORTS:
@@ -66,8 +67,9 @@ def find(bins: Binned, events: Sequence[Event], air, upset: np.ndarray) -> tuple
             if spell is not None:
                 onset, known = _times(bins, spell)
                 lasted = bins.report_time[at[-1]] - onset
-                if onset < end - DOWN_S and lasted > UNLOADED_S and not _explained(events, rotor, onset):
-                    out.append(_unloaded(rotor, onset, known, float(np.median(load[at >= spell[1]]))))
+                claim = _unloaded(rotor, onset, known, float(np.median(load[at >= spell[1]])))
+                if onset < end - DOWN_S and lasted > UNLOADED_S and not explained(claim, events):
+                    out.append(claim)
     return tuple(out), warnings
 
 
@@ -92,12 +94,6 @@ def _times(bins: Binned, spell: tuple[int, int, int]) -> tuple[float, float]:
 def _usual(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
     """(n,) upper quartile of the valid values (m, n): of a flight most of which may be flown without the rotor; 0 without any."""
     return np.array([np.quantile(v[ok], USUAL) if ok.any() else 0.0 for v, ok in zip(values.T, valid.T)])
-
-
-def _explained(events: Sequence[Event], rotor: int, onset: float) -> bool:
-    kinds = ("loss_of_effectiveness", "output_override")
-    named = [e for e in events if e.kind in kinds and any(rotor in who for who in (e.rotors, *e.alternatives))]
-    return any(e.onset_s < onset + SAME_S for e in named)
 
 
 def _stands(rotor: int, onset: float, known: float) -> Event:

@@ -18,13 +18,13 @@ import numpy as np
 from rotorwatch.answer.wording import interval, percent, rotors, seconds
 from rotorwatch.esc import evidence, ratios
 from rotorwatch.esc.telemetry import BIN_S, Binned
-from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.diagnosis import Event, Source
+from rotorwatch.flight.kinds import HIGH, LOW, SLOW
 
 BLOCK_S = 5.0
 BEFORE, AFTER = 3, 2  # blocks that a change needs on each side
 SIGMAS = 6.0
 STANDS_OUT = 3.0  # times the largest change of any other rotor
-SLOW, HIGH, LOW = "slow_motor", "high_current", "low_current"
 # Least change of the thrust that the speed gives, or of current; standard deviation of a level that wanders for no reason; direction.
 LEAST = {SLOW: 0.03, HIGH: 0.15, LOW: 0.1}
 DRIFT = {SLOW: 0.004, HIGH: 0.015, LOW: 0.015}
@@ -35,7 +35,7 @@ FOLLOWS = 0.5  # of what a current that stays makes of a wrong speed: below that
 
 
 def look(bins: Binned, usable: np.ndarray) -> tuple[tuple[Event, ...], list[str]]:
-    """(events `slow_motor`, `high_current`, `low_current` and, where much is lost, `loss_of_effectiveness`; warnings).
+    """(events of kind SLOW, HIGH, LOW and, where much is lost, LOSS; warnings).
 
     usable (T, n) bool: bins of usual flight without any loss that commands and motion show. A speed that falls a lot should have shown
     there: when the current falls with it, two sensors say so, and it is a loss that was missed; else the speed is not believed.
@@ -74,7 +74,7 @@ def _notice(kind: str, rotor: int, onset: float, announced: float, size: float, 
     }[kind]
     reason = f"since {seconds(onset)} {phrases}, and the other rotors do not; commands and motion show no loss"
     extra = {"change": size, "change_interval": bounds}
-    return Event(kind, (rotor,), onset, announced, None, (), (), sure, (), reason, extra)
+    return Event(kind, (rotor,), onset, announced, None, (), (), sure, (), reason, extra, Source.ESC_CHANGED)
 
 
 def lost_speed(rotor: int, onset: float, announced: float, size: float, bounds) -> Event:
@@ -84,7 +84,8 @@ def lost_speed(rotor: int, onset: float, announced: float, size: float, bounds) 
         "motion alone do not show it; "
     )
     parts = {"speed": (size, *bounds), "propeller": (0.0, 0.0, 1.0)}
-    return evidence.loss(rotor, onset, announced, (size, *bounds), (0.0, 0.95, 0.02, 0.03), parts, sentence, 1.0 - size)
+    causes, source = (0.0, 0.95, 0.02, 0.03), Source.ESC_CHANGED
+    return evidence.loss(rotor, onset, announced, (size, *bounds), causes, parts, sentence, 1.0 - size, source=source)
 
 
 def _follows(time, law, k: int, onset: float, announced: float, change: float) -> bool:

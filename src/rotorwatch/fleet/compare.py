@@ -138,9 +138,9 @@ def _events(answer: Diagnosis, other: Diagnosis) -> Iterable[Moment]:
 
     known = {mark(e) for e in other.events}
     for e in answer.events:
-        losses = f", {report.losses(e)}" if e.kind == "loss_of_effectiveness" and e.loss else ""
+        losses = f", {report.losses(e)}" if e.loss else ""
         until = f" to {report.seconds(e.end_s)}" if e.end_s is not None else ""
-        text = f"{report.sentence(report.kind(e))}: {report.who(e, answer)}{losses}, {report.seconds(e.onset_s)}{until}"
+        text = f"{report.sentence(e.means.noun)}: {report.who(e, answer)}{losses}, {report.seconds(e.onset_s)}{until}"
         yield Moment(text, float(e.onset_s), mark(e) not in known)
 
 

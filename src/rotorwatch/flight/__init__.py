@@ -7,6 +7,7 @@ output_functions.py  which output drives which motor, by the autopilots' paramet
 vehicle.py        rotors, thrust curve, mixer, and what was learned of them
 vehicle_file.py   the same as a TOML file
 notebook.py       a flight as notebooks show it
+kinds.py          the table of kinds of events: what each means, and what is said of it
 diagnosis.py      the answer: verdict, rotors, events and the evidence for them
 """
 

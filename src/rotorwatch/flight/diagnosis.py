@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from enum import Enum
 from typing import Any
 
 import numpy as np
 
 from rotorwatch.base import optional
 from rotorwatch.errors import ConfigError
+from rotorwatch.flight import kinds
 
 SCHEMA = 2
 EXIT_CODES = {"healthy": 0, "fault": 1, "ambiguous": 3, "inconclusive": 3}
@@ -65,16 +67,21 @@ class RotorState:
     trend: Trend | None = None
 
 
+class Source(Enum):
+    """Who claims an event. EXCITATION: the answer to an excitation of the commands; ESC_STANDS: a rotor that its ESC reports to stand or to
+    turn without load; ESC_CHANGED: one whose speed or current has changed."""
+
+    NOBODY, ESTIMATOR, EXCITATION, HINDSIGHT, OUTPUTS, CONTACTS, CONTROL, ESC_STANDS, ESC_CHANGED, DESYNC = range(10)
+
+
 @dataclass(frozen=True)
 class Event:
     """Something that happened in flight. Times in s from the first record of the log.
 
     onset_s: when it began. detected_s: when that could be said. end_s: when it ended; None while it lasts.
-    kind: loss_of_effectiveness, output_override, contact, loss_of_control, motor_order, desync, slow_motor, high_current, low_current.
-    rotors: 1-based. loss: of each of them, 0 to 1.
-    interval: (low, high) of each loss, 95 %. alternatives: other rotor sets that explain the data as well. probability: of these
-    rotors, given the data. reason: one sentence. extra: what only some kinds have. history: (time, loss...) rows of the causal
-    estimate, for plots.
+    kind: its name in the table of kinds (`kinds`). rotors: 1-based. loss: of each of them, 0 to 1. interval: (low, high) of each
+    loss, 95 %. alternatives: other rotor sets that explain the data as well. probability: of these rotors, given the data. reason: one
+    sentence. extra: what only some kinds have. history: (time, loss...) rows of the causal estimate, for plots. source: not in the JSON.
     """
 
     kind: str
@@ -88,6 +95,23 @@ class Event:
     alternatives: tuple[tuple[int, ...], ...] = ()
     reason: str = ""
     extra: Mapping[str, Any] = field(default_factory=dict)
+    source: Source = field(default=Source.NOBODY, compare=False, repr=False)
+
+    @property
+    def means(self) -> kinds.Kind:
+        """What its kind means."""
+        return kinds.of(self.kind)
+
+    @property
+    def explanations(self) -> tuple[tuple[int, ...], ...]:
+        """All rotor sets that explain it, its own first; none of an event that is of no rotor."""
+        own = tuple(self.rotors)
+        return (own, *(tuple(a) for a in self.alternatives if tuple(a) != own)) if own else ()
+
+    @property
+    def suspects(self) -> frozenset[int]:
+        """All rotors of any explanation."""
+        return frozenset(self.rotors).union(*self.alternatives)
 
     def to_dict(self) -> dict:
         """The documented JSON structure of an event (docs/json.md)."""
@@ -210,7 +234,7 @@ class Diagnosis:
     def important(self, most: int) -> list[int]:
         """Which events a short answer shows: indices in time order, at most so many; the main event, losses of control, then the first
         ones."""
-        first = [k for k, e in enumerate(self.events) if k == self.main or e.kind == "loss_of_control"]
+        first = [k for k, e in enumerate(self.events) if k == self.main or e.means.weight is kinds.Weight.UPSET]
         return sorted([*first, *(k for k in range(len(self.events)) if k not in first)][:most])
 
     def to_dict(self) -> dict:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from rotorwatch.default import hindsight
@@ -52,7 +50,3 @@ class Beginnings:
         if ticks:
             old = tuple(e for e in self.found if e.detected_s < first)
             self.found = (*old, *hindsight.find(carry, joined(ticks), self._B))
-
-    def join(self, losses: Sequence[Event]) -> tuple[Event, ...]:
-        """The losses that were announced in flight, with these."""
-        return hindsight.join(losses, self.found)

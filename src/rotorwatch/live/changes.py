@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from rotorwatch.default.events import KINDS, packed
+from rotorwatch.default.events import packed
+from rotorwatch.flight import kinds
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.front import changes, whole
 from rotorwatch.front import events as listed
@@ -36,7 +37,7 @@ class Changes:
     def of(self, events: Sequence[Event], final: bool = False) -> list[Change]:
         """What is new about the events as they are now. final: nothing will come after, so that any difference is announced."""
         withdrawn, out = self._room
-        refined, never = KINDS.index("loss_of_control"), -listed.LASTS
+        refined, never = kinds.number(kinds.LOST), -listed.LASTS
         arguments = packed(events), min(len(events), EVENTS), never, refined, final, withdrawn, out
         count = FRONT.call(whole.changes, self._known, *arguments)
         found = []

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from rotorwatch.flight import Flight, Message, Signal
-from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.live.window import Window
 from rotorwatch.motion.allocation import Spans
@@ -56,10 +55,6 @@ class Control:
     def flight(self, since: float) -> Flight:
         """The samples from `since` s on, as far as they are kept."""
         return self._window.flight(since)
-
-    def events(self, known: tuple[Event, ...], n: int) -> tuple[Event, ...]:
-        """The events `known` of n rotors with those of the losses of control."""
-        return upset.events(self.found, known, n) if self.found else known
 
     def _leaves(self, spans: Spans) -> bool:
         """Do the last seconds look as if control was lost, or as if something had been hit?"""

@@ -15,6 +15,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from rotorwatch.default.events import packed
+from rotorwatch.flight.kinds import Span, Weight, of
 from rotorwatch.front import whole, words
 from rotorwatch.front.definition import FRONT
 from rotorwatch.front.words import CRITICAL, NOTICE, WARNING
@@ -27,8 +28,6 @@ PAUSE_S = 2.0  # between two texts of one vehicle
 A_MINUTE = 10  # texts of one vehicle in a minute
 STEP = 0.1  # by which a loss must move to be told again: half of what is worth an alert elsewhere would fill a pilot's screen
 SLOW_S, FAST_S = 5.0, 1.0  # between two values of a rotor, on serial ports and elsewhere
-TOTAL_LOSS = "loss_of_control"
-WORDS = {"output_override": "output overridden", "contact": "knock or contact", "motor_order": "in the wrong order"}
 CAUSES = {  # of a loss of control without a rotor, in the few characters there are
     "disarmed": "motors stopped", "knock": "knock", "controller": "wrong commands", "saturated": "no thrust left", "power": "power failed",
 }  # fmt: skip
@@ -114,7 +113,7 @@ def gist(alert: dict) -> tuple:
 
 def _over(event: dict) -> bool:
     """Knocks have no duration, and what ended with the impact is not over."""
-    return event["kind"] != "contact" and event["end_s"] is not None and not event.get("impact_s")
+    return of(event["kind"]).span is not Span.MOMENT and event["end_s"] is not None and not event.get("impact_s")
 
 
 def worth_sending(reported: tuple | None, alert: dict) -> bool:
@@ -135,17 +134,22 @@ def text_of(alert: dict) -> tuple[str, int]:
         return text, CRITICAL if stands else NOTICE
     event: Any = SimpleNamespace(extra={}, **alert["event"])
     withdrawn = alert["state"] == WITHDRAWN
-    what = WORDS.get(event.kind, event.kind.replace("_", " "))
-    if event.kind == TOTAL_LOSS:
+    kind = of(event.kind)
+    what, upset = kind.brief or kind.noun, kind.weight is Weight.UPSET
+    if upset:
         numbers = "+".join(map(str, event.rotors))
-        who = f"rotor{'s' if len(event.rotors) > 1 else ''} {numbers}" if numbers else CAUSES.get(event.cause, "")
-        what, event.rotors = ", ".join(filter(None, ("LOSS OF CONTROL", who))), ()
+        who = (
+            f"rotor{'s' if len(event.rotors) > 1 else ''} {numbers}"
+            if numbers
+            else CAUSES.get(alert["event"].get("cause"), "")
+        )
+        what, event.rotors = ", ".join(filter(None, (what, who))), ()
     if not _over(alert["event"]):
         event.end_s = None
     made = FRONT.new(words.Words)
     severity = FRONT.call(whole.in_words, packed([event]), withdrawn, what, made)
     text = bytes(made["at"].reshape(-1)[: int(made["length"][0])].tolist()).decode("ascii")
-    return text, CRITICAL if event.kind == TOTAL_LOSS and severity == WARNING else severity
+    return text, CRITICAL if upset and severity == WARNING else severity
 
 
 def text(alert: dict) -> Outgoing:

@@ -63,14 +63,16 @@ class Judge:
         """Time of the last knock, s; minus infinity without one."""
         return max([-np.inf, *(c.time for c in self._account.report.contacts[-1:])])
 
-    def events(self) -> tuple[Event, ...]:
-        """All that has happened, as it looks now."""
+    @property
+    def report(self) -> events.Report:
+        """Its falls and contacts."""
+        return self._account.report
+
+    def claims(self) -> tuple[Event, ...]:
+        """All that is claimed, as it looks now."""
         losses = self._account.losses.events(flies=not self._over)
-        if self._beginnings is not None:
-            losses = self._beginnings.join(losses)
-        return self._account.report.events(
-            losses, [events.overridden(o) for o in _in_flight(self._overrides, self._spans)]
-        )
+        early = () if self._beginnings is None else self._beginnings.found
+        return (*losses, *early, *map(events.overridden, _in_flight(self._overrides, self._spans)))
 
     def _judge(self, table: Ticks) -> None:
         raw, table = table, grounded(table, self._spans)

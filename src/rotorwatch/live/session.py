@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from rotorwatch import airframes
-from rotorwatch.answer import conclusion
+from rotorwatch.answer import ledger
 from rotorwatch.answer.wording import rotors
 from rotorwatch.default import events
 from rotorwatch.default.residual_evidence import ResidualEvidence
@@ -174,10 +174,12 @@ class Session:
 
     def events(self) -> tuple[Event, ...]:
         """All that has happened, as it looks now."""
-        known = () if self._judge is None else self._judge.events()
         if self._control is None or self._trust is None or self.vehicle is None:
-            return known
-        return self._trust.believed(self._control.events(known, len(self.vehicle.rotors)))
+            return ()
+        B = self.vehicle.effectiveness()
+        claims, report = ((), events.Report(B)) if self._judge is None else (self._judge.claims(), self._judge.report)
+        merged = ledger.merge(claims, report, self._control.found, B.shape[1])
+        return ledger.believed(merged.events, self._trust.until)
 
     @property
     def doubt(self) -> str:
@@ -244,15 +246,14 @@ class Session:
         spread = np.where(loss > 0, 1.96 * sd, unseen)
         return loss, np.clip(loss - spread, 0.0, 1.0), np.clip(loss + spread, 0.0, 1.0)
 
-    def doubted(self, found: Sequence[Event]) -> tuple[Event, ...]:
-        """The events `found`, with the rotors that may have made the vehicle leave control (`answer.unseen`)."""
-        return tuple(found) if self._judge is None else self._judge.unseen.doubted(found)
-
-    def suspected(self, found: Sequence[Event]) -> tuple[ResidualEvidence, ...]:
-        """Rotors that a step accuses which has stayed and that none of the events `found` explains (`answer.unseen`)."""
-        if self._judge is None or self._judge.now is None or self.doubt or conclusion.main_event(found) is not None:
-            return ()
-        return self._judge.unseen.suspected(found, float(self._judge.now[0].time[-1]))
+    def weighed(self, found: Sequence[Event]) -> tuple[tuple[Event, ...], tuple[ResidualEvidence, ...]]:
+        """The events `found` and the evidence that none of them explains, with what all of the flight says of both."""
+        if self._judge is None or self._judge.now is None:
+            return tuple(found), ()
+        seen, spells = ledger.weighed(
+            ledger.Merged(tuple(found), ()), self._judge.unseen, (), float(self._judge.now[0].time[-1])
+        )
+        return seen, () if self.doubt else spells
 
     def blind(self) -> str:
         """Why nothing can be judged right now, in a few words; empty when it is judged."""

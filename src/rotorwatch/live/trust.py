@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from rotorwatch.answer.conclusion import ACCUSES, MOTOR_NOTICES
 from rotorwatch.flight import Flight
-from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion import trust
 from rotorwatch.motion.allocation import Spans
@@ -56,7 +52,7 @@ class Trust:
         if np.isfinite(self._until):
             self._landed = max(self._landed, self._until)
 
-    def believed(self, events: Sequence[Event]) -> tuple[Event, ...]:
-        """The events without those that rest on outputs which cannot be what flies."""
-        until = max(self._until, self._landed)
-        return tuple(e for e in events if e.onset_s > until or e.kind not in (*ACCUSES, *MOTOR_NOTICES))
+    @property
+    def until(self) -> float:
+        """Events up to then rest on outputs that cannot be what flies [s]."""
+        return max(self._until, self._landed)

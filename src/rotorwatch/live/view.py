@@ -7,15 +7,16 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rotorwatch.answer.wording import KINDS, interval, percent, rotors
+from rotorwatch.answer.wording import percent, said
+from rotorwatch.flight import kinds
 from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.kinds import LOST, Span
 from rotorwatch.live.watch import Source
 from rotorwatch.live.watched import Watched
 from rotorwatch.upset.find import CAUSES
 
 BAR = " ▁▂▃▄▅▆▇█"
 SILENT_S = 3.0
-PACKET_LOSS = "loss_of_control"
 SHOWN = 3  # events of a vehicle: that control was lost, and the newest
 STYLES = {
     "LOST": "bold white on red",
@@ -43,12 +44,7 @@ class Line:
 
 def lasting(events: Iterable[Event]) -> list[Event]:
     """Those that still say something is wrong: control that was lost, motors in the wrong order, and faults that are not over."""
-    return [
-        e
-        for e in events
-        if e.kind in (PACKET_LOSS, "motor_order")
-        or (e.kind in ("loss_of_effectiveness", "output_override") and e.end_s is None)
-    ]
+    return [e for e in events if e.means.ongoing(e.end_s)]
 
 
 def line(watched: Watched, waits_for: str = "") -> Line:
@@ -60,11 +56,11 @@ def line(watched: Watched, waits_for: str = "") -> Line:
     blind = watched.trouble or (
         f"waiting for {waits_for}" if waits_for else "not known yet" if session is None else session.blind()
     )
-    if any(e.kind == PACKET_LOSS for e in wrong):
+    if any(e.kind == LOST for e in wrong):
         state = "LOST"
     elif watched.trouble:
         state = "ERROR"
-    elif any(not e.alternatives for e in wrong):
+    elif any(e.means.accuses and not e.alternatives for e in wrong):
         state = "FAULT"
     elif wrong:
         state = "MAYBE"
@@ -79,24 +75,24 @@ def line(watched: Watched, waits_for: str = "") -> Line:
     if known is not None:
         bars = tuple((k + 1, float(loss), "bold red" if k + 1 in named else "") for k, loss in enumerate(known[0]))
     now = 0.0 if session is None else session.now
-    newest = sorted(watched.events, key=lambda e: (e.kind != PACKET_LOSS, -e.detected_s))[:SHOWN]
+    newest = sorted(watched.events, key=lambda e: (e.kind != LOST, -e.detected_s))[:SHOWN]
     alerts = tuple(words(e, now) for e in newest)
     return Line(watched.name, state, bars, alerts, _link(health, silence), blind, watched.rotors.words())
+
+
+def announced(alert: dict) -> str:
+    """The alert of an event, as a sentence."""
+    event = alert["event"]
+    return f"{alert['state']}: {kinds.of(event['kind']).noun} at {event['onset_s']:.1f} s; {event['reason']}"
 
 
 def words(event: Event, now: float | None = None) -> str:
     """What happened, and when; how long ago, when `now` says what time it is."""
     ago = f"{event.onset_s:.1f} s" + ("" if now is None else f" ({max(now - event.onset_s, 0.0):.0f} s ago)")
-    over = "" if event.end_s is None or event.kind == "contact" else f", over at {event.end_s:.1f} s"
+    over = "" if event.end_s is None or event.means.span is Span.MOMENT else f", over at {event.end_s:.1f} s"
     others = f"; or {' or '.join('+'.join(map(str, a)) for a in event.alternatives)}" if event.alternatives else ""
-    if event.kind == PACKET_LOSS:
-        who = f", {rotors(event.rotors)}" if event.rotors else ""
-        return f"{KINDS[PACKET_LOSS]} at {ago}{who}{others}: {CAUSES[event.extra['cause']]}"
-    if event.kind != "loss_of_effectiveness":
-        who = f" of {rotors(event.rotors)}" if event.rotors else ""
-        return f"{KINDS[event.kind]}{who} at {ago}{over}"
-    how_much = ", ".join(f"{percent(loss)} ({interval(*bounds)})" for loss, bounds in zip(event.loss, event.interval))
-    return f"{rotors(event.rotors)} lost {how_much} since {ago}{over}{others}"
+    why = CAUSES.get(event.extra.get("cause", ""), "")
+    return said(event.means.watch, event, ago=ago, over=over, others=others, lost_why=why)
 
 
 def _link(health, silence: float) -> str:

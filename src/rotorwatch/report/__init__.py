@@ -11,12 +11,10 @@ import numpy as np
 
 from rotorwatch.answer.wording import (  # noqa: F401 - its words are the report's, too
     BASELINE,
-    KINDS,
     SCALE,
     VERDICTS,
     candidates,
     interval,
-    kind,
     listed,
     losses,
     percent,
@@ -140,14 +138,14 @@ def health_scale(diagnosis: Diagnosis) -> str:
 
 def event_rows(event: Event, diagnosis: Diagnosis) -> dict[str, str]:
     """Label -> text of an event's fields, in the order of importance; only fields that it has."""
-    lasts = event.end_s is None and event.kind in ("loss_of_effectiveness", "output_override")
+    lasts = event.end_s is None and event.means.lasts
     later = event.detected_s - event.onset_s
     rows = {
         "since": seconds(event.onset_s),
         "clock": moment(diagnosis, event.onset_s),
         "announced": f"{seconds(event.detected_s)} ({later:.2f} s later)",
         "until": "it lasts" if lasts else seconds(event.end_s) if event.end_s is not None else "",
-        "loss (95 % interval)": losses(event) if event.kind == "loss_of_effectiveness" else "",
+        "loss (95 % interval)": losses(event),
         "estimate 2 s later": ", ".join(percent(v) for v in event.extra.get("loss_2s", ())),
         "how sure": probability(event.probability),
         "size": size(event),
@@ -228,7 +226,7 @@ def messages(diagnosis: Diagnosis) -> list[tuple[float, str, str]]:
 
 def comparison(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
     """Who found what, when and why: our events among the other checks' findings, in time order. Empty without any."""
-    rows = [("rotorwatch", candidates(e), e.detected_s, kind(e)) for e in diagnosis.events]
+    rows = [("rotorwatch", candidates(e), e.detected_s, e.means.noun) for e in diagnosis.events]
     for row in diagnosis.comparison:
         named = rotors((row["rotor"],) if row.get("rotor") else ())
         rows.append((str(row.get("detector", "")), named, row["time_s"], row.get("reason", "")))

@@ -50,5 +50,4 @@ def chosen(numbers: Iterable[int], bad: Sequence[int], open_: Sequence[int] = ()
 
 def of_event(event: Event) -> str:
     """The colour of an event: of its verdict."""
-    accuses = event.kind in ("loss_of_effectiveness", "output_override", "motor_order", "desync", "loss_of_control")
-    return INK if not event.rotors or not accuses else SUSPECT if event.alternatives else FAULT
+    return INK if not event.rotors or not event.means.wrong else SUSPECT if event.alternatives else FAULT

@@ -245,6 +245,6 @@ def _mark(figure, diagnosis: Diagnosis) -> None:
             if when is not None:
                 figure.add_layout(Span(location=float(when), line_dash=dash, **style))
         if figure.name == "loss":
-            text = f"{number}: {report.rotors(event.rotors) if event.rotors else report.kind(event)}"
+            text = f"{number}: {report.rotors(event.rotors) if event.rotors else event.means.noun}"
             where: dict[str, Any] = dict(x=float(event.detected_s), y=highest_loss(diagnosis), x_offset=5)
             figure.add_layout(Label(text=text, y_offset=-4 - 16 * ((number - 1) % 4), **where, **words("12px", "top")))

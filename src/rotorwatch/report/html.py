@@ -224,7 +224,7 @@ def _events(diagnosis: Diagnosis, shown: bool = False) -> str:
         several = number - 1 == diagnosis.main and len(diagnosis.events) > 1
         main = ' <span class="main">main event</span>' if several else ""
         items.append(
-            f'<li style="--tint:{colours.of_event(e)}"><h3>{number}. {escape(report.sentence(report.kind(e)))}: '
+            f'<li style="--tint:{colours.of_event(e)}"><h3>{number}. {escape(report.sentence(e.means.noun))}: '
             f"{_text(report.who(e, diagnosis))}{main}</h3>"
             f"{_facts(report.event_rows(e, diagnosis))}<p>{_text(report.sentence(e.reason))}</p>"
             + (f'<p><a href="#t={e.onset_s:.2f}">Show where it began</a></p>' if shown else "")

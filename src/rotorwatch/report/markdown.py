@@ -186,8 +186,8 @@ class _About:
     def _event(self, event: Event, main: bool) -> tuple[str, ...]:
         lasted = event.end_s is not None and event.end_s > event.onset_s
         until = f" until {report.seconds(event.end_s)}" if lasted else ""
-        loss = report.losses(event) if event.kind == "loss_of_effectiveness" else report.size(event)
-        what = self.own(report.kind(event), 60)
+        loss = report.losses(event) or report.size(event)
+        what = self.own(event.means.noun, 60)
         return (
             f"**{what}**" if main else what,
             self.own(report.who(event, self.diagnosis), 160),

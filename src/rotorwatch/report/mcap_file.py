@@ -104,7 +104,7 @@ def _rows(diagnosis: Diagnosis) -> Iterator[Row]:
         for moment, time in (("onset", event.onset_s), ("announced", event.detected_s), ("end", event.end_s)):
             if time is not None and np.isfinite(time):
                 yield _message("events", time, {"moment": moment, **about})
-        title = " ".join((report.kind(event), report.who(event, diagnosis), report.losses(event))).strip()
+        title = " ".join((event.means.noun, report.who(event, diagnosis), report.losses(event))).strip()
         yield _log(event.detected_s, ERROR, NAME, f"{title}: {event.reason}" if event.reason else title)
     if trace is not None:
         yield from _ticks(trace)

@@ -207,8 +207,8 @@ def _events(result: Diagnosis) -> RenderableType:
     rows = []
     for number, e in enumerate(result.events):
         main = " (main)" if number == result.main and len(result.events) > 1 else ""
-        what = Text(f"{report.kind(e)}{main}\n").append(report.candidates(e), style="bold")
-        loss = "\n".join(report.losses(e).split(", ")) if e.kind == "loss_of_effectiveness" else report.size(e)
+        what = Text(f"{e.means.noun}{main}\n").append(report.candidates(e), style="bold")
+        loss = "\n".join(report.losses(e).split(", ")) or report.size(e)
         times = [report.seconds(t) for t in (e.onset_s, e.detected_s, e.end_s)]
         rows.append([what, *map(Text, (*times, loss or "–", report.probability(e.probability)))])
     head = ("what", "since", "announced", "until", "loss (95 %)", "sure")

@@ -169,7 +169,7 @@ def _events(diagnosis: Diagnosis, time: np.ndarray, x: np.ndarray, y: np.ndarray
         while any(np.hypot(a - c, b - d) < 17 for c, d in taken):
             a += 17.0
         taken.append((a, b))
-        name = f"{number}: {report.kind(event)}, {report.seconds(event.onset_s)}"
+        name = f"{number}: {event.means.noun}, {report.seconds(event.onset_s)}"
         out.append(
             f'<g class="event" style="--tint:{colours.of_event(event)}"><title>{escape(name)}</title>'
             f'<circle cx="{a:.1f}" cy="{b:.1f}" r="8"/><text x="{a:.1f}" y="{b + 4:.1f}">{number}</text></g>'

@@ -296,8 +296,7 @@ class Feed:
     def notify(self, alert: dict[str, Any]) -> None:
         """An alert of `watch`, as a sentence in the list of messages."""
         if alert["type"] == "event":
-            event = alert["event"]
-            text = f"{alert['state']}: {event['kind'].replace('_', ' ')} at {event['onset_s']:.1f} s; {event['reason']}"
+            text = view.announced(alert)
         elif alert["type"] == "vehicle":
             text = f"{alert['frame']}, {alert['rotors']} rotors"
         else:

@@ -17,6 +17,7 @@ import numpy as np
 from rotorwatch.diagnose import diagnose
 from rotorwatch.experiments import tools
 from rotorwatch.flight.diagnosis import Diagnosis
+from rotorwatch.flight.kinds import HIGH, LOW, SLOW
 from rotorwatch.simulation import scenario, simulate
 
 DURATION_S = 80.0
@@ -26,7 +27,7 @@ KINDS = {
     "bearing": (("bearing", 0.1, 0.5),),
     "healthy": (),
 }
-NOTICES = {"high_current": "more current", "low_current": "less current", "slow_motor": "slow"}
+NOTICES = {HIGH: "more current", LOW: "less current", SLOW: "slow"}
 ANSWERS = (
     "propeller", "motor or ESC", "bearing", "unknown", "slow", "more current", "less current", "ambiguous", "other rotor", "nothing",
 )  # fmt: skip
@@ -62,8 +63,8 @@ def flights(count: int, seed: int) -> Iterator[tuple[str, int | None, scenario.S
 
 def answer(found: Diagnosis, rotor: int | None) -> str:
     """What the diagnosis says of the faulty rotor (of any where None), as one of ANSWERS."""
-    losses = [e for e in found.events if e.kind == "loss_of_effectiveness"]
-    own = [e for e in losses if rotor is None or any(rotor in who for who in (e.rotors, *e.alternatives))]
+    losses = [e for e in found.events if e.means.weakens]
+    own = [e for e in losses if rotor is None or rotor in e.suspects]
     named = [e for e in own if "cause" in e.extra and (rotor is None or e.rotors == (rotor,))]
     if named:
         return CAUSES[named[0].extra["cause"]]
@@ -73,8 +74,7 @@ def answer(found: Diagnosis, rotor: int | None) -> str:
     for notice, word in NOTICES.items():
         if notice in notices:
             return word
-    others = any(e.kind in ("loss_of_effectiveness", *NOTICES) for e in found.events)
-    return "other rotor" if others else "nothing"
+    return "other rotor" if losses or any(e.kind in NOTICES for e in found.events) else "nothing"
 
 
 def confusion(count: int, seed: int, progress: Callable = lambda share: None) -> dict[str, Counter]:

@@ -1,0 +1,141 @@
+"""The ledger: all that is claimed of a flight, and the one rule that makes events of the claims.
+
+A claim is an event with its source, handed in by whoever testifies. They are merged in the order of the data: what the estimator
+announced, with what excitations say of it; what hindsight saw of the blind time; outputs that left the mixer; contacts; losses of control.
+ESC telemetry and desyncs are heard last, and know the events by then. A link and a log are merged by the same rule, and say the same.
+
+    what claims it        is not said where
+    estimator             hindsight tells of the same rotor since before (then the later claim is the rest of it); an output was overridden
+                          as it began; or it may be nothing and is said of one set of rotors alone (then it stays as evidence)
+    outputs               it began in the fall that ends a flight
+    contacts              it is the landing
+    any, of rotors        a loss of control, judged by all that was logged up to the impact, shows another one (upset/find.py)
+    ESC: a rotor stands   a lasting fault names the rotor since, or soon after
+    ESC: its speed fell   a loss names the rotor
+    desync                control is lost by then, or the rotor had lost most of its thrust
+    all that rests on     the log, or the link, contradicts itself
+    outputs
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorwatch.answer import slow
+from rotorwatch.answer.unseen import Unseen
+from rotorwatch.default.events import Report, accuses, packed, shared, unexplained
+from rotorwatch.default.residual_evidence import ResidualEvidence
+from rotorwatch.flight.diagnosis import Event, Source
+from rotorwatch.flight.kinds import LOSS, LOST, ORDER, OVERRIDE, Weight
+from rotorwatch.front import whole
+from rotorwatch.front.definition import FRONT
+from rotorwatch.upset import find as upset
+
+STANDS_S = 3.0  # a fault that begins so long after a rotor stands is that it stands
+CRASH_S = 0.3  # before control is lost, and before a rotor is lost: what happens belongs to that
+MOST = 0.5  # of a rotor's thrust
+
+
+@dataclass(frozen=True)
+class Merged:
+    """events: what is said; faint: losses that accuse no rotor, which are evidence; shared: outputs that left the mixer together; grown: a
+    loss that grew slowly, or None."""
+
+    events: tuple[Event, ...]
+    faint: tuple[Event, ...]
+    shared: tuple[Event, ...] = ()
+    grown: slow.Growth | None = None
+
+
+def merge(
+    claims: Sequence[Event],
+    report: Report,
+    upsets: Sequence[upset.Judged],
+    n: int,
+    grown: slow.Growth | None = None,
+) -> Merged:
+    """The events of a flight of n rotors, in the order in which they were detected. claims: of any kind; report: its falls and contacts;
+    upsets: its losses of control; grown: what the trim of the whole flight shows."""
+    losses = [c for c in claims if c.means.weakens and not explained(c, claims)]
+    losses.sort(key=lambda c: (c.detected_s, c.source is Source.HINDSIGHT))
+    losses = slow.join(losses, grown)
+    outputs = [c for c in claims if c.kind == OVERRIDE]
+    known, together = report.events(losses, outputs), tuple(filter(shared, outputs))
+    open_ = unexplained(losses, [*(e for e in known if e.kind == OVERRIDE), *together])
+    others = [c for c in claims if not c.means.weakens and c.kind != OVERRIDE]
+    found = upset.events(upsets, joined(known, others), n)
+    return Merged(found, tuple(e for e in open_ if not accuses(e)), together, grown)
+
+
+def joined(known: Iterable[Event], claims: Iterable[Event]) -> tuple[Event, ...]:
+    """What is known with the claims that it does not explain, in the order in which they were detected."""
+    known = tuple(known)
+    return tuple(sorted((*known, *(c for c in claims if not explained(c, known))), key=lambda e: e.detected_s))
+
+
+def explained(claim: Event, known: Iterable[Event]) -> bool:
+    """Whether something that is known explains a claim, so that it is not said again."""
+    rule = _EXPLAINS.get(claim.source)
+    return rule is not None and any(rule(claim, other) for other in known)
+
+
+def _told_before(claim: Event, known: Event) -> bool:
+    same = known.source is Source.HINDSIGHT and set(claim.rotors) & set(known.rotors)
+    return bool(same) and claim.onset_s <= known.detected_s
+
+
+def _named_as_it_stands(claim: Event, known: Event) -> bool:
+    return known.means.lasting_fault and claim.rotors[0] in known.suspects and known.onset_s < claim.onset_s + STANDS_S
+
+
+def _weak(claim: Event, known: Event) -> bool:
+    return claim.means.weakens and known.means.weakens and not {*claim.rotors}.isdisjoint(known.rotors)
+
+
+def _falls(claim: Event, known: Event) -> bool:
+    if known.kind == LOST:
+        return claim.detected_s >= known.onset_s - CRASH_S
+    gone = known.means.weakens and max(known.loss, default=0.0) > MOST and claim.rotors[0] in known.rotors
+    return gone and known.onset_s - CRASH_S < claim.onset_s < (known.end_s or np.inf)
+
+
+_EXPLAINS: dict[Source, Callable[[Event, Event], bool]] = {
+    Source.ESTIMATOR: _told_before,
+    Source.EXCITATION: _told_before,
+    Source.ESC_STANDS: _named_as_it_stands,
+    Source.ESC_CHANGED: _weak,
+    Source.DESYNC: _falls,
+}
+
+
+def believed(events: Iterable[Event], until: float = np.inf) -> tuple[Event, ...]:
+    """The events of a log or a link that contradicts itself up to `until` s, without those that rest on its outputs."""
+    return tuple(e for e in events if e.onset_s > until or not e.means.by_outputs)
+
+
+def weighed(
+    found: Merged, steps: Unseen, spells: Sequence[ResidualEvidence], end_s: float
+) -> tuple[tuple[Event, ...], tuple[ResidualEvidence, ...]]:
+    """The events and the evidence that none of them explains (`spells`, until `end_s`), with what the whole flight's trim and steps say of
+    both."""
+    suspected: tuple[ResidualEvidence, ...] = ()
+    if main_event(found.events) is None:
+        suspected = slow.suspected(found.grown, found.events) or steps.suspected(found.events, end_s)
+    return steps.doubted(found.events), suspected or tuple(spells)
+
+
+def main_event(events: Sequence[Event]) -> int | None:
+    """Index of the event that matters: sure ones before ambiguous ones; the first that is large, or an override that came before it
+    (one that comes after is what a falling vehicle's controller does); of losses that began together the largest. Motors in the wrong
+    order come before all, for nothing can follow its command then. Where no rotor is accused, what upset the vehicle."""
+    swapped = next((i for i, e in enumerate(events) if e.kind == ORDER and not e.alternatives), None)
+    if swapped is not None:
+        return swapped
+    order = [i for i, e in enumerate(events) if e.means.accuses]
+    named = [replace(events[i], kind=LOSS if events[i].means.weakens else OVERRIDE) for i in order]
+    place = FRONT.call(whole.most_important, packed(named), len(named))
+    upsets = (i for i, e in enumerate(events) if e.means.weight is Weight.UPSET)
+    return order[place] if place >= 0 else next(upsets, None)

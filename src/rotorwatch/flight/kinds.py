@@ -1,0 +1,208 @@
+"""The kinds of events, one row each: what is said of them, what they mean for a rotor, and for how long.
+
+Everybody who asks what an event means asks this table, so that a new kind is a row here and the place that finds it. The order of the rows
+numbers them for compiled definitions (front/events.py). A sentence is a template; `answer/wording.py` lists what may stand in its braces.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any, NamedTuple
+
+LOSS, OVERRIDE, CONTACT, LOST = "loss_of_effectiveness", "output_override", "contact", "loss_of_control"
+ORDER, DESYNC = "motor_order", "desync"
+SLOW, HIGH, LOW = "slow_motor", "high_current", "low_current"
+
+
+class Weight(Enum):
+    """How grave. FAULT: a rotor, its motor or its output is not well, and the verdict rests on it. UPSET: the vehicle is not well, and the
+    answer is about that where no fault is found. NOTICE: of a motor that still gives its thrust. OUTSIDE: nothing of the vehicle."""
+
+    FAULT, UPSET, NOTICE, OUTSIDE = range(4)
+
+
+class Span(Enum):
+    """For how long. MOMENT: it has no duration. SPELLS: for moments, and its end is the last one's. LASTS: its rotors do not do what is
+    commanded from its onset to its end. STAYS: nothing in the flight makes it good."""
+
+    MOMENT, SPELLS, LASTS, STAYS = range(4)
+
+
+class Words(NamedTuple):
+    """A sentence on an event: where one set of rotors explains it, where several do, and where it is of no rotor; None: as of one set."""
+
+    sure: str = ""
+    unsure: str | None = None
+    nameless: str | None = None
+
+    def of(self, event: Any) -> str:
+        """The template for an event."""
+        if event.alternatives and self.unsure is not None:
+            return self.unsure
+        return self.sure if event.rotors or self.nameless is None else self.nameless
+
+
+# What is said of a kind whose row says nothing of its own.
+_HEADLINE = Words("{noun} of {who} at {at}{until}{again}.", "{noun} at {at}: {candidates}.", "{noun} at {at}.")
+_BEGAN = Words("At {at} {noun} of {who}{over}.", "At {at} {noun}: {candidates}.", "At {at} {noun}{over}.")
+_NOW = Words("{noun} since {at}", "one of several explanations since {at}")
+_PAST = Words("{noun} at {at}", "maybe {noun} at {at}")
+_ADVICE = Words(
+    "Do not fly again before {who} has been looked at: motor, propeller, ESC, mount and output.",
+    "",
+    "Look the vehicle over before the next flight.",
+)
+_WATCH = Words("{noun} of {who} at {ago}{over}", nameless="{noun} at {ago}{over}")
+
+
+@dataclass(frozen=True)
+class Kind:
+    """name: in JSON. noun: in tables and titles. meaning: in a few words (docs/json.md). weight, span: see there. weakens: its rotors lack
+    a share of their thrust, its `loss`. brief: follows its rotors on a ground station's screen, in 30 letters. headline: for a pilot.
+    reason: of the verdict. began: how a loss of control began. now, past: what a rotor's note says while it holds, and after it; of an
+    event with several explanations, where `now` has no words for that, only its own rotors are suspects.
+    advice: what to do. watch: a line on the screen while the vehicle flies."""
+
+    name: str
+    noun: str
+    meaning: str = ""
+    weight: Weight = Weight.OUTSIDE
+    span: Span = Span.STAYS
+    weakens: bool = False
+    brief: str = ""
+    headline: Words = _HEADLINE
+    reason: str = "{why}"
+    began: Words = _BEGAN
+    now: Words = _NOW
+    past: Words = _PAST
+    advice: Words = _ADVICE
+    watch: Words = _WATCH
+
+    @property
+    def accuses(self) -> bool:
+        """Whether it says of a rotor, its motor or its output that it is not well."""
+        return self.weight is Weight.FAULT
+
+    @property
+    def wrong(self) -> bool:
+        """Whether something is wrong with the vehicle's flight: what is shown first, and in the colour of what is broken."""
+        return self.weight in (Weight.FAULT, Weight.UPSET)
+
+    @property
+    def by_outputs(self) -> bool:
+        """Whether it rests on outputs being what drives the motors, so that it is not said where they may not be."""
+        return self.weight in (Weight.FAULT, Weight.NOTICE)
+
+    @property
+    def lasts(self) -> bool:
+        """Whether it goes on until it ends."""
+        return self.span is Span.LASTS
+
+    @property
+    def lasting_fault(self) -> bool:
+        """Whether its rotors do not do what is commanded from its onset to its end."""
+        return self.accuses and self.lasts
+
+    def ongoing(self, end_s: float | None) -> bool:
+        """Whether an event that ended at `end_s` s (None: it lasts) is still wrong."""
+        return self.wrong and (self.span is Span.STAYS or (self.lasts and end_s is None))
+
+
+_WRONG_WAY = "propellers or motors turn the wrong way round."
+
+
+def _notice(name: str, noun: str, meaning: str, verb: str, part: str) -> Kind:
+    """A kind that ESC telemetry alone shows. verb: what the motor does; part: what to look at."""
+    why = "before the next flight: its ESC telemetry changed in flight, though no thrust was missed."
+    past, advice = Words(f"{verb} since {{at}}"), Words(f"Look at {part} {{who}} {why}")
+    return Kind(name, noun, meaning, Weight.NOTICE, brief=verb, headline=Words(verb), past=past, advice=advice)
+
+
+ROWS = (
+    Kind(
+        LOSS, "loss of effectiveness", "a rotor lost effectiveness", Weight.FAULT, Span.LASTS, weakens=True,
+        headline=Words("{who} {lost} {when}{until}{cause}{again}.", "Something lost thrust at {at}: {candidates}."),
+        reason="{plain_who} {lost_effect} {when}{comma_until}: {why}",
+        began=Words("At {at} {who} {lost}{over}.", "At {at} something lost thrust: {candidates}."),
+        now=Words("weak since {at}", "one of several explanations since {at}"),
+        past=Words("was weak from {at} to {end}", "may have been weak from {at} to {end}"),
+        advice=Words("Do not fly again before {who} has been looked at: {parts}.", ""),
+        watch=Words("{who} lost {losses} since {ago}{over}{others}"),
+    ),
+    Kind(
+        OVERRIDE, "output overridden", "an output does not follow the mixer: stuck, off, replaced", Weight.FAULT, Span.LASTS,
+        headline=Words("The output of {who} stopped following the mixer at {at}{until}{again}."),
+        began=Words("At {at} the output of {candidates} stopped following the mixer{over}."),
+        now=Words("its output has not followed the mixer since {at}"),
+        past=Words("its output did not follow the mixer from {at} to {end}"),
+        advice=Words(
+            "Do not fly again before it is clear why the output of {who} left the mixer: output functions and passthrough, motor test, "
+            "failsafe, a second controller.", "",
+        ),
+    ),
+    Kind(
+        CONTACT, "knock or contact", "a knock, a collision, contact with the ground", Weight.OUTSIDE, Span.MOMENT,
+        advice=Words("Look the vehicle over for damage: it was knocked at {all_times}."),
+    ),
+    Kind(
+        LOST, "loss of control", "the vehicle left what was wanted and did not come back", Weight.UPSET, Span.STAYS,
+        brief="LOSS OF CONTROL",
+        headline=Words("The vehicle left control at {at}."),
+        now=Words("may be why control was lost at {at}"),
+        watch=Words("{noun} at {ago}, {who}{others}: {lost_why}", nameless="{noun} at {ago}{others}: {lost_why}"),
+    ),
+    Kind(
+        ORDER, "motors in the wrong order", "outputs go to the wrong motors, or yaw is reversed", Weight.FAULT, Span.STAYS,
+        brief="in the wrong order",
+        headline=Words(
+            "The outputs of motors {numbers} go to each other's motor.", "Something lost thrust at {at}: {candidates}.",
+            f"The vehicle yaws against its commands: {_WRONG_WAY}",
+        ),
+        began=Words(
+            "From its first movement at {at} on it turned as if the outputs of motors {numbers} went to each other's motor: {who}.",
+            nameless=f"From its first movement at {{at}} on it yawed against its commands: {_WRONG_WAY}",
+        ),
+        now=Words("its output seems to go to motor {other}"),
+        past=Words(""),
+        advice=Words(
+            "Do not fly before the motor test has shown which motor answers to which output: swap the outputs of motors {numbers} "
+            "(ArduPilot: {servos}; PX4: the actuator page), or their wires.",
+            nameless="Do not fly before each motor's direction and its propeller have been checked against the frame's drawing: motor "
+            "test.",
+        ),
+    ),
+    Kind(
+        DESYNC, "motor lost step", "a motor lost step for moments: commanded up, it gave nothing for 30 to 500 ms and came back",
+        Weight.FAULT, Span.SPELLS, brief="lost step",
+        headline=Words("{motors} desynced {times} at {at}{stopped}."),
+        past=Words("desynced at {at}{in_all}", "may have desynced at {at}{in_all}"),
+        advice=Words(
+            "Do not fly again before {motors} and its ESC have been looked at: motor timing, demag compensation, ESC firmware, PWM "
+            "frequency, a worn bearing or loose bell, solder joints{log_speed}."
+        ),
+    ),
+    _notice(
+        SLOW, "motor slower than commanded", "a motor turns slower than commanded, by its ESC telemetry", "turns slower than commanded",
+        "motor, ESC, their connectors and supply wires of",
+    ),
+    _notice(
+        HIGH, "motor draws more current", "more current at the same speed than before: a bearing", "draws more current than before",
+        "the motor bearings of",
+    ),
+    _notice(
+        LOW, "motor draws less current", "less current at the same speed than before: a propeller", "draws less current than before",
+        "the propeller of",
+    ),
+)  # fmt: skip
+TABLE = {row.name: row for row in ROWS}
+
+
+def of(name: str) -> Kind:
+    """The row of a kind; of one that this version does not know, its name in words."""
+    return TABLE.get(name) or Kind(name, name.replace("_", " "))
+
+
+def number(name: str) -> int:
+    """The number of a kind of the table in compiled definitions."""
+    return list(TABLE).index(name)

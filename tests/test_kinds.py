@@ -1,0 +1,170 @@
+"""The table of kinds: every kind is said everywhere, and means the same everywhere, by its row alone."""
+
+import ast
+import io
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from conftest import hexa_diagnosis, hexa_event
+from rotorwatch.answer.ledger import believed
+from rotorwatch.answer.wording import BASELINE, said
+from rotorwatch.default.events import packed
+from rotorwatch.flight import kinds
+from rotorwatch.flight.diagnosis import Diagnosis
+from rotorwatch.flight.kinds import Kind, Span, Weight, Words
+from rotorwatch.front import events as definition
+from rotorwatch.live import ground, view
+from rotorwatch.report import colours, html, terminal
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCE = ROOT / "src" / "rotorwatch"
+# Rows that nobody finds yet: a rotor that gives more than it is asked for, and so on.
+PLANTED = (
+    Kind("gives_more", "more thrust than commanded", "", Weight.FAULT, Span.LASTS),
+    Kind("mount_turned", "turned motor mount", "", Weight.FAULT, Span.STAYS, brief="turned on its mount"),
+    Kind(
+        "growing_loss",
+        "growing loss",
+        "",
+        Weight.FAULT,
+        Span.LASTS,
+        weakens=True,
+        now=Words("growing weaker since {at}"),
+    ),
+    Kind("outside_force", "outside force", "", Weight.OUTSIDE, Span.LASTS),
+    Kind(
+        "unknown", "something else", "", Weight.UPSET, Span.LASTS, headline=Words("Nothing known explains it at {at}.")
+    ),
+)
+NAMES = (*kinds.TABLE, *(row.name for row in PLANTED), "of_another_version")
+# Where a kind's name may stand besides the table: what judges a loss of control names causes so, and ticks have a column.
+ELSEWHERE = {"upset/find.py": {*kinds.TABLE}, "motion/ticks.py": {kinds.CONTACT}}
+
+
+@pytest.fixture(autouse=True)
+def planted(monkeypatch):
+    for row in PLANTED:
+        monkeypatch.setitem(kinds.TABLE, row.name, row)
+
+
+def row(name):
+    return next((r for r in (*kinds.ROWS, *PLANTED) if r.name == name), None) or kinds.of(name)
+
+
+def an_event(name, rotors=(3,), alternatives=(), end_s=None):
+    """One of a kind, with what the finders of the known ones give it."""
+    extra = {"times": [31.2], "durations": [0.1], "count": 1} if name == kinds.DESYNC else {"cause": "unknown"}
+    rotors = (3, 4) if name == kinds.ORDER and rotors else rotors
+    lost = {} if row(name).weakens else {"loss": (), "interval": ()}
+    return hexa_event(kind=name, rotors=rotors, alternatives=alternatives, end_s=end_s, extra=extra, **lost)
+
+
+EVENTS = [
+    event
+    for name in NAMES
+    for event in (
+        an_event(name),
+        an_event(name, end_s=40.0),
+        *([an_event(name, alternatives=((5,), (1, 2)))] if row(name) not in kinds.ROWS or row(name).weakens else []),
+        *([an_event(name, rotors=())] if not row(name).weakens and name != kinds.DESYNC else []),
+    )
+]
+
+
+def shown(answer: Diagnosis) -> dict[str, str]:
+    written = io.StringIO()
+    Console(file=written, width=400, no_color=True).print(terminal.diagnosis(answer))
+    return {
+        "terminal": written.getvalue(), "page": re.sub("<[^>]*>", " ", html._events(answer)), "markdown": answer.to_markdown(),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("event", EVENTS, ids=lambda e: f"{e.kind} {e.rotors} {e.alternatives} {e.end_s}")
+def test_every_kind_is_said_everywhere(event):
+    row, answer = kinds.of(event.kind), hexa_diagnosis(events=(event,))
+    for where, text in shown(answer).items():
+        assert row.noun in text.lower().replace("\u00a0", " "), where
+        assert "_" not in event.kind or event.kind not in text, where
+    sentences = [answer.headline, answer.reason, *answer.advice, *(r.note for r in answer.rotors)]
+    assert answer.advice[0] != BASELINE  # something is to be done about each
+    assert not any(brace in text for text in sentences for brace in "{}")
+    assert Diagnosis.from_dict(json.loads(answer.to_json())).events == (replace(event, extra=answer.events[0].extra),)
+    line = view.words(event, 50.0)
+    assert "31.2 s (19 s ago)" in line and ("rotor" in line or "motor" in line or not event.rotors)
+    alert = {"type": "event", "state": "announced", "vehicle": "1", "number": 1, "event": event.to_dict()}
+    assert row.noun in view.announced(alert)
+    text, severity = ground.text_of(alert)
+    assert text.isascii() and len(text) <= 50 and "_" not in text and severity in range(8)
+    assert not row.brief or row.weakens or row.brief.lower() in text.lower()
+
+
+@pytest.mark.parametrize("event", EVENTS, ids=lambda e: f"{e.kind} {e.rotors} {e.alternatives} {e.end_s}")
+def test_what_a_kind_means_is_asked_of_its_row(event):
+    row, answer = kinds.of(event.kind), hexa_diagnosis(events=(event,))
+    assert answer.main == (0 if row.wrong else None)
+    if row.accuses:
+        assert answer.verdict == ("ambiguous" if event.alternatives else "fault")
+        lasts = (event.end_s is None and row.lasts) or row.span is Span.STAYS
+        notes = {r.rotor for r in answer.rotors if r.status != "healthy"}
+        assert notes == (set(event.suspects) if lasts else set())
+    elif not row.wrong:
+        assert answer.verdict == "healthy" and all(r.status == "healthy" for r in answer.rotors)
+    assert (colours.of_event(event) != colours.INK) == (row.wrong and bool(event.rotors))
+    assert view.lasting([event]) == ([event] if row.ongoing(event.end_s) else [])
+    # Of a log that contradicts itself, and of a link that does up to 60 s, what rests on outputs is not said.
+    assert hexa_diagnosis(events=(event,), doubts=("Nothing moved.",)).events == (() if row.by_outputs else (event,))
+    assert believed((event,), 60.0) == (() if row.by_outputs else (event,)) and believed((event,), 10.0) == (event,)
+
+
+def test_a_kind_without_words_of_its_own_has_the_plain_ones():
+    (row,) = (r for r in PLANTED if r.name == "gives_more")
+    answer = hexa_diagnosis(events=(an_event(row.name),))
+    assert answer.headline == "More thrust than commanded of rotor 3 (front left) at 31.20 s."
+    assert answer.advice[0].startswith("Do not fly again before rotor 3 (front left) has been looked at")
+    assert answer.rotors[2].note == "more thrust than commanded since 31.20 s"
+    assert said(row.began, an_event(row.name), over="") == "At 31.20 s more thrust than commanded of rotor 3."
+
+
+def test_the_order_of_the_rows_is_the_numbers_of_compiled_code():
+    numbers = definition.LOSS, definition.OUTPUT_OVERRIDE, definition.CONTACT
+    assert [kinds.number(name) for name in (kinds.LOSS, kinds.OVERRIDE, kinds.CONTACT)] == list(numbers)
+    found = packed([an_event(name) for name in NAMES])["kind"].tolist()
+    assert found[: len(kinds.ROWS)] == list(range(len(kinds.ROWS))) and len(set(found)) == len(NAMES)
+
+
+def test_the_document_has_every_kind_and_no_other():
+    text = (ROOT / "docs" / "json.md").read_text(encoding="utf-8").split("The kinds of events are")[1].split("\n\n")[1]
+    assert re.findall(r"^\| `(\w+)` \| (.*) \|$", text, re.MULTILINE) == [(r.name, r.meaning) for r in kinds.ROWS]
+
+
+def spelled(path):
+    """The names of kinds that a source file spells out."""
+    if path.suffix != ".py":
+        return {name for name in kinds.TABLE if "_" in name and name in path.read_text(encoding="utf-8")}
+    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    return {n.value for n in nodes if isinstance(n, ast.Constant) and isinstance(n.value, str)} & {
+        r.name for r in kinds.ROWS
+    }
+
+
+def test_no_other_source_spells_out_kinds():
+    files = [p for p in SOURCE.rglob("*") if p.suffix in (".py", ".js", ".html")]
+    found = {p.relative_to(SOURCE).as_posix(): spelled(p) for p in files if p.name != "kinds.py"}
+    found = {name: names for name, names in found.items() if names}
+    assert "flight/kinds.py" not in found and spelled(SOURCE / "flight" / "kinds.py") == {r.name for r in kinds.ROWS}
+    assert all(names <= ELSEWHERE.get(name, set()) for name, names in found.items()), found
+
+
+def test_some_part_of_the_judging_makes_each_kind():
+    rooms = ("default", "front", "upset", "esc", "aerobatic")
+    trees = [ast.parse(p.read_text(encoding="utf-8")) for room in rooms for p in (SOURCE / room).rglob("*.py")]
+    nodes = [node for tree in trees for node in ast.walk(tree)]
+    constants = {name: value for name, value in vars(kinds).items() if isinstance(value, str)}
+    made = {constants.get(node.id) for node in nodes if isinstance(node, ast.Name)}
+    made |= {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+    assert {r.name for r in kinds.ROWS} <= made
