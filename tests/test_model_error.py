@@ -25,9 +25,9 @@ def float64():
     jax()
 
 
-def inputs(thrust=EVEN, motion=(0.0, 0.0, 0.0), rates=(0.0, 0.0, 0.0), load=1.0, full=2.5):
+def inputs(thrust=EVEN, motion=(0.0, 0.0, 0.0), rates=(0.0, 0.0, 0.0), load=1.0, full=2.5, axial=0.0):
     """u (n + 10,) as `WrenchBalance.pack` lays it out."""
-    return np.concatenate([thrust, motion, [load * N], rates, [0.0, 0.0], [full]])
+    return np.concatenate([thrust, motion, [load * N], rates, [0.0, 0.0], [full, 0.65, 0.0, axial]])
 
 
 def settled(thrust=EVEN):
@@ -221,6 +221,8 @@ def test_the_model_may_be_wrong_by_a_share_of_each_of_its_terms():
     assert error(inputs(), far=0.3) == pytest.approx(
         np.full(4, model_error.ERROR_TICKS * (model_error.FAR_ERROR * N * 0.3) ** 2)
     )
+    sinks = error(inputs(axial=-2.0))
+    assert sinks == pytest.approx([0.0, 0.0, 0.0, model_error.ERROR_TICKS * (model_error.AIR_ERROR * 2.0 * N) ** 2])
     full = error(inputs([1.0, 2.4, 1.0, 2.2]))
     lost = np.array([0.0, 2.4 - model_error.BELOW_LIMIT * 2.5, 0.0, 0.0])
     assert full == pytest.approx(model_error.ERROR_TICKS * (B * lost) ** 2 @ np.ones(N))

@@ -18,9 +18,9 @@ ASSUMED, LINEAR = 0.65, 0.0
 
 
 def row(thrust, expo, sd, hover=HOVER):
-    """(n + 12,) inputs of thrusts by a curve of that expo, at rest."""
+    """(n + 13,) inputs of thrusts by a curve of that expo, at rest."""
     carries = float(ThrustCurve(0.0, 1.0, expo)(np.array(hover)))
-    return np.concatenate([thrust, np.zeros(3), [N], np.zeros(5), [1.0 / carries, expo, sd]])
+    return np.concatenate([thrust, np.zeros(3), [N], np.zeros(5), [1.0 / carries, expo, sd, np.nan]])
 
 
 @pytest.mark.parametrize("expo", [0.0, 0.3, 0.65, 1.0])
@@ -68,7 +68,9 @@ def flown(sd, loss=0.0, turn=1.2, seed=0, turns=150, fails=300, ready=READY, rot
     zeros, full = np.zeros((TICKS, 2)), np.full(TICKS, 1.0 / unit)
     mode = np.where(when < ready, LEARN, JUDGE)
     motion = [zeros, yaw, np.full(TICKS, float(N)), zeros, rates, zeros]
-    u = np.column_stack([thrust, *motion, full, np.full(TICKS, ASSUMED), np.full(TICKS, sd), mode, when == 0])
+    u = np.column_stack(
+        [thrust, *motion, full, np.full(TICKS, ASSUMED), np.full(TICKS, sd), np.full(TICKS, np.nan), mode, when == 0]
+    )
     return quad.over(u.astype(float), y, np.ones((TICKS, 4), bool))
 
 
