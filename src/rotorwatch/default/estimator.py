@@ -158,8 +158,9 @@ class JumpBank:
         counts, R = valid & flying, variances[0] + error + model_error.ERROR_TICKS * (drag @ branches.s[0, n_x:]) ** 2
         left = y - rows @ branches.s[0]
         curve = (jnp.array([0.0, 1.0]) - u[n + 10]) / jnp.maximum(u[n + 11], 1e-9)
+        least, most = jnp.stack([curve, jnp.array([0.0, jnp.inf])], axis=1)
         s, P, gains, innovation, variance = jax.vmap(
-            lambda s, P: kalman.update(s, P, rows, y, counts, R, seen.gain_share, curve)
+            lambda s, P: kalman.update(s, P, rows, y, counts, R, seen.gain_share, least, most)
         )(branches.s, branches.P)
         for a in range(4):
             w = jnp.where(counts[a], calm[a] / variance[0, a], 0.0)

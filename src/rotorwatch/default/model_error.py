@@ -26,6 +26,9 @@ LAG_ERROR_S = 0.015
 AIR_ERROR = 0.01
 # m/s along the thrust axis that speak of the air: slower ones are what a gust has made of the vehicle, which it meets from the other side.
 STILL = 0.5
+# A rotor that sinks into its own wake, from a quarter of its induced velocity on, gives unsteady thrust, each by itself: by so much at
+# twice that speed [m/s] and beyond.
+WASH, WASH_SINK = 0.1, 1.0
 LASTING_MEMORY_S = 30.0
 GUST_SHARE, LEAST_GAIN = 2.0, 0.3
 FAR, FAR_ERROR = 0.3, 0.5
@@ -234,12 +237,13 @@ def variance(memory: Memory, seen: Look, x, y, white, B, n: int, dt):
     rates = jnp.concatenate([u[n + 4 : n + 7], jnp.zeros(1)])
     missing = jnp.where(u[:n] > AT_LIMIT * u[n + 9], u[:n] - BELOW_LIMIT * u[n + 9], 0.0)
     axial = jnp.where(jnp.isnan(u[n + 12]), 0.0, u[n + 12])
+    wash = WASH * jnp.clip(-axial / WASH_SINK - 1.0, 0.0, 1.0) * u[:n]
     step = jnp.maximum(jnp.abs(y - memory.y) - 4.0 * jnp.sqrt(white), 0.0)
     return ERROR_TICKS * (
         (jnp.asarray(GAIN_ERROR) * x[:, GAIN] * motion) ** 2
         + (DAMPING_ERROR * x[:, DAMPING] * rates) ** 2
         + (FAR_ERROR * n * seen.far) ** 2
-        + (B * missing[None, :]) ** 2 @ jnp.ones(n)
+        + B**2 @ (missing**2 + wash**2)
         + (jnp.arange(4) == 3) * (AIR_ERROR * n * axial) ** 2
         + (LAG_ERROR_S / dt * step) ** 2
     )
