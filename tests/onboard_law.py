@@ -37,7 +37,7 @@ int drive(int rows, const double *table, double until, double *found, int most)
         case 0: rw_diagnoser_outputs(&d, t, x, (rw_rotors)row[2]); break;
         case 1: rw_diagnoser_accel(&d, t, x, ok); break;
         case 2: rw_diagnoser_gyro(&d, t, x, ok); break;
-        case 3: rw_diagnoser_velocity(&d, t, x[0], x[1]); break;
+        case 3: rw_diagnoser_velocity_ned(&d, t, x); break;
         case 4: rw_diagnoser_state(&d, t, (int)row[3], (int)row[4]); break;
         case 5: rw_diagnoser_control(&d, t, x, ok); break;
         case 6: rw_diagnoser_attitude(&d, t, x); break;
@@ -92,14 +92,8 @@ def table(flight, craft) -> np.ndarray:
             add(kind, signal.time, np.asarray(signal.valid).all(axis=1), signal.values[:, :4])
     if flight.has("velocity"):
         v = flight["velocity"]
-        value = np.where(v.valid, v.values, np.nan)
         block = np.zeros((len(v), WIDTH))
-        block[:, 0], block[:, 1], block[:, 3], block[:, 4] = (
-            VELOCITY,
-            v.time,
-            -value[:, 2],
-            np.hypot(value[:, 0], value[:, 1]),
-        )
+        block[:, 0], block[:, 1], block[:, 3:6] = VELOCITY, v.time, np.where(v.valid, v.values, np.nan)
         rows.append(block)
     if flight.has("attitude"):
         q = flight["attitude"]

@@ -19,7 +19,7 @@ def test_which_rotors_are_below(frame, lower):
     assert (() if found is None else tuple(np.flatnonzero(found))) == lower
     assert tuple(k for k, r in enumerate(vehicle.rotors) if r.lower) == lower
     system = WrenchBalance(vehicle.effectiveness(), lower=found)
-    assert system.n_x == AXIS_STATES + 1 + bool(lower) == len(system.x_names) == len(system.x0)
+    assert system.n_x == AXIS_STATES + 2 + bool(lower) == len(system.x_names) == len(system.x0)
     assert "lower" in program.parameters(vehicle.effectiveness(), 0.05) or not lower
 
 
@@ -31,7 +31,7 @@ def test_the_state_is_the_derivative_of_the_geometry(frame):
     B, n = vehicle.effectiveness(), len(vehicle.rotors)
     system = WrenchBalance(B, lower=lower_rotors(B))
     rng = np.random.default_rng(1)
-    u = np.concatenate([1.0 + 0.3 * rng.standard_normal(n), np.zeros(9), [2.5, 0.65, 0.0]])
+    u = np.concatenate([1.0 + 0.3 * rng.standard_normal(n), np.zeros(9), [2.5, 0.65, 0.0, 0.3]])
     s = 1e-6
     more = replace(
         vehicle, rotors=tuple(replace(r, share=r.share * (1.0 + s * r.lower)) for r in vehicle.rotors)
@@ -57,7 +57,7 @@ def test_the_share_is_learned_where_motion_shows_it():
     assert P[-1, -1] == pytest.approx(SHARE_SD**2)
     for k in range(600):
         load = 1.0 + 0.2 * np.sin(0.05 * k)
-        u = np.concatenate([np.full(n, load), np.zeros(3), [n * load], np.zeros(5), [2.5, 0.65, 0.0]])
+        u = np.concatenate([np.full(n, load), np.zeros(3), [n * load], np.zeros(5), [2.5, 0.65, 0.0, 0.3]])
         y = np.array([0.0, 0.0, -truth * (B @ (more * u[:n]))[2], n * load]) + 0.02 * rng.standard_normal(4)
         C = np.asarray(system.C(u))
         S = C @ P @ C.T + 0.02**2 * np.eye(4)

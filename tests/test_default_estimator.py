@@ -95,7 +95,18 @@ def hover(frame="ardupilot-quad-x", seed=0, losses=(), ready=READY, bias=(), ans
     mode = np.where(when < 5, GROUND, np.where(when < ready, LEARN, JUDGE))
     zeros = np.zeros((TICKS, 3))
     curve = np.full(TICKS, EXPO), np.zeros(TICKS)  # known: the tests of an unknown one are in test_thrust_curve.py
-    table = [thrust, zeros, np.full(TICKS, n), zeros, zeros[:, :2], np.full(TICKS, FULL), *curve, mode, when == 5]
+    table = [
+        thrust,
+        zeros,
+        np.full(TICKS, n),
+        zeros,
+        zeros[:, :2],
+        np.full(TICKS, FULL),
+        *curve,
+        np.full(TICKS, np.nan),
+        mode,
+        when == 5,
+    ]
     return np.column_stack(table).astype(float), y, np.ones((TICKS, 4), bool)
 
 
@@ -124,7 +135,7 @@ def tick(method, u, y, noises, mean, P, G=None, walk=0.0):
     G = np.eye(size) if G is None else G
     A = np.diag([*system.decay(DT), *np.ones(size - n_x)])
     Q = np.zeros_like(P)
-    Q[: n_x - 1, : n_x - 1] = np.diag(np.asarray(method.Q(noises)))  # all but the thrust curve's
+    Q[: n_x - 2, : n_x - 2] = np.diag(np.asarray(method.Q(noises)))  # all but the thrust curve's and the air's
     Q += np.diag(walk * np.ones(size))
     mean, P = G @ A @ mean, G @ (A @ P @ A.T + Q) @ G.T
     H = np.concatenate([method.C(u), method.H(u), np.zeros((4, size - n_x - system.n_theta))], axis=1)
@@ -379,7 +390,7 @@ def test_a_side_force_that_tilts_the_vehicle_is_no_loss_and_is_learned():
     y[:, 0] -= lever * push[:, 1]
     y[:, 1] += lever * push[:, 0]
     blind, _ = method.over(u, y, valid)
-    u[:, -7:-5] = push
+    u[:, -8:-6] = push
     y -= np.array([method.system.drag(row[:-2]).sum(axis=1) for row in u])  # unequal rotors yaw in it as well
     out, carries = method.over(u, y, valid)
     assert not out.announced.any()
@@ -397,7 +408,7 @@ def test_a_loss_in_wind_has_its_size_whether_or_not_the_rotors_take_the_side_for
     """How much of it they take nobody knows: of a dead rotor's drag, here three times its torque, all may be missing, or nothing."""
     method = make("ardupilot-quad-x")
     u, y, valid = hover(seed=5, losses=[(0, ONSET, 0.3)])
-    u[:, -7:-5] = side
+    u[:, -8:-6] = side
     if dragged:
         drag = np.array([np.asarray(method.system.drag(row[:-2]))[2] for row in u])
         y[:, 2] -= drag.sum(axis=1)
@@ -417,7 +428,7 @@ def test_noise_of_the_accelerometer_teaches_nothing_about_side_forces():
     push[ONSET:] = np.cumsum(0.2 * rng.standard_normal((TICKS - ONSET, 2)), axis=0)
     y[:, 0] -= lever * push[:, 1]
     y[:, 1] += lever * push[:, 0]
-    u[:, -7:-5] = push + 0.2 * rng.standard_normal((TICKS, 2))
+    u[:, -8:-6] = push + 0.2 * rng.standard_normal((TICKS, 2))
     out, carries = method.over(u, y, valid)
     known = carries.branches.s[:, 0, SIDEWAYS]
     assert known[ONSET - 1] == pytest.approx(method.system.x0[SIDEWAYS], abs=0.02)

@@ -509,12 +509,10 @@ def flight():
     """(samples, fields of the vehicle, fields of the plan) of the first 40 s of a flight."""
     log = logs.read(SAMPLE).until(SECONDS)
     craft = airframes.identify(log)
-    moved = known(log, "velocity")
     parts = [(name, log[name].time, known(log, name)) for name in ("motors", "gyro", "accel")]
     parts += [("control", log["control"].time, known(log, "control")[:, :4]), ("voltage", *allocation.voltages(log))]
-    parts += [("state", *states(log.messages)), ("attitude", log["attitude"].time, log["attitude"].values[:, 1:3])]
-    climb = np.column_stack([-moved[:, 2], np.hypot(moved[:, 0], moved[:, 1])])
-    parts.append(("velocity", log["velocity"].time, climb))
+    parts += [("state", *states(log.messages)), ("attitude", log["attitude"].time, log["attitude"].values)]
+    parts.append(("velocity", log["velocity"].time, known(log, "velocity")))
     mixing = allocation.faster_control(log)
     plan = of_a_flight.plan(log, log["control" if mixing else "motors"], 3.0)
     fields = {"rotors": len(craft.rotors), **allocation.table(craft, allocation.output_range(log))}

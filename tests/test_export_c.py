@@ -464,7 +464,7 @@ def test_the_default_filter_takes_a_step_of_any_length():
     rng = np.random.default_rng(2)
     usual, longer = prepare("default-filter"), prepare("default-filter", dt=0.1)
     u = np.concatenate(
-        [np.ones(4), 0.1 * rng.standard_normal(3), [4.1], 0.2 * rng.standard_normal(5), [2.5, 0.65, 0.0]]
+        [np.ones(4), 0.1 * rng.standard_normal(3), [4.1], 0.2 * rng.standard_normal(5), [2.5, 0.65, 0.0, 1.5]]
     )
     y, valid = np.array([0.1, -0.05, 0.02, 4.2]), np.ones(4, bool)
     carry, _ = usual.step(usual.init(), u, y, valid)

@@ -9,7 +9,7 @@ from rotorwatch.default.hypotheses import NONE
 from rotorwatch.default.plant import B1, B2, B3, PER_AXIS, WrenchBalance
 from rotorwatch.default.posterior import NEVER, PLACES
 
-N, N_X, DT = 4, 21, 0.05
+N, N_X, DT = 4, 22, 0.05
 SYSTEM = WrenchBalance(airframes.named("ardupilot-quad-x").effectiveness())
 QUIET = np.tile(np.array([[0.01**2], [0.02**2], [0.03**2], [0.01**2]]), (1, 4))
 RNG = np.random.default_rng(8)
@@ -92,7 +92,8 @@ def test_disturbances_fade_and_walk_while_a_loss_is_refined_it_walks_too():
     b = branches(learning=np.tile([3.0, 0.0, 3.0, 0.0], (PLACES, 1)))
     after, A = predict(b), np.append(SYSTEM.decay(DT), np.ones(N))
     walks = np.append(
-        np.append(noise.process_variance(QUIET, DT), 0.0), kalman.THETA_WALK * DT * np.array([1.0, 0.0, 1.0, 0.0])
+        np.append(noise.process_variance(QUIET, DT), [0.0, 0.0]),
+        kalman.THETA_WALK * DT * np.array([1.0, 0.0, 1.0, 0.0]),
     )
     for k in range(PLACES):
         assert np.asarray(after.s)[k] == pytest.approx(A * b.s[k])

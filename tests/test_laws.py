@@ -112,7 +112,14 @@ def balanced(seed=0, motion=1.0, loss=LOSS, mode=None):
     thrust = np.stack([np.linalg.solve(B * s, w) for s, w in zip(share, needed, strict=True)])
     thrust += 0.004 * rng.standard_normal((TICKS, n))
     table = SimpleNamespace(
-        thrust=thrust, rate_dot=rate_dot, load=load, rate=rate, side=None, hover=np.full(TICKS, 0.4), curve=(0.65, 0.0)
+        thrust=thrust,
+        rate_dot=rate_dot,
+        load=load,
+        rate=rate,
+        side=None,
+        hover=np.full(TICKS, 0.4),
+        curve=(0.65, 0.0),
+        axial=None,
     )
     when = np.arange(TICKS)
     if mode is None:
@@ -820,7 +827,7 @@ def test_default_is_the_kalman_filter_while_nothing_is_suspected(monkeypatch):
     flying = slice(TAKE_OFF, TICKS)
     R = learned[TAKE_OFF - 1 :, 0]
     variance = jax.jit(lambda v: noise.process_variance(v, 0.05))
-    Q = np.stack([np.diag(np.append(variance(v), 0.0)) for v in learned[TAKE_OFF - 1 :]])
+    Q = np.stack([np.diag(np.append(variance(v), [0.0, 0.0])) for v in learned[TAKE_OFF - 1 :]])
     x, P = balance_kalman(system, system.x0, system.P0, u[flying], y[flying], valid[flying], Q, R)
     assert learned[-1, 0].max() < 0.1 * learned[0, 0].min()  # the noise was learned: Q and R did change on the way
     np.testing.assert_allclose(estimate.x[flying], x, rtol=1e-7, atol=1e-9)

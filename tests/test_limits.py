@@ -199,7 +199,7 @@ def test_on_ticks_in_white_noise():
     n, T, onset, sd = 4, 600, 300, 0.05
     B = np.array([[-1.0, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1], [1, 1, 1, 1]])
     rng = np.random.default_rng(2)
-    u = np.zeros((T, n + 12))
+    u = np.zeros((T, n + 13))
     u[:, :n], u[:, n + 3], u[:, n + 9] = 1.0, n, 2.5
     theta = np.zeros((T, n))
     theta[onset:, 1] = 0.3
@@ -221,7 +221,7 @@ def test_the_drag_of_unequal_rotors_is_no_noise_on_ticks():
     n, T, onset, sd = 4, 600, 300, 0.05
     B = np.array([[-1.0, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1], [1, 1, 1, 1]])
     rng = np.random.default_rng(3)
-    u = np.zeros((T, n + 12))
+    u = np.zeros((T, n + 13))
     u[:, n + 9] = 2.5
     u[:, :n], u[:, n + 3] = rng.uniform(0.4, 1.6, (T, n)), n
     u[:, n + 7 : n + 9] = 4.0, -3.0

@@ -25,9 +25,9 @@ def float64():
     jax()
 
 
-def inputs(thrust=EVEN, motion=(0.0, 0.0, 0.0), rates=(0.0, 0.0, 0.0), load=1.0, full=2.5):
+def inputs(thrust=EVEN, motion=(0.0, 0.0, 0.0), rates=(0.0, 0.0, 0.0), load=1.0, full=2.5, axial=0.0):
     """u (n + 10,) as `WrenchBalance.pack` lays it out."""
-    return np.concatenate([thrust, motion, [load * N], rates, [0.0, 0.0], [full]])
+    return np.concatenate([thrust, motion, [load * N], rates, [0.0, 0.0], [full, 0.65, 0.0, axial]])
 
 
 def settled(thrust=EVEN):
@@ -221,9 +221,20 @@ def test_the_model_may_be_wrong_by_a_share_of_each_of_its_terms():
     assert error(inputs(), far=0.3) == pytest.approx(
         np.full(4, model_error.ERROR_TICKS * (model_error.FAR_ERROR * N * 0.3) ** 2)
     )
+    climbs = error(inputs(axial=3.0))
+    assert climbs == pytest.approx([0.0, 0.0, 0.0, model_error.ERROR_TICKS * (model_error.AIR_ERROR * 3.0 * N) ** 2])
     full = error(inputs([1.0, 2.4, 1.0, 2.2]))
     lost = np.array([0.0, 2.4 - model_error.BELOW_LIMIT * 2.5, 0.0, 0.0])
     assert full == pytest.approx(model_error.ERROR_TICKS * (B * lost) ** 2 @ np.ones(N))
+
+
+@pytest.mark.parametrize("sink, share", [(0.9, 0.0), (1.5, 0.5), (2.0, 1.0), (5.0, 1.0)])
+def test_rotors_that_sink_into_their_wake_are_unsteady_each_by_itself(sink, share):
+    """In proportion to their thrust, on all axes that each works on."""
+    thrust = np.array([0.8, 1.0, 1.2, 1.4])
+    slip = (np.arange(4) == 3) * (model_error.AIR_ERROR * sink * N) ** 2
+    wanted = np.array([((B[a] * share * model_error.WASH * thrust) ** 2).sum() for a in range(4)]) + slip
+    assert error(inputs(thrust, axial=-sink)) == pytest.approx(model_error.ERROR_TICKS * wanted)
 
 
 @pytest.mark.parametrize("dt, share", [(0.05, 0.015 / 0.05), (0.5, 0.015 / 0.5)])

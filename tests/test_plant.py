@@ -25,7 +25,7 @@ def table(n, count=3, side=True):
     return SimpleNamespace(
         thrust=RNG.uniform(0.5, 1.5, (count, n)), rate_dot=RNG.normal(0, 3, (count, 3)), rate=RNG.normal(0, 1, (count, 3)),
         load=RNG.uniform(0.8, 1.2, count), hover=RNG.uniform(0.3, 0.5, count), side=RNG.normal(0, 1, (count, 2)) if side else None,
-        curve=(0.6, 0.2),
+        curve=(0.6, 0.2), axial=RNG.normal(0, 2, count) if side else None,
     )  # fmt: skip
 
 
@@ -45,9 +45,9 @@ def yaw_of_drag(B, thrust, forward, right, arm=0.2):
 
 @pytest.mark.parametrize("side", [True, False])
 def test_the_commanded_wrench_is_what_the_motion_needs_and_what_is_lost(side):
-    """y_a = G_a m_a + c_a r_a + l f_a + b1_a + b2_a + b3_a + sum_i B_ai T_i theta_i, written out."""
+    """y_a = G_a m_a + c_a r_a + l f_a + n k v + b1_a + b2_a + b3_a + sum_i B_ai T_i theta_i, written out."""
     ticks, system = table(4, side=side), WrenchBalance(QUAD)
-    u, x, theta = system.pack(ticks), np.append(RNG.normal(0, 1, 20), 0.0), RNG.uniform(0, 0.5, 4)
+    u, x, theta = system.pack(ticks), np.append(RNG.normal(0, 1, 20), [0.0, 0.07]), RNG.uniform(0, 0.5, 4)
     assert u.shape == (3, system.n_u)
     state = x[:20].reshape(4, PER_AXIS)
     for k in range(3):
@@ -58,10 +58,12 @@ def test_the_commanded_wrench_is_what_the_motion_needs_and_what_is_lost(side):
         for a in range(4):
             damped = state[a, DAMPING] * turning[a] + x[SIDEWAYS] * push[a]
             wanted = state[a, GAIN] * motion[a] + damped + state[a, :3].sum() + (QUAD[a] * ticks.thrust[k]) @ theta
+            if a == 3 and side:
+                wanted += 0.07 * 4 * ticks.axial[k]
             if a == 2:  # what is left of the rotors' drag turns it without a command
                 wanted -= yaw_of_drag(QUAD, ticks.thrust[k], forward, right) @ (1.0 - theta)
             assert np.asarray(system.h(x, u[k], theta))[a] == pytest.approx(wanted)
-        assert u[k, -3:] == pytest.approx([1.0 / ticks.hover[k], *ticks.curve])
+        assert u[k, -4:-1] == pytest.approx([1.0 / ticks.hover[k], *ticks.curve])
 
 
 def test_lower_rotors_give_more_and_all_give_less():
@@ -69,7 +71,7 @@ def test_lower_rotors_give_more_and_all_give_less():
     lower = plant.lower_rotors(Y6)
     system = WrenchBalance(Y6, lower=lower)
     u, share = system.pack(table(6))[0], 0.1
-    x = np.append(np.zeros(AXIS_STATES + 1), share)
+    x = np.append(np.zeros(AXIS_STATES + 2), share)
     more = lower - (Y6[3] * lower).mean()
     still = np.concatenate([u[:13], [0.0, 0.0], u[15:]])  # no air from the side
     assert np.asarray(system.h(x, still, np.zeros(6))) == pytest.approx(-share * Y6 @ (more * u[:6]))
@@ -78,7 +80,7 @@ def test_lower_rotors_give_more_and_all_give_less():
     assert np.asarray(system.H(still)) == pytest.approx(Y6 * u[:6])
     across = np.asarray(system.H(u)) - Y6 * u[:6]  # rotors of one arm have no gap
     assert across[2] == pytest.approx(yaw_of_drag(Y6, u[:6], *u[13:15])) and not across[[0, 1, 3]].any()
-    assert system.n_x == 22 == len(system.x_names) == len(system.x0) and WrenchBalance(QUAD).n_x == 21 == len(
+    assert system.n_x == 23 == len(system.x_names) == len(system.x0) and WrenchBalance(QUAD).n_x == 22 == len(
         WrenchBalance(QUAD).x_names
     )
     assert system.x_names[-1] == "lower rotors' share" and system.x_names[SIDEWAYS] == "side force"

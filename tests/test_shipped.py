@@ -71,7 +71,7 @@ def test_an_example_is_known_as_vehicles_are():
         usual = program.parameters(B, TICKS_S[-1])
         learned = {k: np.asarray(usual[k]).tolist() for k in ("x0", "P0", "noise", "noise_weight")}
         for given in (usual, program.parameters(B, TICKS_S[1], learned)):
-            assert native.known_by(program.estimator, program.tick_output, given, (n + 14, 4)) in known
+            assert native.known_by(program.estimator, program.tick_output, given, (n + 15, 4)) in known
 
 
 def test_the_definition_is_what_the_step_imports_and_nothing_else():
@@ -110,7 +110,8 @@ def test_shipped_code_says_what_the_definition_says(folder, dt):
     loss = np.where(np.arange(T)[:, None] > 250, [0.0, 0.3, 0.0, 0.0, 0.0, 0.0], 0.0)
     u = np.column_stack([
         thrust, 0.3 * rng.normal(size=(T, 3)), n + 0.1 * rng.normal(size=T), 0.1 * rng.normal(size=(T, 3)),
-        0.2 * rng.normal(size=(T, 2)), np.full(T, 2.0), np.full(T, 0.65), np.full(T, 0.3), np.full(T, float(JUDGE)), np.zeros(T),
+        0.2 * rng.normal(size=(T, 2)), np.full(T, 2.0), np.full(T, 0.65), np.full(T, 0.3), rng.normal(size=T),
+        np.full(T, float(JUDGE)), np.zeros(T),
     ])  # fmt: skip
     y = thrust @ B.T + (thrust * loss) @ B.T + 0.02 * rng.normal(size=(T, 4))
     found = shipped.find(key(), folder)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rotorwatch.default import kalman, model_error, plant
-from rotorwatch.default.plant import CURVE, GAIN, PER_AXIS, WrenchBalance
+from rotorwatch.default.plant import AIR, CURVE, GAIN, PER_AXIS, WrenchBalance
 from rotorwatch.flight.vehicle import ThrustCurve
 from rotorwatch.front.ticks import JUDGE, LEARN
 from test_default_estimator import DT, KNOWN_NOISE, make
@@ -18,9 +18,9 @@ ASSUMED, LINEAR = 0.65, 0.0
 
 
 def row(thrust, expo, sd, hover=HOVER):
-    """(n + 12,) inputs of thrusts by a curve of that expo, at rest."""
+    """(n + 13,) inputs of thrusts by a curve of that expo, at rest."""
     carries = float(ThrustCurve(0.0, 1.0, expo)(np.array(hover)))
-    return np.concatenate([thrust, np.zeros(3), [N], np.zeros(5), [1.0 / carries, expo, sd]])
+    return np.concatenate([thrust, np.zeros(3), [N], np.zeros(5), [1.0 / carries, expo, sd, np.nan]])
 
 
 @pytest.mark.parametrize("expo", [0.0, 0.3, 0.65, 1.0])
@@ -68,7 +68,9 @@ def flown(sd, loss=0.0, turn=1.2, seed=0, turns=150, fails=300, ready=READY, rot
     zeros, full = np.zeros((TICKS, 2)), np.full(TICKS, 1.0 / unit)
     mode = np.where(when < ready, LEARN, JUDGE)
     motion = [zeros, yaw, np.full(TICKS, float(N)), zeros, rates, zeros]
-    u = np.column_stack([thrust, *motion, full, np.full(TICKS, ASSUMED), np.full(TICKS, sd), mode, when == 0])
+    u = np.column_stack(
+        [thrust, *motion, full, np.full(TICKS, ASSUMED), np.full(TICKS, sd), np.full(TICKS, np.nan), mode, when == 0]
+    )
     return quad.over(u.astype(float), y, np.ones((TICKS, 4), bool))
 
 
@@ -124,19 +126,20 @@ def test_what_is_open_of_the_curve_is_open_of_a_loss_as_far_as_the_rotor_still_g
 
 
 @pytest.mark.parametrize("bound", [0.001, 50.0])
-def test_an_update_keeps_the_curve_within_its_bounds_and_the_covariance_is_of_that_gain(bound):
+@pytest.mark.parametrize("state", [CURVE, AIR])
+def test_an_update_keeps_a_state_within_its_bounds_and_the_covariance_is_of_that_gain(state, bound):
     rng = np.random.default_rng(3)
     root = rng.standard_normal((25, 25))
     s, P, h = np.zeros(25), root @ root.T, rng.standard_normal(25)
     rows, only = np.stack([h, *np.zeros((3, 25))]), np.array([True, False, False, False])
+    most = np.where(np.array([CURVE, AIR]) == state, bound, np.inf)
     new, cov, gains, nu, S = map(
-        np.asarray,
-        kalman.update(s, P, rows, np.full(4, 9.0), only, np.full(4, 0.5), np.ones(25), (-bound, bound)),
+        np.asarray, kalman.update(s, P, rows, np.full(4, 9.0), only, np.full(4, 0.5), np.ones(25), -most, most)
     )
     K = P @ h / S[0]
-    free = abs(K[CURVE] * nu[0]) <= bound
-    assert free == (bound > 1.0) and abs(new[CURVE]) <= bound + 1e-12
-    K[CURVE] = K[CURVE] if free else np.sign(K[CURVE] * nu[0]) * bound / nu[0]
+    free = abs(K[state] * nu[0]) <= bound
+    assert free == (bound > 1.0) and abs(new[state]) <= bound + 1e-12
+    K[state] = K[state] if free else np.sign(K[state] * nu[0]) * bound / nu[0]
     left = np.eye(25) - np.outer(K, h)
     assert gains[0] == pytest.approx(K) and cov == pytest.approx(left @ P @ left.T + 0.5 * np.outer(K, K))
 

@@ -207,6 +207,51 @@ def test_a_vehicle_that_leans_by_more_than_65_degrees_is_upset(axis, degrees, up
     assert table.upset[table.time > 6.2].all() == upset == table.upset.any()
 
 
+def moving(gap=(np.inf, np.inf), wrong=np.inf):
+    """(flight, thrusts, the true speed along the thrust axis as a function of time) of a vehicle that flies curves; gap: no velocity in
+    between; wrong: from when on the velocity is nonsense."""
+    flight, thrust = log()
+    time = np.arange(0, END, 0.02)
+
+    def at(t):
+        t = np.asarray(t, float)
+        lean, heading = 0.6 * np.sin(0.7 * t), 0.4 * t  # forward, about the axis that points to the right
+        speed = np.stack([3.0 * np.cos(0.4 * t), 2.0 * np.sin(t), -np.cos(0.9 * t)], axis=-1)
+        turned, leant = ([np.cos(a / 2), np.sin(a / 2)] for a in (heading, lean))
+        q = np.stack([turned[0] * leant[0], -turned[1] * leant[1], turned[0] * leant[1], turned[1] * leant[0]], axis=-1)
+        up = -np.stack([np.sin(lean) * np.cos(heading), np.sin(lean) * np.sin(heading), np.cos(lean)], axis=-1)
+        return q, speed, (up * speed).sum(axis=-1)
+
+    q, speed, _ = at(time)
+    speed = np.where((time >= wrong)[:, None], 1e20, speed)
+    known = (time < gap[0]) | (time > gap[1])
+    signals = {
+        "attitude": Signal(time, q, ("w", "x", "y", "z"), "1"),
+        "velocity": Signal(time[known], speed[known], ("n", "e", "d"), "m/s"),
+    }
+    return replace(flight, signals={**flight.signals, **signals}), thrust, lambda t: at(t)[2]
+
+
+def test_the_speed_along_the_thrust_axis_is_that_of_velocity_and_attitude():
+    """The velocity's part along the axis that points up out of the rotors, at the last attitude that a tick knows."""
+    flight, thrust, truth = moving()
+    table = make(flight, thrust)
+    assert np.abs(truth(table.time)).max() > 2.0
+    np.testing.assert_allclose(table.axial, truth(table.time), atol=0.02 * 4.0)
+
+
+def test_without_velocity_or_attitude_the_speed_along_the_thrust_axis_is_not_known():
+    """Nor where the velocity stopped more than a second ago, or cannot be true."""
+    flight, thrust, _ = moving(gap=(5.0, 8.0), wrong=9.0)
+    table = make(flight, thrust)
+    blank = np.isnan(table.axial)
+    gone = ((table.time > 6.1) & (table.time < 8.0)) | (table.time > 9.1)
+    assert blank[gone].all() and not blank[(table.time < 5.9) | ((table.time > 8.1) & (table.time < 8.9))].any()
+    for name in ("velocity", "attitude"):
+        less = {k: v for k, v in flight.signals.items() if k != name}
+        assert np.isnan(make(replace(flight, signals=less), thrust).axial).all()
+
+
 def test_a_tumbling_vehicle_is_not_judged_any_more():
     flight, thrust = log()
     gyro = flight["gyro"]

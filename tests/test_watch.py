@@ -177,7 +177,7 @@ def test_the_table_of_ticks_is_the_same_tick_for_tick(name):
     for key in ("time", "thrust", "wrench", "valid", "mode", "restart", "hover", "upset", "contact", "seen"):
         np.testing.assert_array_equal(getattr(together, key)[:count], getattr(whole, key)[:count], err_msg=key)
     flying = whole.valid[:count].all(axis=1)
-    for key in ("rate", "rate_dot", "load", "side"):
+    for key in ("rate", "rate_dot", "load", "side", "axial"):
         np.testing.assert_array_equal(getattr(together, key)[:count][flying], getattr(whole, key)[:count][flying], key)
     assert together.contacts == whole.contacts
 

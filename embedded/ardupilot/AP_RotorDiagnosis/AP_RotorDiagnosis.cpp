@@ -91,7 +91,8 @@ void AP_RotorDiagnosis::feed(uint64_t now_us, bool landed, bool armed, float vol
     }
     Vector3f velocity {};
     if (AP::ahrs().get_velocity_NED(velocity)) {
-        rw_diagnoser_velocity(&_diagnoser, now, -velocity.z, sqrtf(velocity.x * velocity.x + velocity.y * velocity.y));
+        const rw_real moved[3] = {velocity.x, velocity.y, velocity.z};
+        rw_diagnoser_velocity_ned(&_diagnoser, now, moved);
     }
 }
 

@@ -130,9 +130,11 @@ void RotorWatchDiagnoser::feed()
 			}
 
 		case POSITION: {
-				const rw_real climb = position.v_z_valid ? -position.vz : rw_real(NAN);
-				const float squared = position.vx * position.vx + position.vy * position.vy;
-				rw_diagnoser_velocity(&_diagnoser, time, climb, position.v_xy_valid ? sqrtf(squared) : rw_real(NAN));
+				const rw_real unknown = rw_real(NAN);
+				const rw_real velocity[3] = {position.v_xy_valid ? position.vx : unknown, position.v_xy_valid ? position.vy : unknown,
+							     position.v_z_valid ? position.vz : unknown
+							    };
+				rw_diagnoser_velocity_ned(&_diagnoser, time, velocity);
 				break;
 			}
 

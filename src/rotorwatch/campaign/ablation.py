@@ -51,7 +51,7 @@ FILES = {
 } | {"losses": "rotorwatch.front.losses"}  # fmt: skip
 # Names, counts and what follows from others: nothing to be chosen.
 NOT_CHOSEN = {
-    "plant.PER_AXIS", "plant.SIDEWAYS", "plant.AXIS_STATES", "plant.B1", "plant.B2", "plant.B3", "plant.GAIN", "plant.DAMPING",
+    "plant.PER_AXIS", "plant.SIDEWAYS", "plant.AXIS_STATES", "plant.B1", "plant.B2", "plant.B3", "plant.GAIN", "plant.DAMPING", "plant.AIR",
     "announcement.FALSE_ALARM_PERIOD_S", "bank.SLOTS", "bank.STRIDES", "bank.SLOW_S", "noise.LAGS", "hypotheses.DISTURBANCES",
     "kalman.BIASES", "posterior.NEVER", "posterior.PLACES", "evidence.NOTHING", "losses.WITHIN_95", "losses.CANCELS",
 }  # fmt: skip

@@ -27,7 +27,7 @@ from rotorwatch.default import (
     plausibility,
     posterior,
 )
-from rotorwatch.default.plant import B3, CURVE, DAMPING, GAIN, PER_AXIS
+from rotorwatch.default.plant import AIR, B3, CURVE, DAMPING, GAIN, PER_AXIS
 from rotorwatch.front.ticks import AGAIN, GROUND, JUDGE
 
 
@@ -144,9 +144,12 @@ class JumpBank:
         # What carries a vehicle that is not clear of the ground says nothing of the curve, and beside a weak rotor a curve looks like
         # its loss.
         seen = seen._replace(curve=seen.curve * (judge & ~branches.active[0].any()))
+        flow = system.inflow(u)
+        shows = flying * model_error.shows_air(flow[3] / n)
+        seen = seen._replace(gain_share=seen.gain_share.at[AIR].set(shows))
         error = model_error.variance(carry.model_error, seen, x, y, variances[0], system.B, n, dt)
         calm = model_error.calm(memory)
-        lacking = y[3] + bent[3] * x[CURVE] - u[n + 3] * x[3 * PER_AXIS + GAIN]
+        lacking = y[3] + bent[3] * x[CURVE] - u[n + 3] * x[3 * PER_AXIS + GAIN] - flow[3] * x[AIR]
         missing = plausibility.follow(carry.missing, lacking, u[n + 3] / n, u[:n] / u[n + 9], valid[3], restart, dt)
 
         # The measurement: to every explanation, and to the bank.
@@ -157,8 +160,9 @@ class JumpBank:
         counts, R = valid & flying, variances[0] + error + model_error.ERROR_TICKS * (drag @ branches.s[0, n_x:]) ** 2
         left = y - rows @ branches.s[0]
         curve = (jnp.array([0.0, 1.0]) - u[n + 10]) / jnp.maximum(u[n + 11], 1e-9)
+        least, most = jnp.stack([curve, jnp.array([0.0, jnp.inf])], axis=1)
         s, P, gains, innovation, variance = jax.vmap(
-            lambda s, P: kalman.update(s, P, rows, y, counts, R, seen.gain_share, curve)
+            lambda s, P: kalman.update(s, P, rows, y, counts, R, seen.gain_share, least, most)
         )(branches.s, branches.P)
         for a in range(4):
             w = jnp.where(counts[a], calm[a] / variance[0, a], 0.0)

@@ -18,7 +18,7 @@ import numpy as np
 
 from rotorwatch.default import events, hypotheses
 from rotorwatch.default.learning import LEARNED_WEIGHT
-from rotorwatch.default.plant import CURVE, DAMPING, GAIN, PER_AXIS, any_multirotor, lower_rotors
+from rotorwatch.default.plant import AIR, CURVE, DAMPING, GAIN, PER_AXIS, any_multirotor, lower_rotors
 from rotorwatch.default.program import estimate
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN, Ticks
@@ -42,9 +42,8 @@ def learned(carry, B: np.ndarray) -> dict:
     P0[rows], P0[:, rows] = 0.0, 0.0
     P0[rows[:, None], rows] = P[rows[:, None], rows]
     known = {"x0": x0, "P0": P0, "noise": np.asarray(carry.noise.variances), "noise_weight": LEARNED_WEIGHT}
-    known["curve"] = [float(s[CURVE]), float(P[CURVE, CURVE])]
-    if lower_rotors(B) is not None:
-        known["share"] = [float(s[CURVE + 1]), float(P[CURVE + 1, CURVE + 1])]
+    also = {"curve": CURVE, "air": AIR, **({"share": AIR + 1} if lower_rotors(B) is not None else {})}
+    known |= {name: [float(s[k]), float(P[k, k])] for name, k in also.items()}
     return known
 
 

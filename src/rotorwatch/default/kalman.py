@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch.default import hypotheses, noise, plant, posterior
-from rotorwatch.default.plant import B1, B2, B3, CURVE, PER_AXIS
+from rotorwatch.default.plant import AIR, B1, B2, B3, CURVE, PER_AXIS
 from rotorwatch.default.posterior import Branches
 
 # A loss that has been refined long enough is not yet known if it still grows: has left its mean over so long by its own uncertainty.
@@ -75,9 +75,9 @@ def predict(branches: Branches, decay, variances, burst_factor, flying, dt) -> B
     return branches._replace(**dict(zip(parts, ahead)))
 
 
-def update(s, P, rows, y, valid, R, gain_share, curve=(-np.inf, np.inf)):
+def update(s, P, rows, y, valid, R, gain_share, least=-np.inf, most=np.inf):
     """One tick's wrench y (4,) where valid (4,), of rows (4, n_s) and noise variances R (4,); gain_share (n_s,): share of the gain that
-    each state gets; curve (2,): least and most that the thrust curve may be bent. Returns s, P, gains (4, n_s), innovations (4,),
+    each state gets; least, most (2,): bounds of the curve and of what air takes. Returns s, P, gains (4, n_s), innovations (4,),
     variances (4,)."""
     import jax.numpy as jnp
 
@@ -90,9 +90,9 @@ def update(s, P, rows, y, valid, R, gain_share, curve=(-np.inf, np.inf)):
         S = jnp.maximum(S, nu * nu / OUTLIER**2)
         nu = jnp.where(valid[a], nu, 0.0)
         K = Ph * jnp.where(valid[a], 1.0 / S, 0.0) * gain_share
-        # What no curve explains is not learned; the bank knows that by the gain.
-        some = jnp.where(jnp.abs(nu) > 1e-9, nu, jnp.inf)
-        K = K.at[CURVE].set((jnp.clip(s[CURVE] + K[CURVE] * nu, curve[0], curve[1]) - s[CURVE]) / some)
+        # What no curve and no air explains is not learned; the bank knows that by the gain.
+        some, both = jnp.where(jnp.abs(nu) > 1e-9, nu, jnp.inf), slice(CURVE, AIR + 1)
+        K = K.at[both].set((jnp.clip(s[both] + K[both] * nu, least, most) - s[both]) / some)
         s = s + K * nu
         P = P - K[:, None] * Ph[None, :] - Ph[:, None] * K[None, :]
         P = P + jnp.where(valid[a], S, 0.0) * K[:, None] * K[None, :]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rotorwatch.default.plant import CURVE, DAMPING, GAIN, PER_AXIS, any_multirotor, lower_rotors
+from rotorwatch.default.plant import AIR, CURVE, DAMPING, GAIN, PER_AXIS, any_multirotor, lower_rotors
 from rotorwatch.default.program import estimate
 from rotorwatch.motion.ticks import JUDGE, TICKS_S, Ticks
 
@@ -31,8 +31,8 @@ def learn(tables: Sequence[Ticks], B: np.ndarray) -> dict | None:
         means.append(np.asarray(carry.s)[rows])
         precisions.append(1.0 / np.maximum(np.diag(np.asarray(carry.P))[rows], 1e-12))
         noises.append(np.asarray(carry.noise.variances))
-        # How the thrust curve is bent and, on coaxial frames, the lower rotors' share.
-        shares.append([(float(carry.s[k]), float(carry.P[k, k])) for k in (CURVE, CURVE + 1)])
+        # How the thrust curve is bent, what air takes and, on coaxial frames, the lower rotors' share.
+        shares.append([(float(carry.s[k]), float(carry.P[k, k])) for k in (CURVE, AIR, AIR + 1)])
     if not means:
         return None
     loudest = np.max(noises, axis=0)
@@ -45,9 +45,9 @@ def learn(tables: Sequence[Ticks], B: np.ndarray) -> dict | None:
     open_ = FLIGHTS_DIFFER * np.diag(P0)[rows] / len(means)
     variance = np.minimum(np.diag(P0)[rows], 1.0 / np.sum(precisions, axis=0) + spread + open_)
     P0[rows[:, None], rows] = np.diag(variance)
-    # ... nor how much the thrust curve and the lower rotors' share do.
+    # ... nor how much the thrust curve, the air and the lower rotors' share do.
     own = [[float(m), float(v + s)] for (m, v), s in zip(np.mean(shares, axis=0), np.var(shares, axis=0)[:, 0])]
-    known = {"curve": own[0], **({"share": own[1]} if lower_rotors(B) is not None else {})}
+    known = {"curve": own[0], "air": own[1], **({"share": own[2]} if lower_rotors(B) is not None else {})}
     return {
         "x0": x0.tolist(), "P0": P0.tolist(), "noise": loudest.tolist(), "noise_weight": LEARNED_WEIGHT,
         "dt": tables[0].dt, **known,

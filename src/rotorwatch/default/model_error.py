@@ -23,6 +23,13 @@ LEVEL_MEMORY_S = 10.0
 GAIN_ERROR, DAMPING_ERROR = (0.0, 0.0, 0.35, 0.15), 0.3
 ERROR_TICKS = 4.0
 LAG_ERROR_S = 0.015
+# 1 / (m/s) by which air may take more or less than was learned: rotors that climb lose more than those that sink gain.
+AIR_ERROR = 0.01
+# m/s along the thrust axis that speak of the air: slower ones are what a gust has made of the vehicle, which it meets from the other side.
+STILL = 0.5
+# A rotor that sinks into its own wake, from a quarter of its induced velocity on, gives unsteady thrust, each by itself: by so much at
+# twice that speed [m/s] and beyond.
+WASH, WASH_SINK = 0.1, 1.0
 LASTING_MEMORY_S = 30.0
 GUST_SHARE, LEAST_GAIN = 2.0, 0.3
 FAR, FAR_ERROR = 0.3, 0.5
@@ -93,7 +100,7 @@ def init(n: int) -> Memory:
 
 
 def look(memory: Memory, u, y, lost, valid, flying, restart, x, variances, n: int, dt, bent=0.0) -> tuple[Memory, Look]:
-    """One tick's inputs u (n + 12,) as `WrenchBalance.pack` lays them out, judged against what was usual.
+    """One tick's inputs u (n + 13,) as `WrenchBalance.pack` lays them out, judged against what was usual.
 
     y (4,): commanded wrench, lost (4,): what the known losses take of it; bent (4,): what a standard deviation of the thrust curve gives
     to it. x (n_x,): state; variances (4, 4) of the noise model.
@@ -186,6 +193,13 @@ def look(memory: Memory, u, y, lost, valid, flying, restart, x, variances, n: in
     )
 
 
+def shows_air(axial):
+    """Share, 0 to 1, by which a speed along the thrust axis [m/s] teaches what air along that axis takes."""
+    import jax.numpy as jnp
+
+    return jnp.maximum(0.0, 1.0 - STILL**2 / jnp.maximum(axial**2, 1e-12))
+
+
 def calm(memory: Memory):
     """(4,) weight of this tick's evidence: below 1 while innovations are larger than the noise model expects (gusts come in bursts)."""
     import jax.numpy as jnp
@@ -237,11 +251,14 @@ def variance(memory: Memory, seen: Look, x, y, white, B, n: int, dt):
     motion = jnp.concatenate([u[n : n + 3], u[n + 3 : n + 4] - n])
     rates = jnp.concatenate([u[n + 4 : n + 7], jnp.zeros(1)])
     missing = jnp.where(u[:n] > AT_LIMIT * u[n + 9], u[:n] - BELOW_LIMIT * u[n + 9], 0.0)
+    axial = jnp.where(jnp.isnan(u[n + 12]), 0.0, u[n + 12])
+    wash = WASH * jnp.clip(-axial / WASH_SINK - 1.0, 0.0, 1.0) * u[:n]
     step = jnp.maximum(jnp.abs(y - memory.y) - 4.0 * jnp.sqrt(white), 0.0)
     return ERROR_TICKS * (
         (jnp.asarray(GAIN_ERROR) * x[:, GAIN] * motion) ** 2
         + (DAMPING_ERROR * x[:, DAMPING] * rates) ** 2
         + (FAR_ERROR * n * seen.far) ** 2
-        + (B * missing[None, :]) ** 2 @ jnp.ones(n)
+        + B**2 @ (missing**2 + wash**2)
+        + (jnp.arange(4) == 3) * (AIR_ERROR * n * axial) ** 2
         + (LAG_ERROR_S / dt * step) ** 2
     )

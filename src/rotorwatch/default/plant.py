@@ -2,7 +2,7 @@
 
 The default diagnoser's plant. Nothing of the vehicle but its geometry is needed: for each axis a of roll, pitch, yaw and thrust
 
-    y_a = G_a m_a + c_a r_a + l f_a + b1_a + b2_a + b3_a + sum_i B_ai T_i theta_i + noise
+    y_a = G_a m_a + c_a r_a + l f_a + n k v + b1_a + b2_a + b3_a + sum_i B_ai T_i theta_i + noise
 
 y = B T: commanded wrench; T (n,): commanded thrusts (hover thrust of one rotor = 1); m: angular acceleration [rad/s^2], and for
 thrust the load factor times n; r: angular rate [rad/s] (damping, none for thrust); f: side force per mass [m/s^2], -right for roll
@@ -10,9 +10,11 @@ and forward for pitch, with one l; b1, b2: coloured disturbances with time
 constants TAU (gusts, and what the controller makes of them); b3: slow drift (wind,
 centre of mass, battery), a random walk. theta_i: loss of rotor i. Per axis the state is (b1, b2, b3, G, c). It is linear
 in the state for given u, and in theta. Air that pushes the vehicle to one side pushes at its rotors, at each in proportion to its
-speed (Martin and Salaun, ICRA 2010): unequal rotors yaw in wind, and the part of one that is gone is missing, `drag`. On coaxial frames
-the lower rotors of all arms give a share s more than B says, which is one more state: y_a - ... - s (dB/ds T)_a, with B kept such
-that hover takes the same command.
+speed (Martin and Salaun, ICRA 2010): unequal rotors yaw in wind, and the part of one that is gone is missing, `drag`. Air along the
+thrust axis takes thrust where the vehicle climbs along that axis, by the rotors' inflow and the body's drag, and adds some where it
+sinks: n k v, with v the speed along the axis over ground. Wind is not known; what it adds while the tilt stays as it is is in b3. A weak
+rotor loses as much of this as a whole one. On coaxial frames the lower rotors of all arms give a share s more than B says, which is one
+more state: y_a - ... - s (dB/ds T)_a, with B kept such that hover takes the same command.
 """
 
 from __future__ import annotations
@@ -50,33 +52,39 @@ SHARE_SD = (
 )
 AXIS_STATES = 4 * PER_AXIS
 CURVE = AXIS_STATES  # the state that says by how much the thrust curve is bent, in standard deviations of what is known of it
+AIR = CURVE + 1  # the state k: share of the hover thrust that 1 m/s of air along the thrust axis takes
+# Rotors lose 0.4 of their hover thrust over the induced velocity, which is 4 m/s and more; drag of the body adds as much and more where it
+# is light: 0.03 to 0.1 in flights.
+INFLOW, INFLOW_SD = 0.05, 0.05  # 1 / (m/s)
 # Times [s] that all parts share: by when a controller has answered what happened; how long a burst lasts, of errors that the noise model
 # does not expect, as a change brings them; over which what is usual is averaged.
 ANSWER_S, BURST_S, USUAL_S = 0.5, 3.0, 6.0
 
 
 class WrenchBalance:
-    """n rotors with effectiveness matrix B (4, n). x (21,), u (n + 12,): see `pack`; theta (n,) loss; y (4,) wrench."""
+    """n rotors with effectiveness matrix B (4, n). x (22,), u (n + 13,): see `pack`; theta (n,) loss; y (4,) wrench."""
 
     name = "wrench_balance"
     n_y = 4
 
-    def __init__(self, B, prior=None, lower=None, share=None, curve=None):
+    def __init__(self, B, prior=None, lower=None, share=None, curve=None, air=None):
         """prior: (mean (20,), covariance (20, 20)) from healthy flights (calibrate), else what any multirotor is like. lower (n,): 1 for
-        the lower rotors of coaxial arms, None on other frames: with it, how much more or less than in B they all give is a 21st state,
-        with mean and variance `share` (2,). curve (2,): mean and variance of how much the thrust curve is bent, where that is known."""
+        the lower rotors of coaxial arms, None on other frames: with it, how much more or less than in B they all give is the last state,
+        with mean and variance `share` (2,). curve, air (2,): mean and variance of how much the thrust curve is bent, and of what air along
+        the thrust axis takes, where that is known."""
         self.B = B  # numpy, or traced: one compiled program serves every airframe with n rotors
         self.lower = lower
         self.n_theta = B.shape[1]
-        self.n_u = self.n_theta + 12
-        self.n_x = AXIS_STATES + 1 + (lower is not None)
-        self._prior, self._share, self._curve = prior, share, curve
+        self.n_u = self.n_theta + 13
+        self.n_x = AXIS_STATES + 2 + (lower is not None)
+        self._prior, self._share, self._curve, self._air = prior, share, curve, air
 
     @cached_property
     def prior(self):
         """(mean (n_x,), covariance (n_x, n_x)) of the state before anything is known; made when it is asked for, as `pack` needs none."""
         mean, P = any_multirotor(self.n_theta) if self._prior is None else self._prior
         mean, P = _widened(mean, P, any_curve() if self._curve is None else self._curve)
+        mean, P = _widened(mean, P, any_air() if self._air is None else self._air)
         if self.lower is None:
             return mean, P
         return _widened(mean, P, np.array([0.0, SHARE_SD**2]) if self._share is None else self._share)
@@ -99,16 +107,18 @@ class WrenchBalance:
             for axis in AXES
             for what in ("b1", "b2", "b3", "gain", "damping")
         )
-        return (*names, "thrust curve", "lower rotors' share")[: self.n_x]
+        return (*names, "thrust curve", "air from above", "lower rotors' share")[: self.n_x]
 
     def pack(self, ticks):
-        """(T, n + 12) inputs of a table of ticks: thrusts, angular accelerations, n times load factor, angular rates, side forces
-        forward and right [m/s^2], full thrust of a rotor. Thrusts in hover thrusts."""
+        """(T, n + 13) inputs of a table of ticks: thrusts, angular accelerations, n times load factor, angular rates, side forces
+        forward and right [m/s^2], full thrust of a rotor, expo of the thrust curve and its standard deviation, speed along the thrust
+        axis [m/s; NaN: not known]. Thrusts in hover thrusts."""
         load = ticks.load[:, None] * self.n_theta
         side = np.zeros((len(load), 2)) if ticks.side is None else ticks.side
         full = 1.0 / ticks.hover[:, None]
         curve = np.broadcast_to(np.asarray(ticks.curve, float), (len(load), 2))
-        return np.concatenate([ticks.thrust, ticks.rate_dot, load, ticks.rate, side, full, curve], axis=1)
+        axial = np.full((len(load), 1), np.nan) if ticks.axial is None else ticks.axial[:, None]
+        return np.concatenate([ticks.thrust, ticks.rate_dot, load, ticks.rate, side, full, curve, axial], axis=1)
 
     def C(self, u, usual=1.0):
         """(4, n_x) dy/dx. usual: mean thrust lately, about which the curve is bent."""
@@ -121,7 +131,7 @@ class WrenchBalance:
         C = (jnp.eye(4)[:, :, None] * rows[:, None, :]).reshape(4, AXIS_STATES)
         push = jnp.stack([-u[n + 8], u[n + 7], *jnp.zeros(2)])
         C = C + push[:, None] * (np.arange(AXIS_STATES) == SIDEWAYS)
-        C = jnp.concatenate([C, -(self.B @ self.bend(u, usual))[:, None]], axis=1)
+        C = jnp.concatenate([C, -(self.B @ self.bend(u, usual))[:, None], self.inflow(u)[:, None]], axis=1)
         if self.lower is None:
             return C
         return jnp.concatenate([C, -(self.B @ (self._more() * u[:n]))[:, None]], axis=1)
@@ -148,6 +158,13 @@ class WrenchBalance:
         command = 2.0 * share / (jnp.sqrt(straight**2 + 4.0 * expo * share) + straight + 1e-9)
         more = command**2 - command
         return sd * full * (more[:n] - u[:n] / usual * more[n])
+
+    def inflow(self, u):
+        """(4,) wrench that 1 of `AIR` takes of all rotors at this speed along the thrust axis; 0 where that is not known."""
+        from jax import numpy as jnp
+
+        axial = u[self.n_theta + 12]
+        return jnp.zeros(4).at[AXES.index("thrust")].set(self.n_theta * jnp.where(jnp.isnan(axial), 0.0, axial))
 
     def drag(self, u):
         """(4, n) yaw that each rotor's drag in the plane of the rotors makes; of all of them together, what a healthy vehicle need not be
@@ -241,6 +258,11 @@ def one_arm(B):
 def any_curve() -> np.ndarray:
     """(2,) mean and variance of how much a thrust curve is bent, before anything has been seen of it."""
     return np.array([0.0, 1.0])
+
+
+def any_air() -> np.ndarray:
+    """(2,) mean and variance of what air along the thrust axis takes, before anything has been seen of it."""
+    return np.array([INFLOW, INFLOW_SD**2])
 
 
 def usual_gains(n: int) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from rotorwatch.compiling.run import Steps, chosen, run_built
 from rotorwatch.core import Array
-from rotorwatch.default.plant import AXIS_STATES, any_curve, any_multirotor
+from rotorwatch.default.plant import AXIS_STATES, any_air, any_curve, any_multirotor
 from rotorwatch.errors import ConfigError
 from rotorwatch.motion.ticks import AGAIN, TICKS_S, Ticks
 
@@ -62,12 +62,12 @@ def estimator(p):
     from rotorwatch.default.estimator import JumpBank
     from rotorwatch.default.plant import WrenchBalance
 
-    system = WrenchBalance(p["B"], (p["x0"], p["P0"]), p.get("lower"), p.get("share"), p["curve"])
+    system = WrenchBalance(p["B"], (p["x0"], p["P0"]), p.get("lower"), p.get("share"), p["curve"], p["air"])
     return JumpBank(system, p["dt"], (p["noise"], p["noise_weight"]))
 
 
 def inputs(table: Ticks, B: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """u (T, n + 14), y (T, 4), valid (T, 4) of the estimator over ticks."""
+    """u (T, n + 15), y (T, 4), valid (T, 4) of the estimator over ticks."""
     from rotorwatch.default.plant import WrenchBalance
 
     again = table.restart if table.contact is None else np.where(table.contact, AGAIN, table.restart)
@@ -88,7 +88,8 @@ def parameters(B: np.ndarray, dt: float, dynamics=None) -> dict:
         known = ", ".join(f"{t:g}" for t in TICKS_S)
         raise ConfigError(f"The default estimator has no ticks of {dt:g} s; it has {known}.")
     curve = np.array((dynamics or {}).get("curve", any_curve()), float)
-    arrays = {"B": B, "dt": np.array(dt), "curve": curve, **coaxial}
+    air = np.array((dynamics or {}).get("air", any_air()), float)
+    arrays = {"B": B, "dt": np.array(dt), "curve": curve, "air": air, **coaxial}
     if dynamics:
         return {**arrays, **{k: np.array(dynamics[k], float) for k in ("x0", "P0", "noise", "noise_weight")}}
     mean, P = any_multirotor(B.shape[1])
@@ -113,4 +114,4 @@ def estimate(table: Ticks, B: np.ndarray, dynamics=None, progress=None, keep=tic
 
 def steps(dt: float, B: np.ndarray, dynamics=None) -> Steps:
     """The default estimator for ticks of dt seconds, gone on with as ticks come; `inputs` makes its rows. Raises ConfigError."""
-    return Steps(estimator, parameters(B, dt, dynamics), tick_output, (B.shape[1] + 14, 4))
+    return Steps(estimator, parameters(B, dt, dynamics), tick_output, (B.shape[1] + 15, 4))

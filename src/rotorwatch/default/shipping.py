@@ -75,8 +75,16 @@ def example(frame: Frame) -> tuple[dict, tuple[int, int]]:
     n = frame.rotors
     mean, P = any_multirotor(n)
     coaxial = {"lower": np.zeros(n), "share": np.zeros(2)} if frame.coaxial else {}
-    arrays = {"B": np.ones((4, n)), "dt": np.array(1.0), "curve": np.zeros(2), **coaxial, "x0": mean, "P0": P}
-    return {**arrays, "noise": np.ones((4, 4)), "noise_weight": np.array(1.0)}, (n + 14, 4)
+    arrays = {
+        "B": np.ones((4, n)),
+        "dt": np.array(1.0),
+        "curve": np.zeros(2),
+        "air": np.zeros(2),
+        **coaxial,
+        "x0": mean,
+        "P0": P,
+    }
+    return {**arrays, "noise": np.ones((4, 4)), "noise_weight": np.array(1.0)}, (n + 15, 4)
 
 
 def levels(portable: bool) -> tuple[str, ...]:

@@ -137,7 +137,7 @@ class Bound(NamedTuple):
 def _program(n: int, dt: float, batch: bool):
     jax = load_jax()
     jnp = jax.numpy
-    from rotorwatch.default.plant import WrenchBalance
+    from rotorwatch.default.plant import AXIS_STATES, WrenchBalance
 
     def one(B, u, y, valid, flying, theta, rotor, onset) -> Bound:
         system = WrenchBalance(B)
@@ -146,7 +146,7 @@ def _program(n: int, dt: float, batch: bool):
         clean = y + jax.vmap(lambda u, theta: system.drag(u).sum(axis=1) - system.H(u) @ theta)(u, theta)
 
         def walks(variances):
-            return jnp.append(noise.process_variance(variances, dt), 0.0)
+            return jnp.append(noise.process_variance(variances, dt), jnp.zeros(system.n_x - AXIS_STATES))
 
         def learn(carry, row):
             x, P, noises = carry
@@ -154,7 +154,7 @@ def _program(n: int, dt: float, batch: bool):
             q = jnp.where(fly, walks(noises.variances), 0.0)
             x, P = A * x, A[:, None] * P * A[None, :] + jnp.diag(q)
             C = system.C(u)
-            gains = np.append(np.tile([0.0, 0.0, 0.0, 1.0, 1.0], 4), 1.0)
+            gains = np.append(np.tile([0.0, 0.0, 0.0, 1.0, 1.0], 4), np.ones(system.n_x - AXIS_STATES))
             left = y - C @ (gains * x)
             for a in range(4):
                 Pc = P @ C[a]
@@ -182,7 +182,7 @@ def on_ticks(B, u, y, valid, flying, theta, rotor, onset, dt: float, batch: bool
     """The bound for a diagnoser that sees these ticks: plant and noise model are the default diagnoser's (default/plant.py),
     its noise that of the whole flight with the true losses taken out, the rotor and the onset known.
 
-    B (4, n), u (T, n + 12), y (T, 4), valid (T, 4), flying (T,) bool; theta (T, n) true losses; rotor (0-based), onset (first tick with
+    B (4, n), u (T, n + 13), y (T, 4), valid (T, 4), flying (T,) bool; theta (T, n) true losses; rotor (0-based), onset (first tick with
     the loss): integers. batch: all but B have a first axis of flights. Arrays of NumPy.
     """
     program = _program(np.shape(B)[1], dt, batch)

@@ -290,8 +290,9 @@ def _named(system, letter: str, count: int) -> str:
         n = system.n_theta
         names = [*(f"thrust_{k + 1}" for k in range(n)), "p_dot", "q_dot", "r_dot", f"{n} x load factor", "p", "q", "r"]
         units = ["hover thrust"] * n + ["rad/s^2"] * 3 + ["1"] + ["rad/s"] * 3
-        names = [*names, "side force forward", "right", "full thrust of a rotor"]
-        units = [*units, "m/s^2", "m/s^2", "hover thrust"]
+        names = [*names, "side force forward", "right", "full thrust of a rotor", "expo", "its standard deviation"]
+        names = [*names, "speed along the thrust axis, NaN where it is not known"]
+        units = [*units, "m/s^2", "m/s^2", "hover thrust", "1", "1", "m/s"]
         names, units = names + ["mode", "restart"][: count - len(names)], units + ["1"] * (count - len(units))
     if letter == "y" and isinstance(system, WrenchBalance):
         names, units = ["commanded roll", "pitch", "yaw torque", "thrust"], ["hover thrust"] * 4

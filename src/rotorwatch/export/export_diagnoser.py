@@ -59,7 +59,7 @@ def estimator_program(vehicle: Vehicle, dt: float) -> Program:
     from rotorwatch.default.estimator import JumpBank
 
     p = parameters(vehicle.effectiveness(), dt, (vehicle.identified or {}).get("dynamics"))
-    system = WrenchBalance(p["B"], (p["x0"], p["P0"]), p.get("lower"), p.get("share"), p["curve"])
+    system = WrenchBalance(p["B"], (p["x0"], p["P0"]), p.get("lower"), p.get("share"), p["curve"], p["air"])
     method = JumpBank(system, dt, (p["noise"], p["noise_weight"]))
     inputs = (
         Field("u", "f", (system.n_u + 2,), "inputs of a tick, of rw_ticks_make"),

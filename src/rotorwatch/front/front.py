@@ -20,6 +20,7 @@ from rotorwatch.compiling.structs import (
     embedded,
     isnan,
     local,
+    sqrt,
 )
 from rotorwatch.front.airborne import Airborne
 from rotorwatch.front.deviations import Deviations
@@ -116,8 +117,13 @@ class Front(Struct):
         if valid:
             self.sense.accel(time, x, y, z)
 
-    def velocity(self, v: Vehicle, p: Plan, time: Time, climb: Real, speed: Real) -> None:
-        """Climb rate and horizontal speed, m/s; NaN: not known."""
+    def velocity(self, v: Vehicle, p: Plan, time: Time, north: Real, east: Real, down: Real) -> None:
+        """Velocity, m/s; NaN: not known."""
+        self.sense.moves(time, north, east, down)
+        self.speed(v, p, time, -down, sqrt(north * north + east * east))
+
+    def speed(self, v: Vehicle, p: Plan, time: Time, climb: Real, speed: Real) -> None:
+        """Climb rate and horizontal speed, m/s, where nothing says in which direction; NaN: not known."""
         self.air.velocity(time, climb, speed)
         self._advance(v, p, time)
 
@@ -126,11 +132,10 @@ class Front(Struct):
         self.air.state(time, landed, armed)
         self._advance(v, p, time)
 
-    def attitude(self, v: Vehicle, p: Plan, time: Time, x: Real, y: Real) -> None:
-        """Second and third part of the attitude quaternion, body to world, scalar first."""
+    def attitude(self, v: Vehicle, p: Plan, time: Time, w: Real, x: Real, y: Real, z: Real) -> None:
+        """Attitude quaternion, body to world, scalar first; NaN: not known."""
         self._advance(v, p, time)
-        if not (isnan(x) or isnan(y)):
-            self.sense.levels.add(time, 1.0 - 2.0 * (x * x + y * y))
+        self.sense.attitude(time, w, x, y, z)
 
     def voltage(self, v: Vehicle, p: Plan, time: Time, ratio: Real) -> None:
         """Battery voltage as a share of full, filtered."""

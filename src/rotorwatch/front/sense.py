@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from rotorwatch.compiling.structs import (
     LASTS,
+    NAN,
     REAL,
     TIME,
     Real,
@@ -20,6 +21,7 @@ from rotorwatch.compiling.structs import (
     array,
     embedded,
     floor,
+    isnan,
     local,
     real,
     reset,
@@ -34,6 +36,8 @@ LATE_S = 0.9  # motion that is this late is not waited for, where it is sampled 
 GAP_S = 4.0  # without any command: of a longer gap only so much at either end makes ticks
 NO_COMMAND_S = 0.2  # after a tick: there was no command in it
 SUM_S = 1e-9  # by which two sums of the same times may differ: a tick does not wait for the next sample because of that
+FRESH_S = 1.0  # velocity and attitude that are older than this, or apart by more, say nothing of the air
+MOST_AXIAL = 30.0  # m/s: what says more is wrong
 MOST_TICKS = 1e9  # their numbers stay in 32 bits: a clock that jumped farther is not followed
 
 
@@ -71,6 +75,7 @@ class Sensed(Struct):
     side = array(REAL, 2)  # the same over half a second; 0 where not known
     shake: Real = 0.0  # vibration so far, m/s^2
     level: Real = 1.0  # cosine of the tilt, 1 where it is not known
+    axial: Real = NAN  # speed along the thrust axis, m/s, above 0 where it climbs along it; NaN where it is not known
     some: bool = False  # there were commands
     rate_ok: bool = True
     load_ok: bool = False
@@ -153,14 +158,15 @@ class Samples(Struct):
 
 
 class Levels(Struct):
-    """The last cosines of the tilt."""
+    """The last attitudes: cosine of the tilt, and speed along the thrust axis."""
 
     time = array(TIME, LEVELS)
     level = array(REAL, LEVELS)
+    axial = array(REAL, LEVELS)
     first: int = 0
     count: int = 0
 
-    def add(self, time: Time, level: Real) -> None:
+    def add(self, time: Time, level: Real, axial: Real) -> None:
         """One more; left out where its time does not grow."""
         if self.count > 0 and not time > self.time[(self.first + self.count - 1) % LEVELS]:
             return
@@ -170,15 +176,16 @@ class Levels(Struct):
         at = (self.first + self.count) % LEVELS
         self.time[at] = time
         self.level[at] = level
+        self.axial[at] = axial
         self.count += 1
 
-    def at(self, time: Time) -> Real:
-        """The last one known at `time`, or the first of all; 1 without any."""
+    def at(self, time: Time) -> int:
+        """Place of the last one known at `time`, or of the first of all; -1 without any."""
         for k in range(self.count - 1, -1, -1):
             i = (self.first + k) % LEVELS
             if self.time[i] <= time or k == 0:
-                return self.level[i]
-        return 1.0
+                return i
+        return -1
 
 
 class Bin(Struct):
@@ -196,6 +203,8 @@ class Sense(Struct):
     gyros = embedded(Samples)
     accels = embedded(Samples)
     levels = embedded(Levels)
+    velocity = array(REAL, 3)  # the last one, north, east, down, m/s; NaN where not known
+    moved: Time = -LASTS  # s, when that was
     bins = array(Bin, WAITING)  # by number of the tick
     origin: Time = 0.0  # s, end of tick 0
     vibration = embedded(Vibration)
@@ -253,6 +262,23 @@ class Sense(Struct):
         else:
             self.accels.add(time, x, y, z)
 
+    def moves(self, time: Time, north: Real, east: Real, down: Real) -> None:
+        """Velocity, m/s; NaN: not known."""
+        self.velocity[0] = north
+        self.velocity[1] = east
+        self.velocity[2] = down
+        self.moved = time
+
+    def attitude(self, time: Time, w: Real, x: Real, y: Real, z: Real) -> None:
+        """Attitude quaternion, body to world, scalar first; NaN: not known."""
+        if isnan(x) or isnan(y):
+            return
+        level = 1.0 - 2.0 * (x * x + y * y)
+        across = self.velocity[0] * 2.0 * (x * z + w * y) + self.velocity[1] * 2.0 * (y * z - w * x)
+        axial = -(across + self.velocity[2] * level)
+        known = abs(time - self.moved) <= FRESH_S and abs(axial) <= MOST_AXIAL
+        self.levels.add(time, level, axial if known else NAN)
+
     def ready(self, p: Plan, now: Time) -> bool:
         """Whether the next tick can be made at `now` s. Motion that is late is not awaited for ever, nor for more ticks than may wait."""
         if not self.begun:
@@ -288,7 +314,10 @@ class Sense(Struct):
             self._turn(p, centre, out)
         if p.accel:
             self._push(p, centre, out)
-        out.level = self.levels.at(out.time)
+        k = self.levels.at(out.time)
+        if k >= 0:
+            out.level = self.levels.level[k]
+            out.axial = self.levels.axial[k] if abs(out.time - self.levels.time[k]) <= FRESH_S else NAN
         self.next += 1
         if self.next == self.gap_from:
             self.next = self.gap_to

@@ -6,7 +6,7 @@ then kept for that flight. All frames body FRD.
 
 from __future__ import annotations
 
-from rotorwatch.compiling.structs import FLAG, LASTS, REAL, Real, Reals, Struct, Time, array, embedded, real
+from rotorwatch.compiling.structs import FLAG, LASTS, NAN, REAL, Real, Reals, Struct, Time, array, embedded, real
 from rotorwatch.front.contact import Contact, Shove, Touch
 from rotorwatch.front.sense import Plan, Sensed
 from rotorwatch.front.sizes import ROTORS, SETTLING
@@ -36,6 +36,7 @@ class Made(Struct):
     rate_dot = array(REAL, 3)  # rad/s^2
     load: Real = 1.0  # specific force up over g
     side = array(REAL, 2)  # m/s^2 forward and right, mean of half a second
+    axial: Real = NAN  # m/s along the thrust axis, above 0 where it climbs along it; NaN where it is not known
     hover: Real = 1.0  # mean share of full thrust per rotor that one unit of thrust stands for
     valid = array(FLAG, 4)  # which of the wrench counts
     mode: int = GROUND
@@ -45,8 +46,9 @@ class Made(Struct):
     touch = embedded(Touch)
 
     def inputs(self, v: Vehicle, u: Reals) -> None:
-        """u [rotors + 14] of the estimator: thrusts; angular accelerations; rotors times the load factor; angular rates; side forces; full
-        thrust of a rotor in hover thrusts; expo and its standard deviation; mode; 1 at the first tick of a flight, 2 at a contact."""
+        """u [rotors + 15] of the estimator: thrusts; angular accelerations; rotors times the load factor; angular rates; side forces; full
+        thrust of a rotor in hover thrusts; expo and its standard deviation; speed along the thrust axis, NaN where it is not known; mode; 1
+        at the first tick of a flight, 2 at a contact."""
         n = v.rotors
         for k in range(n):
             u[k] = self.thrust[k]
@@ -59,8 +61,9 @@ class Made(Struct):
         u[n + 9] = 1.0 / self.hover
         u[n + 10] = v.expo
         u[n + 11] = v.expo_sd
-        u[n + 12] = real(self.mode)
-        u[n + 13] = real(AGAIN if self.touch.hit else 1 if self.restart else 0)
+        u[n + 12] = self.axial
+        u[n + 13] = real(self.mode)
+        u[n + 14] = real(AGAIN if self.touch.hit else 1 if self.restart else 0)
 
 
 class Ticks(Struct):
@@ -162,6 +165,7 @@ class Ticks(Struct):
         )  # rotors that make no yaw torque explain none: a servo yaws a tricopter
         out.valid[THRUST] = judged and row.load_ok
         out.load = row.load
+        out.axial = row.axial
         out.side[0] = row.side[0]
         out.side[1] = row.side[1]
 

@@ -18,6 +18,7 @@ from rotorwatch.compiling.structs import (
     array,
     isnan,
     local,
+    sqrt,
 )
 from rotorwatch.front.airborne import Airborne
 from rotorwatch.front.changes import Change, Changes
@@ -62,7 +63,7 @@ def fly(a: Airborne, v: Vehicle, n: int, kind: Ints, time: Times, at: Ints, valu
         elif kind[i] == ACCEL:
             a.accel(time[i], x, y, z, valid)
         elif kind[i] == VELOCITY:
-            a.velocity(time[i], x, y)
+            a.velocity(time[i], -z, sqrt(x * x + y * y))
         elif kind[i] == STATE:
             a.state(time[i], int(x), int(y))
 
@@ -86,7 +87,7 @@ def cut(
     room: int,
     done: Done,
 ) -> None:
-    """Thrusts, gyro, accelerometer and attitude of the samples from `begin` to n as ticks, into `rows`, as far as there is room."""
+    """Thrusts and motion of the samples from `begin` to n as ticks, into `rows`, as far as there is room."""
     thrust = local(REAL, ROTORS)
     done.rows = 0
     for i in range(begin, n):
@@ -105,12 +106,14 @@ def cut(
                 thrust[k] = values[at[i] + k]
                 known = known and not isnan(thrust[k])
             s.thrust(v, p, time[i], thrust, known)
-        elif not (isnan(x) or isnan(y)):
-            if kind[i] == ATTITUDE:
-                s.levels.add(time[i], 1.0 - 2.0 * (x * x + y * y))
-            elif not isnan(z) and kind[i] == GYRO:
+        elif kind[i] == VELOCITY:
+            s.moves(time[i], x, y, z)
+        elif kind[i] == ATTITUDE:
+            s.attitude(time[i], x, y, z, values[at[i] + 3])
+        elif not (isnan(x) or isnan(y) or isnan(z)):
+            if kind[i] == GYRO:
                 s.gyros.add(time[i], x, y, z)
-            elif not isnan(z) and kind[i] == ACCEL:
+            elif kind[i] == ACCEL:
                 s.accel(time[i], x, y, z)
     done.samples = n
 
@@ -247,11 +250,11 @@ def feed(
         elif kind[i] == ACCEL:
             f.accel(v, p, time[i], x, y, z)
         elif kind[i] == VELOCITY:
-            f.velocity(v, p, time[i], x, y)
+            f.velocity(v, p, time[i], x, y, z)
         elif kind[i] == STATE:
             f.state(v, p, time[i], int(x), int(y))
         elif kind[i] == ATTITUDE:
-            f.attitude(v, p, time[i], x, y)
+            f.attitude(v, p, time[i], x, y, z, values[at[i] + 3])
         elif kind[i] == VOLTAGE:
             f.voltage(v, p, time[i], x)
         while done.rows < room and f.next(v, p, made[done.rows]):

@@ -200,10 +200,6 @@ def _numbers(name: str, signal: Signal, full: float | None, gyro: str | None):
     """Samples of a signal as the front end takes them; None where it does not. full: voltage of a full battery, where motors are driven
     straight from it; gyro: the signal that tells angular rates."""
     value = signal.values if signal.valid.all() else np.where(signal.valid, signal.values, np.nan)
-    if name == "velocity":
-        return name, signal.time, np.column_stack([-value[:, 2], np.hypot(value[:, 0], value[:, 1])])
-    if name == "attitude":
-        return name, signal.time, signal.values[:, 1:3]
     if name == "battery" and full:
         ok = value[:, 0] > 0.5 * full
         return "voltage", signal.time[ok], value[ok, :1] / full
@@ -215,4 +211,4 @@ def _numbers(name: str, signal: Signal, full: float | None, gyro: str | None):
         return (name, signal.time, value) if gyro == "rates" else None
     if name == "control":
         return name, signal.time, value[:, :4]
-    return (name, signal.time, value) if name in ("motors", "gyro", "accel") else None
+    return (name, signal.time, value) if name in ("motors", "gyro", "accel", "velocity", "attitude") else None

@@ -37,10 +37,7 @@ def airborne(flight: Flight) -> tuple[tuple[float, float], ...]:
     parts = [("motors", flight["motors"].time, motors), ("state", *states(flight.messages))]
     parts += [(name, flight[name].time, known(flight, name)) for name in ("gyro", "accel") if flight.has(name)]
     if flight.has("velocity"):
-        moved = known(flight, "velocity")
-        parts.append(
-            ("velocity", flight["velocity"].time, np.column_stack([-moved[:, 2], np.hypot(moved[:, 0], moved[:, 1])]))
-        )
+        parts.append(("velocity", flight["velocity"].time, known(flight, "velocity")))
     samples, follow = merged(parts), FRONT.new(definition.Airborne)
     found: list[tuple[float, float]] = []
     for first in range(0, len(samples), BATCH):

@@ -44,7 +44,8 @@ class Ticks:
     per rotor that one unit of thrust stands for; side (T, 2): specific force forward and right [m/s^2], mean of the last SIDE_S, or None
     where nothing measures it. contact (T,) bool: something outside pushed the vehicle, and for `ready_s` after it its trim is learned
     afresh (None: no contact); contacts: what and when. seen (T,) bool: a tick with commands in it, else thrust is 0. curve: expo of the
-    thrust curve that they were made with, and the standard deviation of what it is.
+    thrust curve that they were made with, and the standard deviation of what it is. axial (T,): speed along the thrust axis [m/s], above
+    0 where the vehicle climbs along it, NaN where velocity or attitude are not known (None: nowhere).
     """
 
     time: np.ndarray
@@ -66,6 +67,7 @@ class Ticks:
     contacts: tuple[Contact, ...] = ()
     seen: np.ndarray | None = None
     curve: tuple[float, float] = (0.0, 0.0)
+    axial: np.ndarray | None = None
 
     def part(self, keep: np.ndarray) -> Ticks:
         """The ticks `keep` (T,) bool."""
@@ -226,8 +228,9 @@ def sense(flight: Flight, thrust: Signal, plan: Plan) -> Sensed:
     parts = [("thrust", thrust.time, np.where(valid, thrust.values, np.nan))]
     parts += [("gyro", flight[plan.gyro].time, known(flight, plan.gyro))] if plan.gyro else []
     parts += [("accel", flight["accel"].time, known(flight, "accel"))] if plan.accel else []
-    if "attitude" in flight.signals:
-        parts.append(("attitude", flight["attitude"].time, flight["attitude"].values[:, 1:3]))
+    parts += [
+        (name, flight[name].time, known(flight, name)) for name in ("velocity", "attitude") if name in flight.signals
+    ]
     samples, vehicle, how = merged(parts), craft(n), laid_out(plan)
     state, rows, done = FRONT.new(cutting.Sense), FRONT.array(cutting.Sensed, ROOM), FRONT.new(whole.Done)
     pieces, taken = [], 0
@@ -302,5 +305,5 @@ def columns(made: Rows, plan: Plan, n: int, before: tuple[Contact, ...] = ()) ->
     return Ticks(
         made["time"], made["when"], made["thrust"][:, :n], made["wrench"], made["rate"], made["rate_dot"], made["load"], made["valid"],
         made["mode"], made["restart"], made["hover"], plan.dt, made["upset"], plan.notes, made["side"] if plan.accel else None,
-        touch["hit"], contacts(touch, before), made["some"],
+        touch["hit"], contacts(touch, before), made["some"], axial=made["axial"],
     )  # fmt: skip

@@ -73,7 +73,14 @@ void rw_diagnoser_accel(rw_diagnoser *d, rw_time time, const rw_real *force, boo
 void rw_diagnoser_velocity(rw_diagnoser *d, rw_time time, rw_real climb, rw_real speed)
 {
     const rw_time was = d->front.start;
-    rw_front_velocity(&d->front, d->vehicle, d->plan, time, climb, speed);
+    rw_front_speed(&d->front, d->vehicle, d->plan, time, climb, speed);
+    go_on(d, was);
+}
+
+void rw_diagnoser_velocity_ned(rw_diagnoser *d, rw_time time, const rw_real *velocity)
+{
+    const rw_time was = d->front.start;
+    rw_front_velocity(&d->front, d->vehicle, d->plan, time, velocity[0], velocity[1], velocity[2]);
     go_on(d, was);
 }
 
@@ -87,7 +94,7 @@ void rw_diagnoser_state(rw_diagnoser *d, rw_time time, int landed, int armed)
 void rw_diagnoser_attitude(rw_diagnoser *d, rw_time time, const rw_real *q)
 {
     const rw_time was = d->front.start;
-    rw_front_attitude(&d->front, d->vehicle, d->plan, time, q[1], q[2]);
+    rw_front_attitude(&d->front, d->vehicle, d->plan, time, q[0], q[1], q[2], q[3]);
     go_on(d, was);
 }
 

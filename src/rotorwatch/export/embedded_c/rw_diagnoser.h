@@ -34,7 +34,7 @@ typedef uint16_t rw_rotors;
 #endif
 
 /* Numbers that the estimator takes of a tick: rw_made_inputs. */
-#define RW_INPUTS (RW_ROTORS + 14)
+#define RW_INPUTS (RW_ROTORS + 15)
 
 /* Characters of a text with the 0 at its end, as long as a MAVLink STATUSTEXT. */
 #define RW_TEXT 51
@@ -89,10 +89,11 @@ void rw_diagnoser_outputs(rw_diagnoser *d, rw_time time, const rw_real *output, 
 /* What the rate controller demands of the mixer [4], where it is known: roll, pitch, yaw, throttle. */
 void rw_diagnoser_control(rw_diagnoser *d, rw_time time, const rw_real *control, bool valid);
 
-/* Where they are known: filtered battery voltage as a share of full; attitude [4], body to world, scalar first; climb rate and horizontal
-   speed, m/s; whether the autopilot reports landed, armed: 1 or 0, -1: nothing new. */
+/* Where they are known: filtered battery voltage as a share of full; attitude [4], body to world, scalar first; velocity [3], north, east,
+   down, m/s, or climb rate and horizontal speed alone, which do not say how the air meets the rotors; whether the autopilot reports landed, armed: 1 or 0, -1: nothing new. */
 void rw_diagnoser_battery(rw_diagnoser *d, rw_time time, rw_real ratio);
 void rw_diagnoser_attitude(rw_diagnoser *d, rw_time time, const rw_real *q);
+void rw_diagnoser_velocity_ned(rw_diagnoser *d, rw_time time, const rw_real *velocity);
 void rw_diagnoser_velocity(rw_diagnoser *d, rw_time time, rw_real climb, rw_real speed);
 void rw_diagnoser_state(rw_diagnoser *d, rw_time time, int landed, int armed);
 
