@@ -137,12 +137,13 @@ def markdown(summary: dict[str, Any]) -> str:
     )  # fmt: skip
     rows = (
         [
-            m["name"], m["flights"], _share(m["accused"]), _share(m["doubt"]), _share(m["right"]), f"{m['hours']:.2f}" if m["hours"] else "-",
-            tools.interval(m["accused_h"], 2), "-" if m["error"] is None else f"{m['error']:.3f}", _share(m["holds"]), m["ended"],
-            m["crashed"], m["refused"],
+            *(m["name"], m["flights"], *(_share(m[key]) for key in ("accused", "doubt", "right"))),
+            *(f"{m['hours']:.2f}" if m["hours"] else "-", tools.interval(m["accused_h"], 2)),
+            *("-" if m["error"] is None else f"{m['error']:.3f}", _share(m["holds"])),
+            *(m["ended"], m["crashed"], m["refused"]),
         ]
         for m in summary["lines"]
-    )  # fmt: skip
+    )
     return f"{summary['flights']} flights of {summary['name']}.\n\n{tools.table(heads, rows)}\n"
 
 

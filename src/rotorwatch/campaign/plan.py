@@ -106,7 +106,9 @@ class Kind(NamedTuple):
 class Plan:
     """A checked plan. text: the file's, by which a folder of results knows its plan. cells: flight k belongs to cell k % len(cells).
 
-    judge: one of JUDGES. kinds: of flights; empty where `healthy` and `faults` say what happens. scenario and faults: tables whose values are numbers and texts, or draws. false_alarm_period_h: the mean time between false
+    judge: one of JUDGES. kinds: of flights; empty where `healthy` and `faults` say what happens.
+
+    scenario and faults: tables whose values are numbers and texts, or draws. false_alarm_period_h: the mean time between false
     alarms that the bound on delays is worked out for.
     """
 
@@ -214,12 +216,12 @@ def from_table(table: Mapping[str, Any], text: str = "") -> Plan:
     if not isinstance(rows, (list, tuple)) or not all(isinstance(row, Mapping) for row in rows):
         raise ConfigError("faults must be [[faults]] tables.")
     faults = tuple(_fault(f"faults[{k + 1}]", row) for k, row in enumerate(rows))
+    if fields["kinds"] and ("healthy" in table or faults):
+        raise ConfigError("kinds stand instead of healthy and [[faults]]; leave those out.")
     if not faults and healthy < 1.0 and "healthy" in table:
         raise ConfigError("healthy is below 1, but there are no [[faults]] for the other flights.")
     if fields["judge"] not in JUDGES:
         raise ConfigError(f"judge must be one of {', '.join(JUDGES)}, not {brief(fields['judge'])}.")
-    if fields["kinds"] and ("healthy" in table or faults):
-        raise ConfigError("kinds stand instead of healthy and [[faults]]; leave those out.")
     rotors = _try_out(template, cells, faults)
     kinds = _kinds(fields["kinds"], template, cells)
     if fields["judge"] == "log" and (not kinds or estimators != ("default",) or rules):
