@@ -80,8 +80,9 @@ def _estimated(scenario: Scenario, record: Record) -> Record:
     s = scenario.sensors
     if s["reset_s"] is None:
         return record
-    angles = (np.radians(s[f"reset_{name}_deg"]) for name in ("tilt", "yaw"))
-    return sensors.jumped(record, s["reset_s"], *angles, s["reset_m_s"], np.random.default_rng([scenario.seed, 5]))
+    tilt, yaw = (float(np.radians(s[f"reset_{name}_deg"])) for name in ("tilt", "yaw"))
+    rng = np.random.default_rng([scenario.seed, 5])
+    return sensors.jumped(record, s["reset_s"], tilt, yaw, s["reset_m_s"], rng)
 
 
 class _Log:
