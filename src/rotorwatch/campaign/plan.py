@@ -22,6 +22,23 @@
     onset_s = { uniform = [22.0, 35.0] }
     strength = { log_uniform = [0.03, 0.6] }
 
+Instead of `healthy` and [[faults]] a plan may have kinds of flights, of which each flight is one, by share. A kind changes any fields of
+the scenario, and may have a fault:
+
+    judge = "log"                                  # write each flight's log and `diagnose` it (open_world.py); else "ticks" (batch.py)
+
+    [[kinds]]
+    name = "a climb with little thrust"
+    share = 2.0
+    [kinds.scenario.airframe]
+    thrust_to_weight = { uniform = [1.25, 1.5] }
+
+    [[kinds]]
+    name = "stuck"
+    [kinds.fault]
+    kind = "stuck"
+    onset_s = { uniform = [22.0, 35.0] }
+
 Flight k is the same flight whatever else is flown: its numbers come from (seed, k) alone.
 """
 
@@ -47,9 +64,12 @@ FIXED = ("duration_s", "rate_hz", "name", "seed")
 MOST_CELLS = 64
 TOP = {
     "name": "", "seed": 0, "healthy": 0.3, "estimators": ("default",), "detectors": (), "decisions": (),
-    "false_alarm_period_h": 10.0, "scenario": {}, "faults": (),
+    "false_alarm_period_h": 10.0, "judge": "ticks", "scenario": {}, "faults": (), "kinds": (),
 }  # fmt: skip
+JUDGES = ("ticks", "log")
 FAULT = {"share": 1.0, "together": 1}
+KIND = ("name", "share", "scenario", "fault")
+SET_BY_CELL = (("autopilot",), ("airframe", "frame"), ("logging", "profile"))
 DECISION = {"sigmas": (0.5, 100.0), "least": (0.0, 1.0), "persist_s": (0.0, 60.0)}
 """What a [[decisions]] table may set (published/decide.py), from and to."""
 
@@ -73,9 +93,20 @@ class Decision(NamedTuple):
         return f"{estimator}/{self.name}" if self.name else estimator
 
 
+class Kind(NamedTuple):
+    """One kind of flights. scenario: the plan's, with what is this kind's own; fault: its template, or None."""
+
+    name: str
+    share: float
+    scenario: Mapping[str, Any]
+    fault: Mapping[str, Any] | None
+
+
 @dataclass(frozen=True)
 class Plan:
     """A checked plan. text: the file's, by which a folder of results knows its plan. cells: flight k belongs to cell k % len(cells).
+
+    judge: one of JUDGES. kinds: of flights; empty where `healthy` and `faults` say what happens.
 
     scenario and faults: tables whose values are numbers and texts, or draws. false_alarm_period_h: the mean time between false
     alarms that the bound on delays is worked out for.
@@ -93,6 +124,8 @@ class Plan:
     cells: tuple[Cell, ...]
     rotors: tuple[int, ...]
     text: str
+    judge: str = "ticks"
+    kinds: tuple[Kind, ...] = ()
 
     @property
     def methods(self) -> tuple[str, ...]:
@@ -104,17 +137,24 @@ class Plan:
         """Which cell a flight belongs to."""
         return self.cells[flight % len(self.cells)]
 
+    def kind(self, k: int) -> Kind | None:
+        """Of which kind flight k is, drawn by share from (seed, k); None in a plan without kinds."""
+        if not self.kinds:
+            return None
+        shares = np.array([kind.share for kind in self.kinds])
+        rng = np.random.default_rng([self.seed, k, 1])
+        return self.kinds[int(rng.choice(len(shares), p=shares / shares.sum()))]
+
     def flight(self, k: int) -> Scenario:
         """The scenario of flight k, drawn from (seed, k)."""
         rng = np.random.default_rng([self.seed, k])
-        table = drawn(self.scenario, rng)
+        kind = self.kind(k)
+        table = drawn(kind.scenario if kind else self.scenario, rng)
         here, n = self.cell(k), self.rotors[k % len(self.cells)]
         table["autopilot"] = here.autopilot
         table["airframe"]["frame"], table["logging"]["profile"] = here.frame, here.profile
-        faults = []
-        if self.faults and rng.random() >= self.healthy:
-            shares = np.array([f["share"] for f in self.faults])
-            template = self.faults[int(rng.choice(len(shares), p=shares / shares.sum()))]
+        faults, template = [], kind.fault if kind else self._fault(rng)
+        if template:
             rotors = rng.permutation(n)[: template["together"]] + 1
             for rotor in rotors:
                 fault = drawn({key: v for key, v in template.items() if key not in FAULT}, rng)
@@ -122,6 +162,13 @@ class Plan:
         return scenario.from_table(
             {**table, "name": f"{self.name} {k}", "seed": int(rng.integers(2**31 - 1)), "faults": faults}
         )
+
+    def _fault(self, rng: np.random.Generator) -> Mapping[str, Any] | None:
+        """One of `faults` by share, or None for a flight without."""
+        if not self.faults or rng.random() < self.healthy:
+            return None
+        shares = np.array([f["share"] for f in self.faults])
+        return self.faults[int(rng.choice(len(shares), p=shares / shares.sum()))]
 
 
 def read(path: str | os.PathLike) -> Plan:
@@ -169,11 +216,68 @@ def from_table(table: Mapping[str, Any], text: str = "") -> Plan:
     if not isinstance(rows, (list, tuple)) or not all(isinstance(row, Mapping) for row in rows):
         raise ConfigError("faults must be [[faults]] tables.")
     faults = tuple(_fault(f"faults[{k + 1}]", row) for k, row in enumerate(rows))
+    if fields["kinds"] and ("healthy" in table or faults):
+        raise ConfigError("kinds stand instead of healthy and [[faults]]; leave those out.")
     if not faults and healthy < 1.0 and "healthy" in table:
         raise ConfigError("healthy is below 1, but there are no [[faults]] for the other flights.")
+    if fields["judge"] not in JUDGES:
+        raise ConfigError(f"judge must be one of {', '.join(JUDGES)}, not {brief(fields['judge'])}.")
     rotors = _try_out(template, cells, faults)
+    kinds = _kinds(fields["kinds"], template, cells)
+    if fields["judge"] == "log" and (not kinds or estimators != ("default",) or rules):
+        raise ConfigError('judge = "log" needs [[kinds]], and neither other estimators than "default" nor detectors.')
     name, text = fields["name"], text or repr(table)
-    return Plan(name, seed, healthy, estimators, rules, decisions, period, template, faults, cells, rotors, text)
+    return Plan(
+        *(name, seed, healthy, estimators, rules, decisions, period, template, faults, cells, rotors, text),
+        judge=fields["judge"],
+        kinds=kinds,
+    )
+
+
+def _kinds(rows: Any, template: dict[str, Any], cells: tuple[Cell, ...]) -> tuple[Kind, ...]:
+    """The kinds of flights, each tried out at the ends of what it draws itself."""
+    if not isinstance(rows, (list, tuple)) or not all(isinstance(row, Mapping) for row in rows):
+        raise ConfigError("kinds must be [[kinds]] tables.")
+    found: list[Kind] = []
+    for k, row in enumerate(rows):
+        where = f"kinds[{k + 1}]"
+        only_fields(row, KIND, f"{where}.")
+        name, own, fault = row.get("name"), row.get("scenario", {}), row.get("fault")
+        if not isinstance(name, str) or not name or name in (kind.name for kind in found):
+            raise ConfigError(f"{where}.name must be a text that no other kind has, not {brief(name)}.")
+        if not all(isinstance(part, Mapping) for part in (own, {} if fault is None else fault)):
+            raise ConfigError(f"{where}.scenario and {where}.fault must be tables.")
+        share = number(f"{where}.share", row.get("share", 1.0), 1e-6, 1e6)
+        for path in (*SET_BY_CELL, *((key,) for key in (*FIXED, "faults"))):
+            part = own if len(path) == 1 else own.get(path[0], {})
+            if isinstance(part, Mapping) and path[-1] in part:
+                raise ConfigError(f"{where}.scenario.{'.'.join(path)} is the same for all kinds; leave it out here.")
+        _check_draws(f"{where}.scenario", own)
+        if fault is not None:
+            if "share" in fault:
+                raise ConfigError(f"{where}.fault.share: the kind has it.")
+            fault = _fault(f"{where}.fault", fault)
+        kind = Kind(name, share, _merged(template, own), fault)
+        for end in _ends(own):
+            try:
+                for cell in cells:
+                    _flyable(_built("scenario.", _merged(next(_ends(template)), end), cell, []))
+            except ConfigError as error:
+                raise ConfigError(f"{where}.{error}") from error
+        for end in _ends({key: v for key, v in (fault or {}).items() if key not in FAULT}) if fault else ():
+            first = next(_ends(kind.scenario))
+            _built("", first, cells[0], [{**end, "rotor": 1}], f"{where}.fault")
+        found.append(kind)
+    return tuple(found)
+
+
+def _merged(table: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+    """The table with the fields of `own` in their places; a draw is one value."""
+    both = dict(table)
+    for key, value in own.items():
+        deeper = all(isinstance(v, Mapping) and not _is_draw(v) for v in (value, both.get(key)))
+        both[key] = _merged(both[key], value) if deeper else value
+    return both
 
 
 def _cells(template: Mapping[str, Any]) -> tuple[Cell, ...]:

@@ -25,30 +25,34 @@ def register(group: click.Group) -> None:
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 @common
 def campaign(plan, flights, jobs, scheduler, out, as_json, quiet) -> None:
-    """Fly PLAN (TOML, docs/campaigns.md): random flights, simulated, judged by the plan's estimators and detectors. The same command
-    again goes on where it was stopped; more --flights add to what is there.
+    """Fly PLAN (TOML, docs/campaigns.md): random flights, simulated, judged by the plan's estimators and detectors, or by `diagnose` on
+    the log of each. The same command again goes on where it was stopped; more --flights add to what is there.
 
-    Writes DIR/flights.parquet, DIR/summary.json and DIR/index.html, and prints the summary.
+    Writes DIR/flights.parquet, DIR/summary.json and, where estimators are compared, DIR/index.html, and prints the summary.
     """
     import json
 
     from rotorwatch import campaign as campaigns
     from rotorwatch.base import files
-    from rotorwatch.campaign import batch, page
+    from rotorwatch.campaign import batch, open_world, page
     from rotorwatch.campaign.store import Folder
 
     flight_plan = campaigns.read(plan)
     files.folder(out, "--out")
+    by_log = flight_plan.judge == "log"
+    way = open_world if by_log else campaigns
     if not quiet:
-        say(f"{len(flight_plan.cells)} kinds of flights, {len(flight_plan.methods)} methods, {batch.where()}")
+        methods = "by their logs" if by_log else f"{len(flight_plan.methods)} methods"
+        say(f"{len(flight_plan.cells) * max(len(flight_plan.kinds), 1)} kinds of flights, {methods}, {batch.where()}")
     with flying(quiet) as report:
-        table = campaigns.run(flight_plan, flights, out, jobs, report, scheduler=scheduler)
-    summary = campaigns.summarise(table, flight_plan.name)
+        table = way.run(flight_plan, flights, out, jobs, report, scheduler=scheduler)
+    summary = way.summarise(table, flight_plan.name)
     Folder(out).finish(table, summary)
-    page.write(summary, out / "index.html")
-    click.echo(json.dumps(summary, indent=1, allow_nan=False) if as_json else campaigns.markdown(summary), nl=as_json)
+    if not by_log:
+        page.write(summary, out / "index.html")
+    click.echo(json.dumps(summary, indent=1, allow_nan=False) if as_json else way.markdown(summary), nl=as_json)
     if not quiet:
-        say(f"table, summary and page written to {out}")
+        say(f"table and summary written to {out}" if by_log else f"table, summary and page written to {out}")
 
 
 @click.command(short_help="Judge simulated flights with several faults.")

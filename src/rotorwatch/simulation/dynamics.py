@@ -9,11 +9,13 @@ With a_i = R'(v - wind) + (omega - gust rates) x r_i, the air's velocity past ro
     thrust     T_i = (1 - theta_i) (T_max,i w_i^2 E(height) + k_z w_i a_i,z)      along -z
     rotor drag H_i = -(1 - theta_i) k_d w_i (a_i,x, a_i,y)                       (Martin and Salaun 2010)
     torque     r_i x (H_i, -T_i) + s_i c T_max,i w_i^2 (1 - theta_i) e_z          s_i: +1 counter-clockwise from above
+    a mount that leans by l_i (sine) about its arm: T_max,i w_i^2 (1 - theta_i) l_i along the circle through the hub
     body drag  -C |a| a, C diagonal, at the centre of mass
     h = -sum s_i I_r W w_i e_z: the rotors' own angular momentum
 
 Near ground a rotor of radius b at height z is stronger by E = 1 / (1 - (b / 4 z)^2) (Cheeseman and Bennett 1955). The
-ground itself is a spring and a damper under level feet.
+ground itself is a spring and a damper under level feet. All of this is in the axes of the frame; body axes are those of the
+autopilot's board, which may be turned against it (`mount`).
 """
 
 from __future__ import annotations
@@ -34,14 +36,17 @@ SLIDE = 0.1  # m/s: below this speed friction fades
 class Craft(
     namedtuple(
         "Craft",
-        "mass J J_inverse x y z spin thrust_max drag_ratio expo lag rotor_momentum k_d k_z drag radius ground_effect",
+        "mass J J_inverse x y z spin thrust_max drag_ratio expo lag rotor_momentum k_d k_z drag radius ground_effect "
+        "lean mount push push_z",
     )
 ):
     """The physical vehicle; n rotors. Everything SI and about the centre of mass, payload included.
 
     mass; J, J_inverse (3, 3); x, y (n,) and z of the rotor hubs (z < 0: above the centre of mass); spin, thrust_max (n,);
     drag_ratio [m]; expo of the thrust curve; lag [s]; rotor_momentum: I_r W, angular momentum of one rotor at full speed;
-    k_d, k_z [N s/m] at full speed; drag (3,) [N s^2/m^2]; radius [m]; ground_effect 0 or 1.
+    k_d, k_z [N s/m] at full speed; drag (3,) [N s^2/m^2]; radius [m]; ground_effect 0 or 1; lean (n,): sine of each mount's turn about its
+    arm, positive where it yaws the vehicle to the right; mount (3, 3): body axes to the frame's; push (3,) NED [N] of something outside,
+    that acts at (0, 0, push_z) of the frame.
     """
 
 
@@ -50,11 +55,11 @@ def thrust_share(expo, drive):
     return (1.0 - expo) * drive + expo * drive * drive
 
 
-class Sums(namedtuple("Sums", "push flow h h_dot")):
+class Sums(namedtuple("Sums", "push flow h h_dot side")):
     """What the rotors amount to: all that forces and torques need of their speeds w (n,) and strengths.
 
     push (4,): sums of T_max w^2 (1 - theta) times 1, x, y, spin. flow (6,): sums of w times 1, x, y, x^2, x y, y^2. h, h_dot: angular
-    momentum of the rotors about body z and its change.
+    momentum of the rotors about the frame's z and its change. side (3,): force along x and y and torque about z of mounts that lean.
     """
 
 
@@ -62,17 +67,20 @@ def sums(craft: Craft, w, w_dot, theta) -> Sums:
     """The sums over rotors at speeds w (n,), changing by w_dot (n,), with losses theta (n,)."""
     jnp = load_jax().numpy
     x, y, one = craft.x, craft.y, 1.0 + 0.0 * craft.x
-    push = jnp.sum((craft.thrust_max * w * w * (1.0 - theta)) * jnp.stack([one, x, y, craft.spin]), axis=1)
+    thrust = craft.thrust_max * w * w * (1.0 - theta)
+    push = jnp.sum(thrust * (1.0 - 0.5 * craft.lean**2) * jnp.stack([one, x, y, craft.spin]), axis=1)
+    arm = jnp.maximum(jnp.sqrt(x * x + y * y), 1e-9)
+    side = jnp.sum(thrust * craft.lean * jnp.stack([-y / arm, x / arm, arm]), axis=1)
     flow = jnp.sum(w * (1.0 - theta) * jnp.stack([one, x, y, x * x, x * y, y * y]), axis=1)
     h, h_dot = (-craft.rotor_momentum * jnp.sum(craft.spin * rate) for rate in (w, w_dot))
-    return Sums(push, flow, h, h_dot)
+    return Sums(push, flow, h, h_dot, side)
 
 
 def wrench(craft: Craft, body: Body, R, rotors: Sums, air: Air):
     """Force (3,) without weight and torque (3,) on the body in body axes; R: `rotation.axes` of body.q."""
     jnp = load_jax().numpy
-    a = rotation.to_body(R, body.v - air.wind)
-    p, q, r = body.omega - air.turning
+    a = rotation.product(craft.mount, rotation.to_body(R, body.v - air.wind))
+    p, q, r = rotation.product(craft.mount, body.omega - air.turning)
     height = jnp.maximum(-body.p[2] - craft.z + 0.5 * craft.radius, 0.5 * craft.radius)
     cushion = 1.0 + craft.ground_effect * air.ground * (1.0 / (1.0 - (0.25 * craft.radius / height) ** 2) - 1.0)
     one, x, y, xx, xy, yy = rotors.flow
@@ -82,12 +90,14 @@ def wrench(craft: Craft, body: Body, R, rotors: Sums, air: Air):
     T = cushion * rotors.push[0] + craft.k_z * (a_z * one + p * y - q * x)
     Tx = cushion * rotors.push[1] + craft.k_z * (a_z * x + p * xy - q * xx)
     Ty = cushion * rotors.push[2] + craft.k_z * (a_z * y + p * yy - q * xy)
-    H_x, H_y = -craft.k_d * (a_x * one - r * y), -craft.k_d * (a_y * one + r * x)
-    twist = -craft.k_d * (a_y * x + r * xx - a_x * y + r * yy)
+    H_x, H_y = rotors.side[0] - craft.k_d * (a_x * one - r * y), rotors.side[1] - craft.k_d * (a_y * one + r * x)
+    twist = rotors.side[2] - craft.k_d * (a_y * x + r * xx - a_x * y + r * yy)
     speed = jnp.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
     force = jnp.stack([H_x, H_y, -T]) - craft.drag * speed * a
     torque = jnp.stack([-Ty - craft.z * H_y, Tx + craft.z * H_x, twist + craft.drag_ratio * rotors.push[3]])
-    return force, torque
+    push = rotation.product(craft.mount, rotation.to_body(R, craft.push))
+    lever = jnp.stack([-craft.push_z * push[1], craft.push_z * push[0], 0.0 * push[2]])
+    return rotation.to_body(craft.mount, force + push), rotation.to_body(craft.mount, torque + lever)
 
 
 def contact(craft: Craft, body: Body, R, ground):
@@ -115,8 +125,9 @@ def derivative(craft: Craft, body: Body, rotors: Sums, air: Air) -> tuple[Body, 
     ground_force, ground_torque = contact(craft, body, R, air.ground)
     push = (rotation.to_world(R, force) + ground_force) / craft.mass
     zero = 0.0 * rotors.h
-    L = rotation.product(craft.J, body.omega) + jnp.stack([zero, zero, rotors.h])
-    turn = torque + ground_torque - rotation.cross(body.omega, L) - jnp.stack([zero, zero, rotors.h_dot])
+    axis = craft.mount[2]
+    L = rotation.product(craft.J, body.omega) + axis * rotors.h
+    turn = torque + ground_torque - rotation.cross(body.omega, L) - axis * rotors.h_dot
     omega_dot = rotation.product(craft.J_inverse, turn)
     v_dot = push + jnp.stack([zero, zero, zero + G0])
     return Body(body.v, v_dot, rotation.rate(body.q, body.omega), omega_dot), rotation.to_body(R, push)

@@ -7,6 +7,9 @@ A fault is active from its onset to its end, wholly or in periods (`period`, `du
     float         the rotor is not driven any more               saturated  the command is full, or `level`
     weak motor    the rotor turns so much slower that its       bearing    friction, a share of the motor's full torque: more
                   thrust is 1 - strength of the command           current, a little less speed (motor.py)
+    strong        thrust and torque times 1 + strength           capped     thrust never above `level` of full
+    slow          its lag times `times`                          tilt       the mount turned about its arm by `angle_deg`: the
+                                                                              vehicle is yawed, hardly any thrust is lost
 """
 
 from __future__ import annotations
@@ -19,25 +22,43 @@ import numpy as np
 from rotorwatch.base.backend import jax as load_jax
 
 MOST = 2  # at once
-KINDS = ("loss", "complete loss", "stuck", "bias", "float", "saturated", "chipped", "weak motor", "bearing")
+KINDS = (
+    "loss",
+    "complete loss",
+    "stuck",
+    "bias",
+    "float",
+    "saturated",
+    "chipped",
+    "weak motor",
+    "bearing",
+    "strong",
+    "capped",
+    "slow",
+    "tilt",
+)
 SPIN_DOWN = 5.0  # a rotor that only the air brakes takes this many times its lag
 HELD = -1.0  # level of a stuck command: what it was at onset
 NEVER = 1e9
 
 
 class Faults(
-    namedtuple("Faults", "rotor onset end ramp period duty loss bias frozen level undriven shake weak friction")
+    namedtuple(
+        "Faults",
+        "rotor onset end ramp period duty loss bias frozen level undriven shake weak friction ceiling slower lean",
+    )
 ):
     """MOST faults in rows. rotor (F, n): 1 at the rotor, else 0. onset, end, ramp, period [s], duty: part of a period that
     the fault is there; loss, bias: strengths; frozen 0 or 1 with level; undriven 0 or 1; shake [m/s^2 at full speed];
-    weak: thrust lost by turning slower; friction: share of full torque."""
+    weak: thrust lost by turning slower; friction: share of full torque; ceiling: most thrust, share of full; slower: lag gained, times
+    the rotor's own; lean: sine of the angle that the mount is turned by."""
 
 
 def none(rotors: int) -> Faults:
     """No fault: every row starts never."""
     zero = np.zeros(MOST)
     never = dict.fromkeys(("onset", "end", "period"), zero + NEVER)
-    rest = never | {"rotor": np.zeros((MOST, rotors)), "duty": zero + 1.0, "level": zero + HELD}
+    rest = never | {"rotor": np.zeros((MOST, rotors)), "duty": zero + 1.0, "level": zero + HELD, "ceiling": zero + 1.0}
     return Faults(**{name: rest.get(name, zero) for name in Faults._fields})
 
 
@@ -73,6 +94,13 @@ def weak(faults: Faults, s):
 def summed(faults: Faults, amount):
     """(n,) amounts (F,) of the faults, added up at the rotors that have them."""
     return functools.reduce(lambda a, b: a + b, _each(faults, amount))
+
+
+def ceiling(faults: Faults, s):
+    """(n,) most thrust of each rotor, share of full: of two limits the lower. s (F,): `strength`."""
+    jnp = load_jax().numpy
+    most = _each(faults, (1.0 - faults.ceiling) * jnp.where(s > 0.0, 1.0, 0.0))
+    return 1.0 - functools.reduce(jnp.maximum, most)
 
 
 def act(faults: Faults, s, command, held):

@@ -38,6 +38,7 @@ def needed(record: Any) -> Any:
 def flight(scenario: Scenario, plan: Plan, record: Record) -> Flight:
     """The flight as its log tells it. record: of `loop.fly` of a multirotor, recorded `scenario.record_hz` times a second."""
     craft = vehicle(scenario)
+    record = _estimated(scenario, record)
     log = _Log(scenario, plan, record)
     ardupilot = scenario.autopilot == "ardupilot"
     armed, disarmed = _arming(plan, record)
@@ -72,6 +73,16 @@ def flight(scenario: Scenario, plan: Plan, record: Record) -> Flight:
         start_us=30_000_000,
         facts={"simulated": True},
     )
+
+
+def _estimated(scenario: Scenario, record: Record) -> Record:
+    """The record as the autopilot's estimator has it."""
+    s = scenario.sensors
+    if s["reset_s"] is None:
+        return record
+    tilt, yaw = (float(np.radians(s[f"reset_{name}_deg"])) for name in ("tilt", "yaw"))
+    rng = np.random.default_rng([scenario.seed, 5])
+    return sensors.jumped(record, s["reset_s"], tilt, yaw, s["reset_m_s"], rng)
 
 
 class _Log:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.simulation import control, dynamics, faults, incremental, motor, rotation, trajectories, wind
+from rotorwatch.simulation import control, dynamics, faults, incremental, motor, outside, rotation, trajectories, wind
 from rotorwatch.simulation.loop import Moment, State
 from rotorwatch.simulation.rigid import G0, Air, Body
 from rotorwatch.simulation.sensors import Sensors
@@ -35,6 +35,7 @@ class Plan(NamedTuple):
     battery: Battery
     sensors: Sensors
     seed: Array
+    outside: outside.Outside
     schedule: Any = ()
 
 
@@ -55,11 +56,12 @@ class Drives(NamedTuple):
 
 class Supply(NamedTuple):
     """What the autopilot reckons with during a tick. lift: 0 while the motors idle; compensated: what it divides commands by;
-    lift_max: share of full thrust that it believes it has left."""
+    lift_max: share of full thrust that it believes it has left; stir (n,): `outside.stirred`, which it does not know."""
 
     lift: Array
     compensated: Array
     lift_max: Array
+    stir: Array
 
 
 class Record(
@@ -97,7 +99,8 @@ class Multirotor:
 
     def reference(self, plan: Plan, ticks: int, dt: float) -> trajectories.Reference:
         """Take-off, the manoeuvre and the landing."""
-        return trajectories.table(plan.way, ticks, dt)
+        stir = outside.stirred(plan.seed, plan.craft.x.shape[0], ticks, dt)
+        return trajectories.table(plan.way, ticks, dt)._replace(stir=stir)
 
     def begin(self, plan: Plan, state: State, reference, blowing, turning, dt: float) -> tuple[Moment, Array]:
         """Outer loops, and what the autopilot believes of its battery."""
@@ -109,14 +112,16 @@ class Multirotor:
         lift = reference.lift * state.flies
         target, integral = control.outer(pilot, reference._replace(lift=lift), state.body, state.integral, dt)
         compensated = pilot.compensates * state.own.believed + (1.0 - pilot.compensates)
-        supply = Supply(lift, compensated, dynamics.thrust_share(pilot.expo, compensated))
+        supply = Supply(lift, compensated, dynamics.thrust_share(pilot.expo, compensated), reference.stir)
         return Moment(target, air, supply), integral
 
     def step(self, plan: Plan, now: Moment, t, body: Body, gyro, loops: control.Loops, own: Drives, dt: float) -> tuple:
         """Inner loops, mixer, faults, rotors and body."""
         jnp = load_jax().numpy
-        craft, pilot = plan.craft, plan.pilot
-        target, (lift, compensated, lift_max) = self.aimed(plan, now, t, body), now.more
+        pilot, s = plan.pilot, faults.strength(plan.faults, t)
+        target, (lift, compensated, lift_max, stir) = self.aimed(plan, now, t, body), now.more
+        factors = outside.washed(plan.outside, stir, now.air.wind, body.v)
+        craft = outside.now(plan.craft, plan.outside, plan.faults, s, t, factors)
         turning, wanted, loops = control.inner(pilot, target, body.q, gyro, loops, lift, dt)
         known, e = pilot.inversion, self.effectiveness(plan, t)
         miss, cut = wanted - loops.gyro, pilot.gyro_cut
@@ -128,16 +133,18 @@ class Multirotor:
         command = jnp.minimum(control.drive(pilot.expo, lift_max * demand) / compensated, 1.0) * jnp.where(
             lift > 0, 1.0, 0.0
         )
-        s = faults.strength(plan.faults, t)
         driven, undriven, held = faults.act(plan.faults, s, command, own.held)
         theta = faults.loss(plan.faults, s)  # of the propellers
+        driven = outside.rounded(plan.outside, driven)
         commanded = jnp.sqrt(dynamics.thrust_share(craft.expo, driven * own.sag))
         friction = faults.summed(plan.faults, plan.faults.friction * s)
         remaining = 1.0 - faults.weak(plan.faults, s)
         # Without friction the speed is the commanded one, to the last bit.
         share = jnp.where(friction > 0.0, motor.slowed(commanded, theta, friction), commanded) * jnp.sqrt(remaining)
-        lag = craft.lag * (1.0 + (faults.SPIN_DOWN - 1.0) * undriven)
-        body, w, force = self.moved(plan, body, own.w, share, lag, now.air, theta, dt)
+        share = jnp.minimum(share, jnp.sqrt(faults.ceiling(plan.faults, s)))
+        slower = faults.summed(plan.faults, plan.faults.slower * s)
+        lag = craft.lag * (1.0 + (faults.SPIN_DOWN - 1.0) * undriven + slower)
+        body, w, force = self.moved(plan._replace(craft=craft), body, own.w, share, lag, now.air, theta, dt)
         phase = own.phase + 0.5 * (own.w + w) * plan.sensors.full_turns * dt
         phase = phase - jnp.floor(phase)
         controls = jnp.concatenate([turning, target.throttle[None]])

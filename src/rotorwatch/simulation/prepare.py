@@ -13,7 +13,7 @@ from rotorwatch import airframes
 from rotorwatch.airframes import ardupilot, px4
 from rotorwatch.errors import ConfigError, VehicleError
 from rotorwatch.flight.vehicle import Rotor, ThrustCurve, Vehicle
-from rotorwatch.simulation import control, dynamics, faults, incremental, trajectories, wind
+from rotorwatch.simulation import control, dynamics, faults, incremental, outside, trajectories, wind
 from rotorwatch.simulation.multirotor import Battery, Plan
 from rotorwatch.simulation.rigid import G0
 from rotorwatch.simulation.scenario import Scenario, brief
@@ -26,6 +26,7 @@ HOVER_MINUTES = 12.0
 SAG = 0.07
 SAME = {"octaquad-x": "octa-coaxial", "octa-coaxial": "octaquad-x"}  # one frame, two names
 PWM = (1000.0, 2000.0)
+MOVING = ("square", "figure-eight", "aggressive", "turning-square")
 SPIN = (0.15, 0.95)  # ArduPilot's MOT_SPIN_MIN, MOT_SPIN_MAX
 
 
@@ -138,6 +139,7 @@ def plan(scenario: Scenario) -> Plan:
         battery=_battery(scenario, bare.thrust_max.sum(), bare.hover),
         sensors=sensors(scenario, full_speed),
         seed=np.array(scenario.seed, np.int64),
+        outside=_outside(scenario, bare, full_speed),
     )
 
 
@@ -189,10 +191,13 @@ def _pilot(scenario: Scenario, known: Vehicle, bare: Bare, full_speed: float) ->
     a, mixer = scenario.airframe, known.mixer
     assert mixer is not None
     B_tau = np.stack([-bare.y, bare.x, bare.drag_ratio * bare.spin])
+    believed, hover = a["expo"] if a["believed_expo"] is None else a["believed_expo"], bare.hover
+    if believed != a["expo"]:  # what carries it was learned, as autopilots do
+        hover = float(dynamics.thrust_share(believed, control.drive(a["expo"], hover)))
     pilot = control.tune(
-        *(mixer, B_tau, np.diag(bare.J), bare.thrust_max, bare.hover, a["lag_s"]),
+        *(mixer, B_tau, np.diag(bare.J), bare.thrust_max, hover, a["lag_s"]),
         gyro_hz=scenario.sensors["gyro_filter_hz"],
-        expo=a["expo"] if a["believed_expo"] is None else a["believed_expo"],
+        expo=believed,
         compensates=float(a_compensates(scenario)),
     )
     # Momentum goes with speed, thrust and its drag with speed squared: what a change of thrust at hover is worth in both.
@@ -208,10 +213,42 @@ def _rotor_inertia(scenario: Scenario, bare: Bare) -> float:
     return 0.015 * bare.mass / len(bare.x) * (2.0 * bare.radius) ** 2 / 12.0 if inertia is None else inertia
 
 
+def _outside(scenario: Scenario, bare: Bare, full_speed: float) -> outside.Outside:
+    """What befalls the vehicle. full_speed [rad/s] of the rotors. Raises ConfigError."""
+    a, w, drops = scenario.airframe, scenario.outside, scenario.airframe["payload_drops_s"]
+    to, empty = np.radians(w["push_to_deg"]), replace(scenario, airframe={**a, "payload_kg": 0.0})
+    return outside.Outside(
+        push=w["push_m_s2"] * bare.mass * np.array([np.cos(to), np.sin(to), 0.0]),
+        height=np.array(w["push_above_m"]),
+        onset=np.array(w["push_onset_s"]),
+        end=np.array(faults.NEVER if w["push_end_s"] is None else w["push_end_s"]),
+        wash=np.array(a["wash"]),
+        induced=np.array(_induced(bare)),
+        steps=np.array(a["output_steps"]),
+        lighter=_craft(scenario if drops is None else empty, bare, full_speed),
+        drops=np.array(faults.NEVER if drops is None else drops),
+    )
+
+
+def _board(a: Mapping[str, Any]) -> np.ndarray:
+    """(3, 3) that takes vectors from the axes of the autopilot's board to the frame's: its roll, pitch and yaw in the frame."""
+    (cr, sr), (cp, sp), (cy, sy) = (
+        (np.cos(angle), np.sin(angle))
+        for angle in (np.radians(a[f"board_{axis}_deg"]) for axis in ("roll", "pitch", "yaw"))
+    )
+    roll = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
+    pitch = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
+    yaw = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
+    return yaw @ pitch @ roll
+
+
 def _craft(scenario: Scenario, bare: Bare, full_speed: float) -> dynamics.Craft:
     """The vehicle with its payload, about their common centre of mass. full_speed [rad/s] of the rotors. Raises ConfigError."""
     a, n, full = scenario.airframe, len(bare.x), bare.thrust_max.sum()
     total, J, shift = _loaded(bare.mass, bare.J, a["payload_kg"], np.array(a["payload_at_m"], float))
+    mount = _board(a)
+    J = mount.T @ J @ mount
+    built = 1.0 + a["rotor_spread"] * np.random.default_rng([scenario.seed, 4]).uniform(-1.0, 1.0, n)
     if total * G0 > 0.9 * full:
         raise ConfigError(f"airframe.payload_kg: {total:.3g} kg are too much for {full:.3g} N of full thrust.")
     hub = 0.1 * bare.arm if a["hub_height_m"] is None else a["hub_height_m"]
@@ -226,7 +263,7 @@ def _craft(scenario: Scenario, bare: Bare, full_speed: float) -> dynamics.Craft:
         y=bare.y - shift[1],
         z=np.array(-hub - shift[2]),
         spin=bare.spin,
-        thrust_max=bare.thrust_max,
+        thrust_max=bare.thrust_max * built,
         drag_ratio=np.array(bare.drag_ratio),
         expo=np.array(a["expo"]),
         lag=np.array(a["lag_s"]),
@@ -236,6 +273,10 @@ def _craft(scenario: Scenario, bare: Bare, full_speed: float) -> dynamics.Craft:
         drag=a["body_drag"] * 0.01 * bare.mass * np.array([1.0, 1.0, 2.0]),
         radius=np.array(bare.radius),
         ground_effect=np.array(float(a["ground_effect"])),
+        lean=np.zeros(n),
+        mount=mount,
+        push=np.zeros(3),
+        push_z=np.array(0.0),
     )
 
 
@@ -279,7 +320,7 @@ def _up_and_down(scenario: Scenario) -> trajectories.Trajectory:
     """From the ground, and back to it where the scenario says so."""
     w, landing = scenario.trajectory, faults.NEVER
     if w["land"]:
-        landing = scenario.duration_s - w["altitude_m"] / trajectories.DESCENT - 5.0
+        landing = scenario.duration_s - w["altitude_m"] / trajectories.DESCENT - 5.0 - w["rest_s"]
     return way(scenario, w["altitude_m"], w["take_off_s"], landing)
 
 
@@ -295,13 +336,16 @@ def way(scenario: Scenario, altitude: float, take_off: float, landing: float) ->
         yaw_speed=np.radians(w["yaw_speed_deg_s"]),
         take_off=np.array(take_off),
         landing=np.array(landing),
+        turn=np.array(w["turn_s"]),
+        spool=np.array(w["spool_s"]),
+        rest=np.array(w["rest_s"]),
     )
 
 
 def air(scenario: Scenario, arm: float) -> wind.Wind:
     """The scenario's wind, for a vehicle of that half span [m]."""
     w, flown = scenario.wind, scenario.trajectory
-    own = flown["speed_m_s"] if flown["kind"] in ("square", "figure-eight", "aggressive") else 0.0
+    own = flown["speed_m_s"] if flown["kind"] in MOVING else 0.0
     speed = w["speed_m_s"]
     return wind.dryden(speed, w["from_deg"], w["turbulence"], flown["altitude_m"], np.hypot(speed, own), 2.0 * arm)
 
@@ -348,6 +392,8 @@ def broken(scenario: Scenario, rotors: int) -> faults.Faults:
         row = {
             "loss": {"loss": f["strength"]}, "chipped": {"loss": f["strength"], "shake": f["vibration"]},
             "complete loss": {"loss": 1.0}, "bias": {"bias": f["strength"]}, "stuck": frozen, "saturated": frozen,
+            "strong": {"loss": None if f["strength"] is None else -f["strength"]}, "capped": {"ceiling": f["level"]},
+            "slow": {"slower": f["times"] - 1.0}, "tilt": {"lean": np.sin(np.radians(f["angle_deg"] or 0.0))},
             "float": {"undriven": 1.0}, "weak motor": {"weak": f["strength"]}, "bearing": {"friction": f["strength"]},
         }[kind]  # fmt: skip
         row |= {"onset": f["onset_s"], "ramp": f["ramp_s"], "end": f["end_s"], "period": f["period_s"]}

@@ -80,12 +80,15 @@ _TABLES = {
 FAULT_FIELDS: dict[str, Field] = _TABLES.pop("faults")
 FIELDS: dict[str, dict[str, Field]] = {"": _TABLES.pop("flight"), **_TABLES}
 """Table of a scenario ("": its top) -> its fields, of scenario.toml."""
-NEEDS_STRENGTH = ("loss", "bias", "chipped", "weak motor", "bearing")
-SHARES = ("loss", "chipped", "weak motor", "bearing")
+NEEDS_STRENGTH = ("loss", "bias", "chipped", "weak motor", "bearing", "strong")
+SHARES = ("loss", "chipped", "weak motor", "bearing", "strong")
+NEEDS = {"strength": NEEDS_STRENGTH, "level": ("capped",), "angle_deg": ("tilt",)}
 SOME_HAVE = {
     "strength": NEEDS_STRENGTH,
-    "level": ("stuck", "saturated"),
-    "ramp_s": (*NEEDS_STRENGTH, "complete loss"),
+    "level": ("stuck", "saturated", "capped"),
+    "times": ("slow",),
+    "angle_deg": ("tilt",),
+    "ramp_s": (*NEEDS_STRENGTH, "complete loss", "slow", "tilt"),
     "vibration": ("chipped",),
 }
 """Fields that only these kinds of faults have."""
@@ -94,12 +97,15 @@ HELICOPTER_FIELDS: dict[str, tuple[str, ...]] = {
     "airframe": ("frame", "lag_s", "payload_kg"),
     "trajectory": ("kind", "altitude_m", "size_m", "speed_m_s", "yaw_deg", "yaw_speed_deg_s", "take_off_s"),
     "wind": tuple(FIELDS["wind"]),
+    "outside": (),
     "battery": (),
-    "sensors": tuple(FIELDS["sensors"]),
+    "sensors": tuple(name for name in FIELDS["sensors"] if not name.startswith("reset")),
     "logging": ("profile",),
 }
 """What a helicopter has of `FIELDS`."""
-HELICOPTER_WAYS = tuple(kind for kind in trajectories.KINDS if kind != "aggressive")
+HELICOPTER_WAYS = tuple(
+    kind for kind in trajectories.KINDS if kind not in ("aggressive", "yaw-steps", "turning-square")
+)
 HELICOPTER_FAULTS = ("loss", "complete loss", "stuck", "bias", "saturated")
 
 
@@ -116,6 +122,7 @@ class Scenario:
     airframe: Mapping[str, Any]
     trajectory: Mapping[str, Any]
     wind: Mapping[str, Any]
+    outside: Mapping[str, Any]
     battery: Mapping[str, Any]
     sensors: Mapping[str, Any]
     logging: Mapping[str, Any]
@@ -186,8 +193,8 @@ def from_table(table: Mapping[str, Any]) -> Scenario:
 
 def _times(duration: float, way: Mapping[str, Any]) -> None:
     """Refuse a flight too short for its own way up and down."""
-    least = way["take_off_s"] + way["altitude_m"] / trajectories.CLIMB + 8.0
-    least += (way["altitude_m"] / trajectories.DESCENT + 6.0) if way["land"] else 0.0
+    least = way["take_off_s"] + way["altitude_m"] / trajectories.CLIMB + 7.0 + way["spool_s"]
+    least += (way["altitude_m"] / trajectories.DESCENT + 6.0 + way["rest_s"]) if way["land"] else 0.0
     least += way["size_m"] / trajectories.LEVEL if way["land"] and way["kind"] in ("climb", "aggressive") else 0.0
     if duration < least:
         raise ConfigError(
@@ -240,8 +247,9 @@ def _fault(where: str, row: Any, duration: float, helicopter: bool) -> Mapping[s
         )
     if fault["end_s"] is not None and fault["end_s"] <= fault["onset_s"]:
         raise ConfigError(f"{where}.end_s must lie after its onset_s.")
-    if fault["kind"] in NEEDS_STRENGTH and fault["strength"] is None:
-        raise ConfigError(f"{where}.strength is missing: a {fault['kind']} needs one.")
+    for field, kinds in NEEDS.items():
+        if fault["kind"] in kinds and fault[field] is None:
+            raise ConfigError(f"{where}.{field} is missing: a {fault['kind']} needs one.")
     if fault["kind"] in SHARES and fault["strength"] < 0.0:
         raise ConfigError(f"{where}.strength must be a share from 0 to 1, not {fault['strength']:g}.")
     return fault

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+RESET_S = 4.0  # an estimator finds back after a jump with this time constant
+
 
 class Sensors(
     namedtuple(
@@ -18,6 +20,21 @@ class Sensors(
     """gyro_sd [rad/s] of one sample in a step, accel_sd [m/s^2] after the filter; biases (3,); accel_cut [rad/s];
     shake [m/s^2 at full speed] of each healthy rotor, full_turns: its revolutions per second at full speed; rattle: rad/s of gyro
     per m/s^2 of it; attitude_sd [rad], velocity_sd [m/s], position_sd [m] of what is logged."""
+
+
+def jumped(record: Any, at: float, tilt: float, yaw: float, speed: float, rng) -> Any:
+    """The record as an estimator tells it that jumps at time `at` [s] and finds back in seconds: tilt, yaw [rad], speed [m/s] (and as many
+    metres), tilt and speed in directions that rng draws."""
+    since = record.time - at
+    size = np.where(since >= 0.0, np.exp(-np.maximum(since, 0.0) / RESET_S), 0.0)[:, None]
+    about, to = rng.uniform(0.0, 2.0 * np.pi, 2)
+    half = 0.5 * size * np.array([tilt * np.cos(about), tilt * np.sin(about), yaw])
+    angle = np.linalg.norm(half, axis=1, keepdims=True)
+    w, v = np.cos(angle), half * np.sinc(angle / np.pi)
+    a, b = record.q[:, :1], record.q[:, 1:]
+    q = np.concatenate([w * a - np.sum(v * b, axis=1, keepdims=True), w * b + a * v + np.cross(v, b)], axis=1)
+    off = size * speed * np.array([np.cos(to), np.sin(to), 0.3])
+    return record._replace(q=q, v=record.v + off, p=record.p + off)
 
 
 def readings(sensors: Sensors, record: Any, shaking: np.ndarray, rng) -> Iterator[tuple[str, np.ndarray, Any]]:

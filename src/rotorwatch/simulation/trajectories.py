@@ -10,22 +10,24 @@ from collections import namedtuple
 
 from rotorwatch.base.backend import jax as load_jax
 
-KINDS = ("hover", "square", "figure-eight", "climb", "yaw", "aggressive")
+KINDS = ("hover", "square", "figure-eight", "climb", "yaw", "aggressive", "yaw-steps", "turning-square")
 CLIMB = 1.0  # m/s on average, up to the working height
 DESCENT = 0.8  # m/s, down to the ground
 BLEND = 2.0  # s from standstill into the manoeuvre, and out of it
 LEVEL = 1.5  # m/s on average, from where a climb was to the working height
 HOVER_FIRST = 2.0  # s of hover after the climb
-SPOOL = 1.0  # s from idling motors to what the controller asks
+HOLD = 4.0  # s between yaw steps
 
 
-class Trajectory(namedtuple("Trajectory", "kind altitude size speed yaw yaw_speed take_off landing")):
+class Trajectory(namedtuple("Trajectory", "kind altitude size speed yaw yaw_speed take_off landing turn spool rest")):
     """kind: index into KINDS. altitude, size [m], speed [m/s], yaw [rad] at take-off, yaw_speed [rad/s]; take_off, landing:
-    times [s] when the motors start to lift and when the way down begins."""
+    times [s] when the motors start to lift and when the way down begins; turn: time [s] in which a quarter turn is asked for; spool
+    [s] from idling motors to what the controller asks; rest [s] that they push on at the end on the ground."""
 
 
-class Reference(namedtuple("Reference", "p v a yaw yaw_rate lift")):
-    """p, v, a (3,) NED; yaw, yaw_rate; lift: 0 while the motors idle, rising to 1 in SPOOL seconds."""
+class Reference(namedtuple("Reference", "p v a yaw yaw_rate lift stir", defaults=[()])):
+    """p, v, a (3,) NED; yaw, yaw_rate; lift: 0 while the motors idle, rising to 1 as they spool up; stir: nothing asked for, but noise that
+    the aircraft meets (`outside`)."""
 
 
 def smooth(s):
@@ -37,7 +39,7 @@ def smooth(s):
 
 def touch_down(way: Trajectory):
     """When the vehicle should stand on the ground again [s]."""
-    return way.landing + way.altitude / DESCENT + 2.0
+    return way.landing + way.altitude / DESCENT + 2.0 + way.rest
 
 
 def table(way: Trajectory, ticks: int, dt: float) -> Reference:
@@ -48,7 +50,7 @@ def table(way: Trajectory, ticks: int, dt: float) -> Reference:
     pose = jax.vmap(_path, in_axes=(None, 0))(way, t)
     speed = (pose[2:] - pose[:-2]) / (2.0 * dt)
     bend = (pose[2:, :3] - 2.0 * pose[1:-1, :3] + pose[:-2, :3]) / (dt * dt)
-    lift = jnp.clip((t[1:-1] - way.take_off) / SPOOL, 0.0, 1.0)
+    lift = jnp.clip((t[1:-1] - way.take_off) / way.spool, 0.0, 1.0)
     lift = jnp.where(t[1:-1] > touch_down(way), 0.0, lift)
     return Reference(pose[1:-1, :3], speed[:, :3], bend, pose[1:-1, 3], speed[:, 3], lift)
 
@@ -58,13 +60,16 @@ def _path(way: Trajectory, t):
     jnp = load_jax().numpy
     up_time = 1.0 + way.altitude / CLIMB
     # The manoeuvre's own time runs from the end of the climb to the landing, starting and ending at standstill.
-    begin = way.take_off + up_time + HOVER_FIRST
+    up = way.take_off + way.spool - 1.0
+    begin = up + up_time + HOVER_FIRST
     s = _eased(t - begin) - _eased(t - (way.landing - BLEND))
     a, v = way.size, way.speed
-    north, east, rise, turn = (jnp.select([way.kind == k for k in range(len(KINDS))], row) for row in _shapes(a, v, s))
+    north, east, rise, turn = (
+        jnp.select([way.kind == k for k in range(len(KINDS))], row) for row in _shapes(a, v, s, way.turn)
+    )
     level_time = 1.0 + a / LEVEL  # before the way down: back to the working height
     rise = rise * (1.0 - smooth((t - way.landing + level_time) / level_time))
-    height = way.altitude * smooth((t - way.take_off) / up_time) + rise
+    height = way.altitude * smooth((t - up) / up_time) + rise
     descent = DESCENT * jnp.maximum(t - way.landing, 0.0)
     down = jnp.where(t > way.landing, jnp.minimum(-height + descent, 0.5), -height)
     return jnp.stack([north, east, down, way.yaw + way.yaw_speed * s + turn])
@@ -77,8 +82,8 @@ def _eased(t):
     return jnp.where(t < BLEND, t * t / (2.0 * BLEND), t - 0.5 * BLEND)
 
 
-def _shapes(a, v, s):
-    """(north, east, rise, turn) of each kind at manoeuvre time s >= 0, size a, speed v."""
+def _shapes(a, v, s, quarter):
+    """(north, east, rise, turn) of each kind at manoeuvre time s >= 0, size a, speed v; quarter: time of a quarter turn [s]."""
     jnp = load_jax().numpy
     zero = 0.0 * s
     # Square: a stop at each corner; the polynomial's top speed is 15/8 of its mean.
@@ -92,8 +97,13 @@ def _shapes(a, v, s):
     climb = 0.5 * a * (1.0 - jnp.cos(2.0 * v / a * s))
     spin = v / 2.0 * jnp.sin(0.5 * s)  # yaw to and fro, up to v/4 rad/s
     fast = v / a * s
-    north = [zero, square_n, a * jnp.sin(eight), zero, zero, a * jnp.sin(fast)]
-    east = [zero, square_e, 0.5 * a * jnp.sin(2.0 * eight), zero, zero, a * jnp.sin(1.5 * fast)]
-    rise = [zero, zero, zero, climb, zero, 0.25 * a * jnp.sin(0.7 * fast)]
-    turn = [zero, zero, zero, zero, spin, 0.5 * jnp.sin(0.4 * fast)]
+    steps = s / (quarter + HOLD)
+    whole = jnp.floor(steps)
+    quarters = whole + smooth((steps - whole) * (quarter + HOLD) / quarter)
+    corners = jnp.maximum(leg - 1.0 + smooth((s - leg * leg_time) / quarter), 0.0)  # the nose follows the legs
+    right = 0.5 * math.pi
+    north = [zero, square_n, a * jnp.sin(eight), zero, zero, a * jnp.sin(fast), zero, square_n]
+    east = [zero, square_e, 0.5 * a * jnp.sin(2.0 * eight), zero, zero, a * jnp.sin(1.5 * fast), zero, square_e]
+    rise = [zero, zero, zero, climb, zero, 0.25 * a * jnp.sin(0.7 * fast), zero, zero]
+    turn = [zero, zero, zero, zero, spin, 0.5 * jnp.sin(0.4 * fast), right * quarters, right * corners]
     return north, east, rise, turn

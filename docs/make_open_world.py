@@ -1,0 +1,44 @@
+"""Flies plans/open.toml and puts its table into docs/results.md: `python docs/make_open_world.py -o DIR [--flights 2000] [--jobs 2]`.
+
+The campaign is that of `rotorwatch campaign`, and goes on where it was stopped; after a change of the diagnosis give a new folder.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+from rotorwatch.campaign import open_world
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "docs" / "results.md"
+START, END = "<!-- table made by docs/make_open_world.py -->\n", "<!-- end of the table -->\n"
+
+
+def filled(page: str, summary: dict) -> str:
+    """The page with the table of this summary in its place."""
+    return page[: page.index(START) + len(START)] + open_world.markdown(summary) + page[page.index(END) :]
+
+
+if __name__ == "__main__":
+    ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    ask.add_argument("-o", "--out", required=True, type=Path, help="folder of the campaign")
+    ask.add_argument("--flights", type=int, default=2000)
+    ask.add_argument("--jobs", type=int, default=2)
+    given = ask.parse_args()
+    command = [
+        "campaign",
+        ROOT / "plans" / "open.toml",
+        "--flights",
+        given.flights,
+        "--jobs",
+        given.jobs,
+        "-o",
+        given.out,
+    ]
+    subprocess.run([sys.executable, "-m", "rotorwatch", *map(str, command)], check=True, stdout=subprocess.DEVNULL)
+    summary = json.loads((given.out / "summary.json").read_text(encoding="utf-8"))
+    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8"), summary), encoding="utf-8")
