@@ -146,6 +146,8 @@ def test_counts_of_a_table_whose_answer_is_known():
     blank = dict.fromkeys(open_world.COLUMNS)
     healthy = blank | {"group": "healthy", "kind": "calm", "airborne_s": 72.0}
     rows = [healthy | {"outcome": what} for what in ["clean"] * 97 + ["doubt", "accused", "accused"]]
+    for row, verdict in zip(rows, ("inconclusive", "error", "inconclusive", "healthy")):
+        row["verdict"] = verdict
     broken = blank | {
         "group": "loss",
         "kind": "step",
@@ -165,6 +167,7 @@ def test_counts_of_a_table_whose_answer_is_known():
     quarter = lines["all: a loss of a quarter and more"]
     assert quarter["right"]["value"] == 0.75 and quarter["accused"]["value"] == 0.25 and quarter["hours"] == 0.0
     text = open_world.markdown(found)
+    assert lines["calm"]["unanswered"] == 3
     assert "| calm | 100 | 2: 2.0 (0.6 to 7.0) % |" in text
 
 
