@@ -1,6 +1,8 @@
 """Campaigns judged by logs: plans of kinds, what an answer is worth, the table, and a few flights through the command."""
 
+import importlib.util
 import json
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -144,6 +146,8 @@ def test_counts_of_a_table_whose_answer_is_known():
     blank = dict.fromkeys(open_world.COLUMNS)
     healthy = blank | {"group": "healthy", "kind": "calm", "airborne_s": 72.0}
     rows = [healthy | {"outcome": what} for what in ["clean"] * 97 + ["doubt", "accused", "accused"]]
+    for row, verdict in zip(rows, ("inconclusive", "error", "inconclusive", "healthy")):
+        row["verdict"] = verdict
     broken = blank | {
         "group": "loss",
         "kind": "step",
@@ -163,7 +167,20 @@ def test_counts_of_a_table_whose_answer_is_known():
     quarter = lines["all: a loss of a quarter and more"]
     assert quarter["right"]["value"] == 0.75 and quarter["accused"]["value"] == 0.25 and quarter["hours"] == 0.0
     text = open_world.markdown(found)
+    assert lines["calm"]["unanswered"] == 3
     assert "| calm | 100 | 2: 2.0 (0.6 to 7.0) % |" in text
+
+
+def test_the_results_page_takes_the_table_between_its_marks():
+    path = Path(__file__).resolve().parents[1] / "docs" / "make_open_world.py"
+    spec = importlib.util.spec_from_file_location("make_open_world", path)
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    page = script.PAGE.read_text(encoding="utf-8")
+    made = script.filled(page, {"flights": 3, "name": "made", "lines": []})
+    assert "3 flights of made." in made and script.filled(made, {"flights": 3, "name": "made", "lines": []}) == made
+    for part in (page.split(script.START)[0], page.split(script.END)[1]):
+        assert part in made
 
 
 # ---------------------------------------------------------------- for real

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.simulation import dynamics, faults, outside, rotation, scenario, simulate
+from rotorwatch.simulation import control, dynamics, faults, outside, rotation, scenario, simulate, trajectories
 from rotorwatch.simulation.prepare import plan
 
 G = dynamics.G0
@@ -118,9 +118,7 @@ def test_rotors_as_built_are_within_their_spread_and_the_autopilot_does_not_know
 def test_an_autopilot_that_believes_in_another_curve_knows_what_carries_it():
     """Its hover throttle, through the curve that it believes in and then the true one, is the weight."""
     made = plan(asked(airframe={"expo": 0.1, "believed_expo": 0.65, "thrust_to_weight": 2.0}))
-    from rotorwatch.simulation.control import drive
-
-    told = float(drive(0.65, float(made.pilot.hover)))
+    told = float(control.drive(0.65, float(made.pilot.hover)))
     assert float(dynamics.thrust_share(0.1, told)) == pytest.approx(0.5)
 
 
@@ -174,8 +172,6 @@ def test_an_estimators_reset_is_in_the_log_only():
 def test_yaw_steps_are_quarter_turns():
     jax = load_jax()
     made = plan(asked(trajectory={"kind": "yaw-steps", "turn_s": 0.5}))
-    from rotorwatch.simulation import trajectories
-
     yaw = np.degrees(np.asarray(jax.jit(trajectories.table, static_argnums=(1, 2))(made.way, 3400, 0.01).yaw))
     here = yaw[1600:]
     rests = here[np.abs(np.diff(here, append=here[-1])) < 1e-6]

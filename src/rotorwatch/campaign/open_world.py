@@ -32,6 +32,7 @@ from rotorwatch.simulation.scenario import Scenario
 COLUMNS = read_columns("open_world")
 GROUPS = {"healthy": "rotors healthy", "other": "a fault that is no loss", "loss": "a loss"}
 QUARTER = 0.25
+UNANSWERED = ("inconclusive", "error")
 SUFFIX = {autopilot: suffix for suffix, autopilot in logbook.SUFFIXES.items()}
 
 
@@ -109,7 +110,8 @@ def summarise(rows: Any, name: str = "") -> dict[str, Any]:
 
 def measures(flights: Sequence[dict]) -> dict[str, Any]:
     """Of some flights: counts, shares and rates with 95 % intervals; None where there is nothing to count. accused: a healthy rotor is,
-    with certainty; hours: of flights without a fault, accused_h: accusations in them an hour; ended: lasting faults said to be over."""
+    with certainty; hours: of flights without a fault, accused_h: accusations in them an hour; ended: lasting faults said to be over;
+    unanswered: logs that are inconclusive or refused."""
     healthy = [f for f in flights if f["group"] == "healthy"]
     hours = sum(f["airborne_s"] or 0.0 for f in healthy) / 3600.0
     errors = [f["error"] for f in flights if f["error"] is not None]
@@ -125,7 +127,7 @@ def measures(flights: Sequence[dict]) -> dict[str, Any]:
         "holds": tools.share([f["holds"] for f in flights if f["holds"] is not None]),
         "ended": sum(bool(f["ended"]) for f in flights),
         "crashed": sum(f["crashed_s"] is not None for f in flights),
-        "refused": outcomes.count("error"),
+        "unanswered": sum(f["verdict"] in UNANSWERED for f in flights),
     }
 
 
@@ -133,14 +135,14 @@ def markdown(summary: dict[str, Any]) -> str:
     """The summary as a Markdown table."""
     heads = (
         "kind of flight", "flights", "a healthy rotor accused", "ambiguous", "right", "healthy hours", "accused an hour", "size, rms",
-        "intervals hold", "said to be over", "crashed", "refused",
+        "intervals hold", "said to be over", "crashed", "no answer",
     )  # fmt: skip
     rows = (
         [
             *(m["name"], m["flights"], *(_share(m[key]) for key in ("accused", "doubt", "right"))),
             *(f"{m['hours']:.2f}" if m["hours"] else "-", tools.interval(m["accused_h"], 2)),
             *("-" if m["error"] is None else f"{m['error']:.3f}", _share(m["holds"])),
-            *(m["ended"], m["crashed"], m["refused"]),
+            *(m["ended"], m["crashed"], m["unanswered"]),
         ]
         for m in summary["lines"]
     )
