@@ -36,6 +36,7 @@ def silence():
         onsets=np.zeros((COUNT, PLACES)),
         active=np.zeros((COUNT, PLACES, N), bool),
         share=np.tile(np.eye(PLACES)[0], (COUNT, 1)),
+        gives=np.zeros((COUNT, N)),
         probability=np.zeros((COUNT, len(HYP.names))),
         log_odds=np.zeros((COUNT, len(HYP.names))),
         opposite=np.full(COUNT, -1),

@@ -10,6 +10,13 @@ from rotorwatch.default import hypotheses
 from rotorwatch.default.hypotheses import LOSS_WIDTH
 
 WIDTH, AIR = np.array([0.1, 0.2, 0.3, 0.4]), 0.4
+FULL = 2.5  # hover thrusts
+
+
+def effect(n):
+    """(4, n) effectiveness of rotors on a circle that turn either way."""
+    angle = 2.0 * np.pi * np.arange(n) / n
+    return np.stack([np.sin(angle), np.cos(angle), (-1.0) ** np.arange(n), np.ones(n)])
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -43,7 +50,7 @@ def with_spread(n, C, z, lo=None, hi=None, gone=None, reach=0.0):
     lo, hi = np.zeros(n) if lo is None else lo, np.ones(n) if hi is None else hi
     gone = np.zeros((len(z), n)) if gone is None else gone
     slop = hypotheses.slop(C, z, lo, hi, np.full(n, reach), np.zeros(n))
-    found = hypotheses.log_bayes_factors(hyp, C, z, lo, hi, WIDTH, gone, slop, AIR**2)
+    found = hypotheses.log_bayes_factors(hyp, C, z, lo, hi, WIDTH, gone, slop, AIR**2, effect(n), FULL)
     return hyp, *(np.asarray(a) for a in found)
 
 
@@ -206,7 +213,7 @@ def test_a_single_rotor_is_weighed_as_the_integral_over_its_loss(loss, c):
     exact, mean, variance = moments(c, c * loss)
     # Thrust, of its own here, would have been seen to change with the air.
     exact += np.log(1.0 - hypotheses.AIR_SHARE * (1.0 - 1.0 / np.sqrt(1.0 + c * AIR**2)))
-    _, logbf, nu, spread = with_spread(n, C, z)
+    _, logbf, nu, spread, _ = with_spread(n, C, z)
     assert logbf[0, :n].argmax() == 1 and nu[0, 1, 1] == 0.0
     assert logbf[0, 1] == pytest.approx(exact, abs=1e-6)
     assert nu[0, 1, 0] == pytest.approx(mean, abs=1e-6) and spread[0, 1] == pytest.approx(variance, rel=1e-6)
@@ -279,7 +286,9 @@ def test_a_manoeuvre_in_calm_air_is_no_loss():
     C, z = quad_evidence(wrong=(0.25, 1.0, 0.2, 0.5), loss=0.3, sd=0.02)
     calm, hyp = np.full(4, 0.03), hypotheses.make(4)
     slop = hypotheses.slop(C, z, np.zeros(4), np.ones(4), np.ones(4), np.zeros(4))
-    logbf, _, _ = hypotheses.log_bayes_factors(hyp, C, z, np.zeros(4), np.ones(4), calm, np.zeros((1, 4)), slop, 0.0)
+    logbf, *_ = hypotheses.log_bayes_factors(
+        hyp, C, z, np.zeros(4), np.ones(4), calm, np.zeros((1, 4)), slop, 0.0, effect(4), FULL
+    )
     told = dict(zip(hyp.names, np.asarray(logbf)[0]))
     far = np.asarray(hypotheses.disturbances(hyp, C, z, hypotheses.FAR * calm))[0]
     usual = max(v for name, v in told.items() if "rotor" not in name)
@@ -310,3 +319,42 @@ def test_more_freedom_costs_what_it_does_not_explain():
     assert hyp.names[score.argmax()] == "rotor 3"
     assert nu[0, 2, 0] == pytest.approx(loss, abs=0.01)
     assert score[2] - max(np.delete(score, [2])) > 1.0
+
+
+@pytest.mark.parametrize("rotor", range(4))
+def test_a_rotor_that_gives_one_thrust_is_the_integral_over_that_thrust(rotor):
+    """Its command counts no longer, and a thrust between hover's and full comes instead: along its column of B, on all four axes."""
+    n, thrust = 4, 1.7
+    C, _ = information(n, seed=rotor)
+    z = np.empty(C.shape[:2])
+    nu = np.concatenate([np.eye(n)[rotor], -thrust * effect(n)[:, rotor]])
+    for w in range(len(C)):
+        z[w] = C[w] @ nu
+    top = 0.5 * z @ nu
+    hyp, logbf, _, _, (gives, variance) = with_spread(n, C, z)
+    told = logbf[:, hyp.stuck]
+    assert (told.argmax(axis=1) == rotor).all()
+    mean, sd = 0.5 * (1.0 + FULL), 0.5 * (FULL - 1.0)
+    for w in range(len(C)):
+
+        def density(f, w=w):
+            nu = np.concatenate([np.eye(n)[rotor], -f * effect(n)[:, rotor]])
+            fit = (z[w] @ nu - 0.5 * nu @ C[w] @ nu) - top[w]
+            return np.exp(fit - 0.5 * ((f - mean) / sd) ** 2)
+
+        def moment(power, w=w, density=density):
+            middle = gives[w, rotor]
+            return quad(
+                lambda f: density(f) * (f - middle) ** power, -1.5, 4.5, points=[middle], epsabs=1e-13, limit=200
+            )[0]
+
+        assert told[w, rotor] == pytest.approx(top[w] + np.log(moment(0) / (sd * np.sqrt(2.0 * np.pi))), abs=1e-6)
+        assert gives[w, rotor] == pytest.approx(thrust, abs=0.1)
+        assert variance[w, rotor] == pytest.approx(moment(2) / moment(0), rel=1e-4)
+
+
+def test_a_rotor_that_gives_no_more_than_in_hover_is_none_that_gives_one_thrust():
+    C, _ = information(4)
+    z = np.stack([c @ np.concatenate([np.eye(4)[1], -0.4 * effect(4)[:, 1]]) for c in C])
+    _, _, _, _, (gives, _) = with_spread(4, C, z)
+    assert (gives[:, 1] == 1.0).all()

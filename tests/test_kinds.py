@@ -43,7 +43,7 @@ PLANTED = (
 )
 NAMES = (*kinds.TABLE, *(row.name for row in PLANTED), "of_another_version")
 # Where a kind's name may stand besides the table: what judges a loss of control names causes so, and ticks have a column.
-ELSEWHERE = {"upset/find.py": {*kinds.TABLE}, "motion/ticks.py": {kinds.CONTACT}}
+ELSEWHERE = {"motion/ticks.py": {kinds.CONTACT}}
 
 
 @pytest.fixture(autouse=True)

@@ -113,7 +113,7 @@ def simulated(*flight):
 
 # seed, frame, trajectory, wind m/s, rotor, onset s, loss: simulated flights in which wind hides the loss, so that no event names it
 HIDDEN = (
-    (3010, "hexa-plus", "climb", 8.5, 5, 22.0, 0.20),
+    (3110, "hexa-x", "climb", 8.0, 3, 22.0, 0.15),
     (3001, "y6-b", "figure-eight", 8.0, 4, 25.0, 0.30),
     (2289, "hexa-x", "yaw", 5.5, 6, 23.0, 0.15),
 )

@@ -21,9 +21,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from rotorwatch.flight.diagnosis import Diagnosis, Event
+from rotorwatch.flight.kinds import DESYNC, LOSS, OVERRIDE
 from rotorwatch.simulation.scenario import Scenario
 
-ACCUSES = ("loss_of_effectiveness", "output_override", "desync")
+ACCUSES = (LOSS, OVERRIDE, DESYNC)
 LOSSES = ("loss", "complete loss", "chipped", "weak motor", "float")
 NAMED_OR_NOT = ("strong", "tilt")
 """Faults that cost no thrust: right when their rotor is named, clean when nobody is."""
@@ -105,7 +106,7 @@ def _size(true: Mapping[int, float], own: list[Event]) -> dict[str, Any]:
     """error and holds, of the last event that has a size of a broken rotor."""
     for event in reversed(own):
         for k, rotor in enumerate(event.rotors):
-            if event.kind == "loss_of_effectiveness" and rotor in true and k < len(event.loss):
+            if event.kind == LOSS and rotor in true and k < len(event.loss):
                 low, high = event.interval[k]
                 return {
                     "error": float(event.loss[k] - true[rotor]),

@@ -57,7 +57,8 @@ class Carry(NamedTuple):
 class Output(NamedTuple):
     """What one tick leaves behind, beside the Estimate and the Decision. announced: explanations were made at this tick; onsets
     (K,): ticks since the last jump of a rotor in each; active, each (K, n), share (K,): their rotors, losses and probabilities, the leader
-    first; gives (n,): thrust of the leader's rotors that follow no command, 0 of others."""
+    first; gives (n,): thrust of the leader's rotors that follow no command, 0 of others; built
+    (4,): wrench by which the rotors that are not weak seem to differ, as they are built."""
 
     estimate: Estimate
     decision: Decision
@@ -70,6 +71,7 @@ class Output(NamedTuple):
     each: Array
     share: Array
     gives: Array
+    built: Array
     detectable: Array
     plausible: Array
     opposite: opposite.Opposite
@@ -253,6 +255,7 @@ class JumpBank:
             each=jnp.where(branches.active, jnp.clip(branches.s[:, n_x:], 0.0, 1.0), 0.0),
             share=posterior.shares(branches),
             gives=jnp.where(weak, branches.gives[0], 0.0),
+            built=rows[:, n_x:] @ jnp.where(weak, 0.0, after.s[n_x:]),
             detectable=evidence.detectable(statistics, found),
             plausible=alarm_decision.possible,
             opposite=pair._replace(pair=jnp.int32(-1)),

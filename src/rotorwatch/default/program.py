@@ -48,7 +48,7 @@ def tick_output(out) -> TickOutput:
     own = dict(
         innovation=e.innovation,
         innovation_var=jnp.diagonal(e.innovation_cov),
-        biases=e.x[:AXIS_STATES].reshape(4, -1)[:, :3].sum(axis=1),
+        biases=e.x[:AXIS_STATES].reshape(4, -1)[:, :3].sum(axis=1) + out.built,
         opposite=out.opposite.pair,
         opposite_onset=out.opposite.onset,
         opposite_loss=out.opposite.loss,

@@ -9,6 +9,7 @@ import numpy as np
 
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.kinds import CONTACT, LOSS, LOST, ORDER, OVERRIDE
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion import allocation, ticks
 from rotorwatch.motion.contact import LEAST_GAIN
@@ -34,7 +35,6 @@ MOST_TICKS = 60
 HOVER_PARAMETERS = ("MOT_THST_HOVER", "MPC_THR_HOVER")
 USUAL_HOVER = 0.35
 
-LOSS, OVERRIDE = "loss_of_effectiveness", "output_override"
 SURE, CREDIBLE = 0.9, 0.03  # probabilities: a cause that is named alone; one that is named at all
 FITS = 1.7  # standard deviations, root mean square: beyond, even the best explanation does not explain the motion
 TURNED = 1.4  # the same, of torques: the rotors turned the vehicle as commanded
@@ -142,7 +142,7 @@ def _cause(
         return "rotor", (f"the motion is what {_names(found, probability)} {without} would make it",)
     order = sum(float(q) for e, q in zip(found, probability) if e.kind in ("order", "yaw"))
     if best.kind in ("order", "yaw") and order > SURE and fits:
-        return "motor_order", ("the first movement went against the commands",)
+        return ORDER, ("the first movement went against the commands",)
     blow = left.impact is not None and left.impact - onset <= HIT_S and not loss_of_control.low(flight, onset, start)
     if struck or blow:
         return "knock", ("something outside pushed the vehicle harder than its rotors can",)
@@ -250,7 +250,7 @@ def _weak(events_, left: LossOfControl) -> Event | None:
     before = [
         e
         for e in events_
-        if e.kind == "loss_of_effectiveness" and not e.alternatives and e.onset_s < left.onset - SAME_S
+        if e.kind == LOSS and not e.alternatives and e.onset_s < left.onset - SAME_S
         and (e.end_s is None or e.end_s > left.onset)
     ]  # fmt: skip
     return max(before, key=lambda e: max(e.loss), default=None)
@@ -271,7 +271,7 @@ def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
             judged, cause="rotor", found=(), evidence=(f"{_who(weak.rotors)} had been weak since {weak.onset_s:.1f} s",)
         )
         return [*events_, _control_lost(judged, n, weak.rotors, (), left.lost)]
-    touched = any(e.kind == "contact" and 0.0 <= judged.onset - e.onset_s < TOUCHED_S for e in events_)
+    touched = any(e.kind == CONTACT and 0.0 <= judged.onset - e.onset_s < TOUCHED_S for e in events_)
     if judged.cause == "unknown" and touched:
         judged = replace(judged, cause="knock", evidence=("something had struck the vehicle just before",))
     announced = _announced_near(events_, left)
@@ -289,7 +289,7 @@ def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
     )
     rotor = (rotors[0][0].rotors[0] + 1,) if accused else ()
     # What was announced before the vehicle began to leave stands, unless what came then shows another rotor.
-    stands = -np.inf if accused or judged.cause == "motor_order" else left.onset
+    stands = -np.inf if accused or judged.cause == ORDER else left.onset
     result, same = [], None
     for e in events_:
         late = e.onset_s > left.onset - SAME_S and e.kind in (LOSS, OVERRIDE) and bool(judged.found)
@@ -298,7 +298,7 @@ def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
         elif not late or e.detected_s < stands or (e.kind == OVERRIDE and e.onset_s <= left.lost):
             result.append(e)
     held = [e for e in result if e.kind == OVERRIDE and left.onset - SAME_S < e.onset_s <= left.lost]
-    if held and judged.cause not in ("rotor", "motor_order"):  # what the mixer did not ask for is the cause
+    if held and judged.cause not in ("rotor", ORDER):  # what the mixer did not ask for is the cause
         judged = replace(judged, cause="rotor", evidence=(held[0].reason,))
         return [*result, _control_lost(replace(judged, found=()), n, held[0].rotors, (), decided)]
     if accused:
@@ -311,7 +311,7 @@ def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
             sizes = {"loss": (best.size,), "interval": ((best.low, best.high),)}
             result.append(replace(same, **sizes) if best.low > same.interval[0][1] else same)
         result.append(_control_lost(judged, n, rotor, others, decided))
-    elif judged.cause == "motor_order":
+    elif judged.cause == ORDER:
         others = tuple(
             tuple(r + 1 for r in e.rotors)
             for e, p in zip(judged.found[1:], judged.probability[1:])
@@ -357,7 +357,7 @@ def _order(best: Explanation, p: float, others, decided: float) -> Event:
     if best.kind == "yaw":
         reason = "the vehicle yawed against its commands from the first movement on: propellers or motors turn the wrong way round"
         return Event(
-            "motor_order",
+            ORDER,
             (),
             best.onset,
             decided,
@@ -373,12 +373,12 @@ def _order(best: Explanation, p: float, others, decided: float) -> Event:
     reason = f"from the first movement on the vehicle turned as if the outputs of motors {i} and {j} went to each other's motor"
     if others:
         reason += ", but " + ", ".join("+".join(map(str, o)) for o in others) + " may be swapped instead"
-    return Event("motor_order", (i, j), best.onset, decided, None, (), (), p, others, reason, {"live": False})
+    return Event(ORDER, (i, j), best.onset, decided, None, (), (), p, others, reason, {"live": False})
 
 
 CAUSES = {
     "rotor": "a rotor lost its thrust",
-    "motor_order": "motors are connected in the wrong order",
+    ORDER: "motors are connected in the wrong order",
     "disarmed": "the motors were stopped in the air",
     "knock": "something struck the vehicle",
     "controller": "the vehicle did what was commanded, and the commands were wrong",
@@ -403,7 +403,7 @@ def _control_lost(judged: Judged, n: int, named, others, decided: float) -> Even
         else 1.0
     )
     return Event(
-        "loss_of_control", tuple(named), judged.onset, left.lost, end, (), (), p, others, reason,
+        LOST, tuple(named), judged.onset, left.lost, end, (), (), p, others, reason,
         {
             "cause": judged.cause, "live": True, "worked_until_s": worked, "impact_s": left.impact if fell else None,
             "evidence": list(judged.evidence), "how": left.what,
@@ -422,7 +422,7 @@ def _until(judged: Judged, n: int, named, others, decided: float) -> list[float 
     suspects = {r for who in others for r in who}
     if not judged.found:
         return [None if r in named or r in suspects else judged.onset for r in range(1, n + 1)]
-    if judged.cause == "motor_order":
+    if judged.cause == ORDER:
         return [None if r in named else decided for r in range(1, n + 1)]
     if judged.left.impact is not None and judged.left.impact > judged.onset:
         decided = min(decided, judged.left.impact)
