@@ -179,7 +179,14 @@ def made(table, rotor, at=0.0, theta=0.0) -> program.TickOutput:
     k = round(at / DT)
     on = np.arange(T) >= k
     sizes = dict(
-        theta=4, theta_sd=4, log_odds=len(hyp.names), probability=len(hyp.names), share=4, detectable=4, biases=4
+        theta=4,
+        theta_sd=4,
+        gives=4,
+        log_odds=len(hyp.names),
+        probability=len(hyp.names),
+        share=4,
+        detectable=4,
+        biases=4,
     )
     sizes |= dict(innovation=4, innovation_var=4, opposite_loss=2, onsets=4)
     shape = {name: (size,) for name, size in sizes.items()}

@@ -28,10 +28,20 @@ def float64():
 
 
 def decide(
-    standing=None, fault=0.0, other=-9.0, far=-9.0, rotors=(1,), since=5.0, possible=True, weak=False, judge=True, dt=DT
+    standing=None,
+    fault=0.0,
+    other=-9.0,
+    far=-9.0,
+    rotors=(1,),
+    since=5.0,
+    possible=True,
+    weak=False,
+    judge=True,
+    dt=DT,
+    gives=0.0,
 ):
     found = SimpleNamespace(fault=np.float64(fault), other=np.float64(other), far=np.float64(far))
-    best = SimpleNamespace(rotors=np.isin(np.arange(1, 5), rotors), since=np.float64(since))
+    best = SimpleNamespace(rotors=np.isin(np.arange(1, 5), rotors), since=np.float64(since), gives=np.float64(gives))
     return announcement.decide(
         standing or announcement.init(),
         found,
@@ -93,6 +103,7 @@ def test_what_a_gate_refuses_is_announced_where_no_disturbance_comes_near(refuse
     assert ticks_until_alarm(fault=fault, **refused) == TICKS
     assert ticks_until_alarm(fault=fault, other=fault - MUCH - CERTAIN_NATS + 1.0, **refused) is None
     assert ticks_until_alarm(fault=fault, rotors=(1, 3), **refused) is None
+    assert ticks_until_alarm(fault=fault, gives=1.8, **refused) is None  # what pushes from outside looks like that
 
 
 def ticks_until_absorbed(**more):
@@ -142,7 +153,7 @@ def test_noise_is_not_learned_from_a_growing_suspicion_but_not_for_ever():
 
 def test_the_threshold_is_the_promised_time_in_ticks_over_the_weights_of_new_faults():
     """Pollak: at least threshold / sum of weights ticks to a false alarm. A rotor that is well again is no new fault."""
-    weight = 4 + 6 * hypotheses.WEIGHT["pair"]
+    weight = 4 + 6 * hypotheses.WEIGHT["pair"] + 4 * hypotheses.WEIGHT["stuck"]
     assert np.exp(announcement.threshold(HYP, DT, 600.0)) == pytest.approx(600.0 / DT * weight)
     promised = announcement.GATES * announcement.FALSE_ALARM_PERIOD_S
     assert (

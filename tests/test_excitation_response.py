@@ -187,7 +187,10 @@ def scenario(who, loss, wind=1.0):
         "ramp_s": 0.0,
         "period_s": None,
     }
-    rows = tuple({**fault, "rotor": r, "level": None, "duty": 0.5, "vibration": 6.0} for r in who)
+    rows = tuple(
+        {**fault, "rotor": r, "level": None, "duty": 0.5, "vibration": 6.0, "times": 4.0, "angle_deg": None}
+        for r in who
+    )
     return replace(base, faults=rows, wind={**base.wind, "speed_m_s": wind})
 
 

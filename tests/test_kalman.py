@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.default import kalman, noise, posterior
+from rotorwatch.default import kalman, noise, plant, posterior
 from rotorwatch.default.hypotheses import NONE
 from rotorwatch.default.plant import B1, B2, B3, PER_AXIS, WrenchBalance
 from rotorwatch.default.posterior import NEVER, PLACES
@@ -148,7 +148,8 @@ def test_what_a_new_hop_and_a_contact_leave(begins, hop):
     kept = np.where(gone[:, None] | gone, 0.0, b.P)
     opened = np.zeros((N_X + N, N_X + N))
     opened[np.ix_(bias, bias)] = SYSTEM.P0[np.ix_(bias[:N_X], bias[:N_X])]
-    assert np.asarray(after.P) == pytest.approx(kept + begins * opened)
+    built = np.diag(loss * plant.BUILT_SD**2) if hop else 0.0  # all rotors were weak
+    assert np.asarray(after.P) == pytest.approx(kept + begins * opened + built)
     assert np.asarray(after.active).all() == (not hop) and np.asarray(after.learning).any() == np.asarray(
         after.theta_var
     ).any() == (not hop)

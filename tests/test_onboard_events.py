@@ -43,6 +43,7 @@ int told(int count, const double *effectiveness, int coaxial, const double *rows
         for (int i = 0; i < 2; i++) found.opposite_loss[i] = (rw_real)*rows++;
         for (int i = 0; i < RW_ROTORS; i++) found.theta[i] = (rw_real)*rows++;
         for (int i = 0; i < RW_ROTORS; i++) found.theta_sd[i] = (rw_real)*rows++;
+        for (int i = 0; i < RW_ROTORS; i++) found.gives[i] = (rw_real)*rows++;
         for (int i = 0; i < RW_PLACES; i++) found.share[i] = (rw_real)*rows++;
         for (int i = 0; i < RW_PLACES; i++) found.onsets[i] = (rw_real)*rows++;
         for (int i = 0; i < RW_PLACES * RW_ROTORS; i++) found.active[i / RW_ROTORS][i % RW_ROTORS] = *rows++ > 0.5;
@@ -90,8 +91,8 @@ def built(tmp_path_factory):
 def columns(out, ticks):
     """(T, width) rows that the driver reads."""
     T = len(ticks.time)
-    flat = [ticks.time, ticks.command_time, ticks.mode, ticks.restart, out.announced, out.opposite, out.opposite_onset,
-            out.opposite_loss, out.theta, out.theta_sd, out.share, out.onsets, out.active, out.probability, out.log_odds]  # fmt: skip
+    flat = [ticks.time, ticks.command_time, ticks.mode, ticks.restart, out.announced, out.opposite, out.opposite_onset, out.opposite_loss,
+            out.theta, out.theta_sd, out.gives, out.share, out.onsets, out.active, out.probability, out.log_odds]  # fmt: skip
     return np.ascontiguousarray(np.column_stack([np.asarray(c, float).reshape(T, -1) for c in flat]))
 
 
@@ -141,6 +142,7 @@ def flight(B, seed, count=420, dt=0.05):
     out = SimpleNamespace(
         theta=np.clip(np.cumsum(0.02 * rng.standard_normal((count, n)), axis=0) + 0.3, 0, 1),
         theta_sd=0.005 + 0.02 * rng.random((count, n)),
+        gives=np.where(rng.random((count, n)) < 0.9, 0.0, rng.uniform(1.3, 2.5, (count, n))),
         announced=np.zeros(count, bool),
         active=np.zeros((count, PLACES, n), bool),
         share=np.tile(np.eye(PLACES)[0], (count, 1)),

@@ -7,10 +7,12 @@ import pytest
 
 from rotorwatch import airframes
 from rotorwatch.default import plausibility
+from rotorwatch.default.evidence import Jump
 from rotorwatch.default.hypotheses import NONE
 from rotorwatch.default.model_error import AT_LIMIT, BELOW_LIMIT
 from rotorwatch.default.plant import ANSWER_S, USUAL_S
 from rotorwatch.default.plausibility import (
+    CUT_SHARE,
     DEMAND_SHARE,
     DEMAND_SLACK,
     LIMIT_S,
@@ -36,12 +38,12 @@ def missing(fast=1.0, slow=0.0, limit=NOTHING, climb=0.0):
     return Missing(*numbers, np.asarray(limit, float))
 
 
-def jump(*rotors):
-    """(2, n): rotor (1-based) and size of one or two."""
+def jump(*rotors, gives=0.0):
+    """Rotor (1-based) and size of one or two; gives: the thrust that it gives, whatever it is commanded."""
     out = np.zeros((2, N))
     for place, (rotor, size) in enumerate(rotors):
         out[place, rotor - 1] = size
-    return out
+    return Jump(*[None] * 2, out.any(axis=0), *[None] * 2, out, np.float64(gives))
 
 
 def possible(
@@ -58,7 +60,7 @@ def possible(
     known = np.isin(np.arange(1, N + 1), active)
     return bool(
         plausibility.plausible(
-            what, since, np.full(N, smooth), np.full(N, rise), now or missing(), before or missing(), measured, known,
+            what, since, smooth * np.ones(N), (rise * np.ones(N),) * 2, now or missing(), before or missing(), measured, known,
             np.asarray(rough, float), np.eye(N),
         )
     )  # fmt: skip
@@ -80,7 +82,21 @@ def test_more_has_to_be_asked_of_a_rotor_that_gives_less(size, smooth):
     assert not possible(jump((2, size)), rise=least - 1e-6, smooth=smooth)
     rises = np.array([1.0, 1.0, 1.0, least - 1e-6])
     assert not possible(jump((1, size), (4, size)), rise=rises, smooth=smooth)
-    assert possible(jump((1, -0.3)), rise=-9.0)  # one that gives more again
+    assert possible(jump((1, -0.3)), rise=9.0, active=(1,))  # one that works again need not be asked for less at once
+
+
+def test_less_has_to_be_asked_of_a_rotor_that_gives_more():
+    """A quarter of what it gives more, less the slack; it has to be taken off the command, and to stay so."""
+    cut = np.array([1.0, 0.2, 1.0, 1.0])
+    stuck = jump((2, 1.0), gives=1.8)
+    most = -DEMAND_SHARE * (1.8 - 0.2) + DEMAND_SLACK
+    assert possible(stuck, rise=most - 1e-6, smooth=cut)
+    assert not possible(stuck, rise=most + 1e-6, smooth=cut)
+    assert not possible(stuck, rise=-2.0, smooth=cut, since=0.5 * ANSWER_S - 1e-6)
+    follows = np.full(N, 1.0)
+    for share, may in ((CUT_SHARE - 1e-3, True), (CUT_SHARE + 1e-3, False)):
+        follows[1] = 3.0 * share / (4.0 - share)  # so much of the mean of all four
+        assert possible(stuck, rise=-2.0, smooth=follows) == may
 
 
 def test_a_rough_flight_leaves_a_lone_rotor_more_slack_and_two_none():
@@ -109,7 +125,7 @@ def test_thrust_that_rotors_no_longer_give_is_missing(rough, slack):
                 is answer
             )
             assert possible(one, now=now, before=missing(slow=before), measured=False, rise=9.0, smooth=2.0)
-    assert possible(jump((2, -0.3)), now=missing(fast=-9.0))  # what gives more again lacks nothing
+    assert possible(jump((2, -0.3)), now=missing(fast=-9.0), active=(2,))  # what gives more again lacks nothing
 
 
 @pytest.mark.parametrize("climb, air", [(-3.0, 0.1 * N * 3.0), (0.0, 0.0), (3.0, 0.0)])

@@ -27,7 +27,8 @@ def some(weights, seed=0, age=0.0):
     shape = (PLACES, N)
     return posterior.Branches(
         rng.standard_normal((PLACES, STATES)), rng.standard_normal((PLACES, STATES, STATES)), np.array(weights, float),
-        rng.random(shape) < 0.4, rng.uniform(0, 6, shape), rng.random(shape), rng.random(shape), np.zeros(shape, bool),
+        rng.random(shape) < 0.4, rng.uniform(0, 6, shape), rng.random(shape), rng.random(shape), rng.random(shape),
+        np.zeros(shape, bool),
         rng.integers(1, 80, PLACES).astype(float), np.float64(age),
     )  # fmt: skip
 

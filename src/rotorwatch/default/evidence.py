@@ -17,7 +17,7 @@ from rotorwatch.default import bank, hypotheses, noise
 from rotorwatch.default.hypotheses import Hypotheses
 
 DISTURBANCE_SCALE, DISTURBANCE_RANGE = 3.0, (0.03, 1.0)
-NOTHING = -50.0  # nats, of what cannot be
+NOTHING = hypotheses.NEVER
 
 
 class Evidence(NamedTuple):

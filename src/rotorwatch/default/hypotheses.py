@@ -35,6 +35,8 @@ FAR_SHARE, FAR = 0.2, 4.0
 WEIGHT = {"pair": losses.PAIR_WEIGHT, "stuck": 0.1, "disturbance": 3.0}
 # By what share of it a loss that ends may differ from what it was thought to be.
 RECOVERY_SHARE = 0.3
+# Hover thrusts that a rotor gives at least that is told to give one thrust; nats of what cannot be.
+MORE, NEVER = 1.25, -50.0
 # Disturbances: which of roll, pitch, yaw, thrust they touch.
 DISTURBANCES = ((0,), (1,), (2,), (3,), (0, 3), (1, 3), (2, 3), (0, 1, 2), (0, 1, 2, 3))
 
@@ -169,7 +171,7 @@ def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, recovery, slop, air,
 
 
 def one_thrust(C, z, hi, B, full):
-    """Log Bayes factor (W, n) of rotors that give one thrust between hover's and `full`, whatever they are commanded; and that thrust and
+    """Log Bayes factor (W, n) of rotors that give one thrust between MORE and `full`, whatever they are commanded; and that thrust and
     its variance (2, W, n). The command's part is gone, a jump of hi (n,), and a step of the axes along B (4, n) has come instead."""
     import jax.numpy as jnp
 
@@ -178,8 +180,9 @@ def one_thrust(C, z, hi, B, full):
     c, own = -jnp.einsum("an,wan->wn", B, along), jnp.diagonal(C, axis1=1, axis2=2)[:, :n]
     cross = -jnp.einsum("wna,an->wn", C[:, :n, n:], B)
     left = -(z[:, n:] @ B) - cross * hi
-    factor, thrust, variance = near(c, left, 0.5 * (1.0 + full), (0.5 * (full - 1.0)) ** 2, 1.0, full)
-    return factor + z[:, :n] * hi - 0.5 * own * hi**2, jnp.stack([thrust, variance])
+    factor, thrust, variance = near(c, left, 0.5 * (1.0 + full), (0.5 * (full - 1.0)) ** 2 + 1e-6, 0.0, full)
+    factor = factor + z[:, :n] * hi - 0.5 * own * hi**2
+    return jnp.where(thrust > MORE, factor, NEVER), jnp.stack([thrust, variance])
 
 
 def loss(c, z, lo, hi):

@@ -24,17 +24,22 @@ BIASES = np.array([a * PER_AXIS + b for a in range(4) for b in (B1, B2, B3)])
 
 def restart(branches: Branches, P0, begins, hop) -> Branches:
     """Where `begins`, biases are open again, with P0 (n_x, n_x): after a contact a loss that was known stays; with a new `hop` the vehicle
-    starts anew, and only what it is like stays known. Either ends the competition of explanations."""
+    starts anew, and only what it is like stays known, of rotors that were not weak. Either ends the competition of explanations."""
     import jax.numpy as jnp
 
     n_s = branches.s.shape[1]
-    keep = jnp.ones(n_s).at[BIASES].set(0.0)
+    weak = jnp.concatenate(
+        [jnp.zeros((len(branches.active), n_s - branches.active.shape[1]), bool), branches.active], axis=1
+    )
+    keep = jnp.where(weak, 0.0, jnp.ones(n_s).at[BIASES].set(0.0))
+    built = weak[:, :, None] * jnp.eye(n_s) * plant.BUILT_SD**2
     rows = np.ix_(BIASES, BIASES)
     opened = jnp.zeros((n_s, n_s)).at[rows].set(jnp.asarray(P0)[rows])
     alone = jnp.where(jnp.arange(posterior.PLACES) == 0, 0.0, posterior.NEVER)
     return branches._replace(
         s=jnp.where(hop, branches.s * keep, branches.s),
-        P=jnp.where(hop, branches.P * keep[:, None] * keep[None, :], branches.P) + jnp.where(begins, opened, 0.0),
+        P=jnp.where(hop, branches.P * keep[:, :, None] * keep[:, None, :] + built, branches.P)
+        + jnp.where(begins, opened, 0.0),
         active=branches.active & ~hop,
         learning=jnp.where(hop, 0.0, branches.learning),
         theta_var=jnp.where(hop, 0.0, branches.theta_var),

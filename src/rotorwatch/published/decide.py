@@ -122,6 +122,6 @@ class Threshold:
             jnp.full((1, 4), 1e-12),
             0.0,
             jnp.asarray(self.B),
-            1.0,
+            2.0,  # hover thrusts: what gives one thrust is not asked for here
         )
         return logbf[0], jump[0]
