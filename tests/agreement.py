@@ -223,7 +223,9 @@ def headline(views):
     )
     if main["kind"] == LOSS and not main["alternatives"]:
         for text in (said, d["reason"]):
-            views.expect(report.losses(event) in text, f"the loss of the main event is not in: {text}")
+            gives = event.extra.get("gives")
+            wanted = report.losses(event) if gives is None else f"it gives {gives:.1f} times"
+            views.expect(wanted in text, f"the loss of the main event is not in: {text}")
         views.expect((main["end_s"] is None) == ("until" not in said), "headline and main event differ on the end")
 
 
@@ -540,6 +542,9 @@ FIELDS = {
     ],
     "events[].override": lambda views, value: views.shown(value, "the kind of override", screen=False),
     "events[].size": SHOWN,
+    "events[].gives": HIDDEN,  # in words in the event's reason, to one digit
+    "events[].grew_until_s": HIDDEN,  # in the headline
+    "events[].shared": HIDDEN,
     "events[].unit": word("the unit of a contact"),
     "events[].times": HIDDEN,  # the first in the headline, all in the report's JSON
     "events[].durations": HIDDEN,  # the shortest and the longest in the event's reason

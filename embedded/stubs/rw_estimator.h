@@ -12,7 +12,7 @@ typedef struct {
     char nothing;
 } rw_estimator_workspace;
 typedef struct {
-    rw_real theta[RW_ROTORS], theta_sd[RW_ROTORS], share[RW_PLACES], onsets[RW_PLACES];
+    rw_real theta[RW_ROTORS], theta_sd[RW_ROTORS], gives[RW_ROTORS], share[RW_PLACES], onsets[RW_PLACES];
     rw_real probability[RW_HYPOTHESES], log_odds[RW_HYPOTHESES];
     rw_real opposite_onset, opposite_loss[2];
     int32_t opposite;
