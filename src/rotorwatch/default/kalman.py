@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch.default import hypotheses, noise, plant, posterior
+from rotorwatch.default import noise, plant, posterior
 from rotorwatch.default.plant import AIR, B1, B2, B3, CURVE, PER_AXIS
 from rotorwatch.default.posterior import Branches
 
@@ -70,8 +70,7 @@ def predict(branches: Branches, decay, variances, burst_factor, flying, dt) -> B
         P = P * known[:, None] * known[None, :]
         learning = jnp.where(moving, MOVING_S, jnp.maximum(learning - dt, 0.0))
         Q = jnp.diag(jnp.concatenate([q_x, (learning > 0) * THETA_WALK * dt]))
-        over = finished & (theta < hypotheses.NONE)
-        s = s * jnp.concatenate([jnp.ones(n_x), jnp.where(over, 0.0, 1.0)])
+        over = finished & (theta < plant.BUILT_SD)
         theta_var = jnp.where(over, 0.0, jnp.where(finished, var, theta_var))
         return A * s, A[:, None] * P * A[None, :] + Q, active & ~over, learning, theta_var, mean
 

@@ -169,9 +169,9 @@ def _child(
     theta, sd = s[n_x:], jnp.sqrt(jnp.maximum(jnp.diagonal(P)[n_x:], 0.0))
     taken_back = (jump.each.sum(axis=0) < 0) & (theta < jnp.maximum(hypotheses.NONE, 2.0 * sd))
     off = jump.rotors & (jnp.asarray(hyp.well)[h] | taken_back)
-    for i in range(n):  # a rotor that is well again: what if its loss were known to be none
+    for i in range(n):  # a rotor that is well again: what if its loss were known to be none, but for how rotors differ
         column = P[:, n_x + i]
-        variance = jnp.maximum(column[n_x + i], 1e-12)
+        variance = jnp.maximum(column[n_x + i], 1e-12) + plant.BUILT_SD**2
         s = jnp.where(off[i], s - column * (s[n_x + i] / variance), s)
         P = jnp.where(off[i], P - column[:, None] * column[None, :] / variance, P)
     return Branches(

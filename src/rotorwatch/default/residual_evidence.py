@@ -23,7 +23,7 @@ LASTS_S = 1.0
 TRIM_S = 2.0  # over which the trim before and after it was learned afresh is averaged
 # By how much the commanded wrench of trim is uncertain, in hover thrusts of one rotor, and how much of its change a rotor must explain.
 TRIM_SD = np.array([0.05, 0.05, 0.15, 0.2])
-LEAST_TRIM, UNEXPLAINED = 0.2, 0.55
+LEAST_TRIM, UNEXPLAINED = 0.2, 0.52
 
 
 @dataclass(frozen=True)
