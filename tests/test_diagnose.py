@@ -131,7 +131,7 @@ def spoilt(flight, after):
     )
 
 
-@pytest.mark.parametrize("later", [0.05, 3.0])
+@pytest.mark.parametrize("later", [0.3, 3.0])  # sooner, garbage ends the loss, and one of a moment is none
 def test_what_was_announced_does_not_depend_on_what_came_later(later, monkeypatch):
     path = sample(FAULTY)
     (event,) = losses(judged(path))

@@ -5,7 +5,6 @@ import pytest
 
 from rotorwatch import airframes
 from rotorwatch.default import kalman, noise, plant, posterior
-from rotorwatch.default.hypotheses import NONE
 from rotorwatch.default.plant import B1, B2, B3, PER_AXIS, WrenchBalance
 from rotorwatch.default.posterior import NEVER, PLACES
 
@@ -109,17 +108,17 @@ def test_a_loss_that_has_been_refined_is_known_its_variance_remembered():
     """At the end of its time: no more cross terms, no walk, the variance as it was, times the doubt. Others go on."""
     learning = np.tile([DT, 3.0, 0.0, DT], (PLACES, 1))
     b = branches(learning=learning, P=1e-6 * branches().P)
-    b.s[:, N_X:] = [0.2, 0.2, 0.2, NONE - 0.001]
-    b.theta_mean[:, 3] = NONE - 0.001
+    b.s[:, N_X:] = [0.2, 0.2, 0.2, plant.BUILT_SD - 0.001]
+    b.theta_mean[:, 3] = plant.BUILT_SD - 0.001
     after = predict(b, burst_factor=2.0)
     P = np.asarray(after.P)
     assert not P[:, N_X, :].any() and not P[:, :, N_X].any() and P[:, N_X + 1, N_X + 1].all() and P[:, N_X + 1, 0].all()
     assert np.asarray(after.theta_var)[:, 0] == pytest.approx(2.0 * b.P[:, N_X, N_X]) and np.asarray(after.theta_var)[
         :, 1
     ] == pytest.approx(1e-4)
-    # One that turned out to be none is over.
+    # One that turned out to be no more than how rotors differ is over, and stays known as that.
     assert np.asarray(after.active).tolist() == [[True, True, True, False]] * PLACES
-    assert np.asarray(after.s)[:, N_X:] == pytest.approx(np.tile([0.2, 0.2, 0.2, 0.0], (PLACES, 1)))
+    assert np.asarray(after.s)[:, N_X:] == pytest.approx(np.tile([0.2, 0.2, 0.2, plant.BUILT_SD - 0.001], (PLACES, 1)))
     assert not np.asarray(after.theta_var)[:, 3].any() and not np.asarray(after.learning)[:, [0, 3]].any()
 
 
