@@ -33,7 +33,7 @@ WASH, WASH_SINK = 0.1, 1.0
 LASTING_MEMORY_S = 30.0
 GUST_SHARE, LEAST_GAIN = 2.0, 0.3
 FAR, FAR_ERROR = 0.3, 0.5
-SIDE_FORCE = 0.05  # g: a side force that has changed by more, within seconds, comes from outside
+SIDE_FORCE = 0.2  # g: a side force that has changed by more, within seconds, comes from outside
 # Shares of full thrust: up to the first a rotor gives what it is commanded; from the second on it is at its limit and may give only the
 # first: batteries sag, speed controllers and simulated motors reach their end early.
 BELOW_LIMIT, AT_LIMIT = 0.6, 0.9
