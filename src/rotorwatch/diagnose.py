@@ -272,7 +272,7 @@ def _concluded(ready: Prepared, logged: Ticks, done: Estimated, found: Merged) -
     )
     steps, seen_events = unseen.of(out, table, B), found.events
     if done.own and ready.hovers:
-        seen_events, spells = ledger.weighed(found, steps, spells, float(table.time[-1]))
+        seen_events, spells = ledger.weighed(found.events, steps, spells, float(table.time[-1]), found.grown)
     hidden, hidden_pair = _hidden(out, table, steps, B)
     seen = conclusion.Evidence(
         seen_events, n, whole, hidden, hidden_pair, float(judged.sum() * table.dt), spells, places.names(craft.rotors), air,

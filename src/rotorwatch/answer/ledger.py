@@ -117,14 +117,18 @@ def believed(events: Iterable[Event], until: float = np.inf) -> tuple[Event, ...
 
 
 def weighed(
-    found: Merged, steps: Unseen, spells: Sequence[ResidualEvidence], end_s: float
+    events: Sequence[Event],
+    steps: Unseen,
+    spells: Sequence[ResidualEvidence],
+    end_s: float,
+    grown: slow.Growth | None = None,
 ) -> tuple[tuple[Event, ...], tuple[ResidualEvidence, ...]]:
     """The events and the evidence that none of them explains (`spells`, until `end_s`), with what the whole flight's trim and steps say of
     both."""
     suspected: tuple[ResidualEvidence, ...] = ()
-    if main_event(found.events) is None:
-        suspected = slow.suspected(found.grown, found.events) or steps.suspected(found.events, end_s)
-    return steps.doubted(found.events), suspected or tuple(spells)
+    if main_event(events) is None:
+        suspected = slow.suspected(grown, events) or steps.suspected(events, end_s)
+    return steps.doubted(events), suspected or tuple(spells)
 
 
 def main_event(events: Sequence[Event]) -> int | None:

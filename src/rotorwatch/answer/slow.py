@@ -133,20 +133,23 @@ def find(out, table: Ticks, B: np.ndarray) -> Growth | None:
         return None
     starts, rises = _courses(seen.at)
     logs, nothing = _weighed(seen, B, starts, rises)
-    rotor = _sum(logs, (0, 2))  # (n,), with the prior
+    rotor = np.logaddexp.reduce(logs, (0, 2))  # (n,), with the prior
     best = int(rotor.argmax())
-    rest = np.logaddexp(nothing, _sum(np.delete(rotor, best), 0))
+    rest = np.logaddexp(nothing, np.logaddexp.reduce(np.delete(rotor, best), 0))
     if rotor[best] < rest:
         return None
     grows = rises * seen.length >= GROWS_S
-    grew = bool(grows.any() and _sum(logs[grows][:, best], (0, 1)) > _sum(logs[~grows][:, best], (0, 1)))
+    grew = bool(
+        grows.any()
+        and np.logaddexp.reduce(logs[grows][:, best], (0, 1)) > np.logaddexp.reduce(logs[~grows][:, best], (0, 1))
+    )
     grows = grows if grew else ~grows
     who = np.flatnonzero(rotor > rotor[best] + np.log(CREDIBLE))
     who = who[np.argsort(-rotor[who])]
     each = [_size(logs[grows][:, i], B, table.curve[1]) for i in who]
     if each[0][1] < dict(SCALE)["worn"]:
         return None
-    weight = np.exp(_sum(logs[grows][:, best], 1) - rotor[best])
+    weight = np.exp(np.logaddexp.reduce(logs[grows][:, best], 1) - rotor[best])
     start, end = (
         float(seen.time[0] + seen.length * (_quantile(of[grows], weight, share) - seen.at[0]))
         for of, share in ((starts, BEGUN), (starts + rises, 0.5))
@@ -170,7 +173,7 @@ def _quantile(values: np.ndarray, weight: np.ndarray, share: float) -> float:
 
 def _size(logs: np.ndarray, B: np.ndarray, curve_sd: float) -> tuple[float, float, float]:
     """(loss, low, high) of one rotor, of its log-odds (courses, sizes). curve_sd: of the expo of the thrust curve, as in `Ticks`."""
-    weight = np.exp(_sum(logs, 0) - logs.max())
+    weight = np.exp(np.logaddexp.reduce(logs, 0) - logs.max())
     mean = float(weight @ SIZES / weight.sum())
     sd = np.sqrt(weight @ (SIZES - mean) ** 2 / weight.sum() + (0.5 * (SIZES[1] - SIZES[0])) ** 2)
     steeper = CURVE_SHARE * curve_sd / CURVE_SD * mean  # as in `losses.sd_of`, of a curve that nothing has told
@@ -225,11 +228,11 @@ def _weighed(seen: Trim, B: np.ndarray, starts: np.ndarray, rises: np.ndarray) -
     for axis in range(3):
         none = log_fit(axis, 0, np.zeros(1))[0, 0]
         density = np.gradient(AMOUNTS) / (np.pi * DRIFT[axis] * (1.0 + (AMOUNTS / DRIFT[axis]) ** 2))
-        drift = _sum(log_fit(axis, 0, AMOUNTS) + np.log(density), 1) - none
+        drift = np.logaddexp.reduce(log_fit(axis, 0, AMOUNTS) + np.log(density), 1) - none
         together += drift
-        apart += np.logaddexp(0.0, _sum(drift, 0) - np.log(C)) - np.log(2.0)
+        apart += np.logaddexp(0.0, np.logaddexp.reduce(drift, 0) - np.log(C)) - np.log(2.0)
         logs += log_fit(axis, slice(1, None), SIZES * B[axis, :, None]) - none
-    other = _sum(np.array([0.0, _sum(together, 0) - np.log(C), apart]), 0) - np.log(3.0)
+    other = np.logaddexp.reduce(np.array([0.0, np.logaddexp.reduce(together, 0) - np.log(C), apart]), 0) - np.log(3.0)
     return logs + np.log(RARE / (C * n * SIZES.size)), float(other)
 
 
@@ -239,14 +242,6 @@ def _lines(at: np.ndarray) -> np.ndarray:
     near = (np.abs(apart) <= SMOOTH).astype(float)
     m0, m1, m2 = near.sum(axis=1), (near * apart).sum(axis=1), (near * apart**2).sum(axis=1)
     return near * (m2[:, None] - m1[:, None] * apart) / np.maximum(m0 * m2 - m1**2, 1e-9)[:, None]
-
-
-def _sum(logs: np.ndarray, axis) -> np.ndarray:
-    """log of the sum of exp."""
-    if not logs.size:
-        return np.array(-np.inf)
-    most = logs.max(axis=axis, keepdims=True)
-    return np.squeeze(most, axis) + np.log(np.exp(logs - most).sum(axis=axis))
 
 
 def join(losses: Sequence[Event], grown: Growth | None) -> tuple[Event, ...]:

@@ -53,7 +53,7 @@ FILES = {
 NOT_CHOSEN = {
     "plant.PER_AXIS", "plant.SIDEWAYS", "plant.AXIS_STATES", "plant.B1", "plant.B2", "plant.B3", "plant.GAIN", "plant.DAMPING", "plant.AIR",
     "announcement.FALSE_ALARM_PERIOD_S", "bank.SLOTS", "bank.STRIDES", "bank.SLOW_S", "noise.LAGS", "hypotheses.DISTURBANCES",
-    "kalman.BIASES", "posterior.NEVER", "posterior.PLACES", "evidence.NOTHING", "hypotheses.NEVER", "losses.WITHIN_95", "losses.CANCELS",
+    "kalman.BIASES", "posterior.NEVER", "posterior.PLACES", "hypotheses.NOTHING", "losses.WITHIN_95", "losses.CANCELS",
 }  # fmt: skip
 WORDS = ("off", "half", "double")
 SOON_S = 10.0  # a fault that is announced within so much counts as found

@@ -46,7 +46,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -141,9 +141,8 @@ class Plan:
         """Of which kind flight k is, drawn by share from (seed, k); None in a plan without kinds."""
         if not self.kinds:
             return None
-        shares = np.array([kind.share for kind in self.kinds])
         rng = np.random.default_rng([self.seed, k, 1])
-        return self.kinds[int(rng.choice(len(shares), p=shares / shares.sum()))]
+        return self.kinds[_by_share([kind.share for kind in self.kinds], rng)]
 
     def flight(self, k: int) -> Scenario:
         """The scenario of flight k, drawn from (seed, k)."""
@@ -167,8 +166,7 @@ class Plan:
         """One of `faults` by share, or None for a flight without."""
         if not self.faults or rng.random() < self.healthy:
             return None
-        shares = np.array([f["share"] for f in self.faults])
-        return self.faults[int(rng.choice(len(shares), p=shares / shares.sum()))]
+        return self.faults[_by_share([f["share"] for f in self.faults], rng)]
 
 
 def read(path: str | os.PathLike) -> Plan:
@@ -232,6 +230,12 @@ def from_table(table: Mapping[str, Any], text: str = "") -> Plan:
         judge=fields["judge"],
         kinds=kinds,
     )
+
+
+def _by_share(shares: Sequence[float], rng: np.random.Generator) -> int:
+    """Which of some is drawn, each by its share of all."""
+    weights = np.array(shares)
+    return int(rng.choice(len(weights), p=weights / weights.sum()))
 
 
 def _kinds(rows: Any, template: dict[str, Any], cells: tuple[Cell, ...]) -> tuple[Kind, ...]:

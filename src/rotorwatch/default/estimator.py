@@ -210,7 +210,7 @@ class JumpBank:
         mine = jnp.where(jnp.arange(alike.size) == first, found.log_odds, -jnp.inf).max()
         other = jnp.maximum(found.log_odds, mine + posterior.ALIKE)
         odds = jnp.where(alike & alike[first], other, found.log_odds)
-        even = found._replace(log_odds=jnp.where(shared & ~alike, 2.0 * evidence.NOTHING, odds))
+        even = found._replace(log_odds=jnp.where(shared & ~alike, 2.0 * hypotheses.NOTHING, odds))
         branches = posterior.born(
             branches, hyp, statistics, even, alike, first, alarm, alarm_decision.absorbed, system.B
         )
@@ -224,7 +224,8 @@ class JumpBank:
 
         after = Carry(branches, noises, onsets, memory, missing, alarm_state, opposite_s)
         weak = branches.active[0]
-        shown = jnp.where(weak, jnp.clip(after.s[n_x:], 0.0, 1.0), 0.0)
+        each = jnp.where(branches.active, jnp.clip(branches.s[:, n_x:], 0.0, 1.0), 0.0)
+        shown = each[0]
         # The filter believes its noise model; where innovations have been larger or longer than that, so is the error.
         unsure = opposite.common(shown, branches.alike[0])
         # What of the curve is still open is open of a loss, too: by as much as the rotor is commanded more than is usual, and still gives.
@@ -252,7 +253,7 @@ class JumpBank:
             announced=alarm | (alarm_decision.absorbed & active.any()),
             onsets=branches.onset,
             active=branches.active,
-            each=jnp.where(branches.active, jnp.clip(branches.s[:, n_x:], 0.0, 1.0), 0.0),
+            each=each,
             share=posterior.shares(branches),
             gives=jnp.where(weak, branches.gives[0], 0.0),
             built=rows[:, n_x:] @ jnp.where(weak, 0.0, after.s[n_x:]),

@@ -14,10 +14,9 @@ from typing import NamedTuple
 
 from rotorwatch.core import Array
 from rotorwatch.default import bank, hypotheses, noise
-from rotorwatch.default.hypotheses import Hypotheses
+from rotorwatch.default.hypotheses import NOTHING, Hypotheses
 
 DISTURBANCE_SCALE, DISTURBANCE_RANGE = 3.0, (0.03, 1.0)
-NOTHING = hypotheses.NEVER
 
 
 class Evidence(NamedTuple):

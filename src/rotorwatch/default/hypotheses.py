@@ -36,7 +36,7 @@ WEIGHT = {"pair": losses.PAIR_WEIGHT, "stuck": 0.1, "disturbance": 3.0}
 # By what share of it a loss that ends may differ from what it was thought to be.
 RECOVERY_SHARE = 0.3
 # Hover thrusts that a rotor gives at least that is told to give one thrust; nats of what cannot be.
-MORE, NEVER = 1.25, -50.0
+MORE, NOTHING = 1.25, -50.0
 # Disturbances: which of roll, pitch, yaw, thrust they touch.
 DISTURBANCES = ((0,), (1,), (2,), (3,), (0, 3), (1, 3), (2, 3), (0, 1, 2), (0, 1, 2, 3))
 
@@ -182,7 +182,7 @@ def one_thrust(C, z, hi, B, full):
     left = -(z[:, n:] @ B) - cross * hi
     factor, thrust, variance = near(c, left, 0.5 * (1.0 + full), (0.5 * (full - 1.0)) ** 2 + 1e-6, 0.0, full)
     factor = factor + z[:, :n] * hi - 0.5 * own * hi**2
-    return jnp.where(thrust > MORE, factor, NEVER), jnp.stack([thrust, variance])
+    return jnp.where(thrust > MORE, factor, NOTHING), jnp.stack([thrust, variance])
 
 
 def loss(c, z, lo, hi):

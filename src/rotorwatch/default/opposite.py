@@ -51,8 +51,8 @@ def suspect(
     n, slow = hyp.n, jnp.asarray(onsets.slow)
     log_bf, nu = shared(hyp, statistics.C, statistics.z)
     usable = ~slow[:, None] & torque_free(hyp, B)[None, :] & (nu > hypotheses.NONE) & found.live[:, None]
-    fit = jnp.where(usable, log_bf, evidence.NOTHING)
-    free_fit = jnp.where(found.live[:, None], found.log_bf[:, ~hyp.fault], evidence.NOTHING)
+    fit = jnp.where(usable, log_bf, hypotheses.NOTHING)
+    free_fit = jnp.where(found.live[:, None], found.log_bf[:, ~hyp.fault], hypotheses.NOTHING)
     best, gradual, sudden = fit.max(), free_fit[onsets.slow].max(), free_fit[~onsets.slow].max()
     pair = jnp.argmax(fit.max(axis=0))
     slot = jnp.argmax(fit[:, pair])

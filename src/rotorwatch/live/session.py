@@ -250,9 +250,7 @@ class Session:
         """The events `found` and the evidence that none of them explains, with what all of the flight says of both."""
         if self._judge is None or self._judge.now is None:
             return tuple(found), ()
-        seen, spells = ledger.weighed(
-            ledger.Merged(tuple(found), ()), self._judge.unseen, (), float(self._judge.now[0].time[-1])
-        )
+        seen, spells = ledger.weighed(found, self._judge.unseen, (), float(self._judge.now[0].time[-1]))
         return seen, () if self.doubt else spells
 
     def blind(self) -> str:

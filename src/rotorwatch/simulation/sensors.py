@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from rotorwatch.simulation import rotation
+
 RESET_S = 4.0  # an estimator finds back after a jump with this time constant
 
 
@@ -30,9 +32,8 @@ def jumped(record: Any, at: float, tilt: float, yaw: float, speed: float, rng) -
     about, to = rng.uniform(0.0, 2.0 * np.pi, 2)
     half = 0.5 * size * np.array([tilt * np.cos(about), tilt * np.sin(about), yaw])
     angle = np.linalg.norm(half, axis=1, keepdims=True)
-    w, v = np.cos(angle), half * np.sinc(angle / np.pi)
-    a, b = record.q[:, :1], record.q[:, 1:]
-    q = np.concatenate([w * a - np.sum(v * b, axis=1, keepdims=True), w * b + a * v + np.cross(v, b)], axis=1)
+    turn = np.concatenate([np.cos(angle), half * np.sinc(angle / np.pi)], axis=1)
+    q = np.asarray(rotation.multiply(turn.T, record.q.T)).T
     off = size * speed * np.array([np.cos(to), np.sin(to), 0.3])
     return record._replace(q=q, v=record.v + off, p=record.p + off)
 
