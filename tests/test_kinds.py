@@ -121,6 +121,15 @@ def test_what_a_kind_means_is_asked_of_its_row(event):
     assert believed((event,), 60.0) == (() if row.by_outputs else (event,)) and believed((event,), 10.0) == (event,)
 
 
+def test_a_rotor_that_follows_no_command_is_said_so_everywhere():
+    event = hexa_event(end_s=None, loss=(0.98,), interval=((0.9, 1.0),), extra={"gives": 2.14})
+    answer = hexa_diagnosis(events=(event,))
+    for text in (answer.headline, answer.reason, view.words(event, 50.0)):
+        assert "it gives 2.1 times the thrust of hover" in text and "98 %" not in text
+    alert = {"type": "event", "state": "announced", "vehicle": "1", "number": 1, "event": event.to_dict()}
+    assert ground.text_of(alert)[0] == "rotorwatch: rotor 3 stuck at 214 %"
+
+
 def test_a_kind_without_words_of_its_own_has_the_plain_ones():
     (row,) = (r for r in PLANTED if r.name == "gives_more")
     answer = hexa_diagnosis(events=(an_event(row.name),))

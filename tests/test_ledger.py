@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -9,9 +10,12 @@ from hypothesis import strategies as st
 from conftest import hexa_event, trials
 from rotorwatch import airframes
 from rotorwatch.answer import ledger
+from rotorwatch.default import events
 from rotorwatch.default.events import Report
 from rotorwatch.flight.diagnosis import Source
 from rotorwatch.flight.kinds import CONTACT, DESYNC, LOSS, LOST, OVERRIDE, SLOW
+from rotorwatch.motion.deviations import Override
+from rotorwatch.motion.ticks import Ticks
 
 B = airframes.named("ardupilot-hexa-x").effectiveness()
 
@@ -112,3 +116,12 @@ def test_who_testifies_first_does_not_matter_and_nothing_is_said_twice(claims, r
         )
         early = (h for h in claims if h.source is Source.HINDSIGHT and h.rotors == claim.rotors)
         assert id(claim) in said or (claim.kind == LOSS and (any(outputs) or any(early)))
+
+
+def test_outputs_that_left_together_are_the_logs_and_explain_losses_in_campaigns_too(monkeypatch):
+    together = [Override(r, "overridden", 20.0, 20.3, 40.0, "it left the mixer", shared=True) for r in (2, 5)]
+    monkeypatch.setattr(events, "deviating", lambda *_: together)
+    ticks = Ticks(*[np.empty(0)] * 2, np.empty((0, 6)), *[np.empty((0, 4))] * 3, *[np.empty(0)] * 5, 0.05, np.empty(0, bool))
+    claims = events.overrides(None, airframes.named("ardupilot-hexa-x"), (), ticks)
+    assert [c.rotors for c in claims] == [(2,), (5,)] and all(map(events.shared, claims))
+    assert merged(*claims, loss(20.5)).events == () and merged(loss(20.5)).events == (loss(20.5),)

@@ -143,8 +143,9 @@ def said(words: Words | str, event: Event, places: Sequence[str] = (), **more: s
         "numbers": listed([str(r) for r in event.rotors]),
         "servos": listed([f"SERVO{r}_FUNCTION" for r in event.rotors]),
         "losses": losses(event),
-        "lost": lost(event, "thrust"),
-        "lost_effect": lost(event, "its effectiveness"),
+        "lacks": lost(event),
+        "lost": lost(event, " of thrust"),
+        "lost_effect": lost(event, " of its effectiveness"),
         "at": seconds(event.onset_s),
         "when": when(event),
         "end": seconds(event.end_s),
@@ -158,11 +159,11 @@ def said(words: Words | str, event: Event, places: Sequence[str] = (), **more: s
     return template.format_map(pieces | more)
 
 
-def lost(event: Event, what: str) -> str:
-    """'lost 37 % (33-41 %) of thrust'; of a rotor that follows no command, what it gives."""
+def lost(event: Event, what: str = "") -> str:
+    """'lost 37 % (33-41 %)' and what; of a rotor that follows no command, what it gives."""
     gives = event.extra.get("gives")
     if gives is None:
-        return f"lost {losses(event)} of {what}"
+        return f"lost {losses(event)}{what}"
     return f"stopped following its command (it gives {gives:.1f} times the thrust of hover)"
 
 

@@ -211,11 +211,11 @@ class Report:
 
 
 def overrides(flight: Flight, vehicle: Vehicle, air, table: Ticks) -> tuple[Event, ...]:
-    """Outputs that do not follow the mixer; none that leaves it only once the vehicle tumbles: by then mixers, failsafes and pilots do
-    what they can."""
+    """Outputs that do not follow the mixer, those that the log has wrong (`shared`) at the end; none that leaves it only once the vehicle
+    tumbles: by then mixers, failsafes and pilots do what they can."""
     found = claimed(flight, vehicle, air)
     known = Report(vehicle.effectiveness()).add(table, air).finish(air).events((), found)
-    return tuple(e for e in known if e.kind == OVERRIDE)
+    return tuple(e for e in (*known, *filter(shared, found)) if e.kind == OVERRIDE)
 
 
 def shared(event: Event) -> bool:
@@ -270,6 +270,7 @@ def packed(events: Sequence[Event]) -> Rows:
         onset=np.array([e.onset_s for e in events]), detected=np.array([e.detected_s for e in events]),
         end=np.array([_end(e) for e in events]), probability=np.array([e.probability for e in events]),
         rotors=np.array([_mask(e.rotors) for e in events]), kind=np.array([kind(e) for e in events]),
+        size=np.array([e.extra.get("gives", 0.0) for e in events]),
         alternative_count=np.array([len(e.alternatives) for e in events]), detail=np.array([detail(e) for e in events]),
         loss=lists("loss", [list(e.loss[:TOGETHER]) for e in events]),
         lower=lists("lower", [[low for low, _ in e.interval[:TOGETHER]] for e in events]),

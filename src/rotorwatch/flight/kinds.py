@@ -128,7 +128,7 @@ ROWS = (
         now=Words("weak since {at}", "one of several explanations since {at}"),
         past=Words("was weak from {at} to {end}", "may have been weak from {at} to {end}"),
         advice=Words("Do not fly again before {who} has been looked at: {parts}.", ""),
-        watch=Words("{who} lost {losses} since {ago}{over}{others}"),
+        watch=Words("{who} {lacks} since {ago}{over}{others}"),
     ),
     Kind(
         OVERRIDE, "output overridden", "an output does not follow the mixer: stuck, off, replaced", Weight.FAULT, Span.LASTS,

@@ -28,9 +28,9 @@ class Words(Struct):
             self._rotors(e.rotors)
             self._add(" ")
         if e.kind == LOSS and e.size > 0.0:
-            self._add("follows no command, gives ")
+            self._add("stuck at ")  # of hover's thrust, as far as there is room
             self._percent(e.size)
-            self._add(" % of hover")
+            self._add(" %")
         elif e.kind == LOSS:
             self._add("lost ")
             place = 0

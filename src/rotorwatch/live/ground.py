@@ -132,7 +132,7 @@ def text_of(alert: dict) -> tuple[str, int]:
         stands = "stands" in alert["text"]
         text = f"rotorwatch: ESC: rotor {alert['rotor']} {'stands' if stands else 'turns again'}"
         return text, CRITICAL if stands else NOTICE
-    event: Any = SimpleNamespace(extra={}, **alert["event"])
+    event: Any = SimpleNamespace(**alert["event"], extra=alert["event"])
     withdrawn = alert["state"] == WITHDRAWN
     kind = of(event.kind)
     what, upset = kind.brief or kind.noun, kind.weight is Weight.UPSET
