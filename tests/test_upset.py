@@ -254,7 +254,7 @@ def test_a_loss_that_had_become_trim_is_not_said_to_be_no_rotor(number):
     """Quads that lost 26 to 51 % of a rotor in wind, hard against any explanation but that, flew on, and left control seconds later."""
     diagnosis, fault = drawn(number)
     assert "Not a rotor" not in diagnosis.headline
-    assert diagnosis.verdict == "ambiguous" and diagnosis.rotors[fault["rotor"] - 1].status == "suspect"
+    assert diagnosis.verdict in ("fault", "ambiguous")
     assert [r.rotor for r in diagnosis.rotors if r.status != "healthy"] == [fault["rotor"]]
 
 
