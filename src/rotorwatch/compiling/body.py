@@ -50,10 +50,12 @@ BINARY = {
 }
 BITS = {ast.BitAnd: "&", ast.BitOr: "|", ast.BitXor: "^", ast.LShift: "<<", ast.RShift: ">>"}  # of whole numbers
 MODULO = {"sum32": "+", "difference32": "-", "shift32": "<<"}  # of whole numbers, of 32 bits
+ROUNDED = {"sqrt": "RW_ROOT", "exp": "RW_EXP", "log": "RW_LOG"}  # of a number in the library's precision
 COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 BUILTIN = (
     "sqrt",
     "exp",
+    "log",
     "isnan",
     "floor",
     "abs",
@@ -423,7 +425,7 @@ class Body:
             return Code(f"!{one.within(14)}", Type("flag"), 14)
         what = Type(WIDE.get(one.type.base, one.type.base))
         if isinstance(node.op, ast.USub):
-            return Code(f"-{one.within(14)}", what, 14)
+            return Code(f"-{one.within(15)}", what, 14)
         if isinstance(node.op, ast.Invert) and what.base in ("int", "ilit"):
             return Code(f"~{one.within(14)}", what, 14)
         raise self.wrong(node, "this sign is not C")
@@ -538,9 +540,9 @@ class Body:
             what = Type({"int": "int", "float": "time", "real": "real"}[name])
             fixed = first.type.base == "lit" and what.base == "int"  # of a number that is written out, the whole part
             return Code(f"(int32_t){first.within(14)}" if fixed else self.cast(first, what), what, 14)
-        if name in ("sqrt", "exp", "floor"):
+        if name in ROUNDED or name == "floor":
             own = first.type.base == "real"
-            called = {"sqrt": "RW_ROOT" if own else "sqrt", "exp": "RW_EXP" if own else "exp", "floor": "floor"}[name]
+            called = ROUNDED[name] if own and name != "floor" else name
             return Code(
                 f"{called}({self.cast(first, Type('real' if own else 'time'))})", Type("real" if own else "time")
             )

@@ -149,7 +149,7 @@ def _copied(value: Any) -> Any:
     return value
 
 
-sqrt, exp, isnan, floor = math.sqrt, math.exp, math.isnan, math.floor
+sqrt, exp, log, isnan, floor = math.sqrt, math.exp, math.log, math.isnan, math.floor
 
 
 def real(value: float) -> Real:

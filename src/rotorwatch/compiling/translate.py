@@ -39,9 +39,11 @@ typedef double rw_time;
 HELPERS = """#ifdef ROTORWATCH_FLOAT
 #define RW_ROOT sqrtf
 #define RW_EXP expf
+#define RW_LOG logf
 #else
 #define RW_ROOT sqrt
 #define RW_EXP exp
+#define RW_LOG log
 #endif
 
 static inline rw_real min_real(rw_real a, rw_real b) { return b < a ? b : a; }
