@@ -43,6 +43,8 @@ TYPES = {
 WHOLE = "int", "mask", "small"  # kinds of numbers that are int32 as arguments
 # No fused multiply and add: the same operations as Python's.
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-shared")
+# ... many of them at once, for what is mostly arithmetic: as wide as the processor has it.
+VECTORS = ("-O3", "-fno-trapping-math")
 
 TRANSLATOR = tuple(f"compiling/{name}.py" for name in ("structs", "body", "translate"))
 """Files that every definition is made by."""
@@ -133,10 +135,17 @@ def _fill(one: Any, name: str, value: Any) -> None:
 
 class Definition:
     """Modules of definitions. name: what the library is called; sizes: the module with the sizes of arrays; files: of the package, that
-    these are, by default all in the room of that name."""
+    these are, by default all in the room of that name; vectors: built for each level of processors (shipped.LEVELS), not once for all."""
 
-    def __init__(self, name: str, modules: Sequence[ModuleType], sizes: ModuleType, files: Sequence[str] | None = None):
-        self.name, self.modules, self.sizes = name, tuple(modules), sizes
+    def __init__(
+        self,
+        name: str,
+        modules: Sequence[ModuleType],
+        sizes: ModuleType,
+        files: Sequence[str] | None = None,
+        vectors: bool = False,
+    ):
+        self.name, self.modules, self.sizes, self.vectors = name, tuple(modules), sizes, vectors
         self.files = shipped.files_in(name) if files is None else sorted([*files, *TRANSLATOR])
         self._types: dict[type[Struct], np.dtype] = {}
         self._other: dict[str, float] = {}
@@ -148,7 +157,7 @@ class Definition:
             return None
         path = None if self._other else self._shipped()
         try:
-            return ctypes.CDLL(str(path or self.build(toolchain.folder())))
+            return ctypes.CDLL(str(path or self.build(toolchain.folder(), self._levels()[0])))
         except (toolchain.Unavailable, OSError):
             return None
 
@@ -183,22 +192,28 @@ class Definition:
         """The library that came with the package, if it is of these files and whole."""
         try:
             known = json.loads((shipped.FOLDER / shipped.DEFINITIONS).read_text(encoding="utf-8"))[self.name]
-            file, sha256 = known["library"]
-            fits = known["digest"] == self.digest and known["target"] == shipped.target()
-        except (OSError, ValueError, KeyError, TypeError):
+            libraries = (
+                known["libraries"] if known["digest"] == self.digest and known["target"] == shipped.target() else {}
+            )
+            file, sha256 = next(libraries[level] for level in self._levels() if level in libraries)
+        except (OSError, ValueError, KeyError, TypeError, StopIteration):
             return None
         path = shipped.FOLDER / file
-        return path if fits and shipped.digest_of(path) == sha256 else None
+        return path if shipped.digest_of(path) == sha256 else None
 
-    def ship(self, folder: Path) -> None:
-        """Put the library into the folder of what comes with the package, beside those of other definitions."""
-        name = f"{self.name}.so"
-        shutil.copyfile(self.build(toolchain.folder()), folder / name)
-        known = {
-            "digest": self.digest,
-            "target": shipped.target(toolchain.processor()),
-            "library": [name, shipped.digest_of(folder / name)],
-        }
+    def _levels(self) -> tuple[str, ...]:
+        """Levels of processors whose code this computer runs, best first."""
+        return shipped.levels() if self.vectors else (shipped.BASELINE,)
+
+    def ship(self, folder: Path, levels: Sequence[str] = (shipped.BASELINE,)) -> None:
+        """Put the library into the folder of what comes with the package, beside those of other definitions. levels: of processors, where
+        each has its own."""
+        libraries = {}
+        for level in levels if self.vectors else (shipped.BASELINE,):
+            name = f"{self.name}{level and '-' + level}.so"
+            shutil.copyfile(self.build(toolchain.folder(), level), folder / name)
+            libraries[level] = name, shipped.digest_of(folder / name)
+        known = {"digest": self.digest, "target": shipped.target(toolchain.processor()), "libraries": libraries}
         index = folder / shipped.DEFINITIONS
         others = json.loads(index.read_text(encoding="utf-8")) if index.exists() else {}
         index.write_text(json.dumps({**others, self.name: known}, indent=1) + "\n", encoding="utf-8")
@@ -211,11 +226,12 @@ class Definition:
         config = "".join(f"#define RW_{name} {value}\n" for name, value in whole.sizes.items())
         return config, whole.header("For this computer.", name=self.name), whole.source(f"rw_{self.name}.h")
 
-    def build(self, folder: Path) -> Path:
-        """The library in a folder, built unless it is there. Raises toolchain.Unavailable."""
+    def build(self, folder: Path, level: str = shipped.BASELINE) -> Path:
+        """The library in a folder, built unless it is there. level: of processors that it is for. Raises toolchain.Unavailable."""
         compiler = toolchain.compiler()
+        flags = (*FLAGS, *(VECTORS if self.vectors else ()), *([f"-march={level}"] if level else ()))
         key = hashlib.sha256(
-            "\0".join([self.digest, repr(self._other), *FLAGS, toolchain.machine()]).encode()
+            "\0".join([self.digest, repr(self._other), *flags, toolchain.machine()]).encode()
         ).hexdigest()
         goal = folder / f"{self.name}-{key[:32]}.so"
         seal = goal.with_suffix(".sha256")
@@ -226,7 +242,7 @@ class Definition:
             for name, text in zip(("rw_config.h", f"rw_{self.name}.h", f"rw_{self.name}.c"), self.translated()):
                 (place / name).write_text(text, encoding="utf-8")
             made = place / "made.so"
-            command = [compiler, *FLAGS, "-o", str(made), str(place / f"rw_{self.name}.c"), "-lm"]
+            command = [compiler, *flags, "-o", str(made), str(place / f"rw_{self.name}.c"), "-lm"]
             done = subprocess.run(command, capture_output=True, text=True, check=False)
             if done.returncode:
                 message = (done.stderr.strip().splitlines() or ["nothing said"])[0]

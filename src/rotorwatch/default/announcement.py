@@ -17,14 +17,7 @@ from rotorwatch.core import Array
 from rotorwatch.default import bank, hypotheses, noise, plant
 from rotorwatch.default.evidence import Evidence, Jump
 from rotorwatch.default.hypotheses import Hypotheses
-
-FALSE_ALARM_PERIOD_S = 10 * 3600.0  # promised: no more than one in so long
-# Of the statistic's own false alarms - as rare, on surrogates of real noise, as its threshold says - odds and plausibility
-# let pass at most this share: none of 6 there, and 1 of 81 with a threshold 4 nats lower.
-GATES = 0.15
-TICKS = 2  # in a row for which all conditions hold
-EDGE = 0.9  # of the bank's reach
-ABSORB_S, CERTAIN_NATS = 1.0, 16.0
+from rotorwatch.engine.announcement import ABSORB_S, CERTAIN_NATS, EDGE, FALSE_ALARM_PERIOD_S, GATES, TICKS
 
 
 class AlarmState(NamedTuple):

@@ -17,10 +17,10 @@ import numpy as np
 
 from rotorwatch.core import Array
 from rotorwatch.default import plant
+from rotorwatch.engine.bank import SLOW_S
 
 SLOTS = 16  # of each group
 STRIDES = {0.05: (1, 2, 4), 0.1: (1, 5, 3)}  # ticks between the slots of a group: for short ticks, and from SLOW_S on
-SLOW_S = 0.08
 
 
 class Bank(NamedTuple):

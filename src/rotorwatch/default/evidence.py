@@ -15,8 +15,9 @@ from typing import NamedTuple
 from rotorwatch.core import Array
 from rotorwatch.default import bank, hypotheses, noise
 from rotorwatch.default.hypotheses import NOTHING, Hypotheses
+from rotorwatch.engine.evidence import DISTURBANCE_LEAST, DISTURBANCE_MOST, DISTURBANCE_SCALE
 
-DISTURBANCE_SCALE, DISTURBANCE_RANGE = 3.0, (0.03, 1.0)
+DISTURBANCE_RANGE = DISTURBANCE_LEAST, DISTURBANCE_MOST
 
 
 class Evidence(NamedTuple):

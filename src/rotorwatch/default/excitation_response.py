@@ -37,6 +37,7 @@ from rotorwatch.default.noise import spread
 from rotorwatch.default.plant import AXIS_STATES, GAIN, PER_AXIS, TAU, lower_rotors
 from rotorwatch.default.program import estimate
 from rotorwatch.default.residual_evidence import TRIM_S, TRIM_SD
+from rotorwatch.engine.plant import SHARE
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import LOSS
 from rotorwatch.maths.nonnegative import least_squares
@@ -111,7 +112,7 @@ def trim(carry, out, table: Ticks, B: np.ndarray) -> ExcitationEvidence | None:
 
 def shift(carry, out, table: Ticks) -> tuple[np.ndarray | None, np.ndarray]:
     """By how much the commanded wrench of trim (4,) has grown since the hop was first judged, and its standard deviation (4,)."""
-    sd = np.sqrt(TRIM_SD**2 + np.asarray(spread(np.asarray(carry.noise.variances))))
+    sd = np.sqrt(TRIM_SD**2 + np.asarray(spread(np.asarray(carry.variances))))
     starts = np.flatnonzero(table.restart)
     judged = (table.mode == JUDGE) & (np.arange(len(table.time)) >= (starts[-1] if starts.size else 0))
     time, biases = table.time[judged], np.asarray(out.biases)[judged]
@@ -183,8 +184,8 @@ def _model(carry, table: Ticks, B: np.ndarray) -> _Model:
     more, sd = np.zeros(n), 0.0
     if lower is not None:
         more = B[3] * (lower - (B[3] * lower).mean())
-        left, sd = left + s[AXIS_STATES] * (table.thrust @ more), float(np.sqrt(P[AXIS_STATES, AXIS_STATES]))
-    return _Model(left, more, sd, excitation.Noise(np.asarray(carry.noise.variances)[:, 3], np.array(TAU)))
+        left, sd = left + s[SHARE] * (table.thrust @ more), float(np.sqrt(P[SHARE, SHARE]))
+    return _Model(left, more, sd, excitation.Noise(np.asarray(carry.variances)[:, 3], np.array(TAU)))
 
 
 def _response(rows, span, q, model: _Model, table: Ticks, B: np.ndarray) -> ExcitationEvidence:
@@ -328,9 +329,7 @@ def question(sets: dict[tuple[int, ...], np.ndarray], carry, table: Ticks, B: np
     hover = (table.thrust * table.hover[:, None])[late].mean(axis=0)
     gain = np.asarray(carry.s)[:AXIS_STATES].reshape(4, PER_AXIS)[:3, GAIN]
     found = {**sets, (): np.zeros(B.shape[1])}
-    return Question(
-        found, hover, excitation.Noise(np.asarray(carry.noise.variances)[:, 3], np.array(TAU)), gain, table.dt
-    )
+    return Question(found, hover, excitation.Noise(np.asarray(carry.variances)[:, 3], np.array(TAU)), gain, table.dt)
 
 
 def resolve(

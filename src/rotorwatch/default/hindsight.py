@@ -18,8 +18,9 @@ import numpy as np
 
 from rotorwatch.default import events, hypotheses
 from rotorwatch.default.learning import LEARNED_WEIGHT
-from rotorwatch.default.plant import AIR, CURVE, DAMPING, GAIN, PER_AXIS, any_multirotor, lower_rotors
+from rotorwatch.default.plant import DAMPING, GAIN, PER_AXIS, any_multirotor, lower_rotors
 from rotorwatch.default.program import estimate
+from rotorwatch.engine.plant import AIR, CURVE, SHARE
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN, Ticks
 
@@ -41,8 +42,8 @@ def learned(carry, B: np.ndarray) -> dict:
     x0[rows] = s[rows]
     P0[rows], P0[:, rows] = 0.0, 0.0
     P0[rows[:, None], rows] = P[rows[:, None], rows]
-    known = {"x0": x0, "P0": P0, "noise": np.asarray(carry.noise.variances), "noise_weight": LEARNED_WEIGHT}
-    also = {"curve": CURVE, "air": AIR, **({"share": AIR + 1} if lower_rotors(B) is not None else {})}
+    known = {"x0": x0, "P0": P0, "noise": np.asarray(carry.variances), "noise_weight": LEARNED_WEIGHT}
+    also = {"curve": CURVE, "air": AIR, **({"share": SHARE} if lower_rotors(B) is not None else {})}
     known |= {name: [float(s[k]), float(P[k, k])] for name, k in also.items()}
     return known
 

@@ -14,29 +14,26 @@ from itertools import combinations
 
 import numpy as np
 
+from rotorwatch.engine.hypotheses import (  # noqa: F401 - the method's constants stand in its definition
+    AIR_SHARE,
+    CLEAR,
+    FAR,
+    FAR_SHARE,
+    LOSS_WIDTH,
+    MORE,
+    NONE,
+    NOTHING,
+    RECOVERY_SHARE,
+    SLOP,
+    SMALL_WIDTH,
+    TOTAL_LOSS,
+    TOTAL_SHARE,
+)
 from rotorwatch.front import losses
 
-# Nats by which one explanation has to be better than another before that counts.
-CLEAR = float(np.log(losses.CLEAR))
-# Losses: so large that the rotor is lost altogether; so small that it is none.
-TOTAL_LOSS, NONE = 0.8, 0.015
-LOSS_WIDTH, SMALL_WIDTH = 0.3, 0.06
-# Motors stop and propellers come off: this share of losses takes all thrust that a rotor has left.
-TOTAL_SHARE = 0.1
-# In this share of losses thrust changes with the air as well: the vehicle has begun to climb or sink.
-AIR_SHARE = 0.05
-# Share by which what a loss does to roll, pitch, yaw and thrust may differ from geometry: inflow and battery change thrust, and
-# in moving air rotors that no longer match in speed drag the vehicle round.
-SLOP = (0.1, 0.1, 0.4, 0.3)
-# A flight does not show what a vehicle with a weak rotor will do: this share of disturbances is so many times their usual size then.
-FAR_SHARE, FAR = 0.2, 4.0
 # Prior weights: how often each kind of jump happens, relative to one particular rotor failing, or working again. Disturbances are common.
 # A rotor that follows no command any more but gives one thrust, whatever that is, is rarer than one that gives less.
 WEIGHT = {"pair": losses.PAIR_WEIGHT, "stuck": 0.1, "disturbance": 3.0}
-# By what share of it a loss that ends may differ from what it was thought to be.
-RECOVERY_SHARE = 0.3
-# Hover thrusts that a rotor gives at least that is told to give one thrust; nats of what cannot be.
-MORE, NOTHING = 1.25, -50.0
 # Disturbances: which of roll, pitch, yaw, thrust they touch.
 DISTURBANCES = ((0,), (1,), (2,), (3,), (0, 3), (1, 3), (2, 3), (0, 1, 2), (0, 1, 2, 3))
 

@@ -14,11 +14,8 @@ import numpy as np
 from rotorwatch.default import noise, plant, posterior
 from rotorwatch.default.plant import AIR, B1, B2, B3, CURVE, PER_AXIS
 from rotorwatch.default.posterior import Branches
+from rotorwatch.engine.kalman import MOVING_S, OUTLIER, THETA_WALK
 
-# A loss that has been refined long enough is not yet known if it still grows: has left its mean over so long by its own uncertainty.
-MOVING_S = 2.0
-THETA_WALK = 0.02**2  # 1/s, while it is refined
-OUTLIER = 6.0  # standard deviations that an innovation counts at most
 BIASES = np.array([a * PER_AXIS + b for a in range(4) for b in (B1, B2, B3)])
 
 

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rotorwatch.default.plant import AIR, CURVE, DAMPING, GAIN, PER_AXIS, any_multirotor, lower_rotors
+from rotorwatch.default.plant import DAMPING, GAIN, PER_AXIS, any_multirotor, lower_rotors
 from rotorwatch.default.program import estimate
+from rotorwatch.engine.plant import AIR, CURVE, SHARE
 from rotorwatch.motion.ticks import JUDGE, TICKS_S, Ticks
 
 FLIGHTS_DIFFER = 0.25
@@ -30,9 +31,9 @@ def learn(tables: Sequence[Ticks], B: np.ndarray) -> dict | None:
         carry, _ = estimate(table, B)
         means.append(np.asarray(carry.s)[rows])
         precisions.append(1.0 / np.maximum(np.diag(np.asarray(carry.P))[rows], 1e-12))
-        noises.append(np.asarray(carry.noise.variances))
+        noises.append(np.asarray(carry.variances))
         # How the thrust curve is bent, what air takes and, on coaxial frames, the lower rotors' share.
-        shares.append([(float(carry.s[k]), float(carry.P[k, k])) for k in (CURVE, AIR, AIR + 1)])
+        shares.append([(float(carry.s[k]), float(carry.P[k, k])) for k in (CURVE, AIR, SHARE)])
     if not means:
         return None
     loudest = np.max(noises, axis=0)

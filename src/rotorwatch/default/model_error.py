@@ -15,28 +15,27 @@ import numpy as np
 from rotorwatch.core import Array
 from rotorwatch.default import noise, plant
 from rotorwatch.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS
+from rotorwatch.engine.model_error import (
+    AIR_ERROR,
+    AT_LIMIT,
+    BELOW_LIMIT,
+    DAMPING_ERROR,
+    ERROR_TICKS,
+    FAR,
+    FAR_ERROR,
+    GAIN_ERROR,
+    GARROTE,
+    GUST_SHARE,
+    LAG_ERROR_S,
+    LASTING_MEMORY_S,
+    LEAST_GAIN,
+    LEVEL_MEMORY_S,
+    SIDE_FORCE,
+    STILL,
+    WASH,
+    WASH_SINK,
+)
 from rotorwatch.front.contact import G0
-
-GARROTE = 2.5  # how many times its calm level motion must reach to stand out
-LEVEL_MEMORY_S = 10.0
-# Share by which the motion model may be wrong for a moment, and how many ticks such an error lasts.
-GAIN_ERROR, DAMPING_ERROR = (0.0, 0.0, 0.35, 0.15), 0.3
-ERROR_TICKS = 4.0
-LAG_ERROR_S = 0.015
-# 1 / (m/s) by which air may take more or less than was learned: rotors that climb lose more than those that sink gain.
-AIR_ERROR = 0.01
-# m/s along the thrust axis that speak of the air: slower ones are what a gust has made of the vehicle, which it meets from the other side.
-STILL = 0.5
-# A rotor that sinks into its own wake, from a quarter of its induced velocity on, gives unsteady thrust, each by itself: by so much at
-# twice that speed [m/s] and beyond.
-WASH, WASH_SINK = 0.1, 1.0
-LASTING_MEMORY_S = 30.0
-GUST_SHARE, LEAST_GAIN = 2.0, 0.3
-FAR, FAR_ERROR = 0.3, 0.5
-SIDE_FORCE = 0.2  # g: a side force that has changed by more, within seconds, comes from outside
-# Shares of full thrust: up to the first a rotor gives what it is commanded; from the second on it is at its limit and may give only the
-# first: batteries sag, speed controllers and simulated motors reach their end early.
-BELOW_LIMIT, AT_LIMIT = 0.6, 0.9
 
 
 class Memory(NamedTuple):

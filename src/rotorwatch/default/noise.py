@@ -18,14 +18,7 @@ import numpy as np
 from rotorwatch.core import Array
 from rotorwatch.default import plant
 from rotorwatch.default.plant import PER_AXIS, TAU, fading
-
-LAGS = (1, 2, 4, 8, 16, 32, 64)  # ticks
-MEMORY_S = 60.0  # how long a squared difference counts
-CLIP = 6.0  # a square counts at most this many times what is expected of it: a fault must not look like noise
-GROWTH_WEIGHT = 0.05
-# Per axis floor of the white variance, in hover thrusts: one PWM step of a few rotors.
-FLOOR = 0.0008**2
-
+from rotorwatch.engine.noise import CLIP, FLOOR, GROWTH_WEIGHT, LAGS, MEMORY_S
 
 GENERIC = np.tile(np.array([[0.05**2], [0.05**2], [0.05**2], [0.02**2]]), (1, 4))
 GENERIC_WEIGHT = 0.02

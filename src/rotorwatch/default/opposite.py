@@ -18,10 +18,7 @@ import numpy as np
 from rotorwatch.core import Array
 from rotorwatch.default import bank, evidence, hypotheses, plant
 from rotorwatch.default.hypotheses import Hypotheses
-
-# rad/s of yaw, above which its drag is known too badly for that; and load factor away from 1, beyond what the loss itself takes off: no
-# loss lifts a vehicle
-TURNING, HEAVING = 0.15, 0.2
+from rotorwatch.engine.opposite import HEAVING, TURNING  # noqa: F401 - the method's constants stand in its definition
 
 
 class Opposite(NamedTuple):

@@ -23,42 +23,39 @@ from functools import cached_property
 
 import numpy as np
 
+from rotorwatch.engine import plant as definition
+from rotorwatch.engine.plant import (  # noqa: F401 - the method's constants stand in its definition
+    AIR,
+    ANSWER_S,
+    BUILT_SD,
+    BURST_S,
+    CURVE,
+    DAMPING_RATE,
+    DAMPING_RATE_SD,
+    DRAG,
+    INFLOW,
+    INFLOW_SD,
+    PER_AXIS,
+    SHARE_SD,
+    SIDE,
+    SIDE_SD,
+    SIDEWAYS,
+    TAU,
+    USUAL_S,
+)
 from rotorwatch.front.contact import G0
 
-TAU = (0.25, 1.0)  # s
-PER_AXIS = 5
 B1, B2, B3, GAIN, DAMPING = range(PER_AXIS)
-SIDEWAYS = 3 * PER_AXIS + DAMPING  # thrust has no damping: its place holds l
 AXES = ("roll", "pitch", "yaw", "thrust")
 
 # What any multirotor is like, in these units. Angular gains of roll, pitch and yaw, per rotor: squared radius of gyration over
 # g times the arm (over g times the propellers' drag ratio for yaw), 3 to 60 cm arms. Motion dies out, at DAMPING_RATE in
 # 1/s, from air through the rotors and past the body: damping is that rate times the gain, whatever the gain turns out to be.
 # Thrust against load factor is one to one by the choice of unit.
-GAIN_MEAN = np.array([0.005, 0.005, 0.13, 0.0])
-GAIN_SD = np.array([0.004, 0.004, 0.1, 0.005])
-DAMPING_RATE, DAMPING_RATE_SD = 2.0, 1.5
-# Hover thrusts per m/s^2 of side force and rotor: air that pushes the body sideways also tilts it, by the flapping of its blades and by
-# where it pushes. Real quadrotors: 0.05 to 0.2; rigid rotors in the plane of the centre of mass: 0.
-SIDE, SIDE_SD = 0.05, 0.07
-# Yaw, in hover thrusts, that a side force of 1 g through one rotor makes where rotors stand one unit of B apart: arm over drag ratio.
-# Arms grow with that gap and drag ratios with the propeller that fills it, so the product is alike for all frames: about 20 where rotors
-# take all of the side force, and 9 +- 3 in flights of real quadrotors (docs/methods/default.md).
-DRAG = 6.0
-BIAS_SD = np.array([0.5, 0.5, 1.0, 0.4])
-BUILT_SD = 0.03  # by which a rotor's thrust differs from the others' as vehicles are built: a share of it
-SHARE_SD = (
-    0.12  # of a lower rotor's thrust, relative to what its share in B says: 75 to 95 % and more of the upper one's
-)
+GAIN_MEAN = np.array(definition.GAIN_MEAN)
+GAIN_SD = np.array(definition.GAIN_SD)
+BIAS_SD = np.array(definition.BIAS_SD)
 AXIS_STATES = 4 * PER_AXIS
-CURVE = AXIS_STATES  # the state that says by how much the thrust curve is bent, in standard deviations of what is known of it
-AIR = CURVE + 1  # the state k: share of the hover thrust that 1 m/s of air along the thrust axis takes
-# Rotors lose 0.4 of their hover thrust over the induced velocity, which is 4 m/s and more; drag of the body adds as much and more where it
-# is light: 0.03 to 0.1 in flights.
-INFLOW, INFLOW_SD = 0.05, 0.05  # 1 / (m/s)
-# Times [s] that all parts share: by when a controller has answered what happened; how long a burst lasts, of errors that the noise model
-# does not expect, as a change brings them; over which what is usual is averaged.
-ANSWER_S, BURST_S, USUAL_S = 0.5, 3.0, 6.0
 
 
 class WrenchBalance:
@@ -110,15 +107,8 @@ class WrenchBalance:
         return (*names, "thrust curve", "air from above", "lower rotors' share")[: self.n_x]
 
     def pack(self, ticks):
-        """(T, n + 13) inputs of a table of ticks: thrusts, angular accelerations, n times load factor, angular rates, side forces
-        forward and right [m/s^2], full thrust of a rotor, expo of the thrust curve and its standard deviation, speed along the thrust
-        axis [m/s; NaN: not known]. Thrusts in hover thrusts."""
-        load = ticks.load[:, None] * self.n_theta
-        side = np.zeros((len(load), 2)) if ticks.side is None else ticks.side
-        full = 1.0 / ticks.hover[:, None]
-        curve = np.broadcast_to(np.asarray(ticks.curve, float), (len(load), 2))
-        axial = np.full((len(load), 1), np.nan) if ticks.axial is None else ticks.axial[:, None]
-        return np.concatenate([ticks.thrust, ticks.rate_dot, load, ticks.rate, side, full, curve, axial], axis=1)
+        """(T, n + 13) inputs of a table of ticks: `packed`."""
+        return packed(ticks, self.n_theta)
 
     def C(self, u, usual=1.0):
         """(4, n_x) dy/dx. usual: mean thrust lately, about which the curve is bent."""
@@ -197,6 +187,18 @@ class WrenchBalance:
         numpy, left = arrays(dt), fading(dt)
         row = numpy.concatenate([left, np.ones(PER_AXIS - 2)])
         return numpy.concatenate([numpy.tile(row, 4), np.ones(self.n_x - AXIS_STATES)])
+
+
+def packed(ticks, n: int) -> np.ndarray:
+    """(T, n + 13) inputs of a table of ticks of n rotors: thrusts, angular accelerations, n times load factor, angular rates, side forces
+    forward and right [m/s^2], full thrust of a rotor, expo of the thrust curve and its standard deviation, speed along the thrust axis
+    [m/s; NaN: not known]. Thrusts in hover thrusts."""
+    load = ticks.load[:, None] * n
+    side = np.zeros((len(load), 2)) if ticks.side is None else ticks.side
+    full = 1.0 / ticks.hover[:, None]
+    curve = np.broadcast_to(np.asarray(ticks.curve, float), (len(load), 2))
+    axial = np.full((len(load), 1), np.nan) if ticks.axial is None else ticks.axial[:, None]
+    return np.concatenate([ticks.thrust, ticks.rate_dot, load, ticks.rate, side, full, curve, axial], axis=1)
 
 
 def arrays(dt):

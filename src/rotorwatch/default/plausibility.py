@@ -12,16 +12,16 @@ import numpy as np
 from rotorwatch.core import Array
 from rotorwatch.default import hypotheses, model_error, plant
 from rotorwatch.default.evidence import Jump
+from rotorwatch.engine.plausibility import (
+    CUT_SHARE,
+    DEMAND_SHARE,
+    DEMAND_SLACK,
+    INFLOW,
+    LEAST_THRUST,
+    LIMIT_S,
+    MISSING_SLACK,
+)
 from rotorwatch.front.contact import G0
-
-# Both may be off by a standard deviation of this flight's disturbances, and by as much as the slack in calm air.
-DEMAND_SHARE, DEMAND_SLACK = 0.25, 0.05
-MISSING_SLACK = 0.15  # hover thrusts of one rotor
-# Share of a rotor's thrust that air from below adds for each m/s: 0.4 of hover thrust over induced velocity, which is 4 m/s and more.
-INFLOW = 0.1
-# Hover thrusts: a command is not less than the first; share of the mean command below which a rotor is taken off it.
-LEAST_THRUST, CUT_SHARE = 0.1, 0.5
-LIMIT_S = 2.0  # how long it is remembered that a rotor was at its limit
 
 
 class Missing(NamedTuple):

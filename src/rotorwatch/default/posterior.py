@@ -21,13 +21,10 @@ import numpy as np
 from rotorwatch.core import Array
 from rotorwatch.default import bank, evidence, hypotheses, plant
 from rotorwatch.default.hypotheses import Hypotheses
+from rotorwatch.engine.posterior import ALIKE, NEVER, OUT, TEMPER
 from rotorwatch.front import losses
 
 PLACES = 4
-TEMPER = 0.3
-OUT = -7.0  # log weight relative to the leader's at which a branch is dropped, once it is YOUNG_S old
-ALIKE = -hypotheses.CLEAR  # the same, below which a pair that looks like the leading one does not fall
-NEVER = -1e3
 
 
 class Branches(NamedTuple):

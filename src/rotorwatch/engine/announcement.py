@@ -16,7 +16,7 @@ from rotorwatch.engine.hypotheses import CLEAR, PAIR, STUCK, pair_count, weight_
 from rotorwatch.engine.noise import MEMORY_S
 from rotorwatch.engine.plant import USUAL_S, Plant
 
-FALSE_ALARM_PERIOD_S = 36000.0  # promised: no more than one in so long
+FALSE_ALARM_PERIOD_S = 10 * 3600.0  # promised: no more than one in so long
 # Of the statistic's own false alarms - as rare, on surrogates of real noise, as its threshold says - odds and plausibility
 # let pass at most this share: none of 6 there, and 1 of 81 with a threshold 4 nats lower.
 GATES = 0.15

@@ -15,10 +15,11 @@ from rotorwatch.compiling.structs import FLAG, REAL, Real, Reals, Struct, array,
 from rotorwatch.engine.bank import LOSS, Window
 from rotorwatch.engine.plant import THRUST, YAW, Plant
 from rotorwatch.engine.sizes import ROTORS
+from rotorwatch.front import losses
 from rotorwatch.front.losses import PAIR_WEIGHT
 
 # Nats by which one explanation has to be better than another before that counts.
-CLEAR = 2.302585092994046  # log of losses.CLEAR
+CLEAR = log(losses.CLEAR)
 # Losses: so large that the rotor is lost altogether; so small that it is none.
 TOTAL_LOSS, NONE = 0.8, 0.015
 LOSS_WIDTH, SMALL_WIDTH = 0.3, 0.06

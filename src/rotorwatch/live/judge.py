@@ -50,7 +50,7 @@ class Judge:
             self._account.report.finish(piece.spans)
         early = self._beginnings
         if early is not None and (final or early.due(self._spans, self._time)):
-            early.look(self._steps.carry, self._spans, self._time, final)
+            early.look(self._steps.learned, self._spans, self._time, final)
 
     @property
     def revision(self) -> int:

@@ -120,7 +120,7 @@ def _learned(part: Ticks, B: np.ndarray, dynamics: dict | None) -> tuple[np.ndar
     if dynamics:
         return np.array(dynamics["x0"], float), np.array(dynamics["noise"], float)
     carry, _ = program.estimate(part, B)
-    return np.asarray(carry.s)[: 4 * PER_AXIS], np.asarray(carry.noise.variances)
+    return np.asarray(carry.s)[: 4 * PER_AXIS], np.asarray(carry.variances)
 
 
 def _plausible(x: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
