@@ -1,9 +1,8 @@
-"""The build of the package: native code of the default method goes into the wheel, so that JAX is not needed to run it.
+"""The build of the package: machine code of the default method goes into the wheel, so that no compiler is needed to run it.
 
-`pip install .` and `pip install -e .` build for this computer what most need (the rest goes along as C), or take what they built of the
-same sources before; without a C compiler the package comes without native code and needs JAX and SciPy, which do the work instead.
-Environment: ROTORWATCH_SHIP=portable compiles all, for every processor of this kind (wheels that are given away); ROTORWATCH_SHIP=none
-builds nothing. CC: the compiler; a cross compiler makes a wheel for its kind of processor.
+`pip install .` and `pip install -e .` build for this computer, which takes some seconds; without a C compiler the package comes without
+machine code, and Python runs the same lines, slowly. Environment: ROTORWATCH_SHIP=portable builds for every processor of this kind (wheels
+that are given away); ROTORWATCH_SHIP=none builds nothing. CC: the compiler; a cross compiler makes a wheel for its kind of processor.
 """
 
 from __future__ import annotations
@@ -20,9 +19,7 @@ from pathlib import Path
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
-TRACING = ["numpy>=1.26", "jax>=0.4.35"]
-# What runs where there is no native code; also in the extra `research`.
-INSTEAD = ["jax>=0.4.35", "scipy>=1.11"]
+BUILDING = ["numpy>=1.26"]
 HERE = Path("rotorwatch") / "compiling" / "built"
 DOCUMENTS = "glossary", "limits"  # what `rotorwatch mcp` gives as resources
 
@@ -43,23 +40,8 @@ class ShippedCode(BuildHookInterface):
         return os.environ.get("ROTORWATCH_SHIP") == "portable"
 
     def dependencies(self) -> list[str]:
-        """What tracing needs, unless nothing has to be traced."""
-        return TRACING if self._missing() else []
-
-    def _missing(self) -> bool:
-        """Whether something has to be built, and can be."""
-        if os.environ.get("ROTORWATCH_SHIP") == "none":
-            return False
-        sys.path.insert(0, str(Path(self.root) / "src"))
-        try:
-            from rotorwatch.compiling import shipped, toolchain
-            from rotorwatch.default import shipping
-
-            return not (shipping.kept(self.portable) / shipped.INDEX).exists()
-        except toolchain.Unavailable:
-            return False
-        finally:
-            sys.path.pop(0)
+        """What the translation of the definitions needs."""
+        return [] if os.environ.get("ROTORWATCH_SHIP") == "none" else BUILDING
 
     def initialize(self, version: str, build_data: dict) -> None:
         """Build, and add the result to the wheel; of an editable installation put it beside the sources."""
@@ -70,7 +52,6 @@ class ShippedCode(BuildHookInterface):
                 if path.exists():
                     build_data["force_include"][str(path)] = f"rotorwatch/assistants/documents/{path.name}"
         if os.environ.get("ROTORWATCH_SHIP") == "none":
-            build_data["dependencies"] = [*build_data.get("dependencies", ()), *INSTEAD]
             return
         self._folder = Path(tempfile.mkdtemp(prefix="rotorwatch-ship-"))
         options = ["--portable"] if self.portable else []
@@ -81,8 +62,7 @@ class ShippedCode(BuildHookInterface):
         )  # fmt: skip
         if done.returncode:
             said = (done.stdout.strip() or done.stderr.strip() or "nothing said").splitlines()[-1]
-            self.app.display_warning(f"No native code in this package ({said}) It needs JAX and SciPy instead.")
-            build_data["dependencies"] = [*build_data.get("dependencies", ()), *INSTEAD]
+            self.app.display_warning(f"No machine code in this package ({said}) Python runs instead, slowly.")
             return
         if version == "editable":
             beside = Path(self.root) / "src" / HERE
@@ -93,9 +73,9 @@ class ShippedCode(BuildHookInterface):
             build_data["force_include"][str(path)] = str(HERE / path.name)
         build_data["pure_python"] = False
         # Nothing in it depends on the version of Python.
-        index = json.loads((self._folder / "built" / "index.json").read_text(encoding="utf-8"))
+        index = json.loads((self._folder / "built" / "definitions.json").read_text(encoding="utf-8"))
         kind = sysconfig.get_platform()
-        if (built_for := index["target"].split()[1]) != platform.machine().lower():  # by a cross compiler
+        if (built_for := index["engine"]["target"].split()[1]) != platform.machine().lower():  # by a cross compiler
             kind = kind.replace(platform.machine(), built_for)
         libraries = [path.read_bytes() for path in (self._folder / "built").glob("*.so")]
         if kind.startswith("linux") and not any(b"GLIBC_" in library for library in libraries):

@@ -62,13 +62,13 @@ int main(void)
     u[RW_ROTORS + 3] = y[3] = RW_ROTORS;
     u[RW_ROTORS + 9] = 2;
     u[RW_ROTORS + 10] = RW_JUDGE;
-    for (int k = 0; k < 60; ++k) rw_estimator_step(&d.estimator, u, y, valid, &d.out, &d.work.step);
+    for (int k = 0; k < 60; ++k) rw_whole_run(&rw_plant_default, &d.estimator, 1, u, y, valid, &d.out);
     SYSTICK[1] = 0xFFFFFF;
     SYSTICK[2] = 0;
     SYSTICK[0] = 5;
-    for (int k = 0; k < {steps}; ++k) rw_estimator_step(&d.estimator, u, y, valid, &d.out, &d.work.step);
+    for (int k = 0; k < {steps}; ++k) rw_whole_run(&rw_plant_default, &d.estimator, 1, u, y, valid, &d.out);
     printf("%lu %lu %lu %lu\\n", (unsigned long)(0xFFFFFFu - SYSTICK[2]), (unsigned long)sizeof d,
-           (unsigned long)sizeof d.estimator, (unsigned long)sizeof d.work);
+           (unsigned long)sizeof d.estimator, (unsigned long)sizeof d.poll);
     return 0;
 }}
 """

@@ -10,13 +10,9 @@ import numpy as np
 import pytest
 
 import rotorwatch
-from rotorwatch.compiling.translate import Translation
-from rotorwatch.export.export_diagnoser import rates, settings
-from rotorwatch.front import sizes
-from rotorwatch.front.definition import PARTS
+from rotorwatch.export.export_diagnoser import definitions, rates, settings
 
 SOURCES = Path(rotorwatch.__file__).parent / "export" / "embedded_c"
-STUBS = Path(__file__).resolve().parents[1] / "embedded" / "stubs"  # of what the export generates
 STRICT = (
     "-std=c99",
     "-Wall",
@@ -39,16 +35,14 @@ def config(n: int, dt: float = 0.05, hz: tuple[float, float, float] = (50.0, 400
 
 
 @functools.cache
-def _translated() -> tuple[str, str]:
-    made = Translation(PARTS, sizes)
-    return made.header("Of a test."), made.source("rw_front.h")
+def _translated() -> tuple[tuple[str, str], ...]:
+    return tuple(definitions().items())
 
 
 def front(folder: Path, text: str) -> Path:
-    """rw_config.h with this text, and the front end as the export writes it, into a folder; the C of the latter."""
-    header, source = _translated()
-    for name, written in (("config.h", text), ("front.h", header), ("front.c", source)):
-        (folder / f"rw_{name}").write_text(written)
+    """rw_config.h with this text, and the definitions as the export writes them, into a folder; the C of the front end."""
+    for name, written in (("rw_config.h", text), *_translated()):
+        (folder / name).write_text(written)
     return folder / "rw_front.c"
 
 

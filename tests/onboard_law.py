@@ -22,7 +22,7 @@ static rw_notification notifications[2 * RW_EVENTS];
 static int burst; /* most ticks that one call in flight took from those that waited */
 static void to_real(rw_real *to, const double *from, int n) { for (int k = 0; k < n; k++) to[k] = (rw_real)from[k]; }
 int sizes(int what);
-int sizes(int what) { return what == 0 ? (int)sizeof d : what == 1 ? (int)sizeof d.estimator : what == 2 ? (int)sizeof d.work : burst; }
+int sizes(int what) { return what == 0 ? (int)sizeof d : what == 1 ? (int)sizeof d.estimator : what == 2 ? (int)sizeof d.poll : burst; }
 int drive(int rows, const double *table, double until, double *found, int most);
 int drive(int rows, const double *table, double until, double *found, int most)
 {

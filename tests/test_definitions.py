@@ -368,7 +368,7 @@ def test_several_definitions_are_shipped_side_by_side(made, tmp_path):
     assert set(index) == {"made", "other"} and index["made"]["digest"] != index["other"]["digest"]
     assert index["other"]["digest"] == shipped.digest(sorted(["logs/table.py", *TRANSLATOR]))
     for name, told in index.items():
-        assert told["library"] == [f"{name}.so", shipped.digest_of(tmp_path / f"{name}.so")]
+        assert told["libraries"] == {"": [f"{name}.so", shipped.digest_of(tmp_path / f"{name}.so")]}
 
 
 @settings(max_examples=trials(100), deadline=None)

@@ -7,16 +7,13 @@ b are right only with the variant and c only without it, and
     difference = (b - c) / n,        sd = sqrt(b + c - (b - c)^2 / n) / n          (McNemar's, for shares of the same things)
 
 A constant is any number in capitals in a file of FILES, unless it is made of others alone; constants.py says what each means, and which
-value leaves it out. Where a step's mathematics use it, it is a parameter of one compiled program; where it shapes the program or its start,
-the program is built anew.
+value leaves it out. The definition is built anew with it.
 """
 
 from __future__ import annotations
 
 import ast
-import functools
 import itertools
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -31,8 +28,8 @@ from rotorwatch import airframes, logs
 from rotorwatch.campaign import batch, sequences
 from rotorwatch.campaign.constants import TABLE
 from rotorwatch.campaign.plan import Plan
-from rotorwatch.compiling.run import chosen, run_built
-from rotorwatch.default import events, hypotheses, program
+from rotorwatch.default import events, program
+from rotorwatch.engine.definition import ENGINE
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import inject, tools
 from rotorwatch.experiments.studies import false_alarms
@@ -43,7 +40,7 @@ from rotorwatch.motion.ticks import JUDGE, READY_S, Ticks, observe
 
 # Files of the method's step, and the definition that makes losses of its ticks.
 FILES = {
-    file: f"rotorwatch.default.{file}"
+    file: f"rotorwatch.engine.{file}"
     for file in (
         "plant", "noise", "model_error", "kalman", "bank", "hypotheses", "evidence", "announcement", "plausibility", "opposite",
         "posterior",
@@ -51,10 +48,16 @@ FILES = {
 } | {"losses": "rotorwatch.front.losses"}  # fmt: skip
 # Names, counts and what follows from others: nothing to be chosen.
 NOT_CHOSEN = {
-    "plant.PER_AXIS", "plant.SIDEWAYS", "plant.AXIS_STATES", "plant.B1", "plant.B2", "plant.B3", "plant.GAIN", "plant.DAMPING", "plant.AIR",
-    "announcement.FALSE_ALARM_PERIOD_S", "bank.SLOTS", "bank.STRIDES", "bank.SLOW_S", "noise.LAGS", "hypotheses.DISTURBANCES",
-    "kalman.BIASES", "posterior.NEVER", "posterior.PLACES", "hypotheses.NOTHING", "losses.WITHIN_95", "losses.CANCELS",
+    *(f"plant.{name}" for name in ("PER_AXIS", "B1", "B2", "B3", "GAIN", "DAMPING", "SIDEWAYS", "CURVE")),
+    *(f"plant.{name}" for name in ("AIR", "SHARE", "THETA", "YAW_GAIN", "LOAD_GAIN", "ONE_ARM")),
+    *(f"noise.{name}" for name in ("WHITE", "FAST", "SLOW", "DRIFT", "LAGS", "LAG_COUNT", "ITERATIONS")),
+    *(f"bank.{name}" for name in ("GROUP", "GROUPS", "SHORT", "LONG", "SLOW_S", "YAW_ERROR", "DAMPING_ERROR", "FIRST_LOSS")),
+    *(f"hypotheses.{name}" for name in ("SINGLE", "PAIR", "RECOVERY", "ONE_THRUST", "DISTURBANCE", "DISTURBANCES", "DISTURBANCE_COUNT")),
+    "hypotheses.NOTHING", "opposite.LEAST_ROTORS", "plausibility.CANCELS", "announcement.FALSE_ALARM_PERIOD_S", "posterior.NEVER",
+    "posterior.OLD_S", "losses.WITHIN_95", "losses.CANCELS",
 }  # fmt: skip
+# Constants of `losses` that the estimator takes from there: where it does.
+TAKEN = {"PAIR_WEIGHT": "hypotheses", "YOUNG_S": "posterior"}
 WORDS = ("off", "half", "double")
 SOON_S = 10.0  # a fault that is announced within so much counts as found
 FAULT = 0.05  # a change of loss that counts as one
@@ -71,7 +74,7 @@ def constants() -> dict[str, Any]:
             for target in node.targets:
                 for name in target.elts if isinstance(target, ast.Tuple) else [target]:
                     key, value = f"{file}.{getattr(name, 'id', '')}", getattr(module, getattr(name, "id", ""), None)
-                    number = isinstance(value, int | float | np.ndarray | tuple | dict) and not isinstance(value, bool)
+                    number = isinstance(value, int | float | tuple) and not isinstance(value, bool)
                     if key.split(".")[1].isupper() and number and key not in NOT_CHOSEN and _numbers(value):
                         found[key] = value
     return dict(sorted(found.items()))
@@ -83,42 +86,27 @@ def _has_number(node: ast.expr) -> bool:
 
 
 def _numbers(value: Any) -> bool:
-    items = value.values() if isinstance(value, dict) else np.ravel(value)
-    return all(isinstance(v, int | float | np.number) for v in items)
+    return all(isinstance(v, int | float) for v in (value if isinstance(value, tuple) else (value,)))
 
 
 def _scaled(value: Any, factor: float) -> Any:
-    if isinstance(value, dict):
-        return {k: v * factor for k, v in value.items()}
     return tuple(v * factor for v in value) if isinstance(value, tuple) else value * factor
 
 
-def _with(value: Any, part: Any) -> Any:
-    return {**value, **part}
-
-
 def variants(only: Sequence[str] = (), words: Sequence[str] = WORDS) -> dict[str, dict[str, Any]]:
-    """Name of a variant -> the constants it changes; "as it is" first. only: beginnings of names; words: which of WORDS. Each kind of
-    hypothesis has a weight of its own; of those only their ratios count. Raises ConfigError when no name fits."""
+    """Name of a variant -> the constants it changes; "as it is" first. only: beginnings of names; words: which of WORDS. Raises
+    ConfigError when no name fits."""
     known = constants()
     made: dict[str, dict[str, Any]] = {"as it is": {}}
     for name, value in known.items():
         if only and not any(name.startswith(o) for o in only):
             continue
-        parts = (
-            {f"{name}[{k}]": {k: v} for k, v in value.items() if k not in ("single", "pair")}
-            if isinstance(value, dict)
-            else {name: None}
-        )
-        for label, part in parts.items():
-            for word, factor in (("half", 0.5), ("double", 2.0)):
-                if word not in words:
-                    continue
-                now = _scaled(value, factor) if part is None else _with(value, _scaled(part, factor))
-                made[f"{label} {word}"] = {name: now}
-            off = TABLE[label].off
-            if off is not None and "off" in words:
-                made[f"{label} off"] = {name: tuple(off for _ in value) if isinstance(value, tuple) else off}
+        for word, factor in (("half", 0.5), ("double", 2.0)):
+            if word in words:
+                made[f"{name} {word}"] = {name: _scaled(value, factor)}
+        off = TABLE[name].off
+        if off is not None and "off" in words:
+            made[f"{name} off"] = {name: tuple(off for _ in value) if isinstance(value, tuple) else off}
     if only and len(made) == 1:
         raise ConfigError(f"No constant's name begins with {' or '.join(only)}; they are {', '.join(known)}.")
     return made
@@ -127,77 +115,35 @@ def variants(only: Sequence[str] = (), words: Sequence[str] = WORDS) -> dict[str
 @contextmanager
 def changed(values: Mapping[str, Any]) -> Iterator[None]:
     """The method with other constants, and those that follow from them, while this lasts."""
-    values = {**values}
-    if "losses.CLEAR" in values:
-        values["hypotheses.CLEAR"] = float(np.log(values["losses.CLEAR"]))
-    if "losses.PAIR_WEIGHT" in values:
-        values["hypotheses.WEIGHT"] = {**hypotheses.WEIGHT, "pair": values["losses.PAIR_WEIGHT"]}
-    with ExitStack() as stack:
-        stack.enter_context(FRONT.changed({k: v for k, v in values.items() if _defined(k)}))
-        for key, value in values.items():
-            if _defined(key):
-                continue
+    losses = {key: value for key, value in values.items() if key.startswith("losses.")}
+    others = {key: value for key, value in values.items() if key not in losses}
+    for key, value in losses.items():
+        name = key.partition(".")[2]
+        if name == "CLEAR":
+            others |= {"hypotheses.CLEAR": float(np.log(value)), "posterior.ALIKE": -float(np.log(value))}
+        elif name in TAKEN:
+            others[f"{TAKEN[name]}.{name}"] = value
+    with FRONT.changed(losses), ENGINE.changed(others), ExitStack() as stack:
+        for key, value in others.items():  # what else reads them
             file, name = key.split(".")
-            module = import_module(FILES[file])
-            stack.callback(setattr, module, name, getattr(module, name))
-            setattr(module, name, value)
+            module = import_module(f"rotorwatch.default.{file}")
+            if hasattr(module, name):
+                before = getattr(module, name)
+                stack.callback(setattr, module, name, before)
+                setattr(module, name, np.array(value) if isinstance(before, np.ndarray) else value)
         yield
 
 
-def _defined(key: str) -> bool:
-    """Whether a constant is one of the definition's, which is compiled with it."""
-    return FILES[key.split(".")[0]].startswith("rotorwatch.front.")
-
-
-class Tuned:
-    """The default estimator with constants given as parameters: in effect while it is built, started and traced."""
-
-    def __init__(self, parameters: Mapping[str, Any], values: Mapping[str, Any]):
-        self.values = values
-        self.inner = program.estimator(parameters)
-
-    def init(self):
-        """As the estimator's."""
-        return self.inner.init()
-
-    def step(self, carry, u, y, valid):
-        """As the estimator's."""
-        with changed(self.values):
-            return self.inner.step(carry, u, y, valid)
-
-
-# Constants that shape the program, its start or its hypotheses.
-BUILT_IN = frozenset({
-    "announcement.GATES", "hypotheses.WEIGHT", "losses.CLEAR", "losses.PAIR_WEIGHT", "plant.ANSWER_S", "plant.TAU",
-})  # fmt: skip
-
-
-def tuned(p):
-    """Build for `run_built`: the default estimator with its constants among the parameters."""
-    return Tuned({k: v for k, v in p.items() if k != "constants"}, p["constants"])
-
-
-def _parameter(key: str, value: Any) -> bool:
-    """Whether a constant is a parameter of the compiled step."""
-    return key not in BUILT_IN and not _defined(key) and not isinstance(value, dict)
+def _read_only(key: str) -> bool:
+    """Whether a constant is read after the estimator alone."""
+    file, _, name = key.partition(".")
+    return file == "losses" and name not in TAKEN and name != "CLEAR"
 
 
 def judge(table: Ticks, B: np.ndarray, values: Mapping[str, Any]) -> program.TickOutput:
-    """The ticks of the method with other constants; those of BUILT_IN need a program of their own."""
-    own = {k: v for k, v in values.items() if k in BUILT_IN}
+    """The ticks of the method with other constants."""
     with changed(values):
-        passed = {k: np.asarray(v, float) for k, v in constants().items() if _parameter(k, v)}
-        parameters, rows = {**program.parameters(B, table.dt), "constants": passed}, program.inputs(table, B)
-        backend = chosen(None, "auto")
-        if not own:
-            return run_built(tuned, parameters, *rows, program.tick_output, backend=backend)[1]
-        key = (B.shape[1], "lower" in parameters, json.dumps(own, default=repr))
-        if key not in _BUILT:
-            _BUILT[key] = functools.partial(tuned)
-        return run_built(_BUILT[key], parameters, *rows, program.tick_output, backend=backend)[1]
-
-
-_BUILT: dict[tuple, Callable] = {}
+        return program.estimate(table, B)[1]
 
 
 @dataclass(frozen=True)
@@ -297,7 +243,7 @@ def _part(work: tuple) -> list[dict[str, list[dict]]]:
     rows: list[dict[str, Any]] = [{} for _ in cases]
     plain = [judge(case.ticks, case.B, {}) for case in cases]
     for name, values in selected.items():
-        reading = all(_defined(key) for key in values)  # the ticks stay as they are
+        reading = all(_read_only(key) for key in values)  # the ticks stay as they are
         for row, case, same in zip(rows, cases, plain):
             kept = same if reading else judge(case.ticks, case.B, values)
             with changed(values):

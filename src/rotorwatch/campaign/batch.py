@@ -7,7 +7,6 @@ in one compiled scan.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,7 +19,6 @@ from rotorwatch.answer import ledger
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.campaign import methods, score
 from rotorwatch.campaign.plan import Plan
-from rotorwatch.compiling.run import run_built
 from rotorwatch.default import events, program
 from rotorwatch.diagnose import answered
 from rotorwatch.errors import ConfigError
@@ -108,13 +106,13 @@ def rows(
         return score.estimator(label, f, kept, statistic, seen, bound, plan, certain)
 
     if "default" in plan.estimators:
-        for f, bound, out in zip(flown, bounds, by_default(flown, B, size), strict=True):
+        for f, bound, out in zip(flown, bounds, by_default(flown, B), strict=True):
             statistic = np.where(out.plausible, out.kept.statistic, score.NOTHING)
             end = answered(f.flight, f.vehicle, f.air, f.upsets, f.ticks, out.kept)
             found.append(row("default", f, out.kept, statistic, bound) | score.answer(end))
     if published:
         tables = [f.ticks for f in flown]
-        hops = methods.learn(tables, B, learned_states(flown, B, size))
+        hops = methods.learn(tables, B, learned_states(flown, B))
         for name in published:
             with _caught(name, failed):
                 judged = methods.judge(name, tables, hops, B, size, tuple(d.tuning for d in plan.decisions))
@@ -199,67 +197,22 @@ def _table(table: Ticks, B: np.ndarray, rows: slice = slice(None)) -> tuple[np.n
     return u[rows], y[rows], valid[rows]
 
 
-def _judged(out) -> Judged:
-    """What is kept of the estimator's output of one tick."""
-    return Judged(program.tick_output(out), out.plausible)
+def by_default(flown: Sequence[Flown], B: np.ndarray) -> list[Judged]:
+    """The default estimator over every flight."""
+    found = []
+    for f in flown:
+        steps = program.steps(f.ticks.dt, B)
+        found.append(Judged(steps.run(*_table(f.ticks, B)), steps.plausible))
+    return found
 
 
-@functools.lru_cache(maxsize=8)
-def _program(build):
-    """Compiled: parameters, first carry, a row's number, u, y, valid (flights first from that on) -> stacked `Judged`, and (state, noise
-    variances) after that row."""
-    jax = load_jax()
-    jnp = jax.numpy
-
-    def single(parameters, carry, learned, u, y, valid):
-        estimator = build(parameters)
-
-        def step(state, row):
-            (carry, learned_states), k = state, row[0]
-            carry, out = estimator.step(carry, *row[1:])
-            now = (carry.s, carry.noise.variances)
-            learned_states = jax.tree.map(lambda a, b: jnp.where(k == learned, a, b), now, learned_states)
-            return (carry, learned_states), _judged(out)
-
-        start = (carry, jax.tree.map(jnp.asarray, (carry.s, carry.noise.variances)))
-        (_, learned_states), out = jax.lax.scan(step, start, (jnp.arange(u.shape[0]), u, y, valid))
-        return out, learned_states
-
-    return jax.jit(jax.vmap(single, in_axes=(None, None, 0, 0, 0, 0)))
-
-
-def by_default(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[Judged]:
-    """The default estimator over every flight, side by side."""
-    never = np.full(len(flown), -1)
-    return [out for out, _ in _stepped(flown, B, size, [_table(f.ticks, B) for f in flown], never)]
-
-
-def learned_states(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[tuple | None]:
+def learned_states(flown: Sequence[Flown], B: np.ndarray) -> list[tuple | None]:
     """State and noise variances of the default estimator after the learning time of each flight of one hop; None for others."""
-    spans = [methods.learning(f.ticks) for f in flown]
-    rows = [_table(f.ticks, B, span or slice(1)) for f, span in zip(flown, spans, strict=True)]
-    ends = np.array([len(table[0]) - 1 for table in rows])
-    found = _stepped(flown, B, size, rows, ends)
-    return [None if span is None else end for span, (_, end) in zip(spans, found, strict=True)]
-
-
-def _stepped(flown: Sequence[Flown], B: np.ndarray, size: int, tables: list, learned: np.ndarray) -> list[tuple]:
-    """The default estimator over tables of the flights: for each its `Judged`, and its state and noise after row `learned`, which is the
-    last of its table where it matters."""
-    build = program.estimator
-    tree, parameters = load_jax().tree, program.parameters(B, flown[0].ticks.dt)
-    if methods.engine() == "native":
-        ran = [run_built(build, parameters, u, y, ok, _judged, backend="native") for u, y, ok in tables]
-        return [(out, (carry.s, carry.noise.variances)) for carry, out in ran]
-    rows, carry, found = methods.stacked(tables, size), build(parameters).init(), []
-    learned = np.concatenate([learned, np.full(size - len(flown), -1)])
-    step = methods.side_by_side(carry, size)
-    for start in range(0, len(flown), step):
-        here = slice(start, start + step)
-        out, ends = tree.map(np.asarray, _program(build)(parameters, carry, learned[here], *(a[here] for a in rows)))
-        for k, table in enumerate(tables[here]):
-            mine = tree.map(lambda a, k=k, table=table: a[k, : len(table[0])], out)
-            found.append((mine, tree.map(lambda a, k=k: a[k], ends)))
+    found: list[tuple | None] = []
+    for f in flown:
+        span, steps = methods.learning(f.ticks), program.steps(f.ticks.dt, B)
+        steps.run(*_table(f.ticks, B, span or slice(0)))
+        found.append(None if span is None else (steps.learned.s, steps.learned.variances))
     return found
 
 

@@ -267,10 +267,10 @@ def _beliefs(
         return [None] * len(seen)
     B = flown[0].vehicle.effectiveness()
     if driver == "default":
-        kept = [out.kept for out in batch.by_default(flown, B, size)]
+        kept = [out.kept for out in batch.by_default(flown, B)]
     else:
         tables = [f.ticks for f in flown]
-        hops = methods.learn(tables, B, batch.learned_states(flown, B, size))
+        hops = methods.learn(tables, B, batch.learned_states(flown, B))
         kept = methods.judge(driver, tables, hops, B, size, ((),))[0]
     found: list[reconfigured.Entry | None] = [None] * len(seen)
     for k, f, out in zip(here, flown, kept, strict=True):

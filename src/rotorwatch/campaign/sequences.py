@@ -212,7 +212,7 @@ def judged(plan: Sequences, flown: Sequence[batch.Flown]) -> list[dict[str, Any]
         return []
     B = flown[0].vehicle.effectiveness()
     rows = []
-    for f, out in zip(flown, batch.by_default(flown, B, WIDTH)):
+    for f, out in zip(flown, batch.by_default(flown, B)):
         losses = events.read(out.kept, f.ticks, B)
         merged = ledger.merge((*losses, *f.overrides), events.Report(B), (), B.shape[1])
         accusing = [e for e in merged.events if e.means.weakens]

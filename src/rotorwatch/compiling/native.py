@@ -1,8 +1,8 @@
 """Estimators as machine code of this computer: exported C, built once by the system's compiler, called through ctypes.
 
 The library is kept in the cache under a hash of its source, of the compiler with its flags and of the processor, so a changed
-definition never meets an old build. C that came with the package is compiled when it is first needed. What else `run_built` runs is known
-by the package's own sources and the shapes it is given: from the second time on nothing is traced, and JAX is not even imported.
+definition never meets an old build. What `run_built` runs is known by the package's own sources and the shapes it is given: from the second
+time on nothing is traced, and JAX is not even imported.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import os
 import platform
 import subprocess
 import tempfile
-import warnings
 from collections.abc import Callable, Iterable, Iterator
 from importlib import import_module, metadata
 from pathlib import Path
@@ -26,7 +25,6 @@ import numpy as np
 
 from rotorwatch.compiling import shipped, toolchain
 from rotorwatch.compiling.toolchain import FLAGS, QUICK, VECTORS, Unavailable, Unmakeable
-from rotorwatch.errors import FirstUse
 
 # Characters of source above which only what pays is optimised: the default diagnoser builds in 10 s instead of 50 s, and runs as fast.
 BIG = 80_000
@@ -48,12 +46,11 @@ class Layout(NamedTuple):
     out_like: Any
 
 
-def build(header: str, source: str, name: str, march: str = "native", words: str = "") -> Path:
-    """The shared library of a program, built unless it is there already. march: processor that it is for, the compiler's word; empty: the
-    least that the compiler knows. words: what it is, to be told to the user when it is built. Raises Unavailable with what the compiler
+def build(header: str, source: str, name: str) -> Path:
+    """The shared library of a program for this processor, built unless it is there already. Raises Unavailable with what the compiler
     says."""
     cc = toolchain.compiler()
-    flags = (*(QUICK if len(source) > BIG else ("-O3",)), *FLAGS, *([f"-march={march}"] if march else []))
+    flags = (*(QUICK if len(source) > BIG else ("-O3",)), *FLAGS, "-march=native")
     vectors = VECTORS if toolchain.processor() == "x86_64" and platform.libc_ver()[0] == "glibc" else ()
     key = hashlib.sha256("\0".join([header, source, *flags, *vectors, toolchain.machine()]).encode()).hexdigest()[:32]
     goal = toolchain.folder() / f"{name}-{key}.so"
@@ -63,8 +60,6 @@ def build(header: str, source: str, name: str, march: str = "native", words: str
     with toolchain.alone(goal), tempfile.TemporaryDirectory() as scratch:
         if _sealed(goal):  # by another process meanwhile
             return goal
-        if words:
-            warnings.warn(f"Building {words}, the first time only: about 10 s.", FirstUse, stacklevel=2)
         for suffix, text in ((".h", header), (".c", source)):
             (Path(scratch) / f"{name}{suffix}").write_text(text, encoding="utf-8")
         made = Path(scratch) / "made.so"
@@ -256,11 +251,6 @@ def _made(make_estimator: Callable, select: Callable, parameters, sizes: tuple[i
     return program, Layout(name, p, s, o, program.workspace_bytes, described(carry), described(out))
 
 
-def exported(build_estimator: Callable, select: Callable, parameters, sizes: tuple[int, int]):
-    """(program, layout) of what `prepared` would make: traced, not built."""
-    return _made(build_estimator, select, parameters, sizes, "estimator")
-
-
 def traced(estimator, parameters, select: Callable | None = None, sizes: tuple[int, int] | None = None) -> Library:
     """The library of an estimator object: traced every time, built once."""
     sizes = sizes or (getattr(estimator, "n_u", estimator.system.n_u), estimator.system.n_y)
@@ -268,23 +258,20 @@ def traced(estimator, parameters, select: Callable | None = None, sizes: tuple[i
     return Library(build(program.header, program.source, "estimator"), layout)
 
 
-def _jax(lacking: str) -> str:
-    """The version of JAX. Raises Unmakeable with the sentence `lacking` where it is not installed."""
-    try:
-        return metadata.version("jax")
-    except metadata.PackageNotFoundError:
-        raise Unmakeable(lacking) from None
-
-
 @functools.cache
 def _package() -> str:
-    """A hash of rotorwatch's own sources and of what traces them."""
-    home, why = Path(__file__).parents[1], shipped.why_not()
-    lacking = f"{why[0].upper()}{why[1:]}, and JAX, which would make some, is not installed: pip install jax."
-    digest = hashlib.sha256(_jax(lacking).encode())
+    """A hash of rotorwatch's own sources and of what traces them. Raises ConfigError without JAX."""
+    home, digest = Path(__file__).parents[1], hashlib.sha256(_jax_version().encode())
     for path in sorted([*home.rglob("*.py"), *(home / name for name in shipped.templates())]):
         digest.update(str(path.relative_to(home)).encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()
+
+
+def _jax_version() -> str:
+    try:
+        return metadata.version("jax")
+    except metadata.PackageNotFoundError:
+        raise Unmakeable("This needs JAX, which is not installed: pip install 'rotorwatch[research]'.") from None
 
 
 def _named(function: Callable) -> str | None:
@@ -333,39 +320,28 @@ def _loaded(path: str, layout: str) -> Library:
     return Library(Path(path), Layout(*json.loads(layout)))
 
 
-def known_by(build_estimator: Callable, select: Callable, parameters, sizes: tuple[int, int]) -> str | None:
-    """What the program of build_estimator(parameters) is known by (`shipped.key`); None where a function is not this package's own."""
-    names = (_named(build_estimator), _named(select))
-    return None if None in names else shipped.key(names, _shapes(parameters), described(parameters), sizes)
-
-
-def _compiled(c: shipped.Source) -> Library:
-    """The library of C that came with the package. Raises Unavailable, Unmakeable where JAX cannot run in its place."""
-    try:
-        path = build(c.header, c.source, "estimator", shipped.levels()[0], f"the estimator for {c.words}")
-    except Unavailable as why:
-        _jax(f"{why} The first flight of {c.words} needs it; or install JAX, which does without: pip install jax.")
-        raise
-    return _loaded(str(path), json.dumps(c.layout))
-
-
 def prepared(build_estimator: Callable, select: Callable, parameters, sizes: tuple[int, int]) -> Library:
-    """The library of build_estimator(parameters): without tracing when it, or its C, came with the package (shipped.py), or when the same
-    functions of the same package, or in this process the same functions of any, were met before. Raises Unavailable where it has to be
-    made and cannot be."""
-    known_as = known_by(build_estimator, select, parameters, sizes)
-    if known_as is None:
+    """The library of build_estimator(parameters): without tracing when the same functions of the same package, or in this process the same
+    functions of any, were met before. Raises Unavailable where it has to be made and cannot be."""
+    names = (_named(build_estimator), _named(select))
+    if None in names:
         found = _nameless(build_estimator, select, _Example(parameters), sizes)
         if isinstance(found, Library):
             return found
         raise found
-    came_with = shipped.find(known_as)
-    if came_with is not None:
-        return _loaded(str(came_with[0]), json.dumps(came_with[1]))
-    c = shipped.source(known_as)
-    if c is not None:
-        return _compiled(c)
-    about = json.dumps([_package(), known_as, toolchain.machine(), QUICK, FLAGS, VECTORS])
+    about = json.dumps(
+        [
+            _package(),
+            names,
+            _shapes(parameters),
+            described(parameters),
+            sizes,
+            toolchain.machine(),
+            QUICK,
+            FLAGS,
+            VECTORS,
+        ]
+    )
     note = toolchain.folder() / f"known-{hashlib.sha256(about.encode()).hexdigest()[:32]}.json"
     try:
         known = json.loads(note.read_text())

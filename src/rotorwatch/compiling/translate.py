@@ -32,7 +32,10 @@ typedef double rw_real;
 #endif
 
 /* Seconds since any one moment, the same for all that is fed; long sums. Double in both precisions: after a day a float knows only 8 ms. */
+#ifndef ROTORWATCH_TIME
+#define ROTORWATCH_TIME
 typedef double rw_time;
+#endif
 /* Later than all times: the end of what lasts. */
 #define RW_LASTS ((rw_time)1e30)
 """

@@ -18,10 +18,10 @@ import numpy as np
 from rotorwatch.core import Array
 from rotorwatch.default import plant
 from rotorwatch.default.plant import PER_AXIS, TAU, fading
-from rotorwatch.engine.noise import CLIP, FLOOR, GROWTH_WEIGHT, LAGS, MEMORY_S
+from rotorwatch.engine import noise as definition
+from rotorwatch.engine.noise import CLIP, FLOOR, GENERIC_WEIGHT, GROWTH_WEIGHT, LAGS, MEMORY_S
 
-GENERIC = np.tile(np.array([[0.05**2], [0.05**2], [0.05**2], [0.02**2]]), (1, 4))
-GENERIC_WEIGHT = 0.02
+GENERIC = np.tile(np.array(definition.GENERIC)[:, None], (1, 4))
 
 
 class NoiseState(NamedTuple):

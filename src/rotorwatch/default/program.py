@@ -9,9 +9,8 @@ import numpy as np
 
 from rotorwatch.compiling.running import Rows
 from rotorwatch.core import Array
-from rotorwatch.default.noise import GENERIC, GENERIC_WEIGHT
 from rotorwatch.default.plant import any_air, any_curve, any_multirotor, lower_rotors, packed
-from rotorwatch.engine import estimator, sizes, whole
+from rotorwatch.engine import estimator, noise, sizes, whole
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.hypotheses import hypothesis_count
 from rotorwatch.engine.plant import AIR, CURVE, SHARE, SHARE_SD, Plant
@@ -81,8 +80,8 @@ def parameters(B: np.ndarray, dt: float, dynamics=None) -> dict:
         **arrays,
         "x0": mean,
         "P0": P,
-        "noise": GENERIC,
-        "noise_weight": np.array(GENERIC_WEIGHT),
+        "noise": np.tile(np.array(noise.GENERIC)[:, None], (1, 4)),
+        "noise_weight": np.array(noise.GENERIC_WEIGHT),
     }
 
 
@@ -109,10 +108,15 @@ class Steps:
         self._room = ENGINE.array(estimator.Result, PIECE)
         ENGINE.call(whole.begin, self.plant, self.state)
 
+    def raise_threshold(self, nats: float) -> None:
+        """Ask so much more of an announcement from now on."""
+        alarm = self.state.part("alarm")
+        alarm.set(limit=float(alarm["limit"][0]) + nats)
+
     @property
     def learned(self) -> Learned:
         """What it has come to."""
-        states = sizes.X + self.rotors
+        states = sizes.PLANT_STATES + self.rotors
         all_ = self.state.part("branches").part("all")
         s, P = all_["s"][0, :states], all_["P"][0, :states, :states]
         return Learned(s.copy(), P.copy(), self.state.part("noise")["v"][0].copy())
@@ -145,7 +149,7 @@ class Steps:
 def _plant(parameters: dict) -> Rows:
     """A Plant of `parameters`, not yet completed."""
     B, lower = np.asarray(parameters["B"], float), parameters.get("lower")
-    mean, variance = np.zeros(sizes.X), np.zeros((sizes.X, sizes.X))
+    mean, variance = np.zeros(sizes.PLANT_STATES), np.zeros((sizes.PLANT_STATES, sizes.PLANT_STATES))
     mean[:CURVE], variance[:CURVE, :CURVE] = parameters["x0"], parameters["P0"]
     known = {
         CURVE: parameters["curve"],

@@ -9,10 +9,10 @@ any disturbance, at two ticks in a row, and either certain (CERTAIN_NATS) or at 
 
 from __future__ import annotations
 
-from rotorwatch.compiling.structs import Real, Struct, exp, log
+from rotorwatch.compiling.structs import Real, Struct, exp, log, real
 from rotorwatch.engine.bank import Bank
 from rotorwatch.engine.evidence import Best, Evidence
-from rotorwatch.engine.hypotheses import CLEAR, PAIR, STUCK, pair_count, weight_of
+from rotorwatch.engine.hypotheses import CLEAR, ONE_THRUST, PAIR, pair_count, weight_of
 from rotorwatch.engine.noise import MEMORY_S
 from rotorwatch.engine.plant import USUAL_S, Plant
 
@@ -78,7 +78,7 @@ def threshold(p: Plant, period: Real) -> Real:
     """Log of the Shiryaev-Roberts threshold: the mean time to a false alarm, in ticks, is at least its value over the sum
     of the fault hypotheses' prior weights (about the number of rotors), as far as the noise is what the model says. period: that
     time in s."""
-    weight = float(p.rotors) * (1.0 + weight_of(STUCK)) + float(pair_count(p.rotors)) * weight_of(PAIR)
+    weight = real(p.rotors) * (1.0 + weight_of(ONE_THRUST)) + real(pair_count(p.rotors)) * weight_of(PAIR)
     return log(period / p.dt * weight)
 
 

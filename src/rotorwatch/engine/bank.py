@@ -16,7 +16,7 @@ reveals them.
 
 from __future__ import annotations
 
-from rotorwatch.compiling.structs import REAL, Real, Reals, Struct, array, exp, local, log
+from rotorwatch.compiling.structs import REAL, Real, Reals, Struct, array, exp, local, log, real
 from rotorwatch.engine.plant import (
     ANSWER_S,
     B1,
@@ -36,7 +36,7 @@ from rotorwatch.engine.sizes import DIRECTIONS, ROTORS, SLOTS, STATES
 GROUP, GROUPS = 16, 3  # slots of a group
 SHORT, LONG = (1, 2, 4), (1, 5, 3)  # ticks between the slots of a group: for short ticks, and from SLOW_S on
 SLOW_S = 0.08
-YAW_ERROR, DAMPING_ERROR, LOSS = 4, 5, 6  # directions; before them the steps of four axes
+YAW_ERROR, DAMPING_ERROR, FIRST_LOSS = 4, 5, 6  # directions; before them the steps of four axes
 
 
 class Slot(Struct):
@@ -54,18 +54,18 @@ class Slot(Struct):
         """A jump now."""
         self.age = 0
         for r in range(THETA + p.rotors):
-            for d in range(LOSS + p.rotors):
+            for d in range(FIRST_LOSS + p.rotors):
                 self.M[r][d] = 0.0
-        for d in range(LOSS + p.rotors):
+        for d in range(FIRST_LOSS + p.rotors):
             self.z[d] = 0.0
-            for e in range(LOSS + p.rotors):
+            for e in range(FIRST_LOSS + p.rotors):
                 self.C[d][e] = 0.0
         for i in range(p.rotors):
             self.before[i] = before[i]
 
     def advance(self, p: Plant, share: Real) -> None:
         """One tick on; by `share` of its size the jump comes now."""
-        directions = LOSS + p.rotors
+        directions = FIRST_LOSS + p.rotors
         for a in range(4):
             for b in range(a * PER_AXIS + B1, a * PER_AXIS + B2 + 1):
                 row = self.M[b]
@@ -79,11 +79,11 @@ class Slot(Struct):
         self.M[ROLL * PER_AXIS + DAMPING][DAMPING_ERROR] += share
         self.M[PITCH * PER_AXIS + DAMPING][DAMPING_ERROR] += share
         for i in range(p.rotors):
-            self.M[THETA + i][LOSS + i] += share
+            self.M[THETA + i][FIRST_LOSS + i] += share
 
     def observe(self, p: Plant, a: int, h: Reals, K: Reals, weight: Real, nu: Real) -> None:
         """One measurement of an axis, of weight 1 / S."""
-        directions = LOSS + p.rotors
+        directions = FIRST_LOSS + p.rotors
         phi = local(REAL, DIRECTIONS)
         for part in range(2):
             first = a * PER_AXIS if part == 0 else SIDEWAYS
@@ -118,8 +118,8 @@ class Bank(Struct):
         for k in range(SLOTS):
             stride = _stride(p, k // GROUP)
             self.slots[k].gradual = k // GROUP == GROUPS - 1
-            self.slots[k].log_stride = log(float(stride))
-            self.reach = max(self.reach, float(GROUP * stride))
+            self.slots[k].log_stride = log(real(stride))
+            self.reach = max(self.reach, real(GROUP * stride))
 
     def advance(self, p: Plant, judge: bool, restart: bool, before: Reals) -> None:
         """One tick on: where the flight is judged a slot of each group becomes a jump now; elsewhere all are unused."""
@@ -136,7 +136,7 @@ class Bank(Struct):
             if slot.age >= 0:
                 slot.advance(
                     p,
-                    (1.0 - fades) * exp(-p.dt / ANSWER_S * float(slot.age))
+                    (1.0 - fades) * exp(-p.dt / ANSWER_S * real(slot.age))
                     if slot.gradual
                     else 1.0
                     if slot.age == 0
@@ -159,7 +159,7 @@ class Window(Struct):
     def reduce(self, p: Plant, slot: Slot, yaw_error: Real, damping_error: Real) -> None:
         """Of a slot, with both errors of the model integrated out, of given variances: C - c c' / (C_ll + 1 / variance), and z alike.
         Damping has a least, which is 0: less of it than is known is not allowed for."""
-        directions = LOSS + p.rotors
+        directions = FIRST_LOSS + p.rotors
         damping = slot.C[DAMPING_ERROR]
         prior = damping_error if slot.z[DAMPING_ERROR] > 0.0 else 1e-12
         inverse = 1.0 / (damping[DAMPING_ERROR] + 1.0 / prior)

@@ -9,7 +9,7 @@ have happened becomes a few explanations (posterior.py); the best of them leads.
 
 from __future__ import annotations
 
-from rotorwatch.compiling.structs import FLAG, REAL, Real, Reals, Struct, array, embedded, local, sqrt
+from rotorwatch.compiling.structs import FLAG, REAL, Real, Reals, Struct, array, embedded, local, real, sqrt
 from rotorwatch.engine.announcement import Alarm
 from rotorwatch.engine.bank import Bank
 from rotorwatch.engine.evidence import Best, Evidence
@@ -183,7 +183,7 @@ class Estimator(Struct):
         leader = self.branches.all[0]
         mean = 0.0
         for i in range(n):
-            mean += now.thrust[i] / float(n)
+            mean += now.thrust[i] / real(n)
         self.usual = max(mean if now.restart else self.memory.collective, LEAST_USUAL)
         rows(p, now, now.thrust, now.forward, now.right, leader.s, self.usual, self.rows)
         bends = local(REAL, ROTORS)
@@ -204,7 +204,7 @@ class Estimator(Struct):
         m = self.measured
         self.memory.variance(p, now, seen, leader.s, self.noise, m.R)
         wrench = now.wrench[THRUST] if now.valid[THRUST] else 0.0
-        air = float(n) * now.axial * leader.s[AIR]
+        air = real(n) * now.axial * leader.s[AIR]
         self.missing.follow(p, now, wrench + bent[THRUST] * leader.s[CURVE] - now.load * leader.s[LOAD_GAIN] - air)
 
         rows(p, now, seen.thrust, seen.forward, seen.right, leader.s, self.usual, self.rows)

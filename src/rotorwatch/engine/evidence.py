@@ -20,11 +20,12 @@ from rotorwatch.compiling.structs import (
     exp,
     local,
     log,
+    real,
     reset,
     sqrt,
 )
 from rotorwatch.engine import hypotheses
-from rotorwatch.engine.bank import LOSS, Bank, Slot, Window
+from rotorwatch.engine.bank import FIRST_LOSS, Bank, Slot, Window
 from rotorwatch.engine.hypotheses import (
     CLEAR,
     DISTURBANCE,
@@ -36,10 +37,10 @@ from rotorwatch.engine.hypotheses import (
     LOSS_WIDTH,
     NONE,
     NOTHING,
+    ONE_THRUST,
     PAIR,
     RECOVERY,
     SINGLE,
-    STUCK,
     TOTAL_LOSS,
     Asked,
     Freed,
@@ -75,7 +76,7 @@ class Best(Struct):
         return self.jump.size if rotor == self.rotor else self.jump.other_size if rotor == self.other else 0.0
 
 
-class Change(Struct):
+class Shift(Struct):
     """A jump in all directions of the bank: most probable size and covariance. A: room to work in."""
 
     size = array(REAL, DIRECTIONS)
@@ -90,6 +91,7 @@ class Evidence(Struct):
     yaw_error: Real = 0.0  # variance of the gain of yaw
     damping_error: Real = 0.0  # ... of how much roll and pitch are damped
     log_bf = array(REAL, SLOTS, HYPOTHESES)  # log Bayes factors with the slots' strides
+    unfaulty = array(REAL, SLOTS)  # the largest log Bayes factor of a disturbance
     odds = array(REAL, HYPOTHESES)  # log evidence over all onsets
     probability = array(REAL, HYPOTHESES)  # among faults
     known = array(REAL, ROTORS)  # the most information on each rotor's jump alone
@@ -146,7 +148,7 @@ class Evidence(Struct):
             slot = bank.slots[k]
             row = self.log_bf[k]
             if slot.age >= 0:
-                self._weigh(p, slot, row)
+                self.unfaulty[k] = self._weigh(p, slot, row)
                 if self.live < 0:
                     self.live = k
             else:
@@ -167,13 +169,13 @@ class Evidence(Struct):
         self._prior(p)
         self._sum(p)
 
-    def _weigh(self, p: Plant, slot: Slot, out: Reals) -> None:
-        """Log Bayes factors of one onset."""
+    def _weigh(self, p: Plant, slot: Slot, out: Reals) -> Real:
+        """Log Bayes factors of one onset; the largest of a disturbance."""
         n = p.rotors
         self.window.reduce(p, slot, self.yaw_error, self.damping_error)
         self.freed.free(p, self.window, self.asked)
         for i in range(n):
-            self.known[i] = max(self.known[i], self.window.C[LOSS + i][LOSS + i])
+            self.known[i] = max(self.known[i], self.window.C[FIRST_LOSS + i][FIRST_LOSS + i])
             self.freed.loss(self.asked, i, self.jump)
             out[i] = self.jump.factor
         h = n
@@ -194,13 +196,16 @@ class Evidence(Struct):
             h += 1
         steps = local(REAL, DISTURBANCE_COUNT)
         hypotheses.disturbances(self.window, self.asked.width, 1.0, steps)
+        most = steps[0]
         for b in range(DISTURBANCE_COUNT):
             out[h + n + b] = steps[b]
+            most = max(most, steps[b])
+        return most
 
     def _target(self, p: Plant, slot: Slot, i: int) -> Real:
         """What ends a known loss: of a unit jump the filter has by now, or will have, so much of theta left."""
-        to_come = exp(-p.dt / ANSWER_S * float(slot.age + 1)) if slot.gradual else 0.0
-        return -self.asked.theta[i] / max(slot.M[THETA + i][LOSS + i] + to_come, 0.3)
+        to_come = exp(-p.dt / ANSWER_S * real(slot.age + 1)) if slot.gradual else 0.0
+        return -self.asked.theta[i] / max(slot.M[THETA + i][FIRST_LOSS + i] + to_come, 0.3)
 
     def barred(self, n: int, h: int) -> bool:
         """Whether a fault is not asked for beside what is known. With a rotor lost altogether the vehicle flies at its limits, where the
@@ -209,7 +214,7 @@ class Evidence(Struct):
         fresh = self._fresh(n, h)
         if self.asked.dead and fresh > 1:
             return True
-        return fresh > 0 and (kind == RECOVERY or (kind == STUCK and self.asked.weak))
+        return fresh > 0 and (kind == RECOVERY or (kind == ONE_THRUST and self.asked.weak))
 
     def _fresh(self, n: int, h: int) -> int:
         """Rotors of a hypothesis that are not known to be weak."""
@@ -228,7 +233,7 @@ class Evidence(Struct):
         another = -3.0 * CLEAR if self.asked.dead else -CLEAR if self.asked.weak else 0.0
         for h in range(hypothesis_count(n) - DISTURBANCE_COUNT):
             if self.barred(n, h):
-                self.odds[h] = 2.0 * NOTHING + log(float(SLOTS))
+                self.odds[h] = 2.0 * NOTHING + log(real(SLOTS))
             else:
                 self.odds[h] += CLEAR if self._fresh(n, h) == 0 else another
 
@@ -287,7 +292,7 @@ class Evidence(Struct):
                 if bank.slots[k].age >= 0 and self.log_bf[k][h] > self.log_bf[out.slot][h]:
                     out.slot = k
         slot = bank.slots[out.slot]
-        out.since = float(slot.age + 1)
+        out.since = real(slot.age + 1)
         reset(out.jump)
         if slot.age < 0:
             return
@@ -300,14 +305,14 @@ class Evidence(Struct):
         elif out.kind == RECOVERY:
             target = self._target(p, slot, out.rotor) if self.asked.active[out.rotor] else 0.0
             self.freed.recovery(out.rotor, target, out.jump)
-        elif out.kind == STUCK:
+        elif out.kind == ONE_THRUST:
             hypotheses.one_thrust(p, self.window, self.asked, out.rotor, out.jump)
 
     def detectable(self, i: int) -> Real:
         """Standard deviation with which a loss of a rotor would be measured now."""
         return 1.0 / sqrt(self.known[i] + 1.0 / (LOSS_WIDTH * LOSS_WIDTH))
 
-    def change(self, p: Plant, bank: Bank, best: Best, out: Change) -> None:
+    def change(self, p: Plant, bank: Bank, best: Best, out: Shift) -> None:
         """Size and covariance of a jump in all directions, after `pick` of it. What geometry is wrong by counts in how well a loss is
         known; it does not become a disturbance."""
         w = self.window
@@ -326,12 +331,12 @@ class Evidence(Struct):
                         out.size[a] += out.A[a][b] * w.z[b]
                         out.cov[a][b] = out.A[a][b] if (steps >> b) & 1 == 1 else 0.0
             return
-        rotor = LOSS + best.rotor
-        other = LOSS + best.other
+        rotor = FIRST_LOSS + best.rotor
+        other = FIRST_LOSS + best.other
         out.size[rotor] = best.jump.size
         if best.kind == SINGLE:
             out.cov[rotor][rotor] = best.jump.variance
-        elif best.kind == STUCK:
+        elif best.kind == ONE_THRUST:
             out.cov[rotor][rotor] = NONE * NONE
             for a in range(4):  # what it gives instead of what it is commanded
                 out.size[a] = -p.effect[a][best.rotor] * best.jump.gives
@@ -366,7 +371,7 @@ class Evidence(Struct):
             out.cov[rotor][rotor] = out.A[4][4]
 
 
-def invert(it: Change, k: int) -> None:
+def invert(it: Shift, k: int) -> None:
     """The first k rows and columns of A, symmetric and positive, become their inverse."""
     for d in range(k):
         row = it.A[d]

@@ -12,7 +12,7 @@ In their order: each rotor, each pair of rotors, each rotor well again, each rot
 from __future__ import annotations
 
 from rotorwatch.compiling.structs import FLAG, REAL, Real, Reals, Struct, array, exp, local, log, sqrt
-from rotorwatch.engine.bank import LOSS, Window
+from rotorwatch.engine.bank import FIRST_LOSS, Window
 from rotorwatch.engine.plant import THRUST, YAW, Plant
 from rotorwatch.engine.sizes import ROTORS
 from rotorwatch.front import losses
@@ -43,7 +43,7 @@ MORE, NOTHING = 1.25, -50.0
 DISTURBANCES = (1, 2, 4, 8, 9, 10, 12, 7, 15)
 DISTURBANCE_COUNT = 9
 
-SINGLE, PAIR, RECOVERY, STUCK, DISTURBANCE = 0, 1, 2, 3, 4  # kinds
+SINGLE, PAIR, RECOVERY, ONE_THRUST, DISTURBANCE = 0, 1, 2, 3, 4  # kinds
 
 
 class Asked(Struct):
@@ -88,8 +88,8 @@ class Freed(Struct):
         lacks = 0.0
         dragged = 0.0
         for i in range(n):
-            c = w.C[LOSS + i][LOSS + i] + 1.0 / (LOSS_WIDTH * LOSS_WIDTH)
-            z = w.z[LOSS + i]
+            c = w.C[FIRST_LOSS + i][FIRST_LOSS + i] + 1.0 / (LOSS_WIDTH * LOSS_WIDTH)
+            z = w.z[FIRST_LOSS + i]
             nu = min(max(z / c, a.lo[i]), a.hi[i])
             fit = z * nu - 0.5 * c * nu * nu
             if fit > best:
@@ -107,12 +107,12 @@ class Freed(Struct):
             for other in range(4):
                 among[axis][other] = w.C[axis][other]
             for i in range(n):
-                cross[axis][i] = w.C[axis][LOSS + i]
+                cross[axis][i] = w.C[axis][FIRST_LOSS + i]
         own = local(REAL, ROTORS)
         score = local(REAL, ROTORS)
         for i in range(n):
-            own[i] = w.C[LOSS + i][LOSS + i]
-            score[i] = w.z[LOSS + i]
+            own[i] = w.C[FIRST_LOSS + i][FIRST_LOSS + i]
+            score[i] = w.z[FIRST_LOSS + i]
         gain = 0.0
         grown = 1.0
         for axis in range(THRUST):
@@ -200,11 +200,11 @@ def pair(w: Window, a: Asked, i: int, j: int, out: Jump) -> None:
     """Two rotors explain more than one by chance: what they do has to be geometry's. The most probable sizes inside the box: the interior
     solution, else on an edge that it lies beyond."""
     precision = 1.0 / (LOSS_WIDTH * LOSS_WIDTH)
-    c11 = w.C[LOSS + i][LOSS + i] + precision
-    c22 = w.C[LOSS + j][LOSS + j] + precision
-    c12 = w.C[LOSS + i][LOSS + j]
-    z1 = w.z[LOSS + i]
-    z2 = w.z[LOSS + j]
+    c11 = w.C[FIRST_LOSS + i][FIRST_LOSS + i] + precision
+    c22 = w.C[FIRST_LOSS + j][FIRST_LOSS + j] + precision
+    c12 = w.C[FIRST_LOSS + i][FIRST_LOSS + j]
+    z1 = w.z[FIRST_LOSS + i]
+    z2 = w.z[FIRST_LOSS + j]
     det = c11 * c22 - c12 * c12
     if det <= 1e-12 * c11 * c22:
         det = 1e-12 * c11 * c22 + 1e-30
@@ -247,9 +247,9 @@ def one_thrust(p: Plant, w: Window, a: Asked, i: int, out: Jump) -> None:
         row = w.C[axis]
         for other in range(4):
             c -= effect * row[other] * p.effect[other][i]
-        cross += effect * row[LOSS + i]
+        cross += effect * row[FIRST_LOSS + i]
         left += effect * w.z[axis]
-    z = w.z[LOSS + i]
+    z = w.z[FIRST_LOSS + i]
     hi = a.hi[i]
     left -= cross * hi
     mean = 0.5 * (1.0 + a.full)
@@ -264,7 +264,7 @@ def one_thrust(p: Plant, w: Window, a: Asked, i: int, out: Jump) -> None:
     if thrust > MORE:
         fit = left * thrust - 0.5 * c * thrust * thrust - 0.5 * (thrust - mean) * (thrust - mean) / variance
         fit -= 0.5 * log(total * variance)
-        out.factor = fit + z * hi - 0.5 * w.C[LOSS + i][LOSS + i] * hi * hi
+        out.factor = fit + z * hi - 0.5 * w.C[FIRST_LOSS + i][FIRST_LOSS + i] * hi * hi
 
 
 def disturbances(w: Window, width: Reals, far: Real, out: Reals) -> None:
@@ -327,7 +327,7 @@ def kind_of(n: int, h: int) -> int:
         return PAIR
     if h < 2 * n + pair_count(n):
         return RECOVERY
-    return STUCK if h < 3 * n + pair_count(n) else DISTURBANCE
+    return ONE_THRUST if h < 3 * n + pair_count(n) else DISTURBANCE
 
 
 def rotor_of(n: int, h: int) -> int:
@@ -363,7 +363,7 @@ def weight_of(kind: int) -> Real:
         PAIR_WEIGHT
         if kind == PAIR
         else STUCK_WEIGHT
-        if kind == STUCK
+        if kind == ONE_THRUST
         else DISTURBANCE_WEIGHT
         if kind == DISTURBANCE
         else 1.0

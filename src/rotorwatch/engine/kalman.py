@@ -12,7 +12,7 @@ A loss is refined for USUAL_S, then taken as known, so that errors of the model 
 
 from __future__ import annotations
 
-from rotorwatch.compiling.structs import FLAG, REAL, Real, Reals, Struct, array, copy, local, sqrt
+from rotorwatch.compiling.structs import FLAG, REAL, Real, Reals, Struct, array, copy, local, real, sqrt
 from rotorwatch.engine.noise import DRIFT, FAST, SLOW, Noise
 from rotorwatch.engine.plant import AIR, B1, B2, B3, BUILT_SD, CURVE, PER_AXIS, SIDEWAYS, THETA, Plant, Rows
 from rotorwatch.engine.sizes import ROTORS, STATES
@@ -67,7 +67,7 @@ class Branch(Struct):
         for i in range(n):
             for j in range(n):
                 own = 1.0 if i == j else 0.0
-                self.P[THETA + i][THETA + j] = BUILT_SD * BUILT_SD * (own - 1.0 / float(n))
+                self.P[THETA + i][THETA + j] = BUILT_SD * BUILT_SD * (own - 1.0 / real(n))
 
     def hop(self, p: Plant) -> None:
         """The vehicle starts anew: only what it is like stays known, of rotors that were not weak."""

@@ -8,7 +8,7 @@ noise count as a side force: a regressor that holds noise makes its coefficient 
 
 from __future__ import annotations
 
-from rotorwatch.compiling.structs import REAL, Flags, Real, Reals, Struct, array, local, sqrt
+from rotorwatch.compiling.structs import REAL, Flags, Real, Reals, Struct, array, local, real, sqrt
 from rotorwatch.engine.noise import CLIP, DRIFT, FAST, SLOW, WHITE, Noise
 from rotorwatch.engine.plant import (
     ANSWER_S,
@@ -121,7 +121,7 @@ class Memory(Struct):
         # Punch-outs, drops and knocks: far from hover the thrust curve and the lag are no longer known well.
         collective = _mean(p, now)
         usual = collective if now.restart else self.collective
-        seen.far = max(abs(collective - usual) - FAR, 0.0) + max(abs(now.load / float(n) - 1.0) - FAR, 0.0)
+        seen.far = max(abs(collective - usual) - FAR, 0.0) + max(abs(now.load / real(n) - 1.0) - FAR, 0.0)
         seen.curve *= max(0.0, 1.0 - seen.far / FAR)
         self.collective = usual + (collective - usual) * (past / USUAL_S)
         for a in range(4):
@@ -143,7 +143,7 @@ class Memory(Struct):
             rates = stands_out(self.rate_level[a], rate)
             # Motion that gusts have made teaches what the gusts did, not what the vehicle is: it has to need more than they give.
             x = a * PER_AXIS
-            gain = max(s[x + GAIN], LEAST_GAIN * float(p.rotors) * GAIN_MEAN[a])
+            gain = max(s[x + GAIN], LEAST_GAIN * real(p.rotors) * GAIN_MEAN[a])
             gusts = GUST_SHARE * GUST_SHARE * (noise.v[FAST][a] + noise.v[SLOW][a] + noise.v[DRIFT][a] * TAU[1])
             turn_needs = gain * now.turn[a]
             rate_needs = DAMPING_RATE * gain * now.rate[a]
@@ -215,12 +215,12 @@ class Memory(Struct):
             missing = seen.thrust[i] - BELOW_LIMIT * now.full if seen.thrust[i] > AT_LIMIT * now.full else 0.0
             wash = WASH * min(max(-now.axial / WASH_SINK - 1.0, 0.0), 1.0) * seen.thrust[i]
             square[i] = missing * missing + wash * wash
-        far = FAR_ERROR * float(n) * seen.far
+        far = FAR_ERROR * real(n) * seen.far
         for a in range(4):
-            motion = now.load - float(n) if a == THRUST else now.turn[a]
+            motion = now.load - real(n) if a == THRUST else now.turn[a]
             gained = GAIN_ERROR[a] * s[a * PER_AXIS + GAIN] * motion
             damped = DAMPING_ERROR * s[a * PER_AXIS + DAMPING] * (0.0 if a == THRUST else now.rate[a])
-            air = AIR_ERROR * float(n) * now.axial if a == THRUST else 0.0
+            air = AIR_ERROR * real(n) * now.axial if a == THRUST else 0.0
             wrench = now.wrench[a] if now.valid[a] else 0.0
             late = LAG_ERROR_S / p.dt * max(abs(wrench - self.wrench[a]) - 4.0 * sqrt(noise.v[WHITE][a]), 0.0)
             total = gained * gained + damped * damped + far * far + air * air + late * late
@@ -258,14 +258,14 @@ class Memory(Struct):
         like that of the rotors."""
         x = self.push[0] - self.usual_push[0]
         y = self.push[1] - self.usual_push[1]
-        return float(p.rotors) * max(sqrt(x * x + y * y) / G0 - SIDE_FORCE, 0.0)
+        return real(p.rotors) * max(sqrt(x * x + y * y) / G0 - SIDE_FORCE, 0.0)
 
 
 def _mean(p: Plant, now: Inputs) -> Real:
     total = 0.0
     for i in range(p.rotors):
         total += now.thrust[i]
-    return total / float(p.rotors)
+    return total / real(p.rotors)
 
 
 def stands_out(level: Real, square: Real) -> Real:
@@ -281,6 +281,6 @@ def shows_air(axial: Real) -> Real:
 def unknown_damping(p: Plant, s: Reals) -> Real:
     """Variance of how much more roll and pitch may be damped than the state says: up to what two standard deviations above the usual
     are."""
-    gain = max(0.5 * (s[GAIN] + s[PER_AXIS + GAIN]), LEAST_GAIN * float(p.rotors) * GAIN_MEAN[0])
+    gain = max(0.5 * (s[GAIN] + s[PER_AXIS + GAIN]), LEAST_GAIN * real(p.rotors) * GAIN_MEAN[0])
     most = (DAMPING_RATE + 2.0 * DAMPING_RATE_SD) * gain  # light vehicles with long arms
     return most * most

@@ -25,6 +25,8 @@ ITERATIONS = 3
 # Floor of the white variance, in hover thrusts: one PWM step of a few rotors.
 FLOOR = 0.0008 * 0.0008
 WHITE, FAST, SLOW, DRIFT = 0, 1, 2, 3
+# Variances of these before a flight has shown its own, and how many samples a lag that counts for.
+GENERIC, GENERIC_WEIGHT = (0.05 * 0.05, 0.05 * 0.05, 0.05 * 0.05, 0.02 * 0.02), 0.02
 
 
 class Noise(Struct):

@@ -11,19 +11,17 @@ Only steady flight can tell: who climbs, drops or turns changes the air that all
 
 from __future__ import annotations
 
-from rotorwatch.compiling.structs import Real, Struct, exp, log
+from rotorwatch.compiling.structs import Real, Struct, exp, log, real
 from rotorwatch.engine.announcement import Alarm, either
-from rotorwatch.engine.bank import LOSS, Bank, Window
+from rotorwatch.engine.bank import FIRST_LOSS, Bank, Window
 from rotorwatch.engine.evidence import Evidence
 from rotorwatch.engine.hypotheses import (
     CLEAR,
-    DISTURBANCE_COUNT,
     LOSS_WIDTH,
     NONE,
     NOTHING,
     PAIR,
     SMALL_WIDTH,
-    hypothesis_count,
     kind_of,
     other_rotor_of,
     rotor_of,
@@ -60,19 +58,14 @@ class Opposite(Struct):
         sudden = NOTHING
         pair = -1
         age = 0
-        faults = hypothesis_count(p.rotors) - DISTURBANCE_COUNT
         for k in range(SLOTS):
             slot = bank.slots[k]
             if slot.age < 0:
                 continue
-            for b in range(faults, faults + DISTURBANCE_COUNT):
-                factor = found.log_bf[k][b] - slot.log_stride
-                if slot.gradual:
-                    gradual = max(gradual, factor)
-                else:
-                    sudden = max(sudden, factor)
             if slot.gradual:
+                gradual = max(gradual, found.unfaulty[k])
                 continue
+            sudden = max(sudden, found.unfaulty[k])
             found.window.reduce(p, slot, found.yaw_error, found.damping_error)
             h = p.rotors
             for i in range(p.rotors):
@@ -90,16 +83,16 @@ class Opposite(Struct):
                     h += 1
         if pair < 0:
             return
-        forgotten = exp(float(age) * p.dt / USUAL_S)  # of the heaving meanwhile
+        forgotten = exp(real(age) * p.dt / USUAL_S)  # of the heaving meanwhile
         steady = (
-            missing.heave * forgotten < HEAVING + 2.0 * self.loss / float(p.rotors)
+            missing.heave * forgotten < HEAVING + 2.0 * self.loss / real(p.rotors)
             and missing.rose * forgotten < HEAVING
         )
         if steady and best > alarm.limit and best > sudden - 2.0 * CLEAR and best > gradual:
             self.lasted = before + p.dt
             if self.lasted >= ANSWER_S and before < ANSWER_S:
                 self.pair = pair
-                self.onset = float(age + 1)
+                self.onset = real(age + 1)
 
 
 def contested(p: Plant, h: int) -> bool:
@@ -111,12 +104,19 @@ def contested(p: Plant, h: int) -> bool:
 
 def _shared(w: Window, i: int, j: int, width: Real) -> Real:
     """The most probable loss that both rotors have, of losses about so large."""
-    c = w.C[LOSS + i][LOSS + i] + w.C[LOSS + j][LOSS + j] + 2.0 * w.C[LOSS + i][LOSS + j]
-    return min(max((w.z[LOSS + i] + w.z[LOSS + j]) / (c + 1.0 / (width * width)), 0.0), 1.0)
+    score = w.z[FIRST_LOSS + i] + w.z[FIRST_LOSS + j]
+    return min(max(score / (_information(w, i, j) + 1.0 / (width * width)), 0.0), 1.0)
 
 
 def _fit(w: Window, i: int, j: int, width: Real) -> Real:
     """Its log Bayes factor."""
-    c = w.C[LOSS + i][LOSS + i] + w.C[LOSS + j][LOSS + j] + 2.0 * w.C[LOSS + i][LOSS + j] + 1.0 / (width * width)
+    left = _information(w, i, j) + 1.0 / (width * width)
     size = _shared(w, i, j, width)
-    return (w.z[LOSS + i] + w.z[LOSS + j]) * size - 0.5 * c * size * size - 0.5 * log(c * width * width)
+    return (
+        (w.z[FIRST_LOSS + i] + w.z[FIRST_LOSS + j]) * size - 0.5 * left * size * size - 0.5 * log(left * width * width)
+    )
+
+
+def _information(w: Window, i: int, j: int) -> Real:
+    first = w.C[FIRST_LOSS + i]
+    return first[FIRST_LOSS + i] + w.C[FIRST_LOSS + j][FIRST_LOSS + j] + 2.0 * first[FIRST_LOSS + j]

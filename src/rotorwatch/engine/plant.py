@@ -25,12 +25,13 @@ from rotorwatch.compiling.structs import (
     array,
     exp,
     local,
+    real,
     sqrt,
 )
-from rotorwatch.engine.sizes import ROTORS, STATES, X
+from rotorwatch.engine.sizes import PLANT_STATES, ROTORS, STATES
 from rotorwatch.front.contact import G0
+from rotorwatch.front.vehicle import PITCH, ROLL, THRUST, YAW
 
-ROLL, PITCH, YAW, THRUST = 0, 1, 2, 3
 PER_AXIS = 5
 B1, B2, B3, GAIN, DAMPING = 0, 1, 2, 3, 4
 SIDEWAYS, CURVE, AIR, SHARE, THETA = 19, 20, 21, 22, 23
@@ -71,8 +72,8 @@ class Plant(Struct):
     dt: Real = 0.05  # length of a tick, s
     effect = array(REAL, 4, ROTORS)  # B: wrench of each rotor's thrust
     lower = array(REAL, ROTORS)  # 1 for the lower rotors of coaxial arms
-    mean = array(REAL, X)  # of the state
-    variance = array(REAL, X, X)
+    mean = array(REAL, PLANT_STATES)  # of the state
+    variance = array(REAL, PLANT_STATES, PLANT_STATES)
     noise = array(REAL, 4, 4)  # variances of white noise, both coloured ones and the drift, of each axis
     noise_weight: Real = 0.0  # samples a lag that these count for
     more = array(REAL, ROTORS)  # by how much each rotor's thrust grows with the lower rotors' share
@@ -125,7 +126,7 @@ def set_plant(p: Plant) -> None:
     # The unit of thrust stays the hover command: what the lower rotors give more, all give less.
     common = 0.0
     for i in range(n):
-        common += p.effect[3][i] * p.lower[i] / float(n)
+        common += p.effect[3][i] * p.lower[i] / real(n)
     for i in range(n):
         p.more[i] = p.lower[i] - common
         p.along[i] = DRAG / (gap * G0) * (p.effect[0][i] / p.effect[3][i]) if gap > 0.0 else 0.0
@@ -196,7 +197,7 @@ def rows(p: Plant, now: Inputs, thrust: Reals, forward: Real, right: Real, s: Re
             row[THETA + i] = (p.effect[a][i] * given + turned) * (1.0 + s[SHARE] * p.more[i])
     out.h[ROLL][SIDEWAYS] = -right
     out.h[PITCH][SIDEWAYS] = forward
-    out.h[THRUST][AIR] = float(n) * now.axial
+    out.h[THRUST][AIR] = real(n) * now.axial
 
 
 def dot(row: Reals, s: Reals, axis: int, states: int) -> Real:

@@ -5,7 +5,7 @@ Evidence says which explanation fits best; these gates say whether the best one 
 
 from __future__ import annotations
 
-from rotorwatch.compiling.structs import REAL, Real, Struct, array, exp, local, sqrt
+from rotorwatch.compiling.structs import REAL, Real, Struct, array, exp, local, real, sqrt
 from rotorwatch.engine.bank import Slot
 from rotorwatch.engine.evidence import Best
 from rotorwatch.engine.hypotheses import NONE
@@ -41,7 +41,7 @@ class Missing(Struct):
     def follow(self, p: Plant, now: Inputs, lacking: Real) -> None:
         """One tick on. lacking: commanded thrust minus load factor times its gain."""
         valid = now.valid[THRUST]
-        up = now.load / float(p.rotors) - 1.0 if valid else 0.0
+        up = now.load / real(p.rotors) - 1.0 if valid else 0.0
         left = exp(-p.dt / USUAL_S)
         missing = lacking if valid else self.slow
         self.usual = self.slow
@@ -67,7 +67,7 @@ class Missing(Struct):
     def air(self, p: Plant) -> Real:
         """Thrust, in hover thrusts of one rotor, that air from below adds to that of all when the vehicle has begun to sink; below 0 when
         it has begun to climb."""
-        return -INFLOW * float(p.rotors) * self.climb
+        return -INFLOW * real(p.rotors) * self.climb
 
 
 class Coupling(Struct):
@@ -93,7 +93,7 @@ class Coupling(Struct):
         # Eliminated axis by axis, B' A^-1 B is a sum of squares.
         for i in range(n):
             for j in range(n):
-                self.raises[i][j] = -1.0 / float(n)
+                self.raises[i][j] = -1.0 / real(n)
         for a in range(4):
             for i in range(n):
                 for j in range(n):
@@ -130,9 +130,9 @@ def plausible(
     n = p.rotors
     since = best.since * p.dt
     # Two rotors at once are rare: they have to show as they would in calm air.
-    two = best.other >= 0 and best.jump.other_size != 0.0 and best.jump.size != 0.0
+    two = best.other >= 0 and abs(best.jump.other_size) > 0.0 and abs(best.jump.size) > 0.0
     rough = 0.0 if two else noise.spread(0) + noise.spread(1) + noise.spread(2)
-    swing = max(DEMAND_SLACK, sqrt(rough) / float(n))
+    swing = max(DEMAND_SLACK, sqrt(rough) / real(n))
     # A controller asks more of a rotor that gives less, and less of one that gives more: a candidate whose command went the other way is
     # none. Of two rotors it asks what geometry leaves of that.
     largest = 0.0
@@ -142,7 +142,7 @@ def plausible(
     fits = True
     jump = local(REAL, ROTORS)
     for i in range(n):
-        mean += seen.thrust[i] / float(n)
+        mean += seen.thrust[i] / real(n)
         # Of a rotor that gives one thrust counts what that is more, or less, than its command.
         jump[i] = best.size_of(i)
         if jump[i] > 0.0:

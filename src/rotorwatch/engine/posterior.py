@@ -32,8 +32,8 @@ from rotorwatch.compiling.structs import (
     sqrt,
 )
 from rotorwatch.engine.announcement import either
-from rotorwatch.engine.bank import LOSS, Bank, Slot
-from rotorwatch.engine.evidence import Best, Change, Evidence
+from rotorwatch.engine.bank import FIRST_LOSS, Bank, Slot
+from rotorwatch.engine.evidence import Best, Evidence, Shift
 from rotorwatch.engine.hypotheses import (
     CLEAR,
     DISTURBANCE_COUNT,
@@ -65,7 +65,7 @@ class Branches(Struct):
     room = embedded(Branch)
     parent = embedded(Branch)
     best = embedded(Best)
-    change = embedded(Change)
+    change = embedded(Shift)
 
     def begin(self, p: Plant) -> None:
         """One explanation: nothing has happened."""
@@ -253,9 +253,9 @@ def _contest(p: Plant, found: Evidence, first: int, shared: bool, odds: Reals) -
             odds[h] = 2.0 * NOTHING
 
 
-def _add(p: Plant, slot: Slot, change: Change, out: Branch) -> None:
+def _add(p: Plant, slot: Slot, change: Shift, out: Branch) -> None:
     """s + M size, P + M cov M'."""
-    directions = LOSS + p.rotors
+    directions = FIRST_LOSS + p.rotors
     states = THETA + p.rotors
     half = local(REAL, STATES, DIRECTIONS)
     for r in range(states):

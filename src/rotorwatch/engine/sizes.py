@@ -3,8 +3,8 @@
 from rotorwatch.front import sizes as front
 
 ROTORS, PAIRS, HYPOTHESES, PLACES = front.ROTORS, front.PAIRS, front.HYPOTHESES, front.PLACES
-X = 23  # states of the plant
-STATES = 23 + front.ROTORS  # ... and the loss of each rotor
+PLANT_STATES = 23
+STATES = PLANT_STATES + front.ROTORS  # ... and the loss of each rotor
 DIRECTIONS = 6 + front.ROTORS  # in which a jump may go: steps of the axes, errors of the model, losses
 SLOTS = 48  # onset times that are looked at
 RING = 64  # ticks whose residuals are kept

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rotorwatch.compiling.structs import Flags, Reals, isnan
+from rotorwatch.compiling.structs import Flags, Reals, isnan, real
 from rotorwatch.engine.estimator import Estimator, Result
 from rotorwatch.engine.plant import Inputs, Plant, set_plant
 from rotorwatch.front.ticks import AGAIN
@@ -29,7 +29,7 @@ def run(p: Plant, e: Estimator, count: int, u: Reals, y: Reals, valid: Flags, ou
         now.axial = 0.0 if isnan(u[first + 12]) else u[first + 12]
         now.mode = int(u[first + 13])
         now.restart = u[first + 14] > 0.5
-        now.hop = now.restart and u[first + 14] < float(AGAIN) - 0.5
+        now.hop = now.restart and u[first + 14] < real(AGAIN) - 0.5
         for a in range(4):
             now.wrench[a] = y[4 * t + a]
             now.valid[a] = valid[4 * t + a]

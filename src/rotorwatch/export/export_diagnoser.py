@@ -2,27 +2,30 @@
 
     export_diagnoser("out", vehicle="mine.toml", prefix="rotor")
 
-All of it but the estimator is made of its definition (front/), the estimator of its traced step, for this vehicle; rw_diagnoser.{h,c}
-(embedded_c) joins the two. rw_config.h and rw_config.c hold the vehicle and the rates.
+The front end and the estimator are made of their definitions (front/, engine/); rw_diagnoser.{h,c} (embedded_c) joins the two.
+rw_config.h and rw_config.c hold the vehicle and the rates.
 """
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from rotorwatch import airframes
 from rotorwatch.base import checks
 from rotorwatch.compiling.body import exact
-from rotorwatch.compiling.c99.project import Field, Program, make
 from rotorwatch.compiling.translate import Translation
-from rotorwatch.core import Array
-from rotorwatch.default import bank, events, posterior
-from rotorwatch.default.plant import WrenchBalance, lower_rotors
-from rotorwatch.default.program import parameters
+from rotorwatch.default import events, program
+from rotorwatch.default.plant import lower_rotors
+from rotorwatch.engine import bank, whole
+from rotorwatch.engine import sizes as engine_sizes
+from rotorwatch.engine.bank import FIRST_LOSS
+from rotorwatch.engine.definition import PARTS as ENGINE_PARTS
+from rotorwatch.engine.hypotheses import hypothesis_count
+from rotorwatch.engine.plant import Plant
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.front import sizes
@@ -32,59 +35,35 @@ from rotorwatch.motion.contact import look_back
 
 SOURCES = Path(__file__).parent / "embedded_c"
 FRONT_ABOUT = "The front end: samples in, ticks out. Made of the definitions in rotorwatch/front; not to be edited."
-ESTIMATOR = "rw_estimator"
+ESTIMATOR_ABOUT = (
+    "The default estimator: ticks in, losses out. Made of the definitions in rotorwatch/engine; not to be edited."
+)
 ROOMS = ("RECORDS", "CONTACTS", "FALLS", "EVENTS")  # sizes of buffers, which a compiler's -D may override
 QUEUE_S = 6.0  # ticks that wait: airborne.CONFIRM_S, and room
 
 
-class Found(NamedTuple):
-    """The estimator's outputs of a tick that events are made of."""
-
-    theta: Array
-    theta_sd: Array
-    active: Array
-    share: Array
-    gives: Array
-    probability: Array
-    log_odds: Array
-    onsets: Array
-    opposite: Array
-    opposite_onset: Array
-    opposite_loss: Array
-    announced: Array
-
-
-def estimator_program(vehicle: Vehicle, dt: float) -> Program:
-    """The C of the default estimator for one vehicle and one length of ticks."""
-    from rotorwatch.default.estimator import JumpBank
-
-    p = parameters(vehicle.effectiveness(), dt, (vehicle.identified or {}).get("dynamics"))
-    system = WrenchBalance(p["B"], (p["x0"], p["P0"]), p.get("lower"), p.get("share"), p["curve"], p["air"])
-    method = JumpBank(system, dt, (p["noise"], p["noise_weight"]))
-    inputs = (
-        Field("u", "f", (system.n_u + 2,), "inputs of a tick, of rw_ticks_make"),
-        Field("y", "f", (system.n_y,), "commanded roll, pitch, yaw torque, thrust [hover thrusts of one rotor]"),
-        Field("valid", "b", (system.n_y,), "which of y counts"),
-    )
-
-    def step(_, carry, u, y, valid):
-        carry, out = method.step(carry, u, y, valid)
-        own = {name: getattr(out, name) for name in Found._fields if hasattr(out, name)}
-        own |= {"log_odds": out.decision.log_odds, "opposite": out.opposite.pair}
-        return carry, Found(**own, opposite_onset=out.opposite.onset, opposite_loss=out.opposite.loss)
-
-    about = f"The default estimator for {len(vehicle.rotors)} rotors, a step of {dt:g} s."
-    return make(ESTIMATOR, step, lambda _: method.init(), inputs, (), {}, about)
+def plant_table(vehicle: Vehicle, dt: float) -> dict[str, Any]:
+    """The members of rw_plant: what the estimator knows of a vehicle before take-off, for ticks of dt seconds."""
+    n = len(vehicle.rotors)
+    plant = program.steps(dt, vehicle.effectiveness(), (vehicle.identified or {}).get("dynamics")).plant
+    fitting = {engine_sizes.ROTORS: n, engine_sizes.STATES: engine_sizes.PLANT_STATES + n}
+    table = {name: plant[name][0] for name, _ in Plant.declared()}
+    return {
+        name: value[tuple(slice(0, fitting.get(size, size)) for size in value.shape)] if np.ndim(value) else value
+        for name, value in table.items()
+    }
 
 
 def settings(B: np.ndarray, dt: float) -> dict[str, Any]:
     """Entries of rw_config.h for the effectiveness B (4, n) and the length of a tick."""
     n = B.shape[1]
     opposite = max(1, sum(map(len, events.opposites(B).values())) // 2)
-    pairs, places = n * (n - 1) // 2, posterior.PLACES
+    pairs, places = n * (n - 1) // 2, sizes.PLACES
     return {
-        "ROTORS": n, "PLACES": places, "PAIRS": pairs, "HYPOTHESES": 3 * n + pairs + 9, "TICK_S": dt,
-        "REACH": bank.SLOTS * max(bank.STRIDES[0.1 if dt >= bank.SLOW_S else 0.05]) + 16,
+        "ROTORS": n, "PLACES": places, "PAIRS": pairs, "HYPOTHESES": hypothesis_count(n), "TICK_S": dt,
+        "REACH": bank.GROUP * max(bank.LONG if dt >= bank.SLOW_S else bank.SHORT) + 16,
+        "PLANT_STATES": engine_sizes.PLANT_STATES, "STATES": engine_sizes.PLANT_STATES + n, "DIRECTIONS": FIRST_LOSS + n,
+        "SLOTS": engine_sizes.SLOTS, "RING": engine_sizes.RING,
         "RECORDS": 2 * n + 4, "SETS": max(opposite, places), "TOGETHER": min(4, n), "ALTERNATIVES": places + 2 + opposite,
         "CONTACTS": 4, "FALLS": 4, "EVENTS": 12,
         "TICKS_BEFORE": look_back(dt), "SETTLING": 2 * look_back(dt) + 4, "QUEUE": round(QUEUE_S / dt), "WAITING": 8, "FLIGHTS": 4,
@@ -148,17 +127,26 @@ def text_of(table: dict[str, Any], kind: str, name: str) -> str:
     return f"const {kind} {name} = {{\n{members}}};\n"
 
 
+def definitions() -> dict[str, str]:
+    """File name -> text of what is made of definitions, the same for all vehicles."""
+    front, estimator = Translation(PARTS, sizes), Translation((*ENGINE_PARTS, whole), engine_sizes)
+    return {
+        "rw_front.h": front.header(FRONT_ABOUT),
+        "rw_front.c": front.source("rw_front.h"),
+        "rw_estimator.h": estimator.header(ESTIMATOR_ABOUT, name="estimator"),
+        "rw_estimator.c": estimator.source("rw_estimator.h"),
+    }
+
+
 def files(
     vehicle: Vehicle, plan: ticks.Plan, rates: tuple[float, float, float], tables: tuple[dict, dict]
 ) -> dict[str, str]:
     """File name -> text of the library. rates: of outputs, gyro and accelerometer [Hz]; tables: of `vehicle_table`, `plan_table`."""
-    program = estimator_program(vehicle, plan.dt)
     texts = {path.name: path.read_text(encoding="utf-8") for path in sorted(SOURCES.glob("*.[ch]"))}
-    texts |= {f"{ESTIMATOR}.h": program.header, f"{ESTIMATOR}.c": program.source}
-    front = Translation(PARTS, sizes)
-    texts |= {"rw_front.h": front.header(FRONT_ABOUT), "rw_front.c": front.source("rw_front.h")}
+    texts |= definitions()
     texts["rw_config.h"] = config(vehicle, plan.dt, *rates)
     made = [text_of(tables[0], "rw_vehicle", "rw_vehicle_default"), text_of(tables[1], "rw_plan", "rw_plan_default")]
+    made.append(text_of(plant_table(vehicle, plan.dt), "rw_plant", "rw_plant_default"))
     texts["rw_config.c"] = '#include "rw_diagnoser.h"\n\n' + "\n".join(made)
     return texts
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.base import discovery
-from rotorwatch.compiling.run import chosen, run, run_built
+from rotorwatch.compiling.run import chosen, run
 from rotorwatch.default import events, program
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import tools
@@ -130,14 +130,10 @@ def timings(name: str, scenes: Sequence[Scene], repeats: int) -> list[float]:
     scene = min(scenes, key=lambda s: s.B.shape[1])
     if name == "default":
         table, B = scene.ticks, scene.B
-        build, parameters = program.estimator, program.parameters(B, table.dt)
         u, y, valid = program.inputs(table, B)
         u[:, -1] = 0.0  # a flight repeated is no new flight
         rows = _repeated(u, y, valid)
-        return _timed(
-            lambda: run_built(build, parameters, *rows, select=program.tick_output, backend=chosen(None, "auto")),
-            repeats,
-        )
+        return _timed(lambda: program.steps(table.dt, B).run(*rows), repeats)
     if not scene.hops:
         return [float("nan")] * repeats
     hop = scene.hops[0]

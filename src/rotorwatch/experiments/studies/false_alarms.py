@@ -28,7 +28,7 @@ import numpy as np
 
 from rotorwatch import airframes, logs, many
 from rotorwatch.aerobatic import judge as aerobatic
-from rotorwatch.compiling.run import CHUNK, chosen, run_built
+from rotorwatch.compiling.run import CHUNK
 from rotorwatch.default import hypotheses, program
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import tools
@@ -431,18 +431,6 @@ def _crossed(table: Ticks, out, shift: float) -> np.ndarray:
 def _announced(table: Ticks, vehicle: Vehicle, shift: float) -> np.ndarray:
     """(T,) bool: announcements with the threshold `shift` nats higher."""
     B = vehicle.effectiveness()
-    known = program.parameters(B, table.dt, (vehicle.identified or {}).get("dynamics"))
-    parameters = {**known, "shift": np.array(shift)}
-    rows, backend = program.inputs(table, B), chosen(None, "auto")
-    return run_built(_shifted, parameters, *rows, _keep_announced, backend=backend)[1]
-
-
-def _keep_announced(out):
-    return out.announced
-
-
-def _shifted(p):
-    """The default estimator with a threshold p["shift"] nats higher: one compiled program for all of them."""
-    bank = program.estimator(p)
-    bank.limit = bank.limit + p["shift"]
-    return bank
+    steps = program.steps(table.dt, B, (vehicle.identified or {}).get("dynamics"))
+    steps.raise_threshold(shift)
+    return steps.run(*program.inputs(table, B)).announced

@@ -14,17 +14,20 @@ void rw_diagnoser_init(rw_diagnoser *d, const rw_vehicle *v, const rw_plan *p)
     rw_losses_init(&d->losses);
     rw_report_init(&d->report);
     rw_changes_init(&d->changes);
-    rw_estimator_init(&d->estimator, &d->work.step);
+    rw_estimator_init(&d->estimator);
+    rw_estimator_begin(&d->estimator, &rw_plant_default);
+    rw_result_init(&d->out);
 }
 
 /* One tick through the estimator, and its events. */
 static void judge(rw_diagnoser *d, const rw_made *made)
 {
-    const rw_estimator_out *out = &d->out;
+    const rw_result *out = &d->out;
     rw_found found;
     rw_real u[RW_INPUTS];
     rw_made_inputs(made, d->vehicle, u);
-    rw_estimator_step(&d->estimator, u, made->wrench, made->valid, &d->out, &d->work.step);
+    rw_whole_run(&rw_plant_default, &d->estimator, 1, u, made->wrench, made->valid, &d->out);
+    rw_found_init(&found);
     memcpy(found.theta, out->theta, sizeof found.theta);
     memcpy(found.theta_sd, out->theta_sd, sizeof found.theta_sd);
     memcpy(found.active, out->active, sizeof found.active);
@@ -33,9 +36,6 @@ static void judge(rw_diagnoser *d, const rw_made *made)
     memcpy(found.onsets, out->onsets, sizeof found.onsets);
     memcpy(found.probability, out->probability, sizeof found.probability);
     memcpy(found.log_odds, out->log_odds, sizeof found.log_odds);
-    memcpy(found.opposite_loss, out->opposite_loss, sizeof found.opposite_loss);
-    found.opposite_onset = out->opposite_onset;
-    found.opposite = out->opposite;
     found.announced = out->announced;
     rw_losses_on(&d->losses, d->vehicle, made->time, made->when, made->mode, made->restart, &found);
     rw_report_tick(&d->report, made->time, made->start, made->upset);
@@ -133,11 +133,11 @@ void rw_diagnoser_finish(rw_diagnoser *d, rw_time time)
 
 int rw_diagnoser_poll(rw_diagnoser *d, rw_notification *notifications)
 {
-    rw_change *const changes = d->work.poll.changes;
+    rw_change *const changes = d->poll.changes;
     const bool flies = d->front.start < RW_LASTS;
-    const int32_t lost = rw_losses_losses(&d->losses, d->vehicle, flies, &d->work.poll.records, d->work.poll.losses);
-    const int32_t deviating = rw_deviations_found(&d->front.deviations, d->vehicle, d->work.poll.overrides);
-    d->event_count = (uint8_t)rw_report_events(&d->report, d->vehicle, d->work.poll.losses, lost, d->work.poll.overrides, deviating, d->listed);
+    const int32_t lost = rw_losses_losses(&d->losses, d->vehicle, flies, &d->poll.records, d->poll.losses);
+    const int32_t deviating = rw_deviations_found(&d->front.deviations, d->vehicle, d->poll.overrides);
+    d->event_count = (uint8_t)rw_report_events(&d->report, d->vehicle, d->poll.losses, lost, d->poll.overrides, deviating, d->listed);
     const rw_time final = d->front.newest - FINAL_S;
     const int32_t count = rw_changes_look(&d->changes, d->listed, d->event_count, final, -1, false, d->withdrawn, changes);
     for (int k = 0; k < count; k++) {

@@ -54,23 +54,21 @@ typedef struct {
     rw_report report;
     rw_changes changes;
     rw_event listed[RW_EVENTS], withdrawn[RW_EVENTS];
-    rw_estimator_state estimator;
-    rw_estimator_out out;
-    union { /* room to work in, of a step and of a poll: nothing in it outlives either */
-        rw_estimator_workspace step;
-        struct {
-            rw_records records;
-            rw_event losses[RW_RECORDS];
-            rw_override overrides[RW_OVERRIDES];
-            rw_change changes[2 * RW_EVENTS];
-        } poll;
-    } work;
+    rw_estimator estimator;
+    rw_result out;
+    struct { /* room to work in, of a poll: nothing in it outlives that */
+        rw_records records;
+        rw_event losses[RW_RECORDS];
+        rw_override overrides[RW_OVERRIDES];
+        rw_change changes[2 * RW_EVENTS];
+    } poll;
     uint8_t event_count;
     bool judged;
 } rw_diagnoser;
 
-/* Of rw_config.c: the vehicle and the rates that the library was exported for. */
+/* Of rw_config.c: the vehicle, what is known of it before take-off, and the rates that the library was exported for. */
 extern const rw_vehicle rw_vehicle_default;
+extern const rw_plant rw_plant_default;
 extern const rw_plan rw_plan_default;
 
 /* v and p must outlive d. */
