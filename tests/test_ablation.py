@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.campaign import ablation
 from rotorwatch.campaign.constants import TABLE
 from rotorwatch.commands import cli
-from rotorwatch.default import hypotheses, kalman, model_error, program
+from rotorwatch.default import program
+from rotorwatch.default.hypotheses import make
+from rotorwatch.engine import hypotheses, kalman, model_error, posterior
 from rotorwatch.errors import ConfigError
 from rotorwatch.front import losses
 from rotorwatch.motion.ticks import JUDGE, LEARN, Ticks
@@ -35,24 +36,18 @@ B = np.array([[-1, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1], [1, 1, 1, 1.0]])
 
 
 def test_the_table_names_every_constant_and_no_other():
-    names = set()
-    for name, value in ablation.constants().items():
-        names |= {f"{name}[{k}]" for k in value if k not in ("single", "pair")} if isinstance(value, dict) else {name}
-    assert names == set(TABLE)
+    assert set(ablation.constants()) == set(TABLE)
     assert all(line.unit and line.meaning for line in TABLE.values())
 
 
 def test_variants_are_half_double_and_off():
-    found = ablation.variants(["model_error.GAIN_ERROR", "hypotheses.WEIGHT", "plant.USUAL_S"])
+    found = ablation.variants(["model_error.GAIN_ERROR", "plant.USUAL_S"])
     assert found["as it is"] == {}
     assert found["model_error.GAIN_ERROR half"] == {
         "model_error.GAIN_ERROR": tuple(0.5 * v for v in model_error.GAIN_ERROR)
     }
     assert found["model_error.GAIN_ERROR off"] == {"model_error.GAIN_ERROR": (0.0,) * 4}
-    often = found["hypotheses.WEIGHT[disturbance] double"]["hypotheses.WEIGHT"]
-    assert often == {**hypotheses.WEIGHT, "disturbance": 2 * hypotheses.WEIGHT["disturbance"]}
     assert "plant.USUAL_S double" in found and "plant.USUAL_S off" not in found
-    assert "hypotheses.WEIGHT[single] half" not in found  # only ratios count
     assert list(ablation.variants(["plant.USUAL_S"], ["half"])) == ["as it is", "plant.USUAL_S half"]
     with pytest.raises(ConfigError, match="No constant's name begins with nothing"):
         ablation.variants(["nothing"])
@@ -67,12 +62,12 @@ def test_constants_are_changed_only_for_a_while():
 
 
 def test_what_follows_from_a_constant_follows_and_is_none():
-    nats, weight = hypotheses.CLEAR, dict(hypotheses.WEIGHT)
+    nats, weight = hypotheses.CLEAR, hypotheses.PAIR_WEIGHT
     assert nats == pytest.approx(np.log(losses.CLEAR)) and "hypotheses.CLEAR" not in ablation.constants()
     with ablation.changed({"losses.CLEAR": 20.0, "losses.PAIR_WEIGHT": 0.5}):
-        assert hypotheses.CLEAR == pytest.approx(np.log(20.0))
-        assert hypotheses.WEIGHT == {**weight, "pair": 0.5}
-    assert nats == hypotheses.CLEAR and weight == hypotheses.WEIGHT
+        assert hypotheses.CLEAR == pytest.approx(np.log(20.0)) == -posterior.ALIKE
+        assert hypotheses.PAIR_WEIGHT == 0.5
+    assert nats == hypotheses.CLEAR == -posterior.ALIKE and weight == hypotheses.PAIR_WEIGHT
 
 
 @pytest.mark.thorough
@@ -93,41 +88,11 @@ def test_constants_of_the_definition_are_built_in_and_given_back():
 
 
 @pytest.mark.thorough
-def test_constants_as_parameters_are_the_constants():
-    """One compiled program with its constants as parameters gives what a program with other constants in its files gives."""
-    jax = load_jax()
-    table, other = (
-        hover(0.3),
-        {"kalman.OUTLIER": 2.0, "plant.GAIN_MEAN": np.array([0.01, 0.01, 0.3, 0.0])},
-    )
-    rows = program.inputs(table, B)
-
-    def over(estimator, start):
-        def tick(carry, row):
-            carry, out = estimator.step(carry, *row)
-            return carry, (out.theta, out.decision.log_odds)
-
-        return jax.lax.scan(tick, start, rows)[1]
-
-    @jax.jit
-    def compiled(p, start):
-        return over(ablation.tuned(p), start)
-
-    def tuned(constants, parameters):
-        given = {**parameters, "constants": constants}
-        return compiled(given, ablation.tuned(given).init())
-
-    def passed():
-        return {k: np.asarray(v, float) for k, v in ablation.constants().items() if ablation._parameter(k, v)}
-
-    usual = jax.tree.map(np.asarray, tuned(passed(), program.parameters(B, DT)))
-    with ablation.changed(other):
-        changed = jax.tree.map(np.asarray, tuned(passed(), program.parameters(B, DT)))
-        plain = program.estimator(program.parameters(B, DT))
-        own = jax.tree.map(np.asarray, jax.jit(lambda start: over(plain, start))(plain.init()))
-    np.testing.assert_allclose(changed[0], own[0], rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(changed[1], own[1], rtol=1e-7, atol=1e-7)
-    assert np.abs(changed[1] - usual[1]).max() > 1.0
+def test_the_estimator_is_built_with_the_constants_and_without_them_again():
+    table, usual = hover(0.3), ablation.judge(hover(0.3), B, {})
+    other = ablation.judge(table, B, {"kalman.OUTLIER": 2.0, "plant.GAIN_MEAN": (0.01, 0.01, 0.3, 0.0)})
+    assert np.abs(other.log_odds - usual.log_odds).max() > 1.0
+    np.testing.assert_array_equal(ablation.judge(table, B, {}).log_odds, usual.log_odds)
 
 
 def flight(states, false=0, delays=(), errors=(), held=(), hours=0.5):
@@ -175,7 +140,7 @@ def test_a_fault_is_found_late_or_never_and_an_event_without_one_is_false():
 
 def made(table, rotor, at=0.0, theta=0.0) -> program.TickOutput:
     """What the estimator would have left had it announced a rotor's loss at a time."""
-    T, hyp = len(table.time), hypotheses.make(4)
+    T, hyp = len(table.time), make(4)
     k = round(at / DT)
     on = np.arange(T) >= k
     sizes = dict(
