@@ -47,7 +47,7 @@ int main(void)
 """
 
 
-# A tick that is judged, with all that an announcement takes: the step has no branches that it could skip.
+# Ticks of a hover that is judged, with all onsets in use.
 DIAGNOSER = """
 #include "rw_diagnoser.h"
 #include <stdio.h>
@@ -61,8 +61,8 @@ int main(void)
     for (int k = 0; k < RW_ROTORS; ++k) u[k] = 1;
     u[RW_ROTORS + 3] = y[3] = RW_ROTORS;
     u[RW_ROTORS + 9] = 2;
-    u[RW_ROTORS + 10] = RW_JUDGE;
-    for (int k = 0; k < 60; ++k) rw_whole_run(&rw_plant_default, &d.estimator, 1, u, y, valid, &d.out);
+    u[RW_ROTORS + 13] = RW_JUDGE;
+    for (int k = 0; k < 80; ++k) rw_whole_run(&rw_plant_default, &d.estimator, 1, u, y, valid, &d.out);
     SYSTICK[1] = 0xFFFFFF;
     SYSTICK[2] = 0;
     SYSTICK[0] = 5;

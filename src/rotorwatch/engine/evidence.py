@@ -312,7 +312,7 @@ class Evidence(Struct):
         """Standard deviation with which a loss of a rotor would be measured now."""
         return 1.0 / sqrt(self.known[i] + 1.0 / (LOSS_WIDTH * LOSS_WIDTH))
 
-    def change(self, p: Plant, bank: Bank, best: Best, out: Shift) -> None:
+    def shift(self, p: Plant, bank: Bank, best: Best, out: Shift) -> None:
         """Size and covariance of a jump in all directions, after `pick` of it. What geometry is wrong by counts in how well a loss is
         known; it does not become a disturbance."""
         w = self.window

@@ -65,7 +65,7 @@ class Branches(Struct):
     room = embedded(Branch)
     parent = embedded(Branch)
     best = embedded(Best)
-    change = embedded(Shift)
+    shift = embedded(Shift)
 
     def begin(self, p: Plant) -> None:
         """One explanation: nothing has happened."""
@@ -184,10 +184,10 @@ class Branches(Struct):
         n = p.rotors
         best = self.best
         found.pick(p, bank, h, best)
-        found.change(p, bank, best, self.change)
+        found.shift(p, bank, best, self.shift)
         copy(out, self.parent)
         if bank.slots[best.slot].age >= 0:
-            _add(p, bank.slots[best.slot], self.change, out)
+            _add(p, bank.slots[best.slot], self.shift, out)
         off = local(FLAG, ROTORS)
         any_off = False
         for i in range(n):
@@ -253,23 +253,22 @@ def _contest(p: Plant, found: Evidence, first: int, shared: bool, odds: Reals) -
             odds[h] = 2.0 * NOTHING
 
 
-def _add(p: Plant, slot: Slot, change: Shift, out: Branch) -> None:
+def _add(p: Plant, slot: Slot, shift: Shift, out: Branch) -> None:
     """s + M size, P + M cov M'."""
     directions = FIRST_LOSS + p.rotors
     states = THETA + p.rotors
-    half = local(REAL, STATES, DIRECTIONS)
+    half = local(REAL, DIRECTIONS)
     for r in range(states):
         row = slot.M[r]
-        for d in range(directions):
-            out.s[r] += row[d] * change.size[d]
-            for e in range(directions):
-                half[r][e] += row[d] * change.cov[d][e]
-    for r in range(states):
-        for c in range(r + 1):
-            total = 0.0
+        for e in range(directions):
+            out.s[r] += row[e] * shift.size[e]
+            half[e] = 0.0
             for d in range(directions):
-                total += half[r][d] * slot.M[c][d]
-            out.P[r][c] += total
+                half[e] += row[d] * shift.cov[d][e]
+        for c in range(r + 1):
+            other = slot.M[c]
+            for d in range(directions):
+                out.P[r][c] += half[d] * other[d]
             out.P[c][r] = out.P[r][c]
 
 
