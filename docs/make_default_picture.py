@@ -14,8 +14,7 @@ import numpy as np
 
 import rotorwatch as rw
 from rotorwatch import airframes
-from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.default import hypotheses, model_error, program
+from rotorwatch.default import hypotheses, program
 from rotorwatch.default.plant import AXES
 from rotorwatch.experiments.inject import inject
 from rotorwatch.motion.airborne import airborne
@@ -87,20 +86,17 @@ def main(log: str) -> None:
 
 def steps(table, B) -> dict[str, np.ndarray]:
     """What the step holds and says at every tick."""
-    jax = load_jax()
-    estimator = program.estimator(program.parameters(B, table.dt))
-
-    def tick(carry, row):
-        carry, out = estimator.step(carry, *row)
-        outputs = {
-            "y": row[1], "innovation": out.estimate.innovation, "variances": carry.noise.variances,
-            "calm": model_error.calm(carry.model_error), "odds": out.decision.log_odds, "statistic": out.decision.statistic,
-            "plausible": out.plausible, "share": out.share, "theta": out.theta, "theta_sd": out.theta_sd,
-        }  # fmt: skip
-        return carry, outputs
-
-    run = jax.jit(lambda rows: jax.lax.scan(tick, estimator.init(), rows)[1])
-    return {k: np.asarray(v) for k, v in run(program.inputs(table, B)).items()}
+    estimator, found = program.steps(table.dt, B), []
+    for u, y, valid in zip(*program.inputs(table, B), strict=True):
+        out = estimator.run(u[None], y[None], valid[None])
+        memory = estimator.state.part("memory")
+        found.append({
+            "y": y, "innovation": out.innovation[0], "variances": estimator.learned.variances,
+            "calm": 1.0 / np.maximum(np.maximum(memory["burst"][0], memory["lasting"][0]), 1.0), "odds": out.log_odds[0],
+            "statistic": out.statistic[0], "plausible": estimator.plausible[0], "share": out.share[0], "theta": out.theta[0],
+            "theta_sd": out.theta_sd[0],
+        })  # fmt: skip
+    return {name: np.array([one[name] for one in found]) for name in found[0]}
 
 
 if __name__ == "__main__":

@@ -153,7 +153,7 @@ def test_published_methods_are_judged_as_alone(plan, rows):
     """Side by side, with several thresholds and what one learning run taught: as `published.judge` does it for each flight."""
     flown = batch.fly(plan, range(WIDTH), WIDTH)
     B, tables = flown[0].vehicle.effectiveness(), [f.ticks for f in flown]
-    taught = batch.learned_states(flown, B, WIDTH)
+    taught = batch.learned_states(flown, B)
     assert all(one is not None for one in taught)
     hops = methods.learn(tables, B, taught)
     for f, found in zip(flown, hops, strict=True):

@@ -138,7 +138,7 @@ def judged_trim(biases, dt=0.1):
     """(carry, out, table) of a flight that learns for 3 s and is judged for 9 s, with these biases (120, 4) of its trim."""
     time = dt * np.arange(120)
     mode, restart = np.where(time < 3.0, LEARN, JUDGE), np.arange(120) == 0
-    carry = SimpleNamespace(noise=SimpleNamespace(variances=np.zeros((4, 4))))
+    carry = SimpleNamespace(variances=np.zeros((4, 4)))
     return carry, SimpleNamespace(biases=biases), SimpleNamespace(time=time, mode=mode, restart=restart)
 
 

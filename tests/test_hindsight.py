@@ -128,7 +128,7 @@ def test_what_is_learned_from_is_all_that_follows_the_blind_time():
 
 
 def test_what_a_flight_has_taught_leaves_biases_open():
-    carry = SimpleNamespace(s=np.ones(24), P=0.01 * np.eye(24), noise=SimpleNamespace(variances=np.ones((4, 4))))
+    carry = SimpleNamespace(s=np.ones(24), P=0.01 * np.eye(24), variances=np.ones((4, 4)))
     known = hindsight.learned(carry, QUAD)
     axes, spread = known["x0"].reshape(4, -1), np.diag(known["P0"]).reshape(4, -1)
     assert (axes[:, 3:] == 1.0).all()

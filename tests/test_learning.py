@@ -37,7 +37,7 @@ def flight(
     s[-3], P[-3, -3] = curve, curve_sd**2
     ticks = round(judged_s / dt)
     mode = np.concatenate([np.full(100, LEARN), np.full(ticks, JUDGE)])
-    carry = SimpleNamespace(s=s, P=P, noise=SimpleNamespace(variances=np.broadcast_to(noise, (4, 4))))
+    carry = SimpleNamespace(s=s, P=P, variances=np.broadcast_to(noise, (4, 4)))
     return SimpleNamespace(mode=mode, dt=dt, carry=carry)
 
 

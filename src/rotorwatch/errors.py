@@ -41,7 +41,7 @@ class BackendWarning(RuntimeWarning):
 
 
 class FirstUse(BackendWarning):
-    """Native code is being built, which takes seconds and is done once on a computer; one sentence says of what."""
+    """What takes long on this computer, said once; one sentence says why."""
 
 
 class PluginWarning(RuntimeWarning):

@@ -19,6 +19,7 @@ import os
 import shutil
 import subprocess
 import tempfile
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -29,6 +30,7 @@ import numpy as np
 
 from rotorwatch.compiling import shipped, structs, toolchain
 from rotorwatch.compiling.structs import Struct
+from rotorwatch.errors import FirstUse
 
 TYPES = {
     "real": np.float64,
@@ -158,7 +160,8 @@ class Definition:
         path = None if self._other else self._shipped()
         try:
             return ctypes.CDLL(str(path or self.build(toolchain.folder(), self._levels()[0])))
-        except (toolchain.Unavailable, OSError):
+        except (toolchain.Unavailable, OSError) as why:
+            warnings.warn(f"{why} Python runs instead, slowly.", FirstUse, stacklevel=2)
             return None
 
     @contextmanager
