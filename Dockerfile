@@ -1,5 +1,5 @@
 # rotorwatch with its web page, the PostgreSQL driver and a Dask client. Build: docker build -t rotorwatch .
-# Packages are those of the lock files, each checked by its hash. The first stage has a C compiler and JAX, which make the native code.
+# Packages are those of the lock files, each checked by its hash. The first stage has a C compiler, which makes the machine code.
 FROM python:3.13-bookworm AS build
 WORKDIR /src
 COPY lock/build.txt lock/image.txt lock/

@@ -67,10 +67,8 @@ def test_the_recipe_has_the_packages_that_the_project_needs():
     named = {line.split()[1]: "".join(line.split()[2:]) for line in run.splitlines() if line.strip()}
     python = named.pop("python")
     assert set(python.split(",")) == set(PROJECT["requires-python"].split(","))
-    # Without native code, which a package for every system cannot hold, JAX has to run.
-    research = [r for r in PROJECT["optional-dependencies"]["research"] if r.startswith(("jax", "scipy"))]
     report = PROJECT["optional-dependencies"]["report"]  # conda has no extras
-    for requirement in (*PROJECT["dependencies"], *report, *research):
+    for requirement in (*PROJECT["dependencies"], *report):
         name, least = re.match(r"([\w-]+)(>=[\d.]+)", requirement).groups()
         assert named.pop(name) == least, name
     assert not named
@@ -87,7 +85,7 @@ def test_lock_files_have_every_package_with_hashes_and_no_index(lock, extras):
     assert all("--hash=sha256:" in entry and "==" in entry for entry in pinned)
     names = {re.match(r"[\w.-]+", entry).group().lower().replace("_", "-") for entry in pinned}
     wanted = [
-        *(PROJECT["dependencies"] if lock != "build" else ["hatchling", "jax", "numpy"]),
+        *(PROJECT["dependencies"] if lock != "build" else ["hatchling", "numpy"]),
         *(r for extra in extras for r in PROJECT["optional-dependencies"][extra]),
     ]
     for requirement in wanted:

@@ -1,8 +1,8 @@
-"""The default diagnosis, a file for each of its ideas; docs/methods/default.md derives them from one model.
+"""The default diagnosis; docs/methods/default.md derives it from one model, and engine/ is its estimator, a file for each idea.
 
-plant: what was commanded = what the motion needed + disturbances + what weak rotors did not deliver. noise: how large disturbances are,
-learned in the flight. model_error: what a tick's evidence counts, and how wrong the model may be at it. bank: what a jump at any time
-would have done to the innovations. hypotheses: what may have jumped. announcement, plausibility: when that is announced. posterior:
-explanations side by side after it. estimator: the step that joins them. program: made runnable; learning: from healthy flights; events,
-residual_evidence: its ticks put in words.
+program: the estimator run over ticks; learning: from healthy flights; events, residual_evidence: its ticks put in words; hindsight: losses in
+the blind time; excitation_response: what an answer to an excitation says; shipping: machine code for the package.
+
+plant is also the plant of published methods. noise, model_error, kalman, bank, hypotheses, evidence, plausibility, announcement, opposite,
+posterior and estimator are the same method as a step that JAX traces, for accelerators and `export-c default`: tests hold the two together.
 """
