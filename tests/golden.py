@@ -18,6 +18,7 @@ import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 from tests.link_flights import sent
 from tests.onboard_law import events_in_c, flown
@@ -57,10 +58,10 @@ def answers(path: Path) -> dict:
 def events(told: list[dict]) -> list[dict]:
     """Events as the JSON has them, what is compared of them."""
     kept = ("kind", "rotors", "alternatives", "onset_s", "detected_s", "end_s", "loss", "interval")
-    return [rounded({name: event[name] for name in kept}) for event in told]
+    return rounded([{name: event[name] for name in kept} for event in told])
 
 
-def rounded(value):
+def rounded(value: Any) -> Any:
     """Numbers with three digits."""
     if isinstance(value, float):
         return round(value, 3)

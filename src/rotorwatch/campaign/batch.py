@@ -1,8 +1,6 @@
 """One batch of a campaign: flights of one cell flown, logged, turned into ticks and judged, side by side where that is possible.
 
-What the default diagnoser does with a log happens here with the same functions - the log as the autopilot writes it, the airframe
-found in it, airborne parts, thrusts, ticks, estimator, events - but without a file in between and with all flights of the batch
-in one compiled scan.
+The simulator's log, in memory, goes through `diagnose` (`prepare`, `judge`); only the estimators run over all flights of a batch at once.
 """
 
 from __future__ import annotations
@@ -11,33 +9,30 @@ import functools
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 
-from rotorwatch import airframes
-from rotorwatch.answer import ledger
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.campaign import methods, score
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.compiling.run import run_built
-from rotorwatch.default import events, program
-from rotorwatch.diagnose import answered
+from rotorwatch.default import hypotheses, program
+from rotorwatch.default.announcement import threshold
+from rotorwatch.diagnose import Estimated, Prepared, prepare
+from rotorwatch.diagnose import judge as conclude
 from rotorwatch.errors import ConfigError
-from rotorwatch.experiments import limits
+from rotorwatch.experiments import counting, limits
 from rotorwatch.flight import Flight
-from rotorwatch.flight.diagnosis import Event
-from rotorwatch.flight.kinds import LOST
+from rotorwatch.flight.diagnosis import Source
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.motion.airborne import airborne
-from rotorwatch.motion.ticks import GROUND, LAG_S, READY_S, Ticks, observe
-from rotorwatch.published import detectors
+from rotorwatch.motion.ticks import GROUND, LAG_S, Ticks
+from rotorwatch.published import decide, detectors
 from rotorwatch.simulation import logbook
 from rotorwatch.simulation import plan as flight_plan
 from rotorwatch.simulation.loop import fly_each
 from rotorwatch.simulation.multirotor import MULTIROTOR
 from rotorwatch.simulation.scenario import Scenario
-from rotorwatch.upset import find as upset
 
 CPU_WIDTH, ACCELERATOR_WIDTH = 32, 1024
 
@@ -57,19 +52,29 @@ def where() -> str:
 
 @dataclass(frozen=True)
 class Flown:
-    """One flight on its way through the batch. theta (T, n): true losses at its ticks; lost_s: when it crashed, or None; overrides:
-    outputs that do not follow the mixer; upsets: losses of control."""
+    """One flight on its way through the batch. ready: as `diagnose` has it before an estimator sees it; theta (T, n): true losses at its
+    ticks; lost_s: when it crashed, or None."""
 
     number: int
     scenario: Scenario
-    flight: Flight
-    vehicle: Vehicle
-    air: tuple[tuple[float, float], ...]
-    ticks: Ticks
+    ready: Prepared
     theta: np.ndarray
-    lost_s: float | None
-    overrides: tuple[Event, ...]
-    upsets: tuple[upset.Judged, ...] = ()
+    lost_s: float | None = None
+
+    @property
+    def flight(self) -> Flight:
+        """Its log."""
+        return self.ready.flight
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The vehicle that the log tells of."""
+        return self.ready.vehicle
+
+    @property
+    def ticks(self) -> Ticks:
+        """Its ticks."""
+        return cast(Ticks, self.ready.table)
 
 
 class Judged(NamedTuple):
@@ -98,20 +103,17 @@ def rows(
     bounds = _bounds(flown, B, size)
     published = [name for name in plan.estimators if name != "default"]
 
-    def row(label: str, f: Flown, kept, statistic, bound) -> dict:
-        losses = events.read(kept, f.ticks, B)
-        seen = all_events(f, losses)
-        if label != "default" or not f.upsets:
-            return score.estimator(label, f, kept, statistic, seen, bound, plan)
-        by_motion, seen = {e.detected_s for e in seen}, all_events(f, losses, f.upsets)
-        certain = [e.detected_s for e in seen if e.detected_s not in by_motion]  # losses of control have no threshold
-        return score.estimator(label, f, kept, statistic, seen, bound, plan, certain)
+    def row(label: str, f: Flown, done: Estimated, statistic, bound) -> dict:
+        end = conclude(f.ready, done).end
+        raised = counting.alarms(end.events)
+        found = score.estimator(label, f, done.out, statistic, raised, bound, plan, unasked(raised))
+        return found | (score.answer(end) if done.own else {})
 
     if "default" in plan.estimators:
-        for f, bound, out in zip(flown, bounds, by_default(flown, B, size), strict=True):
+        for f, bound, (out, last) in zip(flown, bounds, by_default(flown, B, size), strict=True):
             statistic = np.where(out.plausible, out.kept.statistic, score.NOTHING)
-            end = answered(f.flight, f.vehicle, f.air, f.upsets, f.ticks, out.kept)
-            found.append(row("default", f, out.kept, statistic, bound) | score.answer(end))
+            limit = float(threshold(hypotheses.make(B.shape[1]), f.ticks.dt))
+            found.append(row("default", f, Estimated(f.ticks, out.kept, limit, last, True), statistic, bound))
     if published:
         tables = [f.ticks for f in flown]
         hops = methods.learn(tables, B, learned_states(flown, B, size))
@@ -120,11 +122,15 @@ def rows(
                 judged = methods.judge(name, tables, hops, B, size, tuple(d.tuning for d in plan.decisions))
                 for decision, kept in zip(plan.decisions, judged, strict=True):
                     label = decision.label(name)
-                    found += [row(label, f, k, k.statistic, b) for f, k, b in zip(flown, kept, bounds, strict=True)]
+                    limit = 0.5 * decide.SIGMAS**2
+                    found += [
+                        row(label, f, Estimated(f.ticks, k, limit, None, False), k.statistic, b)
+                        for f, k, b in zip(flown, kept, bounds, strict=True)
+                    ]
     rules = {m.name: m for m in detectors.modules() if m.name in plan.detectors}
     for name in plan.detectors:
         with _caught(name, failed):
-            seen = [rules[name].detect(f.flight, f.vehicle, f.air) for f in flown]
+            seen = [rules[name].detect(f.flight, f.vehicle, f.ready.air) for f in flown]
             found += [score.rule(name, f, s, bound, plan) for f, s, bound in zip(flown, seen, bounds, strict=True)]
     return found
 
@@ -160,21 +166,13 @@ def fly(plan: Flights, flights: Sequence[int], size: int) -> list[Flown]:
 
 def look(number: int, scenario: Scenario, plan: Any, record: Any) -> Flown | None:
     """A simulated flight as `diagnose` looks at a log; None when it never took off."""
-    flight = logbook.flight(scenario, plan, record)
-    vehicle = airframes.identify(flight)
-    air = airborne(flight)
-    upsets = upset.judged(flight, vehicle, air)
-    air = upset.until_impact(flight, air, upsets)
-    table = observe(flight, vehicle, air, READY_S)
-    if table is None:
+    ready = prepare(logbook.flight(scenario, plan, record))
+    if ready.table is None:
         return None
     # A tick's motion is a lag after its commands: that is when a loss shows in it.
-    at = np.clip(np.searchsorted(record.time, table.command_time + LAG_S), 0, len(record.time) - 1)
+    at = np.clip(np.searchsorted(record.time, ready.table.command_time + LAG_S), 0, len(record.time) - 1)
     lost = np.flatnonzero(record.flies < 0.5)
-    return Flown(
-        number, scenario, flight, vehicle, air, table, record.theta[at],
-        float(record.time[lost[0]]) if lost.size else None, events.overrides(flight, vehicle, air, table), upsets,
-    )  # fmt: skip
+    return Flown(number, scenario, ready, record.theta[at], float(record.time[lost[0]]) if lost.size else None)
 
 
 def _planned(number: int, scenario: Scenario) -> Any:
@@ -185,12 +183,9 @@ def _planned(number: int, scenario: Scenario) -> Any:
         raise ConfigError(f"flight {number}: {error}") from error
 
 
-def all_events(f: Flown, losses: Sequence[Event], upsets: Sequence[upset.Judged] = ()) -> tuple[Event, ...]:
-    """What accuses rotors, as `diagnose` puts it together: losses, outputs that do not follow the mixer, and what losses of control, which
-    belong to the default diagnosis, show of rotors."""
-    B = f.vehicle.effectiveness()
-    found = ledger.merge((*losses, *f.overrides), events.Report(B), upsets, B.shape[1]).events
-    return tuple(e for e in found if e.kind != LOST)
+def unasked(raised: Sequence[counting.Alarm]) -> list[float]:
+    """When what is no estimator's was raised [s]: outputs, losses of control, hindsight. They know no threshold."""
+    return [a.detected_s for a in raised if a.event is not None and a.event.source is not Source.ESTIMATOR]
 
 
 def _table(table: Ticks, B: np.ndarray, rows: slice = slice(None)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -228,10 +223,11 @@ def _program(build):
     return jax.jit(jax.vmap(single, in_axes=(None, None, 0, 0, 0, 0)))
 
 
-def by_default(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[Judged]:
-    """The default estimator over every flight, side by side."""
+def by_default(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[tuple[Judged, Any]]:
+    """The default estimator over every flight, side by side: what is kept, and its last state, None where it ran by JAX."""
     never = np.full(len(flown), -1)
-    return [out for out, _ in _stepped(flown, B, size, [_table(f.ticks, B) for f in flown], never)]
+    ran = _stepped(flown, B, size, [_table(f.ticks, B) for f in flown], never)
+    return [(out, end if methods.engine() == "native" else None) for out, end in ran]
 
 
 def learned_states(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[tuple | None]:
@@ -240,17 +236,19 @@ def learned_states(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[tup
     rows = [_table(f.ticks, B, span or slice(1)) for f, span in zip(flown, spans, strict=True)]
     ends = np.array([len(table[0]) - 1 for table in rows])
     found = _stepped(flown, B, size, rows, ends)
+    if methods.engine() == "native":
+        found = [(out, (carry.s, carry.noise.variances)) for out, carry in found]
     return [None if span is None else end for span, (_, end) in zip(spans, found, strict=True)]
 
 
 def _stepped(flown: Sequence[Flown], B: np.ndarray, size: int, tables: list, learned: np.ndarray) -> list[tuple]:
-    """The default estimator over tables of the flights: for each its `Judged`, and its state and noise after row `learned`, which is the
-    last of its table where it matters."""
+    """The default estimator over tables of the flights: for each its `Judged`, and its last state; by JAX state and noise after row
+    `learned`, which is the last of its table where it matters."""
     build = program.estimator
     tree, parameters = load_jax().tree, program.parameters(B, flown[0].ticks.dt)
     if methods.engine() == "native":
         ran = [run_built(build, parameters, u, y, ok, _judged, backend="native") for u, y, ok in tables]
-        return [(out, (carry.s, carry.noise.variances)) for carry, out in ran]
+        return [(out, carry) for carry, out in ran]
     rows, carry, found = methods.stacked(tables, size), build(parameters).init(), []
     learned = np.concatenate([learned, np.full(size - len(flown), -1)])
     step = methods.side_by_side(carry, size)

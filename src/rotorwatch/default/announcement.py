@@ -73,9 +73,9 @@ def decide(
     again = weak & (best.rotors.sum() < 2)
     other = jnp.where(again, jnp.logaddexp(found.other, found.far), found.other)
     statistic = jnp.minimum(found.fault - limit, found.fault - other - hypotheses.CLEAR)
-    # The most probable onset at the edge of the bank speaks of a drift that began before it, and a command that went the other way against a
-    # rotor: both not where no disturbance comes near one rotor, for manoeuvres swing commands by more. Two rotors fit the drift of thrust of
-    # a vehicle that begins to sink. However strong evidence is, thrust has to be missing: what the ground or a hand does is not in the model.
+    # The most probable onset at the edge of the bank speaks of a drift that began before it, and a command that went the other way against
+    # a rotor: neither where no disturbance comes near one rotor, for manoeuvres swing commands by more. Two rotors fit the drift of thrust
+    # of a vehicle that begins to sink. However strong evidence is, thrust has to be missing: the ground and a hand are in no model.
     sure = (statistic > CERTAIN_NATS) & (best.rotors.sum() < 2) & (best.gives <= 0.0)
     possible = possible.missing & ((possible.asked & (best.since < EDGE * onsets.reach)) | sure)
     above = jnp.where(judge & (statistic > 0.0) & possible, state.above + 1, 0)
