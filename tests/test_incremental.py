@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.base.physics import G0
 from rotorwatch.control.allocation import rows
 from rotorwatch.simulation import incremental, loop, one, prepare, reconfigured, scenario, trajectories
-from rotorwatch.simulation.rigid import G0
 
 jax = load_jax()
 jnp = jax.numpy

@@ -21,6 +21,7 @@ import numpy as np
 
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.base.physics import G0
 from rotorwatch.campaign import batch, methods, work
 from rotorwatch.campaign import plan as plans
 from rotorwatch.campaign.plan import Plan
@@ -34,7 +35,6 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import tools
 from rotorwatch.motion.ticks import LEARN
 from rotorwatch.simulation import logbook, loop, prepare, reconfigured, trajectories
-from rotorwatch.simulation.rigid import G0
 from rotorwatch.simulation.scenario import Scenario
 
 NOBODY, TRUTH = "nobody", "truth"

@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.base.physics import G0
 from rotorwatch.core import Array
 from rotorwatch.default import noise, plant
 from rotorwatch.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS
-from rotorwatch.front.contact import G0
 
 GARROTE = 2.5  # how many times its calm level motion must reach to stand out
 LEVEL_MEMORY_S = 10.0

@@ -23,7 +23,7 @@ from functools import cached_property
 
 import numpy as np
 
-from rotorwatch.front.contact import G0
+from rotorwatch.base.physics import G0
 
 TAU = (0.25, 1.0)  # s
 PER_AXIS = 5

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.base.physics import G0
 from rotorwatch.core import Array
 from rotorwatch.default import hypotheses, model_error, plant
 from rotorwatch.default.evidence import Jump
-from rotorwatch.front.contact import G0
 
 # Both may be off by a standard deviation of this flight's disturbances, and by as much as the slack in calm air.
 DEMAND_SHARE, DEMAND_SLACK = 0.25, 0.05

@@ -11,7 +11,6 @@ import numpy as np
 
 from rotorwatch.flight import Message, Signal
 
-G = 9.80665
 """Standard gravity, m/s^2."""
 
 EARTH_M, EARTH_E2 = 6_378_137.0, 6.69437999e-3

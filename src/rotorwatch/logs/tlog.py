@@ -9,6 +9,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from rotorwatch.base.physics import G0
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.output_functions import in_order, motor_outputs
@@ -44,7 +45,7 @@ _SAME_MOMENT_US = (
     10e6  # between two messages of the same moment; a stamp further from its neighbours in the file is damaged
 )
 _FIX_3D, _UNKNOWN = 3, 65535  # of GPS_RAW_INT
-_MG = series.G / 1000
+_MG = G0 / 1000
 
 
 def sniff(head: bytes, name: str) -> bool:

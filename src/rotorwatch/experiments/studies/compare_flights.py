@@ -18,6 +18,7 @@ import numpy as np
 
 from rotorwatch import airframes, logs
 from rotorwatch.aerobatic import judge as aerobatic
+from rotorwatch.base.physics import G0
 from rotorwatch.diagnose import Prepared, prepare
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments.inject import inject
@@ -28,7 +29,6 @@ from rotorwatch.motion.airborne import airborne
 from rotorwatch.motion.ticks import READY_S, Ticks
 from rotorwatch.published import log_plant
 
-G0 = 9.80665
 STEP, SECONDS, LANDED_S = 0.005, 45.0, 1.0
 AIRFRAMES = ("ardupilot-quad-x", "ardupilot-hexa-x", "ardupilot-octa-plus")
 HOVER = 0.35  # share of full thrust

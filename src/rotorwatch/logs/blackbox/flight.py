@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+from rotorwatch.base.physics import G0
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.logs import esc_columns, series, wall_clock
 from rotorwatch.logs.blackbox.header import Header
@@ -202,7 +203,7 @@ def _accel(columns: Columns) -> Signal | None:
     if unit <= 0:
         columns.notes.append("The header does not say what 1 g is: the accelerometer is left out.")
         return None
-    return columns.make("accel", raw / unit * series.G * FLIP, "accSmooth")
+    return columns.make("accel", raw / unit * G0 * FLIP, "accSmooth")
 
 
 def _attitude(columns: Columns) -> Signal | None:
