@@ -36,7 +36,7 @@ def flights(tmp_path_factory):
         for k, scenario, number, record in zip(numbers, scenarios, plans, records):
             path = folder / f"{k}{SUFFIX[scenario.autopilot]}"
             logbook.write(scenario, number, record, path)
-            flown = batch.look(k, scenario, number, record)
+            flown = batch.prepared(k, scenario, number, record)
             assert flown is not None
             found.append((flown, path))
     assert len(found) >= 30

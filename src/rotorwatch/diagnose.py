@@ -268,7 +268,7 @@ def judge(ready: Prepared, done: Estimated) -> Judgement:
         *residual_evidence.find(out, table, hyp, done.limit, found.events, B),
         *residual_evidence.faint(found.faint, found.events, float(table.time[-1])),
     )
-    steps, seen_events = unseen.of(out, table, B), found.events
+    steps, seen_events = unseen.bounds(out, table, B), found.events
     if done.own and ready.hovers:
         seen_events, spells = ledger.weighed(found.events, steps, spells, float(table.time[-1]), found.grown)
     hidden, hidden_pair = _hidden(out, table, steps, B)
@@ -290,7 +290,9 @@ def _conclude(ready: Prepared, done: Estimated, last: Judgement, title: str, clo
     judged = (table.mode == JUDGE) & table.valid.any(axis=1)
     common = common_mode.thrust_shift(out.biases[judged, 3]) if not doubts and ready.hovers else {}
     hyp = hypotheses.make(B.shape[1])
-    trace = traces.make(flight, out, table, hyp, B, air, ready.ready_s, done.limit, end.events, last.spells, end.rotors)
+    trace = traces.compose(
+        flight, out, table, hyp, B, air, ready.ready_s, done.limit, end.events, last.spells, end.rotors
+    )
     return _answer(
         end,
         ready,
@@ -309,7 +311,7 @@ def _answer(end: conclusion.Conclusion, ready: Prepared, common: dict, clock: _C
     return Diagnosis(
         _facts(flight, craft, ready.air, ready.table), end.verdict, end.reason, end.rotors, end.events, common, ready.source,
         tuple(ready.assumptions), tuple(ready.warnings), clock.stop(), headline=end.headline, main=end.main, advice=end.advice,
-        story=end.story, picture=picture.make(flight, craft, end.events, end.main, end.story),
+        story=end.story, picture=picture.compose(flight, craft, end.events, end.main, end.story),
         aircraft=identity.identify(flight).text, **more,
     )  # fmt: skip
 

@@ -160,11 +160,11 @@ def fly(plan: Flights, flights: Sequence[int], size: int) -> list[Flown]:
     plans = [_planned(k, scenario) for k, scenario in zip(flights, scenarios, strict=True)]
     first = scenarios[0]
     records = fly_each(MULTIROTOR, plans, first.duration_s, first.rate_hz, first.record_hz, logbook.needed, size)
-    found = [look(*row) for row in zip(flights, scenarios, plans, records, strict=True)]
+    found = [prepared(*row) for row in zip(flights, scenarios, plans, records, strict=True)]
     return [f for f in found if f is not None]
 
 
-def look(number: int, scenario: Scenario, plan: Any, record: Any) -> Flown | None:
+def prepared(number: int, scenario: Scenario, plan: Any, record: Any) -> Flown | None:
     """A simulated flight as `diagnose` looks at a log; None when it never took off."""
     ready = prepare(logbook.flight(scenario, plan, record))
     if ready.table is None:

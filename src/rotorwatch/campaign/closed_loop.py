@@ -260,7 +260,7 @@ def _beliefs(
     driver: str, flights, scenarios, plans, records, made, by: str, size: int
 ) -> list[reconfigured.Entry | None]:
     """The next entry of each flight, or None."""
-    seen = [batch.look(*row) for row in zip(flights, scenarios, plans, records, strict=True)]
+    seen = [batch.prepared(*row) for row in zip(flights, scenarios, plans, records, strict=True)]
     here = [k for k, f in enumerate(seen) if f is not None]
     flown = [f for f in seen if f is not None]
     if not flown:

@@ -98,7 +98,7 @@ def none(n: int) -> Signal:
     return Signal(np.zeros(n), np.zeros(n), np.array(1.0), np.array(np.inf), np.array(0.0))
 
 
-def at(signal: Signal, t) -> Array:
+def value_at(signal: Signal, t) -> Array:
     """(n,) what is added to the commands at time t [s]; zeros before its start and after its end. Pure: a step of the autopilot."""
     since = t - signal.start
     inside = (since >= 0.0) & (since <= signal.length)

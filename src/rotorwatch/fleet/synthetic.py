@@ -156,7 +156,7 @@ def _utc(when: datetime) -> str:
     return when.isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
-def make(
+def fly_fleet(
     folder: str | Path,
     aircraft: int,
     flights: int,

@@ -83,7 +83,7 @@ def line(watched: Watched, waits_for: str = "") -> Line:
 def announced(alert: dict) -> str:
     """The alert of an event, as a sentence."""
     event = alert["event"]
-    return f"{alert['state']}: {kinds.of(event['kind']).noun} at {event['onset_s']:.1f} s; {event['reason']}"
+    return f"{alert['state']}: {kinds.kind_of(event['kind']).noun} at {event['onset_s']:.1f} s; {event['reason']}"
 
 
 def words(event: Event, now: float | None = None) -> str:

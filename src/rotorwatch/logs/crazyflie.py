@@ -110,7 +110,7 @@ def _signals(time, table, notes) -> dict:
             return np.stack([table[n].astype(float) for n in names], 1)
 
     def make(kind, values, source, valid=None):
-        return None if values is None else series.make(kind, time, values, source, notes, valid)
+        return None if values is None else series.signal(kind, time, values, source, notes, valid)
 
     motors, valid, origin = columns("motor.m1", "motor.m2", "motor.m3", "motor.m4"), None, "motor.m1..m4"
     if motors is None:

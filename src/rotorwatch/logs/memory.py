@@ -140,7 +140,7 @@ def _group(kind, ways, time, table, notes):
             elif kind == "battery" and len(names) == 1:
                 values = np.column_stack([values, np.full(time.size, np.nan)])
             rows = _rows(values)
-            return series.make(kind, time[rows], values[rows], names[0] + " ..", notes)
+            return series.signal(kind, time[rows], values[rows], names[0] + " ..", notes)
     for names, _ in ways:
         present = [n for n in names if n in table]
         if present:

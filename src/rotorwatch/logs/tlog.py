@@ -252,7 +252,7 @@ def readings(outputs: Outputs) -> dict[str, tuple[Reading, ...]]:
             own = rows(found[1])
             made = read(found[1][own])
             values, valid = made if isinstance(made, tuple) else (made, None)
-            return series.make(kind, found[0][own], values, name, log.notes, valid)
+            return series.signal(kind, found[0][own], values, name, log.notes, valid)
 
         return Reading(name, make)
 

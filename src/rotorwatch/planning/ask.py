@@ -80,7 +80,7 @@ class Asking:
         """(time (T,) [s], what is added to the commands (T, n)) of the whole excitation."""
         signal = self.design.signal
         time = np.arange(0.0, float(signal.length) + 0.5 / rate_hz, 1.0 / rate_hz)
-        return time, np.stack([np.asarray(excitation.at(signal, t)) for t in time])
+        return time, np.stack([np.asarray(excitation.value_at(signal, t)) for t in time])
 
     def to_dict(self) -> dict:
         """Plain lists, numbers and strings."""
