@@ -77,7 +77,7 @@ def test_named_files_exist(page):
         assert "NAME" in path or any((home / path).exists() for home in homes), f"{path} does not exist"
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if p.name != "renamed.md"], ids=name)  # which tells of what was
+@pytest.mark.parametrize("page", PAGES, ids=name)
 def test_named_sources_exist(page):
     """`bank.py` and its like, wherever they stand, also in diagrams."""
     sources = {path.name for folder in SOURCES for path in (ROOT / folder).rglob("*.py")} | {
