@@ -104,8 +104,8 @@ def test_named_objects_exist(page):
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
 def test_commands_are_understood(page):
-    """Every `rotorwatch ...` line of a shell block has a command and options that exist."""
-    for line in "".join(blocks(page.read_text(), "sh")).splitlines():
+    """Every `rotorwatch ...` line of a shell block, or of a unit of systemd, has a command and options that exist."""
+    for line in "".join([*blocks(page.read_text(), "sh"), *blocks(page.read_text(), "ini")]).splitlines():
         words = shlex.split(line, comments=True)
         starts = [k for k, word in enumerate(words) if word == "rotorwatch" or word.endswith("/rotorwatch")]
         for k in starts:

@@ -64,7 +64,6 @@ _HOMES = {
 _SHORT = {
     "checks": "base.checks",
     "detectors": "published.detectors",
-    "service": "live.service",
     "systems": "maths.systems",
 }
 
