@@ -23,7 +23,6 @@ from rotorwatch.motion.allocation import ambiguous_sets
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "tutorials").glob("*.md")])
-CLIENTS = sorted((ROOT / "docs" / "mcp").glob("*.md"))  # their commands are those of others
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 README = (ROOT / "README.md").read_text()
 ANSWER = (ROOT / "docs" / "answer.md").read_text()
@@ -58,7 +57,7 @@ def table(text, after):
     return [[cell.strip() for cell in row.strip("|").split("|")] for row in rows.group(1).splitlines()[2:]]
 
 
-@pytest.mark.parametrize("page", [*PAGES, *CLIENTS], ids=name)
+@pytest.mark.parametrize("page", PAGES, ids=name)
 def test_links_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)\s]+)\)", prose(page.read_text())):
         if re.match(r"[a-z]+:", target):
