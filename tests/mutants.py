@@ -93,8 +93,6 @@ NAMED: dict[str, tuple[str, ...]] = {
     "estimators/ekf.py": ("axkf",),
     "estimators/aekf.py": ("aesmf",),
     "maths/augmented_ekf.py": ("axkf", "aesmf"),
-    "estimators/imm.py": ("multiple_model",),
-    "estimators/mmae.py": ("multiple_model",),
     "estimators/aukf.py": ("atsukf",),
     "estimators/ukf.py": ("atsukf",),
     "estimators/tsukf.py": ("atsukf",),

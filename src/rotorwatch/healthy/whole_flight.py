@@ -374,7 +374,7 @@ def judge(flight: Features, baseline: Sequence[Features], vehicle: Vehicle) -> W
     )
 
 
-def rarity(flight: Features, others: Sequence[Features], vehicle: Vehicle) -> float:
+def rarity(flight: Features, others: Sequence[Features]) -> float:
     """Share of healthy flights of the build that would differ from the others at least so much, under the model alone: no bound is put
     on it, so it orders flights but is no odds. All flights must be `usable`."""
     return _p_values(*_difference(flight, others), flight, others)[2]
