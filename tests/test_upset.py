@@ -352,7 +352,7 @@ def test_a_rotor_that_dies_in_wind_is_named_where_the_battery_was_steady(number,
     give less than commanded. Neither takes the place of the dead rotor."""
     flights = benchmark_plan.read(Path(__file__).parents[1] / "benchmarks" / "comparison" / "quad-x.toml").plan
     (flown,) = batch.fly(flights, [number], 1)
-    (judged,) = flown.upsets
+    (judged,) = flown.ready.upsets
     assert np.flatnonzero(flown.theta.max(axis=0) > 0.99).tolist() == [rotor]
     assert judged.cause == "rotor" and judged.found[0].rotors == (rotor,) and judged.probability[0] > 0.9
 
@@ -362,7 +362,7 @@ def test_a_rotor_that_dies_while_air_takes_the_thrust_is_not_cleared():
     small; yet without that explanation they speak for a rotor."""
     flights = benchmark_plan.read(Path(__file__).parents[1] / "benchmarks" / "comparison" / "hexa-x.toml").plan
     (flown,) = batch.fly(flights, [881], 1)
-    (judged,) = flown.upsets
+    (judged,) = flown.ready.upsets
     assert judged.found[0].kind == "common" and judged.cause == "unknown"
 
 
