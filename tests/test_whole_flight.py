@@ -330,7 +330,7 @@ def test_nothing_to_see_is_not_usable():
     assert not wf.features(Flight("made", "ArduPilot", {}, 10.0), QUAD, ((0.0, 10.0),)).usable
 
 
-# Real flights: a cut propeller against good ones. The table in docs/whole-flight.md is the output of `python
+# Real flights: a cut propeller against good ones. The answers in docs/whole-flight.md are those of `python
 # tests/test_whole_flight.py`.
 
 
