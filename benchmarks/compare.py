@@ -20,21 +20,23 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "comparison.md"
 FRAMES = ("quad-x", "hexa-x", "octa-x", "octaquad-x", "y6")
 UP_PLAN, UP_FLIGHTS = ROOT / "plans" / "survival-methods.toml", 240
-COLUMNS = {**ranking.COLUMNS, "own_detected": "found at its own threshold"}
-SIZE = 1 + list(COLUMNS).index("loss_rmse")
 UP = """
 ## Does the vehicle stay up
 
 The table is for {flights} flights of `{plan}` ([closed loop](control.md#closed-loop)): quad X and hexa X, losses of 10 % to all of one
 rotor or two, wind to 9 m/s. The losses that each method estimates drive the allocation. `nobody` keeps the autopilot's own mixer. `truth`
 knows every loss 0.1 s after its onset.
-
-- **acted falsely**: the method acted before the loss, on a healthy flight, or on healthy rotors only.
-- **lost by it**: vehicles that crashed after a false action, and did not crash (or crashed later) with `nobody`.
+*Acted falsely*: before the loss, on a healthy flight, or on healthy rotors only.
 
 """
-UP_COLUMNS = ("driver", "stays up, of those that the truth saves", "quad X", "hexa X", "survived, of all faulty",
-              "acted falsely, flights an hour", "lost by it", "first acted on the broken rotors", "first acted after, s")  # fmt: skip
+UP_COLUMNS = (
+    "driver",
+    "stays up, of those that the truth saves",
+    "quad X",
+    "hexa X",
+    "acted falsely, flights an hour",
+    "first acted after, s",
+)
 
 
 def percent(share: dict | None) -> str:
@@ -46,20 +48,9 @@ def percent(share: dict | None) -> str:
     )
 
 
-def pairs(paired: dict | None) -> str:
-    """What only the first method finds, what only this one finds, and how likely chance makes such a difference."""
-    if paired is None:
-        return "-"
-    found = paired["detected"]
-    return f"{found['only_first']} : {found['only_this']}, p {found['p']:.2g}"
-
-
-def sizes(paired: dict | None) -> str:
-    """RMS errors of the first method and of this one over the flights in which both announced a loss, and p of the sign test."""
-    if paired is None or not paired["size"]["flights"]:
-        return "-"
-    size = paired["size"]
-    return f"{size['first']:.3f} : {size['this']:.3f} of {size['flights']}, p {size['p']:.2g}"
+def bare(cell: str) -> str:
+    """A value without its interval, which the results' files keep."""
+    return cell.partition(" (")[0]
 
 
 def number(value: dict | None) -> str:
@@ -71,9 +62,14 @@ def staying_up(found: dict) -> str:
     """The closed loop in Markdown, the best first."""
     lines = [f"| {' | '.join(UP_COLUMNS)} |", "|---" * len(UP_COLUMNS) + "|"]
     for name, m in sorted(found["drivers"].items(), key=lambda row: -row[1]["of_possible"]["value"]):
-        frames = [percent(m["possible_by_frame"][f]) for f in ("quad-x", "hexa-x")]
-        cells = [f"`{name}`", percent(m["of_possible"]), *frames, percent(m["survived"]), number(m["false_h"]), str(m["lost_false"]),
-                 percent(m["right"]), number(m["first_s"])]  # fmt: skip
+        frames = [bare(percent(m["possible_by_frame"][f])) for f in ("quad-x", "hexa-x")]
+        cells = [
+            f"`{name}`",
+            percent(m["of_possible"]),
+            *frames,
+            bare(number(m["false_h"])),
+            bare(number(m["first_s"])),
+        ]
         lines.append(f"| {' | '.join(cells)} |")
     return UP.format(flights=found["flights"], plan=UP_PLAN.relative_to(ROOT)) + "\n".join(lines) + "\n"
 
@@ -90,18 +86,14 @@ def table(ranked: dict) -> str:
         f"\n## {frame}\n",
         f"{count}; {'; '.join(dict.fromkeys(ranked['machines'].values()))}.\n",
     ]
-    heads = list(COLUMNS.values())
-    heads.insert(1, "pairs")
-    heads.insert(1 + SIZE, "sizes in pairs")
+    heads = list(ranking.COLUMNS.values())
     lines += [
         f"| | method | {' | '.join(heads)} |",
         "|---" * (len(heads) + 2) + "|",
     ]
     for row in rows:
-        cells = [ranking.cell(key, row["scores"].get(key)) for key in COLUMNS]
-        cells.insert(1, pairs(row["paired"]) if row["place"] > 1 else "")
-        cells.insert(1 + SIZE, sizes(row["paired"]) if row["place"] > 1 else "")
-        lines.append(f"| {ranking.mark(row)} | `{row['name']}` | {' | '.join(cells)} |")
+        found, *rest = [ranking.cell(key, row["scores"].get(key)) for key in ranking.COLUMNS]
+        lines.append(f"| {ranking.mark(row)} | `{row['name']}` | {' | '.join([found, *map(bare, rest)])} |")
     return "\n".join(lines + [f"\nNot run: `{e['name']}`: {e['failed']}" for e in ranked["failed"]]) + "\n"
 
 

@@ -44,7 +44,6 @@ PARTS = ("my-log", "my-vehicle", "my-research", "development", "reference", "my-
 # Pages below another page.
 BELOW = {
     "docs/methods/index": sorted(f"/docs/methods/{p.stem}" for p in HERE.glob("methods/*.md") if p.stem != "index"),
-    "docs/mcp": sorted(f"/docs/mcp/{p.stem}" for p in HERE.glob("mcp/*.md")),
     "docs/plug-ins": sorted(f"/examples/{p.parent.name}/README" for p in HERE.parent.glob("examples/*/README.md")),
 }
 

@@ -300,8 +300,9 @@ def rotors(views):
             )
         if r["status"] == "suspect":
             expect(bool(r["note"]), f"{me}: no word why")
-            # Its own evidence, an unjudged landing, an override or the comparison: at least one must have named it.
-            why = bool(claims) or r["from_takeoff"] == "suspect" or "no event explains" in r["note"]
+            # Its own evidence, an unjudged landing, an override, the trim or the comparison: at least one must have named it.
+            by_evidence = any(words in r["note"] for words in ("no event explains", "or the wind turned then"))
+            why = bool(claims) or r["from_takeoff"] == "suspect" or by_evidence
             expect(why, f"{me} although nothing names it")
         if r["status"] == "healthy":
             expect(r["since_takeoff"] is not None, f"{me}: no word on what could have hidden")

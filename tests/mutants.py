@@ -5,8 +5,8 @@ the seed, the file, the line's text and the change: the same seed draws the same
 those written down in mutants_by_hand.toml. Each is tried in a copy of the repository, with the tests that are named for the file
 (`tests_of`), until the first of them fails.
 
-Found is written to docs/mutants.csv, a row for each error; the column `explanation` is written by hand and kept. The tables of
-docs/mutants.md are made of it. A campaign, not a test: about an hour on two cores. Nothing else of the working tree is touched.
+Found is written to docs/mutants.csv, a row for each error; the column `explanation` is written by hand and kept. The table of
+docs/mutants.md is made of it. A campaign, not a test: about an hour on two cores. Nothing else of the working tree is touched.
 """
 
 from __future__ import annotations
@@ -93,8 +93,6 @@ NAMED: dict[str, tuple[str, ...]] = {
     "estimators/ekf.py": ("axkf",),
     "estimators/aekf.py": ("aesmf",),
     "maths/augmented_ekf.py": ("axkf", "aesmf"),
-    "estimators/imm.py": ("multiple_model",),
-    "estimators/mmae.py": ("multiple_model",),
     "estimators/aukf.py": ("atsukf",),
     "estimators/ukf.py": ("atsukf",),
     "estimators/tsukf.py": ("atsukf",),
@@ -426,27 +424,11 @@ def figures(mutants: Sequence[Mutant]) -> str:
     return "\n".join(lines)
 
 
-def survivors(mutants: Sequence[Mutant]) -> str:
-    """A Markdown table of those that survived, and why."""
-    left = [m for m in mutants if m.outcome == SURVIVED]
-    if not left:
-        return "None."
-
-    def code(text: str) -> str:
-        return f"`{text}`".replace("|", "\\|")
-
-    rows = [f"| {m.file}:{m.line} | {code(m.before)} | {code(m.after)} | {m.explanation} |" for m in left]
-    return "\n".join(["| where | the line | with the error | why it survived |", "|---|---|---|---|", *rows])
-
-
 def show(path: Path, mutants: Sequence[Mutant]) -> None:
-    """The tables of the page, each between its marks, made anew."""
-    text = path.read_text(encoding="utf-8")
-    for name, table in (("figures", figures(mutants)), ("survivors", survivors(mutants))):
-        begin, end = f"<!-- {name} -->\n", f"\n<!-- end of {name} -->"
-        head, _, rest = text.partition(begin)
-        text = head + begin + table + end + rest.partition(end)[2]
-    path.write_text(text, encoding="utf-8")
+    """The table of the page, between its marks, made anew."""
+    begin, end = "<!-- figures -->\n", "\n<!-- end of figures -->"
+    head, _, rest = path.read_text(encoding="utf-8").partition(begin)
+    path.write_text(head + begin + figures(mutants) + end + rest.partition(end)[2], encoding="utf-8")
 
 
 def main() -> None:

@@ -5,8 +5,8 @@ import subprocess
 from dataclasses import dataclass
 
 import numpy as np
+from tests.embedded_c_parts import STRICT
 
-from embedded_c_parts import STRICT
 from rotorwatch import airframes
 from rotorwatch.export import export_diagnoser
 from rotorwatch.motion import allocation, ticks

@@ -42,7 +42,7 @@ FAULTS = [
 @cache
 def simulated(frame):
     """Diagnoses of one flight for each of FAULTS."""
-    from rotorwatch.simulation import Simulated, one, plan, scenario, simulate_batch
+    from rotorwatch.simulation import Simulated, plan, record_of, scenario, simulate_batch
 
     rest = {
         "duration_s": 30.0,
@@ -52,7 +52,7 @@ def simulated(frame):
     }
     asked = [scenario.from_table({**rest, "seed": k, "faults": f}) for k, f in enumerate(FAULTS)]
     records = simulate_batch(asked)
-    return [Simulated(s, plan(s), one(records, k)).flight for k, s in enumerate(asked)]
+    return [Simulated(s, plan(s), record_of(records, k)).flight for k, s in enumerate(asked)]
 
 
 @pytest.mark.thorough(keep=1)

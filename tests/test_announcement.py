@@ -15,6 +15,7 @@ from rotorwatch.default.announcement import (
 )
 from rotorwatch.default.hypotheses import CLEAR
 from rotorwatch.default.plant import USUAL_S
+from rotorwatch.default.plausibility import Plausible
 
 HYP, DT, LIMIT, REACH = hypotheses.make(4), 0.05, 14.0, 64.0
 MUCH = UNDECIDED = CLEAR
@@ -34,7 +35,8 @@ def decide(
     far=-9.0,
     rotors=(1,),
     since=5.0,
-    possible=True,
+    asked=True,
+    missing=True,
     weak=False,
     judge=True,
     dt=DT,
@@ -48,7 +50,7 @@ def decide(
         best,
         SimpleNamespace(reach=REACH),
         LIMIT,
-        np.bool_(possible),
+        Plausible(np.bool_(asked), np.bool_(missing)),
         np.bool_(weak),
         np.bool_(judge),
         dt,
@@ -88,7 +90,7 @@ def test_disturbances_such_as_this_flight_has_not_seen_are_asked_about_for_one_m
     assert ticks_until_alarm(fault=30.0, other=30.0, rotors=(1, 3)) is None
 
 
-@pytest.mark.parametrize("blocked", [{"possible": False}, {"judge": False}, {"since": EDGE * REACH}])
+@pytest.mark.parametrize("blocked", [{"asked": False}, {"missing": False}, {"judge": False}, {"since": EDGE * REACH}])
 def test_what_cannot_be_is_not_judged_or_began_before_the_bank_is_not_announced(blocked):
     fault = LIMIT + CERTAIN_NATS - 1.0
     assert ticks_until_alarm(fault=fault, **blocked) is None
@@ -97,12 +99,13 @@ def test_what_cannot_be_is_not_judged_or_began_before_the_bank_is_not_announced(
     assert ticks_until_alarm(fault=fault, since=EDGE * REACH - 1.0) is not None
 
 
-@pytest.mark.parametrize("refused", [{"since": EDGE * REACH}, {"possible": False}])
+@pytest.mark.parametrize("refused", [{"since": EDGE * REACH}, {"asked": False}])
 def test_what_a_gate_refuses_is_announced_where_no_disturbance_comes_near(refused):
     fault = LIMIT + CERTAIN_NATS + 1.0
     assert ticks_until_alarm(fault=fault, **refused) == TICKS
     assert ticks_until_alarm(fault=fault, other=fault - MUCH - CERTAIN_NATS + 1.0, **refused) is None
     assert ticks_until_alarm(fault=fault, rotors=(1, 3), **refused) is None
+    assert ticks_until_alarm(fault=fault, missing=False, **refused) is None  # what the ground does is in no model
     assert ticks_until_alarm(fault=fault, gives=1.8, **refused) is None  # what pushes from outside looks like that
 
 
@@ -125,7 +128,7 @@ def test_what_has_certainly_happened_for_a_second_is_absorbed():
     assert ticks_until_absorbed(other=20.0, fault=20.0 - UNDECIDED - 0.1) is not None
     assert ticks_until_absorbed(other=20.0, fault=20.0 - UNDECIDED + 0.1) is None
     assert ticks_until_absorbed(other=20.0, fault=20.0, weak=True) is not None
-    assert ticks_until_absorbed(other=-9.0, fault=CERTAIN_NATS + 0.1, weak=True, possible=False) is not None
+    assert ticks_until_absorbed(other=-9.0, fault=CERTAIN_NATS + 0.1, weak=True, missing=False) is not None
     assert ticks_until_absorbed(**sure, judge=False) is None
     assert not decide(AlarmState(np.int32(9), np.float64(9.0), np.float64(0.0)), fault=90.0, weak=True)[
         1

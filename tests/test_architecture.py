@@ -24,7 +24,7 @@ FORBIDDEN = (
     ("logs/series.py", "rotorwatch.motion.ticks", "Layers"),
     ("published/detectors/esc_current.py", "rotorwatch.default.estimator", "Detectors know"),
     ("airframes/px4.py", "rotorwatch.commands.cli", "Layers"),
-    ("experiments/damage.py", "rotorwatch.experiments.fuzz", "Inside the experiments"),
+    ("experiments/tools.py", "rotorwatch.experiments.inject", "Inside the experiments"),
     ("diagnose.py", "rotorwatch.healthy.tune", "Inside the healthy"),
     ("answer/advice.py", "rotorwatch.answer.conclusion", "Inside the answer"),
     ("published/log_plant.py", "rotorwatch.published.published", "Inside the published"),

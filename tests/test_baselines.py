@@ -189,7 +189,7 @@ def test_what_the_healthy_ones_of_a_set_cost():
     for _ in range(count):
         spreads = build(rng, QUAD)
         flights = [drawn(rng, QUAD, spreads[0], spreads[1]) for _ in range(5)]
-        rare = [wf.rarity(f, [g for g in flights if g is not f], QUAD) for f in flights]
+        rare = [wf.rarity(f, [g for g in flights if g is not f]) for f in flights]
         lost += min(rare) < wf.FALSE_ALARM / 5
     assert lost <= count * wf.FALSE_ALARM + 4 * np.sqrt(count * wf.FALSE_ALARM)
 

@@ -249,17 +249,6 @@ def test_inject_hands_its_options_to_the_campaign(fake, run, monkeypatch):
         assert code == 2 and out == "" and "--loss" in err
 
 
-@pytest.mark.parametrize(("failed", "code"), [(0, 0), (2, 1)])
-def test_fuzz_exits_with_1_when_something_failed(fake, run, monkeypatch, failed, code):
-    outcomes = {"read": 10, "FAILED": failed}
-    failures = [{"number": 3, "mutation": "truncated", "what": "ValueError: x"}][:failed]
-    result = {"log": "a", "seed": 0, "mutations": 10, "diagnosed": 0, "outcomes": outcomes, "failures": failures}
-    monkeypatch.setattr("rotorwatch.experiments.fuzz.fuzz", lambda *_, **__: result)
-    got, out, _ = run("fuzz", "healthy.bin")
-    assert got == code and ("number 3" in out) == bool(failed)
-    assert json.loads(run("fuzz", "healthy.bin", "--json")[1]) == result
-
-
 def test_fast_start():
     """Nothing heavy is loaded before it is needed. (How long it takes is a benchmark: docs/speed.md.)"""
     heavy = "jax scipy numpy bokeh rich pymavlink pyulog pandas pyarrow matplotlib cvxpy"
@@ -362,7 +351,7 @@ def test_verbs_are_functions_and_modules_at_once():
         "import inspect, rotorwatch.report.info, rotorwatch as rw; from rotorwatch.flight import Flight; "
         "assert rw.info(Flight('csv', '', {}, 0.0)) == rw.info.info(Flight('csv', '', {}, 0.0)); "
         "assert list(inspect.signature(rw.info).parameters) == ['flight']; "
-        "assert rw.fuzz.OUTCOMES and callable(rw.fuzz) and rw.Flight is Flight; print('ok')"
+        "assert rw.inject.PART and callable(rw.inject) and rw.Flight is Flight; print('ok')"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "ok\n"
 

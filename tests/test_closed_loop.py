@@ -12,7 +12,7 @@ from rotorwatch.control import spinning
 from rotorwatch.control.allocation import believed, rows
 from rotorwatch.default import posterior, program
 from rotorwatch.errors import ConfigError
-from rotorwatch.simulation import control, loop, one, prepare, reconfigured, scenario
+from rotorwatch.simulation import control, loop, prepare, reconfigured, record_of, scenario
 from rotorwatch.simulation.multirotor import MULTIROTOR
 
 pytest.importorskip("pyarrow")
@@ -101,7 +101,7 @@ def planned(**changes):
 
 
 def flown(aircraft, s, numbers):
-    return one(loop.fly_many(aircraft, loop.stack([numbers]), s.duration_s, s.rate_hz, s.record_hz), 0)
+    return record_of(loop.fly_many(aircraft, loop.stack([numbers]), s.duration_s, s.rate_hz, s.record_hz), 0)
 
 
 @pytest.mark.thorough

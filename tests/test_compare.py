@@ -1,6 +1,7 @@
 """One table for all estimators: what is counted, how flights are made, and the command."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -72,7 +73,8 @@ def judged(quads, monkeypatch):
             shown[:, which.faults[0][0] - 1] = theta
         out = program.TickOutput(*[shown] * len(program.TickOutput._fields))
         monkeypatch.setattr(published, "judge", lambda *a, **k: out)
-        monkeypatch.setattr(study.events, "read", lambda *a, **k: tuple(found))
+        said = SimpleNamespace(end=SimpleNamespace(events=tuple(found)))
+        monkeypatch.setattr(study, "judge", lambda *a, **k: said)
         return study._trial("ekf", which)
 
     return trial

@@ -41,7 +41,7 @@ def test_vibration_is_the_spread_above_the_motion_whatever_the_rate():
         sway = 3.0 * np.sin(2 * np.pi * 0.3 * time)
         noise = rng.standard_normal((time.size, 3)) * [0.5, 1.0, 2.0]
         noise[time < 30.0] *= 0.0
-        found = context.make(accel(time, noise + sway[:, None]), TICKS, AIR)["vibration"]
+        found = context.gather(accel(time, noise + sway[:, None]), TICKS, AIR)["vibration"]
         late = (TICKS > 31.0) & (TICKS < 59.0)
         assert np.sqrt(np.mean(found[late] ** 2, axis=0)) == pytest.approx([0.5, 1.0, 2.0], rel=0.05), rate
         assert found[(TICKS > 1.0) & (TICKS < 29.0)].max() < 0.1, "the motion is no vibration"
@@ -49,11 +49,11 @@ def test_vibration_is_the_spread_above_the_motion_whatever_the_rate():
 
 def test_no_vibration_of_a_slow_accelerometer_and_none_in_a_gap():
     time = np.arange(0.0, 60.0, 0.1)
-    assert context.make(accel(time, np.ones((time.size, 3))), TICKS, AIR)["vibration"] is None
+    assert context.gather(accel(time, np.ones((time.size, 3))), TICKS, AIR)["vibration"] is None
     time = np.arange(0.0, 60.0, 0.01)
     time = time[(time < 20.0) | (time > 30.0)]
     step = np.where(time < 25.0, 0.0, 9.0)[:, None] * np.ones(3)  # before and after a gap is no vibration
-    found = context.make(accel(time, step), TICKS, AIR)["vibration"]
+    found = context.gather(accel(time, step), TICKS, AIR)["vibration"]
     assert np.isnan(found[(TICKS > 20.5) & (TICKS < 29.5)]).all() and np.nanmax(found) < 1e-6
 
 
@@ -63,16 +63,16 @@ def test_places_count_from_the_lift_off_and_the_best_source_is_taken():
     gps = signal(time, np.column_stack([where * 0.0 + 7.0, np.full(time.size, 3.0)]), "n e d speed")
     velocity = signal(time, np.tile([3.0, 4.0, 0.0], (time.size, 1)), "n e d")
     both = flight(position=signal(time, where, "n e d"), velocity=velocity, gps=gps)
-    found = context.make(both, TICKS, AIR)
+    found = context.gather(both, TICKS, AIR)
     at = np.searchsorted(TICKS, 15.0)
     assert found["position"][at] == pytest.approx([10.0, -10.0, -20.0]) and found["ground_speed"][at] == pytest.approx(
         5.0
     )
     unknown = np.zeros(where.shape, bool)
     lost = flight(position=signal(time, where, "n e d", unknown), gps=gps)
-    found = context.make(lost, TICKS, AIR)
+    found = context.gather(lost, TICKS, AIR)
     assert np.nanmax(np.abs(found["position"])) == 0.0 and found["ground_speed"][at] == pytest.approx(3.0)
-    height = context.make(flight(baro=signal(time, 30.0 + time, "up")), TICKS, AIR)["position"]
+    height = context.gather(flight(baro=signal(time, 30.0 + time, "up")), TICKS, AIR)["position"]
     assert np.isnan(height[:, :2]).all() and height[at, 2] == pytest.approx(-10.0)
 
 
@@ -80,10 +80,10 @@ def test_slow_signals_go_straight_on_and_gaps_stay():
     time = np.r_[np.arange(0.0, 20.0, 1.0), np.arange(40.0, 60.0, 1.0)]
     battery = signal(time, np.column_stack([16.0 - 0.1 * time, np.zeros(time.size)]), "voltage current",
                      np.column_stack([time >= 0, time < 0]))  # fmt: skip
-    found = context.make(flight(battery=battery), TICKS, AIR)["battery"]
+    found = context.gather(flight(battery=battery), TICKS, AIR)["battery"]
     assert found[np.searchsorted(TICKS, 10.5), 0] == pytest.approx(14.95) and np.isnan(found[:, 1]).all()
     assert np.isnan(found[(TICKS > 19.1) & (TICKS < 39.9), 0]).all() and np.isnan(found[-1, 0])
-    assert all(v is None for v in context.make(flight(), TICKS, AIR).values())
+    assert all(v is None for v in context.gather(flight(), TICKS, AIR).values())
 
 
 # The map

@@ -8,14 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import framed_damage
+import fuzzing
 import rotorwatch as rw
-from rotorwatch.errors import ConfigError
-from rotorwatch.experiments import damage
-from rotorwatch.experiments.fuzz_framed import KINDS, OUTCOMES, Task, fuzz_framed
 from rotorwatch.logs import mavlink_frames, mavlink_messages, series
 from rotorwatch.logs.dataflash_binary import BinaryLog
 from rotorwatch.logs.dataflash_clock import make_clock
-from rotorwatch.report import terminal
 from rotorwatch.simulation import scenario, simulate
 from rotorwatch.simulation.write_ulog import write_ulog
 
@@ -159,7 +157,7 @@ def test_one_bit_of_the_first_time_stamp(tmp_path, bit):
 @pytest.mark.parametrize("last", [True, False])
 def test_one_bit_of_a_ulogs_stamp(ulog, tmp_path, bit, last):
     data = bytearray(ulog.read_bytes())
-    found = damage.records(bytes(data), "quad.ulg")
+    found = framed_damage.records(bytes(data), "quad.ulg")
     k = np.flatnonzero(found.stamp_size > 0)[-1 if last else 0]
     data[found.stamp[k] + bit // 8] ^= 1 << (bit % 8)
     path = tmp_path / "quad.ulg"
@@ -213,9 +211,9 @@ def stamps(data):
 
 def test_each_kind_of_damage_does_what_it_says():
     data, rng = sample(), np.random.default_rng(0)
-    found = damage.records(data, "a.bin")
+    found = framed_damage.records(data, "a.bin")
     n, whole = found.start.size, BinaryLog(data).record_count
-    out = {kind: damage.damaged(data, found, kind, 0.05, rng) for kind in KINDS}
+    out = {kind: framed_damage.damaged(data, found, kind, 0.05, rng) for kind in fuzzing.KINDS}
     many = round(0.05 * n)
     assert BinaryLog(out["dropped"]).record_count == whole - many
     assert BinaryLog(out["doubled"]).record_count == whole + many
@@ -235,9 +233,9 @@ def test_damage_leaves_a_ulog_readable(ulog):
     from pyulog import ULog
 
     data = ulog.read_bytes()
-    found = damage.records(data, "quad.ulg")
-    for kind in KINDS:
-        damaged = damage.damaged(data, found, kind, 0.05, np.random.default_rng(1))
+    found = framed_damage.records(data, "quad.ulg")
+    for kind in fuzzing.KINDS:
+        damaged = framed_damage.damaged(data, found, kind, 0.05, np.random.default_rng(1))
         assert damaged != data and not ULog(BytesIO(damaged)).file_corruption
 
 
@@ -245,7 +243,9 @@ def test_check_sums_of_a_telemetry_log_are_made_right():
     if not TLOG.exists():
         pytest.skip("the flight logs for tests are not here (../shared/flights)")
     data = lzma.open(TLOG).read()[:200_000]
-    damaged = damage.damaged(data, damage.records(data, "a.tlog"), "bit flips", 0.2, np.random.default_rng(1))
+    damaged = framed_damage.damaged(
+        data, framed_damage.records(data, "a.tlog"), "bit flips", 0.2, np.random.default_rng(1)
+    )
     layouts = mavlink_messages.by_id()
     for bytes_ in (data, damaged):
         frames = mavlink_frames.Frames(bytes_, layouts)
@@ -259,38 +259,33 @@ def test_what_an_answer_to_a_damaged_log_is_worth():
         def __init__(self, verdict, *events):
             self.verdict, self.events = verdict, [type("E", (), {"rotors": r, "alternatives": a}) for r, a in events]
 
-    healthy, fault = (
-        Task(b"", "", 0, 1.0, 1.0, 0.05, "healthy", frozenset()),
-        Task(b"", "", 0, 1.0, 1.0, 0.05, "fault", frozenset({3})),
-    )
-    assert healthy.compare(Answer("healthy")) == fault.compare(Answer("fault", ((3,), ()))) == "same"
-    assert healthy.compare(Answer("fault", ((3,), ()))) == "false fault"
-    assert fault.compare(Answer("fault", ((2,), ()))) == "wrong rotor"
-    assert fault.compare(Answer("fault", ((3,), ()), ((2,), ()))) == "wrong rotor"
-    assert fault.compare(Answer("healthy")) == "missed"
-    assert fault.compare(Answer("ambiguous", ((2,), ((3,),)))) == "ambiguous"
-    assert healthy.compare(Answer("inconclusive")) == "inconclusive"
+    def worth(intact, damaged):
+        return fuzzing.compared(intact, damaged)  # pyright: ignore[reportArgumentType]
+
+    healthy, fault = Answer("healthy"), Answer("fault", ((3,), ()))
+    assert worth(healthy, healthy) == worth(fault, fault) == "same"
+    assert worth(healthy, fault) == "false fault"
+    assert worth(fault, Answer("fault", ((2,), ()))) == "wrong rotor"
+    assert worth(fault, Answer("fault", ((3,), ()), ((2,), ()))) == "wrong rotor"
+    assert worth(fault, healthy) == "missed"
+    assert worth(fault, Answer("ambiguous", ((2,), ((3,),)))) == "ambiguous"
+    assert worth(healthy, Answer("inconclusive")) == "inconclusive"
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("which", ["bin", "ulg"])
 def test_a_small_study_makes_nothing_up(which, ulog):
     path = SAMPLE if which == "bin" else ulog
-    result = fuzz_framed(path, damages=3, seed=4, jobs=0)
-    assert result["verdict"] == "healthy" and result["failures"] == []
-    assert {kind: sum(row.values()) for kind, row in result["table"].items()} == dict.fromkeys(KINDS, 3)
-    assert sum(row[o] for row in result["table"].values() for o in OUTCOMES[-3:]) == 0
-    assert sum(row["same"] for row in result["table"].values()) >= 12
-    text = terminal.fuzz_framed(result)
-    assert text.renderables[1].row_count == len(OUTCOMES)  # pyright: ignore[reportAttributeAccessIssue]
+    table, failures = fuzzing.framed(path, copies=3, seed=4)
+    assert failures == [] and {kind: sum(row.values()) for kind, row in table.items()} == dict.fromkeys(
+        fuzzing.KINDS, 3
+    )
+    assert sum(row["same"] for row in table.values()) >= 12
 
 
-def test_the_study_refuses_what_it_cannot_damage(tmp_path):
-    (tmp_path / "a.csv").write_text("time_s,motor_1\n0,1\n")
-    with pytest.raises(ConfigError, match="only"):
-        fuzz_framed(tmp_path / "a.csv", jobs=0)
-    with pytest.raises(ConfigError, match="share"):
-        fuzz_framed(SAMPLE, share=0.0, jobs=0)
+def test_damage_is_made_only_where_the_framing_is_known():
+    with pytest.raises(ValueError, match="only"):
+        framed_damage.records(b"time_s,motor_1\n0,1\n", "a.csv")
 
 
 def test_one_bit_of_the_name_of_a_servo_function_puts_no_two_rotors_on_one_output():

@@ -23,7 +23,6 @@ from rotorwatch.motion.allocation import ambiguous_sets
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "tutorials").glob("*.md")])
-CLIENTS = sorted((ROOT / "docs" / "mcp").glob("*.md"))  # their commands are those of others
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 README = (ROOT / "README.md").read_text()
 ANSWER = (ROOT / "docs" / "answer.md").read_text()
@@ -58,7 +57,7 @@ def table(text, after):
     return [[cell.strip() for cell in row.strip("|").split("|")] for row in rows.group(1).splitlines()[2:]]
 
 
-@pytest.mark.parametrize("page", [*PAGES, *CLIENTS], ids=name)
+@pytest.mark.parametrize("page", PAGES, ids=name)
 def test_links_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)\s]+)\)", prose(page.read_text())):
         if re.match(r"[a-z]+:", target):
@@ -77,7 +76,7 @@ def test_named_files_exist(page):
         assert "NAME" in path or any((home / path).exists() for home in homes), f"{path} does not exist"
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if p.name != "renamed.md"], ids=name)  # which tells of what was
+@pytest.mark.parametrize("page", PAGES, ids=name)
 def test_named_sources_exist(page):
     """`bank.py` and its like, wherever they stand, also in diagrams."""
     sources = {path.name for folder in SOURCES for path in (ROOT / folder).rglob("*.py")} | {
@@ -104,8 +103,8 @@ def test_named_objects_exist(page):
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
 def test_commands_are_understood(page):
-    """Every `rotorwatch ...` line of a shell block has a command and options that exist."""
-    for line in "".join(blocks(page.read_text(), "sh")).splitlines():
+    """Every `rotorwatch ...` line of a shell block, or of a unit of systemd, has a command and options that exist."""
+    for line in "".join([*blocks(page.read_text(), "sh"), *blocks(page.read_text(), "ini")]).splitlines():
         words = shlex.split(line, comments=True)
         starts = [k for k, word in enumerate(words) if word == "rotorwatch" or word.endswith("/rotorwatch")]
         for k in starts:

@@ -64,7 +64,7 @@ def test_a_quadrotor_has_none():
 @given(st.floats(-1.0, 5.0), st.lists(st.floats(0.0, 1.0), min_size=6, max_size=6))
 def test_a_healthy_vehicle_does_not_answer_and_a_weak_one_does_by_its_losses(t, theta):
     signal, B = SIGNAL, B_OF["hexa-x"]
-    c = np.asarray(excitation.at(signal, t))
+    c = np.asarray(excitation.value_at(signal, t))
     assert np.abs(B @ c).max() < 1e-12
     assert np.abs(excitation.answer(B, np.zeros(6), c)).max() == 0.0
     weak = np.array(theta)
@@ -78,7 +78,7 @@ SIGNAL = Signal(*(0.1 * excitation.null_space(B_OF["hexa-x"])[:, k] for k in (0,
 
 def test_an_excitation_that_never_begins_is_nothing():
     for t in (0.0, 1e6):
-        assert not np.asarray(excitation.at(excitation.none(8), t)).any()
+        assert not np.asarray(excitation.value_at(excitation.none(8), t)).any()
 
 
 @settings(max_examples=6, deadline=None)
@@ -95,7 +95,7 @@ def test_a_design_keeps_its_limits(frame, loss, hover, tilt, amplitude, seed):
     except ConfigError as error:
         assert "null space cannot tell" in str(error)
         return
-    c = np.stack([np.asarray(excitation.at(made.signal, t)) for t in np.arange(0.0, 2.0, 0.02)])
+    c = np.stack([np.asarray(excitation.value_at(made.signal, t)) for t in np.arange(0.0, 2.0, 0.02)])
     assert np.abs(B_OF[frame] @ c.T).max() < 1e-9
     assert np.abs(c).max() <= min(amplitude, 0.5 * min(hover, limits.most - hover)) + 1e-9
     assert made.tilt.max() <= np.radians(tilt) * (1.0 + 1e-6)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.base.physics import G0
 from rotorwatch.control.allocation import rows
-from rotorwatch.simulation import incremental, loop, one, prepare, reconfigured, scenario, trajectories
-from rotorwatch.simulation.rigid import G0
+from rotorwatch.simulation import incremental, loop, prepare, reconfigured, record_of, scenario, trajectories
 
 jax = load_jax()
 jnp = jax.numpy
@@ -46,7 +46,7 @@ def flown(amount):
     records = loop.fly_many(craft, loop.stack(plans), first.duration_s, first.rate_hz, first.record_hz)
     found = {}
     for k, flight in enumerate(made):
-        r = one(records, k)
+        r = record_of(records, k)
         ask = np.asarray(trajectories.table(plans[k].way, len(r.time), r.time[1] - r.time[0]).p)
         late = r.time > 11.0
         tilt = np.degrees(np.arccos(np.clip(1.0 - 2.0 * (r.q[:, 1] ** 2 + r.q[:, 2] ** 2), -1.0, 1.0)))

@@ -9,7 +9,7 @@ import pytest
 from rotorwatch import airframes, logs
 from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError
-from rotorwatch.experiments import inject
+from rotorwatch.experiments import counting, inject
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.motion import airborne, allocation, deviations
@@ -146,7 +146,7 @@ def event(rotors, detected, loss=0.25, alternatives=()):
 
 def test_outcomes_are_counted_as_the_table_says():
     def outcome(*found):
-        return inject._outcome(found, 2, 0.3, ONSET)
+        return inject._outcome(counting.alarms(found), 2, 0.3, ONSET)
 
     hit = outcome(event((2,), 11.5))
     assert hit["right"] and hit["covered"] and hit["delay_s"] == 1.5 and hit["false_alarms"] == 0
@@ -155,11 +155,11 @@ def test_outcomes_are_counted_as_the_table_says():
     unsure = outcome(event((1,), 12.0, alternatives=((2,), (1, 2))))
     assert unsure["ambiguous_with_truth"] and not unsure["right"]
     wrong = outcome(event((1,), 12.0), event((2,), 13.0), event((4,), 14.0))
-    assert not wrong["right"] and not wrong["ambiguous_with_truth"] and wrong["false_alarms"] == 1
+    assert not wrong["right"] and not wrong["ambiguous_with_truth"] and wrong["false_alarms"] == 2
 
     at = {"at_limit": 0.0}
     row = inject._row(0.3, [o | at for o in (hit, outcome(), unsure, wrong)])
-    assert (row["injections"], row["detected"], row["false_alarms"]) == (4, 0.75, 1)
+    assert (row["injections"], row["detected"], row["false_alarms"]) == (4, 0.75, 2)
     assert row["right"] == pytest.approx(1 / 3) and row["ambiguous_with_truth"] == pytest.approx(1 / 3)
     assert row["loss_rms"] == pytest.approx(0.05) and row["loss_bias"] == pytest.approx(-0.05)
     assert row["coverage"] == 1.0 and row["median_delay_s"] == 2.0

@@ -53,7 +53,7 @@ def planted(monkeypatch):
 
 
 def row(name):
-    return next((r for r in (*kinds.ROWS, *PLANTED) if r.name == name), None) or kinds.of(name)
+    return next((r for r in (*kinds.ROWS, *PLANTED) if r.name == name), None) or kinds.kind_of(name)
 
 
 def an_event(name, rotors=(3,), alternatives=(), end_s=None):
@@ -86,7 +86,7 @@ def shown(answer: Diagnosis) -> dict[str, str]:
 
 @pytest.mark.parametrize("event", EVENTS, ids=lambda e: f"{e.kind} {e.rotors} {e.alternatives} {e.end_s}")
 def test_every_kind_is_said_everywhere(event):
-    row, answer = kinds.of(event.kind), hexa_diagnosis(events=(event,))
+    row, answer = kinds.kind_of(event.kind), hexa_diagnosis(events=(event,))
     for where, text in shown(answer).items():
         assert row.noun in text.lower().replace("\u00a0", " "), where
         assert "_" not in event.kind or event.kind not in text, where
@@ -105,7 +105,7 @@ def test_every_kind_is_said_everywhere(event):
 
 @pytest.mark.parametrize("event", EVENTS, ids=lambda e: f"{e.kind} {e.rotors} {e.alternatives} {e.end_s}")
 def test_what_a_kind_means_is_asked_of_its_row(event):
-    row, answer = kinds.of(event.kind), hexa_diagnosis(events=(event,))
+    row, answer = kinds.kind_of(event.kind), hexa_diagnosis(events=(event,))
     assert answer.main == (0 if row.wrong else None)
     if row.accuses:
         assert answer.verdict == ("ambiguous" if event.alternatives else "fault")

@@ -380,12 +380,12 @@ def a_loss_is_found(case):
 
 SETS = ("esmf", "aesmf")
 FORGETFUL = ("akf", "adaptive_ekf", "axkf")
-# Their windows are short: .12 and .11 before any loss, six of them by four measurements.
-RESTLESS = {"rls": 0.15, "atsukf": 0.15}
+# Its window is short: .11 before any loss, six of them by four measurements.
+RESTLESS = {"atsukf": 0.15}
 # Bounds; covariances of observers with fixed gains.
 NO_POSTERIOR = (*SETS, "lyapunov", "mh_lyapunov", "intermediate", "thau", "sliding_mode")
-ONE_AT_A_TIME = ("imm", "mmae", "rbpf")  # flights whose rotors are all a little weak are not what they expect
-MEASURED = ("rls", "irls", "parity")  # the state is taken as measured, what is not is not filtered
+ONE_AT_A_TIME = ("imm",)  # flights whose rotors are all a little weak are not what they expect
+MEASURED = ("irls", "parity")  # the state is taken as measured, what is not is not filtered
 
 
 LAWS = [
@@ -424,7 +424,7 @@ def test_law(name, make, law):
 # Methods as different from each other as they are; the others with --thorough.
 USUAL = {
     many_flights_at_once_are_the_same_as_one_by_one: ("ekf", "mh_lyapunov", "tsukf", "imm", "parity"),
-    compiled_is_the_same_as_not: ("adaptive_ekf", "mh_lyapunov", "ukf", "mhe", "rls"),
+    compiled_is_the_same_as_not: ("adaptive_ekf", "mh_lyapunov", "ukf", "mhe", "irls"),
 }
 SLOW = [
     pytest.param(name, make, law, marks=[] if name in USUAL[law] else pytest.mark.thorough, id=f"{name}-{law.__name__}")
@@ -564,9 +564,7 @@ STEP, BEGINS, ENDS, FLIGHT_S = 0.05, 4.0, 6.0, 8.0  # s: of logs, the longer ste
 # Sets have bounds instead of a memory, and more cuts make them smaller. The MIT rule changes its factors by so much a step at most, and
 # without noise it always does.
 NO_MEMORY = (*SETS, "aekf", "aukf")
-STEPS_OF = dict.fromkeys(
-    ("rls", "irls", "atsukf"), 0.04
-)  # what is forgotten, or leaves a window, leaves it by the step
+STEPS_OF = dict.fromkeys(("irls", "atsukf"), 0.04)  # what is forgotten, or leaves a window, leaves it by the step
 
 
 @functools.cache
@@ -605,7 +603,7 @@ def memory_is_a_time(kind):
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=[] if name in ("adaptive_ekf", "atsukf", "rls") else pytest.mark.thorough)
+        pytest.param(name, marks=[] if name in ("adaptive_ekf", "atsukf", "irls") else pytest.mark.thorough)
         for name in published()
         if name not in NO_MEMORY
     ],

@@ -12,12 +12,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import fuzzing
 import ros2_bags
 import rotorwatch as rw
 from rotorwatch import airframes
 from rotorwatch.base import incoming
 from rotorwatch.errors import LogError, VehicleError
-from rotorwatch.experiments import fuzz
 from rotorwatch.logs import bag_storage, cdr, container, mavros, ros2
 from rotorwatch.simulation import scenario, simulate
 
@@ -317,9 +317,8 @@ def test_damaged_bags_are_read_or_refused_politely(px4, tmp_path, storage):
     rows = [r for r in px4[1] if "sensor_combined" not in r[0] and "esc" not in r[0]]
     folder = ros2_bags.write(tmp_path / "flight", rows[::7], storage)
     file = chunked(folder, tmp_path / "small.mcap") if storage == "mcap" else next(folder.glob("*.db3"))
-    result = fuzz.fuzz(file, mutations=60, seed=5, jobs=0, diagnosed=0.0)
-    assert result["failures"] == [] and sum(result["outcomes"].values()) == 60
-    assert result["outcomes"]["read with warnings"] > 0
+    outcomes, failures = fuzzing.anywhere(file, 60, seed=5)
+    assert failures == [] and sum(outcomes.values()) == 60 and outcomes["read with warnings"] > 0
 
 
 ENDLESS = "WITH RECURSIVE c(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM c)"

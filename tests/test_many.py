@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from rotorwatch import many
 from rotorwatch.errors import BackendWarning, ConfigError, FirstUse, LogError, WorkerError
 from rotorwatch.many import cluster, processes
+from rotorwatch.many.done import Task
 from rotorwatch.many.result_cache import ResultCache
 
 ROOT = Path(__file__).parents[1]
@@ -46,8 +47,6 @@ def work(item):
         os.kill(os.getpid(), signal.SIGKILL)
     if what == "die":
         os._exit(7)
-    if what == "hang":
-        time.sleep(60)
     if what == "slow":
         time.sleep(0.1)
     return lambda: None if what == "unpackable" else number
@@ -68,7 +67,7 @@ def test_processes_say_what_they_build_unless_warnings_are_hushed(action, capfd)
         warnings.simplefilter("always")
         warnings.filterwarnings(action, category=BackendWarning)
         warnings.filterwarnings("ignore", message="size changed")  # as NumPy does: of that text only
-        assert len(list(many.run(building, range(3), jobs=1, limit_s=60.0))) == 3
+        assert len(list(processes.run(building, (Task(k, k) for k in range(3)), 1, 1))) == 3
     assert capfd.readouterr().err.splitlines() == ["rotorwatch: Building something."] * (action == "always")
 
 
@@ -176,18 +175,6 @@ def test_order_is_kept_where_it_is_asked_for(tmp_path):
         list(many.ordered(number, [(tmp_path, "fine", 0), (tmp_path, "error", 1)], jobs=1))
 
 
-def test_limits_and_preparation_hold_in_processes(tmp_path):
-    items = [(tmp_path, "hang" if k == 1 else "fine", k) for k in range(3)]
-    found = {d.index: d for d in many.run(number, items, 1, limit_s=1.0, tries=1)}
-    assert found[1].error.how == "hung for 1 s and more" and found[2].value == 2
-    with pytest.raises(ZeroDivisionError):
-        list(many.run(number, items, 1, prepare=fails))
-
-
-def fails():
-    return 1 / 0
-
-
 def test_one_process_is_asked_one_thing_after_another():
     worker = processes.Worker(pickle.dumps((abs, None)), 5.0)
     try:
@@ -256,7 +243,6 @@ def test_no_process_outlives_the_one_that_started_it(tmp_path, blow):
         ({"jobs": 0}, "jobs must be at least 1"),
         ({"jobs": 2, "scheduler": "tcp://a:1"}, "not both"),
         ({"scheduler": "here"}, "give the address of a Dask scheduler"),
-        ({"scheduler": "tcp://a:1", "limit_s": 1.0}, "not on a cluster"),
     ],
 )
 def test_arguments_that_do_not_fit_are_refused(given_, says):

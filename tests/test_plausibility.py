@@ -58,12 +58,11 @@ def possible(
     since=60.0,
 ):
     known = np.isin(np.arange(1, N + 1), active)
-    return bool(
-        plausibility.plausible(
-            what, since, smooth * np.ones(N), (rise * np.ones(N),) * 2, now or missing(), before or missing(), measured, known,
-            np.asarray(rough, float), np.eye(N),
-        )
+    may = plausibility.plausible(
+        what, since, smooth * np.ones(N), (rise * np.ones(N),) * 2, now or missing(), before or missing(), measured, known,
+        np.asarray(rough, float), np.eye(N),
     )  # fmt: skip
+    return bool(may.asked and may.missing)
 
 
 def test_a_loss_that_is_asked_for_and_missing_is_possible():

@@ -89,7 +89,7 @@ def test_what_other_packages_offer_is_found(package):
     assert discovery.estimators()["own"] is discovery.estimator("own")
     assert discovery.systems()["own_plant"] is discovery.system("own_plant")
     assert "own-rule" in [m.name for m in detectors.modules()]
-    assert "own-rule" not in [m.name for m in detectors.of("ArduPilot")]  # it is no autopilot's own check
+    assert "own-rule" not in [m.name for m in detectors.for_autopilot("ArduPilot")]  # it is no autopilot's own check
     assert discovery.source(discovery.estimator("own")) == ("elsewhere", "1.2", "elsewhere:Own")
     assert "ekf" in discovery.estimators()
     plan = campaign.from_table(

@@ -9,7 +9,7 @@ import pytest
 import rotorwatch as rw
 from conftest import hexa_diagnosis
 from rotorwatch.base import discovery
-from rotorwatch.estimators.rls import RLS
+from rotorwatch.estimators.akf import AKF
 from rotorwatch.flight import Flight, Message, Signal
 
 
@@ -116,7 +116,7 @@ class Forgetful(Kept):
 
 
 def test_estimators_given_as_objects():
-    assert discovery.estimator(RLS) is RLS and discovery.title(RLS) == "rls"
+    assert discovery.estimator(AKF) is AKF and discovery.title(AKF) == "akf"
     partial = functools.partial(Kept, gain=3.0)
     assert discovery.estimator(partial) is partial and discovery.title(partial) == "kept"
     again = discovery.estimator(Kept(None, 0.1, gain=2.5))
@@ -128,14 +128,14 @@ def test_estimators_given_as_objects():
 
 
 def test_a_diagnosis_by_an_instance_is_that_by_the_name(hover_log):
-    by_name = rw.diagnose(hover_log, estimator="rls")
+    by_name = rw.diagnose(hover_log, estimator="akf")
     plant = rw.systems.RateDynamics(
         J=np.eye(3), B_tau=np.ones((3, 6)), B_T=np.ones(6), m=1.0, gyro_sd=0.1, accel_sd=0.1
     )
-    by_object = rw.diagnose(hover_log, estimator=RLS(plant, 0.05))
-    assert by_object.estimator == by_name.estimator == "rls"
+    by_object = rw.diagnose(hover_log, estimator=AKF(plant, 0.05))
+    assert by_object.estimator == by_name.estimator == "akf"
     assert by_object.events == by_name.events and by_object.events
-    changed = rw.diagnose(hover_log, estimator=functools.partial(RLS, memory_s=3.0))
+    changed = rw.diagnose(hover_log, estimator=functools.partial(AKF, memory_s=3.0))
     assert changed.trace is not None and by_name.trace is not None
     assert not np.array_equal(changed.trace.loss, by_name.trace.loss)
 

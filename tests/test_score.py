@@ -9,7 +9,7 @@ import pytest
 from rotorwatch import airframes
 from rotorwatch.campaign import score
 from rotorwatch.default.announcement import TICKS
-from rotorwatch.experiments import limits
+from rotorwatch.experiments import counting, limits
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.motion.ticks import JUDGE, LEARN
 from rotorwatch.simulation import scenario as scenarios
@@ -51,7 +51,7 @@ def row(f, *seen, bound=None, theta=None, sd=0.01):
     """The row of the estimator `default` that has announced these events, and holds `theta` for its losses."""
     theta = f.theta if theta is None else theta
     kept = SimpleNamespace(theta=theta, theta_sd=np.full(theta.shape, sd))
-    return score.estimator("default", f, kept, np.full(f.ticks.time.size, -3.0), seen, bound, PLAN)
+    return score.estimator("default", f, kept, np.full(f.ticks.time.size, -3.0), counting.alarms(seen), bound, PLAN)
 
 
 def test_a_healthy_flight_has_healthy_time_and_no_fault():
@@ -73,9 +73,9 @@ def test_what_is_announced_without_a_statistic_counts_at_any_threshold():
     f = flown(fault())
     kept = SimpleNamespace(theta=f.theta, theta_sd=np.full(f.theta.shape, 0.01))
     low = np.full(f.ticks.time.size, -3.0)
-    found = score.estimator("default", f, kept, low, (event((3,), 31.2),), None, PLAN, certain=[31.2])
+    found = score.estimator("default", f, kept, low, counting.alarms([event((3,), 31.2)]), None, PLAN, certain=[31.2])
     assert (found["peak"], found["peak_1s"], found["peak_2s"]) == (-3.0, -3.0, score.CERTAIN)
-    found = score.estimator("default", f, kept, low, (event((3,), 20.0),), None, PLAN, certain=[20.0])
+    found = score.estimator("default", f, kept, low, counting.alarms([event((3,), 20.0)]), None, PLAN, certain=[20.0])
     assert (found["peak"], found["peak_2s"]) == (score.CERTAIN, -3.0)
 
 

@@ -16,7 +16,7 @@ from rotorwatch.simulation import (
     dynamics,
     faults,
     loop,
-    one,
+    record_of,
     rotation,
     scenario,
     simulate_batch,
@@ -448,10 +448,10 @@ def fleet():
     flights += [asked(airframe={"ground_effect": False}, faults=[{"rotor": 3, "onset_s": 20.0, **b}]) for b in BREAKS]
     flights.append(asked(airframe={"payload_kg": 0.4, "payload_at_m": (0.1, 0.0, 0.0)}))
     many = simulate_batch(flights, record_hz=100)
-    return flights, [one(many, k) for k in range(len(flights))]
+    return flights, [record_of(many, k) for k in range(len(flights))]
 
 
-def record_of(flight):
+def record_flown(flight):
     flights, records = fleet()
     return records[flights.index(flight)] if not isinstance(flight, int) else records[flight]
 
@@ -482,7 +482,7 @@ def hover_demand(record, start, end):
 
 def test_a_quad_in_steady_hover_gives_every_rotor_its_thrust_back():
     """Four rotors, four balances: after a loss each delivers what it did before, so the command rises by 1 / (1 - loss)."""
-    record = record_of(len(trajectories.KINDS))
+    record = record_flown(len(trajectories.KINDS))
     before, after = hover_demand(record, 15, 19.9), hover_demand(record, 27, 30)
     lift_max = [record.lift_max[(record.time > a) & (record.time < b)].mean() for a, b in ((15, 19.9), (27, 30))]
     expected = before * lift_max[0] / lift_max[1] / np.array([1, 1, 0.75, 1])
@@ -515,14 +515,14 @@ def test_dead_rotor_brings_a_quad_down():
 
 
 def test_stuck_is_what_it_was_and_ends():
-    record = record_of(len(trajectories.KINDS) + 3)
+    record = record_flown(len(trajectories.KINDS) + 3)
     held = (record.time > 20.1) & (record.time < 20.45)
     assert np.ptp(record.w[held][:, 2]) < 0.02 * record.w[held][:, 2].mean()
     assert record.flies[-1] == 1
 
 
 def test_chipped_propeller_shakes():
-    record = record_of(len(trajectories.KINDS) + 1)
+    record = record_flown(len(trajectories.KINDS) + 1)
     assert record.shake[2500, 2] > 5 * record.shake[2500, 0] and record.shake[1500, 2] < 2 * record.shake[1500, 0]
 
 
@@ -562,7 +562,7 @@ def test_single_precision_flies_the_same_way():
     flown_ = loop.fly_many(MULTIROTOR, single, DURATION)
     assert all(a.dtype == np.float32 for a in flown_)
     for k in range(2):
-        assert np.abs(one(flown_, k).p - records[k].p)[:3300].max() < 5e-3  # until the landing: contact is touchy
+        assert np.abs(record_of(flown_, k).p - records[k].p)[:3300].max() < 5e-3  # until the landing: contact is touchy
 
 
 def test_bad_batches_and_rates():

@@ -10,13 +10,14 @@ from click.testing import CliRunner
 import rotorwatch
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.base.physics import G0
 from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError, LogError
 from rotorwatch.logs import memory
 from rotorwatch.published import helicopter_log
 from rotorwatch.simulation import faults, rotation, scenario, simulate, simulate_batch
 from rotorwatch.simulation.helicopter import aircraft, dynamics
-from rotorwatch.simulation.rigid import G0, Air, Body
+from rotorwatch.simulation.rigid import Air, Body
 
 jax = load_jax()
 jnp = jax.numpy

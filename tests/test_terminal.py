@@ -39,19 +39,6 @@ def test_what_info_says_of_a_log():
     assert "unknown" in rendered(terminal.info(info_of(vehicle_type="")))
 
 
-def test_failures_of_the_fuzzer_are_in_colour_and_counted():
-    result = {"log": "a.bin", "mutations": 40, "seed": 1, "outcomes": {"read": 39, "FAILED": 1}, "failures": [
-        {"number": 7, "mutation": "cut", "what": "boom"}]}  # fmt: skip
-    table = terminal.fuzz(result).renderables[1]
-    styles = {cell.plain: cell.style for cell in table.columns[0].cells}
-    assert styles == {"read": "", "FAILED": terminal.STYLES["error"]}
-    fine = terminal.fuzz({**result, "outcomes": {"read": 40, "FAILED": 0}, "failures": []}).renderables[1]
-    assert {cell.style for cell in fine.columns[0].cells} == {""}
-    assert "97.5 %" in rendered(terminal.fuzz(result)) and "FAILED number 7 (cut): boom" in rendered(
-        terminal.fuzz(result)
-    )
-
-
 def test_a_note_stands_beside_its_word_where_there_is_room():
     notes = terminal.Notes([("warning", "first"), ("assumed", "second one")])
     assert [line.split() for line in rendered(notes, 60).splitlines()] == [

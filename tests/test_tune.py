@@ -222,7 +222,6 @@ def test_how_fast_losses_change_is_known_by_the_methods_own_names():
         "atsukf": "theta_walk",
         "akf": "memory_s",
         "axkf": "memory_s",
-        "rls": "memory_s",
         "mhe": None,
     }
     assert wanted.items() <= named.items()

@@ -30,7 +30,7 @@ def outputs(biases, odds=-5.0, onset=0.0, rotors=4):
 
 
 def losses(biases, table, effectiveness=B):
-    return unseen.of(outputs(biases), table, effectiveness).losses()
+    return unseen.bounds(outputs(biases), table, effectiveness).losses()
 
 
 def flown(seconds=60.0, rotor=1, loss=0.0, onset_s=30.0, noise=0.05, memory=0.9, seed=0):
@@ -79,11 +79,11 @@ def test_the_bound_of_a_pair_holds_what_only_thrust_shows(loss, onset_s):
     for seed in range(100):
         biases, table = flown(loss=0.0, seed=seed)
         biases = biases + np.where(table.time >= onset_s, loss, 0.0)[:, None] * (against[:, 0] + against[:, 1])
-        seen = unseen.of(outputs(biases), table, against)
+        seen = unseen.bounds(outputs(biases), table, against)
         held.append(seen.pair({0: (1,), 1: (0,), 2: (3,), 3: (2,)}) >= loss)
         assert seen.losses().max() < 0.2, "no single rotor"
     assert np.mean(held) > 0.9
-    assert unseen.of(outputs(biases), table, against).pair({0: (), 1: ()}) == 0.0
+    assert unseen.bounds(outputs(biases), table, against).pair({0: (), 1: ()}) == 0.0
 
 
 def test_gaps_do_not_matter_and_too_little_says_nothing():
@@ -152,7 +152,7 @@ def evidence(table, rotor=1, at=31.0, nats=25.0, since_s=1.0):
 
 def accused(out, table, biases, events=(), effectiveness=B):
     out.biases = biases
-    return unseen.of(out, table, effectiveness).suspected(events, table.time[-1])
+    return unseen.bounds(out, table, effectiveness).suspected(events, table.time[-1])
 
 
 def test_a_step_that_began_with_evidence_accuses_its_rotor_since_then():
@@ -218,7 +218,7 @@ def doubted(event, nats=25.0, at=31.0, disturbed=-5.0, events=()):
     table = flown()[1]
     out = evidence(table, nats=nats, at=at)
     out.log_odds[:, -1] = disturbed
-    return unseen.of(out, table, B).doubted([event, *events])[0]
+    return unseen.bounds(out, table, B).doubted([event, *events])[0]
 
 
 def test_a_loss_of_control_after_certain_evidence_may_have_been_that_rotor():

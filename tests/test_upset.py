@@ -10,6 +10,7 @@ import pytest
 from tests import tumbling
 
 from rotorwatch import airframes, campaign, diagnose
+from rotorwatch.answer import falls
 from rotorwatch.campaign import batch, benchmark_plan
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import Event
@@ -299,7 +300,7 @@ def test_swapped_outputs_that_look_alike_are_named_as_candidates():
     pair = explain_kind("order", (0, 1)), explain_kind("order", (2, 3))
     left = loss_of_control.LossOfControl(5.0, 5.4, None, None, "tilted")
     judged = find.Judged(left, "motor_order", pair, np.array([0.6, 0.4]), None, 5.0, ())
-    order, lost = find.events([judged], (), 4)
+    order, lost = falls.events([judged], (), 4)
     assert {order.kind, lost.kind} == {"motor_order", "loss_of_control"}
     assert order.alternatives == lost.alternatives == ((3, 4),)
 
@@ -308,8 +309,8 @@ def test_what_left_control_after_a_blow_was_knocked():
     left = loss_of_control.LossOfControl(5.0, 5.4, None, None, "tilted")
     judged = find.Judged(left, "unknown", (), np.empty(0), None, 5.0, ())
     blow = Event("contact", (), 4.4, 4.4, 4.4, (), (), 1.0, (), "a blow")
-    assert find.events([judged], [blow], 4)[-1].extra["cause"] == "knock"
-    assert find.events([judged], [replace(blow, onset_s=1.0)], 4)[-1].extra["cause"] == "unknown"
+    assert falls.events([judged], [blow], 4)[-1].extra["cause"] == "knock"
+    assert falls.events([judged], [replace(blow, onset_s=1.0)], 4)[-1].extra["cause"] == "unknown"
 
 
 def explain_kind(kind: str, rotors: tuple[int, ...]) -> Explanation:
@@ -351,7 +352,7 @@ def test_a_rotor_that_dies_in_wind_is_named_where_the_battery_was_steady(number,
     give less than commanded. Neither takes the place of the dead rotor."""
     flights = benchmark_plan.read(Path(__file__).parents[1] / "benchmarks" / "comparison" / "quad-x.toml").plan
     (flown,) = batch.fly(flights, [number], 1)
-    (judged,) = flown.upsets
+    (judged,) = flown.ready.upsets
     assert np.flatnonzero(flown.theta.max(axis=0) > 0.99).tolist() == [rotor]
     assert judged.cause == "rotor" and judged.found[0].rotors == (rotor,) and judged.probability[0] > 0.9
 
@@ -361,7 +362,7 @@ def test_a_rotor_that_dies_while_air_takes_the_thrust_is_not_cleared():
     small; yet without that explanation they speak for a rotor."""
     flights = benchmark_plan.read(Path(__file__).parents[1] / "benchmarks" / "comparison" / "hexa-x.toml").plan
     (flown,) = batch.fly(flights, [881], 1)
-    (judged,) = flown.upsets
+    (judged,) = flown.ready.upsets
     assert judged.found[0].kind == "common" and judged.cause == "unknown"
 
 
@@ -378,7 +379,7 @@ def test_the_size_of_a_loss_is_the_falls_where_that_shows_more_for_certain(annou
     best = Explanation("rotor", (2,), 0.0, 5.0, *fall, np.zeros((3, 4)))
     judged = find.Judged(left, "rotor", (best,), np.ones(1), None, 5.0, ("the motion",))
     known = Event("loss_of_effectiveness", (3,), 4.9, 5.1, None, announced[:1], (announced[1:],), 1.0, (), "announced")
-    loss, lost = find.events([judged], [known], 4)
+    loss, lost = falls.events([judged], [known], 4)
     assert (
         (loss.loss, *loss.interval) == (told[:1], told[1:])
         and loss.detected_s == 5.1

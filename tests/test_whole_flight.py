@@ -234,7 +234,7 @@ def test_no_odds_are_claimed_that_few_flights_cannot_show():
         assert result.verdict == "fault" and result.p_value == wf.FALSE_FAULT
         assert "fewer than 1 in 100 healthy flights would differ so much, if they spread as assumed" in result.reason
         assert words in result.reason
-        assert wf.rarity(bent, baseline, QUAD) < 1e-3 * wf.FALSE_FAULT  # which orders flights, and is shown to nobody
+        assert wf.rarity(bent, baseline) < 1e-3 * wf.FALSE_FAULT  # which orders flights, and is shown to nobody
 
 
 def test_a_rotor_at_its_limit_cannot_be_told_from_a_weight():
@@ -330,7 +330,7 @@ def test_nothing_to_see_is_not_usable():
     assert not wf.features(Flight("made", "ArduPilot", {}, 10.0), QUAD, ((0.0, 10.0),)).usable
 
 
-# Real flights: a cut propeller against good ones. The table in docs/whole-flight.md is the output of `python
+# Real flights: a cut propeller against good ones. The answers in docs/whole-flight.md are those of `python
 # tests/test_whole_flight.py`.
 
 

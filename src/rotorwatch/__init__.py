@@ -27,8 +27,6 @@ _VERBS = {
     "diagnose": "diagnose",
     "diagnose_many": "many.diagnose_many",
     "export_c": "export.export_c",
-    "fuzz": "experiments.fuzz",
-    "fuzz_framed": "experiments.fuzz_framed",
     "info": "report.info",
     "inject": "experiments.inject",
     "observability": "published.observability",
@@ -64,7 +62,6 @@ _HOMES = {
 _SHORT = {
     "checks": "base.checks",
     "detectors": "published.detectors",
-    "service": "live.service",
     "systems": "maths.systems",
 }
 
@@ -78,8 +75,6 @@ if TYPE_CHECKING:
     from rotorwatch.errors import LogError as LogError
     from rotorwatch.errors import RotorwatchError as RotorwatchError
     from rotorwatch.errors import VehicleError as VehicleError
-    from rotorwatch.experiments.fuzz import fuzz as fuzz
-    from rotorwatch.experiments.fuzz_framed import fuzz_framed as fuzz_framed
     from rotorwatch.experiments.inject import inject as inject
     from rotorwatch.experiments.studies.compare import compare as compare
     from rotorwatch.experiments.studies.reproduction import reproduce as reproduce

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from os import PathLike
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -130,32 +130,27 @@ def diagnose(
     clock.lap("read_s")
     if estimator != "default":
         aerobatic.decline(flight, "the published methods model hover; leave out the estimator.")
-    ready = _prepare(flight, vehicle, baseline, not aerobatic.applies(flight), clock)
+    ready = prepare(flight, vehicle, baseline, clock)
     if ready.table is None:
         return _no_flight(ready, clock)
     tell(0.3, "preparing the estimator (built the first time)")
-    done = _estimate(ready, ready.table, estimator, tuning, lambda share: tell(0.3 + 0.6 * share, "estimating"))
+    done = estimated(ready, estimator, tuning, lambda share: tell(0.3 + 0.6 * share, "estimating"))
     clock.lap("estimate_s")
-    found = _find(ready, done)
+    last = judge(ready, done)
     clock.lap("events_s")
-    diagnosis = _conclude(ready, ready.table, done, found, discovery.title(estimator), clock)
+    diagnosis = _conclude(ready, done, last, discovery.title(estimator), clock)
     tell(1.0, "done")
     return diagnosis
 
 
-def answered(
-    flight: Flight, vehicle: Vehicle, air: Spans, upsets: tuple[upset.Judged, ...], table: Ticks, out: TickOutput
-) -> conclusion.Conclusion:
-    """The answer of the default diagnosis to a flight without anything known before, from the estimator's outputs at its ticks: what a
-    campaign counts. What `hindsight` sees of the blind time is not in it."""
-    limit = float(threshold(hypotheses.make(len(vehicle.rotors)), table.dt))
-    ready = Prepared(flight, vehicle, False, None, "", air, upsets, table, READY_S, True, [], [])
-    done = Estimated(table, out, limit, None, True)
-    return _concluded(ready, table, done, _find(ready, done)).end
-
-
-def _prepare(flight: Flight, vehicle, baseline, hovers: bool, clock: _Clock) -> Prepared:
-    """The vehicle, what is known of it, when it flew, and the ticks to be judged."""
+def prepare(
+    flight: Flight,
+    vehicle: Vehicle | str | PathLike | None = None,
+    baseline: Given | Iterable[Given] = (),
+    clock: _Clock | None = None,
+) -> Prepared:
+    """The vehicle, what is known of it, when it flew, and the ticks to be judged. Arguments as of `diagnose`."""
+    clock, hovers = clock or _Clock(), not aerobatic.applies(flight)
     craft, source, notes = baselines.settle(flight, baselines.vehicle_of(vehicle), baseline)
     clock.lap("baseline_s")
     known, dynamics = bool(craft.identified), (craft.identified or {}).get("dynamics")
@@ -207,8 +202,11 @@ def _no_flight(ready: Prepared, clock: _Clock) -> Diagnosis:
     return _answer(end, ready, {}, clock, doubts=doubts)
 
 
-def _estimate(ready: Prepared, table: Ticks, estimator: Any, tuning: Tuning | None, progress: Callable) -> Estimated:
-    """The ticks through the estimator; a vehicle that does not hover through its own way."""
+def estimated(
+    ready: Prepared, estimator: Any = "default", tuning: Tuning | None = None, progress: Callable | None = None
+) -> Estimated:
+    """The ticks of a flight that has some, through the estimator; those of a vehicle that does not hover through its own way."""
+    table, progress = cast(Ticks, ready.table), progress or (lambda share: None)
     B, own = ready.vehicle.effectiveness(), estimator == "default"
     limit = float(threshold(hypotheses.make(B.shape[1]), table.dt))
     if not ready.hovers:
@@ -252,12 +250,12 @@ class Judgement:
     whole: dict | None
 
 
-def _concluded(ready: Prepared, logged: Ticks, done: Estimated, found: Merged) -> Judgement:
-    """The answer to a flight whose events are found. logged: the ticks as they were logged."""
-    flight, craft, air = ready.flight, ready.vehicle, ready.air
+def judge(ready: Prepared, done: Estimated) -> Judgement:
+    """The answer to a flight that an estimator has seen. `diagnose` shows it, and campaigns count it."""
+    flight, craft, air, found = ready.flight, ready.vehicle, ready.air, _find(ready, done)
     table, out, B = done.table, done.out, ready.vehicle.effectiveness()
     n, hyp = B.shape[1], hypotheses.make(B.shape[1])
-    doubts = trust.contradictions(flight, craft, air, logged)
+    doubts = trust.contradictions(flight, craft, air, cast(Ticks, ready.table))
     doubts += tuple(text for text, lasts in wording.together(found.shared) if lasts)
     doubts += () if ready.hovers else aerobatic.lacks(flight)
     trusted = not doubts and ready.hovers
@@ -270,7 +268,7 @@ def _concluded(ready: Prepared, logged: Ticks, done: Estimated, found: Merged) -
         *residual_evidence.find(out, table, hyp, done.limit, found.events, B),
         *residual_evidence.faint(found.faint, found.events, float(table.time[-1])),
     )
-    steps, seen_events = unseen.of(out, table, B), found.events
+    steps, seen_events = unseen.bounds(out, table, B), found.events
     if done.own and ready.hovers:
         seen_events, spells = ledger.weighed(found.events, steps, spells, float(table.time[-1]), found.grown)
     hidden, hidden_pair = _hidden(out, table, steps, B)
@@ -282,18 +280,19 @@ def _concluded(ready: Prepared, logged: Ticks, done: Estimated, found: Merged) -
     return Judgement(conclusion.conclude(seen, doubts), doubts, spells, whole)
 
 
-def _conclude(ready: Prepared, logged: Ticks, done: Estimated, found: Merged, title: str, clock: _Clock) -> Diagnosis:
-    """The diagnosis. logged: the ticks as they were logged; title: the estimator's."""
+def _conclude(ready: Prepared, done: Estimated, last: Judgement, title: str, clock: _Clock) -> Diagnosis:
+    """The diagnosis. title: the estimator's."""
     flight, craft, air = ready.flight, ready.vehicle, ready.air
     table, out, B = done.table, done.out, ready.vehicle.effectiveness()
-    last = _concluded(ready, logged, done, found)
     end, doubts = last.end, last.doubts
     comparison = detectors.detect(flight, craft, air)
     clock.lap("comparison_s")
     judged = (table.mode == JUDGE) & table.valid.any(axis=1)
     common = common_mode.thrust_shift(out.biases[judged, 3]) if not doubts and ready.hovers else {}
     hyp = hypotheses.make(B.shape[1])
-    trace = traces.make(flight, out, table, hyp, B, air, ready.ready_s, done.limit, end.events, last.spells, end.rotors)
+    trace = traces.compose(
+        flight, out, table, hyp, B, air, ready.ready_s, done.limit, end.events, last.spells, end.rotors
+    )
     return _answer(
         end,
         ready,
@@ -312,7 +311,7 @@ def _answer(end: conclusion.Conclusion, ready: Prepared, common: dict, clock: _C
     return Diagnosis(
         _facts(flight, craft, ready.air, ready.table), end.verdict, end.reason, end.rotors, end.events, common, ready.source,
         tuple(ready.assumptions), tuple(ready.warnings), clock.stop(), headline=end.headline, main=end.main, advice=end.advice,
-        story=end.story, picture=picture.make(flight, craft, end.events, end.main, end.story),
+        story=end.story, picture=picture.compose(flight, craft, end.events, end.main, end.story),
         aircraft=identity.identify(flight).text, **more,
     )  # fmt: skip
 

@@ -113,7 +113,7 @@ def lacks(flight: Flight) -> tuple[str, ...]:
     )
 
 
-def look(known: Blocks, B: np.ndarray, variance: np.ndarray, weak: list[Weak]) -> Look:
+def examine(known: Blocks, B: np.ndarray, variance: np.ndarray, weak: list[Weak]) -> Look:
     """The blocks of a flight so far, of a vehicle with effectiveness B (4, n). variance (3,): of `scatter`."""
     z, T = known.missing, known.thrust
     K, n = T.shape
@@ -218,7 +218,7 @@ def _follow(out: TickOutput, known: Blocks, table: Ticks, B: np.ndarray) -> None
     for k in range(LEARN, len(known.end)):
         first = int(np.searchsorted(table.time, known.end[k]))
         so_far = Blocks(*(x[: k + 1] for x in vars(known).values()))
-        now = look(so_far, B, variance, weak)
+        now = examine(so_far, B, variance, weak)
         out.statistic[first:] = now.statistic
         if now.statistic > 0.0 and first < len(table.time):
             active = {one.rotor for one in weak if one.end is None}
@@ -227,7 +227,7 @@ def _follow(out: TickOutput, known: Blocks, table: Ticks, B: np.ndarray) -> None
             weak += [replace(one, end=now.onset) for one in over] or [Weak(now.rotor, now.onset)]
             age = np.searchsorted(table.command_time, (known.end[k], known.start[now.onset]))
             _announce(out, first, now, active, float(age[0] - age[1]))
-            now = look(so_far, B, variance, weak)
+            now = examine(so_far, B, variance, weak)
         out.theta[first:], out.detectable[first:] = now.loss, now.least / 1.96
         out.theta_sd[first:] = np.sqrt(now.sd**2 + (CURVE_SD * now.loss * (1.0 - now.loss)) ** 2)
     for k in np.flatnonzero(table.restart):  # what is still weak at a take-off is said again of that flight

@@ -7,6 +7,7 @@ unseen.py       how large a loss can be that has not been announced, and whether
 slow.py         losses that grew slowly, in the trim of a whole flight
 story.py        what happened when control was lost, in four sentences
 ledger.py       all that is claimed of a flight, and the one rule that makes events of the claims
+falls.py        the events with those of a loss of control
 conclusion.py   verdict, reason, headline, main event, state of every rotor
 advice.py       what to do next
 common_mode.py  how much more thrust all rotors together need at the end

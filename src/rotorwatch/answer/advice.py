@@ -16,7 +16,7 @@ PARTS = {
 }
 
 
-def of(
+def advise(
     verdict: str,
     events: Sequence[Event],
     main: int | None,

@@ -137,7 +137,7 @@ def conclude(seen: Evidence, doubts: Sequence[str] = ()) -> Conclusion:
 def _concluded(seen: Evidence, verdict, reason, headline, main, doubts) -> Conclusion:
     states = tuple(_state(seen, k, verdict) for k in range(1, seen.n + 1))
     stays = main is not None and (seen.events[main].end_s is None or _landed(seen, seen.events[main].end_s))
-    next_steps = advice.of(
+    next_steps = advice.advise(
         verdict,
         seen.events,
         main,

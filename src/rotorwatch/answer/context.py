@@ -17,7 +17,7 @@ MOTION_S, SPREAD_S = 0.2, 0.5
 """The mean over the first is the motion (up to about 2 Hz); the standard deviation of what is left is taken over the second."""
 
 
-def make(flight: Flight, time: np.ndarray, air: tuple[tuple[float, float], ...]) -> dict[str, np.ndarray | None]:
+def gather(flight: Flight, time: np.ndarray, air: tuple[tuple[float, float], ...]) -> dict[str, np.ndarray | None]:
     """position, ground_speed, battery and vibration of a `Trace`: each (T, ..), NaN where unknown, or None where the log never says.
 
     time (T,): of the ticks. air: spans in the air; positions count from the first lift-off, so that nothing tells where on earth it was.

@@ -21,10 +21,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rotorwatch.answer import slow
+from rotorwatch.answer import falls, slow
 from rotorwatch.answer.unseen import Unseen
 from rotorwatch.default.events import Report, accuses, packed, shared, unexplained
 from rotorwatch.default.residual_evidence import ResidualEvidence
@@ -32,7 +33,9 @@ from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import LOSS, LOST, ORDER, OVERRIDE, Weight
 from rotorwatch.front import whole
 from rotorwatch.front.definition import FRONT
-from rotorwatch.upset import find as upset
+
+if TYPE_CHECKING:
+    from rotorwatch.upset.find import Judged
 
 STANDS_S = 3.0  # a fault that begins so long after a rotor stands is that it stands
 CRASH_S = 0.3  # before control is lost, and before a rotor is lost: what happens belongs to that
@@ -53,7 +56,7 @@ class Merged:
 def merge(
     claims: Sequence[Event],
     report: Report,
-    upsets: Sequence[upset.Judged],
+    upsets: Sequence[Judged],
     n: int,
     grown: slow.Growth | None = None,
 ) -> Merged:
@@ -66,7 +69,7 @@ def merge(
     known, together = report.events(losses, outputs), tuple(filter(shared, outputs))
     open_ = unexplained(losses, [*(e for e in known if e.kind == OVERRIDE), *together])
     others = [c for c in claims if not c.means.weakens and c.kind != OVERRIDE]
-    found = upset.events(upsets, joined(known, others), n)
+    found = falls.events(upsets, joined(known, others), n)
     return Merged(found, tuple(e for e in open_ if not accuses(e)), together, grown)
 
 

@@ -30,7 +30,7 @@ AROUND_S = 0.5  # of a desync
 HELD_S = 3.0  # of commands before, which are held where outputs are logged slowly
 
 
-def make(
+def compose(
     flight: Flight, vehicle: Vehicle, events: Sequence[Event], main: int | None, story: Sequence[StoryLine]
 ) -> dict[str, Any] | None:
     """The picture's data, as in docs/json.md; None where control was not lost and no motor lost step. story: `story.narrate` of the same

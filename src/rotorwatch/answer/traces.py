@@ -23,7 +23,7 @@ BRIDGE_S = 0.6  # a gap that logging makes, not a dropout
 KINDS = ("mode", "armed", "landed", "error", "event", "text", "dropout")
 
 
-def make(
+def compose(
     flight: Flight, out, table: Ticks, hyp: Hypotheses, B, air, ready_s: float, limit: float, found=(), spells=(), states=()
 ) -> Trace:  # fmt: skip
     """The Trace of a judged flight. out: the estimator's stacked outputs; limit: its threshold in nats; B (4, n):
@@ -58,7 +58,7 @@ def make(
         _bridged(time, np.where(seen[:, None], table.thrust * table.hover[:, None], np.nan)),
         {k: np.clip(v, LEAST_ODDS, None) for k, v in evidence.items()}, tuple(blind), tuple(air), limit / LN10,
         actual, wanted, _messages(flight, float(time[-1])), *(_held(signal, time) for signal in rates(flight)),
-        **context.make(flight, time, air),
+        **context.gather(flight, time, air),
     )  # fmt: skip
 
 

@@ -50,7 +50,7 @@ TOGETHER = 256  # pieces of a flight that are looked at together: one by one the
 ROWS = 2048  # that are stored of a flight; of longer ones a row is the sum of several ticks
 
 
-def of(out, table: Ticks, B: np.ndarray) -> Unseen:
+def bounds(out, table: Ticks, B: np.ndarray) -> Unseen:
     """What a whole flight shows. out: the estimator's outputs at the ticks of `table`; B (4, n): effectiveness."""
     seen = Unseen(B, table.dt)
     seen.add(out, table)

@@ -87,10 +87,10 @@ def folder(path: str | os.PathLike, what: str, make: bool = True) -> Path:
 
 
 @contextmanager
-def replacing(path: str | os.PathLike, private: bool = False) -> Iterator[Path]:
+def replacing(path: str | os.PathLike) -> Iterator[Path]:
     """A temporary path next to `path`, with its ending, that takes its place at the end; it is removed when something fails on the way.
 
-    private: nobody but its owner may read it. Raises ConfigError when it cannot be written.
+    Raises ConfigError when it cannot be written.
     """
     path = Path(path)
     try:
@@ -102,8 +102,7 @@ def replacing(path: str | os.PathLike, private: bool = False) -> Iterator[Path]:
         yield Path(name)
         umask = os.umask(0)
         os.umask(umask)
-        if not private:
-            os.chmod(name, 0o666 & ~umask)  # mkstemp keeps files private; a result has the usual rights
+        os.chmod(name, 0o666 & ~umask)  # mkstemp keeps files private; a result has the usual rights
         os.replace(name, path)
     except OSError as why:
         raise ConfigError(f"{path} cannot be written ({why.strerror or why}).") from None

@@ -28,7 +28,9 @@ from rotorwatch import airframes, logs
 from rotorwatch.campaign import batch, sequences
 from rotorwatch.campaign.constants import TABLE
 from rotorwatch.campaign.plan import Plan
-from rotorwatch.default import events, program
+from rotorwatch.default import announcement, events, hypotheses, program
+from rotorwatch.diagnose import Estimated, Prepared, prepare
+from rotorwatch.diagnose import judge as conclude
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import inject, tools
@@ -36,7 +38,7 @@ from rotorwatch.experiments.studies import false_alarms
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.front.definition import FRONT
 from rotorwatch.motion.airborne import airborne
-from rotorwatch.motion.ticks import JUDGE, READY_S, Ticks, observe
+from rotorwatch.motion.ticks import JUDGE, READY_S, Ticks
 
 # Files of the method's step, and the definition that makes losses of its ticks.
 FILES = {
@@ -149,37 +151,38 @@ def judge(table: Ticks, B: np.ndarray, values: Mapping[str, Any]) -> program.Tic
 @dataclass(frozen=True)
 class Case:
     """One flight, ready to be judged. kind: which part of the set it is of. theta (T, n): true losses at its ticks; lost_s: when it
-    crashed, or None; overrides: outputs that part from the mixer."""
+    crashed, or None; ready: as `diagnose` has it before an estimator sees it, None of surrogates, which are no logs."""
 
     kind: str
     ticks: Ticks
     B: np.ndarray
     theta: np.ndarray
     lost_s: float | None = None
-    overrides: tuple[Event, ...] = ()
+    ready: Prepared | None = None
 
 
 def _flown(kind: str, plan: Plan | sequences.Sequences, numbers: Sequence[int]) -> list[Case]:
     flights = batch.fly(plan, numbers, sequences.WIDTH)
-    return [Case(kind, f.ticks, f.vehicle.effectiveness(), f.theta, f.lost_s, f.overrides) for f in flights]
+    return [Case(kind, f.ticks, f.vehicle.effectiveness(), f.theta, f.lost_s, f.ready) for f in flights]
 
 
 def _injected(path: str, losses: Sequence[float], seed: int) -> list[Case]:
     """A loss of each rotor and each size in one healthy flight, and the flight as it is."""
     flight = logs.read(path)
     vehicle, air, rng = airframes.identify(flight), airborne(flight), np.random.default_rng(seed)
-    B, plain = vehicle.effectiveness(), observe(flight, vehicle, air, READY_S)
-    if plain is None:
+    B, plain = vehicle.effectiveness(), prepare(flight, vehicle)
+    if plain.table is None:
         return []
     n = B.shape[1]
-    cases = [Case("real, healthy", plain, B, np.zeros((len(plain.time), n)))]
+    cases = [Case("real, healthy", plain.table, B, np.zeros((len(plain.table.time), n)), ready=plain)]
     room = [(a + READY_S + inject.AFTER_READY_S, b - inject.BEFORE_END_S) for a, b in air]
     room = [(a, b) for a, b in room if b > a]
     for rotor, loss in itertools.product(range(1, n + 1), losses) if room else ():
         onset = inject.draw(room, rng)
-        table = observe(inject.inject(flight, vehicle, rotor, loss, onset), vehicle, air, READY_S)
-        if table is not None:
-            cases.append(Case("real, injected", table, B, (table.time >= onset)[:, None] * loss * np.eye(n)[rotor - 1]))
+        ready = prepare(inject.inject(flight, vehicle, rotor, loss, onset), vehicle)
+        if (table := ready.table) is not None:
+            theta = (table.time >= onset)[:, None] * loss * np.eye(n)[rotor - 1]
+            cases.append(Case("real, injected", table, B, theta, ready=ready))
     return cases
 
 
@@ -198,12 +201,20 @@ def _surrogates(path: str, hours: float, seed: int) -> list[Case]:
     return cases
 
 
+def _said(case: Case, kept: program.TickOutput) -> tuple[Event, ...]:
+    """The losses that `diagnose` says; of a surrogate what the estimator announces."""
+    if case.ready is None:
+        return events.read(kept, case.ticks, case.B)
+    limit = float(announcement.threshold(hypotheses.make(case.B.shape[1]), case.ticks.dt))
+    said = conclude(case.ready, Estimated(case.ticks, kept, limit, None, True)).end.events
+    return tuple(e for e in said if e.means.weakens)
+
+
 def outcomes(case: Case, kept: program.TickOutput) -> dict[str, Any]:
     """What became of one flight: states (see sequences.py); false: announcements of rotors none of which is weak; hours judged; delays
     of faults, None where not found soon; errors of the losses of weak rotors in right states, and whether their intervals held them."""
     table, theta = case.ticks, case.theta
-    found = events.read(kept, table, case.B)
-    found = events.unexplained(found, case.overrides)
+    found = _said(case, kept)
     read_out: list[tuple[float, str]] = [(s.at, s.outcome) for s in sequences.states(case, found)]
 
     def weak_at(t: float) -> set[int]:

@@ -1,8 +1,6 @@
 """One batch of a campaign: flights of one cell flown, logged, turned into ticks and judged, side by side where that is possible.
 
-What the default diagnoser does with a log happens here with the same functions - the log as the autopilot writes it, the airframe
-found in it, airborne parts, thrusts, ticks, estimator, events - but without a file in between and with all flights of the batch
-in one compiled scan.
+The simulator's log, in memory, goes through `diagnose` (`prepare`, `judge`); only the estimators run over all flights of a batch at once.
 """
 
 from __future__ import annotations
@@ -10,32 +8,29 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 
-from rotorwatch import airframes
-from rotorwatch.answer import ledger
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.campaign import methods, score
 from rotorwatch.campaign.plan import Plan
-from rotorwatch.default import events, program
-from rotorwatch.diagnose import answered
+from rotorwatch.default import hypotheses, program
+from rotorwatch.default.announcement import threshold
+from rotorwatch.diagnose import Estimated, Prepared, prepare
+from rotorwatch.diagnose import judge as conclude
 from rotorwatch.errors import ConfigError
-from rotorwatch.experiments import limits
+from rotorwatch.experiments import counting, limits
 from rotorwatch.flight import Flight
-from rotorwatch.flight.diagnosis import Event
-from rotorwatch.flight.kinds import LOST
+from rotorwatch.flight.diagnosis import Source
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.motion.airborne import airborne
-from rotorwatch.motion.ticks import GROUND, LAG_S, READY_S, Ticks, observe
-from rotorwatch.published import detectors
+from rotorwatch.motion.ticks import GROUND, LAG_S, Ticks
+from rotorwatch.published import decide, detectors
 from rotorwatch.simulation import logbook
 from rotorwatch.simulation import plan as flight_plan
 from rotorwatch.simulation.loop import fly_each
 from rotorwatch.simulation.multirotor import MULTIROTOR
 from rotorwatch.simulation.scenario import Scenario
-from rotorwatch.upset import find as upset
 
 CPU_WIDTH, ACCELERATOR_WIDTH = 32, 1024
 
@@ -55,19 +50,29 @@ def where() -> str:
 
 @dataclass(frozen=True)
 class Flown:
-    """One flight on its way through the batch. theta (T, n): true losses at its ticks; lost_s: when it crashed, or None; overrides:
-    outputs that do not follow the mixer; upsets: losses of control."""
+    """One flight on its way through the batch. ready: as `diagnose` has it before an estimator sees it; theta (T, n): true losses at its
+    ticks; lost_s: when it crashed, or None."""
 
     number: int
     scenario: Scenario
-    flight: Flight
-    vehicle: Vehicle
-    air: tuple[tuple[float, float], ...]
-    ticks: Ticks
+    ready: Prepared
     theta: np.ndarray
-    lost_s: float | None
-    overrides: tuple[Event, ...]
-    upsets: tuple[upset.Judged, ...] = ()
+    lost_s: float | None = None
+
+    @property
+    def flight(self) -> Flight:
+        """Its log."""
+        return self.ready.flight
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The vehicle that the log tells of."""
+        return self.ready.vehicle
+
+    @property
+    def ticks(self) -> Ticks:
+        """Its ticks."""
+        return cast(Ticks, self.ready.table)
 
 
 class Judged(NamedTuple):
@@ -96,20 +101,17 @@ def rows(
     bounds = _bounds(flown, B, size)
     published = [name for name in plan.estimators if name != "default"]
 
-    def row(label: str, f: Flown, kept, statistic, bound) -> dict:
-        losses = events.read(kept, f.ticks, B)
-        seen = all_events(f, losses)
-        if label != "default" or not f.upsets:
-            return score.estimator(label, f, kept, statistic, seen, bound, plan)
-        by_motion, seen = {e.detected_s for e in seen}, all_events(f, losses, f.upsets)
-        certain = [e.detected_s for e in seen if e.detected_s not in by_motion]  # losses of control have no threshold
-        return score.estimator(label, f, kept, statistic, seen, bound, plan, certain)
+    def row(label: str, f: Flown, done: Estimated, statistic, bound) -> dict:
+        end = conclude(f.ready, done).end
+        raised = counting.alarms(end.events)
+        found = score.estimator(label, f, done.out, statistic, raised, bound, plan, unasked(raised))
+        return found | (score.answer(end) if done.own else {})
 
     if "default" in plan.estimators:
-        for f, bound, out in zip(flown, bounds, by_default(flown, B), strict=True):
+        for f, bound, (out, last) in zip(flown, bounds, by_default(flown, B), strict=True):
             statistic = np.where(out.plausible, out.kept.statistic, score.NOTHING)
-            end = answered(f.flight, f.vehicle, f.air, f.upsets, f.ticks, out.kept)
-            found.append(row("default", f, out.kept, statistic, bound) | score.answer(end))
+            limit = float(threshold(hypotheses.make(B.shape[1]), f.ticks.dt))
+            found.append(row("default", f, Estimated(f.ticks, out.kept, limit, last, True), statistic, bound))
     if published:
         tables = [f.ticks for f in flown]
         hops = methods.learn(tables, B, learned_states(flown, B))
@@ -118,11 +120,15 @@ def rows(
                 judged = methods.judge(name, tables, hops, B, size, tuple(d.tuning for d in plan.decisions))
                 for decision, kept in zip(plan.decisions, judged, strict=True):
                     label = decision.label(name)
-                    found += [row(label, f, k, k.statistic, b) for f, k, b in zip(flown, kept, bounds, strict=True)]
+                    limit = 0.5 * decide.SIGMAS**2
+                    found += [
+                        row(label, f, Estimated(f.ticks, k, limit, None, False), k.statistic, b)
+                        for f, k, b in zip(flown, kept, bounds, strict=True)
+                    ]
     rules = {m.name: m for m in detectors.modules() if m.name in plan.detectors}
     for name in plan.detectors:
         with _caught(name, failed):
-            seen = [rules[name].detect(f.flight, f.vehicle, f.air) for f in flown]
+            seen = [rules[name].detect(f.flight, f.vehicle, f.ready.air) for f in flown]
             found += [score.rule(name, f, s, bound, plan) for f, s, bound in zip(flown, seen, bounds, strict=True)]
     return found
 
@@ -152,27 +158,19 @@ def fly(plan: Flights, flights: Sequence[int], size: int) -> list[Flown]:
     plans = [_planned(k, scenario) for k, scenario in zip(flights, scenarios, strict=True)]
     first = scenarios[0]
     records = fly_each(MULTIROTOR, plans, first.duration_s, first.rate_hz, first.record_hz, logbook.needed, size)
-    found = [look(*row) for row in zip(flights, scenarios, plans, records, strict=True)]
+    found = [prepared(*row) for row in zip(flights, scenarios, plans, records, strict=True)]
     return [f for f in found if f is not None]
 
 
-def look(number: int, scenario: Scenario, plan: Any, record: Any) -> Flown | None:
+def prepared(number: int, scenario: Scenario, plan: Any, record: Any) -> Flown | None:
     """A simulated flight as `diagnose` looks at a log; None when it never took off."""
-    flight = logbook.flight(scenario, plan, record)
-    vehicle = airframes.identify(flight)
-    air = airborne(flight)
-    upsets = upset.judged(flight, vehicle, air)
-    air = upset.until_impact(flight, air, upsets)
-    table = observe(flight, vehicle, air, READY_S)
-    if table is None:
+    ready = prepare(logbook.flight(scenario, plan, record))
+    if ready.table is None:
         return None
     # A tick's motion is a lag after its commands: that is when a loss shows in it.
-    at = np.clip(np.searchsorted(record.time, table.command_time + LAG_S), 0, len(record.time) - 1)
+    at = np.clip(np.searchsorted(record.time, ready.table.command_time + LAG_S), 0, len(record.time) - 1)
     lost = np.flatnonzero(record.flies < 0.5)
-    return Flown(
-        number, scenario, flight, vehicle, air, table, record.theta[at],
-        float(record.time[lost[0]]) if lost.size else None, events.overrides(flight, vehicle, air, table), upsets,
-    )  # fmt: skip
+    return Flown(number, scenario, ready, record.theta[at], float(record.time[lost[0]]) if lost.size else None)
 
 
 def _planned(number: int, scenario: Scenario) -> Any:
@@ -183,12 +181,9 @@ def _planned(number: int, scenario: Scenario) -> Any:
         raise ConfigError(f"flight {number}: {error}") from error
 
 
-def all_events(f: Flown, losses: Sequence[Event], upsets: Sequence[upset.Judged] = ()) -> tuple[Event, ...]:
-    """What accuses rotors, as `diagnose` puts it together: losses, outputs that do not follow the mixer, and what losses of control, which
-    belong to the default diagnosis, show of rotors."""
-    B = f.vehicle.effectiveness()
-    found = ledger.merge((*losses, *f.overrides), events.Report(B), upsets, B.shape[1]).events
-    return tuple(e for e in found if e.kind != LOST)
+def unasked(raised: Sequence[counting.Alarm]) -> list[float]:
+    """When what is no estimator's was raised [s]: outputs, losses of control, hindsight. They know no threshold."""
+    return [a.detected_s for a in raised if a.event is not None and a.event.source is not Source.ESTIMATOR]
 
 
 def _table(table: Ticks, B: np.ndarray, rows: slice = slice(None)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -197,12 +192,12 @@ def _table(table: Ticks, B: np.ndarray, rows: slice = slice(None)) -> tuple[np.n
     return u[rows], y[rows], valid[rows]
 
 
-def by_default(flown: Sequence[Flown], B: np.ndarray) -> list[Judged]:
-    """The default estimator over every flight."""
+def by_default(flown: Sequence[Flown], B: np.ndarray) -> list[tuple[Judged, program.Learned]]:
+    """The default estimator over every flight: what is kept, and what it has come to."""
     found = []
     for f in flown:
         steps = program.steps(f.ticks.dt, B)
-        found.append(Judged(steps.run(*_table(f.ticks, B)), steps.plausible))
+        found.append((Judged(steps.run(*_table(f.ticks, B)), steps.plausible), steps.learned))
     return found
 
 

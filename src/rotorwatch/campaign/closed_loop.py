@@ -21,6 +21,7 @@ import numpy as np
 
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.base.physics import G0
 from rotorwatch.campaign import batch, methods, work
 from rotorwatch.campaign import plan as plans
 from rotorwatch.campaign.plan import Plan
@@ -34,7 +35,6 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import tools
 from rotorwatch.motion.ticks import LEARN
 from rotorwatch.simulation import logbook, loop, prepare, reconfigured, trajectories
-from rotorwatch.simulation.rigid import G0
 from rotorwatch.simulation.scenario import Scenario
 
 NOBODY, TRUTH = "nobody", "truth"
@@ -260,14 +260,14 @@ def _beliefs(
     driver: str, flights, scenarios, plans, records, made, by: str, size: int
 ) -> list[reconfigured.Entry | None]:
     """The next entry of each flight, or None."""
-    seen = [batch.look(*row) for row in zip(flights, scenarios, plans, records, strict=True)]
+    seen = [batch.prepared(*row) for row in zip(flights, scenarios, plans, records, strict=True)]
     here = [k for k, f in enumerate(seen) if f is not None]
     flown = [f for f in seen if f is not None]
     if not flown:
         return [None] * len(seen)
     B = flown[0].vehicle.effectiveness()
     if driver == "default":
-        kept = [out.kept for out in batch.by_default(flown, B)]
+        kept = [out.kept for out, _ in batch.by_default(flown, B)]
     else:
         tables = [f.ticks for f in flown]
         hops = methods.learn(tables, B, batch.learned_states(flown, B))

@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from rotorwatch.experiments.counting import EARLY_S
 from rotorwatch.flight.diagnosis import Diagnosis, Event
 from rotorwatch.flight.kinds import DESYNC, LOSS, OVERRIDE
 from rotorwatch.simulation.scenario import Scenario
@@ -31,7 +32,6 @@ NAMED_OR_NOT = ("strong", "tilt")
 FALSE = ("accused", "extra", "wrong")
 """Outcomes in which a healthy rotor is accused with certainty."""
 DOUBTS = ("doubt", "among", "astray")
-EARLY_S = 1.5  # an event this long before the onset is still the fault's
 
 
 def group(scenario: Scenario) -> str:
@@ -75,12 +75,12 @@ def judged(scenario: Scenario, answer: Diagnosis) -> dict[str, Any]:
     who, truth = accused(answer), {f["rotor"] for f in scenario.faults}
     onset = min((f["onset_s"] for f in scenario.faults), default=0.0)
     sure = _sure(answer)
-    early = any(e.onset_s < onset - EARLY_S for e in sure)
+    early = any(e.detected_s < onset - EARLY_S for e in sure)
     found: dict[str, Any] = {
         "accused": "+".join(map(str, sorted(who))),
         "outcome": _outcome(scenario, answer, who, truth, early),
     }
-    own = [e for e in sure if set(e.rotors) & truth and e.onset_s >= onset - EARLY_S]
+    own = [e for e in sure if set(e.rotors) & truth and e.detected_s >= onset - EARLY_S]
     if not own:
         return found
     found["delay_s"] = max(min(e.detected_s for e in own) - onset, 0.0)

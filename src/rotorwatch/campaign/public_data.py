@@ -29,16 +29,15 @@ from typing import Any, cast
 
 import numpy as np
 
-from rotorwatch import airframes, logs
+from rotorwatch import logs
 from rotorwatch.base import files
 from rotorwatch.campaign import batch
 from rotorwatch.campaign.batch import Flown
 from rotorwatch.campaign.plan import Plan
-from rotorwatch.default import events
+from rotorwatch.diagnose import prepare
 from rotorwatch.errors import ConfigError, RotorwatchError
 from rotorwatch.flight import Flight
-from rotorwatch.motion.airborne import airborne
-from rotorwatch.motion.ticks import LAG_S, READY_S, observe
+from rotorwatch.motion.ticks import LAG_S
 from rotorwatch.simulation.scenario import Scenario, brief, number, only_fields, whole
 
 SHIPPED, OWN = Path(__file__).parent / "datasets", "rotorwatch-index.toml"
@@ -133,20 +132,17 @@ def judge(
 
 def _flown(number: int, path: Path, entry: Entry) -> Flown:
     """One log, looked at as `diagnose` does. Raises RotorwatchError where it cannot be judged."""
-    flight = logs.read(path)
-    vehicle, air = airframes.identify(flight), airborne(flight)
-    n = len(vehicle.rotors)
+    ready = prepare(logs.read(path))
+    n, table = len(ready.vehicle.rotors), ready.table
     if entry.rotors and max(entry.rotors) > n:
         raise ConfigError(f"the index names rotor {max(entry.rotors)} of a vehicle with {n}.")
-    table = observe(flight, vehicle, air, READY_S)
     if table is None:
         raise ConfigError("it holds no flight that can be judged.")
     theta = np.zeros((len(table.time), n))
     after = table.command_time + LAG_S >= entry.onset_s
     for rotor in entry.rotors:
         theta[after, rotor - 1] = np.nan if entry.loss is None else entry.loss
-    overrides = events.overrides(flight, vehicle, air, table)
-    return Flown(number, _scenario(flight, entry), flight, vehicle, air, table, theta, None, overrides)
+    return Flown(number, _scenario(ready.flight, entry), ready, theta)
 
 
 def _scenario(flight: Flight, entry: Entry) -> Scenario:

@@ -1,7 +1,7 @@
 """What became of one flight under one method: a row of the campaign's table. `COLUMNS` names and explains all of them.
 
-Healthy time is what was judged before the onset, or the whole flight without a fault. An event in it is a false alarm; after the
-onset one that does not name a broken rotor is a wrong one. Losses are compared EVALUATE_S after the onset (or the end of the ramp).
+Healthy time is what was judged before the onset, or the whole flight without a fault. What is found, right and a false alarm, counting.py
+says. Losses are compared EVALUATE_S after the onset (or the end of the ramp).
 """
 
 from __future__ import annotations
@@ -17,13 +17,12 @@ from rotorwatch.base import files
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.default import events
 from rotorwatch.default.announcement import TICKS
-from rotorwatch.experiments import limits
-from rotorwatch.flight.diagnosis import Event
+from rotorwatch.experiments import counting, limits
+from rotorwatch.experiments.counting import EARLY_S, Alarm
 from rotorwatch.motion.ticks import JUDGE
 from rotorwatch.simulation import prepare
 from rotorwatch.simulation.scenario import Scenario
 
-EARLY_S = 0.3  # an event this long before the onset is still the fault's: ticks are windows
 EVALUATE_S = 10.0
 WINDOWS_S = (1.0, 2.0, 5.0, 10.0)
 RISE_S = (
@@ -60,12 +59,11 @@ def clear_fault(scenario: Scenario) -> Mapping[str, Any] | None:
 
 
 def estimator(
-    name: str, f, kept, statistic: np.ndarray, seen: Sequence[Event], bound, plan: Plan, certain: Sequence[float] = ()
+    name: str, f, kept, statistic: np.ndarray, raised: Sequence[Alarm], bound, plan: Plan, certain: Sequence[float] = ()
 ) -> dict[str, Any]:
     """The row of an estimator. f: batch.Flown. kept: program.TickOutput. statistic (T,): above 0 it announces. bound:
     (T,) information of `limits`, or None. certain: when something was announced without the statistic [s]."""
-    found = [(e.detected_s, {tuple(sorted(e.rotors)), *map(tuple, map(sorted, e.alternatives))}, e) for e in seen]
-    row = _row(name, f, found, bound, plan)
+    row = _row(name, f, raised, bound, plan)
     if row["fault"]:
         k, rotor = _compared(f), f.scenario.faults[0]["rotor"] - 1
         loss = float(kept.theta[k, rotor])
@@ -87,11 +85,11 @@ def rule(name: str, f, findings: Sequence[Mapping[str, Any]], bound, plan: Plan)
     first: dict[int, float] = {}
     for finding in sorted(findings, key=lambda one: one["time_s"]):
         first.setdefault(int(finding["rotor"]), float(finding["time_s"]))
-    return _row(name, f, [(t, {(rotor,)}, None) for rotor, t in first.items()], bound, plan)
+    return _row(name, f, [Alarm(t, ((rotor,),)) for rotor, t in first.items()], bound, plan)
 
 
-def _row(name: str, f, found, bound, plan: Plan) -> dict[str, Any]:
-    """All columns, empty (None) where they do not apply. found: (detected s, rotor sets, Event or None)."""
+def _row(name: str, f, raised: Sequence[Alarm], bound, plan: Plan) -> dict[str, Any]:
+    """All columns, empty (None) where they do not apply."""
     s, ticks = f.scenario, f.ticks
     judged, dt = ticks.mode == JUDGE, ticks.dt
     row: dict[str, Any] = dict.fromkeys(COLUMNS)
@@ -104,26 +102,17 @@ def _row(name: str, f, found, bound, plan: Plan) -> dict[str, Any]:
         "fault": s.faults[0]["kind"] if s.faults else "", "clear": clear_fault(s) is not None, "crashed_s": f.lost_s,
         "judged_s": float(judged.sum() * dt), "healthy_s": float((judged & before).sum() * dt),
     }  # fmt: skip
-    early = [one for one in found if one[0] < onset - EARLY_S]
-    later = [one for one in found if one[0] >= onset - EARLY_S]
-    sure = sum(len(one[1]) == 1 for one in early)
-    row |= {"false_alarms": len(early), "sure_false_alarms": sure, "wrong": 0, "broken": ""}
+    broken = tuple(sorted(fault["rotor"] for fault in s.faults))
+    counted = counting.count(raised, broken, onset)
+    row |= {
+        "false_alarms": len(counted.false), "sure_false_alarms": sum(len(a.sets) == 1 for a in counted.false), "wrong": 0, "broken": "",
+    }  # fmt: skip
     if not s.faults:
         return row
-    broken = tuple(sorted(fault["rotor"] for fault in s.faults))
-    ours = [one for one in later if any(set(who) & set(broken) for who in one[1])]
     row |= {
         "broken": "+".join(map(str, broken)), "onset_s": onset, "loss": float(f.theta[_compared(f), s.faults[0]["rotor"] - 1]),
-        "wrong": len(later) - len(ours), "detected": bool(ours), "right": False, "named": False,
+        "wrong": len(counted.wrong), "detected": counted.found, "right": counted.right, "named": counted.named, "delay_s": counted.delay_s,
     }  # fmt: skip
-    if ours:
-        when, sets, event = ours[0]
-        exact = (tuple(sorted(event.rotors)) if event else next(iter(sets))) == broken
-        row |= {
-            "delay_s": max(when - onset, 0.0),
-            "right": exact and len(sets) == 1 and ours[0] is later[0],
-            "named": broken in sets,
-        }
     if bound is not None:
         known = float(bound[_compared(f)])
         row["bound_sd"] = float(limits.loss_sd(known)) if known > 0.0 else None

@@ -21,12 +21,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from rotorwatch.answer import ledger
 from rotorwatch.base import files
 from rotorwatch.campaign import batch
 from rotorwatch.campaign.plan import Cell, drawn
 from rotorwatch.campaign.summary import INDUCED_EDGES, by_speed
-from rotorwatch.default import events
+from rotorwatch.default import hypotheses
+from rotorwatch.default.announcement import threshold
+from rotorwatch.diagnose import Estimated, judge
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import tools
 from rotorwatch.flight.diagnosis import Event
@@ -212,10 +213,10 @@ def judged(plan: Sequences, flown: Sequence[batch.Flown]) -> list[dict[str, Any]
         return []
     B = flown[0].vehicle.effectiveness()
     rows = []
-    for f, out in zip(flown, batch.by_default(flown, B)):
-        losses = events.read(out.kept, f.ticks, B)
-        merged = ledger.merge((*losses, *f.overrides), events.Report(B), (), B.shape[1])
-        accusing = [e for e in merged.events if e.means.weakens]
+    limit = float(threshold(hypotheses.make(B.shape[1]), flown[0].ticks.dt))
+    for f, (out, last) in zip(flown, batch.by_default(flown, B)):
+        end = judge(f.ready, Estimated(f.ticks, out.kept, limit, last, True)).end
+        accusing = [e for e in end.events if e.means.weakens]
         induced = induced_velocity(f.scenario)
         for s in states(f, accusing):
             rows.append(

@@ -448,39 +448,6 @@ def false_alarms(logs, hours, seed, jobs, scheduler, keep, as_json, quiet) -> No
     answer(as_json, result, describe(result))
 
 
-@cli.command(short_help="Try to break the readers with damaged logs.")
-@click.argument("log", type=LOG)
-@option("--mutations", "How many damaged copies.", 10_000, type=click.IntRange(1))
-@option("--seed", "Seed of the damage.", 0, type=click.IntRange(0))
-@option("--jobs", "Worker processes; default: one per processor.", type=click.IntRange(1))
-@flag("--framed", "Damage inside valid framing; compare each answer with the intact log's.")
-@option("--damages", "With --framed: copies a kind.", 20, type=click.IntRange(1))
-@option("--share", "With --framed: share of the records damaged.", 0.05)
-@JSON
-@common
-@click.pass_context
-def fuzz(context, log, mutations, seed, jobs, framed, damages, share, as_json, quiet) -> None:
-    """Read damaged copies of LOG, each within limits of time and memory; exit code 1 when any fails badly.
-
-    With --framed every record stays a record, but bits of values or time stamps are wrong, or records are missing,
-    doubled or swapped: how robust is the answer for this kind of log? Exit code 1 for any false fault or wrong rotor.
-    """
-    from rotorwatch.experiments.fuzz import fuzz as run
-
-    with progress(quiet) as report:
-        if framed:
-            from rotorwatch.experiments.fuzz_framed import fuzz_framed
-
-            result = fuzz_framed(log, damages, share, seed, jobs, progress=report)
-        else:
-            result = run(log, mutations, seed, jobs, progress=report)
-    if as_json:
-        print_json(result)
-    else:
-        show(lambda terminal: (terminal.fuzz_framed if framed else terminal.fuzz)(result))
-    context.exit(1 if result["failures"] else 0)
-
-
 def _read(path: Any, report: Callable | None) -> Any:
     from rotorwatch.many.diagnose_many import read
 

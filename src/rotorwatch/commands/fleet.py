@@ -327,7 +327,7 @@ def simulate(out, aircraft, flights, seed, logs, url, as_json, quiet) -> None:
     from rotorwatch.fleet.store import Store
 
     with progress(quiet) as report:
-        truth, _ = synthetic.make(out, aircraft, flights, seed, url, logs, report)
+        truth, _ = synthetic.fly_fleet(out, aircraft, flights, seed, url, logs, report)
     with Store(url or truth.parent / synthetic.STORE) as store:
         found = score.score(store, truth.parent)
     if as_json:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import sys
-from pathlib import Path
 from typing import Any
 
 import click
@@ -27,12 +26,10 @@ from rotorwatch.commands.tools import (
 from rotorwatch.errors import ConfigError
 
 FAULT, ERROR, NOTHING = 1, 2, 3
-DEFAULT, COMMANDLINE = click.core.ParameterSource.DEFAULT, click.core.ParameterSource.COMMANDLINE
-OF_SERVICE = ("service", "system", "name", "dry_run")
 
 
 @click.command(short_help="Judge vehicles while they fly.")
-@click.argument("endpoints", nargs=-1, metavar="ENDPOINT...")
+@click.argument("endpoints", nargs=-1, required=True, metavar="ENDPOINT...")
 @SPEED
 @WATCHED
 @RECORD
@@ -49,27 +46,15 @@ OF_SERVICE = ("service", "system", "name", "dry_run")
 @option("--metrics", "Metrics for Prometheus, at http://HOST:PORT/metrics.", metavar="[HOST:]PORT")
 @flag("--tell-ground", "Tell the vehicles' ground stations, as STATUSTEXT and NAMED_VALUE_FLOAT.")
 @flag("--jsonl", "Alerts as JSON lines on standard output (docs/watch.md), no picture.")
-@option("--service", "Do this as a service of systemd from now on; or say how it is; or end it (docs/companion.md).",
-        type=click.Choice(("install", "status", "remove")))  # fmt: skip
-@flag("--system", "With --service: of this computer (needs root), not of this user.")
-@option("--name", "With --service: of the service.", "rotorwatch")
-@flag("--dry-run", "With --service install: print the unit, write nothing.")
 @common
-@click.pass_context
 def watch(
-    context, endpoints, speed, vehicle, record, listen_only, seconds, patience, webhook, metrics, tell_ground, jsonl,
-    service, system, name, dry_run, quiet,
-) -> None:  # fmt: skip
+    endpoints, speed, vehicle, record, listen_only, seconds, patience, webhook, metrics, tell_ground, jsonl, quiet
+) -> None:
     """Judge vehicles while they fly. ENDPOINT: udp:PORT, udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, serial:DEVICE:BAUD, or a
     recorded log, which is replayed in real time.
 
-    Exit code, once all endpoints have ended: 0 no event, 1 a fault was found, 3 nothing could be judged, 2 error. With --service status:
-    0 it runs, 1 it does not, 3 it is not installed.
+    Exit code, once all endpoints have ended: 0 no event, 1 a fault was found, 3 nothing could be judged, 2 error.
     """
-    if service is not None or context.get_parameter_source("name") is not DEFAULT or system or dry_run:
-        raise click.exceptions.Exit(_service(context, service))
-    if not endpoints:
-        raise click.MissingParameter(ctx=context, param=context.command.params[0])
     from rotorwatch.live.endpoint import is_endpoint, open_endpoint
 
     # Before anything that takes long is loaded: what vehicles send meanwhile is there then.
@@ -127,90 +112,6 @@ def watch(
     if code != FAULT and (ended or background.failed or any(getattr(source, "trouble", "") for source in sources)):
         code = ERROR
     raise click.exceptions.Exit(code)
-
-
-def _service(context: click.Context, wanted: str | None) -> int:
-    """Do what --service says; the exit code."""
-    from rotorwatch.live import service
-
-    given = context.params
-    if wanted is None or (given["dry_run"] and wanted != "install"):
-        raise ConfigError("--system, --name and --dry-run go with --service; --dry-run with --service install.")
-    name, system, quiet = given["name"], given["system"], given["quiet"]
-    if wanted == "status":
-        return _status(service.status(name, system))
-    if wanted == "remove":
-        there = service.remove(name, system)
-        if not quiet:
-            say(
-                f"the service {name} has been stopped and removed"
-                if there
-                else f"there is no service {name} to be removed"
-            )
-        return 0
-    if not given["endpoints"]:
-        raise click.MissingParameter(ctx=context, param=context.command.params[0])
-    arguments, secrets = _carried(context)
-    if given["dry_run"]:
-        about = service.service(name, system)
-        folders = [given["record"].absolute()] if given["record"] else []
-        click.echo(service.planned(arguments, about, service.version(about), folders), nl=False)
-        return 0
-    about = service.install(arguments, name, system, secrets, [given["record"]] if given["record"] else [])
-    if not quiet:
-        say(f"the service {name} runs, and will after each start: {about.unit}; its variables are in {about.secrets}")
-        if not system and not service.lingers():
-            say("it ends when you log out; for a computer that nobody logs in to, run once: loginctl enable-linger")
-        for device in service.devices(arguments):
-            if not system and not os.access(device, os.R_OK | os.W_OK):
-                say(
-                    f"{device} is not there, or may not be opened: join the group that owns it (often dialout) and restart"
-                )
-    return 0
-
-
-def _carried(context: click.Context) -> tuple[list[str], dict[str, str]]:
-    """(arguments, secrets) of the same watch in another place. All are looked at: nobody reads what a service says at once."""
-    from rotorwatch.live import endpoint, metrics, webhook
-    from rotorwatch.live.service import WEBHOOK
-
-    given, secrets = context.params, {}
-    for one in given["endpoints"]:
-        if not endpoint.is_endpoint(one):
-            raise ConfigError(f"{one}: a service watches links, not logs; give {endpoint.KINDS}.")
-        endpoint.parsed(one)
-    if given["tell_ground"] and given["listen_only"]:
-        raise ConfigError("--tell-ground sends and --listen-only forbids it; leave out one of them.")
-    vehicle_of(given["vehicle"])
-    if given["metrics"] is not None:
-        metrics.address(given["metrics"])
-    if given["webhook"] is not None:
-        webhook.checked(given["webhook"])
-        secrets[WEBHOOK] = given["webhook"]
-    arguments = list(given["endpoints"])
-    for parameter in context.command.params:
-        known = parameter.name or ""
-        if known in (*OF_SERVICE, "webhook", "endpoints") or context.get_parameter_source(known) is not COMMANDLINE:
-            continue
-        value = given.get(known, True)
-        arguments.append(parameter.opts[0])
-        if not getattr(parameter, "is_flag", False):
-            arguments.append(str(value.absolute() if isinstance(value, Path) else value))
-    return arguments, secrets
-
-
-def _status(state: Any) -> int:
-    """Say how a service is; the exit code."""
-    about = state.service
-    if not state.installed:
-        click.echo(f"{about.name}: not installed ({about.unit} is not there)")
-        return NOTHING
-    click.echo(f"{about.name}: installed, {about.unit}")
-    click.echo(f"state: {state.state or 'unknown'}; starts by itself: {'yes' if state.enabled else 'no'}")
-    click.echo("last lines:" if state.lines else f"last lines: none{f'; {state.trouble}' if state.trouble else ''}")
-    for line in state.lines:
-        click.echo(f"  {line}")
-    return 0 if state.running else 1
 
 
 def _outlets(webhook: str | None, metrics: str | None, tell_ground: bool, listen_only: bool, shown) -> list[Any]:

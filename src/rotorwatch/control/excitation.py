@@ -30,6 +30,7 @@ import numpy as np
 
 from rotorwatch.base import checks
 from rotorwatch.base.backend import jnp
+from rotorwatch.base.physics import G0
 from rotorwatch.errors import ConfigError
 
 Array = Any
@@ -97,7 +98,7 @@ def none(n: int) -> Signal:
     return Signal(np.zeros(n), np.zeros(n), np.array(1.0), np.array(np.inf), np.array(0.0))
 
 
-def at(signal: Signal, t) -> Array:
+def value_at(signal: Signal, t) -> Array:
     """(n,) what is added to the commands at time t [s]; zeros before its start and after its end. Pure: a step of the autopilot."""
     since = t - signal.start
     inside = (since >= 0.0) & (since <= signal.length)
@@ -229,7 +230,7 @@ def design(
             continue
         signal, found_information = made
         tilt = np.stack([np.linalg.norm(turned @ D @ (reach * signs), axis=1) for signs in SIGNS]).max(axis=0)
-        lift = 9.80665 / n / unit * (thetas * B[3]) @ N @ D
+        lift = G0 / n / unit * (thetas * B[3]) @ N @ D
         heave = np.abs(lift) @ reach
         amplitude = np.abs(N @ D).sum(axis=1)
         bound = "attitude" if tilt.max() > 0.98 * limits.tilt else "commands"

@@ -3,8 +3,8 @@
 A fault is announced when the Shiryaev-Roberts statistic, the evidence of all faults at any onset, passes a threshold. Without a fault its
 mean time to do so is at least the threshold (in ticks, over the sum of prior weights; Pollak, Ann. Statist. 13, 1985): the stated
 false-alarm rate is the threshold. Evidence only ranks the given hypotheses, so the fault must also be ten times (CLEAR) likelier than
-any disturbance, at two ticks in a row, and either certain (CERTAIN_NATS) or at an onset within the bank's reach and possible at all
-(plausibility.py).
+any disturbance, at two ticks in a row; thrust has to be missing, and it is either certain (CERTAIN_NATS) or at an onset within the bank's
+reach with commands that went its way (plausibility.py).
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from rotorwatch.core import Array
 from rotorwatch.default import bank, hypotheses, noise, plant
 from rotorwatch.default.evidence import Evidence, Jump
 from rotorwatch.default.hypotheses import Hypotheses
+from rotorwatch.default.plausibility import Plausible
 from rotorwatch.engine.announcement import ABSORB_S, CERTAIN_NATS, EDGE, FALSE_ALARM_PERIOD_S, GATES, TICKS
 
 
@@ -54,10 +55,10 @@ def threshold(hyp: Hypotheses, dt, period_s: float | None = None):
 
 
 def decide(
-    state: AlarmState, found: Evidence, best: Jump, onsets: bank.Jumps, limit, possible, weak, judge, dt
+    state: AlarmState, found: Evidence, best: Jump, onsets: bank.Jumps, limit, possible: Plausible, weak, judge, dt
 ) -> tuple[AlarmState, AlarmDecision]:
-    """One tick. best: jump of the likeliest fault; limit: its `threshold`; possible, judge, weak: may it be true, is the flight judged,
-    is a rotor known to be weak."""
+    """One tick. best: jump of the likeliest fault; limit: its `threshold`; possible: may it be true; judge, weak: is the flight judged, is
+    a rotor known to be weak."""
     import jax.numpy as jnp
 
     # Beside a weak rotor the vehicle moves as it has not before, and one more rotor's direction may be met by chance. Of a first loss the
@@ -65,10 +66,11 @@ def decide(
     again = weak & (best.rotors.sum() < 2)
     other = jnp.where(again, jnp.logaddexp(found.other, found.far), found.other)
     statistic = jnp.minimum(found.fault - limit, found.fault - other - hypotheses.CLEAR)
-    # The most probable onset at the edge of the bank speaks of a drift that began before it. Where no disturbance comes near, nothing more
-    # is asked of one rotor; two fit the drift of thrust of a vehicle that begins to sink.
+    # The most probable onset at the edge of the bank speaks of a drift that began before it, and a command that went the other way against
+    # a rotor: neither where no disturbance comes near one rotor, for manoeuvres swing commands by more. Two rotors fit the drift of thrust
+    # of a vehicle that begins to sink. However strong evidence is, thrust has to be missing: the ground and a hand are in no model.
     sure = (statistic > CERTAIN_NATS) & (best.rotors.sum() < 2) & (best.gives <= 0.0)
-    possible = (possible & (best.since < EDGE * onsets.reach)) | sure
+    possible = possible.missing & ((possible.asked & (best.since < EDGE * onsets.reach)) | sure)
     above = jnp.where(judge & (statistic > 0.0) & possible, state.above + 1, 0)
     alarm = above >= TICKS
     # What certainly happened is explained, whatever it was; where nothing is known to be wrong, only what is no fault.

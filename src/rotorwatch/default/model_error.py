@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.base.physics import G0
 from rotorwatch.core import Array
 from rotorwatch.default import noise, plant
 from rotorwatch.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS
@@ -35,7 +36,6 @@ from rotorwatch.engine.model_error import (
     WASH,
     WASH_SINK,
 )
-from rotorwatch.front.contact import G0
 
 
 class Memory(NamedTuple):

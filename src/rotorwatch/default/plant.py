@@ -23,6 +23,7 @@ from functools import cached_property
 
 import numpy as np
 
+from rotorwatch.base.physics import G0
 from rotorwatch.engine import plant as definition
 from rotorwatch.engine.plant import (  # noqa: F401 - the method's constants stand in its definition
     AIR,
@@ -43,7 +44,6 @@ from rotorwatch.engine.plant import (  # noqa: F401 - the method's constants sta
     TAU,
     USUAL_S,
 )
-from rotorwatch.front.contact import G0
 
 B1, B2, B3, GAIN, DAMPING = range(PER_AXIS)
 AXES = ("roll", "pitch", "yaw", "thrust")

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.base.physics import G0
 from rotorwatch.core import Array
 from rotorwatch.default import hypotheses, model_error, plant
 from rotorwatch.default.evidence import Jump
@@ -21,7 +22,13 @@ from rotorwatch.engine.plausibility import (
     LIMIT_S,
     MISSING_SLACK,
 )
-from rotorwatch.front.contact import G0
+
+
+class Plausible(NamedTuple):
+    """Of a jump, each a bool. asked: the commands went the way of it; missing: thrust is missing as it says, and no limit explains that."""
+
+    asked: Array
+    missing: Array
 
 
 class Missing(NamedTuple):
@@ -85,8 +92,10 @@ def demand_coupling(B):
     return jnp.where(against, 0.0, answer / jnp.maximum(jnp.diagonal(answer)[:, None], 1e-9))
 
 
-def plausible(best: Jump, since_s, smooth, rise, now: Missing, before: Missing, thrust_valid, active, rough, coupling):
-    """bool: may the jump be what happened? coupling (n, n): `demand_coupling`.
+def plausible(
+    best: Jump, since_s, smooth, rise, now: Missing, before: Missing, thrust_valid, active, rough, coupling
+) -> Plausible:
+    """May the jump be what happened? coupling (n, n): `demand_coupling`.
 
     smooth (n,): thrust of each rotor; rise (2, n): commands above the least and the most that they were. active (n,): rotors already known
     to be weak. rough (4,): variance of this flight's disturbances.
@@ -106,7 +115,7 @@ def plausible(best: Jump, since_s, smooth, rise, now: Missing, before: Missing, 
     slack, (risen, fallen) = jnp.maximum(DEMAND_SLACK, swing), rise
     asked = jnp.where(jump > 0, risen > DEMAND_SHARE * demanded - slack, True)
     asked &= jnp.where((jump < 0) & ~active, fallen < DEMAND_SHARE * demanded + slack, True)
-    ok = (jnp.abs(jump).max() > hypotheses.NONE) & asked.all()
+    ok = jnp.abs(jump).max() > hypotheses.NONE
     # ... and what the rotors no longer give must be missing from the thrust, as far as its average can show that by now, and air from below
     # does not give it.
     slack = jnp.maximum(MISSING_SLACK, jnp.sqrt(rough[3])) + below
@@ -117,4 +126,4 @@ def plausible(best: Jump, since_s, smooth, rise, now: Missing, before: Missing, 
     ok &= jnp.where(claimed, jump > now.limit[None, :], True).all()
     # What pushes a vehicle from below for a moment looks as if a rotor gave more: one that does is taken off the command, and stays so.
     cut = (smooth * best.rotors).sum() < CUT_SHARE * smooth.mean()
-    return ok & ((best.gives <= 0.0) | ((since_s >= 0.5 * plant.ANSWER_S) & cut))
+    return Plausible(asked.all(), ok & ((best.gives <= 0.0) | ((since_s >= 0.5 * plant.ANSWER_S) & cut)))

@@ -3,8 +3,8 @@
 A fault is announced when the Shiryaev-Roberts statistic, the evidence of all faults at any onset, passes a threshold. Without a fault its
 mean time to do so is at least the threshold (in ticks, over the sum of prior weights; Pollak, Ann. Statist. 13, 1985): the stated
 false-alarm rate is the threshold. Evidence only ranks the given hypotheses, so the fault must also be ten times (CLEAR) likelier than
-any disturbance, at two ticks in a row, and either certain (CERTAIN_NATS) or at an onset within the bank's reach and possible at all
-(plausibility.py).
+any disturbance, at two ticks in a row; thrust has to be missing, and it is either certain (CERTAIN_NATS) or at an onset within the bank's
+reach with commands that went its way (plausibility.py).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from rotorwatch.engine.evidence import Best, Evidence
 from rotorwatch.engine.hypotheses import CLEAR, ONE_THRUST, PAIR, pair_count, weight_of
 from rotorwatch.engine.noise import MEMORY_S
 from rotorwatch.engine.plant import USUAL_S, Plant
+from rotorwatch.engine.plausibility import Plausible
 
 FALSE_ALARM_PERIOD_S = 10 * 3600.0  # promised: no more than one in so long
 # Of the statistic's own false alarms - as rare, on surrogates of real noise, as its threshold says - odds and plausibility
@@ -43,18 +44,20 @@ class Alarm(Struct):
         self.limit = threshold(p, GATES * FALSE_ALARM_PERIOD_S)
         self.suspicious = threshold(p, 1.0) + log(MEMORY_S)
 
-    def decide(self, p: Plant, found: Evidence, far: Real, best: Best, bank: Bank, possible: bool, judge: bool) -> None:
-        """One tick. best: the likeliest fault; far: evidence of large disturbances, read where a rotor is weak."""
+    def decide(self, p: Plant, found: Evidence, far: Real, best: Best, bank: Bank, may: Plausible, judge: bool) -> None:
+        """One tick. best: the likeliest fault; far: evidence of large disturbances, read where a rotor is weak; may: may it be true."""
         # Beside a weak rotor the vehicle moves as it has not before, and one more rotor's direction may be met by chance. Of a first loss
         # the flight's own disturbances alone are tested: with larger ones a rotor that is lost in wind went unannounced until the vehicle
         # fell.
         weak = found.asked.weak
         other = either(found.other, far) if weak and best.kind != PAIR else found.other
         self.statistic = min(found.fault - self.limit, found.fault - other - CLEAR)
-        # The most probable onset at the edge of the bank speaks of a drift that began before it. Where no disturbance comes near, nothing
-        # more is asked of one rotor; two fit the drift of thrust of a vehicle that begins to sink.
+        # The most probable onset at the edge of the bank speaks of a drift that began before it, and a command that went the other way
+        # against a rotor: neither where no disturbance comes near one rotor, for manoeuvres swing commands by more. Two rotors fit the
+        # drift of thrust of a vehicle that begins to sink. However strong evidence is, thrust has to be missing: the ground and a hand are
+        # in no model.
         sure = self.statistic > CERTAIN_NATS and best.kind != PAIR and best.jump.gives <= 0.0
-        self.possible = (possible and best.since < EDGE * bank.reach) or sure
+        self.possible = may.missing and ((may.asked and best.since < EDGE * bank.reach) or sure)
         self.above = self.above + 1 if judge and self.statistic > 0.0 and self.possible else 0
         self.alarm = self.above >= TICKS
         # What certainly happened is explained, whatever it was; where nothing is known to be wrong, only what is no fault.

@@ -38,7 +38,7 @@ from rotorwatch.engine.plant import (
     dot,
     rows,
 )
-from rotorwatch.engine.plausibility import Coupling, Missing, plausible
+from rotorwatch.engine.plausibility import Coupling, Missing, Plausible
 from rotorwatch.engine.posterior import Branches, lives
 from rotorwatch.engine.sizes import HYPOTHESES, PLACES, ROTORS, SLOTS
 from rotorwatch.front.losses import WITHIN_95
@@ -80,6 +80,7 @@ class Estimator(Struct):
     missing = embedded(Missing)
     alarm = embedded(Alarm)
     opposite = embedded(Opposite)
+    may = embedded(Plausible)
     coupling = embedded(Coupling)
     evidence = embedded(Evidence)  # of this tick
     seen = embedded(Seen)
@@ -140,9 +141,9 @@ class Estimator(Struct):
         found.gather(p, self.bank)
         found.pick(p, self.bank, found.first, self.best)
         slot = self.bank.slots[self.best.slot]
-        possible = plausible(p, self.best, slot, now, self.seen, self.missing, leader, self.noise, self.coupling)
+        self.may.judge(p, self.best, slot, now, self.seen, self.missing, leader, self.noise, self.coupling)
         far = found.far(p, self.bank) if found.asked.weak else 0.0
-        self.alarm.decide(p, found, far, self.best, self.bank, possible, judge)
+        self.alarm.decide(p, found, far, self.best, self.bank, self.may, judge)
         steady = judge and not self.alarm.alarm and abs(now.rate[YAW]) < TURNING and not found.asked.weak
         self.opposite.suspect(p, self.bank, found, self.missing, self.alarm, steady)
         shared = self.opposite.pair >= 0

@@ -8,6 +8,7 @@ noise count as a side force: a regressor that holds noise makes its coefficient 
 
 from __future__ import annotations
 
+from rotorwatch.base.physics import G0
 from rotorwatch.compiling.structs import REAL, Flags, Real, Reals, Struct, array, local, real, sqrt
 from rotorwatch.engine.noise import CLIP, DRIFT, FAST, SLOW, WHITE, Noise
 from rotorwatch.engine.plant import (
@@ -30,7 +31,6 @@ from rotorwatch.engine.plant import (
     Plant,
 )
 from rotorwatch.engine.sizes import ROTORS, STATES
-from rotorwatch.front.contact import G0
 
 GARROTE = 2.5  # how many times its calm level motion must reach to stand out
 MOST = 6.0  # times its calm level that a square counts at most for it

@@ -16,6 +16,7 @@ The state x is (b1, b2, b3, G, c) of each axis, where thrust, which has no dampi
 
 from __future__ import annotations
 
+from rotorwatch.base.physics import G0
 from rotorwatch.compiling.structs import (
     FLAG,
     REAL,
@@ -29,7 +30,6 @@ from rotorwatch.compiling.structs import (
     sqrt,
 )
 from rotorwatch.engine.sizes import PLANT_STATES, ROTORS, STATES
-from rotorwatch.front.contact import G0
 from rotorwatch.front.vehicle import PITCH, ROLL, THRUST, YAW
 
 PER_AXIS = 5

@@ -5,6 +5,7 @@ Evidence says which explanation fits best; these gates say whether the best one 
 
 from __future__ import annotations
 
+from rotorwatch.base.physics import G0
 from rotorwatch.compiling.structs import REAL, Real, Struct, array, exp, local, real, sqrt
 from rotorwatch.engine.bank import Slot
 from rotorwatch.engine.evidence import Best
@@ -14,7 +15,6 @@ from rotorwatch.engine.model_error import AT_LIMIT, BELOW_LIMIT, Seen
 from rotorwatch.engine.noise import Noise
 from rotorwatch.engine.plant import ANSWER_S, THRUST, USUAL_S, Inputs, Plant
 from rotorwatch.engine.sizes import ROTORS
-from rotorwatch.front.contact import G0
 
 # Both may be off by a standard deviation of this flight's disturbances, and by as much as the slack in calm air.
 DEMAND_SHARE, DEMAND_SLACK = 0.25, 0.05
@@ -115,63 +115,72 @@ def torque_free(p: Plant, i: int, j: int) -> bool:
     return abs(p.effect[0][i] + p.effect[0][j]) < CANCELS and abs(p.effect[1][i] + p.effect[1][j]) < CANCELS
 
 
-def plausible(
-    p: Plant,
-    best: Best,
-    slot: Slot,
-    now: Inputs,
-    seen: Seen,
-    missing: Missing,
-    leader: Branch,
-    noise: Noise,
-    coupling: Coupling,
-) -> bool:
-    """May the jump be what happened?"""
-    n = p.rotors
-    since = best.since * p.dt
-    # Two rotors at once are rare: they have to show as they would in calm air.
-    two = best.other >= 0 and abs(best.jump.other_size) > 0.0 and abs(best.jump.size) > 0.0
-    rough = 0.0 if two else noise.spread(0) + noise.spread(1) + noise.spread(2)
-    swing = max(DEMAND_SLACK, sqrt(rough) / real(n))
-    # A controller asks more of a rotor that gives less, and less of one that gives more: a candidate whose command went the other way is
-    # none. Of two rotors it asks what geometry leaves of that.
-    largest = 0.0
-    lost = 0.0
-    commanded = 0.0
-    mean = 0.0
-    fits = True
-    jump = local(REAL, ROTORS)
-    for i in range(n):
-        mean += seen.thrust[i] / real(n)
-        # Of a rotor that gives one thrust counts what that is more, or less, than its command.
-        jump[i] = best.size_of(i)
-        if jump[i] > 0.0:
-            jump[i] -= best.jump.gives / max(seen.thrust[i], LEAST_THRUST)
-    for i in range(n):
-        if i == best.rotor or i == best.other:
-            commanded += seen.thrust[i]
-        largest = max(largest, abs(jump[i]))
-        lost += min(max(jump[i], 0.0), 1.0) * seen.thrust[i]
-        demanded = 0.0
-        for j in range(n):
-            demanded += coupling.raises[i][j] * (jump[j] * seen.thrust[j])
-        # A manoeuvre swings commands about their trim: what a rotor was commanded at the onset counts as well.
-        if jump[i] > 0.0:
-            fits = fits and seen.part[i] - min(seen.trim[i], slot.before[i]) > DEMAND_SHARE * demanded - swing
-        if jump[i] < 0.0 and not leader.active[i]:
-            fits = fits and seen.part[i] - max(seen.trim[i], slot.before[i]) < DEMAND_SHARE * demanded + swing
-        # ... and not because a rotor at its limit gives no more.
-        if jump[i] > 0.0 and not leader.active[i]:
-            fits = fits and jump[i] > missing.limit[i]
-    fits = fits and largest > NONE
-    # What the rotors no longer give must be missing from the thrust, as far as its average can show that by now, and air from below
-    # does not give it.
-    below = 0.0 if two else max(missing.air(p), 0.0)
-    slack = max(MISSING_SLACK, 0.0 if two else sqrt(noise.spread(THRUST))) + below
-    lost *= 1.0 - exp(-since / ANSWER_S)
-    if now.valid[THRUST] and lost > 0.0:
-        fits = fits and missing.fast - missing.usual > DEMAND_SHARE * lost - slack
-    # What pushes a vehicle from below for a moment looks as if a rotor gave more: one that does is taken off the command, and stays so.
-    if best.jump.gives > 0.0:
-        fits = fits and since >= 0.5 * ANSWER_S and commanded < CUT_SHARE * mean
-    return fits
+class Plausible(Struct):
+    """Whether the likeliest jump may be what happened."""
+
+    asked: bool = False  # the commands went the way of it
+    missing: bool = False  # thrust is missing as it says, and no limit explains that
+
+    def judge(
+        self,
+        p: Plant,
+        best: Best,
+        slot: Slot,
+        now: Inputs,
+        seen: Seen,
+        missing: Missing,
+        leader: Branch,
+        noise: Noise,
+        coupling: Coupling,
+    ) -> None:
+        """Of the likeliest fault at this tick."""
+        n = p.rotors
+        since = best.since * p.dt
+        # Two rotors at once are rare: they have to show as they would in calm air.
+        two = best.other >= 0 and abs(best.jump.other_size) > 0.0 and abs(best.jump.size) > 0.0
+        rough = 0.0 if two else noise.spread(0) + noise.spread(1) + noise.spread(2)
+        swing = max(DEMAND_SLACK, sqrt(rough) / real(n))
+        # A controller asks more of a rotor that gives less, and less of one that gives more: a candidate whose command went the other way is
+        # none. Of two rotors it asks what geometry leaves of that.
+        largest = 0.0
+        lost = 0.0
+        commanded = 0.0
+        mean = 0.0
+        asked = True
+        fits = True
+        jump = local(REAL, ROTORS)
+        for i in range(n):
+            mean += seen.thrust[i] / real(n)
+            # Of a rotor that gives one thrust counts what that is more, or less, than its command.
+            jump[i] = best.size_of(i)
+            if jump[i] > 0.0:
+                jump[i] -= best.jump.gives / max(seen.thrust[i], LEAST_THRUST)
+        for i in range(n):
+            if i == best.rotor or i == best.other:
+                commanded += seen.thrust[i]
+            largest = max(largest, abs(jump[i]))
+            lost += min(max(jump[i], 0.0), 1.0) * seen.thrust[i]
+            demanded = 0.0
+            for j in range(n):
+                demanded += coupling.raises[i][j] * (jump[j] * seen.thrust[j])
+            # A manoeuvre swings commands about their trim: what a rotor was commanded at the onset counts as well.
+            if jump[i] > 0.0:
+                asked = asked and seen.part[i] - min(seen.trim[i], slot.before[i]) > DEMAND_SHARE * demanded - swing
+            if jump[i] < 0.0 and not leader.active[i]:
+                asked = asked and seen.part[i] - max(seen.trim[i], slot.before[i]) < DEMAND_SHARE * demanded + swing
+            # ... and not because a rotor at its limit gives no more.
+            if jump[i] > 0.0 and not leader.active[i]:
+                fits = fits and jump[i] > missing.limit[i]
+        fits = fits and largest > NONE
+        # What the rotors no longer give must be missing from the thrust, as far as its average can show that by now, and air from below
+        # does not give it.
+        below = 0.0 if two else max(missing.air(p), 0.0)
+        slack = max(MISSING_SLACK, 0.0 if two else sqrt(noise.spread(THRUST))) + below
+        lost *= 1.0 - exp(-since / ANSWER_S)
+        if now.valid[THRUST] and lost > 0.0:
+            fits = fits and missing.fast - missing.usual > DEMAND_SHARE * lost - slack
+        # What pushes a vehicle from below for a moment looks as if a rotor gave more: one that does is taken off the command, and stays so.
+        if best.jump.gives > 0.0:
+            fits = fits and since >= 0.5 * ANSWER_S and commanded < CUT_SHARE * mean
+        self.asked = asked
+        self.missing = fits

@@ -51,7 +51,7 @@ def check(
     open_ = [e.means.weakens and not e.alternatives and "cause" not in e.extra for e in events]
     out = [_with_cause(e, bins, calm, healthy, air) if ask else e for e, ask in zip(events, open_)]
     # Once a rotor is weak the others work elsewhere than where their laws were learned.
-    found, more = watch.look(bins, calm & healthy.all(axis=1, keepdims=True))
+    found, more = watch.examine(bins, calm & healthy.all(axis=1, keepdims=True))
     return joined(out, found), (*notes, *stopped_notes, *more)
 
 

@@ -88,7 +88,7 @@ def read(flight: Flight, thrust: Signal, air: allocation.Spans) -> tuple[Binned 
     notes: list[str] = []
     if inside.sum() < FROZEN_SAMPLES:
         return None, ["ESC telemetry was not logged in the air; it is not used."]
-    usable = _reporting(esc.time, speed, inside, notes)
+    usable = _reporting(speed, inside, notes)
     if not usable.any():
         return None, notes
     if (late := _shifted(esc.time, speed, usable, thrust, notes)) is not None:
@@ -114,7 +114,7 @@ def read(flight: Flight, thrust: Signal, air: allocation.Spans) -> tuple[Binned 
     return bins, notes
 
 
-def _reporting(time, speed: Quantity, inside, notes: list[str]) -> np.ndarray:
+def _reporting(speed: Quantity, inside, notes: list[str]) -> np.ndarray:
     """(n,) bool: rotors whose speed is reported in the air, and not 0 all along. Says which are not."""
     n = speed.valid.shape[1]
     there = speed.valid[inside].mean(axis=0) > MOSTLY * speed.valid[inside].mean(axis=0).max(initial=0.0)

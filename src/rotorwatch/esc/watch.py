@@ -34,7 +34,7 @@ LARGE = 0.25  # share of thrust: so much is a loss, or the telemetry is wrong
 FOLLOWS = 0.5  # of what a current that stays makes of a wrong speed: below that the current follows the speed
 
 
-def look(bins: Binned, usable: np.ndarray) -> tuple[tuple[Event, ...], list[str]]:
+def examine(bins: Binned, usable: np.ndarray) -> tuple[tuple[Event, ...], list[str]]:
     """(events of kind SLOW, HIGH, LOW and, where much is lost, LOSS; warnings).
 
     usable (T, n) bool: bins of usual flight without any loss that commands and motion show. A speed that falls a lot should have shown

@@ -21,16 +21,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch import airframes, logs
-from rotorwatch.aerobatic import judge as aerobatic
-from rotorwatch.default import events, program
+from rotorwatch.diagnose import estimated, judge, prepare
 from rotorwatch.errors import ConfigError
-from rotorwatch.experiments import tools
+from rotorwatch.experiments import counting, tools
 from rotorwatch.flight import Flight, Signal
-from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion import allocation
 from rotorwatch.motion.airborne import airborne
-from rotorwatch.motion.ticks import JUDGE, READY_KNOWN_S, READY_S, Ticks, observe
+from rotorwatch.motion.ticks import JUDGE, READY_KNOWN_S, READY_S
 
 RESPONSE_S = 0.7  # how fast rate and attitude controllers of real quads make up for a loss
 AFTER_READY_S, BEFORE_END_S = 3.0, 12.0  # where onsets may lie within a flight
@@ -186,11 +184,11 @@ def campaign(
 
     Onsets are drawn at random, from 3 s after judging begins to 12 s before the hop ends. The answer:
 
-    table      a row for each loss: injections; detected: share that got an event before the flight's end; of those
-               right: first event names this rotor alone, and ambiguous_with_truth: several sets, this rotor among them;
+    table      a row for each loss: injections; detected: share found, of those right, as `counting` says, and
+               ambiguous_with_truth: several sets, this rotor among them;
                median_delay_s, p90_delay_s from onset to announcement; of the right ones loss_rms and loss_bias 2 s
                after the announcement, coverage: share whose 95 % interval at the end holds the loss; false_alarms:
-               events before the onset, or after it without this rotor; at_limit: injections that reach a rotor's limit
+               alarms before the onset, or after it without this rotor; at_limit: injections that reach a rotor's limit
     healthy    flights, hours judged and false_alarms of the flights as they are
     flights    number of flights long enough for an injection
     trials     one entry for each injection
@@ -245,18 +243,18 @@ class _Survey(NamedTuple):
 
 def _survey(source: Flight | str) -> list[_Survey]:
     flight, vehicle, air = _flown(source)
-    found, judged_s = _judge(flight, vehicle, air)
+    found, judged_s = _judge(flight, vehicle)
     room = [(start + ready_s(vehicle) + AFTER_READY_S, end - BEFORE_END_S) for start, end in air]
     return [_Survey(len(vehicle.rotors), [(a, b) for a, b in room if b > a], judged_s, len(found))]
 
 
 def _trials(part: tuple[Flight | str, list[tuple[int, float, float]]]) -> list[dict]:
     """What became of injections (rotor, loss, onset) into one flight."""
-    flight, vehicle, air = _flown(part[0])
+    flight, vehicle, _ = _flown(part[0])
     trials = []
     for rotor, loss, onset in part[1]:
         faulty = inject(flight, vehicle, rotor, loss, onset)
-        found = _outcome(_judge(faulty, vehicle, air)[0], rotor, loss, onset)
+        found = _outcome(_judge(faulty, vehicle)[0], rotor, loss, onset)
         limit = max(faulty.facts["injected"]["at_limit"])
         trials.append({"flight": flight.name, "rotor": rotor, "loss": loss, **found, "at_limit": limit})
     return trials
@@ -280,23 +278,14 @@ def ready_s(vehicle: Vehicle) -> float:
     return READY_KNOWN_S if vehicle.identified else READY_S
 
 
-def losses(table: Ticks, vehicle: Vehicle) -> tuple[tuple[Event, ...], program.TickOutput]:
-    """Losses that the default diagnoser announces, without what it makes for people to look at, and its outputs."""
-    B = vehicle.effectiveness()
-    _, out = program.estimate(table, B, (vehicle.identified or {}).get("dynamics"))
-    return events.read(out, table, B), out
-
-
-def _judge(flight: Flight, vehicle: Vehicle, air) -> tuple[tuple[Event, ...], float]:
-    """Losses that the default diagnoser announces while the vehicle flies; seconds judged. Overrides, contacts, falls and what `diagnose`
-    finds only afterwards are left out."""
-    table = observe(flight, vehicle, air, ready_s(vehicle))
-    if table is None:
+def _judge(flight: Flight, vehicle: Vehicle) -> tuple[tuple[counting.Alarm, ...], float]:
+    """The alarms of `diagnose`; seconds judged."""
+    ready = prepare(flight, vehicle)
+    if ready.table is None:
         return (), 0.0
-    if aerobatic.applies(flight):
-        table, out = aerobatic.estimate(flight, vehicle, air, table)
-        return events.read(out, table, vehicle.effectiveness()), float((table.mode == JUDGE).sum() * table.dt)
-    return losses(table, vehicle)[0], float((table.mode == JUDGE).sum() * table.dt)
+    done = estimated(ready)
+    judged_s = float((done.table.mode == JUDGE).sum() * done.table.dt)
+    return counting.alarms(judge(ready, done).end.events), judged_s
 
 
 def draw(room: list[tuple[float, float]], rng: np.random.Generator) -> float:
@@ -306,29 +295,29 @@ def draw(room: list[tuple[float, float]], rng: np.random.Generator) -> float:
     return float(rng.uniform(*room[k]))
 
 
-def _outcome(found: tuple[Event, ...], rotor: int, loss: float, onset: float) -> dict:
+def _outcome(raised: Sequence[counting.Alarm], rotor: int, loss: float, onset: float) -> dict:
     """What became of one injection."""
-    after = [e for e in found if e.detected_s >= onset]
-    result: dict[str, Any] = {"onset_s": onset, "detected": bool(after), "false_alarms": len(found) - len(after)}
-    if not after:
-        return result
-    first = after[0]
-    truth = (rotor,)
-    right = first.rotors == truth and not first.alternatives
-    named = truth in (first.rotors, *first.alternatives)
-    result |= {
-        "named": list(first.rotors),
-        "alternatives": [list(a) for a in first.alternatives],
-        "right": right,
-        "ambiguous_with_truth": named and not right,
-        "delay_s": first.detected_s - onset,
+    counted = counting.count(raised, (rotor,), onset)
+    result: dict[str, Any] = {
+        "onset_s": onset,
+        "detected": counted.found,
+        "false_alarms": len(counted.false) + len(counted.wrong),
     }
-    result["false_alarms"] += sum(truth not in (e.rotors, *e.alternatives) for e in after[1:])
-    if right:
-        low, high = first.interval[0]
+    if not counted.found:
+        return result
+    (_, sets, event), right = counted.own[0], counted.right
+    result |= {
+        "named": list(sets[0]),
+        "alternatives": [list(s) for s in sets[1:]],
+        "right": right,
+        "ambiguous_with_truth": counted.named and len(sets) > 1,
+        "delay_s": counted.delay_s,
+    }
+    if right and event is not None and event.loss:
+        low, high = event.interval[0]
         result |= {
-            "loss_2s": first.extra["loss_2s"][0],
-            "loss_end": first.loss[0],
+            "loss_2s": event.extra["loss_2s"][0],
+            "loss_end": event.loss[0],
             "covered": bool(low <= loss <= high),
         }
     return result
@@ -338,8 +327,9 @@ def _row(loss: float, trials: list[dict]) -> dict:
     """One line of the table: all injections of one size."""
     found = [t for t in trials if t["detected"]]
     right = [t for t in found if t["right"]]
+    sized = [t for t in right if "loss_2s" in t]
     delays = [t["delay_s"] for t in found]
-    error = np.array([t["loss_2s"] - loss for t in right])
+    error = np.array([t["loss_2s"] - loss for t in sized])
     return {
         "loss": loss,
         "injections": len(trials),
@@ -348,9 +338,9 @@ def _row(loss: float, trials: list[dict]) -> dict:
         "ambiguous_with_truth": sum(t["ambiguous_with_truth"] for t in found) / len(found) if found else None,
         "median_delay_s": float(np.median(delays)) if found else None,
         "p90_delay_s": float(np.quantile(delays, 0.9)) if found else None,
-        "loss_rms": float(np.sqrt(np.mean(error**2))) if right else None,
-        "loss_bias": float(error.mean()) if right else None,
-        "coverage": float(np.mean([t["covered"] for t in right])) if right else None,
+        "loss_rms": float(np.sqrt(np.mean(error**2))) if sized else None,
+        "loss_bias": float(error.mean()) if sized else None,
+        "coverage": float(np.mean([t["covered"] for t in sized])) if sized else None,
         "false_alarms": sum(t["false_alarms"] for t in trials),
         "at_limit": sum(t["at_limit"] > 0.001 for t in trials),
     }

@@ -114,7 +114,7 @@ def fly(story: Story, number: int, flights: int, seed: int) -> Iterator[Flight]:
         first = scenarios[0]
         records = loop.fly_each(MULTIROTOR, plans, first.duration_s, first.rate_hz, first.record_hz, logbook.needed)
         for k, (asked, numbers, record) in enumerate(zip(scenarios, plans, records), begin):
-            yield _named(logbook.flight(asked, numbers, record), story, number, k, seed)
+            yield _named(logbook.flight(asked, numbers, record), number, k, seed)
 
 
 def _weak(none: Any, loss: np.ndarray) -> Any:
@@ -139,7 +139,7 @@ def _scenario(story: Story, k: int, rng: np.random.Generator, moved: np.ndarray)
     }  # fmt: skip
 
 
-def _named(flight: Flight, story: Story, number: int, k: int, seed: int) -> Flight:
+def _named(flight: Flight, number: int, k: int, seed: int) -> Flight:
     """The flight with what an autopilot would have logged of itself: its serial number, the time, its count of boots."""
     mark = hashlib.sha256(f"{seed} {number}".encode()).hexdigest()[:24].upper()
     serial = Message(0.0, "text", f"SIMBOARD {mark[:8]} {mark[8:16]} {mark[16:]}")
@@ -156,7 +156,7 @@ def _utc(when: datetime) -> str:
     return when.isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
-def make(
+def fly_fleet(
     folder: str | Path,
     aircraft: int,
     flights: int,

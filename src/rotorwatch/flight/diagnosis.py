@@ -100,7 +100,7 @@ class Event:
     @property
     def means(self) -> kinds.Kind:
         """What its kind means."""
-        return kinds.of(self.kind)
+        return kinds.kind_of(self.kind)
 
     @property
     def explanations(self) -> tuple[tuple[int, ...], ...]:

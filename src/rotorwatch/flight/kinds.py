@@ -198,7 +198,7 @@ ROWS = (
 TABLE = {row.name: row for row in ROWS}
 
 
-def of(name: str) -> Kind:
+def kind_of(name: str) -> Kind:
     """The row of a kind; of one that this version does not know, its name in words."""
     return TABLE.get(name) or Kind(name, name.replace("_", " "))
 

@@ -7,6 +7,7 @@ set seconds after touch-down, and many logs lack it.
 
 from __future__ import annotations
 
+from rotorwatch.base.physics import G0
 from rotorwatch.compiling.structs import (
     LASTS,
     NAN,
@@ -37,7 +38,6 @@ MOST_GAP_S = 60.0
 CONFIRM_S = 4.5
 """The end of a flight is certain at most this long after it, mostly within 1.5 s."""
 
-_G = 9.80665
 _IDLE_S = 2.0  # time constant of the idle command seen on the ground
 _HOVER_S = 5.0  # time constant of the usual command in the air
 _RISE = 0.08  # command above idle, share of the range, below which nothing flies
@@ -53,10 +53,10 @@ _LOW = 0.65  # part of the way from idle to hover below which the rotors do not 
 _LOW_S = 1.5
 _SETTLING, _RESTING = 0.25, 0.15  # m/s: down at the end of a landing, more or less on the ground
 _REST_S = 3.0  # s that a vehicle may rest after it sank before it hovers
-_FALLING = 0.75 * _G  # specific force below which a vehicle with idle motors falls and has not landed
+_FALLING = 0.75 * G0  # specific force below which a vehicle with idle motors falls and has not landed
 _LYING_S = 1.0
 _STILL = 0.5  # rad/s: what turns faster does not stand or lie on the ground
-_BLOW = 1.2 * _G  # lateral specific force, or half of it downwards, that rotors cannot make: the ground's
+_BLOW = 1.2 * G0  # lateral specific force, or half of it downwards, that rotors cannot make: the ground's
 _BLOW_S = 3.0  # a blow so long before the end of a flight was the touch-down or the crash
 _WINDOW_S = 0.5
 _FRESH_S = 1.0  # a measurement that is older is not known
@@ -263,7 +263,7 @@ class Airborne(Struct):
         now.turning = self.turning.mean(time, False)
         now.struck = time - TICK_S < self.blow <= time
         # In the air, specific force is what the rotors push: along -z. Lying still on anything but the feet, it is not.
-        lying = abs(now.force - _G) < 2.0 and now.upward < 0.7 * now.force and now.turning < _STILL
+        lying = abs(now.force - G0) < 2.0 and now.upward < 0.7 * now.force and now.turning < _STILL
         self.lying_since = _lasting(self.lying_since, lying, time)
         if self.flying:
             self._in_the_air(time, now)

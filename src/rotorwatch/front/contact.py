@@ -7,13 +7,13 @@ vehicle, an obstacle, the ground. What follows - tumbling, saturated outputs, a 
 
 from __future__ import annotations
 
+from rotorwatch.base.physics import G0
 from rotorwatch.compiling.structs import FLAG, LASTS, REAL, Real, Reals, Struct, Time, Times, array, local, real, sqrt
 from rotorwatch.front.sizes import ROTORS, TICKS_BEFORE
 from rotorwatch.front.vehicle import Vehicle
 
 TURNED, PUSHED_SIDEWAYS, PUSHED_UP = 0, 1, 2
 
-G0 = 9.80665
 SIDEWAYS, UPWARD = 0.5, 0.8  # g, against the half second before; drag and gusts change by less than 0.2 g in a tick
 SHAKES = 2.5  # ... and so many times the vibration: sampled slowly, it looks at times like a steady push
 # Hover thrusts for each rad/s^2 and rotor that a small vehicle (arms of 5 cm) takes in roll, pitch and yaw: none turns for less.

@@ -8,6 +8,7 @@ It pairs the commands sent during one tick length with the motion they caused a 
 
 from __future__ import annotations
 
+from rotorwatch.base.physics import G0
 from rotorwatch.compiling.structs import (
     LASTS,
     NAN,
@@ -26,7 +27,7 @@ from rotorwatch.compiling.structs import (
     real,
     reset,
 )  # fmt: skip
-from rotorwatch.front.contact import G0, Vibration
+from rotorwatch.front.contact import Vibration
 from rotorwatch.front.sizes import LEVELS, MOTION_SAMPLES, ROTORS, WAITING
 from rotorwatch.front.vehicle import Vehicle
 

@@ -257,7 +257,7 @@ def _alike_in_hover(found: list[Candidate], rejected: list[tuple[str, str]]) -> 
         if m < 2:
             return found
         others = [[u.features for u in usable if u is not one] for one in usable]
-        rare = [whole_flight.rarity(one.features, rest, one.vehicle) for one, rest in zip(usable, others)]
+        rare = [whole_flight.rarity(one.features, rest) for one, rest in zip(usable, others)]
         worst = int(np.argmin(rare))
         if m == 2:
             if min(rare) >= whole_flight.FALSE_FAULT:

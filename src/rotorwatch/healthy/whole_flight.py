@@ -42,6 +42,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch import airframes
+from rotorwatch.base.physics import G0
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle
@@ -56,7 +57,6 @@ UPRIGHT = np.cos(np.radians(25.0))
 CLIMB, TURN = 0.35, 0.35  # m/s, rad/s: faster than that is no steady flight
 LIMIT = 0.98  # share of the command range at which a rotor counts as being at its limit
 LIMITED = 0.2  # of the time at its limit: the mean command no longer says what hover needs
-G0 = 9.80665
 
 CENTRE_SD, TILT_SD, THRUST_SD = 0.011, 0.045, 0.05
 PRIOR_FLIGHTS, MANY_FLIGHTS = 6, 10  # many: from which on a baseline can begin to show how much healthy flights differ
@@ -374,7 +374,7 @@ def judge(flight: Features, baseline: Sequence[Features], vehicle: Vehicle) -> W
     )
 
 
-def rarity(flight: Features, others: Sequence[Features], vehicle: Vehicle) -> float:
+def rarity(flight: Features, others: Sequence[Features]) -> float:
     """Share of healthy flights of the build that would differ from the others at least so much, under the model alone: no bound is put
     on it, so it orders flights but is no odds. All flights must be `usable`."""
     return _p_values(*_difference(flight, others), flight, others)[2]

@@ -27,5 +27,4 @@ webhook.py    alerts to a web address
 metrics.py    what is known of each vehicle, for Prometheus
 ground.py     alerts to ground stations
 mavproxy.py   the same in MAVProxy: its frames in, lines of its console and markers of its map out
-service.py    a watch as a service of systemd
 """

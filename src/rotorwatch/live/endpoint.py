@@ -22,26 +22,19 @@ def is_endpoint(text: str) -> bool:
     return text.split(":", 1)[0].lower() in ("udp", "udpin", "udpout", "tcp", "serial") and ":" in text
 
 
-def parsed(text: str) -> tuple[str, str, int]:
-    """(kind, device or host, speed or port) of an endpoint. Raises LinkError with one sentence."""
-    kind, _, rest = text.partition(":")
-    where, _, number = rest.rpartition(":")
-    if kind.lower() == "serial":
-        if not where or not number.isdigit():
-            raise LinkError(f"{text}: name the device and its speed, as in serial:/dev/ttyUSB0:57600.")
-    elif not number.isdigit() or not 0 < int(number) < 65536:
-        raise LinkError(f"{text}: this is no endpoint; give {KINDS}.")
-    return kind.lower(), where, int(number)
-
-
 def open_endpoint(text: str) -> Endpoint:
     """The endpoint that a text names. Raises LinkError with one sentence."""
-    kind, where, number = parsed(text)
+    kind, _, rest = text.partition(":")
+    kind, (where, _, number) = kind.lower(), rest.rpartition(":")
     if kind == "serial":
-        return Serial(text, where, number)
+        if not where or not number.isdigit():
+            raise LinkError(f"{text}: name the device and its speed, as in serial:/dev/ttyUSB0:57600.")
+        return Serial(text, where, int(number))
+    if not number.isdigit() or not 0 < int(number) < 65536:
+        raise LinkError(f"{text}: this is no endpoint; give {KINDS}.")
     if kind == "tcp":
-        return Tcp(text, where or "127.0.0.1", number)
-    return Udp(text, where, number, listens=kind != "udpout")
+        return Tcp(text, where or "127.0.0.1", int(number))
+    return Udp(text, where, int(number), listens=kind != "udpout")
 
 
 class Endpoint:

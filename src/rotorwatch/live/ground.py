@@ -15,7 +15,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from rotorwatch.default.events import packed
-from rotorwatch.flight.kinds import Span, Weight, of
+from rotorwatch.flight.kinds import Span, Weight, kind_of
 from rotorwatch.front import whole, words
 from rotorwatch.front.definition import FRONT
 from rotorwatch.front.words import CRITICAL, NOTICE, WARNING
@@ -113,7 +113,7 @@ def gist(alert: dict) -> tuple:
 
 def _over(event: dict) -> bool:
     """Knocks have no duration, and what ended with the impact is not over."""
-    return of(event["kind"]).span is not Span.MOMENT and event["end_s"] is not None and not event.get("impact_s")
+    return kind_of(event["kind"]).span is not Span.MOMENT and event["end_s"] is not None and not event.get("impact_s")
 
 
 def worth_sending(reported: tuple | None, alert: dict) -> bool:
@@ -134,7 +134,7 @@ def text_of(alert: dict) -> tuple[str, int]:
         return text, CRITICAL if stands else NOTICE
     event: Any = SimpleNamespace(**alert["event"], extra=alert["event"])
     withdrawn = alert["state"] == WITHDRAWN
-    kind = of(event.kind)
+    kind = kind_of(event.kind)
     what, upset = kind.brief or kind.noun, kind.weight is Weight.UPSET
     if upset:
         numbers = "+".join(map(str, event.rotors))

@@ -50,20 +50,15 @@ def picture(watched: Watched, waits_for: str = "") -> Picture:
     return Picture(watched.name, state, rotors, events, ticks, health.taken, health.lost, health.last_frame)
 
 
-def address(where: str) -> tuple[str, int]:
-    """(host, port) of [HOST:]PORT. Raises ConfigError."""
-    host, _, port = where.rpartition(":")
-    if not port.isdigit() or int(port) > 65535:
-        raise ConfigError(f"--metrics {where}: give a port, or HOST:PORT, as in 9110 or 0.0.0.0:9110.")
-    return host.strip("[]") or "127.0.0.1", int(port)
-
-
 class Metrics:
     """A page of metrics at http://HOST:PORT/metrics."""
 
     def __init__(self, where: str):
         """where: [HOST:]PORT; without a host only this computer can read it. Raises ConfigError."""
-        host, port = address(where)
+        host, _, number = where.rpartition(":")
+        if not number.isdigit() or int(number) > 65535:
+            raise ConfigError(f"--metrics {where}: give a port, or HOST:PORT, as in 9110 or 0.0.0.0:9110.")
+        host, port = host.strip("[]") or "127.0.0.1", int(number)
         prometheus = library("prometheus_client", "--metrics")
         registry = prometheus.CollectorRegistry()
         registry.register(self)

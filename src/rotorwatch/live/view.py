@@ -7,13 +7,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from rotorwatch.answer.falls import CAUSES
 from rotorwatch.answer.wording import percent, said
 from rotorwatch.flight import kinds
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import LOST, Span
 from rotorwatch.live.watch import Source
 from rotorwatch.live.watched import Watched
-from rotorwatch.upset.find import CAUSES
 
 BAR = " ▁▂▃▄▅▆▇█"
 SILENT_S = 3.0
@@ -83,7 +83,7 @@ def line(watched: Watched, waits_for: str = "") -> Line:
 def announced(alert: dict) -> str:
     """The alert of an event, as a sentence."""
     event = alert["event"]
-    return f"{alert['state']}: {kinds.of(event['kind']).noun} at {event['onset_s']:.1f} s; {event['reason']}"
+    return f"{alert['state']}: {kinds.kind_of(event['kind']).noun} at {event['onset_s']:.1f} s; {event['reason']}"
 
 
 def words(event: Event, now: float | None = None) -> str:

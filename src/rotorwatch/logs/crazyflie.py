@@ -9,6 +9,7 @@ import zlib
 
 import numpy as np
 
+from rotorwatch.base.physics import G0
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight
 from rotorwatch.logs import series
@@ -109,7 +110,7 @@ def _signals(time, table, notes) -> dict:
             return np.stack([table[n].astype(float) for n in names], 1)
 
     def make(kind, values, source, valid=None):
-        return None if values is None else series.make(kind, time, values, source, notes, valid)
+        return None if values is None else series.signal(kind, time, values, source, notes, valid)
 
     motors, valid, origin = columns("motor.m1", "motor.m2", "motor.m3", "motor.m4"), None, "motor.m1..m4"
     if motors is None:
@@ -119,7 +120,7 @@ def _signals(time, table, notes) -> dict:
     speed = columns("stateEstimate.vx", "stateEstimate.vy", "stateEstimate.vz")
     attitude = _attitude(columns, notes)
     if acc is not None:
-        accel, source = acc * series.G * _FLIP, "acc"
+        accel, source = acc * G0 * _FLIP, "acc"
     else:
         accel, source = _specific_force(columns, attitude), "stateEstimate.ax..az"
     battery = columns("pm.vbatMV")
@@ -179,6 +180,6 @@ def _specific_force(columns, attitude):
     world = columns("stateEstimate.ax", "stateEstimate.ay", "stateEstimate.az")
     if world is None or attitude is None:
         return None
-    force = np.add(world, [0.0, 0.0, 1.0]) * _FLIP * series.G
+    force = np.add(world, [0.0, 0.0, 1.0]) * _FLIP * G0
     w, v = attitude[:, :1], -attitude[:, 1:]  # the inverse rotation
     return force + 2 * np.cross(v, np.cross(v, force) + w * force)

@@ -143,7 +143,7 @@ class _Log:
             return None
         made = read(found[1])
         values, valid = made if isinstance(made, tuple) else (made, None)
-        return series.make(kind, found[0], values, source or name, self.notes, valid)
+        return series.signal(kind, found[0], values, source or name, self.notes, valid)
 
 
 def _time(columns, received) -> np.ndarray:

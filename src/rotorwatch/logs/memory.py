@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from rotorwatch.base.physics import G0
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message
 from rotorwatch.logs import esc_columns, series
@@ -23,7 +24,7 @@ _GROUPS = {
     "control": [(("control_roll", "control_pitch", "control_yaw", "control_thrust"), 1.0)],
     "gyro": [(tuple(f"gyro_{a}_{u}" for a in _AXES), k) for u, k in (("rad_s", 1.0), ("deg_s", _RAD))],
     "rates": [(tuple(f"rates_{a}_{u}" for a in _AXES), k) for u, k in (("rad_s", 1.0), ("deg_s", _RAD))],
-    "accel": [(tuple(f"accel_{a}_{u}" for a in _AXES), k) for u, k in (("m_s2", 1.0), ("g", series.G))],
+    "accel": [(tuple(f"accel_{a}_{u}" for a in _AXES), k) for u, k in (("m_s2", 1.0), ("g", G0))],
     "attitude": [
         (("q_w", "q_x", "q_y", "q_z"), 1.0),
         (("roll_rad", "pitch_rad", "yaw_rad"), 1.0),
@@ -139,7 +140,7 @@ def _group(kind, ways, time, table, notes):
             elif kind == "battery" and len(names) == 1:
                 values = np.column_stack([values, np.full(time.size, np.nan)])
             rows = _rows(values)
-            return series.make(kind, time[rows], values[rows], names[0] + " ..", notes)
+            return series.signal(kind, time[rows], values[rows], names[0] + " ..", notes)
     for names, _ in ways:
         present = [n for n in names if n in table]
         if present:

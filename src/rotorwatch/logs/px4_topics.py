@@ -86,7 +86,7 @@ class Topics:
             return None
         time, table = found
         fine = series.stacked(table, valid) != 0 if valid and all(v in table for v in valid) else None
-        return series.make(kind, time, series.stacked(table, fields), name, self.notes, fine)
+        return series.signal(kind, time, series.stacked(table, fields), name, self.notes, fine)
 
 
 def numbered(name, n) -> list[str]:
@@ -127,7 +127,7 @@ def signals(topics: Topics, parameters) -> tuple[dict, dict]:
     if found["control"] is not None:
         thrust = found["control"]
         valid = None if thrust.valid is None else thrust.valid[:, 3:]
-        found["throttle"] = series.make(
+        found["throttle"] = series.signal(
             "throttle", thrust.time, thrust.values[:, 3:], thrust.source, topics.notes, valid
         )
     return {k: v for k, v in found.items() if v is not None}, facts | {"utc_start": _utc_start(topics)}
@@ -210,7 +210,7 @@ def _control(topics: Topics):
         keep = series.steady(thrust[0])
         latest = np.clip(np.searchsorted(thrust[0][keep], time + 1e-3, side="right") - 1, 0, None)
         values = np.column_stack([values, -np.asarray(thrust[1]["xyz[2]"], float)[keep][latest]])
-        return series.make("control", time, values, "vehicle_torque_setpoint", topics.notes)
+        return series.signal("control", time, values, "vehicle_torque_setpoint", topics.notes)
     return topics.signal("control", "actuator_controls_0", numbered("control", 4))
 
 
@@ -219,7 +219,7 @@ def _attitude(topics: Topics, kind, name, field):
     if found is None:
         return None
     q, fine = series.unit_quaternion(series.stacked(found[1], numbered(field, 4)))
-    return series.make(kind, found[0], q, name, topics.notes, fine)
+    return series.signal(kind, found[0], q, name, topics.notes, fine)
 
 
 def _utc_start(topics: Topics) -> str | None:
@@ -248,7 +248,9 @@ def _battery(topics: Topics):
     if found is None:
         return None
     values = series.stacked(found[1], ["voltage_v", "current_a"])
-    return series.make("battery", found[0], values, "battery_status", topics.notes, series.voltage_and_current(values))
+    return series.signal(
+        "battery", found[0], values, "battery_status", topics.notes, series.voltage_and_current(values)
+    )
 
 
 def _esc(topics: Topics, parameters):

@@ -88,7 +88,7 @@ class _Tables:
         found = self.get(message, *columns)
         if found is None:
             return None
-        return series.make(kind, *found, message, self.notes, None if valid is None else valid(found[1]))
+        return series.signal(kind, *found, message, self.notes, None if valid is None else valid(found[1]))
 
 
 def _signals(tables: _Tables, parameters) -> tuple[dict, dict]:
@@ -127,12 +127,12 @@ def _attitude(tables: _Tables):
     if found is not None:
         q, fine = series.unit_quaternion(found[1])
         if fine.any():
-            return series.make("attitude", found[0], q, "ATT", tables.notes, fine)
+            return series.signal("attitude", found[0], q, "ATT", tables.notes, fine)
     found = tables.get("ATT", *_ANGLES)
     if found is None:
         return None
     fine = np.all(np.abs(found[1]) < 7.0, axis=1)
-    return series.make(
+    return series.signal(
         "attitude", found[0], series.quaternion(*np.where(fine[:, None], found[1], 0.0).T), "ATT", tables.notes, fine
     )
 

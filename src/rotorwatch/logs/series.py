@@ -11,7 +11,6 @@ import numpy as np
 
 from rotorwatch.flight import Message, Signal
 
-G = 9.80665
 """Standard gravity, m/s^2."""
 
 EARTH_M, EARTH_E2 = 6_378_137.0, 6.69437999e-3
@@ -62,7 +61,7 @@ MOTORS = {"us": 3000.0, "1": 1.5}
 """The same of motor commands, by their unit."""
 
 
-def make(name, time, values, source, notes, valid=None) -> Signal | None:
+def signal(name, time, values, source, notes, valid=None) -> Signal | None:
     """The Signal `name` of SHAPES from time (n,) s and values (n, k); None when no usable sample is left.
 
     valid: (n,) or (n, k) bool or None. Values beyond what can be meant become invalid; damaged time stamps are dropped;
@@ -239,7 +238,7 @@ def gps(time, degrees, altitude, speed, fixed, source) -> Signal | None:
     along = across * (1.0 - EARTH_E2) / (1.0 - EARTH_E2 * sine**2)
     off = np.radians((degrees - degrees[first] + 180.0) % 360.0 - 180.0) * [along, across * cosine]
     values = np.column_stack([off, altitude[first] - altitude, speed])
-    return make("gps", time, np.where(fixed[:, None], values, np.nan), source, [])
+    return signal("gps", time, np.where(fixed[:, None], values, np.nan), source, [])
 
 
 def voltage_and_current(values: np.ndarray) -> np.ndarray:

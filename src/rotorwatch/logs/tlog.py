@@ -9,6 +9,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from rotorwatch.base.physics import G0
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.output_functions import in_order, motor_outputs
@@ -44,7 +45,7 @@ _SAME_MOMENT_US = (
     10e6  # between two messages of the same moment; a stamp further from its neighbours in the file is damaged
 )
 _FIX_3D, _UNKNOWN = 3, 65535  # of GPS_RAW_INT
-_MG = series.G / 1000
+_MG = G0 / 1000
 
 
 def sniff(head: bytes, name: str) -> bool:
@@ -251,7 +252,7 @@ def readings(outputs: Outputs) -> dict[str, tuple[Reading, ...]]:
             own = rows(found[1])
             made = read(found[1][own])
             values, valid = made if isinstance(made, tuple) else (made, None)
-            return series.make(kind, found[0][own], values, name, log.notes, valid)
+            return series.signal(kind, found[0][own], values, name, log.notes, valid)
 
         return Reading(name, make)
 

@@ -32,18 +32,16 @@ ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NPR
 READY = b"ready"
 
 
-def run(
-    function: Callable, tasks: Iterator[Task], jobs: int, limit_s: float | None, tries: int, prepare: Callable | None
-) -> Iterator[Done]:
+def run(function: Callable, tasks: Iterator[Task], jobs: int, tries: int) -> Iterator[Done]:
     """As `spread.run`. One item at a time in each process: as many items are in flight as there are processes."""
-    work = pickle.dumps((function, prepare))
+    work = pickle.dumps((function, None))
     again: deque[Task] = deque()
     team: list[Worker] = []
     never_started = 0
     try:
         while True:
             while len(team) < jobs and (task := again.popleft() if again else next(tasks, None)) is not None:
-                team.append(Worker(work, limit_s, task))
+                team.append(Worker(work, None, task))
             if not team:
                 return
             finished: list[Done] = []
@@ -67,8 +65,7 @@ def run(
                     elif task.tries + 1 < tries:
                         again.append(replace(task, tries=task.tries + 1))
                     else:
-                        times = f" {tries} times" if tries > 1 else ""
-                        error = WorkerError(f"the process {how}{times} (too little memory?)", how)
+                        error = WorkerError(f"the process {how} {tries} times (too little memory?)", how)
                         finished.append(Done(task.index, None, error))
                     continue
                 value, error = _unpacked(received)

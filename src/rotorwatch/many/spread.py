@@ -35,9 +35,6 @@ def run(
     items: Iterable[Any],
     jobs: int | None = None,
     scheduler: str | None = None,
-    limit_s: float | None = None,
-    tries: int = TRIES,
-    prepare: Callable[[], Any] | None = None,
 ) -> Iterator[Done]:
     """function(item) of every item: a `Done` for each, as they finish, in any order.
 
@@ -46,11 +43,9 @@ def run(
     1: here, in line. scheduler: the address of a Dask scheduler (tcp://HOST:PORT), whose workers do it instead. Function, items and
     values have to be picklable then, and the function's module importable.
 
-    A process that dies is replaced; its item is begun `tries` times in all, then its error is a WorkerError. On a cluster the scheduler
-    decides how often (docs/cluster.md). limit_s: seconds for an item, after which its process is killed; prepare(): called once in each
-    process before its first item; both make processes even of one job, and there is neither on a cluster. When the iterator is closed,
-    or left by an exception (Ctrl-C), all work ends. Raises ConfigError for arguments that do not fit together and for a scheduler that
-    does not answer, WorkerError where processes do not start.
+    A process that dies is replaced; its item is begun TRIES times in all, then its error is a WorkerError. On a cluster the scheduler
+    decides how often (docs/cluster.md). When the iterator is closed, or left by an exception (Ctrl-C), all work ends. Raises ConfigError
+    for arguments that do not fit together and for a scheduler that does not answer, WorkerError where processes do not start.
     """
     if jobs is not None and jobs < 1:
         raise ConfigError(f"jobs must be at least 1, not {jobs}.")
@@ -59,19 +54,17 @@ def run(
             raise ConfigError(
                 "Give jobs or a scheduler, not both: a cluster has as many workers as are connected to it."
             )
-        if limit_s is not None or prepare is not None:
-            raise ConfigError("Limits of time and memory hold in processes of this computer only, not on a cluster.")
         from rotorwatch.many import cluster
 
         return cluster.run(function, _tasks(items), cluster.address(scheduler))
     if isinstance(items, Sequence):
         jobs = min(jobs or processors(), max(1, len(items)))
     jobs = jobs or processors()
-    if jobs == 1 and limit_s is None and prepare is None:
+    if jobs == 1:
         return (Done(index, *attempt(function, item)) for index, item in enumerate(items))
     from rotorwatch.many import processes
 
-    return processes.run(function, _tasks(items), jobs, limit_s, tries, prepare)
+    return processes.run(function, _tasks(items), jobs, TRIES)
 
 
 def in_order(

@@ -6,6 +6,7 @@ import numpy as np
 
 from rotorwatch.base import checks
 from rotorwatch.base.backend import jax, jnp
+from rotorwatch.base.physics import G0
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths.small import definite_solve
 
@@ -86,7 +87,7 @@ def nominal_input(system, u_nominal=None):
     if hasattr(system, "u_nominal"):
         return system.u_nominal
     if hasattr(system, "B_T") and hasattr(system, "m"):
-        weight = system.m * 9.80665 - getattr(system, "F_0", 0.0)
+        weight = system.m * G0 - getattr(system, "F_0", 0.0)
         return weight / system.B_T.sum() * np.ones(system.n_u)
     return np.ones(system.n_u)
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotorwatch.base.physics import G0
 from rotorwatch.compiling.running import Rows
 from rotorwatch.front import contact as definition
-from rotorwatch.front.contact import G0
 from rotorwatch.front.sense import BEFORE_S
 
 LEAST_GAIN = np.array(definition.LEAST_GAIN)

@@ -14,10 +14,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from rotorwatch.base.physics import G0
 from rotorwatch.flight import Flight, Signal, output_functions
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion.allocation import within
-from rotorwatch.motion.contact import G0
 from rotorwatch.motion.ticks import Ticks
 
 Spans = tuple[tuple[float, float], ...]

@@ -21,6 +21,7 @@ import numpy as np
 
 from rotorwatch import airframes, logs
 from rotorwatch.base import checks, files, optional
+from rotorwatch.base.physics import G0
 from rotorwatch.control import excitation
 from rotorwatch.control.excitation import Design, Limits, Noise
 from rotorwatch.default import events, excitation_response
@@ -30,7 +31,6 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, vehicle_file
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion.airborne import airborne
-from rotorwatch.motion.contact import G0
 from rotorwatch.motion.ticks import READY_S, observe
 
 # Of the thrust of simulated multirotors of 1 to 8 kg in winds of 2 to 4 m/s, in hover thrusts of one rotor.
@@ -80,7 +80,7 @@ class Asking:
         """(time (T,) [s], what is added to the commands (T, n)) of the whole excitation."""
         signal = self.design.signal
         time = np.arange(0.0, float(signal.length) + 0.5 / rate_hz, 1.0 / rate_hz)
-        return time, np.stack([np.asarray(excitation.at(signal, t)) for t in time])
+        return time, np.stack([np.asarray(excitation.value_at(signal, t)) for t in time])
 
     def to_dict(self) -> dict:
         """Plain lists, numbers and strings."""

@@ -21,6 +21,7 @@ import numpy as np
 
 from rotorwatch import airframes
 from rotorwatch.base import checks, files, optional
+from rotorwatch.base.physics import G0
 from rotorwatch.control import attainable, spinning
 from rotorwatch.control.airframe import Airframe
 from rotorwatch.control.attainable import Planes
@@ -28,7 +29,6 @@ from rotorwatch.errors import ConfigError, VehicleError
 from rotorwatch.flight import vehicle_file
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.simulation import prepare, scenario
-from rotorwatch.simulation.rigid import G0
 
 FULL, NO_YAW, SPINNING, NO = VERDICTS = ("full control", "yaw given up", "only spinning", "cannot hover")
 LEAST = 0.01  # of each channel's authority that full control has to both sides of hover

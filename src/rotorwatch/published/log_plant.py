@@ -19,9 +19,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rotorwatch.base.physics import G0
 from rotorwatch.default import program
 from rotorwatch.default.plant import DAMPING, GAIN, PER_AXIS, TAU, usual_gains
-from rotorwatch.maths.systems.rate_dynamics import G as G0
 from rotorwatch.maths.systems.rate_dynamics import RateDynamics
 from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN, Ticks
 

@@ -21,12 +21,13 @@ import numpy as np
 from rotorwatch import airframes
 from rotorwatch.base import checks, files, optional
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.base.physics import G0
 from rotorwatch.default.plant import usual_gains
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.maths import bounded
 from rotorwatch.maths import plant as plants
-from rotorwatch.maths.systems.rate_dynamics import G, RateDynamics
+from rotorwatch.maths.systems.rate_dynamics import RateDynamics
 from rotorwatch.motion.allocation import ambiguous_sets
 
 T0 = 0.05  # s
@@ -209,7 +210,7 @@ def plant(subject) -> tuple[str, Any]:
     if isinstance(subject, Vehicle):
         B = subject.effectiveness()
         n = B.shape[1]
-        return subject.name, RateDynamics(np.diag(usual_gains(n)[:3]), B[:3], B[3], n / G)
+        return subject.name, RateDynamics(np.diag(usual_gains(n)[:3]), B[:3], B[3], n / G0)
     return checks.plant_name(subject), subject
 
 
@@ -356,7 +357,7 @@ def sensitivity(system, x, u, dt: float, theta=None) -> np.ndarray:
 
 def hover_thrusts(system: RateDynamics) -> np.ndarray:
     """u (n_u,) of least norm that carries the weight without torque."""
-    return allocate(system, np.zeros((1, 3)), np.full(1, system.m * G))[0]
+    return allocate(system, np.zeros((1, 3)), np.full(1, system.m * G0))[0]
 
 
 def allocate(system: RateDynamics, torque, thrust) -> np.ndarray:
@@ -372,7 +373,7 @@ def figure_eight(system: RateDynamics) -> tuple[np.ndarray, np.ndarray]:
     w, phase = 2 * np.pi / PERIOD_S * np.array([1.0, 2.0, 1.0]), np.array([0.0, 0.0, 0.7])
     angle = np.outer(t, w) + phase
     p, a = np.array(EIGHT) * np.sin(angle), -np.array(EIGHT) * w**2 * np.sin(angle)
-    force = a - np.array([0.0, 0.0, G])
+    force = a - np.array([0.0, 0.0, G0])
     z = -force / np.linalg.norm(force, axis=1, keepdims=True)
     nose = np.concatenate([np.array(LOOKED_AT) - p[:, :2], np.zeros((len(t), 1))], axis=1)
     y = np.cross(z, nose)

@@ -240,7 +240,7 @@ def _other_checks(autopilot: str) -> tuple[str, str, str, str]:
     """The row of other checks that found nothing, or that there is none: an autopilot's checks run on its own logs alone."""
     from rotorwatch.published import detectors
 
-    names = ", ".join(module.name for module in detectors.of(autopilot))
+    names = ", ".join(module.name for module in detectors.for_autopilot(autopilot))
     if names:
         return names, "nothing", seconds(None), "as far as this log lets it run"
     why = f"no check of {autopilot or 'this autopilot'} itself is known here"

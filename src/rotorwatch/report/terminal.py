@@ -161,10 +161,6 @@ def _story(result: Diagnosis) -> list[RenderableType]:
     return [Text(), Text("What happened", style="bold"), *lines, Text()] if lines else []
 
 
-WRONG = ("false fault", "wrong rotor", "FAILED")
-"""Answers to damaged logs that must not be."""
-
-
 def listing(title: str, *columns: str, right: Iterable[int] = ()) -> Table:
     """An empty table: a title and its columns; `right`: the places of those with numbers."""
     table = Table(
@@ -326,32 +322,3 @@ def _campaign_cell(column: str, value: Any, shares: set[str]) -> str:
     if column in shares and isinstance(value, float):
         return report.percent(value, 1 if column == "loss_rms" else 0)
     return report.seconds(value) if column.endswith("_s") else plain(value)
-
-
-def fuzz_framed(result: Mapping[str, Any]) -> RenderableType:
-    """What `rotorwatch fuzz --framed` prints; result as from `rotorwatch.fuzz_framed`."""
-    rows = result["table"]
-    table = listing("Answers to damaged copies", "answer", *rows, right=range(1, len(rows) + 1))
-    for outcome in next(iter(rows.values())):
-        counts = [row[outcome] for row in rows.values()]
-        style = STYLES["error"] if any(counts) and outcome in WRONG else ""
-        table.add_row(Text(outcome, style=style), *(str(n) if n else "–" for n in counts))
-    who = f" (rotor {', '.join(map(str, result['rotors']))})" if result["rotors"] else ""
-    head = (
-        f"{result['log']}: {result['verdict']}{who} when intact; {result['damages']} copies a kind, "
-        f"{report.percent(result['share'])} of the records damaged, seed {result['seed']}"
-    )
-    bad = (f"number {f['number']} ({f['kind']}), {f['outcome']}: {f['what']}" for f in result["failures"])
-    slowest = Text(f"slowest answer {result['slowest_s']} s")
-    return Group(Text(head), table, slowest, *(Text(text, style="red") for text in bad))
-
-
-def fuzz(result: Mapping[str, Any]) -> RenderableType:
-    """What `rotorwatch fuzz` prints; result as from `rotorwatch.fuzz`."""
-    table = listing("Outcomes", "outcome", "mutations", "share", right=(1, 2))
-    for outcome, count in result["outcomes"].items():
-        style = STYLES["error"] if outcome == "FAILED" and count else ""
-        table.add_row(Text(outcome, style=style), str(count), report.percent(count / max(result["mutations"], 1), 1))
-    head = Text(f"{result['log']}: {result['mutations']} mutations, seed {result['seed']}")
-    bad = (f"FAILED number {f['number']} ({f['mutation']}): {f['what']}" for f in result["failures"])
-    return Group(head, table, *(Text(text, style="red") for text in bad))

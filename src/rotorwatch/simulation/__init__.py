@@ -76,7 +76,7 @@ def simulate_batch(
     """Fly many scenarios of multirotors side by side: same number of rotors, duration, rate_hz and autopilot's profile; all else is free.
 
     Returns the records stacked (T, ..., B), flights last, as arrays of the device (a `Record`, or what `select` keeps of it);
-    `one(records, k)` is the record of flight k. Chunks of 32 to 128 flights are fastest on a CPU. Raises ConfigError.
+    `record_of(records, k)` is the record of flight k. Chunks of 32 to 128 flights are fastest on a CPU. Raises ConfigError.
     """
     if not scenarios:
         raise ConfigError("a batch needs at least one scenario.")
@@ -92,7 +92,7 @@ def simulate_batch(
     )
 
 
-def one(records: Any, k: int) -> Any:
+def record_of(records: Any, k: int) -> Any:
     """Flight k of a batch's records, as NumPy arrays."""
     import numpy as np
 

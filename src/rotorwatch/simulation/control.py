@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.base.physics import G0
 from rotorwatch.simulation import rotation
-from rotorwatch.simulation.rigid import G0
 from rotorwatch.simulation.trajectories import Reference
 
 Array = Any

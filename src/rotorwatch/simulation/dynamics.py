@@ -24,8 +24,9 @@ from collections import namedtuple
 from typing import Any
 
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.base.physics import G0
 from rotorwatch.simulation import rotation
-from rotorwatch.simulation.rigid import G0, Air, Body, runge_kutta
+from rotorwatch.simulation.rigid import Air, Body, runge_kutta
 
 Array = Any
 CONTACT_RATE = 30.0  # rad/s: how stiff the feet are (one centimetre deep under the weight)

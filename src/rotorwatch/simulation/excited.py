@@ -17,7 +17,7 @@ class Excited(Multirotor):
     def mixed(self, plan: Plan, now, t, body, gyro, turning, own: Drives) -> tuple:
         """The mixer's demands with the excitation at time t added to them."""
         demand, free = super().mixed(plan, now, t, body, gyro, turning, own)
-        return load_jax().numpy.clip(demand + excitation.at(plan.schedule, t), 0.0, 1.0), free
+        return load_jax().numpy.clip(demand + excitation.value_at(plan.schedule, t), 0.0, 1.0), free
 
 
 EXCITED = Excited()

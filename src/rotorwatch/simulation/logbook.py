@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from rotorwatch.base.physics import G0
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.vehicle import Vehicle
@@ -19,7 +20,6 @@ from rotorwatch.simulation import escs, sensors, trajectories, truth
 from rotorwatch.simulation.logged import LOGGED
 from rotorwatch.simulation.multirotor import Plan, Record
 from rotorwatch.simulation.prepare import PWM, SPIN, a_compensates, frame_numbers, vehicle
-from rotorwatch.simulation.rigid import G0
 from rotorwatch.simulation.scenario import Scenario
 
 RATES, GROUPS, SOURCES = (LOGGED[part] for part in ("rates", "groups", "sources"))

@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.base.physics import G0
 from rotorwatch.simulation import control, dynamics, faults, incremental, motor, outside, rotation, trajectories, wind
 from rotorwatch.simulation.loop import Moment, State
-from rotorwatch.simulation.rigid import G0, Air, Body
+from rotorwatch.simulation.rigid import Air, Body
 from rotorwatch.simulation.sensors import Sensors
 
 Array = Any

@@ -11,11 +11,11 @@ import numpy as np
 
 from rotorwatch import airframes
 from rotorwatch.airframes import ardupilot, px4
+from rotorwatch.base.physics import G0
 from rotorwatch.errors import ConfigError, VehicleError
 from rotorwatch.flight.vehicle import Rotor, ThrustCurve, Vehicle
 from rotorwatch.simulation import control, dynamics, faults, incremental, outside, trajectories, wind
 from rotorwatch.simulation.multirotor import Battery, Plan
-from rotorwatch.simulation.rigid import G0
 from rotorwatch.simulation.scenario import Scenario, brief
 from rotorwatch.simulation.sensors import Sensors
 

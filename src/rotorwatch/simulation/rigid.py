@@ -13,7 +13,6 @@ from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.simulation import rotation
 
 Array = Any
-G0 = 9.80665  # m/s^2
 
 
 class Body(namedtuple("Body", "p v q omega")):

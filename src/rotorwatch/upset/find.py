@@ -1,4 +1,4 @@
-"""The loss of control of a flight, its cause, and the rotors that were to blame or were not, as events."""
+"""The loss of control of a flight, its cause, and the rotors that may be to blame; `answer/falls.py` makes events of them."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rotorwatch.answer.falls import SURE
 from rotorwatch.flight import Flight
-from rotorwatch.flight.diagnosis import Event
-from rotorwatch.flight.kinds import CONTACT, LOSS, LOST, ORDER, OVERRIDE
+from rotorwatch.flight.kinds import ORDER
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.front.losses import CREDIBLE
 from rotorwatch.motion import allocation, ticks
 from rotorwatch.motion.contact import LEAST_GAIN
 from rotorwatch.motion.ticks import Sensed
@@ -35,14 +36,11 @@ MOST_TICKS = 60
 HOVER_PARAMETERS = ("MOT_THST_HOVER", "MPC_THR_HOVER")
 USUAL_HOVER = 0.35
 
-SURE, CREDIBLE = 0.9, 0.03  # probabilities: a cause that is named alone; one that is named at all
 FITS = 1.7  # standard deviations, root mean square: beyond, even the best explanation does not explain the motion
 TURNED = 1.4  # the same, of torques: the rotors turned the vehicle as commanded
 STRAYS, STRAYS_THRUST = 3.0, 1.5  # standard deviations of torque and of thrust: the motion leaves the commands
 JOINS_S = 0.5  # a departure that began earlier in the residuals is the same
 KNOCK_S = 0.3
-TOUCHED_S = 1.0  # from a blow in flight to the loss of control that follows from it
-SAME_S = 1.5  # a loss announced in flight so near to the onset is the one that is judged here
 DISARMED_S = 1.0
 SAG = 0.85  # share of the usual voltage below which the power fails
 BATTERY_S = 60.0  # of flight before, from which it is learned how the voltage follows the current
@@ -68,6 +66,11 @@ class Judged:
     evidence: tuple[str, ...]
     commanded: tuple[float | None, ...] = ()
 
+    @property
+    def fell(self) -> bool:
+        """Whether it went on until the vehicle hit the ground."""
+        return self.left.impact is not None and self.left.impact - self.onset > HIT_S
+
 
 def judged(flight: Flight, vehicle: Vehicle, air) -> tuple[Judged, ...]:
     """Every loss of control of a flight with its cause. air: intervals ((start, end), ...) s in the air."""
@@ -82,17 +85,6 @@ def _commanded(flight: Flight, onset: float) -> tuple[float | None, ...]:
     motors = flight["motors"].between(-np.inf, onset)
     known = [motors.time[column] for column in motors.valid.T]
     return tuple(None if not t.size else np.inf if t[-1] == motors.time[-1] else float(t[-1]) for t in known)
-
-
-def events(found: Sequence[Judged], known: Sequence[Event], n: int) -> tuple[Event, ...]:
-    """The events `known` of a flight of n rotors with those of its losses of control.
-
-    What was announced after control had been lost, by a method that believes in hover, gives way.
-    """
-    out = list(known)
-    for one in found:
-        out = _merged(out, one, n)
-    return tuple(sorted(out, key=lambda e: e.detected_s))
 
 
 def judge(flight: Flight, vehicle: Vehicle, air, left: LossOfControl) -> Judged:
@@ -243,192 +235,6 @@ def _strays(window: Window, residual: np.ndarray, onset: float) -> float:
             break
         first = float(window.time[k])
     return first
-
-
-def _weak(events_, left: LossOfControl) -> Event | None:
-    """The largest loss that had been known for long when control was lost."""
-    before = [
-        e
-        for e in events_
-        if e.kind == LOSS and not e.alternatives and e.onset_s < left.onset - SAME_S
-        and (e.end_s is None or e.end_s > left.onset)
-    ]  # fmt: skip
-    return max(before, key=lambda e: max(e.loss), default=None)
-
-
-def _announced_near(events_, left: LossOfControl) -> Event | None:
-    """The loss that was announced in flight as control was lost."""
-    near = [e for e in events_ if e.kind == LOSS and abs(e.onset_s - left.onset) < SAME_S and e.detected_s <= left.lost]
-    return near[0] if near else None
-
-
-def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
-    """The events with that of the loss of control and of the rotors it accuses, less those that it explains."""
-    left, window = judged.left, judged.window
-    weak = _weak(events_, left)
-    if weak is not None and judged.cause in ("rotor", "saturated", "unknown", "controller"):
-        judged = replace(
-            judged, cause="rotor", found=(), evidence=(f"{_who(weak.rotors)} had been weak since {weak.onset_s:.1f} s",)
-        )
-        return [*events_, _control_lost(judged, n, weak.rotors, (), left.lost)]
-    touched = any(e.kind == CONTACT and 0.0 <= judged.onset - e.onset_s < TOUCHED_S for e in events_)
-    if judged.cause == "unknown" and touched:
-        judged = replace(judged, cause="knock", evidence=("something had struck the vehicle just before",))
-    announced = _announced_near(events_, left)
-    cleared = judged.found and judged.found[0].kind == "healthy" and judged.probability[0] > SURE
-    if announced is not None and judged.cause in ("controller", "saturated", "unknown") and not cleared:
-        judged = replace(judged, cause="rotor", found=(), evidence=(announced.reason,))
-        return [*events_, _control_lost(judged, n, announced.rotors, announced.alternatives, left.lost)]
-    decided = left.lost if window is None else float(window.time[-1])
-    rotors = [(e, float(p)) for e, p in zip(judged.found, judged.probability) if e.kind == "rotor" and p >= CREDIBLE]
-    whole = [p for e, p in zip(judged.found, judged.probability) if e.kind == "common" and p >= CREDIBLE]
-    others = tuple((e.rotors[0] + 1,) for e, _ in rotors[1:]) + ((tuple(range(1, n + 1)),) if whole else ())
-    rotor_probability = sum(p for _, p in rotors)
-    accused = (judged.cause == "rotor" and bool(rotors)) or (
-        judged.cause == "unknown" and rotor_probability > 1.0 - SURE
-    )
-    rotor = (rotors[0][0].rotors[0] + 1,) if accused else ()
-    # What was announced before the vehicle began to leave stands, unless what came then shows another rotor.
-    stands = -np.inf if accused or judged.cause == ORDER else left.onset
-    result, same = [], None
-    for e in events_:
-        late = e.onset_s > left.onset - SAME_S and e.kind in (LOSS, OVERRIDE) and bool(judged.found)
-        if late and e.kind == LOSS and e.rotors == rotor and same is None:
-            same = e
-        elif not late or e.detected_s < stands or (e.kind == OVERRIDE and e.onset_s <= left.lost):
-            result.append(e)
-    held = [e for e in result if e.kind == OVERRIDE and left.onset - SAME_S < e.onset_s <= left.lost]
-    if held and judged.cause not in ("rotor", ORDER):  # what the mixer did not ask for is the cause
-        judged = replace(judged, cause="rotor", evidence=(held[0].reason,))
-        return [*result, _control_lost(replace(judged, found=()), n, held[0].rotors, (), decided)]
-    if accused:
-        best, p = rotors[0]
-        sure = p > SURE and judged.cause == "rotor" and best.low > 0.0  # a fault has a loss above nothing
-        others = () if sure else others or (tuple(range(1, n + 1)),)
-        if same is None or others != same.alternatives:
-            result.append(_loss(best, p, others, n, decided, judged))
-        else:  # announced already, from a few ticks of a vehicle that leaves hover: where the fall shows more for certain, that counts
-            sizes = {"loss": (best.size,), "interval": ((best.low, best.high),)}
-            result.append(replace(same, **sizes) if best.low > same.interval[0][1] else same)
-        result.append(_control_lost(judged, n, rotor, others, decided))
-    elif judged.cause == ORDER:
-        others = tuple(
-            tuple(r + 1 for r in e.rotors)
-            for e, p in zip(judged.found[1:], judged.probability[1:])
-            if e.kind == "order" and p >= CREDIBLE and judged.probability[0] < SURE
-        )
-        result.append(_order(judged.found[0], float(judged.probability[0]), others, decided))
-        result.append(_control_lost(judged, n, tuple(r + 1 for r in judged.found[0].rotors), others, decided))
-    else:
-        result.append(
-            _control_lost(
-                judged,
-                n,
-                (),
-                tuple((e.rotors[0] + 1,) for e, _ in rotors) if judged.cause == "unknown" else (),
-                decided,
-            )
-        )
-    return result
-
-
-def _who(rotors: Sequence[int]) -> str:
-    return ("rotor " if len(rotors) == 1 else "rotors ") + " and ".join(map(str, rotors))
-
-
-def _loss(best: Explanation, p: float, others, n: int, decided: float, judged: Judged) -> Event:
-    rotor = best.rotors[0] + 1
-    onset = min(best.onset, judged.left.onset)
-    how = f"as without {'the' if best.size > 0.5 else 'part of the'} thrust of rotor {rotor}"
-    if best.gives:
-        how = f"as if rotor {rotor} gave {best.gives:.1f} times the thrust of hover, whatever it was commanded"
-    reason = f"from {onset:.1f} s on the vehicle turned {how}"
-    if others:
-        who = ", ".join("all rotors alike" if len(o) == n else "+".join(map(str, o)) for o in others)
-        reason += f", but {who} may have failed instead"
-    reason += "; found afterwards, by the motion up to the impact" if judged.left.impact else "; found afterwards"
-    return Event(
-        LOSS, (rotor,), onset, decided, None, (best.size,), ((best.low, best.high),), p, others, reason,
-        {"live": False, "loss_2s": [best.size], **({"gives": round(best.gives, 2)} if best.gives else {})},
-    )  # fmt: skip
-
-
-def _order(best: Explanation, p: float, others, decided: float) -> Event:
-    if best.kind == "yaw":
-        reason = "the vehicle yawed against its commands from the first movement on: propellers or motors turn the wrong way round"
-        return Event(
-            ORDER,
-            (),
-            best.onset,
-            decided,
-            None,
-            (),
-            (),
-            p,
-            others,
-            reason,
-            {"live": False, "yaw_reversed": True},
-        )
-    i, j = (r + 1 for r in best.rotors)
-    reason = f"from the first movement on the vehicle turned as if the outputs of motors {i} and {j} went to each other's motor"
-    if others:
-        reason += ", but " + ", ".join("+".join(map(str, o)) for o in others) + " may be swapped instead"
-    return Event(ORDER, (i, j), best.onset, decided, None, (), (), p, others, reason, {"live": False})
-
-
-CAUSES = {
-    "rotor": "a rotor lost its thrust",
-    ORDER: "motors are connected in the wrong order",
-    "disarmed": "the motors were stopped in the air",
-    "knock": "something struck the vehicle",
-    "controller": "the vehicle did what was commanded, and the commands were wrong",
-    "saturated": "the rotors had no more to give",
-    "power": "the power failed",
-    "unknown": "why is not known",
-}
-
-
-def _control_lost(judged: Judged, n: int, named, others, decided: float) -> Event:
-    left = judged.left
-    fell = left.impact is not None and left.impact - judged.onset > HIT_S
-    end = left.impact if fell else left.end
-    worked = _worked(judged, n, named, others, decided)
-    reason = f"the vehicle left control at {judged.onset:.1f} s, {left.what}: {CAUSES[judged.cause]}"
-    reason += "".join(f"; {disarmed}" for disarmed in judged.evidence)
-    if fell:
-        reason += f"; it hit the ground at {left.impact:.1f} s"
-    p = (
-        float(sum(judged.probability[k] for k, e in enumerate(judged.found) if e.kind == "rotor"))
-        if judged.cause == "rotor" and judged.found
-        else 1.0
-    )
-    return Event(
-        LOST, tuple(named), judged.onset, left.lost, end, (), (), p, others, reason,
-        {
-            "cause": judged.cause, "live": True, "worked_until_s": worked, "impact_s": left.impact if fell else None,
-            "evidence": list(judged.evidence), "how": left.what,
-        },
-    )  # fmt: skip
-
-
-def _worked(judged: Judged, n: int, named, others, decided: float) -> list[float | None]:
-    """Until when each rotor was seen to work [s]; None where that is not known."""
-    until, known = _until(judged, n, named, others, decided), judged.commanded or (np.inf,) * n
-    return [None if a is None or b is None else min(a, b) for a, b in zip(until, known)]
-
-
-def _until(judged: Judged, n: int, named, others, decided: float) -> list[float | None]:
-    """The same, of rotors whose commands are known."""
-    suspects = {r for who in others for r in who}
-    if not judged.found:
-        return [None if r in named or r in suspects else judged.onset for r in range(1, n + 1)]
-    if judged.cause == ORDER:
-        return [None if r in named else decided for r in range(1, n + 1)]
-    if judged.left.impact is not None and judged.left.impact > judged.onset:
-        decided = min(decided, judged.left.impact)
-    until = decided if judged.cause in ("rotor", "controller", "saturated") else judged.onset
-    start = judged.found[0].onset if judged.found[0].kind == "rotor" else judged.onset
-    return [start if r in named else judged.onset if r in suspects else until for r in range(1, n + 1)]
 
 
 def until_impact(flight: Flight, air, found: Sequence[Judged]) -> tuple[tuple[float, float], ...]:

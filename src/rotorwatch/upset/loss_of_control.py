@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rotorwatch.base.physics import G0
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.motion.airborne import commands, output_range
 
@@ -44,7 +45,6 @@ CRASHES_M_S, STOPS_M_S = (
     1.0,
 )  # down before a blow, any way after it: no landing, whatever the attitude was believed to be
 FAST_M_S, STAYS_M_S = 2.0, 0.3  # down before a blow, any way after it: a vehicle that fell to the ground
-G0 = 9.80665
 
 
 @dataclass(frozen=True)

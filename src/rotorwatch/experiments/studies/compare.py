@@ -21,14 +21,15 @@ import numpy as np
 
 from rotorwatch.base import discovery
 from rotorwatch.compiling.run import chosen, run
-from rotorwatch.default import events, program
+from rotorwatch.default import program
+from rotorwatch.diagnose import Estimated, estimated, judge
 from rotorwatch.errors import ConfigError
-from rotorwatch.experiments import tools
+from rotorwatch.experiments import counting, tools
 from rotorwatch.experiments.studies.compare_flights import Scene
 from rotorwatch.motion.ticks import JUDGE
-from rotorwatch.published import published
+from rotorwatch.published import decide, published
 
-SETTLED_S, EARLY_S = 2.0, 0.3  # an event this long before the onset is still the fault's: ticks are windows
+SETTLED_S = 2.0
 STEPS = 4096
 COLUMNS = ("flights", "faults", "loss_rmse", "delay_s", "right", "named", "false_alarms_h", "coverage")
 
@@ -66,31 +67,29 @@ def _trial(name: str, scene: Scene) -> dict:
     """What became of one flight."""
     table = scene.ticks
     if name == "default":
-        _, out = program.estimate(table, scene.B)
+        done = estimated(scene.ready)
     else:
         out = published.judge(name, table, scene.B, hops=scene.hops)
-    found = events.read(out, table, scene.B)
+        done = Estimated(table, out, 0.5 * decide.SIGMAS**2, None, False)
+    raised, out = counting.alarms(judge(scene.ready, done).end.events), done.out
     judged = table.mode == JUDGE
-    trial: dict[str, Any] = {"judged_s": float(judged.sum() * table.dt), "fault": bool(scene.faults)}
+    rotors = tuple(sorted(r for r, _, _ in scene.faults))
+    onset = min((t for _, t, _ in scene.faults), default=np.inf)
+    counted = counting.count(raised, rotors, onset)
+    trial: dict[str, Any] = {
+        "judged_s": float(judged.sum() * table.dt), "fault": bool(scene.faults),
+        "false_alarms": len(counted.false) + len(counted.wrong),
+    }  # fmt: skip
     if not scene.faults:
-        return trial | {"false_alarms": len(found)}
-    rotors, onset = tuple(sorted(r for r, _, _ in scene.faults)), min(t for _, t, _ in scene.faults)
-    after = [e for e in found if e.detected_s >= onset - EARLY_S]
-    ours = [e for e in after if any(set(s) & set(rotors) for s in (e.rotors, *e.alternatives))]
+        return trial
     late = judged & (table.time > onset + SETTLED_S) & ~table.upset
     error = np.concatenate([out.theta[late, r - 1] - loss for r, _, loss in scene.faults])
-    trial |= {"false_alarms": len(found) - len(ours), "square": float(np.mean(error**2)) if error.size else None}
-    if ours:
-        first = ours[0]
-        exact = tuple(sorted(first.rotors)) == rotors
-        trial |= {
-            "delay_s": max(first.detected_s - onset, 0.0),
-            "right": exact and not first.alternatives and first is after[0],
-            "named": exact or any(tuple(sorted(a)) == rotors for a in first.alternatives),
-        }
-        if exact:
-            loss = {r: v for r, _, v in scene.faults}
-            trial["covered"] = all(lo <= loss[r] <= hi for r, (lo, hi) in zip(first.rotors, first.interval))
+    trial["square"] = float(np.mean(error**2)) if error.size else None
+    if counted.found:
+        (_, (own, *_), event), loss = counted.own[0], {r: v for r, _, v in scene.faults}
+        trial |= {"delay_s": counted.delay_s, "right": counted.right, "named": counted.named}
+        if own == rotors and event is not None and event.loss:
+            trial["covered"] = all(lo <= loss[r] <= hi for r, (lo, hi) in zip(event.rotors, event.interval))
     return trial
 
 

@@ -12,21 +12,23 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
 from rotorwatch import airframes, logs
 from rotorwatch.aerobatic import judge as aerobatic
+from rotorwatch.base.physics import G0
+from rotorwatch.diagnose import Prepared, prepare
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments.inject import inject
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion import allocation
 from rotorwatch.motion.airborne import airborne
-from rotorwatch.motion.ticks import READY_S, Ticks, observe
+from rotorwatch.motion.ticks import READY_S, Ticks
 from rotorwatch.published import log_plant
 
-G0 = 9.80665
 STEP, SECONDS, LANDED_S = 0.005, 45.0, 1.0
 AIRFRAMES = ("ardupilot-quad-x", "ardupilot-hexa-x", "ardupilot-octa-plus")
 HOVER = 0.35  # share of full thrust
@@ -39,13 +41,23 @@ TURN_SD, TURN_S = 0.12, 2.5  # rad: how the pilot tilts
 
 @dataclass(frozen=True)
 class Scene:
-    """One flight to judge. group: which line of the table. faults: (rotor, onset s, loss), 1-based; none when it is healthy."""
+    """One flight to judge. group: which line of the table. ready: as `diagnose` has it before an estimator sees it. faults: (rotor,
+    onset s, loss), 1-based; none when it is healthy."""
 
     group: str
     name: str
-    ticks: Ticks
-    B: np.ndarray
+    ready: Prepared
     faults: tuple[tuple[int, float, float], ...]
+
+    @property
+    def ticks(self) -> Ticks:
+        """Its ticks."""
+        return cast(Ticks, self.ready.table)
+
+    @property
+    def B(self) -> np.ndarray:
+        """The vehicle's effectiveness."""
+        return self.ready.vehicle.effectiveness()
 
     @functools.cached_property
     def hops(self) -> tuple[log_plant.LogPlant, ...]:
@@ -131,13 +143,12 @@ def _flight(vehicle: Vehicle, command, gyro, f_z, angle) -> Flight:
         "accel": Signal(time[::2], accel[::2], ("x", "y", "z"), "m/s^2", "body"),
         "attitude": Signal(time[::4], quaternion[::4], ("w", "x", "y", "z"), "1", "body to NED"),
     }
-    return Flight("simulated", "", signals, float(time[-1]), name=f"simulated {vehicle.name}", facts={"airborne": True})
+    return Flight("simulated", "", signals, float(time[-1]), name=f"simulated {vehicle.name}")
 
 
 def _scene(group: str, flight: Flight, vehicle: Vehicle, faults) -> Scene | None:
-    air = ((LANDED_S, flight.duration),) if flight.facts.get("airborne") else airborne(flight)
-    table = observe(flight, vehicle, air, READY_S)
-    return None if table is None else Scene(group, flight.name, table, vehicle.effectiveness(), tuple(faults))
+    ready = prepare(flight, vehicle)
+    return None if ready.table is None else Scene(group, flight.name, ready, tuple(faults))
 
 
 def injected(paths: Sequence[str | PathLike], losses: Sequence[float] = (0.2, 0.4), seed: int = 0) -> list[Scene]:

@@ -29,11 +29,12 @@ import numpy as np
 from rotorwatch import airframes, logs, many
 from rotorwatch.aerobatic import judge as aerobatic
 from rotorwatch.compiling.run import CHUNK
-from rotorwatch.default import hypotheses, program
+from rotorwatch.default import events, hypotheses, program
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import tools
-from rotorwatch.experiments.inject import losses, ready_s
+from rotorwatch.experiments.inject import ready_s
 from rotorwatch.flight import Flight
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion import allocation, ticks
 from rotorwatch.motion.airborne import airborne
@@ -112,6 +113,13 @@ def source(flight: Flight, vehicle: Vehicle) -> Source:
     missing = float(1.0 - known.mean())
     fast = fast / activity[:, None]
     return Source(flight.name, vehicle, table, slow, fast, activity, level, slope, gains, missing, part)
+
+
+def losses(table: Ticks, vehicle: Vehicle) -> tuple[tuple[Event, ...], program.TickOutput]:
+    """Losses that the default estimator announces at these ticks, and its outputs."""
+    B = vehicle.effectiveness()
+    _, out = program.estimate(table, B, (vehicle.identified or {}).get("dynamics"))
+    return events.read(out, table, B), out
 
 
 def _regressors(rate, rate_dot, load, side, n: int) -> np.ndarray:

@@ -16,6 +16,7 @@ import numpy as np
 import rotorwatch.healthy.tune as tune
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.base.physics import G0
 from rotorwatch.compiling.run import run
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import tools
@@ -79,7 +80,7 @@ def lyapunov_mhe() -> Paper:
     plant = RateDynamics.of(airframes.paper("niermeyer-hexa"))
     B = np.vstack([plant.B_tau, plant.B_T])
     mix = np.linalg.pinv(B)
-    hover = mix @ np.array([0.0, 0.0, 0.0, plant.m * 9.80665])
+    hover = mix @ np.array([0.0, 0.0, 0.0, plant.m * G0])
     feedback = mix[:, :3] @ np.diag(8.0 * np.diag(plant.J))
     process_sd = 0.02 / np.diag(plant.J)
     return Paper(plant, 0.02, 1000, {}, hover, feedback, process_sd, np.array([0.01, 0.01, 0.01, 0.3]))

@@ -14,10 +14,10 @@ from collections import namedtuple
 import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.base.physics import G0
 from rotorwatch.experiments.studies.runge_kutta import rk4
 from rotorwatch.simulation.rotation import axes, rate, to_body, to_world
 
-G = 9.80665
 DT = 0.005
 ONSET_S = 6.0
 BELIEVED_AFTER_S = 0.6
@@ -87,7 +87,7 @@ def fly(airframe, loss, eight, seed_noise, disturbance):
     def motion(state, u, lam, torque):
         _, v, q, omega = state
         wrench = B @ (lam * u)
-        a = down * G - to_world(axes(q), down * wrench[3] / m)
+        a = down * G0 - to_world(axes(q), down * wrench[3] / m)
         spin_up = (wrench[:3] + torque - jnp.cross(omega, J * omega)) / J
         return v, a, rate(q, omega), spin_up
 
@@ -102,7 +102,7 @@ def fly(airframe, loss, eight, seed_noise, disturbance):
         kp, kv, ka, kr = BANDWIDTH
         error = p_ref - p
         want = a_ref + kv * (v_ref - v + kp * error) + 0.4 * integral
-        force = want - down * G
+        force = want - down * G0
         size = jnp.sqrt(force @ force)
         tilt = jnp.cross(down, to_body(R, -force / size))  # sine of the angle, about the axis to turn
         nose = to_world(R, np.array([1.0, 0.0, 0.0]))
@@ -128,7 +128,7 @@ def fly(airframe, loss, eight, seed_noise, disturbance):
         return (state, integral, u_next), Flight(t, u, y_k, state[3], state[0], lam)
 
     p, v, _ = reference(0.0, eight)
-    hover = jnp.full(x.shape, m * G / (T * x.size))
+    hover = jnp.full(x.shape, m * G0 / (T * x.size))
     # The nose on the point looked at: a turn about the vertical.
     half = 0.5 * jnp.arctan2(LOOKED_AT[1] - p[1], LOOKED_AT[0] - p[0])
     q = jnp.stack([jnp.cos(half), 0.0, 0.0, jnp.sin(half)])

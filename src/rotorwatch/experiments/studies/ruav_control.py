@@ -23,10 +23,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.base.physics import G0
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments.studies.ruav_flight import ATTITUDE, DT, hover
 from rotorwatch.maths import h_infinity
-from rotorwatch.maths.systems.helicopter import G
 
 N_XI, LEAK_S = 8, 3.0
 # z: attitude [per rad], its integral [per rad s], leaky yaw [per rad]; a full command of tail, longitudinal, lateral.
@@ -132,6 +132,6 @@ def position_loop(pos, heading, velocity, turning, integral):
     error = jnp.clip(-POSITION * body, -SPEED, SPEED) - velocity
     integral = integral + DT * error
     push = VELOCITY * error + VELOCITY_I * integral
-    roll = ATTITUDE[0] + jnp.clip((push[1] + turning * velocity[0]) / G, -TILT, TILT)
-    pitch = ATTITUDE[1] - jnp.clip((push[0] - turning * velocity[1]) / G, -TILT, TILT)
+    roll = ATTITUDE[0] + jnp.clip((push[1] + turning * velocity[0]) / G0, -TILT, TILT)
+    pitch = ATTITUDE[1] - jnp.clip((push[0] - turning * velocity[1]) / G0, -TILT, TILT)
     return roll, pitch, jnp.clip(-HEADING * heading, -TURN, TURN), push[2], integral

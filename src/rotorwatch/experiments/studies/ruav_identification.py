@@ -23,7 +23,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.experiments.studies import reproduction, ruav_control, ruav_flight
+from rotorwatch.base.physics import G0
+from rotorwatch.experiments.studies import reproduction, ruav_flight
 from rotorwatch.experiments.studies.reproduction import Claim, graded
 from rotorwatch.experiments.studies.ruav_flight import ATTITUDE, DT, MEAN_SHARE, MEASUREMENT, PROCESS, in_ball
 
@@ -91,7 +92,7 @@ def response(A, B, d) -> np.ndarray:
 
 def _gravity() -> np.ndarray:
     """(6, 2): specific force by roll and pitch."""
-    (roll, pitch), g = ATTITUDE, ruav_control.G
+    (roll, pitch), g = ATTITUDE, G0
     table = np.zeros((6, 2))
     table[0, 1] = -g * np.cos(pitch)
     table[1] = g * np.cos(roll) * np.cos(pitch), -g * np.sin(roll) * np.sin(pitch)

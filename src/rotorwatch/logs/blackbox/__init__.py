@@ -108,7 +108,7 @@ def _flight(session: decoder.Session, name: str, number: int, notes: list[str]) 
         "event": len(session.events),
     }
     facts = {"session": number, "log_messages": {key: value for key, value in counts.items() if value}}
-    made = flight.of(
+    made = flight.assembled(
         columns, FORMAT, name, facts=facts, signals=_gps(session, first, notes), messages=_messages(session, first),
         start_us=int(first),
     )  # fmt: skip
@@ -144,7 +144,7 @@ def _gps(session: decoder.Session, first: int, notes: list[str]) -> dict[str, Si
     found: dict[str, Signal | None] = {}
     if all(n in table.columns for n in VELOCITY):
         values = np.stack([table.columns[n].astype(float) for n in VELOCITY], axis=1) / 100.0
-        found["velocity"] = series.make("velocity", time, values, "GPS_velned", notes)
+        found["velocity"] = series.signal("velocity", time, values, "GPS_velned", notes)
     if all(n in table.columns for n in PLACE):
         degrees = np.stack([table.columns[n] * 1e-7 for n in PLACE], axis=1)
         unknown = np.full(len(table), np.nan)
@@ -158,7 +158,7 @@ def _gps(session: decoder.Session, first: int, notes: list[str]) -> dict[str, Si
 def _messages(session: decoder.Session, first: int) -> tuple[Message, ...]:
     """Events, and changes of the failsafe's phase, in order of time."""
     found: list[Message] = []
-    named = modes.of(session, first)
+    named = modes.messages(session, first)
     before, kinds, stamps = session.events[:, 0], session.events[:, 1], session.events[:, 2]
     times = (session.clock(stamps, before) - first) * 1e-6 if len(session.events) else np.zeros(0)
     for time, kind, (a, b) in zip(times.tolist(), kinds.tolist(), session.events[:, 3:].tolist()):

@@ -10,6 +10,7 @@ import re
 
 import numpy as np
 
+from rotorwatch.base.physics import G0
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight
 from rotorwatch.logs import memory, series
@@ -20,7 +21,7 @@ FORMAT = "Blackbox CSV"
 
 TIMES = {"us": 1e-6, "ms": 1e-3, "s": 1.0}
 TURNS = {"raw": 1.0, "deg/s": 1.0, "rad/s": float(np.degrees(1.0))}
-FORCES = {"g": 1.0, "m/s/s": 1.0 / series.G, "m/s2": 1.0 / series.G}
+FORCES = {"g": 1.0, "m/s/s": 1.0 / G0, "m/s2": 1.0 / G0}
 VOLTS, AMPERES = {"V": 100.0, "mV": 0.1}, {"A": 100.0, "mA": 0.1}
 
 
@@ -63,5 +64,5 @@ def read(data, name: str, progress=None) -> Flight:
             table[column] = table[column] * factor
     notes.append("This is a table of blackbox_decode, without the log's header: give the log itself, which says more.")
     columns = flight.Columns(table, time - start, Header(0, settings), notes)
-    made = flight.of(columns, FORMAT, name, start_us=round(start * 1e6))
+    made = flight.assembled(columns, FORMAT, name, start_us=round(start * 1e6))
     return Flight(**{**vars(made), "parameters": {}, "autopilot": "Betaflight", "warnings": tuple(notes)})

@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+from rotorwatch.base.physics import G0
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.logs import esc_columns, series, wall_clock
 from rotorwatch.logs.blackbox.header import Header
@@ -69,7 +70,7 @@ class Columns:
         return tuple(found)
 
     def make(self, kind: str, values: np.ndarray | None, source: str, valid=None) -> Signal | None:
-        return None if values is None else series.make(kind, self.time, values, source, self.notes, valid)
+        return None if values is None else series.signal(kind, self.time, values, source, self.notes, valid)
 
 
 def used(name: str) -> bool:
@@ -202,7 +203,7 @@ def _accel(columns: Columns) -> Signal | None:
     if unit <= 0:
         columns.notes.append("The header does not say what 1 g is: the accelerometer is left out.")
         return None
-    return columns.make("accel", raw / unit * series.G * FLIP, "accSmooth")
+    return columns.make("accel", raw / unit * G0 * FLIP, "accSmooth")
 
 
 def _attitude(columns: Columns) -> Signal | None:
@@ -229,7 +230,7 @@ def _baro(columns: Columns) -> Signal | None:
     if raw is None or not np.any(raw):
         return None
     often = slice(None, None, max(1, len(raw) // int(1.0 + BARO_HZ * np.ptp(columns.time))))
-    return series.make("baro", columns.time[often], raw[often] / 100.0, name, [])
+    return series.signal("baro", columns.time[often], raw[often] / 100.0, name, [])
 
 
 def _throttle(columns: Columns) -> Signal | None:
@@ -305,7 +306,7 @@ def utc_start(header: Header) -> str | None:
     return wall_clock.stamp(unix) if wall_clock.EARLIEST < unix < wall_clock.LATEST else None
 
 
-def of(columns: Columns, form: str, name: str, **more: Any) -> Flight:
+def assembled(columns: Columns, form: str, name: str, **more: Any) -> Flight:
     """The Flight of main frames; more: what else it says."""
     header = columns.header
     found, facts = signals(columns)

@@ -20,7 +20,7 @@ INAV = (
 """(bit, name), the one that decides what it flies first."""
 
 
-def of(session: decoder.Session, first: int) -> list[Message]:
+def messages(session: decoder.Session, first: int) -> list[Message]:
     """A message for each mode that was entered, times from `first` us on; none where the firmware's flags are not known."""
     firmware = flight.autopilot(session.header)
     if firmware == "INAV":

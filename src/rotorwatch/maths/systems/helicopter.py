@@ -22,9 +22,9 @@ import numpy as np
 
 from rotorwatch.base import checks
 from rotorwatch.base.backend import jax, jnp
+from rotorwatch.base.physics import G0
 from rotorwatch.errors import ConfigError
 
-G = 9.80665
 PARTS = "mass inertia air_density hub_stiffness drag damping main_arm tail_arm low high trim".split()
 ROTOR = ("radius", "inner_radius", "speed", "blades", "chord", "lift_slope", "drag_coefficient")
 
@@ -110,7 +110,7 @@ class Helicopter:
         sa, ca, sb, cb = jnp.sin(a1), jnp.cos(a1), jnp.sin(b1), jnp.cos(b1)
         X, Y, Z = -T_M * sa, T_M * sb, -T_M * ca * cb
         roll, pitch = u[4], u[5]
-        weight = self.m * G
+        weight = self.m * G0
         force = jnp.stack(
             [
                 X - weight * jnp.sin(pitch),

@@ -16,9 +16,8 @@ import numpy as np
 
 from rotorwatch.base import checks
 from rotorwatch.base.backend import jnp
+from rotorwatch.base.physics import G0
 from rotorwatch.maths.plant import Rotors
-
-G = 9.80665
 
 
 class LinearHover(Rotors):
@@ -32,7 +31,7 @@ class LinearHover(Rotors):
     P0 = np.eye(8)
 
     def __init__(
-        self, B, *, gravity=G, measured_sd=(2e-3,) * 3 + (0.02,) + (0.01,) * 3 + (0.05,), walk=(0.05,) * 4, u_unit="1"
+        self, B, *, gravity=G0, measured_sd=(2e-3,) * 3 + (0.02,) + (0.01,) * 3 + (0.05,), walk=(0.05,) * 4, u_unit="1"
     ):
         """B (4, n): d(p, q, r, v_down)/dt per unit of u [rad/s^2, m/s^2; thrust lifts, so its row is negative].
 
@@ -60,7 +59,7 @@ class LinearHover(Rotors):
         usual = {"attitude_sd": 2e-3, "height_sd": 0.02, "rate_sd": 0.01, "climb_sd": 0.05}
         measured_sd = np.repeat([airframe.get(k, d) for k, d in usual.items()], (3, 1, 3, 1))
         unit = "counts" if "counts_max" in airframe else "1"
-        return cls(D[:, None] * M, gravity=float(airframe.get("gravity", G)), measured_sd=measured_sd, u_unit=unit)
+        return cls(D[:, None] * M, gravity=float(airframe.get("gravity", G0)), measured_sd=measured_sd, u_unit=unit)
 
     @property
     def hover(self):

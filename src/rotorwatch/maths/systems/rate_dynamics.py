@@ -19,8 +19,6 @@ from rotorwatch.base.backend import jnp
 from rotorwatch.maths import small
 from rotorwatch.maths.plant import Rotors
 
-G = 9.80665
-
 
 class RateDynamics(Rotors):
     """x = omega (3,), u (n,) thrust commands, theta (n,) losses, y = (omega, f_z) (4,)."""

@@ -15,11 +15,11 @@ import numpy as np
 
 from rotorwatch.base import checks
 from rotorwatch.base.backend import jnp
+from rotorwatch.base.physics import G0
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import small
 from rotorwatch.maths.plant import Rotors
 
-G = 9.80665
 POSE = ("north", "east", "down", "roll", "pitch", "yaw")
 
 
@@ -38,7 +38,7 @@ class RigidBody(Rotors):
         B_T,
         m,
         *,
-        gravity=G,
+        gravity=G0,
         measured=POSE,
         measured_sd=3e-4,
         walk=(1e-3,) * 6 + (1e-6,) * 6,

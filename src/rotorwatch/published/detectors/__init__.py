@@ -31,12 +31,14 @@ def modules() -> tuple[Any, ...]:
     return tuple(sorted(found, key=lambda module: module.name))
 
 
-def of(autopilot: str) -> tuple[Any, ...]:
+def for_autopilot(autopilot: str) -> tuple[Any, ...]:
     """The checks that this autopilot itself makes; none for one that no module is of."""
     return tuple(module for module in modules() if module.autopilot.lower() == autopilot.lower())
 
 
 def detect(flight: Flight, vehicle: Vehicle, airborne: tuple[tuple[float, float], ...]) -> tuple[dict[str, Any], ...]:
     """What the checks of the flight's own autopilot find, in time order. airborne: ((start, end), ...) in s."""
-    found = [finding for module in of(flight.autopilot) for finding in module.detect(flight, vehicle, airborne)]
+    found = [
+        finding for module in for_autopilot(flight.autopilot) for finding in module.detect(flight, vehicle, airborne)
+    ]
     return tuple(sorted(found, key=lambda finding: (finding["time_s"], finding["detector"])))

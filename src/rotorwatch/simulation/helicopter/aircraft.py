@@ -13,13 +13,14 @@ import numpy as np
 
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.base.physics import G0
 from rotorwatch.simulation import faults, prepare, rotation, trajectories
 from rotorwatch.simulation.control import Loops
 from rotorwatch.simulation.faults import Faults
 from rotorwatch.simulation.helicopter import control, dynamics
 from rotorwatch.simulation.helicopter.control import Pilot
 from rotorwatch.simulation.loop import Moment, State
-from rotorwatch.simulation.rigid import G0, Air, Body
+from rotorwatch.simulation.rigid import Air, Body
 from rotorwatch.simulation.scenario import Scenario
 from rotorwatch.simulation.sensors import Sensors
 from rotorwatch.simulation.trajectories import Reference, Trajectory

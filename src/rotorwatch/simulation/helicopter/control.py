@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.base.physics import G0
 from rotorwatch.simulation import control, rotation
 from rotorwatch.simulation.control import Autopilot, Loops, Target
 from rotorwatch.simulation.helicopter import dynamics
-from rotorwatch.simulation.rigid import G0
 
 Array = Any
 FASTEST = 8.0  # rad/s of a rate loop: blades that flap follow no faster, though the plant neglects that

@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.base.physics import G0
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths.systems.helicopter import Helicopter
 from rotorwatch.simulation import rotation
-from rotorwatch.simulation.rigid import G0, Air, Body, runge_kutta
+from rotorwatch.simulation.rigid import Air, Body, runge_kutta
 
 Array = Any
 SOUND = np.zeros(8)  # theta of the plant: faults are in U already

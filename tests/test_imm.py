@@ -1,4 +1,4 @@
-"""Interacting multiple models and multiple-model adaptive estimation, against a second implementation; and which mode wins."""
+"""Interacting multiple models, against a second implementation; and which mode wins."""
 
 import numpy as np
 import pytest
@@ -6,14 +6,11 @@ import pytest
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.estimators.imm import IMM
-from rotorwatch.estimators.mmae import MMAE
-from rotorwatch.maths import multiple_model
+from rotorwatch.estimators.imm import IMM, Bank, moments
 from rotorwatch.maths.systems.rate_dynamics import RateDynamics
 from test_laws import DT, LOSS, ONSET, Linear, flown, linear_table, rates_hexa, rates_quad
 
 jax = load_jax()
-BOTH = pytest.mark.parametrize("method", [IMM, MMAE], ids=lambda m: m.name)
 MODES = np.array([[0, 0], [1, 0], [0, 1], [1, 1]], float)  # of Linear: healthy, each loss, both alike
 
 
@@ -46,36 +43,32 @@ def mixture(weights, means, covariances):
     )
 
 
-def second(plant, table, walk, var, stay_s=None, floor=None):
-    """Both methods in loops: yields x, x_cov, theta, theta_cov and probabilities. stay_s (4,): mixes; floor: does not."""
-    mu = np.full(4, 0.25) if stay_s is None else np.eye(4)[0]
+def second(plant, table, walk, var, stay_s):
+    """In loops: yields x, x_cov, theta, theta_cov and probabilities. stay_s (4,)."""
+    mu = np.eye(4)[0]
     s = [np.append(plant.x0, 0.0) for _ in MODES]
     P = [np.block([[plant.P0, np.zeros((3, 1))], [np.zeros((1, 3)), var * d.any() * np.eye(1)]]) for d in MODES]
     for u, y, valid, dt in zip(*table, strict=True):
-        c = mu
-        if stay_s is not None:
-            p = np.zeros((4, 4))
+        p = np.zeros((4, 4))
+        for j in range(4):
+            p[j] = (1.0 - np.exp(-dt / stay_s[j])) / 3.0
+            p[j, j] = np.exp(-dt / stay_s[j])
+        c = p.T @ mu
+        mixed = []
+        for i in range(4):
+            means, covariances = [], []
             for j in range(4):
-                p[j] = (1.0 - np.exp(-dt / stay_s[j])) / 3.0
-                p[j, j] = np.exp(-dt / stay_s[j])
-            c = p.T @ mu
-            mixed = []
-            for i in range(4):
-                means, covariances = [], []
-                for j in range(4):
-                    m, V = s[j].copy(), P[j].copy()
-                    if i != j:
-                        m[3], V[3], V[:, 3] = 0.0, 0.0, 0.0
-                        V[3, 3] = var * MODES[i].any()
-                    means.append(m)
-                    covariances.append(V)
-                mixed.append(mixture(p[:, i] * mu / c[i], means, covariances))
-            s, P = (list(column) for column in zip(*mixed, strict=True))
+                m, V = s[j].copy(), P[j].copy()
+                if i != j:
+                    m[3], V[3], V[:, 3] = 0.0, 0.0, 0.0
+                    V[3, 3] = var * MODES[i].any()
+                means.append(m)
+                covariances.append(V)
+            mixed.append(mixture(p[:, i] * mu / c[i], means, covariances))
+        s, P = (list(column) for column in zip(*mixed, strict=True))
         found = [one_filter(plant, d, s[m], P[m], walk, u, y, valid, dt) for m, d in enumerate(MODES)]
         s, P, density = (list(column) for column in zip(*found, strict=True))
         mu = c * np.array(density) / (c @ np.array(density))
-        if floor is not None and valid.any():
-            mu = np.maximum(mu, floor) / np.maximum(mu, floor).sum()
         x, x_cov = mixture(mu, [v[:3] for v in s], [V[:3, :3] for V in P])
         theta, theta_cov = mixture(
             mu, [v[3] * d for v, d in zip(s, MODES)], [V[3, 3] * np.outer(d, d) for V, d in zip(P, MODES)]
@@ -83,34 +76,25 @@ def second(plant, table, walk, var, stay_s=None, floor=None):
         yield x, x_cov, theta, theta_cov, mu
 
 
-@BOTH
-def test_it_is_what_a_second_implementation_says(method):
+def test_it_is_what_a_second_implementation_says():
     """Gaps, steps of different length and feedthrough included."""
     plant, table = Linear(), linear_table(30)
-    if method is IMM:
-        estimator = IMM(plant, DT, theta_walk=0.02, theta_var=0.2, healthy_s=0.5, weak_s=2.0)
-        wanted = second(plant, table, 0.02, 0.2, stay_s=np.array([0.5, 2.0, 2.0, 2.0]))
-    else:
-        estimator = MMAE(plant, DT, theta_walk=0.02, theta_var=0.2, floor=0.05)
-        wanted = second(plant, table, 0.02, 0.2, floor=0.05)
-    got = run(estimator, *table)
+    got = run(IMM(plant, DT, theta_walk=0.02, theta_var=0.2, healthy_s=0.5, weak_s=2.0), *table)
+    wanted = second(plant, table, 0.02, 0.2, np.array([0.5, 2.0, 2.0, 2.0]))
     wanted = [np.array(column) for column in zip(*wanted, strict=True)]
     for a, b in zip((*got.estimate[:4], got.probability), wanted, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-11)
     assert wanted[4].max(axis=1).min() < 0.9  # the modes do compete in this flight
 
 
-@BOTH
 @pytest.mark.parametrize("make", [rates_quad, rates_hexa], ids=lambda m: m.__name__)
-def test_the_right_mode_wins_and_finds_the_loss(method, make):
+def test_the_right_mode_wins_and_finds_the_loss(make):
     u, y, valid, _ = flown(make, 0, LOSS)
-    out = run(method(make(), DT), u, y, valid)
+    out = run(IMM(make(), DT), u, y, valid)
     np.testing.assert_allclose(out.probability.sum(axis=1), 1.0, atol=1e-12)
     assert (out.probability >= 0).all()
-    # Healthy leads after a second, or two where weak by nothing is a mode of equal right; a second after the onset rotor 2 is
-    # weak (mode 2), and its loss is right.
-    early = slice(50 if method is IMM else 90, ONSET)
-    assert (out.probability[early].argmax(axis=1) == 0).all()
+    # Healthy leads after a second; a second after the onset rotor 2 is weak (mode 2), and its loss is right.
+    assert (out.probability[50:ONSET].argmax(axis=1) == 0).all()
     late = slice(ONSET + 50, None)
     assert (out.probability[late, 2] > 0.9).all()
     np.testing.assert_allclose(out.estimate.theta[late, 1], LOSS, atol=0.08)
@@ -143,13 +127,13 @@ def test_mixing_keeps_the_state_and_forgets_the_loss_of_who_was_not_there():
     modes = len(imm.directions)
     L = rng.normal(size=(modes, 4, 4))
     mu = rng.dirichlet(np.ones(modes))
-    bank = multiple_model.Bank(rng.normal(size=(modes, 4)), L @ np.swapaxes(L, 1, 2), mu)
+    bank = Bank(rng.normal(size=(modes, 4)), L @ np.swapaxes(L, 1, 2), mu)
     s, P, c = imm._mixed(bank, imm.transition(1.0))
-    before = multiple_model.moments(mu, bank.s[:, :3], bank.P[:, :3, :3])
-    after = multiple_model.moments(c, s[:, :3], P[:, :3, :3])
+    before = moments(mu, bank.s[:, :3], bank.P[:, :3, :3])
+    after = moments(c, s[:, :3], P[:, :3, :3])
     for a, b in zip(before, after, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-12)
-    certain = multiple_model.Bank(bank.s, bank.P, np.eye(modes)[0])
+    certain = Bank(bank.s, bank.P, np.eye(modes)[0])
     s, P, _ = imm._mixed(certain, imm.transition(1.0))
     np.testing.assert_allclose(s[1:, 3], 0.0, atol=1e-12)
     np.testing.assert_allclose(P[1:, 3, 3], imm.theta_var, rtol=1e-12)
@@ -164,22 +148,15 @@ def test_no_measurement_however_wrong_makes_probabilities_undefined():
     assert np.isfinite(out.probability).all() and np.isfinite(out.estimate.theta).all()
 
 
-def test_the_floor_holds():
-    u, y, valid, _ = flown(rates_quad, 0, LOSS)
-    out = run(MMAE(rates_quad(), DT, floor=0.01), u, y, valid)
-    assert out.probability.min() >= 0.01 / 1.06  # the floor, then divided by a sum of at most 1 + 6 floors
-
-
 @pytest.mark.parametrize(
-    ("method", "wrong", "says"),
+    ("wrong", "says"),
     [
-        (IMM, {"healthy_s": 0.0}, "healthy_s"),
-        (IMM, {"weak_s": -1.0}, "weak_s"),
-        (IMM, {"theta_var": [0.1, 0.1]}, "theta_var"),
-        (MMAE, {"floor": 0.5}, "floor"),
-        (MMAE, {"theta_walk": -1.0}, "theta_walk"),
+        ({"healthy_s": 0.0}, "healthy_s"),
+        ({"weak_s": -1.0}, "weak_s"),
+        ({"theta_walk": -1.0}, "theta_walk"),
+        ({"theta_var": [0.1, 0.1]}, "theta_var"),
     ],
 )
-def test_wrong_values_are_named(method, wrong, says):
+def test_wrong_values_are_named(wrong, says):
     with pytest.raises(ConfigError, match=says):
-        method(RateDynamics.of(airframes.paper("niermeyer-hexa")), DT, **wrong)
+        IMM(RateDynamics.of(airframes.paper("niermeyer-hexa")), DT, **wrong)

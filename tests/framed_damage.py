@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorwatch.errors import ConfigError
 from rotorwatch.logs import dataflash, mavlink_frames, mavlink_messages, tlog, ulog
 from rotorwatch.logs.dataflash_binary import BinaryLog
 
@@ -39,7 +38,7 @@ class Records:
 
 
 def records(data: bytes, name: str) -> Records:
-    """The records of a log. Raises ConfigError for a format whose framing is not known here."""
+    """The records of a log. Raises ValueError for a format whose framing is not known here."""
     head = data[:4096]
     if ulog.sniff(head, name):
         return _ulog(data)
@@ -47,7 +46,7 @@ def records(data: bytes, name: str) -> Records:
         return _dataflash(data)
     if tlog.sniff(head, "") or tlog.sniff(head, name):
         return _tlog(data)
-    raise ConfigError(f"{name}: damage inside the framing is made for .bin, .ulg and .tlog logs only.")
+    raise ValueError(f"{name}: damage inside the framing is made for .bin, .ulg and .tlog logs only.")
 
 
 def damaged(data: bytes, found: Records, kind: str, share: float, rng: np.random.Generator) -> bytes:
