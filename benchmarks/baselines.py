@@ -5,7 +5,7 @@
 Every combination of 2, 3 and 6 healthy flights of a real vehicle, or `--most` of them drawn with a fixed seed, is the baseline for every
 other flight of that vehicle. Flights whose damage `truth.csv` calls no larger than what healthy flights differ by are taken for healthy
 as well; "uncut" counts the combinations without them. Flights are read once, and set aside from a baseline as the program does it
-(healthy/baselines.py); `--check N` asks `diagnose` itself for N of the cases, and ends with 1 where it answers otherwise.
+(witnesses/healthy/baselines.py); `--check N` asks `diagnose` itself for N of the cases, and ends with 1 where it answers otherwise.
 
 right, wrong: one set of rotors named with certainty. part: some of several damaged rotors. among: `ambiguous`, the damaged rotors among
 those that it may be. not among: `ambiguous`, with other rotors or the centre of mass alone. not announced: healthy, or the baseline was
@@ -27,8 +27,8 @@ from rotorwatch import logs
 from rotorwatch.answer.conclusion import CREDIBLE
 from rotorwatch.diagnose import diagnose
 from rotorwatch.errors import VehicleError
-from rotorwatch.healthy import whole_flight
-from rotorwatch.healthy.baselines import Candidate, healthy
+from rotorwatch.witnesses.healthy import whole_flight
+from rotorwatch.witnesses.healthy.baselines import Candidate, healthy
 
 FLIGHTS = Path(__file__).resolve().parents[1] / "../shared/flights"
 GROUPS = ("ardupilot-real-rrc", "crazypad")

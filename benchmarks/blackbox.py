@@ -28,7 +28,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rotorwatch import logs
-from rotorwatch.compiling.running import Definition
+from rotorwatch.base.compiling.running import Definition
 from rotorwatch.errors import LogError
 from rotorwatch.logs.blackbox import decoder, encodings, frames, header, sizes
 

@@ -17,12 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorwatch import campaign
+from rotorwatch.lab import campaign
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.campaign import batch
-from rotorwatch.campaign.plan import Plan
-from rotorwatch.simulation import logbook, loop, prepare
-from rotorwatch.simulation.multirotor import MULTIROTOR
+from rotorwatch.lab.campaign import batch
+from rotorwatch.lab.campaign.plan import Plan
+from rotorwatch.lab.simulation import logbook, loop, prepare
+from rotorwatch.lab.simulation.multirotor import MULTIROTOR
 
 PHASES = {
     "flights simulated, logged, turned into ticks": "fly",

@@ -15,10 +15,10 @@ import numpy as np
 from rotorwatch import airframes
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.compiling import native
-from rotorwatch.compiling.run import run
-from rotorwatch.estimators import mhe
-from rotorwatch.maths.systems.rigid_body import RigidBody
+from rotorwatch.base.compiling import native
+from rotorwatch.base.compiling.run import run
+from rotorwatch.methods.estimators import mhe
+from rotorwatch.methods.maths.systems.rigid_body import RigidBody
 
 DT = 0.01
 METHODS = ("ukf", "ekf", "tsukf", "mhe")

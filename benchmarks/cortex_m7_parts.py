@@ -16,9 +16,9 @@ from pathlib import Path
 
 import rotorwatch
 from rotorwatch import airframes
-from rotorwatch.compiling.translate import Translation
+from rotorwatch.base.compiling.translate import Translation
 from rotorwatch.export import export_diagnoser
-from rotorwatch.front import definition, sizes
+from rotorwatch.engine.front import definition, sizes
 
 HERE = Path(__file__).resolve().parent
 CORE = HERE.parent / "embedded" / "cortex-m7"

@@ -30,7 +30,8 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import diagnose_many, many
+from rotorwatch import diagnose_many
+from rotorwatch.base import many
 from rotorwatch.commands.cli import SAMPLES
 
 SAMPLE = SAMPLES / "quadx_healthy_hover.bin.xz"

@@ -1,4 +1,4 @@
-"""How much the drag of unequal rotors yaws a vehicle in wind (default/plant.py, `DRAG`), from flights without a loss.
+"""How much the drag of unequal rotors yaws a vehicle in wind (engine/default/plant.py, `DRAG`), from flights without a loss.
 
     python benchmarks/rotor_drag.py LOG...
 
@@ -16,10 +16,10 @@ import numpy as np
 
 from rotorwatch import airframes, logs
 from rotorwatch.base.backend import jax
-from rotorwatch.default import plant, program
+from rotorwatch.engine.default import plant, program
 from rotorwatch.errors import RotorwatchError
-from rotorwatch.motion.airborne import airborne
-from rotorwatch.motion.ticks import GROUND, READY_S, observe
+from rotorwatch.engine.motion.airborne import airborne
+from rotorwatch.engine.motion.ticks import GROUND, READY_S, observe
 
 MEAN_S, BLOCK_S, LEAST_S, TURNS = 5.0, 0.5, 30.0, 3.0
 

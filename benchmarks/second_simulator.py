@@ -21,10 +21,10 @@ from pathlib import Path
 import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.campaign import closed_loop, plan, summary
+from rotorwatch.lab.campaign import closed_loop, plan, summary
 from rotorwatch.errors import RotorwatchError
-from rotorwatch.simulation import dynamics, reconfigured, rigid
-from rotorwatch.simulation.scenario import Scenario
+from rotorwatch.lab.simulation import dynamics, reconfigured, rigid
+from rotorwatch.lab.simulation.scenario import Scenario
 
 RATE_HZ = 200.0
 HEIGHT = 0.5  # m

@@ -14,11 +14,11 @@ import numpy as np
 
 import rotorwatch as rw
 from rotorwatch import airframes
-from rotorwatch.default import hypotheses, program
-from rotorwatch.default.plant import AXES
-from rotorwatch.experiments.inject import inject
-from rotorwatch.motion.airborne import airborne
-from rotorwatch.motion.ticks import READY_S, observe
+from rotorwatch.engine.default import hypotheses, program
+from rotorwatch.engine.default.plant import AXES
+from rotorwatch.lab.experiments.inject import inject
+from rotorwatch.engine.motion.airborne import airborne
+from rotorwatch.engine.motion.ticks import READY_S, observe
 
 ROTOR, LOSS, ONSET = 2, 0.35, 45.0
 OUT = Path(__file__).parent / "methods" / "default-parts.svg"

@@ -25,7 +25,7 @@ from tests.mavlink_vehicle import Autopilot, mavlink, messages
 
 from rotorwatch.live.endpoint import Endpoint
 from rotorwatch.live.link import Link
-from rotorwatch.simulation import scenario, simulate
+from rotorwatch.lab.simulation import scenario, simulate
 
 STEP_S = 0.04
 SECONDS, ONSET_S = 45.0, 22.0

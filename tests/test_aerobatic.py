@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes, diagnose
-from rotorwatch.aerobatic import judge
-from rotorwatch.aerobatic.response import respond
-from rotorwatch.default import events
+from rotorwatch.witnesses.aerobatic import judge
+from rotorwatch.witnesses.aerobatic.response import respond
+from rotorwatch.engine.default import events
 from rotorwatch.flight import Flight, Signal
-from rotorwatch.healthy.calibrate import calibrate
-from rotorwatch.motion.ticks import JUDGE, READY_S, observe
-from rotorwatch.simulation import fpv
+from rotorwatch.witnesses.healthy.calibrate import calibrate
+from rotorwatch.engine.motion.ticks import JUDGE, READY_S, observe
+from rotorwatch.lab.simulation import fpv
 
 CRAFT = airframes.named("betaflight-quad-x")
 B = CRAFT.effectiveness()

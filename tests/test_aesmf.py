@@ -7,16 +7,16 @@ from hypothesis import strategies as st
 
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.compiling.run import run
+from rotorwatch.base.compiling.run import run
 from rotorwatch.errors import ConfigError
-from rotorwatch.estimators.aekf import AEKF
-from rotorwatch.estimators.aesmf import AESMF, gradient
-from rotorwatch.estimators.aukf import AUKF
-from rotorwatch.estimators.esmf import ESMF
-from rotorwatch.experiments.studies import ruav_flight, small_systems
-from rotorwatch.maths import ellipsoid, interval, mit_rule, small, taylor
-from rotorwatch.maths.set_membership import Cutting
-from rotorwatch.maths.systems.helicopter import Helicopter
+from rotorwatch.methods.estimators.aekf import AEKF
+from rotorwatch.methods.estimators.aesmf import AESMF, gradient
+from rotorwatch.methods.estimators.aukf import AUKF
+from rotorwatch.methods.estimators.esmf import ESMF
+from rotorwatch.lab.experiments.studies import ruav_flight, small_systems
+from rotorwatch.methods.maths import ellipsoid, interval, mit_rule, small, taylor
+from rotorwatch.methods.maths.set_membership import Cutting
+from rotorwatch.methods.maths.systems.helicopter import Helicopter
 
 jax = load_jax()
 jnp = jax.numpy

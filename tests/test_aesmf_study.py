@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from rotorwatch.errors import ConfigError
-from rotorwatch.experiments.studies import reproduce_aesmf as study
-from rotorwatch.experiments.studies import reproduction, ruav_flight
+from rotorwatch.lab.experiments.studies import reproduce_aesmf as study
+from rotorwatch.lab.experiments.studies import reproduction, ruav_flight
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import pytest
 import rotorwatch as rw
 from agreement import walk
 from conftest import hexa_diagnosis, hexa_event, hexa_trace
-from rotorwatch.default.residual_evidence import ResidualEvidence
+from rotorwatch.engine.default.residual_evidence import ResidualEvidence
 from test_conclusion import whole
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"
@@ -42,7 +42,7 @@ FAULTS = [
 @cache
 def simulated(frame):
     """Diagnoses of one flight for each of FAULTS."""
-    from rotorwatch.simulation import Simulated, plan, record_of, scenario, simulate_batch
+    from rotorwatch.lab.simulation import Simulated, plan, record_of, scenario, simulate_batch
 
     rest = {
         "duration_s": 30.0,

@@ -5,17 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rotorwatch.default import announcement, hypotheses, noise
-from rotorwatch.default.announcement import (
-    ABSORB_S,
-    CERTAIN_NATS,
-    EDGE,
-    TICKS,
-    AlarmState,
-)
-from rotorwatch.default.hypotheses import CLEAR
-from rotorwatch.default.plant import USUAL_S
-from rotorwatch.default.plausibility import Plausible
+from rotorwatch.engine.default import announcement, hypotheses, noise
+from rotorwatch.engine.default.announcement import ABSORB_S, CERTAIN_NATS, EDGE, TICKS, AlarmState
+from rotorwatch.engine.default.hypotheses import CLEAR
+from rotorwatch.engine.default.plant import USUAL_S
+from rotorwatch.engine.default.plausibility import Plausible
 
 HYP, DT, LIMIT, REACH = hypotheses.make(4), 0.05, 14.0, 64.0
 MUCH = UNDECIDED = CLEAR

@@ -10,12 +10,12 @@ import pytest
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.estimators.atsukf import ATSUKF
-from rotorwatch.estimators.tsukf import TSUKF
-from rotorwatch.estimators.ukf import UKF
-from rotorwatch.experiments.studies import reproduce_atsukf as study
-from rotorwatch.maths import two_stage, unscented
-from rotorwatch.maths.systems.rate_dynamics import RateDynamics
+from rotorwatch.methods.estimators.atsukf import ATSUKF
+from rotorwatch.methods.estimators.tsukf import TSUKF
+from rotorwatch.methods.estimators.ukf import UKF
+from rotorwatch.lab.experiments.studies import reproduce_atsukf as study
+from rotorwatch.methods.maths import two_stage, unscented
+from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
 
 jax = load_jax()
 jnp = jax.numpy
@@ -248,7 +248,7 @@ def test_bad_adaptation_gets_one_sentence(options, says, plant):
 
 @each_method
 def test_a_plant_without_noise_is_refused(method):
-    from rotorwatch.default.plant import WrenchBalance
+    from rotorwatch.engine.default.plant import WrenchBalance
 
     with pytest.raises(ConfigError, match=f"{method.name} is not defined for the plant wrench_balance: it needs Q, R"):
         method(WrenchBalance(np.ones((4, 4))), DT)

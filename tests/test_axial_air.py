@@ -5,9 +5,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from rotorwatch.default import plant
-from rotorwatch.default.plant import AIR, WrenchBalance
-from rotorwatch.front.ticks import JUDGE, LEARN
+from rotorwatch.engine.default import plant
+from rotorwatch.engine.default.plant import AIR, WrenchBalance
+from rotorwatch.engine.front.ticks import JUDGE, LEARN
 from test_default_estimator import DT, EXPO, FULL, KNOWN_NOISE, make
 from test_plant import QUAD
 

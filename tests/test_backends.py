@@ -13,13 +13,13 @@ import pytest
 
 from rotorwatch import airframes
 from rotorwatch.commands.cli import SAMPLES
-from rotorwatch.compiling import native
-from rotorwatch.compiling.run import run, run_built
+from rotorwatch.base.compiling import native
+from rotorwatch.base.compiling.run import run, run_built
 from rotorwatch.errors import BackendWarning
-from rotorwatch.estimators.ekf import EKF
-from rotorwatch.experiments.studies.compare_flights import _scene, simulate
-from rotorwatch.maths.systems.rate_dynamics import RateDynamics
-from rotorwatch.published import published
+from rotorwatch.methods.estimators.ekf import EKF
+from rotorwatch.lab.experiments.studies.compare_flights import _scene, simulate
+from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
+from rotorwatch.methods.published import published
 
 SAMPLE = SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"
 COMMAND = [sys.executable, "-m", "rotorwatch.commands.cli", "diagnose", str(SAMPLE), "--json"]

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from rotorwatch.default import bank
-from rotorwatch.default.bank import SLOTS, STRIDES
-from rotorwatch.default.plant import ANSWER_S
+from rotorwatch.engine.default import bank
+from rotorwatch.engine.default.bank import SLOTS, STRIDES
+from rotorwatch.engine.default.plant import ANSWER_S
 
 DT, N_S, Q, TICKS = 0.05, 5, 3, 70
 

@@ -9,8 +9,8 @@ import pytest
 from rotorwatch import airframes
 from rotorwatch.errors import ConfigError, LogError, VehicleError
 from rotorwatch.flight import Flight, Signal, vehicle_file
-from rotorwatch.healthy import whole_flight as wf
-from rotorwatch.healthy.calibrate import calibrate
+from rotorwatch.witnesses.healthy import whole_flight as wf
+from rotorwatch.witnesses.healthy.calibrate import calibrate
 
 QUAD = airframes.named("ardupilot-quad-x")
 

@@ -16,12 +16,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conftest import trials
-from rotorwatch import campaign
-from rotorwatch.campaign import batch, page, score, store, summary, work
-from rotorwatch.campaign import plan as plans
+from rotorwatch.lab import campaign
+from rotorwatch.lab.campaign import batch, page, score, store, summary, work
+from rotorwatch.lab.campaign import plan as plans
 from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError
-from rotorwatch.simulation import scenario
+from rotorwatch.lab.simulation import scenario
 
 pyarrow = pytest.importorskip("pyarrow")
 ROOT = Path(__file__).resolve().parents[1]
@@ -230,7 +230,7 @@ FAKE = '''
 import os, sys, time
 from pathlib import Path
 from rotorwatch import campaign
-from rotorwatch.campaign import batch, score, work
+from rotorwatch.lab.campaign import batch, score, work
 
 def judge(plan, flights, size):
     """Rows that tell one flight from another, slowly."""

@@ -214,13 +214,13 @@ def test_demo_explains_the_samples_and_says_where_the_page_is(fake, run, monkeyp
 
 def test_calibrate_writes_the_vehicle_it_learned(fake, run, monkeypatch):
     written = {}
-    learned = ModuleType("rotorwatch.healthy.calibrate")
+    learned = ModuleType("rotorwatch.witnesses.healthy.calibrate")
     learned.calibrate = lambda flights, progress=None: type(
         "V", (), {"name": f"quad of {len(flights)}", "identified": {"flights": len(flights)}, "assumptions": ()}
     )
     files = ModuleType("rotorwatch.flight.vehicle_file")
     files.write = lambda vehicle, path: written.update({path: vehicle.name})
-    monkeypatch.setitem(sys.modules, "rotorwatch.healthy.calibrate", learned)
+    monkeypatch.setitem(sys.modules, "rotorwatch.witnesses.healthy.calibrate", learned)
     monkeypatch.setitem(sys.modules, "rotorwatch.flight.vehicle_file", files)
     code, out, err = run("calibrate", "healthy.bin", "healthy-2.bin", "-o", "v.toml")
     assert (code, written, err) == (0, {Path("v.toml"): "quad of 2"}, "")
@@ -230,14 +230,14 @@ def test_calibrate_writes_the_vehicle_it_learned(fake, run, monkeypatch):
 
 def test_inject_hands_its_options_to_the_campaign(fake, run, monkeypatch):
     asked = []
-    module = ModuleType("rotorwatch.experiments.inject")
+    module = ModuleType("rotorwatch.lab.experiments.inject")
 
     def campaign(paths, losses, repeats, seed, progress, jobs, scheduler, keep):
         asked.append(([p.name for p in paths], losses, repeats, seed, jobs, scheduler, keep))
         return {"table": [{"loss": 0.2, "injections": 8, "detected": 0.5, "delay_s": 1.25}], "false_alarms": 0}
 
     module.campaign = campaign
-    monkeypatch.setitem(sys.modules, "rotorwatch.experiments.inject", module)
+    monkeypatch.setitem(sys.modules, "rotorwatch.lab.experiments.inject", module)
     argv = ("inject", "healthy.bin", "--loss", "0.2,0.9", "--repeats", "2", "--seed", "9", "--jobs", "2", "--keep", "k")
     code, out, _ = run(*argv, "--json")
     assert code == 0 and json.loads(out)["false_alarms"] == 0

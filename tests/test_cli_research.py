@@ -5,10 +5,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from rotorwatch import many
-from rotorwatch.experiments.studies import reproduction
-from rotorwatch.experiments.studies.reproduction import Claim, Reproduction
-from rotorwatch.many import processes
+from rotorwatch.base import many
+from rotorwatch.lab.experiments.studies import reproduction
+from rotorwatch.lab.experiments.studies.reproduction import Claim, Reproduction
+from rotorwatch.base.many import processes
 
 
 class Drawing:

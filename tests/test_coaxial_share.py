@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.default import events, program
-from rotorwatch.default.plant import AXIS_STATES, SHARE_SD, WrenchBalance, lower_rotors
+from rotorwatch.engine.default import events, program
+from rotorwatch.engine.default.plant import AXIS_STATES, SHARE_SD, WrenchBalance, lower_rotors
 
 
 @pytest.mark.parametrize(

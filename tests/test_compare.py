@@ -9,13 +9,13 @@ from click.testing import CliRunner
 
 from rotorwatch import airframes, diagnose
 from rotorwatch.commands import cli
-from rotorwatch.default import program
+from rotorwatch.engine.default import program
 from rotorwatch.errors import ConfigError
-from rotorwatch.experiments.studies import compare as study
-from rotorwatch.experiments.studies import compare_flights
+from rotorwatch.lab.experiments.studies import compare as study
+from rotorwatch.lab.experiments.studies import compare_flights
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.motion.ticks import JUDGE
-from rotorwatch.published import published
+from rotorwatch.engine.motion.ticks import JUDGE
+from rotorwatch.methods.published import published
 
 
 @pytest.fixture(scope="module")

@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rotorwatch import diagnose
-from rotorwatch.compiling.running import Rows
-from rotorwatch.front import contact as definition
-from rotorwatch.front import sense
-from rotorwatch.front.vehicle import Vehicle
-from rotorwatch.motion import contact
-from rotorwatch.simulation import scenario, simulate
+from rotorwatch.base.compiling.running import Rows
+from rotorwatch.engine.front import contact as definition
+from rotorwatch.engine.front import sense
+from rotorwatch.engine.front.vehicle import Vehicle
+from rotorwatch.engine.motion import contact
+from rotorwatch.lab.simulation import scenario, simulate
 
 WILD = Path(__file__).resolve().parents[2] / "shared" / "flights" / "wild"
 DT, T, N = 0.1, 200, 4

@@ -12,9 +12,9 @@ import pytest
 import exporting
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.compiling import toolchain
-from rotorwatch.control import allocation, box
-from rotorwatch.control.allocation import Allocator, Belief, believed
+from rotorwatch.base.compiling import toolchain
+from rotorwatch.methods.control import allocation, box
+from rotorwatch.methods.control.allocation import Allocator, Belief, believed
 from rotorwatch.errors import ConfigError
 from rotorwatch.export.export_c import allocator_program, export_allocator
 

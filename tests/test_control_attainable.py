@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import linprog
 
 from rotorwatch import airframes
-from rotorwatch.control import allocation, attainable
+from rotorwatch.methods.control import allocation, attainable
 from rotorwatch.errors import ConfigError
 
 FRAMES = ("quad-x", "hexa-plus", "octa-x", "octaquad-x", "y6-b", "dodecahexa-x", "tri")

@@ -14,11 +14,11 @@ from tests.loss_prior import beside_steps, moments, one_of
 
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.default import announcement, hypotheses, kalman, model_error, noise, opposite, plant, posterior
-from rotorwatch.default.estimator import JumpBank
-from rotorwatch.default.hypotheses import AIR_SHARE, LOSS_WIDTH
-from rotorwatch.default.plant import ANSWER_S, B3, BURST_S, GAIN, PER_AXIS, SIDEWAYS, WrenchBalance
-from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN
+from rotorwatch.engine.default import announcement, hypotheses, kalman, model_error, noise, opposite, plant, posterior
+from rotorwatch.engine.default.estimator import JumpBank
+from rotorwatch.engine.default.hypotheses import AIR_SHARE, LOSS_WIDTH
+from rotorwatch.engine.default.plant import ANSWER_S, B3, BURST_S, GAIN, PER_AXIS, SIDEWAYS, WrenchBalance
+from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LEARN
 
 DT = 0.05
 HEXA = airframes.named("ardupilot-hexa-x").effectiveness()

@@ -18,20 +18,20 @@ from hypothesis import strategies as st
 from conftest import trials
 from embedded_c_parts import STRICT, compilers
 from rotorwatch import airframes, logs
-from rotorwatch.compiling import shipped, structs, toolchain
-from rotorwatch.compiling.running import TRANSLATOR, TYPES, Definition, Rows
-from rotorwatch.compiling.translate import Translation
+from rotorwatch.base.compiling import shipped, structs, toolchain
+from rotorwatch.base.compiling.running import TRANSLATOR, TYPES, Definition, Rows
+from rotorwatch.base.compiling.translate import Translation
 from rotorwatch.errors import ConfigError
-from rotorwatch.front import front, sense, sizes, ticks, vehicle, whole
-from rotorwatch.front.definition import FRONT, known, merged, states
-from rotorwatch.motion import allocation
-from rotorwatch.motion import ticks as of_a_flight
+from rotorwatch.engine.front import front, sense, sizes, ticks, vehicle, whole
+from rotorwatch.engine.front.definition import FRONT, known, merged, states
+from rotorwatch.engine.motion import allocation
+from rotorwatch.engine.motion import ticks as of_a_flight
 from test_shipped import SAMPLE
 
 IMPORTS = (
     "from __future__ import annotations\n"
-    "from rotorwatch.compiling.structs import *\n"
-    "from rotorwatch.compiling.structs import FLAG, INT, LASTS, LETTER, MASK, NAN, REAL, TIME\n"
+    "from rotorwatch.base.compiling.structs import *\n"
+    "from rotorwatch.base.compiling.structs import FLAG, INT, LASTS, LETTER, MASK, NAN, REAL, TIME\n"
 )
 SOURCE = '''
 from made_sizes import COUNT

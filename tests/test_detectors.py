@@ -9,8 +9,8 @@ import pytest
 from rotorwatch import airframes, logs
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.vehicle import ThrustCurve
-from rotorwatch.published import detectors
-from rotorwatch.published.detectors import esc_current, thrust_loss
+from rotorwatch.methods.published import detectors
+from rotorwatch.methods.published.detectors import esc_current, thrust_loss
 
 FLIGHTS = Path(__file__).resolve().parents[2] / "shared" / "flights"
 needs_flights = pytest.mark.skipif(not FLIGHTS.is_dir(), reason="the shared test flights are not beside the repository")

@@ -14,7 +14,7 @@ import pytest
 from rotorwatch import airframes, diagnose, logs
 from rotorwatch.errors import ConfigError, RotorwatchError
 from rotorwatch.flight import Signal
-from rotorwatch.motion import allocation
+from rotorwatch.engine.motion import allocation
 
 ROOT = Path(__file__).resolve().parents[1]
 FLIGHTS = ROOT / ".." / "shared" / "flights"
@@ -137,7 +137,7 @@ def test_what_was_announced_does_not_depend_on_what_came_later(later, monkeypatc
     (event,) = losses(judged(path))
     after = event.detected_s + later
     # Garbage is no log to trust, and the answer as a whole says so; what a live observer was told stands.
-    monkeypatch.setattr("rotorwatch.motion.trust.TESTS", ())
+    monkeypatch.setattr("rotorwatch.engine.motion.trust.TESTS", ())
     found = [e for e in losses(diagnose(spoilt(flight(path), after))) if e.detected_s <= after]
     assert [(e.detected_s, e.rotors) for e in found][:1] == [(event.detected_s, event.rotors)]
     before = event.detected_s - 0.5

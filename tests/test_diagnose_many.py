@@ -14,7 +14,7 @@ import pytest
 import rotorwatch
 from rotorwatch.commands import several
 from rotorwatch.errors import ConfigError, LogError
-from rotorwatch.many import gathering
+from rotorwatch import gathering
 from rotorwatch.report import overview
 from test_cli import fake, run  # noqa: F401
 
@@ -251,7 +251,7 @@ def test_names_that_are_no_text_are_gone_on_with_too(fake, run, monkeypatch):  #
 
 
 def test_nothing_is_shown_where_nothing_was_answered(fake, run, monkeypatch):  # noqa: F811
-    from rotorwatch.many import cluster
+    from rotorwatch.base.many import cluster
 
     pytest.importorskip("distributed")
     monkeypatch.setattr(cluster, "ANSWER_S", 0.2)

@@ -19,7 +19,7 @@ from rotorwatch import airframes, logs
 from rotorwatch.base.optional import tomllib
 from rotorwatch.commands import cli
 from rotorwatch.flight import diagnosis
-from rotorwatch.motion.allocation import ambiguous_sets
+from rotorwatch.engine.motion.allocation import ambiguous_sets
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "tutorials").glob("*.md")])

@@ -9,7 +9,7 @@ import pytest
 
 from exporting import exported
 from rotorwatch.base import discovery
-from rotorwatch.compiling.body import exact
+from rotorwatch.base.compiling.body import exact
 from rotorwatch.export.export_c import SINGLE, export_c
 from rotorwatch.export.export_diagnoser import export_diagnoser
 

@@ -7,12 +7,12 @@ import pytest
 
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.default import program
-from rotorwatch.default.estimator import JumpBank
-from rotorwatch.default.plant import WrenchBalance
-from rotorwatch.engine import estimator
-from rotorwatch.engine.definition import ENGINE
-from rotorwatch.motion.ticks import AGAIN, GROUND, JUDGE, LEARN
+from rotorwatch.engine.default import program
+from rotorwatch.engine.default.estimator import JumpBank
+from rotorwatch.engine.default.plant import WrenchBalance
+from rotorwatch.engine.estimator import estimator
+from rotorwatch.engine.estimator.definition import ENGINE
+from rotorwatch.engine.motion.ticks import AGAIN, GROUND, JUDGE, LEARN
 
 SETTLES, FAILS, WELL, PUSHED, LANDED, AGAIN_UP = 60, 130, 260, 330, 380, 390
 

@@ -8,14 +8,14 @@ import pytest
 
 import rotorwatch as rw
 from rotorwatch.diagnose import observe
-from rotorwatch.esc import consistency, stopped, telemetry, watch
-from rotorwatch.experiments.studies import esc_causes
+from rotorwatch.witnesses.esc import consistency, stopped, telemetry, watch
+from rotorwatch.lab.experiments.studies import esc_causes
 from rotorwatch.flight import Signal
-from rotorwatch.healthy import baselines
-from rotorwatch.motion import allocation
-from rotorwatch.motion.airborne import airborne
+from rotorwatch.witnesses.healthy import baselines
+from rotorwatch.engine.motion import allocation
+from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.report.html import page
-from rotorwatch.simulation import scenario, simulate
+from rotorwatch.lab.simulation import scenario, simulate
 
 ONSET = 35.0
 FAULTS = {

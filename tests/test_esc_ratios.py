@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conftest import trials
-from rotorwatch.esc import ratios
+from rotorwatch.witnesses.esc import ratios
 
 LOSSES = st.floats(0.05, 0.95)
 

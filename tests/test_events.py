@@ -7,9 +7,9 @@ import pytest
 from tests.conftest import hexa_event
 
 from rotorwatch import airframes
-from rotorwatch.default import events, hypotheses
-from rotorwatch.default.posterior import PLACES
-from rotorwatch.motion.ticks import JUDGE, Ticks
+from rotorwatch.engine.default import events, hypotheses
+from rotorwatch.engine.default.posterior import PLACES
+from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 
 DT, COUNT, N = 0.1, 300, 4
 HYP = hypotheses.make(N)

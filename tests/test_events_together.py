@@ -11,15 +11,15 @@ from hypothesis import strategies as st
 from conftest import trials
 from rotorwatch import airframes
 from rotorwatch.answer.conclusion import main_event
-from rotorwatch.default import events
+from rotorwatch.engine.default import events
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.front import changes as front_changes
-from rotorwatch.front import events as listed
-from rotorwatch.front import whole
-from rotorwatch.front.definition import FRONT
-from rotorwatch.front.sizes import EVENTS
+from rotorwatch.engine.front import changes as front_changes
+from rotorwatch.engine.front import events as listed
+from rotorwatch.engine.front import whole
+from rotorwatch.engine.front.definition import FRONT
+from rotorwatch.engine.front.sizes import EVENTS
 from rotorwatch.live.changes import Changes
-from rotorwatch.motion.contact import Contact
+from rotorwatch.engine.motion.contact import Contact
 
 B = airframes.named("ardupilot-hexa-x").effectiveness()
 DT = 0.05

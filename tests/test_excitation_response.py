@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes, diagnose
-from rotorwatch.campaign import excitation_flights
-from rotorwatch.control import excitation
-from rotorwatch.default import excitation_response
-from rotorwatch.default.plant import TAU
+from rotorwatch.lab.campaign import excitation_flights
+from rotorwatch.methods.control import excitation
+from rotorwatch.witnesses import excitation_response
+from rotorwatch.engine.default.plant import TAU
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.maths.tails import normal_cdf
-from rotorwatch.motion.ticks import JUDGE, LEARN
+from rotorwatch.methods.maths.tails import normal_cdf
+from rotorwatch.engine.motion.ticks import JUDGE, LEARN
 
 B = airframes.named("px4-hexa-x").effectiveness()
 N = excitation.null_space(B)
@@ -248,7 +248,7 @@ def test_as_much_calm_flight_is_looked_at_before_an_excitation_as_after_it(flown
 
 
 def test_a_log_says_what_to_ask(flown):
-    from rotorwatch.planning.ask import ask
+    from rotorwatch.lab.planning.ask import ask
 
     found = ask(flown[0][1])
     assert set(found.candidates) == {(1, 2), (3, 4), (5, 6), ()}

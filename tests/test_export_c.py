@@ -16,14 +16,14 @@ import rotorwatch as rw
 from exporting import STRICT, address, jax, library, room, struct
 from rotorwatch import airframes
 from rotorwatch.commands.cli import cli
-from rotorwatch.compiling import native, toolchain
-from rotorwatch.compiling.c99.lower import Refused
-from rotorwatch.compiling.c99.project import Field, make
-from rotorwatch.compiling.run import run
+from rotorwatch.base.compiling import native, toolchain
+from rotorwatch.base.compiling.c99.lower import Refused
+from rotorwatch.base.compiling.c99.project import Field, make
+from rotorwatch.base.compiling.run import run
 from rotorwatch.errors import ConfigError
-from rotorwatch.estimators.ekf import EKF
+from rotorwatch.methods.estimators.ekf import EKF
 from rotorwatch.export.export_c import export_c, prepare
-from rotorwatch.maths.systems.rate_dynamics import RateDynamics
+from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
 
 jnp, lax = jax.numpy, jax.lax
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
@@ -424,8 +424,8 @@ WARM = """
 import json, sys
 import numpy as np
 from typing import NamedTuple
-from rotorwatch.compiling import native
-from rotorwatch.compiling.run import run_built
+from rotorwatch.base.compiling import native
+from rotorwatch.base.compiling.run import run_built
 class Carry(NamedTuple):
     total: object
 class Sum:

@@ -10,8 +10,8 @@ import pytest
 
 from exporting import STRICT, address, difference, estimator, exported, library, measurements, room, struct
 from rotorwatch.base import discovery
-from rotorwatch.compiling.c99 import operations
-from rotorwatch.compiling.c99.plan import Plan
+from rotorwatch.base.compiling.c99 import operations
+from rotorwatch.base.compiling.c99.plan import Plan
 from rotorwatch.export.export_c import SINGLE, export_c, program_of
 
 EQUAL = 1e-12

@@ -10,9 +10,9 @@ import pytest
 from rotorwatch import airframes, diagnose, logs
 from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError
-from rotorwatch.experiments.studies import false_alarms as study
+from rotorwatch.lab.experiments.studies import false_alarms as study
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.motion.ticks import JUDGE, LEARN
+from rotorwatch.engine.motion.ticks import JUDGE, LEARN
 
 
 @pytest.fixture(scope="module")

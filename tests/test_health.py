@@ -12,7 +12,7 @@ from rotorwatch import report
 from rotorwatch.answer import health
 from rotorwatch.answer.conclusion import Evidence, conclude
 from rotorwatch.flight.diagnosis import Trend
-from rotorwatch.motion.ticks import JUDGE
+from rotorwatch.engine.motion.ticks import JUDGE
 from rotorwatch.report import html, terminal
 
 # Roll, pitch, yaw, thrust of a quad X in the autopilot's order: front right, rear left, front left, rear right.

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.default import events, hindsight, hypotheses
-from rotorwatch.default.program import estimate
-from rotorwatch.motion.ticks import GROUND, HOVER_LEARN_S, JUDGE, LEARN, READY_S, Ticks
+from rotorwatch.engine.default import events, hypotheses
+from rotorwatch.witnesses import hindsight
+from rotorwatch.engine.default.program import estimate
+from rotorwatch.engine.motion.ticks import GROUND, HOVER_LEARN_S, JUDGE, LEARN, READY_S, Ticks
 
 DT = 0.1
 QUAD = airframes.named("ardupilot-quad-x").effectiveness()

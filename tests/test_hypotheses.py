@@ -6,8 +6,8 @@ from scipy.integrate import quad
 from scipy.optimize import minimize
 from tests.loss_prior import KINDS, moments
 
-from rotorwatch.default import hypotheses
-from rotorwatch.default.hypotheses import LOSS_WIDTH
+from rotorwatch.engine.default import hypotheses
+from rotorwatch.engine.default.hypotheses import LOSS_WIDTH
 
 WIDTH, AIR = np.array([0.1, 0.2, 0.3, 0.4]), 0.4
 FULL = 2.5  # hover thrusts

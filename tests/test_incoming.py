@@ -20,7 +20,7 @@ from rotorwatch.base import incoming
 from rotorwatch.commands import cli
 from rotorwatch.errors import LogError
 from rotorwatch.logs import container
-from rotorwatch.many import gathering
+from rotorwatch import gathering
 
 SAMPLE = cli.SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"
 

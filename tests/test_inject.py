@@ -9,10 +9,10 @@ import pytest
 from rotorwatch import airframes, logs
 from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError
-from rotorwatch.experiments import counting, inject
+from rotorwatch.lab.experiments import counting, inject
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.motion import airborne, allocation, deviations
+from rotorwatch.engine.motion import airborne, allocation, deviations
 
 ONSET = 10.0
 FLIGHTS = Path(__file__).resolve().parents[1] / ".." / "shared" / "flights"

@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 from conftest import trials
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.compiling.run import run
+from rotorwatch.base.compiling.run import run
 from rotorwatch.errors import ConfigError
-from rotorwatch.estimators import intermediate
-from rotorwatch.estimators.intermediate import Intermediate
-from rotorwatch.maths import intermediate_design as design
-from rotorwatch.maths.systems.linear_hover import LinearHover
-from rotorwatch.maths.systems.rate_dynamics import RateDynamics
-from rotorwatch.maths.systems.rigid_body import RigidBody
+from rotorwatch.methods.estimators import intermediate
+from rotorwatch.methods.estimators.intermediate import Intermediate
+from rotorwatch.methods.maths import intermediate_design as design
+from rotorwatch.methods.maths.systems.linear_hover import LinearHover
+from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
+from rotorwatch.methods.maths.systems.rigid_body import RigidBody
 
 jax = load_jax()
 DT = 0.01

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.default import kalman, noise, plant, posterior
-from rotorwatch.default.plant import B1, B2, B3, PER_AXIS, WrenchBalance
-from rotorwatch.default.posterior import NEVER, PLACES
+from rotorwatch.engine.default import kalman, noise, plant, posterior
+from rotorwatch.engine.default.plant import B1, B2, B3, PER_AXIS, WrenchBalance
+from rotorwatch.engine.default.posterior import NEVER, PLACES
 
 N, N_X, DT = 4, 22, 0.05
 SYSTEM = WrenchBalance(airframes.named("ardupilot-quad-x").effectiveness())

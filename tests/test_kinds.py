@@ -13,11 +13,11 @@ from rich.console import Console
 from conftest import hexa_diagnosis, hexa_event
 from rotorwatch.answer.ledger import believed
 from rotorwatch.answer.wording import BASELINE, said
-from rotorwatch.default.events import packed
+from rotorwatch.engine.default.events import packed
 from rotorwatch.flight import kinds
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.flight.kinds import Kind, Span, Weight, Words
-from rotorwatch.front import events as definition
+from rotorwatch.engine.front import events as definition
 from rotorwatch.live import ground, view
 from rotorwatch.report import colours, html, terminal
 
@@ -43,7 +43,7 @@ PLANTED = (
 )
 NAMES = (*kinds.TABLE, *(row.name for row in PLANTED), "of_another_version")
 # Where a kind's name may stand besides the table: what judges a loss of control names causes so, and ticks have a column.
-ELSEWHERE = {"motion/ticks.py": {kinds.CONTACT}}
+ELSEWHERE = {"engine/motion/ticks.py": {kinds.CONTACT}}
 
 
 @pytest.fixture(autouse=True)

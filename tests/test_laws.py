@@ -17,11 +17,11 @@ from rotorwatch import airframes
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.core import Estimate
-from rotorwatch.default.plant import WrenchBalance
-from rotorwatch.estimators.adaptive_ekf import AdaptiveEKF
-from rotorwatch.estimators.ekf import EKF
-from rotorwatch.maths.systems.rate_dynamics import RateDynamics
-from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN
+from rotorwatch.engine.default.plant import WrenchBalance
+from rotorwatch.methods.estimators.adaptive_ekf import AdaptiveEKF
+from rotorwatch.methods.estimators.ekf import EKF
+from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
+from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LEARN
 
 DT, TICKS = 0.02, 220
 THETA_VAR = 0.1  # of the losses on the linear plant: much of what an innovation is made of
@@ -807,7 +807,7 @@ def test_default_is_the_kalman_filter_while_nothing_is_suspected(monkeypatch):
     In motion the default estimator is more careful than Kalman: it counts the error of its own gains as noise. So it is
     with outliers and with commands that jump; that caution is switched off here.
     """
-    from rotorwatch.default import kalman, model_error, noise, plant
+    from rotorwatch.engine.default import kalman, model_error, noise, plant
 
     monkeypatch.setattr(kalman, "OUTLIER", 1e9)
     monkeypatch.setattr(model_error, "LAG_ERROR_S", 0.0)

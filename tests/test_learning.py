@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.default import learning
-from rotorwatch.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS, SHARE_SD, any_air, any_curve, any_multirotor
-from rotorwatch.motion.ticks import JUDGE, LEARN
+from rotorwatch.engine.default import learning
+from rotorwatch.engine.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS, SHARE_SD, any_air, any_curve, any_multirotor
+from rotorwatch.engine.motion.ticks import JUDGE, LEARN
 
 DT = 0.05
 QUAD = airframes.named("ardupilot-quad-x").effectiveness()

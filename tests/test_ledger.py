@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from conftest import hexa_event, trials
 from rotorwatch import airframes
 from rotorwatch.answer import ledger
-from rotorwatch.default import events
-from rotorwatch.default.events import Report
+from rotorwatch.engine.default import events
+from rotorwatch.engine.default.events import Report
 from rotorwatch.flight.diagnosis import Source
 from rotorwatch.flight.kinds import CONTACT, DESYNC, LOSS, LOST, OVERRIDE, SLOW
-from rotorwatch.motion.deviations import Override
-from rotorwatch.motion.ticks import Ticks
+from rotorwatch.engine.motion.deviations import Override
+from rotorwatch.engine.motion.ticks import Ticks
 
 B = airframes.named("ardupilot-hexa-x").effectiveness()
 

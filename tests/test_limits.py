@@ -6,11 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.default.plant import WrenchBalance
+from rotorwatch.engine.default.plant import WrenchBalance
 from rotorwatch.errors import ConfigError
-from rotorwatch.experiments import limits
-from rotorwatch.experiments.limits import Rows
-from rotorwatch.maths.systems import RateDynamics
+from rotorwatch.lab.experiments import limits
+from rotorwatch.lab.experiments.limits import Rows
+from rotorwatch.methods.maths.systems import RateDynamics
 
 
 def information(rows, P0, valid, onset):

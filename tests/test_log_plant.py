@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from rotorwatch import airframes
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.compiling.run import run
-from rotorwatch.default import events, hypotheses
+from rotorwatch.base.compiling.run import run
+from rotorwatch.engine.default import events, hypotheses
 from rotorwatch.errors import ConfigError
-from rotorwatch.estimators.ekf import EKF
-from rotorwatch.experiments.studies import compare_flights
-from rotorwatch.motion.ticks import JUDGE, LEARN, Ticks
-from rotorwatch.published import decide, log_plant, published
+from rotorwatch.methods.estimators.ekf import EKF
+from rotorwatch.lab.experiments.studies import compare_flights
+from rotorwatch.engine.motion.ticks import JUDGE, LEARN, Ticks
+from rotorwatch.methods.published import decide, log_plant, published
 
 jax = load_jax()
 G, C = np.array([0.012, 0.014, 0.3, 1.0]), np.array([0.02, 0.03, 0.1, 0.0])

@@ -19,7 +19,7 @@ from rotorwatch import airframes
 from rotorwatch.base import incoming
 from rotorwatch.errors import LogError, VehicleError
 from rotorwatch.logs import bag_storage, cdr, container, mavros, ros2
-from rotorwatch.simulation import scenario, simulate
+from rotorwatch.lab.simulation import scenario, simulate
 
 FAULT = {"kind": "loss", "rotor": 3, "onset_s": 25.0, "strength": 0.4}
 

@@ -12,11 +12,11 @@ from scipy.optimize import lsq_linear
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.estimators.lyapunov import Lyapunov
-from rotorwatch.estimators.mh_lyapunov import MHLyapunov
-from rotorwatch.estimators.mhe import MHE, banded, tridiagonal
-from rotorwatch.maths import bounded
-from rotorwatch.maths.systems.rate_dynamics import RateDynamics
+from rotorwatch.methods.estimators.lyapunov import Lyapunov
+from rotorwatch.methods.estimators.mh_lyapunov import MHLyapunov
+from rotorwatch.methods.estimators.mhe import MHE, banded, tridiagonal
+from rotorwatch.methods.maths import bounded
+from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
 
 DT = 0.005
 KINDS = {"lyapunov": Lyapunov, "mh_lyapunov": MHLyapunov, "mhe": MHE}

@@ -17,11 +17,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rotorwatch import many
+from rotorwatch.base import many
 from rotorwatch.errors import BackendWarning, ConfigError, FirstUse, LogError, WorkerError
-from rotorwatch.many import cluster, processes
-from rotorwatch.many.done import Task
-from rotorwatch.many.result_cache import ResultCache
+from rotorwatch.base.many import cluster, processes
+from rotorwatch.base.many.done import Task
+from rotorwatch.base.many.result_cache import ResultCache
 
 ROOT = Path(__file__).parents[1]
 

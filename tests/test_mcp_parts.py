@@ -23,7 +23,7 @@ from rotorwatch.commands import cli
 from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.errors import ConfigError
 from rotorwatch.fleet.store import Entry, Store
-from rotorwatch.many.limited import Workers
+from rotorwatch.base.many.limited import Workers
 from rotorwatch.report import still
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -4,14 +4,15 @@ from pathlib import Path
 
 import pytest
 
-from rotorwatch import campaign, diagnose, logs
-from rotorwatch.campaign import batch, score
-from rotorwatch.experiments import counting, inject
-from rotorwatch.experiments.studies import compare, compare_flights
-from rotorwatch.simulation import logbook
-from rotorwatch.simulation import plan as flight_plan
-from rotorwatch.simulation.loop import fly_each
-from rotorwatch.simulation.multirotor import MULTIROTOR
+from rotorwatch.lab import campaign
+from rotorwatch import diagnose, logs
+from rotorwatch.lab.campaign import batch, score
+from rotorwatch.lab.experiments import counting, inject
+from rotorwatch.lab.experiments.studies import compare, compare_flights
+from rotorwatch.lab.simulation import logbook
+from rotorwatch.lab.simulation import plan as flight_plan
+from rotorwatch.lab.simulation.loop import fly_each
+from rotorwatch.lab.simulation.multirotor import MULTIROTOR
 
 PLANS = Path(__file__).parents[1] / "plans"
 SUFFIX = {autopilot: suffix for suffix, autopilot in logbook.SUFFIXES.items()}

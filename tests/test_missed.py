@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from rotorwatch import diagnose, read
-from rotorwatch.motion.airborne import airborne
-from rotorwatch.motion.missed import without_missed
-from rotorwatch.simulation import scenario, simulate
+from rotorwatch.engine.motion.airborne import airborne
+from rotorwatch.engine.motion.missed import without_missed
+from rotorwatch.lab.simulation import scenario, simulate
 
 REAL = Path(__file__).parents[1] / "../shared/flights/ardupilot-real-rrc"
 

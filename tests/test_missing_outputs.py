@@ -9,9 +9,9 @@ import pytest
 
 from rotorwatch import airframes, diagnose
 from rotorwatch.live.session import Session
-from rotorwatch.motion.airborne import GAP_S, airborne, gaps
-from rotorwatch.motion.ticks import JUDGE, LEARN, READY_S, observe
-from rotorwatch.simulation import scenario, simulate
+from rotorwatch.engine.motion.airborne import GAP_S, airborne, gaps
+from rotorwatch.engine.motion.ticks import JUDGE, LEARN, READY_S, observe
+from rotorwatch.lab.simulation import scenario, simulate
 
 
 @cache

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.campaign import batch, plan
-from rotorwatch.default import events, model_error, noise, plant
-from rotorwatch.default.plant import AXIS_STATES, DAMPING, DAMPING_RATE, GAIN, GAIN_MEAN, PER_AXIS, any_multirotor
+from rotorwatch.lab.campaign import batch, plan
+from rotorwatch.engine.default import events, model_error, noise, plant
+from rotorwatch.engine.default.plant import AXIS_STATES, DAMPING, DAMPING_RATE, GAIN, GAIN_MEAN, PER_AXIS, any_multirotor
 
 N, DT = 4, 0.05
 B = airframes.named("ardupilot-quad-x").effectiveness()

@@ -27,7 +27,7 @@ def test_every_file_in_it_has_tests_of_its_own():
 def test_the_tests_that_are_named_exist():
     for names in mutants.NAMED.values():
         assert all((ROOT / "tests" / f"test_{name}.py").exists() for name in names), names
-    assert mutants.tests_of("motion/ticks.py") == ("tests/test_ticks.py",)
+    assert mutants.tests_of("engine/motion/ticks.py") == ("tests/test_ticks.py",)
 
 
 def test_the_campaign_itself_loads_nothing_of_the_package():
@@ -76,7 +76,7 @@ def test_what_nobody_would_notice_is_left_out():
 
 def test_a_sample_is_the_same_for_the_same_seed(monkeypatch):
     pytest.importorskip("cosmic_ray")
-    monkeypatch.setattr(mutants, "parts", lambda: {"campaign": ("campaign/__init__.py", "campaign/score.py")})
+    monkeypatch.setattr(mutants, "parts", lambda: {"campaign": ("lab/campaign/__init__.py", "lab/campaign/score.py")})
     few = mutants.ranked("campaign", 5)[:7]
     assert few == mutants.ranked("campaign", 5)[:7] != mutants.ranked("campaign", 6)[:7]
     source = (ROOT / mutants.SOURCE / few[0][1]).read_text(encoding="utf-8")

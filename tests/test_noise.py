@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.default import noise
-from rotorwatch.default.plant import PER_AXIS, TAU
+from rotorwatch.engine.default import noise
+from rotorwatch.engine.default.plant import PER_AXIS, TAU
 
 DT = 0.05
 

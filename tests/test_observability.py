@@ -8,10 +8,10 @@ import pytest
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError, VehicleError
-from rotorwatch.maths.systems.rate_dynamics import RateDynamics
-from rotorwatch.motion.allocation import ambiguous_sets
-from rotorwatch.published import observability as module
-from rotorwatch.published.observability import observability
+from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
+from rotorwatch.engine.motion.allocation import ambiguous_sets
+from rotorwatch.methods.published import observability as module
+from rotorwatch.methods.published.observability import observability
 
 
 @pytest.fixture(scope="module")

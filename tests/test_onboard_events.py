@@ -7,11 +7,11 @@ import pytest
 
 from onboard_c import doubles, library
 from rotorwatch import airframes
-from rotorwatch.compiling.structs import LASTS
-from rotorwatch.default import events, hypotheses
-from rotorwatch.default.plant import lower_rotors
-from rotorwatch.default.posterior import PLACES
-from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN
+from rotorwatch.base.compiling.structs import LASTS
+from rotorwatch.engine.default import events, hypotheses
+from rotorwatch.engine.default.plant import lower_rotors
+from rotorwatch.engine.default.posterior import PLACES
+from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LEARN
 
 # A row of numbers per event: onset, detected, end, probability, rotors, loss, lower and upper (4 each), alternatives (30).
 ROW, MOST = 5 + 12 + 31, 40
@@ -109,7 +109,7 @@ def mask(rotors):
 
 
 def in_python(out, ticks, B, count):
-    """The same of default/events.py, with a computer's room."""
+    """The same of engine/default/events.py, with a computer's room."""
 
     def cut(columns):
         return SimpleNamespace(**{k: v[:count] if np.ndim(v) else v for k, v in vars(columns).items()})

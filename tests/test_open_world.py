@@ -8,12 +8,12 @@ from types import SimpleNamespace
 import pytest
 from click.testing import CliRunner
 
-from rotorwatch import campaign
-from rotorwatch.campaign import open_score, open_world
+from rotorwatch.lab import campaign
+from rotorwatch.lab.campaign import open_score, open_world
 from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.simulation import scenario
+from rotorwatch.lab.simulation import scenario
 
 KINDS = [
     {"name": "calm"},

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.default import bank, hypotheses, opposite
-from rotorwatch.default.hypotheses import CLEAR, LOSS_WIDTH, NONE, SMALL_WIDTH
-from rotorwatch.default.plant import ANSWER_S, USUAL_S
+from rotorwatch.engine.default import bank, hypotheses, opposite
+from rotorwatch.engine.default.hypotheses import CLEAR, LOSS_WIDTH, NONE, SMALL_WIDTH
+from rotorwatch.engine.default.plant import ANSWER_S, USUAL_S
 
 DT, LIMIT, PAIR, SLOT = 0.05, 14.0, (0, 1), 5
 HEXA, QUAD = (airframes.named(f"ardupilot-{f}").effectiveness() for f in ("hexa-x", "quad-x"))

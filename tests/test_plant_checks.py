@@ -5,9 +5,9 @@ import pytest
 
 from rotorwatch.base import discovery
 from rotorwatch.errors import ConfigError
-from rotorwatch.estimators.lyapunov import Lyapunov
-from rotorwatch.maths import plant
-from rotorwatch.published.observability import observability
+from rotorwatch.methods.estimators.lyapunov import Lyapunov
+from rotorwatch.methods.maths import plant
+from rotorwatch.methods.published.observability import observability
 
 METHODS = {name: kind for name, kind in discovery.estimators().items() if name != "default"}
 

@@ -6,21 +6,14 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.default import plausibility
-from rotorwatch.default.evidence import Jump
-from rotorwatch.default.hypotheses import NONE
-from rotorwatch.default.model_error import AT_LIMIT, BELOW_LIMIT
-from rotorwatch.default.plant import ANSWER_S, USUAL_S
-from rotorwatch.default.plausibility import (
-    CUT_SHARE,
-    DEMAND_SHARE,
-    DEMAND_SLACK,
-    LIMIT_S,
-    MISSING_SLACK,
-    Missing,
-)
+from rotorwatch.engine.default import plausibility
+from rotorwatch.engine.default.evidence import Jump
+from rotorwatch.engine.default.hypotheses import NONE
+from rotorwatch.engine.default.model_error import AT_LIMIT, BELOW_LIMIT
+from rotorwatch.engine.default.plant import ANSWER_S, USUAL_S
+from rotorwatch.engine.default.plausibility import CUT_SHARE, DEMAND_SHARE, DEMAND_SLACK, LIMIT_S, MISSING_SLACK, Missing
 from rotorwatch.diagnose import diagnose
-from rotorwatch.simulation import scenario, simulate
+from rotorwatch.lab.simulation import scenario, simulate
 
 N, DT = 4, 0.1
 NOTHING = np.zeros(N)

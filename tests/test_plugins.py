@@ -4,10 +4,11 @@ import warnings
 
 import pytest
 
-from rotorwatch import airframes, campaign, logs
+from rotorwatch import airframes, logs
+from rotorwatch.lab import campaign
 from rotorwatch.base import discovery
 from rotorwatch.errors import ConfigError, LogError, PluginWarning
-from rotorwatch.published import detectors
+from rotorwatch.methods.published import detectors
 
 GOOD = """
 class Own:
@@ -81,7 +82,7 @@ def package(tmp_path, monkeypatch):
 def test_what_other_packages_offer_is_found(package):
     package(
         {
-            "rotorwatch.estimators": {"own": "elsewhere:Own"},
+            "rotorwatch.methods.estimators": {"own": "elsewhere:Own"},
             "rotorwatch.systems": {"own_plant": "elsewhere:Plant"},
             "rotorwatch.detectors": {"own-rule": "elsewhere:Rule"},
         }
@@ -110,7 +111,7 @@ def test_what_other_packages_offer_is_found(package):
     ],
 )  # fmt: skip
 def test_a_broken_plug_in_is_one_sentence_that_names_the_package(package, target, source, says):
-    package({"rotorwatch.estimators": {"own": target}}, source)
+    package({"rotorwatch.methods.estimators": {"own": target}}, source)
     with pytest.raises(ConfigError, match=says) as why:
         discovery.estimator("own")
     assert "of the package elsewhere 1.2" in str(why.value) and "\n" not in str(why.value)
@@ -130,10 +131,10 @@ def test_a_broken_detector_of_another_package_stops_no_diagnosis(package):
 
 
 def test_a_name_of_ours_stays_ours(package):
-    package({"rotorwatch.estimators": {"ekf": "elsewhere:Own"}}, GOOD.replace('name = "own"', 'name = "ekf"'))
+    package({"rotorwatch.methods.estimators": {"ekf": "elsewhere:Own"}}, GOOD.replace('name = "own"', 'name = "ekf"'))
     with pytest.warns(PluginWarning, match="ekf of the package elsewhere 1.2 is not used"):
-        assert discovery.estimators()["ekf"].__module__ == "rotorwatch.estimators.ekf"
-    assert discovery.estimator("ekf").__module__ == "rotorwatch.estimators.ekf"
+        assert discovery.estimators()["ekf"].__module__ == "rotorwatch.methods.estimators.ekf"
+    assert discovery.estimator("ekf").__module__ == "rotorwatch.methods.estimators.ekf"
 
 
 @pytest.mark.parametrize(
@@ -155,7 +156,7 @@ def test_a_class_that_cannot_be_named(package, name, says):
 
 def test_what_a_method_says_of_itself():
     assert discovery.about(discovery.estimator("adaptive_ekf")).startswith("Adaptive extended Kalman filter: Zhang's")
-    assert discovery.source(discovery.estimator("ekf")).path == "rotorwatch.estimators.ekf:EKF"
+    assert discovery.source(discovery.estimator("ekf")).path == "rotorwatch.methods.estimators.ekf:EKF"
 
 
 def test_a_log_format_and_an_airframe_of_another_package_are_used(package, tmp_path):

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotorwatch.default import posterior
-from rotorwatch.default.hypotheses import CLEAR
-from rotorwatch.default.plant import BURST_S
-from rotorwatch.default.posterior import NEVER, OUT, PLACES, TEMPER
-from rotorwatch.front.losses import YOUNG_S
+from rotorwatch.engine.default import posterior
+from rotorwatch.engine.default.hypotheses import CLEAR
+from rotorwatch.engine.default.plant import BURST_S
+from rotorwatch.engine.default.posterior import NEVER, OUT, PLACES, TEMPER
+from rotorwatch.engine.front.losses import YOUNG_S
 
 DT, N, STATES = 0.05, 6, 9
 

@@ -9,7 +9,7 @@ import pytest
 import rotorwatch as rw
 from conftest import hexa_diagnosis
 from rotorwatch.base import discovery
-from rotorwatch.estimators.akf import AKF
+from rotorwatch.methods.estimators.akf import AKF
 from rotorwatch.flight import Flight, Message, Signal
 
 

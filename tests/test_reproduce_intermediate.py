@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.experiments.studies import error_bound, hover_flights
-from rotorwatch.experiments.studies import reproduce_intermediate as study
-from rotorwatch.maths import intermediate_design as design
-from rotorwatch.maths.systems.linear_hover import LinearHover
+from rotorwatch.lab.experiments.studies import error_bound, hover_flights
+from rotorwatch.lab.experiments.studies import reproduce_intermediate as study
+from rotorwatch.methods.maths import intermediate_design as design
+from rotorwatch.methods.maths.systems.linear_hover import LinearHover
 
 FILE = airframes.paper("f450")
 

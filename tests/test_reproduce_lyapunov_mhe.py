@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rotorwatch.experiments.studies import reproduce_lyapunov_mhe as study
+from rotorwatch.lab.experiments.studies import reproduce_lyapunov_mhe as study
 
 SHAPE = (len(study.PATHS), len(study.FAULTS), 10)
 

@@ -7,8 +7,8 @@ import pytest
 
 from conftest import hexa_event
 from rotorwatch import airframes
-from rotorwatch.default import events, hypotheses, residual_evidence
-from rotorwatch.motion.ticks import JUDGE, LEARN
+from rotorwatch.engine.default import events, hypotheses, residual_evidence
+from rotorwatch.engine.motion.ticks import JUDGE, LEARN
 
 HYP = hypotheses.make(4)
 B = airframes.named("ardupilot-quad-x").effectiveness()

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from rotorwatch.errors import ConfigError
-from rotorwatch.experiments.studies import ruav_control, ruav_flight, ruav_identification, ruav_linearisation
-from rotorwatch.experiments.studies import ruav_flight_test as study
-from rotorwatch.experiments.studies.reproduction import plain
-from rotorwatch.maths import h_infinity
+from rotorwatch.lab.experiments.studies import ruav_control, ruav_flight, ruav_identification, ruav_linearisation
+from rotorwatch.lab.experiments.studies import ruav_flight_test as study
+from rotorwatch.lab.experiments.studies.reproduction import plain
+from rotorwatch.methods.maths import h_infinity
 
 pytest.importorskip("cvxpy")
 SYSTEM = ruav_flight.plant()

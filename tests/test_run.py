@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rotorwatch.compiling.run import CHUNK, run_built
+from rotorwatch.base.compiling.run import CHUNK, run_built
 
 
 class Counter:
@@ -84,11 +84,11 @@ def test_progress_grows_to_one():
 @pytest.mark.thorough
 def test_the_default_estimator_is_run_the_same_in_any_chunks(monkeypatch):
     """The real thing: a made-up hover in chunks of 64 and of 1024 steps gives the same losses and announcements."""
-    import rotorwatch.compiling.run as module
+    import rotorwatch.base.compiling.run as module
     from rotorwatch import airframes
-    from rotorwatch.default import noise
-    from rotorwatch.default.estimator import JumpBank
-    from rotorwatch.default.plant import WrenchBalance
+    from rotorwatch.engine.default import noise
+    from rotorwatch.engine.default.estimator import JumpBank
+    from rotorwatch.engine.default.plant import WrenchBalance
 
     B = airframes.named("ardupilot-quad-x").effectiveness()
     rng = np.random.default_rng(0)

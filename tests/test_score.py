@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.campaign import score
-from rotorwatch.default.announcement import TICKS
-from rotorwatch.experiments import counting, limits
+from rotorwatch.lab.campaign import score
+from rotorwatch.engine.default.announcement import TICKS
+from rotorwatch.lab.experiments import counting, limits
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.motion.ticks import JUDGE, LEARN
-from rotorwatch.simulation import scenario as scenarios
+from rotorwatch.engine.motion.ticks import JUDGE, LEARN
+from rotorwatch.lab.simulation import scenario as scenarios
 
 DT, ONSET = 0.1, 30.0
 PLAN = SimpleNamespace(false_alarm_period_h=10.0)

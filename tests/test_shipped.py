@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from rotorwatch.commands.cli import SAMPLES
-from rotorwatch.compiling import shipped, toolchain
-from rotorwatch.default import shipping
-from rotorwatch.engine.definition import ENGINE
+from rotorwatch.base.compiling import shipped, toolchain
+from rotorwatch.engine.default import shipping
+from rotorwatch.engine.estimator.definition import ENGINE
 
 SAMPLE = SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"
 
@@ -57,13 +57,13 @@ def test_code_of_another_definition_or_computer_never_runs(folder, tmp_path, mon
 
 
 def test_the_estimators_code_is_of_its_files_and_of_those_whose_constants_it_takes():
-    assert {"engine/bank.py", "front/losses.py", "front/ticks.py", "compiling/body.py"} <= set(ENGINE.files)
+    assert {"engine/estimator/bank.py", "engine/front/losses.py", "engine/front/ticks.py", "base/compiling/body.py"} <= set(ENGINE.files)
     assert not [f for f in ENGINE.files if not f.startswith(("engine/", "front/", "compiling/"))]
     taken = {
         name.replace(".", "/") + ".py"
         for path in (shipped.HOME / "engine").glob("*.py")
         for line in path.read_text().splitlines()
-        if line.startswith("from rotorwatch.front.")
+        if line.startswith("from rotorwatch.engine.front.")
         for name in [line.split()[1].removeprefix("rotorwatch.")]
     }
     assert taken <= set(ENGINE.files)
@@ -105,7 +105,7 @@ def version(name):
         raise metadata.PackageNotFoundError(name)
     return real(name)
 metadata.version = version
-from rotorwatch.compiling import shipped
+from rotorwatch.base.compiling import shipped
 shipped.FOLDER = Path(sys.argv.pop(1))
 from rotorwatch.commands import cli
 cli.main(sys.argv[1:])

@@ -11,20 +11,9 @@ from hypothesis import strategies as st
 from conftest import trials
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.simulation import (
-    control,
-    dynamics,
-    faults,
-    loop,
-    record_of,
-    rotation,
-    scenario,
-    simulate_batch,
-    trajectories,
-    wind,
-)
-from rotorwatch.simulation.multirotor import MULTIROTOR
-from rotorwatch.simulation.prepare import induced_velocity, plan, vehicle
+from rotorwatch.lab.simulation import control, dynamics, faults, loop, record_of, rotation, scenario, simulate_batch, trajectories, wind
+from rotorwatch.lab.simulation.multirotor import MULTIROTOR
+from rotorwatch.lab.simulation.prepare import induced_velocity, plan, vehicle
 
 jax = load_jax()
 flatten = import_module("jax.flatten_util").ravel_pytree

@@ -17,10 +17,10 @@ from rotorwatch import airframes
 from rotorwatch.base.backend import jax
 from rotorwatch.commands.cli import cli
 from rotorwatch.errors import ConfigError
-from rotorwatch.simulation import helicopter, scenario, simulate
-from rotorwatch.simulation.prepare import frame_numbers, plan, vehicle
-from rotorwatch.simulation.write_dataflash import write_dataflash
-from rotorwatch.simulation.write_ulog import write_ulog
+from rotorwatch.lab.simulation import helicopter, scenario, simulate
+from rotorwatch.lab.simulation.prepare import frame_numbers, plan, vehicle
+from rotorwatch.lab.simulation.write_dataflash import write_dataflash
+from rotorwatch.lab.simulation.write_ulog import write_ulog
 
 SCENARIOS = sorted((Path(__file__).resolve().parents[1] / "docs" / "scenarios").glob("*.toml"))
 HEXA = next(path for path in SCENARIOS if path.stem == "hexa-loss")

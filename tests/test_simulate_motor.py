@@ -7,7 +7,7 @@ import pytest
 
 from rotorwatch.errors import ConfigError
 from rotorwatch.logs import esc_columns
-from rotorwatch.simulation import motor, scenario, simulate
+from rotorwatch.lab.simulation import motor, scenario, simulate
 
 
 def table(*faults, **more):

@@ -10,8 +10,8 @@ import pytest
 from conftest import hexa_event
 from rotorwatch.answer import slow
 from rotorwatch.answer.conclusion import Evidence, conclude
-from rotorwatch.default.residual_evidence import ResidualEvidence
-from rotorwatch.motion.ticks import JUDGE
+from rotorwatch.engine.default.residual_evidence import ResidualEvidence
+from rotorwatch.engine.motion.ticks import JUDGE
 
 QUAD = np.array([[-1.0, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1], [1, 1, 1, 1]])
 HEXA = np.array(

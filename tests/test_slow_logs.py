@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from rotorwatch import diagnose
-from rotorwatch.default import announcement
+from rotorwatch.engine.default import announcement
 from rotorwatch.live.replay import Replay
 from rotorwatch.live.watched import Watched
-from rotorwatch.motion import ticks
-from rotorwatch.simulation import scenario, simulate
+from rotorwatch.engine.motion import ticks
+from rotorwatch.lab.simulation import scenario, simulate
 
 
 @cache

@@ -5,10 +5,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from rotorwatch.default import kalman, model_error, plant
-from rotorwatch.default.plant import AIR, CURVE, GAIN, PER_AXIS, WrenchBalance
+from rotorwatch.engine.default import kalman, model_error, plant
+from rotorwatch.engine.default.plant import AIR, CURVE, GAIN, PER_AXIS, WrenchBalance
 from rotorwatch.flight.vehicle import ThrustCurve
-from rotorwatch.front.ticks import JUDGE, LEARN
+from rotorwatch.engine.front.ticks import JUDGE, LEARN
 from test_default_estimator import DT, KNOWN_NOISE, make
 from test_plant import QUAD
 

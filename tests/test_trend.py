@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rotorwatch.errors import ConfigError
-from rotorwatch.maths import trend
+from rotorwatch.methods.maths import trend
 
 STEP, FLIGHTS = 5.0, 300
 

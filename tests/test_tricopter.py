@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 import rotorwatch as rw
-from rotorwatch import airframes, simulation
+from rotorwatch import airframes
+from rotorwatch.lab import simulation
 from rotorwatch.flight import Flight, Signal
-from rotorwatch.motion import ticks
-from rotorwatch.motion.airborne import airborne
-from rotorwatch.simulation import scenario
+from rotorwatch.engine.motion import ticks
+from rotorwatch.engine.motion.airborne import airborne
+from rotorwatch.lab.simulation import scenario
 
 ONSET = 25.0
 

@@ -9,10 +9,10 @@ import pytest
 
 from rotorwatch import airframes, diagnose
 from rotorwatch.flight import Signal
-from rotorwatch.motion import trust
-from rotorwatch.motion.airborne import airborne
-from rotorwatch.motion.ticks import READY_S, observe
-from rotorwatch.simulation import scenario, simulate
+from rotorwatch.engine.motion import trust
+from rotorwatch.engine.motion.airborne import airborne
+from rotorwatch.engine.motion.ticks import READY_S, observe
+from rotorwatch.lab.simulation import scenario, simulate
 
 WILD = Path(__file__).resolve().parents[2] / "shared" / "flights" / "wild"
 

@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 from tests import tumbling
 
-from rotorwatch import airframes, campaign, diagnose
+from rotorwatch import airframes, diagnose
+from rotorwatch.lab import campaign
 from rotorwatch.answer import falls
-from rotorwatch.campaign import batch, benchmark_plan
+from rotorwatch.lab.campaign import batch, benchmark_plan
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.simulation import simulate
-from rotorwatch.upset import find, loss_of_control
-from rotorwatch.upset.balance import INERTIA, Offset, Window, fit
-from rotorwatch.upset.explain import Explanation, explain
+from rotorwatch.lab.simulation import simulate
+from rotorwatch.witnesses.upset import find, loss_of_control
+from rotorwatch.witnesses.upset.balance import INERTIA, Offset, Window, fit
+from rotorwatch.witnesses.upset.explain import Explanation, explain
 
 QUAD = airframes.named("ardupilot-quad-x")
 B = QUAD.effectiveness()

@@ -17,10 +17,10 @@ from rotorwatch.live.replay import Replay
 from rotorwatch.live.session import Session
 from rotorwatch.live.stream import Stream
 from rotorwatch.live.watched import Watched
-from rotorwatch.motion import allocation, ticks
-from rotorwatch.motion.airborne import airborne
-from rotorwatch.motion.ticks import READY_S
-from rotorwatch.simulation import scenario, simulate
+from rotorwatch.engine.motion import allocation, ticks
+from rotorwatch.engine.motion.airborne import airborne
+from rotorwatch.engine.motion.ticks import READY_S
+from rotorwatch.lab.simulation import scenario, simulate
 
 FLIGHTS = Path(__file__).resolve().parents[2] / "shared" / "flights"
 SAMPLES = cli.SAMPLES

@@ -10,8 +10,8 @@ import pytest
 from rotorwatch import airframes, logs
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
-from rotorwatch.healthy import whole_flight as wf
-from rotorwatch.motion.airborne import airborne
+from rotorwatch.witnesses.healthy import whole_flight as wf
+from rotorwatch.engine.motion.airborne import airborne
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "flights"
 shared = pytest.mark.skipif(not SHARED.is_dir(), reason="needs the test logs in ../shared/flights")

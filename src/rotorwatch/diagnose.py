@@ -10,30 +10,31 @@ from typing import Any, cast
 
 import numpy as np
 
-from rotorwatch.aerobatic import desync
-from rotorwatch.aerobatic import judge as aerobatic
+from rotorwatch.witnesses.aerobatic import desync
+from rotorwatch.witnesses.aerobatic import judge as aerobatic
 from rotorwatch.answer import common_mode, conclusion, health, ledger, picture, places, slow, traces, unseen, wording
 from rotorwatch.answer.ledger import Merged
 from rotorwatch.base import discovery
-from rotorwatch.default import events, excitation_response, hindsight, hypotheses, residual_evidence
-from rotorwatch.default.announcement import threshold
-from rotorwatch.default.program import TickOutput, estimate
+from rotorwatch.engine.default import events, hypotheses, residual_evidence
+from rotorwatch.witnesses import excitation_response, hindsight
+from rotorwatch.engine.default.announcement import threshold
+from rotorwatch.engine.default.program import TickOutput, estimate
 from rotorwatch.errors import ConfigError
-from rotorwatch.esc import consistency
+from rotorwatch.witnesses.esc import consistency
 from rotorwatch.flight import Flight, identity
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.healthy import baselines, population
-from rotorwatch.healthy.baselines import Given
+from rotorwatch.witnesses.healthy import baselines, population
+from rotorwatch.witnesses.healthy.baselines import Given
 from rotorwatch.logs import plausible
-from rotorwatch.motion import ticks, trust
-from rotorwatch.motion.airborne import Gap, airborne, gaps
-from rotorwatch.motion.allocation import Spans
-from rotorwatch.motion.missed import without_missed
-from rotorwatch.motion.ticks import JUDGE, READY_KNOWN_S, READY_S, Ticks, observe
-from rotorwatch.published import decide, detectors, published
-from rotorwatch.published.published import Tuning
-from rotorwatch.upset import find as upset
+from rotorwatch.engine.motion import ticks, trust
+from rotorwatch.engine.motion.airborne import Gap, airborne, gaps
+from rotorwatch.engine.motion.allocation import Spans
+from rotorwatch.engine.motion.missed import without_missed
+from rotorwatch.engine.motion.ticks import JUDGE, READY_KNOWN_S, READY_S, Ticks, observe
+from rotorwatch.methods.published import decide, detectors, published
+from rotorwatch.methods.published.published import Tuning
+from rotorwatch.witnesses.upset import find as upset
 
 AEROBATIC = (
     "the vehicle is flown by commanded rates and does not hover: it is judged by its angular motion over seconds, so that a loss is seen "
@@ -109,7 +110,7 @@ def diagnose(
 
     flight: a Flight or a log file. vehicle: a Vehicle or its file; identified from the log when None. baseline: healthy
     flights of the same build, which make damage that was there from take-off judgeable and shorten the blind time; one of them, or many.
-    Those that are not healthy or not of this build are set aside, and `warnings` say so (healthy/baselines.py).
+    Those that are not healthy or not of this build are set aside, and `warnings` say so (witnesses/healthy/baselines.py).
     estimator: the default method, or another one by name, as a class, or as an instance, whose keywords are kept (`discovery.estimator`);
     tuning: of a published one (`rotorwatch.tune`).
     progress: called as progress(share, text). Raises LogError, VehicleError or ConfigError with one sentence.
@@ -341,7 +342,7 @@ def _whole_flight(flight: Flight, vehicle: Vehicle, air):
     stored = (vehicle.identified or {}).get("whole_flight")
     if not stored:
         return None
-    from rotorwatch.healthy import whole_flight
+    from rotorwatch.witnesses.healthy import whole_flight
 
     features = whole_flight.features(flight, vehicle, air)
     return whole_flight.judge(features, [whole_flight.Features.from_dict(f) for f in stored], vehicle).to_dict()

@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 from rotorwatch import logs
-from rotorwatch.many import gathering
+from rotorwatch import gathering
 
 FIX = "give actions/checkout `fetch-depth: 0`, or name the logs in the input 'logs'."
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.maths.tails import student_quantile
+from rotorwatch.methods.maths.tails import student_quantile
 
 BLOCKS = 5  # in each third of the flight
 LEAST = 4  # ticks in a block

@@ -25,11 +25,11 @@ from rotorwatch.answer.wording import (
     seconds,
     sentence,
 )
-from rotorwatch.default.hypotheses import TOTAL_LOSS
-from rotorwatch.default.residual_evidence import ResidualEvidence
+from rotorwatch.engine.default.hypotheses import TOTAL_LOSS
+from rotorwatch.engine.default.residual_evidence import ResidualEvidence
 from rotorwatch.flight.diagnosis import Event, RotorState, StoryLine, Trend
 from rotorwatch.flight.kinds import CONTACT, LOST, Weight
-from rotorwatch.motion.airborne import Gap
+from rotorwatch.engine.motion.airborne import Gap
 
 # Causes of a loss of control that clear the rotors, in words that follow "when".
 NOT_A_ROTOR = {

@@ -10,12 +10,12 @@ import numpy as np
 
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import CONTACT, LOSS, LOST, ORDER, OVERRIDE
-from rotorwatch.front.losses import CREDIBLE
+from rotorwatch.engine.front.losses import CREDIBLE
 
 if TYPE_CHECKING:
-    from rotorwatch.upset.explain import Explanation
-    from rotorwatch.upset.find import Judged
-    from rotorwatch.upset.loss_of_control import LossOfControl
+    from rotorwatch.witnesses.upset.explain import Explanation
+    from rotorwatch.witnesses.upset.find import Judged
+    from rotorwatch.witnesses.upset.loss_of_control import LossOfControl
 
 SURE = 0.9  # probability of a cause that is named alone
 TOUCHED_S = 1.0  # from a blow in flight to the loss of control that follows from it

@@ -9,7 +9,7 @@ ESC telemetry and desyncs are heard last, and know the events by then. A link an
                           as it began; or it may be nothing and is said of one set of rotors alone (then it stays as evidence)
     outputs               it began in the fall that ends a flight
     contacts              it is the landing
-    any, of rotors        a loss of control, judged by all that was logged up to the impact, shows another one (upset/find.py)
+    any, of rotors        a loss of control, judged by all that was logged up to the impact, shows another one (witnesses/upset/find.py)
     ESC: a rotor stands   a lasting fault names the rotor since, or soon after
     ESC: its speed fell   a loss names the rotor
     desync                control is lost by then, or the rotor had lost most of its thrust
@@ -27,15 +27,15 @@ import numpy as np
 
 from rotorwatch.answer import falls, slow
 from rotorwatch.answer.unseen import Unseen
-from rotorwatch.default.events import Report, accuses, packed, shared, unexplained
-from rotorwatch.default.residual_evidence import ResidualEvidence
+from rotorwatch.engine.default.events import Report, accuses, packed, shared, unexplained
+from rotorwatch.engine.default.residual_evidence import ResidualEvidence
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import LOSS, LOST, ORDER, OVERRIDE, Weight
-from rotorwatch.front import whole
-from rotorwatch.front.definition import FRONT
+from rotorwatch.engine.front import whole
+from rotorwatch.engine.front.definition import FRONT
 
 if TYPE_CHECKING:
-    from rotorwatch.upset.find import Judged
+    from rotorwatch.witnesses.upset.find import Judged
 
 STANDS_S = 3.0  # a fault that begins so long after a rotor stands is that it stands
 CRASH_S = 0.3  # before control is lost, and before a rotor is lost: what happens belongs to that

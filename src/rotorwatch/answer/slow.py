@@ -13,7 +13,7 @@ between. The explanations of z on roll, pitch and yaw, each weighed by its evide
     other       any drift: of each axis by an amount of its own, of a Cauchy distribution of scale DRIFT - wind that turns, a load that
                 shifts, a mount that gives -, of all axes at the same time or of each at its own
 
-The noise of each axis is a random walk and white noise of any size and ratio (`maths/trend.py`), for air wanders; white noise is larger
+The noise of each axis is a random walk and white noise of any size and ratio (`methods/maths/trend.py`), for air wanders; white noise is larger
 where z scatters more within a block of time. Manoeuvres show in z where gains are off, by GAIN or so: in proportion to commands of torque
 that come and go within SMOOTH blocks. Thrust, which battery and air move for all rotors alike, is left out. So a drift is a rotor's where
 it has the direction of that rotor, and is larger than drifts are.
@@ -31,14 +31,14 @@ import numpy as np
 
 from rotorwatch.answer import unseen
 from rotorwatch.answer.wording import SCALE
-from rotorwatch.default import events
-from rotorwatch.default.plant import USUAL_S
-from rotorwatch.default.residual_evidence import ResidualEvidence
+from rotorwatch.engine.default import events
+from rotorwatch.engine.default.plant import USUAL_S
+from rotorwatch.engine.default.residual_evidence import ResidualEvidence
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import LOSS
-from rotorwatch.front.losses import CLEAR, CREDIBLE, CURVE_SHARE, WITHIN_95
-from rotorwatch.maths.trend import DOUBT, LEAST, WHITE
-from rotorwatch.motion.ticks import JUDGE, Ticks
+from rotorwatch.engine.front.losses import CLEAR, CREDIBLE, CURVE_SHARE, WITHIN_95
+from rotorwatch.methods.maths.trend import DOUBT, LEAST, WHITE
+from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 
 LEAST_S = 30.0  # of flight, below which nothing is looked for
 BLOCK_S, BLOCKS = 2.0, 60  # length of a block at least; so many at most

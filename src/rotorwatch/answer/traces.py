@@ -11,11 +11,11 @@ import numpy as np
 from rotorwatch.answer import context
 from rotorwatch.answer.conclusion import most
 from rotorwatch.answer.wording import rotors
-from rotorwatch.default import events
-from rotorwatch.default.hypotheses import Hypotheses
+from rotorwatch.engine.default import events
+from rotorwatch.engine.default.hypotheses import Hypotheses
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import Trace
-from rotorwatch.motion.ticks import JUDGE, LEARN, Ticks
+from rotorwatch.engine.motion.ticks import JUDGE, LEARN, Ticks
 
 LN10 = float(np.log(10.0))
 LEAST_ODDS = -3.0

@@ -12,7 +12,7 @@ from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.report.info import MESSAGES_SHOWN
 
 if TYPE_CHECKING:
-    from rotorwatch.planning.survive import Survival
+    from rotorwatch.lab.planning.survive import Survival
 
 MOST_EVENTS, MOST_ADVICE, MOST_STORY, MOST_WARNINGS, MOST_MESSAGES, MOST_SIGNALS, MOST_GAPS = 6, 3, 5, 3, 8, 30, 9
 SENTENCE = 600  # letters of a sentence
@@ -150,7 +150,7 @@ MOST_CASES = 24
 
 def survival(found: Survival, name: str) -> dict[str, Any]:
     """`Survival` of models.py: cases that end alike are one row."""
-    from rotorwatch.planning.survive import VERDICTS
+    from rotorwatch.lab.planning.survive import VERDICTS
 
     groups: dict[tuple, list[list[int]]] = {}
     for case in found.cases:

@@ -25,7 +25,7 @@ from rotorwatch.flight.vehicle import Vehicle
 KEPT = 4  # diagnoses
 LARGEST = 400_000  # bytes of a picture
 LOADS = ("rotorwatch.diagnose", "rotorwatch.report.info", "rotorwatch.assistants.answers", "rotorwatch.report.figures")
-PLANNING_LOADS = ("jax", "scipy.optimize", "rotorwatch.planning.survive")
+PLANNING_LOADS = ("jax", "scipy.optimize", "rotorwatch.lab.planning.survive")
 _kept: OrderedDict[Any, Diagnosis] = OrderedDict()
 
 
@@ -195,7 +195,7 @@ def _survive(question: Question, more: dict) -> dict[str, Any]:
     subject = _vehicle(file) or name
     for library in ("jax", "scipy"):
         _ours(optional.library, library, "What a vehicle survives")
-    from rotorwatch.planning.survive import survive
+    from rotorwatch.lab.planning.survive import survive
 
     return answers.survival(survive(subject, **more), name)
 

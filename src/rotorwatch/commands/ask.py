@@ -43,7 +43,7 @@ def ask(log, vehicle, candidates, loss, hover, arm, within, tilt, amplitude, com
     """Design the small excitation of the commands that tells apart soonest which of the candidates is weak: of LOG, whose answer is
     ambiguous, or of a vehicle. It moves no thrust and no moment while all rotors are well."""
     from rotorwatch.base import files
-    from rotorwatch.planning.ask import ask as run
+    from rotorwatch.lab.planning.ask import ask as run
 
     if (log is None) == (vehicle is None):
         raise ConfigError("Give a log whose answer is ambiguous, or --vehicle with --candidates.")
@@ -69,7 +69,7 @@ def ask(log, vehicle, candidates, loss, hover, arm, within, tilt, amplitude, com
     if as_json:
         click.echo(result.to_json())
     else:
-        from rotorwatch.report import research_tables
+        from rotorwatch.lab.experiments import research_tables
 
         show(lambda _: research_tables.excitation(result))
     written(quiet, figure=figure, commands=commands)
@@ -96,7 +96,7 @@ def _sets(text: str | None) -> list[tuple[int, ...]] | None:
 def ask_flights(flights, frames, seed, jobs, scheduler, keep, as_json, quiet) -> None:
     """Fly pairs of rotors that lose thrust in the simulator; where the diagnosis is ambiguous, ask and diagnose again. Says how often that
     names the broken rotors, with 95 % intervals (docs/control.md)."""
-    from rotorwatch.campaign import excitation_flights
+    from rotorwatch.lab.campaign import excitation_flights
 
     with progress(quiet) as report:
         wanted = [f for f in frames.split(",") if f]

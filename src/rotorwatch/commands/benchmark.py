@@ -61,8 +61,8 @@ def benchmark(what, methods, more, data, jobs, out, rank, listing, as_json, quie
         raise click.UsageError(f"One plan at a time, not {len(what)}; to compare results files write --rank.")
     if out is None:
         raise click.UsageError("Where do the results go? Give -o FILE.json.")
-    from rotorwatch.campaign import benchmark as benchmarks
-    from rotorwatch.campaign import ranking
+    from rotorwatch.lab.campaign import benchmark as benchmarks
+    from rotorwatch.lab.campaign import ranking
 
     if out.suffix.lower() != ".json":
         raise ConfigError(f"--out {out}: results are JSON, give a name that ends in .json.")
@@ -104,7 +104,7 @@ def _rank(paths: tuple[str, ...], out: Path | None, as_json: bool, quiet: bool) 
     import json
 
     from rotorwatch.base import files
-    from rotorwatch.campaign import ranking
+    from rotorwatch.lab.campaign import ranking
 
     if out:
         files.writable(out, "--out")
@@ -124,8 +124,8 @@ def _rank(paths: tuple[str, ...], out: Path | None, as_json: bool, quiet: bool) 
 def _list(as_json: bool) -> None:
     import json
 
-    from rotorwatch.campaign import benchmark as benchmarks
-    from rotorwatch.campaign import public_data
+    from rotorwatch.lab.campaign import benchmark as benchmarks
+    from rotorwatch.lab.campaign import public_data
 
     plans = {name: benchmarks.read(name) for name in benchmarks.shipped()}
     known = benchmarks.known_methods()

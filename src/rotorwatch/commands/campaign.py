@@ -32,10 +32,10 @@ def campaign(plan, flights, jobs, scheduler, out, as_json, quiet) -> None:
     """
     import json
 
-    from rotorwatch import campaign as campaigns
+    from rotorwatch.lab import campaign as campaigns
     from rotorwatch.base import files
-    from rotorwatch.campaign import batch, open_world, page
-    from rotorwatch.campaign.store import Folder
+    from rotorwatch.lab.campaign import batch, open_world, page
+    from rotorwatch.lab.campaign.store import Folder
 
     flight_plan = campaigns.read(plan)
     files.folder(out, "--out")
@@ -67,7 +67,7 @@ def sequences(flights, seed, jobs, scheduler, keep, as_json, quiet) -> None:
     often the state of all rotors is known."""
     import json
 
-    from rotorwatch.campaign import sequences as study
+    from rotorwatch.lab.campaign import sequences as study
 
     with progress(quiet) as report:
         result = study.run(flights, seed, jobs, report, scheduler, keep)
@@ -96,8 +96,8 @@ def ablate(plan, logs, flights, hours, only, variants, jobs, scheduler, keep, as
     losses put into healthy LOGS, and surrogates of those. Prints what changes, with intervals (docs/ablation.md)."""
     import json
 
-    from rotorwatch import campaign as campaigns
-    from rotorwatch.campaign import ablation
+    from rotorwatch.lab import campaign as campaigns
+    from rotorwatch.lab.campaign import ablation
 
     flight_plan = campaigns.read(plan)
     names, words = ([part for part in text.split(",") if part] for text in (only, variants))
@@ -146,8 +146,8 @@ def closed_loop(plan, flights, drivers, by, jobs, scheduler, out, as_json, quiet
     import json
 
     from rotorwatch.base import files
-    from rotorwatch.campaign import closed_loop as study
-    from rotorwatch.campaign import plan as plans
+    from rotorwatch.lab.campaign import closed_loop as study
+    from rotorwatch.lab.campaign import plan as plans
 
     flight_plan = plans.read(plan)
     files.folder(out, "--out")

@@ -205,7 +205,7 @@ def diagnose(context, **options) -> None:
     Exit code: 0 healthy, 1 fault found, 3 inconclusive or ambiguous only, 2 error; of several logs the worst.
     """
     from rotorwatch.base import files
-    from rotorwatch.many import gathering
+    from rotorwatch import gathering
 
     request = several.Request(**options)
     if request.as_json and request.jsonl:
@@ -227,7 +227,7 @@ def diagnose(context, **options) -> None:
         request, logs=logs, pages=pages, recordings=recordings, posts=posts, document=document, others=found.others
     )
     if request.tuning:
-        from rotorwatch.healthy.tune import read
+        from rotorwatch.witnesses.healthy.tune import read
 
         request = replace(request, tuned=read(request.tuning, request.estimator))
     if not many:
@@ -239,8 +239,8 @@ def diagnose(context, **options) -> None:
 
 def _diagnose(request: several.Request) -> int:
     """`rotorwatch diagnose` of one log; returns the exit code."""
-    from rotorwatch.healthy.baselines import Candidate
-    from rotorwatch.many.diagnose_many import timed
+    from rotorwatch.witnesses.healthy.baselines import Candidate
+    from rotorwatch.diagnose_many import timed
 
     known = vehicle_of(request.vehicle)
     with progress(request.quiet) as report:
@@ -332,7 +332,7 @@ def calibrate(logs, out, quiet) -> None:
     """
     from rotorwatch.base import files
     from rotorwatch.flight.vehicle_file import write
-    from rotorwatch.healthy.calibrate import calibrate as run
+    from rotorwatch.witnesses.healthy.calibrate import calibrate as run
 
     files.writable(out, "--out")
     with progress(quiet) as report:
@@ -404,7 +404,7 @@ def demo(report, quiet) -> None:
 @common
 def inject(logs, losses, repeats, seed, jobs, scheduler, keep, as_json, quiet) -> None:
     """Inject losses into healthy flights and count what the diagnosis finds of them."""
-    from rotorwatch.experiments.inject import campaign
+    from rotorwatch.lab.experiments.inject import campaign
 
     wanted = shares("--loss", losses)
     with progress(quiet) as report:
@@ -440,8 +440,8 @@ def _by_loss(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 @common
 def false_alarms(logs, hours, seed, jobs, scheduler, keep, as_json, quiet) -> None:
     """Judge surrogate flights with the noise of healthy LOGs, and count the false alarms per flight hour."""
-    from rotorwatch.experiments.studies.false_alarms import describe
-    from rotorwatch.experiments.studies.false_alarms import false_alarms as run
+    from rotorwatch.lab.experiments.studies.false_alarms import describe
+    from rotorwatch.lab.experiments.studies.false_alarms import false_alarms as run
 
     with progress(quiet) as report:
         result = run(logs, hours, seed, report, jobs=jobs, scheduler=scheduler, keep=keep)
@@ -449,7 +449,7 @@ def false_alarms(logs, hours, seed, jobs, scheduler, keep, as_json, quiet) -> No
 
 
 def _read(path: Any, report: Callable | None) -> Any:
-    from rotorwatch.many.diagnose_many import read
+    from rotorwatch.diagnose_many import read
 
     return read(path, report)
 

@@ -30,7 +30,7 @@ def register(group: click.Group) -> None:
 @common
 def observability(vehicle, figure, as_json, quiet) -> None:
     """Say which losses of which rotors can be distinguished on this airframe, in hover and in a manoeuvre."""
-    from rotorwatch.published.observability import observability as run
+    from rotorwatch.methods.published.observability import observability as run
 
     if figure:
         drawable(figure)
@@ -41,7 +41,7 @@ def observability(vehicle, figure, as_json, quiet) -> None:
     if as_json:
         click.echo(result.to_json())
     else:
-        from rotorwatch.report import research_tables
+        from rotorwatch.lab.experiments import research_tables
 
         show(lambda _: research_tables.observability(result))
     if figure and not quiet:
@@ -71,7 +71,7 @@ def _vehicle(name: str):
 def reproduce(paper, seeds, literal, figures, jobs, scheduler, as_json, quiet) -> None:
     """Run the experiments of PAPER (or of `all`): each claim beside what comes out here, a verdict, and why."""
     from rotorwatch.base import files, optional
-    from rotorwatch.experiments.studies import reproduction
+    from rotorwatch.lab.experiments.studies import reproduction
 
     known = reproduction.studies()
     modules = list(known.values()) if paper == "all" else [reproduction.study(paper)]
@@ -94,7 +94,7 @@ def reproduce(paper, seeds, literal, figures, jobs, scheduler, as_json, quiet) -
             result = next(together) if together else reproduction.reproduce(module.PAPER, seeds, literal, report)
         results.append(result)
         if not as_json:
-            from rotorwatch.report import research_tables
+            from rotorwatch.lab.experiments import research_tables
 
             show(lambda _, r=result: research_tables.reproduction(r))
         if figures:

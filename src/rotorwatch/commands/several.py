@@ -72,7 +72,7 @@ def settings(estimator: str, *files: Path | None) -> str:
 def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
     """Judge them all; returns the exit code. explain: makes a sentence of an exception. Whatever ends it, what has been answered is
     shown."""
-    from rotorwatch.many.diagnose_many import Answer, diagnose_many
+    from rotorwatch.diagnose_many import Answer, diagnose_many
     from rotorwatch.report import markdown, overview
 
     if request.others and not request.quiet:
@@ -253,7 +253,7 @@ def _lines(request: Request, how: str) -> Iterator[_Lines]:
 
 def _there(request: Request, how: str) -> dict[str, _Line]:
     """The lines of the file that --resume goes on with, by path; a last line that was cut off is taken away. Raises ConfigError."""
-    from rotorwatch.many.diagnose_many import Known
+    from rotorwatch.diagnose_many import Known
     from rotorwatch.report import overview
 
     out = request.out

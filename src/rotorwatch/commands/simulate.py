@@ -36,9 +36,9 @@ def simulate(scenario, out, seed, quiet) -> None:
     """Fly SCENARIO (TOML, docs/simulation.md): writes an ArduPilot .bin or a PX4 .ulg as the autopilot would have logged it (of a
     helicopter a .csv or .parquet table), and what was broken beside it, as FLIGHT.truth.json and FLIGHT.truth.csv.
     """
-    from rotorwatch import simulation
+    from rotorwatch.lab import simulation
     from rotorwatch.base import files
-    from rotorwatch.simulation.scenario import read
+    from rotorwatch.lab.simulation.scenario import read
 
     files.writable(out, "--out")
 
@@ -80,7 +80,7 @@ def _all_or_none(out: Path) -> Iterator[Path]:
 
 def _endings(out: Path, helicopter: bool) -> list[str]:
     """What to write, by the file's ending; without one all there is of an autopilot, .csv of a helicopter."""
-    from rotorwatch import simulation
+    from rotorwatch.lab import simulation
 
     known = simulation.helicopter.table.SUFFIXES if helicopter else tuple(simulation.SUFFIXES)
     if not out.suffix:
@@ -109,7 +109,7 @@ def estimate(log, airframe, estimator, lag, as_json, quiet) -> None:
 
     from rotorwatch import logs
     from rotorwatch.base import checks
-    from rotorwatch.published import helicopter_log
+    from rotorwatch.methods.published import helicopter_log
 
     checks.finite("--lag", lag)
     with progress(quiet) as report:

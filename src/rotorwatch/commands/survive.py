@@ -21,7 +21,7 @@ from rotorwatch.commands.tools import FIGURE, JSON, common, drawable, numbers, o
 def survive(vehicle, loss, mass, thrust_to_weight, arm, figure, as_json, quiet) -> None:
     """Say what is left after the loss of any rotor and of any two: full control, hover without yaw, hover only while spinning, or none; how
     much thrust and moment, and what wind it holds."""
-    from rotorwatch.planning.survive import survive as run
+    from rotorwatch.lab.planning.survive import survive as run
 
     sizes = numbers("--loss", loss, "0.3,0.6,1")
     if figure:
@@ -33,7 +33,7 @@ def survive(vehicle, loss, mass, thrust_to_weight, arm, figure, as_json, quiet) 
     if as_json:
         click.echo(result.to_json())
     else:
-        from rotorwatch.report import research_tables
+        from rotorwatch.lab.experiments import research_tables
 
         show(lambda _: research_tables.survival(result))
     written(quiet, figure=figure)

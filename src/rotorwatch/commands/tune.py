@@ -34,11 +34,11 @@ def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
     Give the file to `rotorwatch diagnose --estimator NAME --tuning FILE` later.
     """
     from rotorwatch.base import files
-    from rotorwatch.healthy.tune import tune as run
-    from rotorwatch.healthy.tune import write
+    from rotorwatch.witnesses.healthy.tune import tune as run
+    from rotorwatch.witnesses.healthy.tune import write
 
     if papers:
-        from rotorwatch.experiments.studies.hand_tuning import markdown, study
+        from rotorwatch.lab.experiments.studies.hand_tuning import markdown, study
 
         with progress(quiet) as report:
             rows = study((), rounds, report)
@@ -82,9 +82,9 @@ def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
 def compare(logs, truth, estimators, losses, seeds, as_json, quiet) -> None:
     """Run all estimators on simulated flights, on healthy LOGs with losses put in, and on LOGs with a table of their faults."""
     from rotorwatch.base import discovery
-    from rotorwatch.experiments.studies import compare_flights as flights
-    from rotorwatch.experiments.studies.compare import compare as run
-    from rotorwatch.experiments.studies.compare import markdown
+    from rotorwatch.lab.experiments.studies import compare_flights as flights
+    from rotorwatch.lab.experiments.studies.compare import compare as run
+    from rotorwatch.lab.experiments.studies.compare import markdown
 
     wanted = shares("--losses", losses)
     if truth and not logs:

@@ -18,14 +18,14 @@ import numpy as np
 from rotorwatch import airframes
 from rotorwatch.base import checks, discovery
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.compiling.c99.project import Field, Program, make
-from rotorwatch.control import allocation
-from rotorwatch.default import noise
-from rotorwatch.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS, WrenchBalance, any_multirotor
-from rotorwatch.default.program import parameters as balance_parameters
+from rotorwatch.base.compiling.c99.project import Field, Program, make
+from rotorwatch.methods.control import allocation
+from rotorwatch.engine.default import noise
+from rotorwatch.engine.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS, WrenchBalance, any_multirotor
+from rotorwatch.engine.default.program import parameters as balance_parameters
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.published import log_plant
+from rotorwatch.methods.published import log_plant
 
 SINGLE = "default-filter"  # the default diagnoser's filter for one hypothesis
 # Plant, airframe and step (s) of each method's paper; others run on the first.

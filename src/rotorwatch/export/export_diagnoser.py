@@ -16,22 +16,22 @@ import numpy as np
 
 from rotorwatch import airframes
 from rotorwatch.base import checks
-from rotorwatch.compiling.body import exact
-from rotorwatch.compiling.translate import Translation
-from rotorwatch.default import events, program
-from rotorwatch.default.plant import lower_rotors
-from rotorwatch.engine import bank, whole
-from rotorwatch.engine import sizes as engine_sizes
-from rotorwatch.engine.bank import FIRST_LOSS
-from rotorwatch.engine.definition import PARTS as ENGINE_PARTS
-from rotorwatch.engine.hypotheses import hypothesis_count
-from rotorwatch.engine.plant import Plant
+from rotorwatch.base.compiling.body import exact
+from rotorwatch.base.compiling.translate import Translation
+from rotorwatch.engine.default import events, program
+from rotorwatch.engine.default.plant import lower_rotors
+from rotorwatch.engine.estimator import bank, whole
+from rotorwatch.engine.estimator import sizes as engine_sizes
+from rotorwatch.engine.estimator.bank import FIRST_LOSS
+from rotorwatch.engine.estimator.definition import PARTS as ENGINE_PARTS
+from rotorwatch.engine.estimator.hypotheses import hypothesis_count
+from rotorwatch.engine.estimator.plant import Plant
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.front import sizes
-from rotorwatch.front.definition import PARTS
-from rotorwatch.motion import allocation, ticks
-from rotorwatch.motion.contact import look_back
+from rotorwatch.engine.front import sizes
+from rotorwatch.engine.front.definition import PARTS
+from rotorwatch.engine.motion import allocation, ticks
+from rotorwatch.engine.motion.contact import look_back
 
 SOURCES = Path(__file__).parent / "embedded_c"
 FRONT_ABOUT = "The front end: samples in, ticks out. Made of the definitions in rotorwatch/front; not to be edited."

@@ -9,13 +9,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from rotorwatch import __version__, many
+from rotorwatch import __version__
+from rotorwatch.base import many
 from rotorwatch.errors import LogError, NotInStore, RotorwatchError, StoreError
 from rotorwatch.fleet import assess, judge
 from rotorwatch.fleet.store import Entry, Store
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.logs import fingerprint
-from rotorwatch.many.gathering import Gathered, fetched, full, is_address, is_log
+from rotorwatch.gathering import Gathered, fetched, full, is_address, is_log
 
 POLL_S = 2.0
 

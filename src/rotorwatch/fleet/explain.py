@@ -1,7 +1,7 @@
 """What changed in an aircraft, when, and how sure: its flights' balance of commands explained by wear, damage and shifted weights.
 
 Of flight k there is the wrench w_k (roll, pitch, yaw) that its commands ask for in steady hover, as a share of the thrust
-(healthy/whole_flight.py), with the wind's part taken out. A rotor that gives 1 - theta of its thrust is commanded 1 / (1 - theta) as
+(witnesses/healthy/whole_flight.py), with the wind's part taken out. A rotor that gives 1 - theta of its thrust is commanded 1 / (1 - theta) as
 much, of a sum that grows by it, so that with e = theta / (1 - (1 - s_i) theta)
 
     w_k = mu + sum_i g_i e_i(k) + c(k) + noise_k,      g_i = s_i (B_i - mu): s_i the rotor's share of the thrust, B_i its column,
@@ -37,9 +37,9 @@ import numpy as np
 
 from rotorwatch.fleet import scatter
 from rotorwatch.fleet.prognosis import Lines
-from rotorwatch.healthy.whole_flight import CENTRE_RHO_SD, RHO_SD, SHIFT_SD
-from rotorwatch.maths import multivariate_t as student
-from rotorwatch.maths.tails import log_normal_cdf, normal_quantile
+from rotorwatch.witnesses.healthy.whole_flight import CENTRE_RHO_SD, RHO_SD, SHIFT_SD
+from rotorwatch.methods.maths import multivariate_t as student
+from rotorwatch.methods.maths.tails import log_normal_cdf, normal_quantile
 
 LOSS_SD = 0.15  # of e by a step, or by wear at the end of the history
 STEPS, WEAR, CENTRES = 0.3, 0.3, 0.3  # how many an aircraft's history has of each, before it is looked at

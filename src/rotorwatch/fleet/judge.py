@@ -10,8 +10,8 @@ from rotorwatch.fleet.store import Entry
 from rotorwatch.flight import Flight, identity
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.healthy import whole_flight
-from rotorwatch.motion.airborne import airborne
+from rotorwatch.witnesses.healthy import whole_flight
+from rotorwatch.engine.motion.airborne import airborne
 
 
 def entry(

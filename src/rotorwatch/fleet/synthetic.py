@@ -90,9 +90,9 @@ def stories(aircraft: int, flights: int, seed: int) -> list[Story]:
 
 def fly(story: Story, number: int, flights: int, seed: int) -> Iterator[Flight]:
     """The flights of aircraft `number`, as their logs would be read."""
-    from rotorwatch.simulation import logbook, loop, scenario
-    from rotorwatch.simulation.multirotor import MULTIROTOR
-    from rotorwatch.simulation.prepare import plan
+    from rotorwatch.lab.simulation import logbook, loop, scenario
+    from rotorwatch.lab.simulation.multirotor import MULTIROTOR
+    from rotorwatch.lab.simulation.prepare import plan
 
     rng = np.random.default_rng([seed, 2, number])
     n = 4 if story.frame.startswith("quad") else 6
@@ -200,6 +200,6 @@ def _key(store: Store, story: Story) -> str:
 
 
 def _write(flight: Flight, path: Path) -> None:
-    from rotorwatch.simulation.write_dataflash import write_dataflash
+    from rotorwatch.lab.simulation.write_dataflash import write_dataflash
 
     write_dataflash(flight, path)

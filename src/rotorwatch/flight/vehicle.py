@@ -75,7 +75,7 @@ class ThrustCurve:
     @property
     def believed(self) -> tuple[float, float]:
         """expo, and the standard deviation of what it is: one that is assumed may be any from 0 to 1; one that a log says is taken as it
-        is, and what it may be wrong by counts in the interval of a loss (front/losses.py)."""
+        is, and what it may be wrong by counts in the interval of a loss (engine/front/losses.py)."""
         return self.expo, 0.0 if self.known else 0.35
 
     def __call__(self, u: np.ndarray, battery: np.ndarray | float = 1.0) -> np.ndarray:

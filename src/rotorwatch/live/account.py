@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.default.events import COLUMNS, Losses, Report
-from rotorwatch.motion.allocation import Spans
-from rotorwatch.motion.ticks import GROUND, Ticks, joined
+from rotorwatch.engine.default.events import COLUMNS, Losses, Report
+from rotorwatch.engine.motion.allocation import Spans
+from rotorwatch.engine.motion.ticks import GROUND, Ticks, joined
 
 REPLAY_S = 120.0  # of ticks, at least, that can be gone through again
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch.default import hindsight
+from rotorwatch.witnesses import hindsight
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.motion.allocation import Spans
-from rotorwatch.motion.ticks import Ticks, joined
+from rotorwatch.engine.motion.allocation import Spans
+from rotorwatch.engine.motion.ticks import Ticks, joined
 
 HOPS = 10  # whose beginnings are kept, the newest
 

@@ -1,17 +1,17 @@
-"""What is new about a list of events that is made again and again (front/changes.py), in words: announced, changed, withdrawn or final."""
+"""What is new about a list of events that is made again and again (engine/front/changes.py), in words: announced, changed, withdrawn or final."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from rotorwatch.default.events import packed
+from rotorwatch.engine.default.events import packed
 from rotorwatch.flight import kinds
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.front import changes, whole
-from rotorwatch.front import events as listed
-from rotorwatch.front.definition import FRONT
-from rotorwatch.front.sizes import EVENTS
+from rotorwatch.engine.front import changes, whole
+from rotorwatch.engine.front import events as listed
+from rotorwatch.engine.front.definition import FRONT
+from rotorwatch.engine.front.sizes import EVENTS
 
 ANNOUNCED, CHANGED, WITHDRAWN, FINAL = "announced", "changed", "withdrawn", "final"
 NAMES = {changes.ANNOUNCED: ANNOUNCED, changes.CHANGED: CHANGED, changes.WITHDRAWN: WITHDRAWN}

@@ -9,9 +9,9 @@ import numpy as np
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.live.window import Window
-from rotorwatch.motion.allocation import Spans
-from rotorwatch.upset import find as upset
-from rotorwatch.upset import loss_of_control
+from rotorwatch.engine.motion.allocation import Spans
+from rotorwatch.witnesses.upset import find as upset
+from rotorwatch.witnesses.upset import loss_of_control
 
 NAMES = (
     "motors", "lift", "battery", "control", "gyro", "rates", "accel", "attitude", "attitude_wanted", "rates_wanted", "velocity", "position",

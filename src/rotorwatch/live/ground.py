@@ -14,11 +14,11 @@ from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
 
-from rotorwatch.default.events import packed
+from rotorwatch.engine.default.events import packed
 from rotorwatch.flight.kinds import Span, Weight, kind_of
-from rotorwatch.front import whole, words
-from rotorwatch.front.definition import FRONT
-from rotorwatch.front.words import CRITICAL, NOTICE, WARNING
+from rotorwatch.engine.front import whole, words
+from rotorwatch.engine.front.definition import FRONT
+from rotorwatch.engine.front.words import CRITICAL, NOTICE, WARNING
 from rotorwatch.live.changes import WITHDRAWN
 from rotorwatch.live.frames import Outgoing, outgoing
 from rotorwatch.live.link import Link
@@ -127,7 +127,7 @@ def worth_sending(reported: tuple | None, alert: dict) -> bool:
 
 
 def text_of(alert: dict) -> tuple[str, int]:
-    """(a text of plain ASCII, severity) of an alert: front/words.py. A loss of control is critical as well."""
+    """(a text of plain ASCII, severity) of an alert: engine/front/words.py. A loss of control is critical as well."""
     if alert["type"] == "notice":
         stands = "stands" in alert["text"]
         text = f"rotorwatch: ESC: rotor {alert['rotor']} {'stands' if stands else 'turns again'}"

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotorwatch.aerobatic import judge as aerobatic
+from rotorwatch.witnesses.aerobatic import judge as aerobatic
 from rotorwatch.flight import Flight
 from rotorwatch.live.watched import Watched
 

@@ -11,7 +11,7 @@ from collections import deque
 import numpy as np
 
 from rotorwatch.answer.wording import rotors
-from rotorwatch.esc.stopped import COMMANDED, OTHERS_TURN, REPORTS, STANDS
+from rotorwatch.witnesses.esc.stopped import COMMANDED, OTHERS_TURN, REPORTS, STANDS
 from rotorwatch.flight import Signal
 from rotorwatch.logs.esc_columns import RPM
 

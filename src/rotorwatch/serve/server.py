@@ -46,7 +46,7 @@ def serve(
     """
     for name in ("starlette", "uvicorn"):
         optional.library(name, "The page")
-    from rotorwatch.healthy.baselines import vehicle_of
+    from rotorwatch.witnesses.healthy.baselines import vehicle_of
     from rotorwatch.serve import security
     from rotorwatch.serve.app import application
     from rotorwatch.serve.flights import Flights

@@ -16,7 +16,7 @@ from typing import Any
 
 from rotorwatch.errors import ConfigError, LogError, RotorwatchError, VehicleError
 from rotorwatch.fleet.store import Entry
-from rotorwatch.many.limited import TooMuch, Workers
+from rotorwatch.base.many.limited import TooMuch, Workers
 from rotorwatch.serve import names
 from rotorwatch.serve.flights import Flights, wrong
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorwatch.compiling.running import Definition
+from rotorwatch.base.compiling.running import Definition
 from rotorwatch.errors import LogError
 from rotorwatch.logs import container
 from rotorwatch.logs.blackbox import encodings, frames, header, sizes

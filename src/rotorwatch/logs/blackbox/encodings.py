@@ -7,7 +7,7 @@ Cleanflight for the rest.
 
 from __future__ import annotations
 
-from rotorwatch.compiling.structs import Bytes, Ints, shift32, sum32
+from rotorwatch.base.compiling.structs import Bytes, Ints, shift32, sum32
 
 # As headers name them; 2 was never used. 10 was an Elias gamma code in a tool before Betaflight gave it to another.
 SIGNED_VB, UNSIGNED_VB, UNUSED, NEG_14BIT, ELIAS_DELTA_U32, ELIAS_DELTA_S32 = 0, 1, 2, 3, 4, 5

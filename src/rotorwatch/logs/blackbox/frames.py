@@ -9,7 +9,7 @@ ends, or the log ends there. After one that does not, or garbage, P frames are w
 
 from __future__ import annotations
 
-from rotorwatch.compiling.structs import INT, Bytes, Ints, Struct, array, difference32, sum32
+from rotorwatch.base.compiling.structs import INT, Bytes, Ints, Struct, array, difference32, sum32
 from rotorwatch.logs.blackbox.encodings import (
     NEG_14BIT,
     NOTHING,

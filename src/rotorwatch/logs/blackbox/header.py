@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rotorwatch.compiling.running import Rows
+from rotorwatch.base.compiling.running import Rows
 from rotorwatch.errors import LogError
 from rotorwatch.logs.blackbox import encodings, frames
 from rotorwatch.logs.blackbox.sizes import CYCLE, FIELDS

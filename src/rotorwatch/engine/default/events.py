@@ -1,0 +1,346 @@
+"""From the estimator's ticks to events: the definitions of engine/front/losses.py and engine/front/events.py, in words.
+
+What happened, and which explanations are left, is the estimator's, live; here it is only written down.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rotorwatch.base.compiling.running import Rows
+from rotorwatch.base.compiling.structs import LASTS
+from rotorwatch.engine.default.hypotheses import Hypotheses
+from rotorwatch.engine.default.plant import lower_rotors
+from rotorwatch.flight import Flight
+from rotorwatch.flight.diagnosis import Event, Source
+from rotorwatch.flight.kinds import CONTACT, LOSS, OVERRIDE, TABLE, number
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.engine.front import deviations, losses, whole
+from rotorwatch.engine.front import events as definition
+from rotorwatch.engine.front.definition import FRONT, craft
+from rotorwatch.engine.front.losses import CREDIBLE, CURVE_SHARE
+from rotorwatch.engine.front.records import Found
+from rotorwatch.engine.front.sizes import EVENTS, RECORDS, TOGETHER
+from rotorwatch.engine.motion.contact import Contact
+from rotorwatch.engine.motion.deviations import Override
+from rotorwatch.engine.motion.deviations import overrides as deviating
+from rotorwatch.engine.motion.ticks import JUDGE, Ticks
+
+__all__ = ["CREDIBLE", "CURVE_SHARE"]
+
+# Numbers, of 16 bits, that stand for unknown kinds, for what became of an output and for causes: each its own, while the process lasts.
+_NUMBERS: dict[Any, int] = defaultdict(iter(range(1 << 8, 1 << 15)).__next__)
+COLUMNS = (
+    "theta",
+    "theta_sd",
+    "active",
+    "share",
+    "gives",
+    "onsets",
+    "probability",
+    "log_odds",
+    "opposite",
+    "opposite_onset",
+    "opposite_loss",
+    "announced",
+)
+ROOM = 512  # ticks in one call
+SHOWN_S = 2.0  # after an announcement: the loss that was shown then
+
+
+class Losses:
+    """The losses of one vehicle with effectiveness B (4, n), tick by tick."""
+
+    def __init__(self, B: np.ndarray, of: Losses | None = None):
+        """of: begin as these are."""
+        self.craft = vehicle(B) if of is None else of.craft
+        self._state = FRONT.new(losses.Losses) if of is None else of._state.cut(1)
+        self._found = FRONT.array(Found, ROOM) if of is None else of._found
+
+    def add(self, ticks: Ticks, out) -> None:
+        """More ticks with the estimator's stacked outputs (COLUMNS)."""
+        mode = np.ascontiguousarray(ticks.mode, np.int32)
+        columns = {name: np.asarray(getattr(out, name)) for name in COLUMNS}
+        for first in range(0, len(mode), ROOM):
+            part = slice(first, first + ROOM)
+            self._found.fill(**{name: column[part] for name, column in columns.items()})
+            rows = (ticks.time[part], ticks.command_time[part], mode[part], np.asarray(ticks.restart)[part])
+            FRONT.call(
+                whole.announce, self._state, self.craft, len(rows[0]), *map(np.ascontiguousarray, rows), self._found
+            )
+
+    @property
+    def announcements(self) -> int:
+        """How often something has been announced or suspected."""
+        return int(self._state["announcements"][0])
+
+    def events(self, flies: bool = False) -> tuple[Event, ...]:
+        """The losses so far. flies: the flight goes on, and what was announced a moment ago may still turn out to be a pair."""
+        return _in_words(self.rows(flies)) if self.announcements else ()
+
+    def rows(self, flies: bool = False) -> Rows:
+        """The same as the definition has them."""
+        rows = FRONT.array(definition.Event, RECORDS)
+        return rows.cut(FRONT.call(whole.losses, self._state, self.craft, flies, rows))
+
+
+def vehicle(B: np.ndarray) -> Rows:
+    """What events need to know of a vehicle with effectiveness B (4, n)."""
+    return craft(B.shape[1], effectiveness=B, coaxial=lower_rotors(B) is not None)
+
+
+def read(out, ticks: Ticks, B: np.ndarray) -> tuple[Event, ...]:
+    """Losses of one flight of a vehicle with effectiveness B (4, n), from the estimator's stacked outputs (COLUMNS)."""
+    if not (np.asarray(out.announced).any() or (np.asarray(out.opposite) >= 0).any()):
+        return ()
+    state = Losses(B)
+    state.add(ticks, out)
+    judged = np.flatnonzero(ticks.mode == JUDGE)
+    final = int(judged[-1]) if judged.size else len(ticks.time) - 1
+
+    def shown(event: Event, suspected: bool) -> list[float]:
+        k = min(int(np.searchsorted(ticks.time, event.detected_s)) + round(SHOWN_S / ticks.dt), final)
+        # With the digits of the JSON: rounded again to per cent, page and JSON then show the same.
+        return [round(float(v), 4) for v in (event.loss if suspected else out.theta[k, [r - 1 for r in event.rotors]])]
+
+    rows = state.rows()
+    suspected = rows["detail"] == definition.SUSPECTED
+    return tuple(
+        replace(e, extra={**e.extra, "loss_2s": shown(e, s)}) for e, s in zip(_in_words(rows), suspected.tolist())
+    )
+
+
+def rotor_sets(hyp: Hypotheses, probability: np.ndarray) -> dict[tuple[int, ...], float]:
+    """Probability of each rotor set: a rotor alone and with a common shift of thrust are the same set."""
+    sets: dict[tuple[int, ...], float] = {}
+    for who, fault, p in zip(hyp.rotors, hyp.fault, probability):
+        if fault:
+            sets[who] = sets.get(who, 0.0) + float(p)
+    return dict(sorted(sets.items(), key=lambda item: -item[1]))
+
+
+def opposites(B: np.ndarray) -> dict[int, tuple[int, ...]]:
+    """For each rotor the rotors that cancel its roll and pitch torque: with those it can share a loss almost unseen."""
+    known = vehicle(B)
+    return {i: _rotors(FRONT.call(losses.opposite_of, known, i)) for i in range(B.shape[1])}
+
+
+def sd_of(theta: np.ndarray, sd: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """Standard deviation of losses (any shape) with what the model of a vehicle with effectiveness B (4, n) is uncertain of."""
+    theta, sd = np.broadcast_arrays(np.asarray(theta, float), np.asarray(sd, float))
+    flat, out = (np.ascontiguousarray(theta.ravel()), np.ascontiguousarray(sd.ravel())), np.empty(theta.size)
+    FRONT.call(losses.spread, vehicle(B), theta.size, *flat, out)
+    return out.reshape(theta.shape)
+
+
+def accuses(event: Event) -> bool:
+    """Is it an accusation? A loss that may be nothing, by its interval, and is said of one set of rotors alone is evidence, no more."""
+    return bool(event.alternatives) or max(low for low, _ in event.interval) > 0.0
+
+
+def unexplained(losses: Iterable[Event], overridden: Sequence[Event]) -> tuple[Event, ...]:
+    """The losses that no overridden output explains."""
+    return tuple(e for e in losses if not any(definition.explains(o.onset_s, _end(o), e.onset_s) for o in overridden))
+
+
+class Report:
+    """Falls and contacts of one vehicle with effectiveness B (4, n), tick by tick, and all events together. contacts: so far."""
+
+    def __init__(self, B: np.ndarray, of: Report | None = None):
+        """of: begin as this is."""
+        self.craft = vehicle(B) if of is None else of.craft
+        self._state = FRONT.new(definition.Report) if of is None else of._state.cut(1)
+        self.contacts: tuple[Contact, ...] = () if of is None else of.contacts
+
+    def add(self, table: Ticks, air: Sequence[tuple[float, float]]) -> Report:
+        """More ticks. air: all flights so far, (start, end) s, infinite where it lasts. This report."""
+        same = next((k for k, (a, b) in enumerate(zip(self.contacts, table.contacts)) if a != b), len(self.contacts))
+        fresh, self.contacts = table.contacts[same:], table.contacts
+        hits = np.array([(c.time, c.push, c.size) for c in fresh], float).reshape(-1, 3).T
+        self._follow(table.time, table.upset, table.dt, air, hits)
+        return self
+
+    def finish(self, air: Sequence[tuple[float, float]]) -> Report:
+        """No ticks come after these. This report."""
+        self._follow(np.empty(0), np.empty(0, bool), 0.0, air, np.empty((3, 0)), final=True)
+        return self
+
+    def _follow(
+        self, time: np.ndarray, upset: np.ndarray, dt: float, air, hits: np.ndarray, final: bool = False
+    ) -> None:
+        starts, ends = np.minimum(np.array(air, float).reshape(-1, 2).T, LASTS)
+        rows = len(time), *map(np.ascontiguousarray, (time, upset)), float(dt), len(starts), starts.copy(), ends.copy()
+        FRONT.call(
+            whole.follow,
+            self._state,
+            *rows,
+            hits.shape[1],
+            hits[0].copy(),
+            hits[1].astype(np.int32),
+            hits[2].copy(),
+            final,
+        )
+
+    def events(self, lost: Sequence[Event], overridden: Sequence[Event]) -> tuple[Event, ...]:
+        """All events, in the order in which they were detected: the losses that accuse and that no overridden output explains, the outputs
+        that left the mixer, and the contacts, but for what is the fall or the landing."""
+        rows, outputs = FRONT.array(definition.Event, EVENTS), FRONT.array(deviations.Override, max(1, len(overridden)))
+        outputs.fill(
+            onset=np.array([o.onset_s for o in overridden]), detected=np.array([o.detected_s for o in overridden]),
+            end=np.array([_end(o) for o in overridden]), rotor=np.array([o.rotors[0] - 1 for o in overridden], int),
+            shared=np.array([shared(o) for o in overridden], bool),
+        )  # fmt: skip
+        arguments = packed(lost), len(lost), outputs, len(overridden)
+        rows = rows.cut(FRONT.call(whole.events, self._state, self.craft, *arguments, rows))
+        found, contacts = [], {c.time: c for c in self.contacts}
+        for kind, source, detail, onset in zip(
+            *(rows[name].tolist() for name in ("kind", "source", "detail", "onset"))
+        ):
+            if kind == definition.CONTACT:
+                found.append(_contact(contacts[onset]))
+            elif kind == definition.OUTPUT_OVERRIDE:
+                found.append(overridden[source])
+            else:
+                found.append(_one_arm(lost[source]) if detail == definition.ONE_ARM else lost[source])
+        return tuple(found)
+
+
+def overrides(flight: Flight, vehicle: Vehicle, air, table: Ticks) -> tuple[Event, ...]:
+    """Outputs that do not follow the mixer, those that the log has wrong (`shared`) at the end; none that leaves it only once the vehicle
+    tumbles: by then mixers, failsafes and pilots do what they can."""
+    found = claimed(flight, vehicle, air)
+    known = Report(vehicle.effectiveness()).add(table, air).finish(air).events((), found)
+    return tuple(e for e in (*known, *filter(shared, found)) if e.kind == OVERRIDE)
+
+
+def shared(event: Event) -> bool:
+    """Did several outputs leave the mixer together? Then the log is wrong, and no rotor: that is no event, and explains losses."""
+    return bool(event.extra.get("shared"))
+
+
+def claimed(flight: Flight, vehicle: Vehicle, air) -> tuple[Event, ...]:
+    """Outputs that do not follow the mixer."""
+    return tuple(map(overridden, deviating(flight, vehicle, air)))
+
+
+def overridden(one: Override) -> Event:
+    """An output that does not follow the mixer, as an event."""
+    times = one.onset, one.detected, one.end
+    extra = {"override": one.kind, **({"shared": True} if one.shared else {})}
+    return Event(OVERRIDE, (one.rotor,), *times, (), (), 1.0, (), one.reason, extra, Source.OUTPUTS)
+
+
+def _contact(one: Contact) -> Event:
+    reason = f"something outside the vehicle {one.what}, by {one.size:.1f} {one.unit}"
+    extra = {"size": one.size, "unit": one.unit}
+    return Event(CONTACT, (), one.time, one.time, one.time, (), (), 1.0, (), reason, extra, Source.CONTACTS)
+
+
+def _one_arm(event: Event) -> Event:
+    """The event of two rotors on one arm, with each alone among its explanations."""
+    if event.alternatives:
+        return event
+    reason = f"{event.reason}, but one of them alone may be gone: the two stand on one arm"
+    return replace(event, alternatives=tuple((r,) for r in event.rotors), reason=reason)
+
+
+def packed(events: Sequence[Event]) -> Rows:
+    """Events as the definitions take them; detail: a number for what became of an output, or for a cause."""
+    rows = FRONT.array(definition.Event, max(1, len(events)))
+    if not events:
+        return rows
+
+    def lists(name: str, values: list[list[float]]) -> np.ndarray:
+        width = max(map(len, values), default=0)
+        return np.array([[*row, *[0] * (width - len(row))] for row in values]).reshape(len(events), -1)
+
+    def kind(event: Event) -> int:
+        return number(event.kind) if event.kind in TABLE else _NUMBERS[event.kind]
+
+    def detail(event: Event) -> int:
+        what = event.extra.get("override", ""), event.extra.get("cause", "")
+        return _NUMBERS[what] if any(what) else definition.PLAIN
+
+    rows.fill(
+        onset=np.array([e.onset_s for e in events]), detected=np.array([e.detected_s for e in events]),
+        end=np.array([_end(e) for e in events]), probability=np.array([e.probability for e in events]),
+        rotors=np.array([_mask(e.rotors) for e in events]), kind=np.array([kind(e) for e in events]),
+        size=np.array([e.extra.get("gives", 0.0) for e in events]),
+        alternative_count=np.array([len(e.alternatives) for e in events]), detail=np.array([detail(e) for e in events]),
+        loss=lists("loss", [list(e.loss[:TOGETHER]) for e in events]),
+        lower=lists("lower", [[low for low, _ in e.interval[:TOGETHER]] for e in events]),
+        upper=lists("upper", [[high for _, high in e.interval[:TOGETHER]] for e in events]),
+        alternatives=lists("alternatives", [[_mask(a) for a in e.alternatives] for e in events]),
+    )  # fmt: skip
+    return rows
+
+
+def _end(event: Event) -> float:
+    return LASTS if event.end_s is None else event.end_s
+
+
+def _mask(rotors: Iterable[int]) -> int:
+    """A set of rotors, counted from 1."""
+    return sum(1 << (r - 1) for r in rotors)
+
+
+def _rotors(mask: int, first: int = 0) -> tuple[int, ...]:
+    """The rotors of a set, counted from `first`."""
+    return tuple(k + first for k in range(int(mask).bit_length()) if mask >> k & 1)
+
+
+def _in_words(rows: Rows) -> tuple[Event, ...]:
+    """Losses as people read them."""
+    return tuple(_loss(_Row(*values)) for values in zip(*(rows[name].tolist() for name in _Row._fields)))
+
+
+class _Row(NamedTuple):
+    """A loss as compiled code has it: sets of rotors as masks, lists longer than what is in them."""
+
+    onset: float
+    detected: float
+    end: float
+    rotors: int
+    probability: float
+    detail: bool
+    alternative_count: int
+    alternatives: list[int]
+    loss: list[float]
+    lower: list[float]
+    upper: list[float]
+    size: float
+
+
+def _loss(row: _Row) -> Event:
+    onset, rotors = row.onset, _rotors(row.rotors, 1)
+    alternatives = tuple(_rotors(mask, 1) for mask in row.alternatives[: row.alternative_count])
+    names = " and ".join(map(str, rotors))
+    if alternatives:
+        reason = (
+            f"commands and motion changed at {onset:.1f} s as if rotor {names} had lost thrust, but "
+            + ", ".join("+".join(map(str, a)) for a in alternatives)
+            + " would look the same"
+            + (", and so would a sudden drop of battery voltage or more weight" if row.detail else "")
+        )
+    elif row.size > 0.0:
+        reason = (
+            f"since {onset:.1f} s rotor {names} has given about {row.size:.1f} times the thrust of hover, whatever it was commanded: "
+            "it has lost all effectiveness"
+        )
+    else:
+        reason = (
+            f"since {onset:.1f} s the rotors are commanded a torque and thrust that the motion does not show; the "
+            f"missing part has the direction of rotor {names}"
+        )
+    n = len(rotors)
+    return Event(
+        LOSS, rotors, onset, row.detected, None if row.end >= LASTS else row.end, tuple(row.loss[:n]),
+        tuple(zip(row.lower[:n], row.upper[:n])), row.probability, alternatives, reason,
+        {"gives": round(row.size, 2)} if row.size > 0.0 else {},
+        source=Source.ESTIMATOR,
+    )  # fmt: skip

@@ -1,0 +1,167 @@
+"""The default estimator made runnable: its definition (engine/), built from arrays and run over ticks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rotorwatch.base.compiling.running import Rows
+from rotorwatch.core import Array
+from rotorwatch.engine.default.plant import any_air, any_curve, any_multirotor, lower_rotors, packed
+from rotorwatch.engine.estimator import estimator, noise, sizes, whole
+from rotorwatch.engine.estimator.definition import ENGINE
+from rotorwatch.engine.estimator.hypotheses import hypothesis_count
+from rotorwatch.engine.estimator.plant import AIR, CURVE, SHARE, SHARE_SD, Plant
+from rotorwatch.errors import ConfigError
+from rotorwatch.engine.motion.ticks import AGAIN, TICKS_S, Ticks
+
+PIECE = 256  # ticks in one call
+
+
+class TickOutput(NamedTuple):
+    """Outputs of T ticks; `engine.estimator.Result` says what they are, its shapes are these of one tick."""
+
+    theta: Array
+    theta_sd: Array
+    innovation: Array
+    innovation_var: Array
+    log_odds: Array
+    statistic: Array
+    best: Array
+    onset: Array
+    probability: Array
+    announced: Array
+    onsets: Array
+    active: Array
+    each: Array
+    share: Array
+    gives: Array
+    detectable: Array
+    biases: Array
+    opposite: Array
+    opposite_onset: Array
+    opposite_loss: Array
+
+
+class Learned(NamedTuple):
+    """What the estimator has come to: state s = [x; theta] of the explanation that leads, its covariance, and the noise' variances (4
+    components, 4 axes)."""
+
+    s: Array
+    P: Array
+    variances: Array
+
+
+def inputs(table: Ticks, B: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """u (T, n + 15), y (T, 4), valid (T, 4) of the estimator over ticks. u: `plant.packed`, mode, and restart: 1 at the first tick of a
+    hop, AGAIN at a contact."""
+    again = table.restart if table.contact is None else np.where(table.contact, AGAIN, table.restart)
+    return np.column_stack([packed(table, B.shape[1]), table.mode, again]), table.wrench, table.valid
+
+
+def parameters(B: np.ndarray, dt: float, dynamics=None) -> dict:
+    """The arrays the estimator is built from: geometry B (4, n), length of a tick dt [s], and what `learn` found or any multirotor is
+    like; on coaxial frames which rotors are the lower ones, and what is known of their share. Raises ConfigError for other ticks."""
+    lower, coaxial = lower_rotors(B), {}
+    if lower is not None:
+        coaxial = {"lower": lower, "share": np.array((dynamics or {}).get("share", [0.0, SHARE_SD**2]), float)}
+    if dt not in TICKS_S:
+        known = ", ".join(f"{t:g}" for t in TICKS_S)
+        raise ConfigError(f"The default estimator has no ticks of {dt:g} s; it has {known}.")
+    curve = np.array((dynamics or {}).get("curve", any_curve()), float)
+    air = np.array((dynamics or {}).get("air", any_air()), float)
+    arrays = {"B": B, "dt": np.array(dt), "curve": curve, "air": air, **coaxial}
+    if dynamics:
+        return {**arrays, **{k: np.array(dynamics[k], float) for k in ("x0", "P0", "noise", "noise_weight")}}
+    mean, P = any_multirotor(B.shape[1])
+    return {
+        **arrays,
+        "x0": mean,
+        "P0": P,
+        "noise": np.tile(np.array(noise.GENERIC)[:, None], (1, 4)),
+        "noise_weight": np.array(noise.GENERIC_WEIGHT),
+    }
+
+
+def estimate(table: Ticks, B: np.ndarray, dynamics=None, progress: Callable[[float], object] | None = None):
+    """Run the default estimator over ticks: (`Learned`, `TickOutput` stacked). Raises ConfigError for ticks of no length that is known."""
+    made = steps(table.dt, B, dynamics)
+    out = made.run(*inputs(table, B), progress)
+    return made.learned, out
+
+
+def steps(dt: float, B: np.ndarray, dynamics=None) -> Steps:
+    """The default estimator for ticks of dt seconds, gone on with as ticks come; `inputs` makes its rows. Raises ConfigError."""
+    return Steps(parameters(B, dt, dynamics))
+
+
+class Steps:
+    """The default estimator of one vehicle, stepped as ticks come. plausible (T,): of the rows that were run last, whether the likeliest
+    fault may be true."""
+
+    def __init__(self, parameters: dict):
+        self.plant, self.state = _plant(parameters), ENGINE.new(estimator.Estimator)
+        self.rotors = np.shape(parameters["B"])[1]
+        self.plausible = np.zeros(0, bool)
+        self._room = ENGINE.array(estimator.Result, PIECE)
+        ENGINE.call(whole.begin, self.plant, self.state)
+
+    def raise_threshold(self, nats: float) -> None:
+        """Ask so much more of an announcement from now on."""
+        alarm = self.state.part("alarm")
+        alarm.set(limit=float(alarm["limit"][0]) + nats)
+
+    @property
+    def learned(self) -> Learned:
+        """What it has come to."""
+        states = sizes.PLANT_STATES + self.rotors
+        all_ = self.state.part("branches").part("all")
+        s, P = all_["s"][0, :states], all_["P"][0, :states, :states]
+        return Learned(s.copy(), P.copy(), self.state.part("noise")["v"][0].copy())
+
+    def run(self, u: np.ndarray, y: np.ndarray, valid: np.ndarray, progress=None) -> TickOutput:
+        """Step over the rows u (T, n + 15), y and valid (T, 4); the stacked outputs. progress: called with the finished share, 0..1."""
+        tables = [np.ascontiguousarray(u, float), np.ascontiguousarray(y, float), np.ascontiguousarray(valid, bool)]
+        made = {name: np.empty((len(u), *shape), kind) for name, (shape, kind) in self._outputs().items()}
+        for first in range(0, len(u), PIECE):
+            rows = [table[first : first + PIECE] for table in tables]
+            ENGINE.call(whole.run, self.plant, self.state, len(rows[0]), *rows, self._room)
+            for name, column in made.items():
+                part = self._room[name][: len(rows[0])]
+                column[first : first + PIECE] = part[tuple(slice(0, size) for size in (len(part), *column.shape[1:]))]
+            if progress:
+                progress(min(1.0, (first + PIECE) / len(u)))
+        self.plausible = made.pop("plausible")
+        # Opposite rotors are announced as any other fault.
+        none = np.full(len(u), -1, np.int32)
+        return TickOutput(**made, opposite=none, opposite_onset=np.zeros(len(u)), opposite_loss=np.zeros((len(u), 2)))
+
+    def _outputs(self) -> dict[str, Any]:
+        """Name -> (shape, type) of each output of a tick."""
+        fitting = {sizes.ROTORS: self.rotors, sizes.HYPOTHESES: hypothesis_count(self.rotors)}
+        kinds = ENGINE.type_of(estimator.Result)
+        found = {name: (kinds[name].shape, kinds[name].base) for name in kinds.names or ()}
+        return {name: (tuple(fitting.get(k, k) for k in shape), kind) for name, (shape, kind) in found.items()}
+
+
+def _plant(parameters: dict) -> Rows:
+    """A Plant of `parameters`, not yet completed."""
+    B, lower = np.asarray(parameters["B"], float), parameters.get("lower")
+    mean, variance = np.zeros(sizes.PLANT_STATES), np.zeros((sizes.PLANT_STATES, sizes.PLANT_STATES))
+    mean[:CURVE], variance[:CURVE, :CURVE] = parameters["x0"], parameters["P0"]
+    known = {
+        CURVE: parameters["curve"],
+        AIR: parameters["air"],
+        **({} if lower is None else {SHARE: parameters["share"]}),
+    }
+    for state, (m, v) in known.items():
+        mean[state], variance[state, state] = m, v
+    made = ENGINE.new(Plant)
+    made.set(
+        rotors=B.shape[1], dt=float(parameters["dt"]), effect=B, mean=mean, variance=variance,
+        lower=np.zeros(B.shape[1]) if lower is None else np.asarray(lower, float),
+        noise=np.asarray(parameters["noise"], float), noise_weight=float(parameters["noise_weight"]),
+    )  # fmt: skip
+    return made

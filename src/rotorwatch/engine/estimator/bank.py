@@ -1,0 +1,174 @@
+"""A bank of onset times: what a jump at each of them would have done to the filter's innovations since.
+
+For every onset time the part M of a unit jump that the filter has not absorbed is carried along, and with it the information
+matrix C and vector z of the jump's size (Willsky & Jones, IEEE TAC 21(1), 1976). For a measurement h s with innovation
+nu of variance S and any gain K:
+
+    phi = h M,   C += phi' phi / S,   z += phi' nu / S,   M <- A (M - K phi)
+
+Directions of a jump: a step of the bias of each axis; then two errors of the model, which are integrated out; then a loss of each rotor.
+What it takes to yaw this vehicle is the least known of its gains, and the yaw that follows a loss is long and slow. How fast roll and
+pitch die out is known only once it has moved: when it first flies off, both at once look like a rotor's loss.
+
+Slots are reused in turn: dense for recent onsets, sparse for older ones, and a group for losses that show gradually, as a controller
+reveals them.
+"""
+
+from __future__ import annotations
+
+from rotorwatch.base.compiling.structs import REAL, Real, Reals, Struct, array, exp, local, log, real
+from rotorwatch.engine.estimator.plant import ANSWER_S, B1, B2, B3, DAMPING, PER_AXIS, PITCH, ROLL, SIDEWAYS, THETA, YAW_GAIN, Plant
+from rotorwatch.engine.estimator.sizes import DIRECTIONS, ROTORS, SLOTS, STATES
+
+GROUP, GROUPS = 16, 3  # slots of a group
+SHORT, LONG = (1, 2, 4), (1, 5, 3)  # ticks between the slots of a group: for short ticks, and from SLOW_S on
+SLOW_S = 0.08
+YAW_ERROR, DAMPING_ERROR, FIRST_LOSS = 4, 5, 6  # directions; before them the steps of four axes
+
+
+class Slot(Struct):
+    """One onset."""
+
+    age: int = -1  # ticks since then, -1 unused
+    gradual: bool = False  # of the group of losses that build up
+    log_stride: Real = 0.0  # log of the onsets that it stands for
+    before = array(REAL, ROTORS)  # thrust of each rotor above the mean, lately, just before
+    M = array(REAL, STATES, DIRECTIONS)
+    C = array(REAL, DIRECTIONS, DIRECTIONS)
+    z = array(REAL, DIRECTIONS)
+
+    def open(self, p: Plant, before: Reals) -> None:
+        """A jump now."""
+        self.age = 0
+        for r in range(THETA + p.rotors):
+            for d in range(FIRST_LOSS + p.rotors):
+                self.M[r][d] = 0.0
+        for d in range(FIRST_LOSS + p.rotors):
+            self.z[d] = 0.0
+            for e in range(FIRST_LOSS + p.rotors):
+                self.C[d][e] = 0.0
+        for i in range(p.rotors):
+            self.before[i] = before[i]
+
+    def advance(self, p: Plant, share: Real) -> None:
+        """One tick on; by `share` of its size the jump comes now."""
+        directions = FIRST_LOSS + p.rotors
+        for a in range(4):
+            for b in range(a * PER_AXIS + B1, a * PER_AXIS + B2 + 1):
+                row = self.M[b]
+                for d in range(directions):
+                    row[d] *= p.decay[b]
+        if share <= 0.0:
+            return
+        for a in range(4):
+            self.M[a * PER_AXIS + B3][a] += share
+        self.M[YAW_GAIN][YAW_ERROR] += share
+        self.M[ROLL * PER_AXIS + DAMPING][DAMPING_ERROR] += share
+        self.M[PITCH * PER_AXIS + DAMPING][DAMPING_ERROR] += share
+        for i in range(p.rotors):
+            self.M[THETA + i][FIRST_LOSS + i] += share
+
+    def observe(self, p: Plant, a: int, h: Reals, K: Reals, weight: Real, nu: Real) -> None:
+        """One measurement of an axis, of weight 1 / S."""
+        directions = FIRST_LOSS + p.rotors
+        phi = local(REAL, DIRECTIONS)
+        for part in range(2):
+            first = a * PER_AXIS if part == 0 else SIDEWAYS
+            last = min(first + PER_AXIS, SIDEWAYS) if part == 0 else THETA + p.rotors
+            for r in range(first, last):
+                row = self.M[r]
+                effect = h[r]
+                for d in range(directions):
+                    phi[d] += effect * row[d]
+        for d in range(directions):
+            row = self.C[d]
+            known = weight * phi[d]
+            for e in range(directions):
+                row[e] += known * phi[e]
+            self.z[d] += known * nu
+        for r in range(THETA + p.rotors):
+            row = self.M[r]
+            gain = K[r]
+            for d in range(directions):
+                row[d] -= gain * phi[d]
+
+
+class Bank(Struct):
+    """All onsets."""
+
+    slots = array(Slot, SLOTS)
+    count: int = 0  # ticks so far
+    reach: Real = 0.0  # ticks
+
+    def begin(self, p: Plant) -> None:
+        """All slots unused."""
+        for k in range(SLOTS):
+            stride = _stride(p, k // GROUP)
+            self.slots[k].gradual = k // GROUP == GROUPS - 1
+            self.slots[k].log_stride = log(real(stride))
+            self.reach = max(self.reach, real(GROUP * stride))
+
+    def advance(self, p: Plant, judge: bool, restart: bool, before: Reals) -> None:
+        """One tick on: where the flight is judged a slot of each group becomes a jump now; elsewhere all are unused."""
+        fades = exp(-p.dt / ANSWER_S)
+        for k in range(SLOTS):
+            slot = self.slots[k]
+            stride = _stride(p, k // GROUP)
+            if not judge or restart:
+                slot.age = -1
+            elif self.count % stride == 0 and self.count // stride % GROUP == k % GROUP:
+                slot.open(p, before)
+            elif slot.age >= 0:
+                slot.age += 1
+            if slot.age >= 0:
+                slot.advance(
+                    p,
+                    (1.0 - fades) * exp(-p.dt / ANSWER_S * real(slot.age))
+                    if slot.gradual
+                    else 1.0
+                    if slot.age == 0
+                    else 0.0,
+                )
+        self.count += 1
+
+    def forget(self) -> None:
+        """All slots unused: what they were compared with has changed."""
+        for k in range(SLOTS):
+            self.slots[k].age = -1
+
+
+class Window(Struct):
+    """What the ticks since one onset say of a jump then, whatever the errors of the model: information C and vector z of its size."""
+
+    C = array(REAL, DIRECTIONS, DIRECTIONS)
+    z = array(REAL, DIRECTIONS)
+
+    def reduce(self, p: Plant, slot: Slot, yaw_error: Real, damping_error: Real) -> None:
+        """Of a slot, with both errors of the model integrated out, of given variances: C - c c' / (C_ll + 1 / variance), and z alike.
+        Damping has a least, which is 0: less of it than is known is not allowed for."""
+        directions = FIRST_LOSS + p.rotors
+        damping = slot.C[DAMPING_ERROR]
+        prior = damping_error if slot.z[DAMPING_ERROR] > 0.0 else 1e-12
+        inverse = 1.0 / (damping[DAMPING_ERROR] + 1.0 / prior)
+        for d in range(directions):
+            row = slot.C[d]
+            out = self.C[d]
+            share = damping[d] * inverse
+            for e in range(directions):
+                out[e] = row[e] - share * damping[e]
+            self.z[d] = slot.z[d] - share * slot.z[DAMPING_ERROR]
+        yaw = local(REAL, DIRECTIONS)
+        for d in range(directions):
+            yaw[d] = self.C[YAW_ERROR][d]
+        score = self.z[YAW_ERROR]
+        inverse = 1.0 / (yaw[YAW_ERROR] + 1.0 / yaw_error)
+        for d in range(directions):
+            mine = self.C[d]
+            share = yaw[d] * inverse
+            for e in range(directions):
+                mine[e] -= share * yaw[e]
+            self.z[d] -= share * score
+
+
+def _stride(p: Plant, group: int) -> int:
+    return int(LONG[group]) if p.dt >= SLOW_S else int(SHORT[group])

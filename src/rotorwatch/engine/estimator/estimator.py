@@ -1,0 +1,268 @@
+"""The default diagnoser: a Kalman filter, a bank of jump detectors on its innovations, and explanations side by side.
+
+The step below is the method, in the order of docs/methods/default.md; each part has its file. The filter (kalman.py) runs on the wrench
+balance (plant.py) with the losses theta of already announced rotors in its state. For every onset time in a bank (bank.py) the exact
+effect of a unit jump on the innovations is carried along, so that at each tick the likelihood ratio of any jump at any of these times is
+known, with its most probable size (hypotheses.py, evidence.py). When a fault is announced (announcement.py, plausibility.py) what may
+have happened becomes a few explanations (posterior.py); the best of them leads.
+"""
+
+from __future__ import annotations
+
+from rotorwatch.base.compiling.structs import FLAG, REAL, Real, Reals, Struct, array, embedded, local, real, sqrt
+from rotorwatch.engine.estimator.announcement import Alarm
+from rotorwatch.engine.estimator.bank import Bank
+from rotorwatch.engine.estimator.evidence import Best, Evidence
+from rotorwatch.engine.estimator.hypotheses import hypothesis_count
+from rotorwatch.engine.estimator.kalman import Measured
+from rotorwatch.engine.estimator.model_error import ERROR_TICKS, Memory, Seen, shows_air, unknown_damping
+from rotorwatch.engine.estimator.noise import WHITE, Noise
+from rotorwatch.engine.estimator.opposite import TURNING, Opposite
+from rotorwatch.engine.estimator.plant import AIR, B1, B2, B3, CURVE, LOAD_GAIN, PER_AXIS, THETA, THRUST, YAW, YAW_GAIN, Inputs, Plant, Rows, bend, bent_wrench, dot, rows
+from rotorwatch.engine.estimator.plausibility import Coupling, Missing, Plausible
+from rotorwatch.engine.estimator.posterior import Branches, lives
+from rotorwatch.engine.estimator.sizes import HYPOTHESES, PLACES, ROTORS, SLOTS
+from rotorwatch.engine.front.losses import WITHIN_95
+from rotorwatch.engine.front.ticks import GROUND, JUDGE
+
+LEAST_USUAL = 0.1  # hover thrusts
+
+
+class Result(Struct):
+    """What one tick leaves behind. Explanations with the leader first; those without a share are not filled in."""
+
+    theta = array(REAL, ROTORS)  # loss, 0 healthy to 1 dead
+    theta_sd = array(REAL, ROTORS)
+    innovation = array(REAL, 4)
+    innovation_var = array(REAL, 4)
+    log_odds = array(REAL, HYPOTHESES)
+    probability = array(REAL, HYPOTHESES)  # among faults
+    statistic: Real = 0.0  # above 0, a fault is more likely than promised
+    best: int = 0  # the likeliest fault
+    onset: Real = 0.0  # ticks since then
+    announced: bool = False  # explanations were made at this tick
+    plausible: bool = False  # the likeliest fault may be true
+    onsets = array(REAL, PLACES)  # ticks since the last jump of a rotor in each
+    active = array(FLAG, PLACES, ROTORS)  # weak rotors of each
+    each = array(REAL, PLACES, ROTORS)  # their losses
+    share = array(REAL, PLACES)  # probability of each
+    gives = array(REAL, ROTORS)  # thrust of the leader's rotors that follow no command, 0 of others
+    detectable = array(REAL, ROTORS)  # standard deviation with which a loss would be measured now
+    biases = array(REAL, 4)  # disturbances, with how rotors differ as they are built
+
+
+class Estimator(Struct):
+    """All that lasts from tick to tick."""
+
+    branches = embedded(Branches)
+    noise = embedded(Noise)
+    bank = embedded(Bank)
+    memory = embedded(Memory)
+    missing = embedded(Missing)
+    alarm = embedded(Alarm)
+    opposite = embedded(Opposite)
+    may = embedded(Plausible)
+    coupling = embedded(Coupling)
+    evidence = embedded(Evidence)  # of this tick
+    seen = embedded(Seen)
+    rows = embedded(Rows)
+    measured = embedded(Measured)
+    best = embedded(Best)
+    usual: Real = 1.0  # mean thrust lately, this tick not counted
+
+    def begin(self, p: Plant) -> None:
+        """Before the first tick."""
+        self.branches.begin(p)
+        self.noise.begin(p)
+        self.bank.begin(p)
+        self.memory.begin(p)
+        self.alarm.begin(p)
+        self.coupling.begin(p)
+
+    def step(self, p: Plant, now: Inputs, out: Result) -> None:
+        """One tick."""
+        judge = now.mode == JUDGE
+        flying = now.mode > GROUND
+        leader = self.branches.all[0]
+        self._ahead(p, now, judge, flying)
+        self._look(p, now, judge, flying)
+        calm = local(REAL, 4)
+        for a in range(4):
+            calm[a] = self.memory.calm(a)
+        unsure = self.memory.unsure()
+        left = local(REAL, 4)
+        trust = local(REAL, 4)
+        for a in range(4):  # what the calm parts leave over, biases included: the noise learns from it
+            x = a * PER_AXIS
+            biases = leader.s[x + B1] + leader.s[x + B2] + leader.s[x + B3]
+            left[a] = self.measured.y[a] - dot(self.rows.h[a], leader.s, a, THETA + p.rotors) + biases
+            trust[a] = self.noise.v[WHITE][a] / self.measured.R[a]
+        self._measure(p, calm)
+        for a in range(4):
+            out.innovation[a] = leader.innovation[a]
+            out.innovation_var[a] = leader.S[a]
+        self.branches.weigh(p, calm, self.measured.counts, judge)
+        if self.branches.lead():
+            self.bank.forget()
+
+        # What the bank says of any jump since, and whether that is announced.
+        found = self.evidence
+        found.yaw_error = max(leader.P[YAW_GAIN][YAW_GAIN], 1e-12)
+        found.damping_error = unknown_damping(p, leader.s)
+        found.ask(
+            p,
+            leader,
+            self.noise,
+            self.seen.thrust,
+            self.rows.drag,
+            self.missing.air(p),
+            self.memory.outside(p),
+            now.full,
+        )
+        found.gather(p, self.bank)
+        found.pick(p, self.bank, found.first, self.best)
+        slot = self.bank.slots[self.best.slot]
+        self.may.judge(p, self.best, slot, now, self.seen, self.missing, leader, self.noise, self.coupling)
+        far = found.far(p, self.bank) if found.asked.weak else 0.0
+        self.alarm.decide(p, found, far, self.best, self.bank, self.may, judge)
+        steady = judge and not self.alarm.alarm and abs(now.rate[YAW]) < TURNING and not found.asked.weak
+        self.opposite.suspect(p, self.bank, found, self.missing, self.alarm, steady)
+        shared = self.opposite.pair >= 0
+        out.best = self.opposite.pair if shared else found.first
+        out.announced = self.alarm.alarm or shared or (self.alarm.absorbed and found.asked.weak)
+        for i in range(p.rotors):
+            out.detectable[i] = found.detectable(i)
+        if self.alarm.alarm or shared or self.alarm.absorbed:
+            far = found.far(p, self.bank)
+            self.branches.born(p, self.bank, found, out.best, far, self.alarm.alarm or shared, shared)
+            self.bank.forget()
+        learns = local(FLAG, 4)
+        quiet = self.alarm.quiet(p, found)
+        for a in range(4):
+            learns[a] = now.valid[a] and quiet and flying
+        self.noise.step(p, left, learns, trust)
+        self._tell(p, now, unsure, out)
+
+    def _ahead(self, p: Plant, now: Inputs, judge: bool, flying: bool) -> None:
+        """One tick ahead: the filters of all explanations, and the bank of the one that leads."""
+        unsure = self.memory.unsure()
+        for k in range(PLACES):
+            one = self.branches.all[k]
+            if now.hop:
+                one.hop(p)
+            if now.restart:
+                one.open(p)
+        if now.restart:
+            self.branches.alone()
+        for k in range(PLACES):
+            if lives(self.branches.all[k]):
+                self.branches.all[k].predict(p, self.noise, unsure, flying)
+        self.bank.advance(p, judge, now.restart, self.memory.thrust)
+
+    def _look(self, p: Plant, now: Inputs, judge: bool, flying: bool) -> None:
+        """How far this tick's inputs and the model can be believed, and the measurement that follows."""
+        n = p.rotors
+        leader = self.branches.all[0]
+        mean = 0.0
+        for i in range(n):
+            mean += now.thrust[i] / real(n)
+        self.usual = max(mean if now.restart else self.memory.collective, LEAST_USUAL)
+        rows(p, now, now.thrust, now.forward, now.right, leader.s, self.usual, self.rows)
+        bends = local(REAL, ROTORS)
+        bent = local(REAL, 4)
+        lost = local(REAL, 4)
+        bend(p, now, now.thrust, self.usual, bends)
+        bent_wrench(p, bends, bent)
+        for a in range(4):
+            for i in range(n):
+                lost[a] += self.rows.h[a][THETA + i] * leader.s[THETA + i]
+        seen = self.seen
+        self.memory.look(p, now, leader.s, lost, bent, self.noise, flying, seen)
+        # What carries a vehicle that is not clear of the ground says nothing of the curve, and beside a weak rotor a curve looks like
+        # its loss.
+        if not judge or leader.weak(p):
+            seen.curve = 0.0
+        seen.gain_share[AIR] = shows_air(now.axial) if flying else 0.0
+        m = self.measured
+        self.memory.variance(p, now, seen, leader.s, self.noise, m.R)
+        wrench = now.wrench[THRUST] if now.valid[THRUST] else 0.0
+        air = real(n) * now.axial * leader.s[AIR]
+        self.missing.follow(p, now, wrench + bent[THRUST] * leader.s[CURVE] - now.load * leader.s[LOAD_GAIN] - air)
+
+        rows(p, now, seen.thrust, seen.forward, seen.right, leader.s, self.usual, self.rows)
+        dragged = 0.0
+        missing_drag = 0.0
+        for i in range(n):
+            dragged += self.rows.drag[i]
+            missing_drag += self.rows.drag[i] * leader.s[THETA + i]
+        for a in range(4):
+            m.y[a] = now.wrench[a] if now.valid[a] else 0.0
+            m.counts[a] = now.valid[a] and flying
+            row = self.rows.h[a]
+            m.y[a] -= (1.0 - seen.curve) * row[CURVE] * leader.s[CURVE]
+            row[CURVE] *= seen.curve
+            m.R[a] += self.noise.v[WHITE][a]
+        m.y[YAW] += dragged
+        m.R[YAW] += ERROR_TICKS * missing_drag * missing_drag
+        m.least = -now.expo / max(now.expo_sd, 1e-9)
+        m.most = (1.0 - now.expo) / max(now.expo_sd, 1e-9)
+
+    def _measure(self, p: Plant, calm: Reals) -> None:
+        """The measurement: to every explanation, and to the bank."""
+        for k in range(PLACES):
+            if lives(self.branches.all[k]):
+                self.branches.all[k].update(p, self.rows, self.measured, self.seen.gain_share)
+        leader = self.branches.all[0]
+        for k in range(SLOTS):
+            slot = self.bank.slots[k]
+            if slot.age >= 0:
+                for a in range(4):
+                    if self.measured.counts[a]:
+                        slot.observe(p, a, self.rows.h[a], leader.gain[a], calm[a] / leader.S[a], leader.innovation[a])
+        self.memory.remember(p, leader.innovation, leader.S, self.measured.counts)
+
+    def _tell(self, p: Plant, now: Inputs, unsure: Real, out: Result) -> None:
+        n = p.rotors
+        leader = self.branches.all[0]
+        count = hypothesis_count(n)
+        for h in range(count):
+            out.log_odds[h] = self.evidence.odds[h]
+            out.probability[h] = self.evidence.probability[h]
+        out.statistic = self.alarm.statistic
+        out.plausible = self.alarm.possible
+        out.onset = self.best.since
+        self.branches.shares(out.share)
+        for k in range(PLACES):
+            one = self.branches.all[k]
+            out.onsets[k] = one.onset
+            for i in range(n):
+                out.active[k][i] = one.active[i]
+                out.each[k][i] = min(max(one.s[THETA + i], 0.0), 1.0) if one.active[i] else 0.0
+        # The filter believes its noise model; where innovations have been larger or longer than that, so is the error. What alike rotors
+        # lack alike may be theirs, or that of any other such pair.
+        alike = 1.0
+        for i in range(n):
+            if leader.alike[i]:
+                alike = min(alike, out.each[0][i])
+        # What of the curve is still open is open of a loss, too: by as much as the rotor is commanded more than is usual, and still gives.
+        more = local(REAL, ROTORS)
+        bends = local(REAL, ROTORS)
+        for i in range(n):
+            more[i] = self.usual + max(self.memory.trim[i], 0.0)
+        bend(p, now, more, self.usual, bends)
+        for i in range(n):
+            out.theta[i] = out.each[0][i]
+            variance = leader.variance[i]
+            if leader.alike[i]:
+                variance += alike / WITHIN_95 * (alike / WITHIN_95)
+            if leader.active[i]:
+                bent = (1.0 - out.theta[i]) * bends[i] / more[i]
+                variance += unsure * leader.P[THETA + i][THETA + i] + bent * bent * leader.P[CURVE][CURVE]
+            out.theta_sd[i] = sqrt(max(variance, 0.0))
+            out.gives[i] = leader.gives[i] if leader.active[i] else 0.0
+        for a in range(4):
+            x = a * PER_AXIS
+            out.biases[a] = leader.s[x + B1] + leader.s[x + B2] + leader.s[x + B3]
+            for i in range(n):
+                if not leader.active[i]:
+                    out.biases[a] += self.rows.h[a][THETA + i] * leader.s[THETA + i]

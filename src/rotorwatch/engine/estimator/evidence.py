@@ -1,0 +1,350 @@
+"""How strongly the data speak for a jump of each kind, whenever it was: the bank's onset times summed, and the best one picked.
+
+With prior weights p_h, and onsets equally likely at any tick, the evidence of a hypothesis h is the sum over the slots w of the bank,
+
+    log sum_w exp( log BF_wh + log p_h + log stride_w )
+
+and that of a fault the sum over the hypotheses that are one: the Shiryaev-Roberts statistic (Pollak, Ann. Statist. 13, 1985). With the
+most probable onset and size of a hypothesis comes what the augmented filter would hold, had it known of the jump.
+"""
+
+from __future__ import annotations
+
+from rotorwatch.base.compiling.structs import REAL, Real, Reals, Struct, array, embedded, exp, local, log, real, reset, sqrt
+from rotorwatch.engine.estimator import hypotheses
+from rotorwatch.engine.estimator.bank import FIRST_LOSS, Bank, Slot, Window
+from rotorwatch.engine.estimator.hypotheses import CLEAR, DISTURBANCE, DISTURBANCE_COUNT, DISTURBANCE_WEIGHT, DISTURBANCES, FAR, FAR_SHARE, LOSS_WIDTH, NONE, NOTHING, ONE_THRUST, PAIR, RECOVERY, SINGLE, TOTAL_LOSS, Asked, Freed, Jump, hypothesis_count, kind_of, other_rotor_of, recovery_variance, rotor_of, weight_of
+from rotorwatch.engine.estimator.kalman import Branch
+from rotorwatch.engine.estimator.noise import Noise
+from rotorwatch.engine.estimator.plant import ANSWER_S, THETA, THRUST, Plant
+from rotorwatch.engine.estimator.sizes import DIRECTIONS, HYPOTHESES, ROTORS, SLOTS
+
+DISTURBANCE_SCALE, DISTURBANCE_LEAST, DISTURBANCE_MOST = 3.0, 0.03, 1.0
+
+
+class Best(Struct):
+    """One hypothesis at its most probable onset."""
+
+    hypothesis: int = 0
+    slot: int = 0
+    since: Real = 0.0  # ticks since then
+    kind: int = 0
+    rotor: int = -1
+    other: int = -1
+    jump = embedded(Jump)
+
+    def size_of(self, rotor: int) -> Real:
+        """Size of the jump of a rotor."""
+        return self.jump.size if rotor == self.rotor else self.jump.other_size if rotor == self.other else 0.0
+
+
+class Shift(Struct):
+    """A jump in all directions of the bank: most probable size and covariance. A: room to work in."""
+
+    size = array(REAL, DIRECTIONS)
+    cov = array(REAL, DIRECTIONS, DIRECTIONS)
+    A = array(REAL, 6, 6)
+
+
+class Evidence(Struct):
+    """What all windows say of all hypotheses."""
+
+    asked = embedded(Asked)
+    yaw_error: Real = 0.0  # variance of the gain of yaw
+    damping_error: Real = 0.0  # ... of how much roll and pitch are damped
+    log_bf = array(REAL, SLOTS, HYPOTHESES)  # log Bayes factors with the slots' strides
+    unfaulty = array(REAL, SLOTS)  # the largest log Bayes factor of a disturbance
+    odds = array(REAL, HYPOTHESES)  # log evidence over all onsets
+    probability = array(REAL, HYPOTHESES)  # among faults
+    known = array(REAL, ROTORS)  # the most information on each rotor's jump alone
+    fault: Real = 0.0  # log of the sum over all faults
+    other: Real = 0.0  # ... over all disturbances
+    first: int = 0  # the likeliest fault
+    live: int = 0  # the first slot in use, else 0
+    window = embedded(Window)
+    freed = embedded(Freed)
+    jump = embedded(Jump)
+
+    def ask(
+        self, p: Plant, leader: Branch, noise: Noise, thrust: Reals, drag: Reals, air: Real, outside: Real, full: Real
+    ) -> None:
+        """What the hypotheses are measured by at this tick. thrust, drag: of each rotor; air: thrust that air from below adds; outside:
+        what a force from the side may do; full: thrust of a rotor."""
+        a = self.asked
+        a.weak = False
+        a.dead = False
+        for i in range(p.rotors):
+            theta = leader.s[THETA + i]
+            a.active[i] = leader.active[i]
+            a.theta[i] = theta
+            # A known loss may be taken back; what the filter has absorbed of that already is part of the jump.
+            a.lo[i] = -1.0 if leader.active[i] else 0.0
+            a.hi[i] = max(1.0 - theta, 0.0)
+            a.weak = a.weak or leader.active[i]
+            a.dead = a.dead or (leader.active[i] and theta > TOTAL_LOSS)
+            most = 0.0
+            for axis in range(4):
+                most = max(most, abs(p.effect[axis][i]))
+            a.reach[i] = most * thrust[i]
+            a.drag[i] = drag[i]
+        a.air = air * air
+        a.full = full
+        for axis in range(4):
+            width = min(max(DISTURBANCE_SCALE * sqrt(noise.spread(axis)), DISTURBANCE_LEAST), DISTURBANCE_MOST)
+            # What moving air does to thrust needs no rotor, nor what a force from the side does: it turns the vehicle at an arm as long
+            # as its own.
+            moved = air * air if axis == THRUST else 0.0
+            a.width[axis] = sqrt(width * width + outside * outside + moved)
+
+    def gather(self, p: Plant, bank: Bank) -> None:
+        """The evidence of all hypotheses."""
+        n = p.rotors
+        count = hypothesis_count(n)
+        top = local(REAL, HYPOTHESES)
+        self.live = -1
+        for i in range(n):
+            self.known[i] = 0.0
+        for h in range(count):
+            top[h] = -1e30
+        for k in range(SLOTS):
+            slot = bank.slots[k]
+            row = self.log_bf[k]
+            if slot.age >= 0:
+                self.unfaulty[k] = self._weigh(p, slot, row)
+                if self.live < 0:
+                    self.live = k
+            else:
+                for h in range(count):
+                    row[h] = NOTHING
+            for h in range(count):
+                row[h] += slot.log_stride
+                top[h] = max(top[h], row[h])
+        self.live = max(self.live, 0)
+        for h in range(count):
+            self.odds[h] = 0.0
+        for k in range(SLOTS):
+            row = self.log_bf[k]
+            for h in range(count):
+                self.odds[h] += exp(row[h] - top[h])
+        for h in range(count):
+            self.odds[h] = top[h] + log(self.odds[h] * weight_of(kind_of(n, h)))
+        self._prior(p)
+        self._sum(p)
+
+    def _weigh(self, p: Plant, slot: Slot, out: Reals) -> Real:
+        """Log Bayes factors of one onset; the largest of a disturbance."""
+        n = p.rotors
+        self.window.reduce(p, slot, self.yaw_error, self.damping_error)
+        self.freed.free(p, self.window, self.asked)
+        for i in range(n):
+            self.known[i] = max(self.known[i], self.window.C[FIRST_LOSS + i][FIRST_LOSS + i])
+            self.freed.loss(self.asked, i, self.jump)
+            out[i] = self.jump.factor
+        h = n
+        for i in range(n):
+            for j in range(i + 1, n):
+                hypotheses.pair(self.window, self.asked, i, j, self.jump)
+                out[h] = self.jump.factor
+                h += 1
+        for i in range(n):
+            out[h] = NOTHING
+            if self.asked.active[i]:
+                self.freed.recovery(i, self._target(p, slot, i), self.jump)
+                out[h] = self.jump.factor
+            out[h + n] = NOTHING
+            if self.asked.active[i] or not self.asked.weak:
+                hypotheses.one_thrust(p, self.window, self.asked, i, self.jump)
+                out[h + n] = self.jump.factor
+            h += 1
+        steps = local(REAL, DISTURBANCE_COUNT)
+        hypotheses.disturbances(self.window, self.asked.width, 1.0, steps)
+        most = steps[0]
+        for b in range(DISTURBANCE_COUNT):
+            out[h + n + b] = steps[b]
+            most = max(most, steps[b])
+        return most
+
+    def _target(self, p: Plant, slot: Slot, i: int) -> Real:
+        """What ends a known loss: of a unit jump the filter has by now, or will have, so much of theta left."""
+        to_come = exp(-p.dt / ANSWER_S * real(slot.age + 1)) if slot.gradual else 0.0
+        return -self.asked.theta[i] / max(slot.M[THETA + i][FIRST_LOSS + i] + to_come, 0.3)
+
+    def barred(self, n: int, h: int) -> bool:
+        """Whether a fault is not asked for beside what is known. With a rotor lost altogether the vehicle flies at its limits, where the
+        others look weak: no two of them are judged at once. Beside a weak one it is not asked whether another gives one thrust."""
+        kind = kind_of(n, h)
+        fresh = self._fresh(n, h)
+        if self.asked.dead and fresh > 1:
+            return True
+        return fresh > 0 and (kind == RECOVERY or (kind == ONE_THRUST and self.asked.weak))
+
+    def _fresh(self, n: int, h: int) -> int:
+        """Rotors of a hypothesis that are not known to be weak."""
+        rotor = rotor_of(n, h)
+        other = other_rotor_of(n, h)
+        count = 0
+        if rotor >= 0 and not self.asked.active[rotor]:
+            count += 1
+        if other >= 0 and not self.asked.active[other]:
+            count += 1
+        return count
+
+    def _prior(self, p: Plant) -> None:
+        """A rotor that has failed is likely to change again, another one less so, and far less beside one that is lost."""
+        n = p.rotors
+        another = -3.0 * CLEAR if self.asked.dead else -CLEAR if self.asked.weak else 0.0
+        for h in range(hypothesis_count(n) - DISTURBANCE_COUNT):
+            if self.barred(n, h):
+                self.odds[h] = 2.0 * NOTHING + log(real(SLOTS))
+            else:
+                self.odds[h] += CLEAR if self._fresh(n, h) == 0 else another
+
+    def _sum(self, p: Plant) -> None:
+        count = hypothesis_count(p.rotors)
+        faults = count - DISTURBANCE_COUNT
+        self.first = 0
+        best = self.odds[0]
+        least = self.odds[faults]
+        for h in range(faults):
+            if self.odds[h] > best:
+                best = self.odds[h]
+                self.first = h
+        for h in range(faults, count):
+            least = max(least, self.odds[h])
+        total = 0.0
+        for h in range(count):
+            self.probability[h] = exp(self.odds[h] - best) if h < faults else 0.0
+            total += self.probability[h]
+        for h in range(faults):
+            self.probability[h] /= total
+        self.fault = best + log(total)
+        total = 0.0
+        for h in range(faults, count):
+            total += exp(self.odds[h] - least)
+        self.other = least + log(total)
+
+    def far(self, p: Plant, bank: Bank) -> Real:
+        """Log evidence of disturbances much larger than this flight's."""
+        steps = local(REAL, DISTURBANCE_COUNT)
+        best = -1e30
+        total = 0.0
+        for k in range(SLOTS):
+            slot = bank.slots[k]
+            if slot.age >= 0:
+                self.window.reduce(p, slot, self.yaw_error, self.damping_error)
+                hypotheses.disturbances(self.window, self.asked.width, FAR, steps)
+            for b in range(DISTURBANCE_COUNT):
+                one = (steps[b] if slot.age >= 0 else NOTHING) + slot.log_stride
+                if one > best:
+                    total *= exp(best - one)
+                    best = one
+                total += exp(one - best)
+        return best + log(total * FAR_SHARE * DISTURBANCE_WEIGHT)
+
+    def pick(self, p: Plant, bank: Bank, h: int, out: Best) -> None:
+        """One hypothesis at its most probable onset."""
+        n = p.rotors
+        out.hypothesis = h
+        out.kind = kind_of(n, h)
+        out.rotor = rotor_of(n, h)
+        out.other = other_rotor_of(n, h)
+        out.slot = self.live
+        if out.kind == DISTURBANCE or not self.barred(n, h):
+            for k in range(SLOTS):
+                if bank.slots[k].age >= 0 and self.log_bf[k][h] > self.log_bf[out.slot][h]:
+                    out.slot = k
+        slot = bank.slots[out.slot]
+        out.since = real(slot.age + 1)
+        reset(out.jump)
+        if slot.age < 0:
+            return
+        self.window.reduce(p, slot, self.yaw_error, self.damping_error)
+        self.freed.free(p, self.window, self.asked)
+        if out.kind == SINGLE:
+            self.freed.loss(self.asked, out.rotor, out.jump)
+        elif out.kind == PAIR:
+            hypotheses.pair(self.window, self.asked, out.rotor, out.other, out.jump)
+        elif out.kind == RECOVERY:
+            target = self._target(p, slot, out.rotor) if self.asked.active[out.rotor] else 0.0
+            self.freed.recovery(out.rotor, target, out.jump)
+        elif out.kind == ONE_THRUST:
+            hypotheses.one_thrust(p, self.window, self.asked, out.rotor, out.jump)
+
+    def detectable(self, i: int) -> Real:
+        """Standard deviation with which a loss of a rotor would be measured now."""
+        return 1.0 / sqrt(self.known[i] + 1.0 / (LOSS_WIDTH * LOSS_WIDTH))
+
+    def shift(self, p: Plant, bank: Bank, best: Best, out: Shift) -> None:
+        """Size and covariance of a jump in all directions, after `pick` of it. What geometry is wrong by counts in how well a loss is
+        known; it does not become a disturbance."""
+        w = self.window
+        reset(out)
+        if best.kind == DISTURBANCE:
+            steps = int(DISTURBANCES[best.hypothesis - hypothesis_count(p.rotors) + DISTURBANCE_COUNT])
+            for a in range(4):
+                wide = FAR * self.asked.width[a] if (steps >> a) & 1 == 1 else 0.0
+                for b in range(4):
+                    out.A[a][b] = w.C[a][b]
+                out.A[a][a] += 1.0 / (wide * wide + 1e-12)
+            invert(out, 4)
+            for a in range(4):
+                if (steps >> a) & 1 == 1:
+                    for b in range(4):
+                        out.size[a] += out.A[a][b] * w.z[b]
+                        out.cov[a][b] = out.A[a][b] if (steps >> b) & 1 == 1 else 0.0
+            return
+        rotor = FIRST_LOSS + best.rotor
+        other = FIRST_LOSS + best.other
+        out.size[rotor] = best.jump.size
+        if best.kind == SINGLE:
+            out.cov[rotor][rotor] = best.jump.variance
+        elif best.kind == ONE_THRUST:
+            out.cov[rotor][rotor] = NONE * NONE
+            for a in range(4):  # what it gives instead of what it is commanded
+                out.size[a] = -p.effect[a][best.rotor] * best.jump.gives
+                for b in range(4):
+                    out.cov[a][b] = best.jump.variance * p.effect[a][best.rotor] * p.effect[b][best.rotor]
+        else:
+            variance = LOSS_WIDTH * LOSS_WIDTH
+            if best.kind == RECOVERY:
+                active = self.asked.active[best.rotor]
+                variance = recovery_variance(self._target(p, bank.slots[best.slot], best.rotor) if active else 0.0)
+            for a in range(4):
+                for b in range(4):
+                    out.A[a][b] = w.C[a][b]
+                out.A[a][a] += 1.0 / (self.freed.slop[a] + 1e-12)
+                out.A[a][4] = w.C[a][rotor]
+                out.A[4][a] = w.C[a][rotor]
+            out.A[4][4] = w.C[rotor][rotor] + 1.0 / variance
+            if best.kind == PAIR:
+                for a in range(4):
+                    out.A[a][5] = w.C[a][other]
+                    out.A[5][a] = w.C[a][other]
+                out.A[4][5] = w.C[rotor][other]
+                out.A[5][4] = w.C[rotor][other]
+                out.A[5][5] = w.C[other][other] + 1.0 / variance
+                invert(out, 6)
+                out.size[other] = best.jump.other_size
+                out.cov[rotor][other] = out.A[4][5]
+                out.cov[other][rotor] = out.A[4][5]
+                out.cov[other][other] = out.A[5][5]
+            else:
+                invert(out, 5)
+            out.cov[rotor][rotor] = out.A[4][4]
+
+
+def invert(it: Shift, k: int) -> None:
+    """The first k rows and columns of A, symmetric and positive, become their inverse."""
+    for d in range(k):
+        row = it.A[d]
+        pivot = 1.0 / row[d]
+        row[d] = 1.0
+        for c in range(k):
+            row[c] *= pivot
+        for r in range(k):
+            if r != d:
+                to = it.A[r]
+                share = to[d]
+                to[d] = 0.0
+                for c in range(k):
+                    to[c] -= share * row[c]

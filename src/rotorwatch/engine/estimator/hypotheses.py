@@ -1,0 +1,370 @@
+"""What may have happened: the explicit hypotheses of the default diagnoser, and how strongly a window of data speaks for each.
+
+For a jump nu in directions d (rotor losses and axis biases) at a given time, the filter's innovations give the information
+matrix C and vector z of nu (Willsky & Jones 1976). A hypothesis allows a subset of directions; the log
+Bayes factor against "no jump", with a Gaussian prior of width w on each direction and rotor losses confined to [lo, hi], is
+
+    log BF = z.nu - nu.C.nu / 2  -  1/2 sum log(1 + C_dd|rest w^2)        at the most probable admissible nu
+
+In their order: each rotor, each pair of rotors, each rotor well again, each rotor giving one thrust, disturbances.
+"""
+
+from __future__ import annotations
+
+from rotorwatch.base.compiling.structs import FLAG, REAL, Real, Reals, Struct, array, exp, local, log, sqrt
+from rotorwatch.engine.estimator.bank import FIRST_LOSS, Window
+from rotorwatch.engine.estimator.plant import THRUST, YAW, Plant
+from rotorwatch.engine.estimator.sizes import ROTORS
+from rotorwatch.engine.front import losses
+from rotorwatch.engine.front.losses import PAIR_WEIGHT
+
+# Nats by which one explanation has to be better than another before that counts.
+CLEAR = log(losses.CLEAR)
+# Losses: so large that the rotor is lost altogether; so small that it is none.
+TOTAL_LOSS, NONE = 0.8, 0.015
+LOSS_WIDTH, SMALL_WIDTH = 0.3, 0.06
+# Motors stop and propellers come off: this share of losses takes all thrust that a rotor has left.
+TOTAL_SHARE = 0.1
+# In this share of losses thrust changes with the air as well: the vehicle has begun to climb or sink.
+AIR_SHARE = 0.05
+# Share by which what a loss does to roll, pitch, yaw and thrust may differ from geometry: inflow and battery change thrust, and
+# in moving air rotors that no longer match in speed drag the vehicle round.
+SLOP = (0.1, 0.1, 0.4, 0.3)
+# A flight does not show what a vehicle with a weak rotor will do: this share of disturbances is so many times their usual size then.
+FAR_SHARE, FAR = 0.2, 4.0
+# Prior weights: how often each kind of jump happens, relative to one particular rotor failing, or working again. Disturbances are common.
+# A rotor that follows no command any more but gives one thrust, whatever that is, is rarer than one that gives less.
+STUCK_WEIGHT, DISTURBANCE_WEIGHT = 0.1, 3.0
+# By what share of it a loss that ends may differ from what it was thought to be.
+RECOVERY_SHARE = 0.3
+# Hover thrusts that a rotor gives at least that is told to give one thrust; nats of what cannot be.
+MORE, NOTHING = 1.25, -50.0
+# Disturbances: which of roll (1), pitch (2), yaw (4), thrust (8) they touch.
+DISTURBANCES = (1, 2, 4, 8, 9, 10, 12, 7, 15)
+DISTURBANCE_COUNT = 9
+
+SINGLE, PAIR, RECOVERY, ONE_THRUST, DISTURBANCE = 0, 1, 2, 3, 4  # kinds
+
+
+class Asked(Struct):
+    """What a tick's hypotheses are measured by."""
+
+    weak: bool = False  # a rotor is known to be
+    dead: bool = False  # ... and lost altogether
+    active = array(FLAG, ROTORS)
+    theta = array(REAL, ROTORS)  # known losses
+    lo = array(REAL, ROTORS)  # bounds of a rotor's jump
+    hi = array(REAL, ROTORS)
+    width = array(REAL, 4)  # how large disturbances of this aircraft are
+    reach = array(REAL, ROTORS)  # the most that a whole loss does to any axis by geometry
+    drag = array(REAL, ROTORS)  # ... to yaw by its drag
+    air: Real = 0.0  # variance of thrust that air from below or above may make
+    full: Real = 0.0  # thrust of a rotor
+
+
+class Jump(Struct):
+    """The most probable jump of one hypothesis."""
+
+    factor: Real = 0.0  # log Bayes factor
+    size: Real = 0.0  # of its rotor
+    other_size: Real = 0.0  # of its other rotor
+    variance: Real = 0.0  # of a single rotor's size, or of `gives`
+    gives: Real = 0.0  # thrust that its rotor gives, whatever it is commanded
+
+
+class Freed(Struct):
+    """Each rotor's jump alone when the axes may differ by `slop` from what it does to them: Gaussian steps integrated out. Of losses that
+    come with a change of the air thrust may differ by more."""
+
+    slop = array(REAL, 4)  # variances
+    own = array(REAL, 2, ROTORS)  # information, in still and in moving air
+    score = array(REAL, 2, ROTORS)  # vector
+    gain = array(REAL, 2)  # what that freedom gains, nats
+
+    def free(self, p: Plant, w: Window, a: Asked) -> None:
+        """From a window. SLOP is of what the likeliest rotor would lack, and in yaw all of its drag is uncertain."""
+        n = p.rotors
+        best = -1e30
+        lacks = 0.0
+        dragged = 0.0
+        for i in range(n):
+            c = w.C[FIRST_LOSS + i][FIRST_LOSS + i] + 1.0 / (LOSS_WIDTH * LOSS_WIDTH)
+            z = w.z[FIRST_LOSS + i]
+            nu = min(max(z / c, a.lo[i]), a.hi[i])
+            fit = z * nu - 0.5 * c * nu * nu
+            if fit > best:
+                best = fit
+                lacks = abs(nu * a.reach[i])
+                dragged = abs(nu * a.drag[i])
+        for axis in range(4):
+            self.slop[axis] = SLOP[axis] * lacks * (SLOP[axis] * lacks) + 1e-12
+        self.slop[YAW] += dragged * dragged
+        among = local(REAL, 4, 4)
+        cross = local(REAL, 4, ROTORS)
+        step = local(REAL, 4)
+        for axis in range(4):
+            step[axis] = w.z[axis]
+            for other in range(4):
+                among[axis][other] = w.C[axis][other]
+            for i in range(n):
+                cross[axis][i] = w.C[axis][FIRST_LOSS + i]
+        own = local(REAL, ROTORS)
+        score = local(REAL, ROTORS)
+        for i in range(n):
+            own[i] = w.C[FIRST_LOSS + i][FIRST_LOSS + i]
+            score[i] = w.z[FIRST_LOSS + i]
+        gain = 0.0
+        grown = 1.0
+        for axis in range(THRUST):
+            d = among[axis][axis] + 1.0 / self.slop[axis]
+            gain += 0.5 * step[axis] * step[axis] / d
+            grown *= d * self.slop[axis]
+            for i in range(n):
+                share = cross[axis][i] / d
+                own[i] -= cross[axis][i] * share
+                score[i] -= share * step[axis]
+                for other in range(axis + 1, 4):
+                    cross[other][i] -= share * among[axis][other]
+            for other in range(axis + 1, 4):
+                share = among[axis][other] / d
+                step[other] -= share * step[axis]
+                for last in range(axis + 1, 4):
+                    among[other][last] -= share * among[axis][last]
+        for moving in range(2):
+            prior = self.slop[THRUST] + (a.air if moving == 1 else 0.0)
+            d = among[THRUST][THRUST] + 1.0 / prior
+            self.gain[moving] = gain + 0.5 * step[THRUST] * step[THRUST] / d - 0.5 * log(grown * d * prior)
+            for i in range(n):
+                share = cross[THRUST][i] / d
+                self.own[moving][i] = own[i] - cross[THRUST][i] * share
+                self.score[moving][i] = score[i] - share * step[THRUST]
+
+    def loss(self, a: Asked, i: int, out: Jump) -> None:
+        """Rotor i alone. Losses are small as often as large, and now and then total; each kind may come with a change of the air."""
+        fit = local(REAL, 6)
+        size = local(REAL, 6)
+        spread = local(REAL, 6)
+        likely = local(REAL, 6)
+        most = -1e30
+        for k in range(6):
+            kind = k % 3
+            moving = k // 3
+            mean = a.hi[i] if kind == 2 else 0.0
+            width = SMALL_WIDTH if kind == 0 else LOSS_WIDTH if kind == 1 else NONE
+            share = TOTAL_SHARE if kind == 2 else 0.5 * (1.0 - TOTAL_SHARE)
+            precision = 1.0 / (width * width)
+            c = self.own[moving][i]
+            z = self.score[moving][i]
+            spread[k] = 1.0 / (c + precision)
+            size[k] = min(max((z + mean * precision) * spread[k], a.lo[i]), a.hi[i])
+            away = size[k] - mean
+            fit[k] = z * size[k] - 0.5 * c * size[k] * size[k] - 0.5 * away * away * precision + self.gain[moving]
+            likely[k] = share * (AIR_SHARE if moving == 1 else 1.0 - AIR_SHARE) * sqrt(spread[k] * precision)
+            most = max(most, fit[k])
+        total = 0.0
+        mean = 0.0
+        for k in range(6):
+            likely[k] *= exp(fit[k] - most)
+            total += likely[k]
+            mean += likely[k] * size[k]
+        out.size = mean / total
+        out.other_size = 0.0
+        out.gives = 0.0
+        out.variance = 0.0
+        for k in range(6):
+            away = size[k] - out.size
+            out.variance += likely[k] / total * (spread[k] + away * away)
+        out.factor = most + log(total)
+
+    def recovery(self, i: int, target: Real, out: Jump) -> None:
+        """Rotor i is well again: the jump that ends its loss, within RECOVERY_SHARE of that. It gives more, not less."""
+        variance = recovery_variance(target)
+        c = self.own[0][i]
+        z = self.score[0][i]
+        left = c + 1.0 / variance
+        size = min((z + target / variance) / left, 0.0)
+        out.size = size
+        out.other_size = 0.0
+        out.gives = 0.0
+        out.variance = 1.0 / left
+        fit = z * size - 0.5 * c * size * size - 0.5 * (size - target) * (size - target) / variance
+        out.factor = fit - 0.5 * log(left * variance) + self.gain[0]
+
+
+def recovery_variance(target: Real) -> Real:
+    """Variance of the jump `target` that ends a loss."""
+    return NONE * NONE + RECOVERY_SHARE * RECOVERY_SHARE * target * target
+
+
+def pair(w: Window, a: Asked, i: int, j: int, out: Jump) -> None:
+    """Two rotors explain more than one by chance: what they do has to be geometry's. The most probable sizes inside the box: the interior
+    solution, else on an edge that it lies beyond."""
+    precision = 1.0 / (LOSS_WIDTH * LOSS_WIDTH)
+    c11 = w.C[FIRST_LOSS + i][FIRST_LOSS + i] + precision
+    c22 = w.C[FIRST_LOSS + j][FIRST_LOSS + j] + precision
+    c12 = w.C[FIRST_LOSS + i][FIRST_LOSS + j]
+    z1 = w.z[FIRST_LOSS + i]
+    z2 = w.z[FIRST_LOSS + j]
+    det = c11 * c22 - c12 * c12
+    if det <= 1e-12 * c11 * c22:
+        det = 1e-12 * c11 * c22 + 1e-30
+    first = (c22 * z1 - c12 * z2) / det
+    second = (c11 * z2 - c12 * z1) / det
+    nearest = min(max(first, a.lo[i]), a.hi[i])
+    other = min(max(second, a.lo[j]), a.hi[j])
+    one = nearest
+    two = other
+    best = -1e30
+    beyond = nearest < first or nearest > first
+    other_beyond = other < second or other > second
+    if beyond:
+        two = min(max((z2 - c12 * nearest) / c22, a.lo[j]), a.hi[j])
+    if beyond or not other_beyond:
+        best = z1 * one + z2 * two - 0.5 * (c11 * one * one + 2.0 * c12 * one * two + c22 * two * two)
+    if other_beyond:
+        edge = min(max((z1 - c12 * other) / c11, a.lo[i]), a.hi[i])
+        score = z1 * edge + z2 * other - 0.5 * (c11 * edge * edge + 2.0 * c12 * edge * other + c22 * other * other)
+        if score > best:
+            best = score
+            one = edge
+            two = other
+    out.size = one
+    out.other_size = two
+    out.variance = 0.0
+    out.gives = 0.0
+    width = LOSS_WIDTH * LOSS_WIDTH
+    out.factor = best - 0.5 * log(max(c11 * c22 - c12 * c12, 1e-9) * width * width)
+
+
+def one_thrust(p: Plant, w: Window, a: Asked, i: int, out: Jump) -> None:
+    """Rotor i gives one thrust between MORE and full, whatever it is commanded: the command's part is gone, a jump of hi, and a step of
+    the axes along its column of -B has come instead."""
+    c = 0.0
+    cross = 0.0
+    left = 0.0
+    for axis in range(4):
+        effect = -p.effect[axis][i]
+        row = w.C[axis]
+        for other in range(4):
+            c -= effect * row[other] * p.effect[other][i]
+        cross += effect * row[FIRST_LOSS + i]
+        left += effect * w.z[axis]
+    z = w.z[FIRST_LOSS + i]
+    hi = a.hi[i]
+    left -= cross * hi
+    mean = 0.5 * (1.0 + a.full)
+    variance = 0.25 * (a.full - 1.0) * (a.full - 1.0) + 1e-6
+    total = c + 1.0 / variance
+    thrust = min(max((left + mean / variance) / total, 0.0), a.full)
+    out.size = hi
+    out.other_size = 0.0
+    out.gives = thrust
+    out.variance = 1.0 / total
+    out.factor = NOTHING
+    if thrust > MORE:
+        fit = left * thrust - 0.5 * c * thrust * thrust - 0.5 * (thrust - mean) * (thrust - mean) / variance
+        fit -= 0.5 * log(total * variance)
+        out.factor = fit + z * hi - 0.5 * w.C[FIRST_LOSS + i][FIRST_LOSS + i] * hi * hi
+
+
+def disturbances(w: Window, width: Reals, far: Real, out: Reals) -> None:
+    """Log Bayes factors of steps of the axes' biases, of any sign and about `far` times `width` large."""
+    prior = local(REAL, 4)
+    for axis in range(4):
+        prior[axis] = far * far * width[axis] * width[axis]
+    # One axis; one with thrust.
+    d4 = w.C[THRUST][THRUST] + 1.0 / prior[THRUST]
+    fit4 = 0.5 * w.z[THRUST] * w.z[THRUST] / d4
+    grown4 = d4 * prior[THRUST]
+    out[THRUST] = fit4 - 0.5 * log(grown4)
+    for axis in range(THRUST):
+        c = w.C[axis][axis] + 1.0 / prior[axis]
+        z = w.z[axis]
+        out[axis] = 0.5 * z * z / c - 0.5 * log(c * prior[axis])
+        share = w.C[axis][THRUST] / d4
+        d = c - share * w.C[axis][THRUST]
+        rest = z - share * w.z[THRUST]
+        out[4 + axis] = fit4 + 0.5 * rest * rest / d - 0.5 * log(grown4 * d * prior[axis])
+    # All torques; everything.
+    among = local(REAL, 4, 4)
+    step = local(REAL, 4)
+    for axis in range(4):
+        step[axis] = w.z[axis]
+        for other in range(4):
+            among[axis][other] = w.C[axis][other]
+        among[axis][axis] += 1.0 / prior[axis]
+    fit = 0.0
+    grown = 1.0
+    for axis in range(4):
+        d = among[axis][axis]
+        fit += 0.5 * step[axis] * step[axis] / d
+        grown *= d * prior[axis]
+        for other in range(axis + 1, 4):
+            share = among[axis][other] / d
+            step[other] -= share * step[axis]
+            for last in range(axis + 1, 4):
+                among[other][last] -= share * among[axis][last]
+        if axis == YAW:
+            out[7] = fit - 0.5 * log(grown)
+    out[8] = fit - 0.5 * log(grown)
+
+
+def pair_count(n: int) -> int:
+    """Pairs of n rotors."""
+    return n * (n - 1) // 2
+
+
+def hypothesis_count(n: int) -> int:
+    """Hypotheses of n rotors."""
+    return 3 * n + pair_count(n) + DISTURBANCE_COUNT
+
+
+def kind_of(n: int, h: int) -> int:
+    """Kind of a hypothesis."""
+    if h < n:
+        return SINGLE
+    if h < n + pair_count(n):
+        return PAIR
+    if h < 2 * n + pair_count(n):
+        return RECOVERY
+    return ONE_THRUST if h < 3 * n + pair_count(n) else DISTURBANCE
+
+
+def rotor_of(n: int, h: int) -> int:
+    """The (first) rotor of a hypothesis, -1 of a disturbance."""
+    kind = kind_of(n, h)
+    if kind == SINGLE:
+        return h
+    if kind == PAIR:
+        left = h - n
+        i = 0
+        while left >= n - 1 - i:
+            left -= n - 1 - i
+            i += 1
+        return i
+    return -1 if kind == DISTURBANCE else (h - pair_count(n)) % n
+
+
+def other_rotor_of(n: int, h: int) -> int:
+    """The second rotor of a pair, -1 of others."""
+    if kind_of(n, h) != PAIR:
+        return -1
+    left = h - n
+    i = 0
+    while left >= n - 1 - i:
+        left -= n - 1 - i
+        i += 1
+    return i + 1 + left
+
+
+def weight_of(kind: int) -> Real:
+    """Prior weight of a hypothesis of that kind."""
+    return (
+        PAIR_WEIGHT
+        if kind == PAIR
+        else STUCK_WEIGHT
+        if kind == ONE_THRUST
+        else DISTURBANCE_WEIGHT
+        if kind == DISTURBANCE
+        else 1.0
+    )

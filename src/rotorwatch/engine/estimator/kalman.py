@@ -1,0 +1,200 @@
+"""The Kalman filter of one explanation: the plant's state x and the losses theta of the rotors that it says are weak.
+
+    s = [x; theta],   s <- A s,   P <- A P A' + Q            Q: noise.py; theta walks while it is refined
+    nu = y_a - h_a s,   S = h_a P h_a' + R_a,   s <- s + K nu          one axis a after the other: R is diagonal
+
+K is the Kalman gain times the share that each state may learn (model_error.py); the covariance update holds for any gain (Joseph):
+
+    P <- (I - K h) P (I - K h)' + K R K'  =  P - K g' - g K',    g = P h' - S K / 2
+
+A loss is refined for USUAL_S, then taken as known, so that errors of the model cannot wear it away.
+"""
+
+from __future__ import annotations
+
+from rotorwatch.base.compiling.structs import FLAG, REAL, Real, Reals, Struct, array, copy, local, real, sqrt
+from rotorwatch.engine.estimator.noise import DRIFT, FAST, SLOW, Noise
+from rotorwatch.engine.estimator.plant import AIR, B1, B2, B3, BUILT_SD, CURVE, PER_AXIS, SIDEWAYS, THETA, Plant, Rows
+from rotorwatch.engine.estimator.sizes import ROTORS, STATES
+
+# A loss that has been refined long enough is not yet known if it still grows: has left its mean over so long by its own uncertainty.
+MOVING_S = 2.0
+THETA_WALK = 0.02 * 0.02  # 1/s, while it is refined
+OUTLIER = 6.0  # standard deviations that an innovation counts at most
+
+
+class Measured(Struct):
+    """One tick's wrench, as an explanation meets it."""
+
+    y = array(REAL, 4)
+    R = array(REAL, 4)  # variance of its noise
+    counts = array(FLAG, 4)
+    least: Real = 0.0  # bounds of the state of the thrust curve
+    most: Real = 0.0
+
+
+class Branch(Struct):
+    """One explanation: which rotors are weak, with its own filter."""
+
+    s = array(REAL, STATES)
+    P = array(REAL, STATES, STATES)
+    weight: Real = 0.0  # log, 0 for the leader
+    onset: Real = 0.0  # ticks since the last jump of a rotor
+    active = array(FLAG, ROTORS)  # weak rotors
+    alike = array(FLAG, ROTORS)  # found together as a pair that others look like
+    learning = array(REAL, ROTORS)  # seconds their losses are still refined
+    variance = array(REAL, ROTORS)  # of the losses, after that
+    mean = array(REAL, ROTORS)  # of the losses, lately
+    gives = array(REAL, ROTORS)  # thrust of rotors that follow no command, 0 of others
+    gain = array(REAL, 4, STATES)  # of the last tick, axis by axis
+    innovation = array(REAL, 4)
+    S = array(REAL, 4)  # variance of the innovation
+
+    def weak(self, p: Plant) -> bool:
+        """Whether any rotor is."""
+        for i in range(p.rotors):
+            if self.active[i]:
+                return True
+        return False
+
+    def begin(self, p: Plant) -> None:
+        """Before the first tick: nothing is weak, rotors differ as they are built, about the mean of all."""
+        n = p.rotors
+        for r in range(THETA):
+            self.s[r] = p.mean[r]
+            for c in range(THETA):
+                self.P[r][c] = p.variance[r][c]
+        for i in range(n):
+            for j in range(n):
+                own = 1.0 if i == j else 0.0
+                self.P[THETA + i][THETA + j] = BUILT_SD * BUILT_SD * (own - 1.0 / real(n))
+
+    def hop(self, p: Plant) -> None:
+        """The vehicle starts anew: only what it is like stays known, of rotors that were not weak."""
+        for a in range(4):
+            self._forget(p, a * PER_AXIS + B1)
+            self._forget(p, a * PER_AXIS + B2)
+            self._forget(p, a * PER_AXIS + B3)
+        for i in range(p.rotors):
+            if self.active[i]:
+                self._forget(p, THETA + i)
+                self.P[THETA + i][THETA + i] = BUILT_SD * BUILT_SD
+            self.active[i] = False
+            self.alike[i] = False
+            self.learning[i] = 0.0
+            self.variance[i] = 0.0
+
+    def _forget(self, p: Plant, r: int) -> None:
+        self.s[r] = 0.0
+        for c in range(THETA + p.rotors):
+            self.P[r][c] = 0.0
+            self.P[c][r] = 0.0
+
+    def open(self, p: Plant) -> None:
+        """Biases are open again, after a contact or at a new hop."""
+        for a in range(4):
+            for b in range(a * PER_AXIS + B1, a * PER_AXIS + B3 + 1):
+                for d in range(4):
+                    for c in range(d * PER_AXIS + B1, d * PER_AXIS + B3 + 1):
+                        self.P[b][c] += p.variance[b][c]
+
+    def predict(self, p: Plant, noise: Noise, unsure: Real, flying: bool) -> None:
+        """One tick ahead. unsure: by how much errors have been larger than the noise model says. A loss that has been refined long enough
+        is taken as known, its variance is remembered; one that is none is over."""
+        n = p.rotors
+        for i in range(n):
+            theta = self.s[THETA + i]
+            mean = self.mean[i] + (theta - self.mean[i]) * (p.dt / MOVING_S)
+            variance = unsure * self.P[THETA + i][THETA + i]
+            finished = self.learning[i] > 0.0 and self.learning[i] <= p.dt
+            moving = finished and abs(theta - mean) > sqrt(max(variance, 0.0))
+            self.mean[i] = mean
+            self.learning[i] = MOVING_S if moving else max(self.learning[i] - p.dt, 0.0)
+            if finished and not moving:
+                for r in range(THETA + n):
+                    self.P[THETA + i][r] = 0.0
+                    self.P[r][THETA + i] = 0.0
+                self.variance[i] = variance
+                if theta < BUILT_SD:
+                    self.variance[i] = 0.0
+                    self.active[i] = False
+        for r in range(SIDEWAYS):
+            if p.decay[r] < 1.0:
+                self.s[r] *= p.decay[r]
+        for r in range(THETA + n):
+            row = self.P[r]
+            for c in range(SIDEWAYS):
+                row[c] *= p.decay[r] * p.decay[c]
+            if p.decay[r] < 1.0:
+                for c in range(SIDEWAYS, THETA + n):
+                    row[c] *= p.decay[r]
+        if flying:  # noise that keeps b1 and b2 stationary and lets b3 walk
+            for a in range(4):
+                b = a * PER_AXIS
+                self.P[b + B1][b + B1] += noise.v[FAST][a] * (1.0 - p.left[0] * p.left[0])
+                self.P[b + B2][b + B2] += noise.v[SLOW][a] * (1.0 - p.left[1] * p.left[1])
+                self.P[b + B3][b + B3] += noise.v[DRIFT][a] * p.dt
+        for i in range(n):
+            if self.learning[i] > 0.0:
+                self.P[THETA + i][THETA + i] += THETA_WALK * p.dt
+
+    def update(self, p: Plant, rows: Rows, m: Measured, gain_share: Reals) -> None:
+        """One tick's wrench."""
+        for a in range(4):
+            self._axis(p, a, rows.h[a], m, gain_share, self.gain[a])
+
+    def _axis(self, p: Plant, a: int, h: Reals, m: Measured, gain_share: Reals, K: Reals) -> None:
+        states = THETA + p.rotors
+        Ph = local(REAL, STATES)
+        g = local(REAL, STATES)
+        nu = m.y[a]
+        S = m.R[a]
+        for part in range(2):
+            first = a * PER_AXIS if part == 0 else SIDEWAYS
+            last = min(first + PER_AXIS, SIDEWAYS) if part == 0 else states
+            for r in range(first, last):
+                weight = h[r]
+                row = self.P[r]
+                for c in range(states):
+                    Ph[c] += weight * row[c]
+                nu -= weight * self.s[r]
+        for part in range(2):
+            first = a * PER_AXIS if part == 0 else SIDEWAYS
+            last = min(first + PER_AXIS, SIDEWAYS) if part == 0 else states
+            for r in range(first, last):
+                S += h[r] * Ph[r]
+        S = max(S, nu * nu / (OUTLIER * OUTLIER))
+        self.S[a] = S
+        self.innovation[a] = nu if m.counts[a] else 0.0
+        if not m.counts[a]:
+            for r in range(states):
+                K[r] = 0.0
+            return
+        for r in range(states):
+            K[r] = Ph[r] / S * gain_share[r]
+        # What no curve and no air explains is not learned; the bank knows that by the gain.
+        K[CURVE] = _within(self.s[CURVE], K[CURVE], nu, m.least, m.most)
+        K[AIR] = _within(self.s[AIR], K[AIR], nu, 0.0, 1e30)
+        for r in range(states):
+            self.s[r] += K[r] * nu
+            g[r] = Ph[r] - 0.5 * S * K[r]
+        for r in range(states):
+            row = self.P[r]
+            mine = K[r]
+            half = g[r]
+            for c in range(states):
+                row[c] -= mine * g[c] + half * K[c]
+
+
+def _within(state: Real, gain: Real, nu: Real, least: Real, most: Real) -> Real:
+    """The gain that leaves a state within its bounds."""
+    if abs(nu) <= 1e-9:
+        return 0.0
+    return (min(max(state + gain * nu, least), most) - state) / nu
+
+
+def swap(a: Branch, b: Branch, room: Branch) -> None:
+    """Two explanations change places."""
+    copy(room, a)
+    copy(a, b)
+    copy(b, room)

@@ -1,0 +1,268 @@
+"""How far commands and motion can be trusted: which states the filter may learn from them, and how wrong its model may be for a moment.
+
+In closed loop the commands answer the noise. Four things follow, each learned the hard way: from small motion the filter would learn the
+controller's gains instead of the vehicle's; a loss must not be regressed on a rotor's own jitter; and gains, damping,
+thrust curve and lag are wrong by some share of what they multiply, which belongs in the measurement noise. Nor may an accelerometer's
+noise count as a side force: a regressor that holds noise makes its coefficient too small (errors in variables).
+"""
+
+from __future__ import annotations
+
+from rotorwatch.base.physics import G0
+from rotorwatch.base.compiling.structs import REAL, Flags, Real, Reals, Struct, array, local, real, sqrt
+from rotorwatch.engine.estimator.noise import CLIP, DRIFT, FAST, SLOW, WHITE, Noise
+from rotorwatch.engine.estimator.plant import ANSWER_S, B1, B2, B3, BURST_S, DAMPING, DAMPING_RATE, DAMPING_RATE_SD, GAIN, GAIN_MEAN, PER_AXIS, TAU, THETA, THRUST, USUAL_S, Inputs, Plant
+from rotorwatch.engine.estimator.sizes import ROTORS, STATES
+
+GARROTE = 2.5  # how many times its calm level motion must reach to stand out
+MOST = 6.0  # times its calm level that a square counts at most for it
+LEVEL_MEMORY_S = 10.0
+# Share by which the motion model may be wrong for a moment, and how many ticks such an error lasts.
+GAIN_ERROR, DAMPING_ERROR = (0.0, 0.0, 0.35, 0.15), 0.3
+ERROR_TICKS = 4.0
+LAG_ERROR_S = 0.015
+# 1 / (m/s) by which air may take more or less than was learned: rotors that climb lose more than those that sink gain.
+AIR_ERROR = 0.01
+# m/s along the thrust axis that speak of the air: slower ones are what a gust has made of the vehicle, which it meets from the other side.
+STILL = 0.5
+# A rotor that sinks into its own wake, from a quarter of its induced velocity on, gives unsteady thrust, each by itself: by so much at
+# twice that speed [m/s] and beyond.
+WASH, WASH_SINK = 0.1, 1.0
+LASTING_MEMORY_S = 30.0
+GUST_SHARE, LEAST_GAIN = 2.0, 0.3
+FAR, FAR_ERROR = 0.3, 0.5
+SIDE_FORCE = 0.2  # g: a side force that has changed by more, within seconds, comes from outside
+# Shares of full thrust: up to the first a rotor gives what it is commanded; from the second on it is at its limit and may give only the
+# first: batteries sag, speed controllers and simulated motors reach their end early.
+BELOW_LIMIT, AT_LIMIT = 0.6, 0.9
+# Calm at first: motion up to about 0.3 rad/s^2, side forces up to 0.3 m/s^2, and half of a tenth of a hover thrust.
+CALM_TURN, CALM_RATE, CALM_SIDE, CALM_THRUST = 0.09, 0.0025, 0.09, 0.0025
+
+
+class Seen(Struct):
+    """How informative this tick's inputs are."""
+
+    thrust = array(REAL, ROTORS)  # commands without the rotors' own jitter
+    forward: Real = 0.0  # side force without noise
+    right: Real = 0.0
+    gain_share = array(REAL, STATES)  # share of the Kalman gain that each state gets
+    curve: Real = 0.0  # by how much this tick's commands stand out, so that they show the thrust curve, 0 to 1
+    far: Real = 0.0  # hover thrusts away from hover
+    part = array(REAL, ROTORS)  # commanded thrust above the mean of all
+    trim = array(REAL, ROTORS)  # the same, lately
+
+
+class Memory(Struct):
+    """What is usual in this flight."""
+
+    turn_level = array(REAL, 3)  # calm variance of angular accelerations
+    rate_level = array(REAL, 3)
+    bent_level: Real = 0.0  # ... of what the thrust curve makes of the commands
+    thrust = array(REAL, ROTORS)  # each rotor's thrust less the mean of all, in half a second
+    thrust_level = array(REAL, ROTORS)  # its calm variance
+    trim = array(REAL, ROTORS)  # the same as thrust, in six seconds
+    collective: Real = 1.0  # mean thrust
+    side = array(REAL, 2)  # last side force
+    push = array(REAL, 2)  # its mean over half a second
+    usual_push = array(REAL, 2)  # ... and over six
+    lately = array(REAL, 2)  # the largest square of push, fading as fast
+    side_level = array(REAL, 2)  # variance of what changes from tick to tick
+    wrench = array(REAL, 4)  # the last one
+    burst = array(REAL, 4)  # squares of the innovations, relative to their variance
+    lasting = array(REAL, 4)  # the same of their means
+    innovation_mean = array(REAL, 4)
+
+    def begin(self, p: Plant) -> None:
+        """Nothing known."""
+        for a in range(3):
+            self.turn_level[a] = CALM_TURN
+            self.rate_level[a] = CALM_RATE
+        for a in range(2):
+            self.side_level[a] = CALM_SIDE
+        for i in range(p.rotors):
+            self.thrust_level[i] = CALM_THRUST
+        for a in range(4):
+            self.burst[a] = 1.0
+            self.lasting[a] = 1.0
+        self.bent_level = CALM_THRUST
+
+    def look(
+        self, p: Plant, now: Inputs, s: Reals, lost: Reals, bent: Reals, noise: Noise, flying: bool, seen: Seen
+    ) -> None:
+        """One tick's inputs, judged against what was usual. s: state; lost: what the known losses take of the wrench; bent: what a
+        standard deviation of the thrust curve gives to it."""
+        n = p.rotors
+        # A tick without commands (a gap in the log, a link that was cut) says nothing of what is usual.
+        past = p.dt if now.valid[0] else 0.0
+        fade = past / LEVEL_MEMORY_S if flying else 0.0
+        for r in range(THETA + n):
+            seen.gain_share[r] = 1.0
+        self._motion(p, now, s, lost, bent, noise, fade, seen)
+        self._thrusts(p, now, past, 0.0 if now.restart else fade, seen)
+        self._side_force(now, past, 0.0 if now.restart else fade, seen)
+        # Punch-outs, drops and knocks: far from hover the thrust curve and the lag are no longer known well.
+        collective = _mean(p, now)
+        usual = collective if now.restart else self.collective
+        seen.far = max(abs(collective - usual) - FAR, 0.0) + max(abs(now.load / real(n) - 1.0) - FAR, 0.0)
+        seen.curve *= max(0.0, 1.0 - seen.far / FAR)
+        self.collective = usual + (collective - usual) * (past / USUAL_S)
+        for a in range(4):
+            if now.restart:
+                self.burst[a] = 1.0
+                self.innovation_mean[a] = 0.0
+
+    def _motion(
+        self, p: Plant, now: Inputs, s: Reals, lost: Reals, bent: Reals, noise: Noise, fade: Real, seen: Seen
+    ) -> None:
+        made_need = 0.0
+        made_made = 0.0
+        for a in range(3):
+            turn = now.turn[a] * now.turn[a]
+            rate = now.rate[a] * now.rate[a]
+            # Below the calm level, angular motion is gyro noise that the rate controller answers: it would teach the filter the
+            # controller's gains instead of the vehicle's. Only motion that stands out teaches (nonnegative garrote).
+            turns = stands_out(self.turn_level[a], turn)
+            rates = stands_out(self.rate_level[a], rate)
+            # Motion that gusts have made teaches what the gusts did, not what the vehicle is: it has to need more than they give.
+            x = a * PER_AXIS
+            gain = max(s[x + GAIN], LEAST_GAIN * real(p.rotors) * GAIN_MEAN[a])
+            gusts = GUST_SHARE * GUST_SHARE * (noise.v[FAST][a] + noise.v[SLOW][a] + noise.v[DRIFT][a] * TAU[1])
+            turn_needs = gain * now.turn[a]
+            rate_needs = DAMPING_RATE * gain * now.rate[a]
+            turns = min(turns, max(0.0, 1.0 - gusts / max(turn_needs * turn_needs, 1e-12)))
+            rates = min(rates, max(0.0, 1.0 - gusts / max(rate_needs * rate_needs, 1e-12)))
+            # Motion that nobody commanded is a gust's or a fault's: motion teaches as far as the rotors have made it.
+            need = turn_needs + rate_needs
+            made = (now.wrench[a] if now.valid[a] else 0.0) - lost[a] - (s[x + B1] + s[x + B2] + s[x + B3])
+            share = min(max(made * need / max(need * need, 1e-12), 0.0), 1.0)
+            made_need += made * need
+            made_made += made * made
+            seen.gain_share[x + GAIN] = turns * share
+            seen.gain_share[x + DAMPING] = rates * share
+            self.turn_level[a] += fade * (min(turn, MOST * self.turn_level[a]) - self.turn_level[a])
+            self.rate_level[a] += fade * (min(rate, MOST * self.rate_level[a]) - self.rate_level[a])
+        # What the thrust curve is shows where commands leave what they usually are, and the vehicle moves by them: what a controller
+        # answers to gusts moves nothing, and would teach that commands do nothing.
+        bend = 0.0
+        for a in range(4):
+            bend += bent[a] * bent[a]
+        seen.curve = min(max(made_need / max(made_made, 1e-12), 0.0), 1.0) * stands_out(self.bent_level, bend)
+        if not now.restart:
+            self.bent_level += fade * (min(bend, MOST * self.bent_level) - self.bent_level)
+
+    def _thrusts(self, p: Plant, now: Inputs, past: Real, fade: Real, seen: Seen) -> None:
+        """What a loss takes is in proportion to the rotor's thrust, but not to its jitter: a disturbance that the controller
+        answers through rotor i would correlate with that rotor's own command and look like its loss.
+        The collective part is common to all rotors and may pass; the torque part is smoothed unless it stands out."""
+        collective = _mean(p, now)
+        share = min(past / ANSWER_S, 1.0)
+        for i in range(p.rotors):
+            part = now.thrust[i] - collective
+            before = part if now.restart else self.thrust[i]
+            trim = part if now.restart else self.trim[i]
+            away = part - before
+            clear = stands_out(self.thrust_level[i], away * away) * away
+            seen.thrust[i] = max(collective + before + clear, 0.0)
+            seen.part[i] = seen.thrust[i] - collective
+            seen.trim[i] = self.trim[i]
+            self.thrust_level[i] += fade * (min(away * away, MOST * self.thrust_level[i]) - self.thrust_level[i])
+            self.thrust[i] = before + away * share
+            self.trim[i] = trim + (part - trim) * (past / USUAL_S)
+
+    def _side_force(self, now: Inputs, past: Real, fade: Real, seen: Seen) -> None:
+        """A side force counts while its mean stands out of what noise would leave there: as much as changes from tick to tick, were that
+        white. At first 0.2 m/s^2 have to be exceeded; as the flight's own changes become known, less."""
+        share = min(past / ANSWER_S, 1.0)
+        for k in range(2):
+            side = now.forward if k == 0 else now.right
+            push = side if now.restart else self.push[k]
+            push += (side - push) * share
+            self.lately[k] = max(push * push, self.lately[k] * (1.0 - share))  # also where it changes its sign
+            felt = side * stands_out(0.5 * share * self.side_level[k], self.lately[k])
+            if k == 0:
+                seen.forward = felt
+            else:
+                seen.right = felt
+            change = 0.5 * (side - self.side[k]) * (side - self.side[k])
+            self.side_level[k] += fade * (min(change, MOST * self.side_level[k]) - self.side_level[k])
+            self.side[k] = side if now.valid[0] else self.side[k]
+            self.push[k] = push
+            self.usual_push[k] += (push - self.usual_push[k]) * (1.0 if now.restart else past / USUAL_S)
+
+    def variance(self, p: Plant, now: Inputs, seen: Seen, s: Reals, noise: Noise, out: Reals) -> None:
+        """Variance by which the plant's model may be wrong at this tick; the last wrench is noted."""
+        n = p.rotors
+        square = local(REAL, ROTORS)
+        for i in range(n):
+            missing = seen.thrust[i] - BELOW_LIMIT * now.full if seen.thrust[i] > AT_LIMIT * now.full else 0.0
+            wash = WASH * min(max(-now.axial / WASH_SINK - 1.0, 0.0), 1.0) * seen.thrust[i]
+            square[i] = missing * missing + wash * wash
+        far = FAR_ERROR * real(n) * seen.far
+        for a in range(4):
+            motion = now.load - real(n) if a == THRUST else now.turn[a]
+            gained = GAIN_ERROR[a] * s[a * PER_AXIS + GAIN] * motion
+            damped = DAMPING_ERROR * s[a * PER_AXIS + DAMPING] * (0.0 if a == THRUST else now.rate[a])
+            air = AIR_ERROR * real(n) * now.axial if a == THRUST else 0.0
+            wrench = now.wrench[a] if now.valid[a] else 0.0
+            late = LAG_ERROR_S / p.dt * max(abs(wrench - self.wrench[a]) - 4.0 * sqrt(noise.v[WHITE][a]), 0.0)
+            total = gained * gained + damped * damped + far * far + air * air + late * late
+            for i in range(n):
+                total += p.effect[a][i] * p.effect[a][i] * square[i]
+            out[a] = ERROR_TICKS * total
+            if now.valid[a]:
+                self.wrench[a] = now.wrench[a]
+
+    def calm(self, axis: int) -> Real:
+        """Weight of this tick's evidence: below 1 while innovations are larger than the noise model expects (gusts come in bursts)."""
+        return 1.0 / max(max(self.burst[axis], self.lasting[axis]), 1.0)
+
+    def unsure(self) -> Real:
+        """By how much errors have been larger than the noise model expects, the mean of all axes."""
+        total = 0.0
+        for a in range(4):
+            total += max(max(self.burst[a], self.lasting[a]), 1.0)
+        return 0.25 * total
+
+    def remember(self, p: Plant, innovation: Reals, variance: Reals, counts: Flags) -> None:
+        """One tick's innovations, where they count."""
+        for a in range(4):
+            if counts[a]:
+                size = innovation[a] / sqrt(variance[a])
+                self.burst[a] += p.dt / BURST_S * (min(size * size, CLIP) - self.burst[a])
+                self.innovation_mean[a] += p.dt / TAU[1] * (size - self.innovation_mean[a])
+                # White innovations would give a mean over TAU[1] this variance.
+                mean = self.innovation_mean[a]
+                lasting = min(mean * mean * (2.0 * TAU[1] / p.dt - 1.0), CLIP)
+                self.lasting[a] += p.dt / LASTING_MEMORY_S * (lasting - self.lasting[a])
+
+    def outside(self, p: Plant) -> Real:
+        """Hover thrusts by which a force from the side may turn the vehicle: an obstacle, a tether, a hand or the ground push at an arm
+        like that of the rotors."""
+        x = self.push[0] - self.usual_push[0]
+        y = self.push[1] - self.usual_push[1]
+        return real(p.rotors) * max(sqrt(x * x + y * y) / G0 - SIDE_FORCE, 0.0)
+
+
+def _mean(p: Plant, now: Inputs) -> Real:
+    total = 0.0
+    for i in range(p.rotors):
+        total += now.thrust[i]
+    return total / real(p.rotors)
+
+
+def stands_out(level: Real, square: Real) -> Real:
+    """Share, 0 to 1, by which what has this square stands out of its calm level."""
+    return max(0.0, 1.0 - GARROTE * GARROTE * level / max(square, 1e-12))
+
+
+def shows_air(axial: Real) -> Real:
+    """Share, 0 to 1, by which a speed along the thrust axis [m/s] teaches what air along that axis takes."""
+    return max(0.0, 1.0 - STILL * STILL / max(axial * axial, 1e-12))
+
+
+def unknown_damping(p: Plant, s: Reals) -> Real:
+    """Variance of how much more roll and pitch may be damped than the state says: up to what two standard deviations above the usual
+    are."""
+    gain = max(0.5 * (s[GAIN] + s[PER_AXIS + GAIN]), LEAST_GAIN * real(p.rotors) * GAIN_MEAN[0])
+    most = (DAMPING_RATE + 2.0 * DAMPING_RATE_SD) * gain  # light vehicles with long arms
+    return most * most

@@ -1,0 +1,112 @@
+"""A sudden shift that is a disturbance, or else a pair of opposite rotors that explains it as well.
+
+Torques of opposite rotors cancel in roll and pitch, so that the shift left in thrust (and yaw) is what battery, payload or a gust make,
+too - but those do not come within a tick. Which of the pairs it is, and how they share the loss, motion does not say: the hypothesis is one
+loss nu that both rotors of a pair have. With C (q, q) and z (q,) of the bank and d = e_i + e_j its log Bayes factor against "no jump" is
+that of a single rotor with information d'C d and vector d'z (hypotheses.py): one number, as the step of an axis is, and not two, of which
+one would be paid for but never seen.
+
+Only steady flight can tell: who climbs, drops or turns changes the air that all rotors meet.
+"""
+
+from __future__ import annotations
+
+from rotorwatch.base.compiling.structs import Real, Struct, exp, log, real
+from rotorwatch.engine.estimator.announcement import Alarm, either
+from rotorwatch.engine.estimator.bank import FIRST_LOSS, Bank, Window
+from rotorwatch.engine.estimator.evidence import Evidence
+from rotorwatch.engine.estimator.hypotheses import CLEAR, LOSS_WIDTH, NONE, NOTHING, PAIR, SMALL_WIDTH, kind_of, other_rotor_of, rotor_of
+from rotorwatch.engine.estimator.plant import ANSWER_S, USUAL_S, Plant
+from rotorwatch.engine.estimator.plausibility import Missing, torque_free
+from rotorwatch.engine.estimator.sizes import SLOTS
+
+# rad/s of yaw, above which its drag is known too badly for that; and load factor away from 1, beyond what the loss itself takes off: no
+# loss lifts a vehicle
+TURNING, HEAVING = 0.15, 0.2
+LEAST_ROTORS = (
+    6  # a quadrotor's pairs can be distinguished by their yaw: there the fault hypotheses say all there is to say
+)
+
+
+class Opposite(Struct):
+    """A pair that is suspected."""
+
+    lasted: Real = 0.0  # s for which it has been so
+    pair: int = -1  # the hypothesis, at the tick that says so, else -1
+    onset: Real = 0.0  # ticks ago
+    loss: Real = 0.0  # of each of its rotors
+
+    def suspect(self, p: Plant, bank: Bank, found: Evidence, missing: Missing, alarm: Alarm, calm: bool) -> None:
+        """One tick. calm: flight without turns of which nothing is known but a disturbance."""
+        before = self.lasted
+        self.lasted = 0.0
+        self.pair = -1
+        if not calm or p.rotors < LEAST_ROTORS:
+            return
+        best = NOTHING
+        gradual = NOTHING
+        sudden = NOTHING
+        pair = -1
+        age = 0
+        for k in range(SLOTS):
+            slot = bank.slots[k]
+            if slot.age < 0:
+                continue
+            if slot.gradual:
+                gradual = max(gradual, found.unfaulty[k])
+                continue
+            sudden = max(sudden, found.unfaulty[k])
+            found.window.reduce(p, slot, found.yaw_error, found.damping_error)
+            h = p.rotors
+            for i in range(p.rotors):
+                for j in range(i + 1, p.rotors):
+                    if torque_free(p, i, j):
+                        loss = _shared(found.window, i, j, LOSS_WIDTH)
+                        factor = either(
+                            _fit(found.window, i, j, SMALL_WIDTH), _fit(found.window, i, j, LOSS_WIDTH)
+                        ) - log(2.0)
+                        if loss > NONE and factor > best:
+                            best = factor
+                            pair = h
+                            age = slot.age
+                            self.loss = loss
+                    h += 1
+        if pair < 0:
+            return
+        forgotten = exp(real(age) * p.dt / USUAL_S)  # of the heaving meanwhile
+        steady = (
+            missing.heave * forgotten < HEAVING + 2.0 * self.loss / real(p.rotors)
+            and missing.rose * forgotten < HEAVING
+        )
+        if steady and best > alarm.limit and best > sudden - 2.0 * CLEAR and best > gradual:
+            self.lasted = before + p.dt
+            if self.lasted >= ANSWER_S and before < ANSWER_S:
+                self.pair = pair
+                self.onset = real(age + 1)
+
+
+def contested(p: Plant, h: int) -> bool:
+    """Whether a hypothesis is such a pair, of a vehicle on which there are several."""
+    if p.rotors < LEAST_ROTORS or kind_of(p.rotors, h) != PAIR:
+        return False
+    return torque_free(p, rotor_of(p.rotors, h), other_rotor_of(p.rotors, h))
+
+
+def _shared(w: Window, i: int, j: int, width: Real) -> Real:
+    """The most probable loss that both rotors have, of losses about so large."""
+    score = w.z[FIRST_LOSS + i] + w.z[FIRST_LOSS + j]
+    return min(max(score / (_information(w, i, j) + 1.0 / (width * width)), 0.0), 1.0)
+
+
+def _fit(w: Window, i: int, j: int, width: Real) -> Real:
+    """Its log Bayes factor."""
+    left = _information(w, i, j) + 1.0 / (width * width)
+    size = _shared(w, i, j, width)
+    return (
+        (w.z[FIRST_LOSS + i] + w.z[FIRST_LOSS + j]) * size - 0.5 * left * size * size - 0.5 * log(left * width * width)
+    )
+
+
+def _information(w: Window, i: int, j: int) -> Real:
+    first = w.C[FIRST_LOSS + i]
+    return first[FIRST_LOSS + i] + w.C[FIRST_LOSS + j][FIRST_LOSS + j] + 2.0 * first[FIRST_LOSS + j]

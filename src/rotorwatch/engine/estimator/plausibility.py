@@ -1,0 +1,186 @@
+"""Before a loss is announced: has the controller commanded more of that rotor, and is the thrust missing that it no longer gives?
+
+Evidence says which explanation fits best; these gates say whether the best one can be true at all.
+"""
+
+from __future__ import annotations
+
+from rotorwatch.base.physics import G0
+from rotorwatch.base.compiling.structs import REAL, Real, Struct, array, exp, local, real, sqrt
+from rotorwatch.engine.estimator.bank import Slot
+from rotorwatch.engine.estimator.evidence import Best
+from rotorwatch.engine.estimator.hypotheses import NONE
+from rotorwatch.engine.estimator.kalman import Branch
+from rotorwatch.engine.estimator.model_error import AT_LIMIT, BELOW_LIMIT, Seen
+from rotorwatch.engine.estimator.noise import Noise
+from rotorwatch.engine.estimator.plant import ANSWER_S, THRUST, USUAL_S, Inputs, Plant
+from rotorwatch.engine.estimator.sizes import ROTORS
+
+# Both may be off by a standard deviation of this flight's disturbances, and by as much as the slack in calm air.
+DEMAND_SHARE, DEMAND_SLACK = 0.25, 0.05
+MISSING_SLACK = 0.15  # hover thrusts of one rotor
+# Share of a rotor's thrust that air from below adds for each m/s: 0.4 of hover thrust over induced velocity, which is 4 m/s and more.
+INFLOW = 0.1
+# Hover thrusts: a command is not less than the first; share of the mean command below which a rotor is taken off it.
+LEAST_THRUST, CUT_SHARE = 0.1, 0.5
+LIMIT_S = 2.0  # how long it is remembered that a rotor was at its limit
+CANCELS = 0.05  # units of B: torques of two rotors that cancel are no larger together
+
+
+class Missing(Struct):
+    """Commanded thrust that the accelerometer does not see, hover thrusts of one rotor."""
+
+    fast: Real = 0.0  # over ANSWER_S
+    slow: Real = 0.0  # over USUAL_S
+    usual: Real = 0.0  # slow, one tick ago
+    heave: Real = 0.0  # how far the load factor was from 1, lately
+    rose: Real = 0.0  # how far above
+    climb: Real = 0.0  # speed that it has made, lately, m/s
+    limit = array(REAL, ROTORS)  # share of its thrust that a rotor near its limit may have lacked, lately
+
+    def follow(self, p: Plant, now: Inputs, lacking: Real) -> None:
+        """One tick on. lacking: commanded thrust minus load factor times its gain."""
+        valid = now.valid[THRUST]
+        up = now.load / real(p.rotors) - 1.0 if valid else 0.0
+        left = exp(-p.dt / USUAL_S)
+        missing = lacking if valid else self.slow
+        self.usual = self.slow
+        if now.restart:
+            self.fast = missing
+            self.slow = missing
+            self.heave = abs(up)
+            self.rose = up
+            self.climb = 0.0
+        else:
+            self.fast += (missing - self.fast) * min(p.dt / ANSWER_S, 1.0)
+            self.slow += (missing - self.slow) * (p.dt / USUAL_S)
+            self.heave = max(abs(up), self.heave * left)
+            self.rose = max(up, self.rose * left)
+            self.climb = self.climb * left + up * G0 * p.dt
+        kept = 0.0 if now.restart else exp(-p.dt / LIMIT_S)
+        for i in range(p.rotors):
+            share = now.thrust[i] / now.full
+            near = min(max((share - BELOW_LIMIT) / (AT_LIMIT - BELOW_LIMIT), 0.0), 1.0)
+            lacks = near * (1.0 - BELOW_LIMIT / max(share, BELOW_LIMIT))
+            self.limit[i] = max(lacks, self.limit[i] * kept)
+
+    def air(self, p: Plant) -> Real:
+        """Thrust, in hover thrusts of one rotor, that air from below adds to that of all when the vehicle has begun to sink; below 0 when
+        it has begun to climb."""
+        return -INFLOW * real(p.rotors) * self.climb
+
+
+class Coupling(Struct):
+    """By what share of it a loss of rotor j raises the command of rotor i, above the mean of all, where its own loss counts 1.
+
+    A controller makes up for the wrench B x that is missing with the least change of thrusts, B' (B B')^-1 B x. Of opposite rotors each
+    has to rise by itself: where they lose the same neither does, and only steady flight can tell (opposite.py)."""
+
+    raises = array(REAL, ROTORS, ROTORS)
+
+    def begin(self, p: Plant) -> None:
+        """Of a vehicle."""
+        n = p.rotors
+        A = local(REAL, 4, 4)
+        y = local(REAL, 4, ROTORS)
+        for a in range(4):
+            for i in range(n):
+                y[a][i] = p.effect[a][i]
+            for b in range(4):
+                for i in range(n):
+                    A[a][b] += p.effect[a][i] * p.effect[b][i]
+            A[a][a] += 1e-6  # rotors of a tricopter make no yaw
+        # Eliminated axis by axis, B' A^-1 B is a sum of squares.
+        for i in range(n):
+            for j in range(n):
+                self.raises[i][j] = -1.0 / real(n)
+        for a in range(4):
+            for i in range(n):
+                for j in range(n):
+                    self.raises[i][j] += y[a][i] * y[a][j] / A[a][a]
+            for b in range(a + 1, 4):
+                share = A[b][a] / A[a][a]
+                for c in range(a + 1, 4):
+                    A[b][c] -= share * A[a][c]
+                for i in range(n):
+                    y[b][i] -= share * y[a][i]
+        for i in range(n):
+            own = max(self.raises[i][i], 1e-9)
+            for j in range(n):
+                self.raises[i][j] = 0.0 if torque_free(p, i, j) else self.raises[i][j] / own
+
+
+def torque_free(p: Plant, i: int, j: int) -> bool:
+    """Whether equal losses of these two rotors make no torque in roll and pitch."""
+    return abs(p.effect[0][i] + p.effect[0][j]) < CANCELS and abs(p.effect[1][i] + p.effect[1][j]) < CANCELS
+
+
+class Plausible(Struct):
+    """Whether the likeliest jump may be what happened."""
+
+    asked: bool = False  # the commands went the way of it
+    missing: bool = False  # thrust is missing as it says, and no limit explains that
+
+    def judge(
+        self,
+        p: Plant,
+        best: Best,
+        slot: Slot,
+        now: Inputs,
+        seen: Seen,
+        missing: Missing,
+        leader: Branch,
+        noise: Noise,
+        coupling: Coupling,
+    ) -> None:
+        """Of the likeliest fault at this tick."""
+        n = p.rotors
+        since = best.since * p.dt
+        # Two rotors at once are rare: they have to show as they would in calm air.
+        two = best.other >= 0 and abs(best.jump.other_size) > 0.0 and abs(best.jump.size) > 0.0
+        rough = 0.0 if two else noise.spread(0) + noise.spread(1) + noise.spread(2)
+        swing = max(DEMAND_SLACK, sqrt(rough) / real(n))
+        # A controller asks more of a rotor that gives less, and less of one that gives more: a candidate whose command went the other way is
+        # none. Of two rotors it asks what geometry leaves of that.
+        largest = 0.0
+        lost = 0.0
+        commanded = 0.0
+        mean = 0.0
+        asked = True
+        fits = True
+        jump = local(REAL, ROTORS)
+        for i in range(n):
+            mean += seen.thrust[i] / real(n)
+            # Of a rotor that gives one thrust counts what that is more, or less, than its command.
+            jump[i] = best.size_of(i)
+            if jump[i] > 0.0:
+                jump[i] -= best.jump.gives / max(seen.thrust[i], LEAST_THRUST)
+        for i in range(n):
+            if i == best.rotor or i == best.other:
+                commanded += seen.thrust[i]
+            largest = max(largest, abs(jump[i]))
+            lost += min(max(jump[i], 0.0), 1.0) * seen.thrust[i]
+            demanded = 0.0
+            for j in range(n):
+                demanded += coupling.raises[i][j] * (jump[j] * seen.thrust[j])
+            # A manoeuvre swings commands about their trim: what a rotor was commanded at the onset counts as well.
+            if jump[i] > 0.0:
+                asked = asked and seen.part[i] - min(seen.trim[i], slot.before[i]) > DEMAND_SHARE * demanded - swing
+            if jump[i] < 0.0 and not leader.active[i]:
+                asked = asked and seen.part[i] - max(seen.trim[i], slot.before[i]) < DEMAND_SHARE * demanded + swing
+            # ... and not because a rotor at its limit gives no more.
+            if jump[i] > 0.0 and not leader.active[i]:
+                fits = fits and jump[i] > missing.limit[i]
+        fits = fits and largest > NONE
+        # What the rotors no longer give must be missing from the thrust, as far as its average can show that by now, and air from below
+        # does not give it.
+        below = 0.0 if two else max(missing.air(p), 0.0)
+        slack = max(MISSING_SLACK, 0.0 if two else sqrt(noise.spread(THRUST))) + below
+        lost *= 1.0 - exp(-since / ANSWER_S)
+        if now.valid[THRUST] and lost > 0.0:
+            fits = fits and missing.fast - missing.usual > DEMAND_SHARE * lost - slack
+        # What pushes a vehicle from below for a moment looks as if a rotor gave more: one that does is taken off the command, and stays so.
+        if best.jump.gives > 0.0:
+            fits = fits and since >= 0.5 * ANSWER_S and commanded < CUT_SHARE * mean
+        self.asked = asked
+        self.missing = fits

@@ -1,0 +1,261 @@
+"""Explanations of a flight so far, side by side: which rotors are weak, how much, and what the filter would then hold.
+
+A jump found in the innovations may be several things: this rotor or its neighbour, two rotors, a disturbance. Each of them becomes a
+branch: a set of weak rotors with its own filter state s = [x; theta], covariance P and log weight. All branches filter the same
+measurements; a branch's weight grows by the log-likelihood of its innovations nu with variances S (a bank of Kalman filters; D. T.
+Magill, IEEE Trans. Automatic Control 10 (1965) 434-439),
+
+    log w_b += g sum_a c_a [ -log S_a / 2 - nu_a^2 / (2 S_a) ],       g = TEMPER exp(-age / BURST_S)
+
+c_a: weight of evidence in weather that the noise model lacks (model_error.py). g: evidence of the age of an explanation tells less and
+less; what decides is how a change looked, and after it the errors of the model. The branch in place 0 leads: it has the jump bank, and
+what that bank finds becomes branches of it, each with its jump in state, covariance and cross-covariance, exactly.
+"""
+
+from __future__ import annotations
+
+from rotorwatch.base.compiling.structs import FLAG, INT, REAL, Flags, Real, Reals, Struct, array, copy, embedded, exp, isnan, local, log, sqrt
+from rotorwatch.engine.estimator.announcement import either
+from rotorwatch.engine.estimator.bank import FIRST_LOSS, Bank, Slot
+from rotorwatch.engine.estimator.evidence import Best, Evidence, Shift
+from rotorwatch.engine.estimator.hypotheses import CLEAR, DISTURBANCE_COUNT, NONE, NOTHING, RECOVERY, hypothesis_count, other_rotor_of, rotor_of
+from rotorwatch.engine.estimator.kalman import Branch, swap
+from rotorwatch.engine.estimator.opposite import contested
+from rotorwatch.engine.estimator.plant import BUILT_SD, BURST_S, THETA, USUAL_S, Plant
+from rotorwatch.engine.estimator.sizes import DIRECTIONS, HYPOTHESES, PLACES, ROTORS, STATES
+from rotorwatch.engine.front.losses import YOUNG_S
+
+TEMPER = 0.3
+OUT = -7.0  # log weight relative to the leader's at which a branch is dropped, once it is YOUNG_S old
+ALIKE = -CLEAR  # the same, below which a pair that looks like the leading one does not fall
+NEVER = -1e3
+OLD_S = 1e3  # age of what was there before the first tick
+
+
+class Branches(Struct):
+    """The explanations, the leader first; weight NEVER where there is none."""
+
+    all = array(Branch, PLACES)
+    age: Real = OLD_S  # s since they were made
+    room = embedded(Branch)
+    parent = embedded(Branch)
+    best = embedded(Best)
+    shift = embedded(Shift)
+
+    def begin(self, p: Plant) -> None:
+        """One explanation: nothing has happened."""
+        self.all[0].begin(p)
+        for k in range(1, PLACES):
+            self.all[k].weight = NEVER
+
+    def alone(self) -> None:
+        """The leader is what has happened: the competition is over."""
+        self.all[0].weight = 0.0
+        for k in range(1, PLACES):
+            self.all[k].weight = NEVER
+
+    def weigh(self, p: Plant, calm: Reals, counts: Flags, judge: bool) -> None:
+        """One tick's innovations, of weight calm where they count."""
+        share = TEMPER * exp(-self.age / BURST_S) if judge else 0.0
+        leading = 0.0
+        alike = _any_alike(p, self.all[0])
+        for k in range(PLACES):
+            one = self.all[k]
+            one.onset += 1.0
+            if not lives(one):
+                continue
+            fit = 0.0
+            for a in range(4):
+                if counts[a]:
+                    fit += calm[a] * (-0.5 * log(one.S[a]) - 0.5 * one.innovation[a] * one.innovation[a] / one.S[a])
+            weight = one.weight + share * fit
+            if k == 0:
+                leading = weight
+            weight -= leading
+            # How rotors differ in hover is not known well enough to drop one of several pairs that look the same.
+            if alike and _any_alike(p, one):
+                weight = max(weight, ALIKE)
+            # Yaw and thrust tell a pair from the rotor between them, and are slower than what announced it. One whose numbers have
+            # overflowed is none.
+            stays = (weight > OUT or self.age < YOUNG_S) and not isnan(weight) and abs(weight) < -NEVER
+            one.weight = weight if stays else NEVER
+        self.age += p.dt
+
+    def lead(self) -> bool:
+        """The best explanation in place 0; whether that is another one than before."""
+        best = 0
+        for k in range(1, PLACES):
+            if self.all[k].weight > self.all[best].weight:
+                best = k
+        changed = self.all[best].weight > CLEAR
+        if changed:
+            swap(self.all[0], self.all[best], self.room)
+        leading = self.all[0].weight
+        for k in range(PLACES):
+            if lives(self.all[k]):
+                self.all[k].weight -= leading
+        return changed
+
+    def shares(self, out: Reals) -> None:
+        """Probability of each explanation among those that are left."""
+        total = 0.0
+        for k in range(PLACES):
+            out[k] = exp(self.all[k].weight)
+            total += out[k]
+        for k in range(PLACES):
+            out[k] /= total
+
+    def born(self, p: Plant, bank: Bank, found: Evidence, first: int, far: Real, alarm: bool, shared: bool) -> None:
+        """What may have happened becomes branches of the one that leads: the likeliest disturbance and the likeliest faults. Hypothesis
+        `first` leads where it is announced (alarm), else the disturbance. shared: it is one of several pairs that look alike."""
+        n = p.rotors
+        count = hypothesis_count(n)
+        faults = count - DISTURBANCE_COUNT
+        odds = local(REAL, HYPOTHESES)
+        left = local(REAL, HYPOTHESES)
+        _contest(p, found, first, shared, odds)
+        for h in range(faults):
+            left[h] = odds[h]
+        none = faults
+        for h in range(faults, count):
+            if odds[h] > odds[none]:
+                none = h
+        which = local(INT, PLACES)
+        weight = local(REAL, PLACES)
+        chosen = first
+        for place in range(PLACES - 1):
+            which[place] = chosen
+            weight[place] = odds[chosen]
+            if chosen < faults:
+                left[chosen] = NEVER * 1e3
+            # One more rotor beside the first explains nearly all that the first does: the last fault is one without it.
+            if place == PLACES - 3:
+                for other in range(faults):
+                    if _holds(n, other, first):
+                        left[other] = NEVER * 1e3
+            chosen = _most(left, faults)
+        which[PLACES - 1] = none
+        weight[PLACES - 1] = either(found.other, far)
+        considered = alarm or found.asked.weak
+        leading = weight[0] if alarm else weight[PLACES - 1]
+        copy(self.parent, self.all[0])
+        for k in range(PLACES):
+            turned = k if alarm else PLACES - 1 - k
+            chosen = which[turned]
+            # The first place leads; nobody else may be ahead from the start.
+            one = min(weight[turned] - leading, CLEAR)
+            # The odds against disturbances are what an announcement is made by; they are not tested again. Without one, and where no rotor
+            # is weak, nothing but a disturbance may lead.
+            barred = chosen == none if alarm else chosen != none and not considered
+            # What adds a rotor to the first has to earn it at once.
+            barred = barred or (chosen < faults and _holds(n, chosen, first) and one <= OUT)
+            self._child(p, bank, found, chosen, self.all[k])
+            self.all[k].weight = NEVER if barred else one
+        if considered:
+            self.age = 0.0
+
+    def _child(self, p: Plant, bank: Bank, found: Evidence, h: int, out: Branch) -> None:
+        """The parent with the jump of hypothesis h: exactly what an augmented filter with this jump would hold."""
+        n = p.rotors
+        best = self.best
+        found.pick(p, bank, h, best)
+        found.shift(p, bank, best, self.shift)
+        copy(out, self.parent)
+        if bank.slots[best.slot].age >= 0:
+            _add(p, bank.slots[best.slot], self.shift, out)
+        off = local(FLAG, ROTORS)
+        any_off = False
+        for i in range(n):
+            mine = i == best.rotor or i == best.other
+            sd = sqrt(max(out.P[THETA + i][THETA + i], 0.0))
+            taken_back = best.size_of(i) < 0.0 and out.s[THETA + i] < max(NONE, 2.0 * sd)
+            off[i] = mine and (best.kind == RECOVERY or taken_back)
+            any_off = any_off or off[i]
+        for i in range(n):
+            if off[i]:
+                _well(p, i, out)
+        for i in range(n):
+            if i == best.rotor or i == best.other:
+                out.active[i] = not off[i]
+                out.learning[i] = 0.0 if off[i] else USUAL_S
+                out.variance[i] = 0.0 if off[i] else out.variance[i]
+                out.mean[i] = out.s[THETA + i]
+                out.gives[i] = 0.0 if off[i] else best.jump.gives
+                out.alike[i] = out.alike[i] or contested(p, h)
+                out.onset = best.since
+        if any_off:
+            for i in range(n):
+                out.alike[i] = False
+
+
+def lives(one: Branch) -> bool:
+    """Whether there is an explanation in a place."""
+    return one.weight > 0.5 * NEVER
+
+
+def _any_alike(p: Plant, one: Branch) -> bool:
+    for i in range(p.rotors):
+        if one.alike[i]:
+            return True
+    return False
+
+
+def _holds(n: int, h: int, first: int) -> bool:
+    """Whether hypothesis h has all rotors of `first`."""
+    rotor = rotor_of(n, first)
+    other = other_rotor_of(n, first)
+    mine = rotor_of(n, h)
+    mine_other = other_rotor_of(n, h)
+    return (rotor == mine or rotor == mine_other) and (other < 0 or other == mine or other == mine_other)
+
+
+def _most(odds: Reals, count: int) -> int:
+    best = 0
+    for h in range(count):
+        if odds[h] > odds[best]:
+            best = h
+    return best
+
+
+def _contest(p: Plant, found: Evidence, first: int, shared: bool, odds: Reals) -> None:
+    """Opposite rotors are announced as any other fault; only which pair it is the others of its kind contest."""
+    alike = contested(p, first)
+    for h in range(hypothesis_count(p.rotors)):
+        odds[h] = found.odds[h]
+        if alike and contested(p, h):
+            odds[h] = max(odds[h], found.odds[first] + ALIKE)
+        elif shared:
+            odds[h] = 2.0 * NOTHING
+
+
+def _add(p: Plant, slot: Slot, shift: Shift, out: Branch) -> None:
+    """s + M size, P + M cov M'."""
+    directions = FIRST_LOSS + p.rotors
+    states = THETA + p.rotors
+    half = local(REAL, DIRECTIONS)
+    for r in range(states):
+        row = slot.M[r]
+        for e in range(directions):
+            out.s[r] += row[e] * shift.size[e]
+            half[e] = 0.0
+            for d in range(directions):
+                half[e] += row[d] * shift.cov[d][e]
+        for c in range(r + 1):
+            other = slot.M[c]
+            for d in range(directions):
+                out.P[r][c] += half[d] * other[d]
+            out.P[c][r] = out.P[r][c]
+
+
+def _well(p: Plant, i: int, out: Branch) -> None:
+    """A rotor that is well again: what if its loss were known to be none, but for how rotors differ."""
+    states = THETA + p.rotors
+    column = local(REAL, STATES)
+    for r in range(states):
+        column[r] = out.P[r][THETA + i]
+    variance = max(column[THETA + i], 1e-12) + BUILT_SD * BUILT_SD
+    share = out.s[THETA + i] / variance
+    for r in range(states):
+        out.s[r] -= column[r] * share
+        for c in range(states):
+            out.P[r][c] -= column[r] * column[c] / variance

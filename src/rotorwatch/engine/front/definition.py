@@ -1,0 +1,70 @@
+"""The definitions together, ready to run, and the samples of a flight as they take them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorwatch.base.compiling.running import Definition, Rows
+from rotorwatch.flight import Flight, Message
+from rotorwatch.engine.front import airborne, changes, contact, deviations, events, front, losses, mixer, records, sense, sizes, ticks, vehicle, whole, words
+
+PARTS = (vehicle, airborne, mixer, deviations, contact, sense, ticks, front, events, records, losses, changes, words)
+FRONT = Definition("front", (*PARTS, whole), sizes)
+KINDS = {
+    "motors": whole.OUTPUTS, "control": whole.CONTROL, "gyro": whole.GYRO, "accel": whole.ACCEL, "velocity": whole.VELOCITY,
+    "state": whole.STATE, "attitude": whole.ATTITUDE, "voltage": whole.VOLTAGE, "thrust": whole.THRUSTS, "rates": whole.RATES,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Samples:
+    """n samples in the order of time: kind, time [s], and the place of their numbers in `values`; NaN: not known."""
+
+    kind: np.ndarray
+    time: np.ndarray
+    at: np.ndarray
+    values: np.ndarray
+
+    def __len__(self):
+        return len(self.time)
+
+
+def merged(parts: Iterable[tuple[str, np.ndarray, np.ndarray]]) -> Samples:
+    """Samples of several signals in one order: (name, time (n,), values (n, columns))."""
+    kinds, times, places, values, total = [], [], [], [], 0
+    for name, time, numbers in parts:
+        count, width = numbers.shape
+        kinds.append(np.full(count, KINDS[name], np.int32))
+        times.append(time)
+        places.append((total + width * np.arange(count)).astype(np.int32))
+        values.append(np.ascontiguousarray(numbers, float).reshape(-1))
+        total += count * width
+    values.append(np.full(sizes.ROTORS, np.nan))  # as many as any kind reads
+    if not times:
+        return Samples(np.empty(0, np.int32), np.empty(0), np.empty(0, np.int32), values[0])
+    kind, time = np.concatenate(kinds), np.concatenate(times)
+    order = np.lexsort((kind, time))
+    return Samples(kind[order], time[order], np.concatenate(places)[order], np.concatenate(values))
+
+
+def known(flight: Flight, name: str) -> np.ndarray:
+    """(n, columns) values of a signal, NaN where they are not valid."""
+    signal = flight[name]
+    return signal.values if signal.valid.all() else np.where(signal.valid, signal.values, np.nan)
+
+
+def states(messages: Iterable[Message]) -> tuple[np.ndarray, np.ndarray]:
+    """(time (n,), (n, 2): landed, armed): 1 or 0, -1: nothing new."""
+    words = [(m.time, m.value > 0.5, m.kind == "armed") for m in messages if m.kind in ("landed", "armed")]
+    rows = [(-1.0, float(value)) if armed else (float(value), -1.0) for _, value, armed in words]
+    return np.array([time for time, _, _ in words]), np.array(rows).reshape(-1, 2)
+
+
+def craft(rotors: int, **facts: object) -> Rows:
+    """A Vehicle with what is known of it."""
+    made = FRONT.new(vehicle.Vehicle)
+    made.set(rotors=rotors, **facts)
+    return made

@@ -1,0 +1,107 @@
+"""An event in plain words, as the pilot reads it: the text of a MAVLink STATUSTEXT, and its severity. Rotors count from 1 in words."""
+
+from __future__ import annotations
+
+from rotorwatch.base.compiling.structs import LASTS, LETTER, Real, Small, Struct, array
+from rotorwatch.engine.front.events import CONTACT, LOSS, Event
+from rotorwatch.engine.front.sizes import ROTORS, TOGETHER
+
+CRITICAL, WARNING, NOTICE = 2, 4, 5  # MAV_SEVERITY
+
+MOST = 50  # characters of a STATUSTEXT
+_ROOM = 70  # a text that is too long is cut at its end alone
+
+
+class Words(Struct):
+    """A text that grows; a 0 is at its end."""
+
+    at = array(LETTER, 71)
+    length: Small = 0
+
+    def event(self, e: Event, withdrawn: bool, what: str) -> None:
+        """What there is to say of an event; what: in words, of one that is no loss."""
+        self._add("rotorwatch: ")
+        many = _several(e.rotors)
+        over = e.kind != CONTACT and e.end < LASTS
+        if e.rotors != 0:
+            self._add("rotors " if many else "rotor ")
+            self._rotors(e.rotors)
+            self._add(" ")
+        if e.kind == LOSS and e.size > 0.0:
+            self._add("stuck at ")  # of hover's thrust, as far as there is room
+            self._percent(e.size)
+            self._add(" %")
+        elif e.kind == LOSS:
+            self._add("lost ")
+            place = 0
+            for k in range(ROTORS):
+                if (e.rotors & (1 << k)) != 0 and place < TOGETHER:
+                    if place > 0:
+                        self._add("/")
+                    self._percent(e.loss[place])
+                    place += 1
+            self._add(" %")
+            if not many:
+                self._add(" (")
+                self._percent(e.lower[0])
+                self._add("-")
+                self._percent(e.upper[0])
+                self._add(")")
+        else:
+            self._add(what)
+        if withdrawn:
+            self._add(" taken back")
+        elif over:
+            self._add(" is over")
+        elif e.alternative_count > 0 and e.kind != CONTACT:
+            others = Words()
+            for i in range(e.alternative_count):
+                others._add("," if i > 0 else " or ")
+                others._rotors(e.alternatives[i])
+            if self.length + others.length <= MOST:
+                for i in range(others.length):
+                    self.at[self.length] = others.at[i]
+                    self.length += 1
+            else:
+                self._add(" or others")
+        self.length = min(self.length, MOST)
+        self.at[self.length] = 0
+
+    def _add(self, more: str) -> None:
+        for i in range(len(more)):
+            if self.length < _ROOM:
+                self.at[self.length] = ord(more[i])
+                self.length += 1
+
+    def _number(self, value: int) -> None:
+        """A number below 1000."""
+        for i in range(3):
+            left = value if i == 2 else value // 10 if i == 1 else value // 100
+            if (left > 0 or i == 2) and self.length < _ROOM:
+                self.at[self.length] = 48 + left % 10
+                self.length += 1
+
+    def _percent(self, share: Real) -> None:
+        """A share, 0 to 1, in percent."""
+        self._number(int(100.0 * share + 0.5))
+
+    def _rotors(self, rotors: int) -> None:
+        """As 1+3."""
+        more = False
+        for k in range(ROTORS):
+            if (rotors & (1 << k)) != 0:
+                if more:
+                    self._add("+")
+                self._number(k + 1)
+                more = True
+
+
+def severity(e: Event, withdrawn: bool) -> int:
+    """A lasting fault is critical, one of several explanations a warning, what is over or withdrawn a notice."""
+    if withdrawn or e.kind == CONTACT or e.end < LASTS:
+        return NOTICE
+    return WARNING if e.alternative_count > 0 else CRITICAL
+
+
+def _several(rotors: int) -> bool:
+    return (rotors & (rotors - 1)) != 0

@@ -1,0 +1,309 @@
+"""From a log's uneven samples to the diagnoser's ticks: the definitions of front/ over a whole flight, as one table.
+
+A tick at time t uses nothing measured after t. Units: thrusts in hover thrusts of one rotor (the mean command that carries the weight is
+1), found from the first second in the air and then kept for that flight. All frames body FRD.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorwatch.base.compiling.running import Rows
+from rotorwatch.base.compiling.structs import LASTS
+from rotorwatch.flight import Flight, Signal
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.engine.front import sense as cutting
+from rotorwatch.engine.front import ticks as definition
+from rotorwatch.engine.front import whole
+from rotorwatch.engine.front.definition import FRONT, craft, known, merged
+from rotorwatch.engine.front.sense import LATE_S, SIDE_S
+from rotorwatch.engine.front.ticks import AGAIN, GROUND, HOVER_LEARN_S, JUDGE, LEARN
+from rotorwatch.engine.motion import allocation
+from rotorwatch.engine.motion.contact import Contact, contacts, look_back
+
+__all__ = ["AGAIN", "GROUND", "HOVER_LEARN_S", "JUDGE", "LATE_S", "LEARN", "SIDE_S"]
+
+LAG_S = 0.02
+
+# s in the air before anything is judged; the same where healthy flights have shown the noise.
+READY_S, READY_KNOWN_S = 8.0, 3.0
+LATE_PERIODS = 1.5  # of slow motion, for which a tick waits at least
+ROOM = 4096  # rows in one call
+
+
+@dataclass(frozen=True)
+class Ticks:
+    """T ticks of an n-rotor flight.
+
+    time (T,) s, when everything in the tick was known. command_time (T,) s, mean time of the commands in it.
+    thrust (T, n); wrench (T, 4) = B thrust; rate, rate_dot (T, 3) rad/s, rad/s^2; load (T,) specific force up / g0;
+    valid (T, 4) bool; mode (T,) GROUND, LEARN or JUDGE; restart (T,) bool, first tick of a hop; dt s; hover (T,) mean share of full thrust
+    per rotor that one unit of thrust stands for; side (T, 2): specific force forward and right [m/s^2], mean of the last SIDE_S, or None
+    where nothing measures it. contact (T,) bool: something outside pushed the vehicle, and for `ready_s` after it its trim is learned
+    afresh (None: no contact); contacts: what and when. seen (T,) bool: a tick with commands in it, else thrust is 0. curve: expo of the
+    thrust curve that they were made with, and the standard deviation of what it is. axial (T,): speed along the thrust axis [m/s], above
+    0 where the vehicle climbs along it, NaN where velocity or attitude are not known (None: nowhere).
+    """
+
+    time: np.ndarray
+    command_time: np.ndarray
+    thrust: np.ndarray
+    wrench: np.ndarray
+    rate: np.ndarray
+    rate_dot: np.ndarray
+    load: np.ndarray
+    valid: np.ndarray
+    mode: np.ndarray
+    restart: np.ndarray
+    hover: np.ndarray
+    dt: float
+    upset: np.ndarray
+    notes: tuple[str, ...] = ()
+    side: np.ndarray | None = None
+    contact: np.ndarray | None = None
+    contacts: tuple[Contact, ...] = ()
+    seen: np.ndarray | None = None
+    curve: tuple[float, float] = (0.0, 0.0)
+    axial: np.ndarray | None = None
+
+    def part(self, keep: np.ndarray) -> Ticks:
+        """The ticks `keep` (T,) bool."""
+        return replace(self, **{k: v[keep] for k, v in vars(self).items() if isinstance(v, np.ndarray)})
+
+
+def joined(parts: Sequence[Ticks]) -> Ticks:
+    """Ticks that follow each other, in one table. What one of the parts does not have, the whole has not, but for contacts."""
+    columns = {}
+    for name, last in vars(parts[-1]).items():
+        values = [getattr(p, name) for p in parts]
+        if name == "contact" and any(v is not None for v in values):
+            values = [np.zeros(len(p.time), bool) if p.contact is None else p.contact for p in parts]
+        array = all(isinstance(v, np.ndarray) for v in values)
+        columns[name] = np.concatenate(values) if array else None if isinstance(last, np.ndarray) else last
+    return Ticks(**columns)
+
+
+# Ticks in s, and the rate of commands in Hz from which on nearly all of them hold one.
+LENGTHS = ((0.05, 19.0), (0.1, 8.0), (0.2, 4.5), (0.5, 1.8), (1.0, 0.0))
+TICKS_S = tuple(length for length, _ in LENGTHS)
+# A snapshot of the commands is compared with motion over so long, or over a sample and a half of the gyro.
+SHORTEST_S = 0.2
+EARLIEST_TICKS = 2  # that an announcement takes: engine/default/announcement.py
+READY_TICKS = 30  # from which the noise is learned
+
+
+def tick_length(rate_hz: float) -> float:
+    """Length of a tick in s for commands at that rate: 0.05 s from 19 Hz on, 1 s for the slowest."""
+    return next(length for length, least in LENGTHS if rate_hz >= least)
+
+
+def slow(rate_hz: float, dt: float, ready_s: float) -> str:
+    """What cannot be seen at slow ticks, a sentence; empty where they are not slow."""
+    if dt <= SHORTEST_S / 2.0:
+        return ""
+    return (
+        f"motor outputs at {rate_hz:.1f} Hz are judged every {dt:g} s, after {ready_s:.0f} s of learning: a loss is announced when it "
+        f"shows in {EARLIEST_TICKS} of these, {EARLIEST_TICKS * dt:g} s; one that ends sooner is not seen, and a small one may stay unseen"
+    )
+
+
+def ready_after(ready_s: float, dt: float) -> float:
+    """Blind time in s after lift-off: as asked for, but long enough to learn the noise at slow ticks."""
+    return max(ready_s, READY_TICKS * dt)
+
+
+def _period(signal: Signal) -> float:
+    """Usual time between two samples that are known, s; NaN with fewer than two."""
+    time = signal.time[signal.valid.all(axis=1)]
+    steps = np.diff(time)
+    return float(np.median(steps[steps > 0])) if (steps > 0).any() else np.nan
+
+
+def samples_in(half: float, period: float) -> int:
+    """How many samples a window of twice `half` s needs at least, of a signal with so many s between two; NaN: not known."""
+    return max(1, int(half / period * 0.8)) if period > 0.0 else 1
+
+
+def _span(motion: Signal, commands: Signal, dt: float) -> float:
+    """Half of the time over which a signal is averaged for a tick: the tick, but less where its commands are one snapshot."""
+    if dt <= SHORTEST_S or commands.rate_hz > 1.5 / dt:
+        return 0.5 * dt
+    return 0.5 * min(dt, max(SHORTEST_S, 1.5 / max(motion.rate_hz, 1e-3)))
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a flight is cut into ticks: what its sampling rates decide, once for all of it.
+
+    dt: length of a tick; ready_s: blind time after lift-off; lag_s; first: end of the first tick [all s]. gyro: signal that tells angular
+    rates, or None. accel: the log has one. half: signal -> half of the time it is averaged over; period: signal -> usual time between
+    samples [s]. notes: sentences on what the log lacks.
+    """
+
+    dt: float
+    ready_s: float
+    lag_s: float
+    first: float
+    gyro: str | None
+    accel: bool
+    half: dict[str, float]
+    period: dict[str, float]
+    notes: tuple[str, ...]
+
+
+def plan(flight: Flight, thrust: Signal, ready_s: float, lag_s: float = LAG_S, dt: float | None = None) -> Plan:
+    """The plan of a flight with these commands; see `make`."""
+    dt = tick_length(thrust.rate_hz) if dt is None else dt
+    ready_s, half = ready_after(ready_s, dt), dt / 2.0
+    notes = []
+    if limit := slow(thrust.rate_hz, dt, ready_s):
+        notes.append(limit)
+    # Slow commands are snapshots: put them in the middle of their ticks so that jitter never empties one.
+    turns = np.exp(2j * np.pi * thrust.time[:64] / dt)  # the first seconds decide, so that a longer log changes nothing
+    phase = float(np.angle(turns.mean()) / (2.0 * np.pi) % 1.0 * dt) if thrust.rate_hz < 1.5 / dt else 0.0
+    gyro = "gyro" if flight.has("gyro") else "rates" if flight.has("rates") else None
+    if gyro is None:
+        notes.append("no angular rate in the log: torque is judged from commands alone, as in steady hover")
+    if not flight.has("accel"):
+        notes.append("no accelerometer in the log: thrust is not judged, only torque")
+    motion = [name for name in (gyro, "accel" if flight.has("accel") else None) if name]
+    return Plan(
+        dt, ready_s, lag_s, float(np.floor((thrust.time[0] - phase) / dt) * dt + phase + half), gyro, flight.has("accel"),
+        {name: _span(flight[name], thrust, dt) for name in motion}, {name: _period(flight[name]) for name in motion}, tuple(notes),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Sensed:
+    """What was commanded and measured in T ticks, whether in the air or not: a tick needs no other, and nothing logged after it.
+
+    time, when (T,) s as in `Ticks`; share (T, n): mean share of full thrust; some (T,) bool: commands in it; rate, rate_dot, load, side as
+    in `Ticks`; rate_ok, load_ok (T,) bool; level (T,): cosine of the tilt. rows: the same as the definitions take them.
+    """
+
+    time: np.ndarray
+    when: np.ndarray
+    share: np.ndarray
+    some: np.ndarray
+    rate: np.ndarray
+    rate_dot: np.ndarray
+    rate_ok: np.ndarray
+    load: np.ndarray
+    load_ok: np.ndarray
+    level: np.ndarray
+    rows: Rows
+
+    def __len__(self):
+        return len(self.time)
+
+
+def laid_out(plan: Plan, hover: float | None = None, rebuilt: bool = False) -> Rows:
+    """The plan as the definitions take it; see `table`."""
+    made = FRONT.new(cutting.Plan)
+    made.set(**table(plan, hover, rebuilt))
+    return made
+
+
+def table(plan: Plan, hover: float | None = None, rebuilt: bool = False) -> dict[str, float | int | bool]:
+    """The fields of front.sense.Plan. hover: share of full thrust that carries the vehicle, where healthy flights have shown it; rebuilt:
+    thrusts come from the rate controller's output, which is sampled faster than the outputs."""
+    gyro, accel = plan.gyro or "", "accel"
+    of = {name: (plan.half.get(name, plan.dt / 2.0), plan.period.get(name, np.nan)) for name in (gyro, accel)}
+    slowest = np.nan_to_num([0.0, *plan.period.values()]).max()
+    return {
+        "dt": plan.dt, "lag": plan.lag_s, "phase": (plan.first - plan.dt / 2.0) % plan.dt, "ready": plan.ready_s, "hover": hover or 0.0,
+        "gyro_half": of[gyro][0], "accel_half": of[accel][0], "gyro_least": samples_in(*of[gyro]), "accel_least": samples_in(*of[accel]),
+        "side_least": samples_in(0.5 * SIDE_S, of[accel][1]), "late": float(max(LATE_S, LATE_PERIODS * slowest)),
+        "before": look_back(plan.dt), "gyro": plan.gyro is not None, "accel": plan.accel, "rebuilt": rebuilt,
+    }  # fmt: skip
+
+
+def sense(flight: Flight, thrust: Signal, plan: Plan) -> Sensed:
+    """The ticks of a flight with these thrusts; none where the thrusts of all rotors are never known together."""
+    n = thrust.values.shape[1]
+    valid = thrust.valid.all(axis=1, keepdims=True)
+    parts = [("thrust", thrust.time, np.where(valid, thrust.values, np.nan))]
+    parts += [("gyro", flight[plan.gyro].time, known(flight, plan.gyro))] if plan.gyro else []
+    parts += [("accel", flight["accel"].time, known(flight, "accel"))] if plan.accel else []
+    parts += [
+        (name, flight[name].time, known(flight, name)) for name in ("velocity", "attitude") if name in flight.signals
+    ]
+    samples, vehicle, how = merged(parts), craft(n), laid_out(plan)
+    state, rows, done = FRONT.new(cutting.Sense), FRONT.array(cutting.Sensed, ROOM), FRONT.new(whole.Done)
+    pieces, taken = [], 0
+    while taken < len(samples):
+        arguments = (taken, len(samples), samples.kind, samples.time, samples.at, samples.values)
+        FRONT.call(whole.cut, state, vehicle, how, *arguments, rows, ROOM, done)
+        taken = int(done["samples"][0])
+        pieces.append(rows.cut(int(done["rows"][0])))
+    while count := FRONT.call(whole.rest, state, vehicle, how, rows, ROOM):
+        pieces.append(rows.cut(count))
+    whole_rows = Rows.joined(pieces)
+    commanded = np.flatnonzero(whole_rows["some"])  # the rows after the last command are no flight
+    whole_rows = whole_rows.cut(int(commanded[-1]) + 1 if commanded.size else 0)
+    columns = {name: whole_rows[name] for name in Sensed.__dataclass_fields__ if name not in ("share", "rows")}
+    return Sensed(share=whole_rows["share"][:, :n], rows=whole_rows, **columns)
+
+
+def observe(flight: Flight, vehicle: Vehicle, air, ready_s: float) -> Ticks | None:
+    """Ticks of a flight, or None when it shows no motor commands in the air."""
+    if not flight.has("motors") or not air:
+        return None
+    thrust = allocation.rotor_thrusts(flight, vehicle)
+    if len(thrust) < 20 or not thrust.valid.all(axis=1).any():  # or one output is never a command
+        return None
+    made = make(flight, thrust, vehicle.effectiveness(), air, ready_s, hover=known_hover(vehicle))
+    return replace(made, curve=vehicle.curve.believed)
+
+
+def known_hover(vehicle: Vehicle) -> float | None:
+    """Share of full thrust that carries the vehicle, where healthy flights have shown it."""
+    return (vehicle.identified or {}).get("hover")
+
+
+def make(
+    flight: Flight,
+    thrust: Signal,
+    B: np.ndarray,
+    airborne: tuple[tuple[float, float], ...],
+    ready_s: float,
+    lag_s: float = LAG_S,
+    hover: float | None = None,
+    dt: float | None = None,
+) -> Ticks:
+    """Ticks of one flight. thrust: share of full thrust per rotor over time; B (4, n); ready_s: blind time after lift-off.
+
+    hover: share of full thrust that carries the vehicle, when a vehicle file or baseline knows it.
+    """
+    how = plan(flight, thrust, ready_s, lag_s, dt)
+    return assemble(sense(flight, thrust, how), how, B, airborne, hover)
+
+
+def assemble(
+    seen: Sensed, plan: Plan, B: np.ndarray, airborne: tuple[tuple[float, float], ...], hover: float | None = None
+) -> Ticks:
+    """Ticks from what was measured in them and when the vehicle was in the air."""
+    n, count, time = B.shape[1], len(seen), seen.time
+    lifted, start = np.full(count, LASTS), np.full(count, LASTS)
+    for begin, end in airborne:
+        inside = (time >= begin + HOVER_LEARN_S) & (seen.when <= end)
+        if inside.any():
+            lifted[time >= begin] = begin
+            start[inside] = begin
+    made = FRONT.array(definition.Made, count)
+    state, vehicle = FRONT.new(definition.Ticks), craft(n, effectiveness=B)
+    FRONT.call(whole.assemble, state, vehicle, laid_out(plan, hover), count, seen.rows, lifted, start, made)
+    return columns(made, plan, n)
+
+
+def columns(made: Rows, plan: Plan, n: int, before: tuple[Contact, ...] = ()) -> Ticks:
+    """Ticks that were made, as a table of n rotors; before: contacts of those before."""
+    touch = made.part("touch")
+    return Ticks(
+        made["time"], made["when"], made["thrust"][:, :n], made["wrench"], made["rate"], made["rate_dot"], made["load"], made["valid"],
+        made["mode"], made["restart"], made["hover"], plan.dt, made["upset"], plan.notes, made["side"] if plan.accel else None,
+        touch["hit"], contacts(touch, before), made["some"], axial=made["axial"],
+    )  # fmt: skip

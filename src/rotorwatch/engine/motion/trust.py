@@ -1,0 +1,464 @@
+"""Is this what flew? The log is held against itself before anything is judged.
+
+Each test takes a `Case` and gives one sentence when the log cannot be what flew, else None. Any such sentence makes the answer
+`inconclusive`: what is concluded from outputs that did not reach the motors rests on nothing. The tests ask for contradictions that
+no healthy or faulty flight shows; docs/limits.md has how often each was wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from rotorwatch.base.physics import G0
+from rotorwatch.flight import Flight, Signal, output_functions
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.engine.motion.allocation import within
+from rotorwatch.engine.motion.ticks import Ticks
+
+Spans = tuple[tuple[float, float], ...]
+
+# A controller answers before its vehicle has turned by so much: outputs that rest longer did not fly it.
+STILL_S, STILL_RAD = 1.0, 1.0
+# ... nor does it rest for so long, in so many samples, at the resolution of an output, unless the air is dead calm.
+STILL_LONG_S, STILL_LONG_RAD, STILL_SAMPLES = 5.0, 0.2, 25
+# rad/s and m/s^2, means of half a second: beyond what gyros of autopilots measure (2000 deg/s) and airframes bear
+WILD_RATE, WILD_FORCE, WILD_S = 60.0, 20.0 * G0, 0.5
+SCALE = 2.5  # factor by which the size of the specific force may differ from one g where nothing says how the vehicle was turned
+NEARER = 2.0**0.5  # beyond this factor a scale is nearer to a half or a double than to what it should be
+FASTEST_FALL = 15.0  # m/s by which a multirotor's vertical speed differs at most between two moments
+BEYOND, SELDOM = 0.1, 0.01  # share of the outputs' range, and of a flight, that outputs may lie above that range
+MOVING = 0.05  # rad/s rms of angular rate, above which attitude and gyro that do not agree tell of different turns
+# Parts of a flight in which biases stay, windows in a row that may have the same error, and how many standard errors a scale is given
+PARTS, ALIKE_FOR, ERRORS = 10, 5, 3.0
+ALIKE = 0.5  # correlation of two measurements of one motion
+# Hover thrusts of one rotor and rotor for each rad/s^2: the smallest vehicles turn for no less (radius of gyration 2 cm, arms of 3 cm),
+# large ones for no more.
+LEAST_GAIN, MOST_GAIN = 0.001, 0.02
+# Torque that the motion must take at least: so many times the one commanded, and so many hover thrusts. Vibration looks like less.
+HARDER, HARD = 3.0, 0.05
+# rad/s^2 and rad/s of roll or pitch: motion that is no longer the gyro's noise or a dead calm
+PLAIN, PLAIN_RATE = 0.3, 0.03
+HELD = 0.05  # share of the motion that commands would give a large vehicle, below which it does not follow them: it stands, or is held
+LONG_S = 30.0  # of flight, before commands are held against motion
+SLOWEST_S = 0.1  # ticks in which commands and the motion they cause can be seen together
+SHIFTS = 40  # how often commands are compared with motion at times that are not theirs
+SIGNIFICANT = 2.5  # standard deviations of those comparisons
+EXCHANGED = (
+    8.0  # the same, from which motion that follows the command of another axis is no coupling of a sound vehicle
+)
+AXES = ("roll", "pitch", "yaw")
+WINDOW_S = 0.2  # s over which gyro and attitude are compared
+# Gyro and attitude up to so far apart, in such steps; in parts of so long, of which there are at least so many
+APART_S, LAG_S, PART_S, LEAST_PARTS = 5.0, 0.1, 10.0, 3
+SURE = 0.8  # correlation of two measurements at a lag, beyond which it is the one they have
+GYRO_UNITS = {"degrees/s": np.degrees(1.0), "mrad/s": 1e3, "turns/s": 0.5 / np.pi}
+GEOMETRY = ("FRAME_CLASS", "FRAME_TYPE", "CA_ROTOR_COUNT", "CA_AIRFRAME", "SYS_AUTOSTART", "MAV_TYPE")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One log to be trusted or not: the flight, what it is said to be, when it was airborne, and its ticks."""
+
+    flight: Flight
+    vehicle: Vehicle
+    air: Spans
+    table: Ticks
+
+    @cached_property
+    def flying(self) -> np.ndarray:
+        """(T,) ticks in the air, upset or not."""
+        return self.table.mode > 0
+
+
+def contradictions(flight: Flight, vehicle: Vehicle, air: Spans, table: Ticks) -> tuple[str, ...]:
+    """Why the log cannot be what flew, a sentence for each test that fails; empty when nothing contradicts it."""
+    case = Case(flight, vehicle, air, table)
+    return tuple(why for test in TESTS if (why := test(case)))
+
+
+def two_publishers(case: Case) -> str | None:
+    """Outputs of two publishers that both move: neither can be told to be the one that reached the motors."""
+    if case.flight.facts.get("publishers", 1) > 1:
+        return "the motor outputs in this log come from two publishers at once, and nothing tells which of them reached the motors."
+    return None
+
+
+def clock_jumped(case: Case) -> str | None:
+    """A clock that was set in the air: commands and motion around the jump cannot be put in order."""
+    when = [t for t in case.flight.facts.get("clock_jumps", ()) if within(np.array([t]), case.air).any()]
+    if when:
+        return f"the log's clock jumps at {when[0]:.1f} s, in the air: commands and motion cannot be put in order."
+    return None
+
+
+def another_airframe(case: Case) -> str | None:
+    """Parameters of the airframe that change in the air: two logs, or two vehicles, in one file."""
+    for time, name, value in case.flight.parameter_changes:
+        output = output_functions.function(name, value)
+        if (name in GEOMETRY or (output is not None and output.motor)) and within(np.array([time]), case.air).any():
+            return f"the airframe changes in the air ({name} becomes {value:g} at {time:.1f} s): the log is not of one vehicle."
+    return None
+
+
+def wild_motion(case: Case) -> str | None:
+    """Rates or accelerations that no vehicle survives, for half a second: wrong units, or not a sensor's values."""
+    for name, limit, what, unit in (
+        ("gyro", WILD_RATE, "turns at", "rad/s"),
+        ("accel", WILD_FORCE, "accelerates at", "m/s^2"),
+    ):
+        if not case.flight.has(name):
+            continue
+        time, size = _magnitude(case.flight[name], case.air)
+        if time.size < 5:
+            continue
+        width = max(1, round(WILD_S * case.flight[name].rate_hz))
+        smooth = np.convolve(size, np.ones(width) / width, "valid")
+        if smooth.size and smooth.max() > limit:
+            at = time[int(np.argmax(smooth))]
+            return f"the vehicle {what} {smooth.max():.0f} {unit} at {at:.1f} s, which none survives: its {name} or its unit is wrong."
+    return None
+
+
+def weightless(case: Case) -> str | None:
+    """Over a flight the specific force is one g, and it points up: what does not is in another unit or of another sensor.
+
+    Its vertical part is one g on average, but for what the vehicle's speed has changed; its size is more where the vehicle shakes or turns.
+    """
+    if not case.flight.has("accel"):
+        return None
+    time, size = _magnitude(case.flight["accel"], case.air)
+    if time.size < 50:
+        return None
+    typical = float(np.median(size)) / G0
+    wrong = not 1.0 / SCALE < typical < SCALE and np.ptp(time) >= LONG_S
+    if not wrong and case.flight.has("attitude"):
+        up = _upwards(case.flight["accel"], case.flight["attitude"], case.air)
+        speed = FASTEST_FALL / (G0 * float(np.ptp(time)))
+        wrong = max(typical, up + speed) < 1.0 / NEARER or min(typical, up - speed) > NEARER
+    if not wrong:
+        return None
+    return f"the accelerometer shows {typical:.3g} g over the flight instead of one: its unit is not m/s^2, or it is another vehicle's."
+
+
+def attitude_against_gyro(case: Case) -> str | None:
+    """Gyro and attitude tell of the same turns: same size, same sign, same time."""
+    if not case.flight.has("gyro", "attitude"):
+        return None
+    _, turned, (rate,) = _turns(case.flight["attitude"], case.flight["gyro"], case.air)
+    if len(rate) < 50:
+        return None
+    # Of most of the flight: knocks and a crash show sensors' limits.
+    bound = 5.0 * np.median(np.abs(rate)) + 1.0, 5.0 * np.median(np.abs(turned)) + 1.0
+    calm = (np.abs(rate) < bound[0]).all(axis=1) & (np.abs(turned) < bound[1]).all(axis=1)
+    rate, turned = rate[calm], turned[calm]
+    if len(rate) < 50:
+        return None
+    moving = np.sqrt(np.mean(rate**2)) > MOVING / SCALE and np.sqrt(np.mean(turned**2)) > MOVING
+    size = np.sqrt(np.sum(rate**2, axis=0) * np.sum(turned**2, axis=0))
+    alike = float((np.sum(rate * turned, axis=0) / np.maximum(size, 1e-12)).max())
+    if moving and alike < ALIKE:
+        return (
+            "gyro and attitude tell of different turns: they are not of one vehicle, one clock or one coordinate frame."
+        )
+    low, high = min((_scale(rate[:, k], turned[:, k]) for k in range(3)), key=lambda one: one[1] / one[0])
+    if low <= NEARER and high >= 1.0 / NEARER:
+        return None
+    units = [name for name, factor in GYRO_UNITS.items() if low < factor * NEARER and high > factor / NEARER]
+    why = (
+        f"it seems to be in {units[0]} instead of rad/s."
+        if units
+        else "one of them is in a wrong unit, or of another vehicle."
+    )
+    return f"the gyro turns {(low * high) ** 0.5:.3g} times as fast as the attitude: {why}"
+
+
+def two_clocks(case: Case) -> str | None:
+    """Gyro and attitude tell of the same turns, but not at the same time: of most parts of the flight, in calm air as well."""
+    if not case.flight.has("gyro", "attitude"):
+        return None
+    when, (alike,) = _alike_at(case, (0.0,))
+    differ = alike.max(axis=1) < ALIKE
+    if differ.sum() < LEAST_PARTS or differ.mean() < 0.5:
+        return None
+    lags = np.arange(-APART_S, APART_S + 0.5 * LAG_S, LAG_S)
+    alike = _alike_at(case, lags)[1].max(axis=2)
+    found = differ & (alike.max(axis=0) > SURE)
+    when, apart = when[found], lags[alike.argmax(axis=0)][found]
+    if found.sum() < LEAST_PARTS or found.mean() < 0.5:
+        return None
+    if np.median(np.abs(apart - np.polyval(np.polyfit(when, apart, 1), when))) > 2.0 * LAG_S:
+        return None
+    least, most = (f"{value:.1f}" for value in sorted(np.abs(apart[[0, -1]])))
+    far = most if least == most else f"{least} to {most}"
+    return f"gyro and attitude tell of the same turns {far} s apart: they are not of one clock."
+
+
+def _alike_at(case: Case, lags: Sequence[float] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """When parts of the flight begin (parts,) s, and correlation of gyro and attitude in each at these lags s (lags, parts, 3)."""
+    time, turned, rates = _turns(case.flight["attitude"], case.flight["gyro"], case.air, lags)
+    count = int(np.ptp(time) / PART_S) if time.size else 0
+    edges = np.searchsorted(time, time[:1] + PART_S * np.arange(count + 1))
+    parts = [slice(a, b) for a, b in pairwise(edges) if b - a > 0.5 * PART_S / WINDOW_S]
+    alike = np.zeros((len(lags), len(parts), 3))
+    for k, part in enumerate(parts):
+        x, y = turned[part] - turned[part].mean(axis=0), rates[:, part] - rates[:, part].mean(axis=1, keepdims=True)
+        size = np.sqrt(np.sum(x * x, axis=0) * np.sum(y * y, axis=1))
+        alike[:, k] = np.sum(x * y, axis=1) / np.maximum(size, 1e-12)
+    return np.array([time[part.start] for part in parts]), alike
+
+
+def _scale(measured: np.ndarray, true: np.ndarray) -> tuple[float, float]:
+    """(least, most) by which one measurement (n,) of a motion is larger than another (n,), both with unknown errors of their own.
+
+    The slope on `true` is too low by the errors of `true`, the inverse of the slope on `measured` too high by those of `measured`, each
+    with its standard error, as `ALIKE_FOR` neighbours in time may have the same error. Biases of parts of the flight are left out.
+    """
+    x, y = (np.concatenate([part - part.mean() for part in np.array_split(z, PARTS)]) for z in (measured, true))
+
+    def least_slope(a: np.ndarray, b: np.ndarray) -> float:
+        """Of a on b."""
+        power = max(float(b @ b), 1e-30)
+        slope = float(a @ b) / power
+        return slope - ERRORS * float(np.sqrt(ALIKE_FOR * np.sum((b * (a - slope * b)) ** 2))) / power
+
+    return max(least_slope(x, y), 1e-9), 1.0 / max(least_slope(y, x), 1e-9)
+
+
+def outputs_beyond_range(case: Case) -> str | None:
+    """Outputs far above what is said to be full thrust: that range is not the one that flew, so no thrust is known."""
+    motors, curve = case.flight["motors"], case.vehicle.curve
+    inside = within(motors.time, case.air) & motors.valid.all(axis=1)
+    if inside.sum() < 50:
+        return None
+    reached = float(np.quantile(motors.values[inside].max(axis=1), 1.0 - SELDOM))
+    if reached < curve.u_max + BEYOND * (curve.u_max - curve.u_min):
+        return None
+    return (
+        f"the motor outputs reach {reached:.4g}, but {curve.u_max:.4g} is said to be full thrust: the range of the outputs is wrong in the "
+        "parameters or in the vehicle file."
+    )
+
+
+def outputs_at_rest(case: Case) -> str | None:
+    """Outputs that stand still while the vehicle turns: something else drove the motors."""
+    motors, curve = case.flight["motors"], case.vehicle.curve
+    inside = within(motors.time, case.air) & motors.valid.all(axis=1)
+    time, values = motors.time[inside], motors.values[inside]
+    if time.size < 5:
+        return None
+    moved = (np.abs(np.diff(values, axis=0)) > 1e-6 * (curve.u_max - curve.u_min)).any(axis=1)
+    starts = np.concatenate([[0], np.flatnonzero(moved) + 1])
+    ends = np.concatenate([starts[1:], [time.size]]) - 1
+    span = 0.02 * (curve.u_max - curve.u_min)
+    long_enough = (ends - starts >= 4) & (time[ends] - time[starts] >= STILL_S)
+    for a, b in zip(starts[long_enough], ends[long_enough]):
+        seconds = float(time[b] - time[a])
+        # Motors that are off, or all at their limits, may well rest.
+        if ((values[a] > curve.u_min + span) & (values[a] < curve.u_max - span)).mean() <= 0.5:
+            continue
+        angle = _angle(case.flight, float(time[a]), float(time[b]))
+        long = seconds > STILL_LONG_S and b - a >= STILL_SAMPLES and angle > STILL_LONG_RAD
+        if angle > STILL_RAD or long:
+            return (
+                f"the motor outputs in the log stand still from {time[a]:.1f} to {time[b]:.1f} s while the vehicle turns by "
+                f"{np.degrees(angle):.0f} deg: they are not what drove the motors, so nothing can be concluded from them."
+            )
+    return None
+
+
+def motion_without_command(case: Case) -> str | None:
+    """Angular acceleration that takes more torque than was commanded, through most of a flight and not in step with the commands."""
+    sizes = [_coherence(case, axis) for axis in (0, 1)]
+    if any(s is None for s in sizes):
+        return None
+    if all(s.needed > max(HARDER * s.commanded, HARD) and s.alike < ALIKE for s in sizes if s):
+        return "the vehicle turns harder than its motor outputs can make it: they are not what drove the motors."
+    return None
+
+
+def command_without_effect(case: Case) -> str | None:
+    """Commands that explain no motion on any axis: they fit the motion no better than at times that are not theirs. Where there is hardly
+    any motion, nothing can be said, unless the commands ask for a lot of it."""
+    if not case.flight.has("gyro"):
+        return None
+    found = [c for axis in range(3) if (c := _coherence(case, axis)) is not None]
+    if len(found) < 3 or max(c.sigmas for c in found) > SIGNIFICANT:
+        return None
+    least = PLAIN * LEAST_GAIN * case.table.thrust.shape[1]
+    rates = np.abs(case.table.rate[case.flying][:, :2])
+    still = float(np.quantile(rates, 0.8)) < PLAIN_RATE
+    if all(c.needed > HELD * LEAST_GAIN / MOST_GAIN * c.commanded and (still or c.needed < least) for c in found[:2]):
+        return None
+    return "the motor outputs explain nothing of how the vehicle moves: they are of another vehicle, another time or another airframe."
+
+
+def outputs_of_other_rotors(case: Case) -> str | None:
+    """Two axes whose motion does not follow their own commands, but those of another axis, or their own reversed: the outputs drive other
+    rotors than they are taken for."""
+    if not case.flight.has("gyro"):
+        return None
+    astray = []
+    for axis in range(3):
+        own = _coherence(case, axis)
+        if own is None or own.sigmas > SIGNIFICANT:
+            continue
+        others = [(k, sign) for k in range(3) for sign in (1.0, -1.0) if (k, sign) != (axis, 1.0)]
+        follows = [_coherence(case, axis, *other) for other in others]
+        best, sigmas = max(zip(others, (c.sigmas if c else 0.0 for c in follows)), key=lambda one: one[1])
+        if sigmas > EXCHANGED:
+            astray.append(f"{AXES[axis]} follows the command of {'' if best[1] > 0 else 'reversed '}{AXES[best[0]]}")
+    if len(astray) < 2:
+        return None
+    return f"the motor outputs drive other rotors than the ones they were taken for: {', '.join(astray)}."
+
+
+@dataclass(frozen=True)
+class Coherence:
+    """Commanded torque and angular acceleration of one axis. alike: correlation, -1..1, at the best lag; sigmas: how far above that at
+    wrong times; needed, commanded: usual size of the torque that the motion takes at least, and of the one commanded (hover thrusts)."""
+
+    alike: float
+    sigmas: float
+    needed: float
+    commanded: float
+
+
+def _coherence(case: Case, axis: int, commanded: int | None = None, sign: float = 1.0) -> Coherence | None:
+    """Of the motion of an axis with the torque commanded of it, or of the axis `commanded`, times a sign. None where the flight is too
+    short or too slowly logged. Trim, over a second, is left out."""
+    table, ok = case.table, case.flying & case.table.valid[:, axis]
+    if ok.sum() * table.dt < LONG_S or table.dt > SLOWEST_S:
+        return None
+    width = max(3, round(1.0 / table.dt))
+    torque = sign * table.wrench[:, axis if commanded is None else commanded]
+    command, motion = (_without_trim(np.where(ok, x, 0.0), width) for x in (torque, table.rate_dot[:, axis]))
+    command, motion = np.where(ok, command, 0.0), np.where(ok, motion, 0.0)
+    # Bounded to what is usual: one knock must not speak for a flight.
+    usual = [float(np.quantile(np.abs(x[ok]), 0.8)) for x in (command, motion)]
+    if min(usual) <= 0.0:
+        return Coherence(0.0, 0.0, LEAST_GAIN * table.thrust.shape[1] * usual[1], usual[0]) if usual[1] > 1.0 else None
+    command, motion = np.clip(command, -3 * usual[0], 3 * usual[0]), np.clip(motion, -3 * usual[1], 3 * usual[1])
+    lags = range(0, max(2, round(0.3 / table.dt)))
+
+    count = len(command)
+    sizes = max(np.sqrt(np.sum(command * command) * np.sum(motion * motion)), 1e-12)
+    # At every shift at once, going round; not products of one shift after the other, which BLAS would spread over busy processors.
+    alike_at = np.fft.irfft(np.fft.rfft(motion) * np.conj(np.fft.rfft(command)), count) / sizes
+
+    def best(shift: int) -> float:
+        return float(alike_at[(shift + np.asarray(lags)) % count].max())
+
+    step = count // (SHIFTS + 2)
+    if step * table.dt < 0.5:
+        return None
+    elsewhere = np.array([best(step * (k + 1)) for k in range(SHIFTS)])
+    alike = best(0)
+    return Coherence(
+        alike,
+        (alike - float(elsewhere.mean())) / max(float(elsewhere.std()), 1e-3),
+        LEAST_GAIN * table.thrust.shape[1] * usual[1],
+        usual[0],
+    )
+
+
+def _without_trim(x: np.ndarray, width: int) -> np.ndarray:
+    return x - np.convolve(x, np.ones(width) / width, "same")
+
+
+def _magnitude(signal: Signal, air: Spans) -> tuple[np.ndarray, np.ndarray]:
+    """(time, length of the vector) of a signal's valid samples in the air."""
+    ok = within(signal.time, air) & signal.valid.all(axis=1)
+    return signal.time[ok], np.linalg.norm(signal.values[ok], axis=1)
+
+
+def _upwards(accel: Signal, attitude: Signal, air: Spans) -> float:
+    """Mean specific force against gravity in the air, in g; 0 where no attitude is valid."""
+    ok, known = within(accel.time, air) & accel.valid.all(axis=1), attitude.valid.all(axis=1)
+    if not known.any():
+        return 0.0
+    w, x, y, z = attitude.values[known].T
+    down = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
+    when = accel.time[ok]
+    parts = [np.interp(when, attitude.time[known], d) * a for d, a in zip(down, accel.values[ok].T)]
+    return -float(np.mean(sum(parts))) / G0
+
+
+def _angle(flight: Flight, start: float, end: float) -> float:
+    """Angle in rad that the vehicle turned through, back and forth counted alike; NaN without a gyro."""
+    gyro = flight.angular_rate()
+    if gyro is None or len(part := gyro.between(start, end)) < 2:
+        return np.nan
+    rate = np.linalg.norm(part.values, axis=1)
+    # The trapezoidal rule, whose name changed with NumPy 2.
+    return float(np.diff(part.time) @ (rate[1:] + rate[:-1]) / 2)
+
+
+def _turns(
+    attitude: Signal, gyro: Signal, air: Spans, lags: Sequence[float] | np.ndarray = (0.0,)
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of windows in the air: times (m,) s, mean angular rates rad/s, body, from the attitude (m, 3), and from the gyro (lags, m, 3), by so
+    many s later."""
+    none = np.zeros(0), np.zeros((0, 3)), np.zeros((len(lags), 0, 3))
+    fine = attitude.valid.all(axis=1) & within(attitude.time, air)
+    time, q = attitude.time[fine], attitude.values[fine]
+    step = max(1, round(WINDOW_S * attitude.rate_hz))
+    good = gyro.valid.all(axis=1)
+    when, rate = gyro.time[good], gyro.values[good]
+    if time.size < 2 * step or when.size < 2:
+        return none
+    starts, ends = time[:-step:step], time[step::step]
+    length = ends - starts
+    count = np.searchsorted(when, ends) - np.searchsorted(when, starts)
+    use = (length > 0.5 * WINDOW_S) & (length < 3.0 * WINDOW_S) & (count >= max(1, 0.3 * WINDOW_S * gyro.rate_hz))
+    if not use.any():
+        return none
+    a, b = q[:-step:step][use], q[step::step][use]
+    starts, ends, length = starts[use], ends[use], length[use, None]
+    turned = _product(a * [1.0, -1.0, -1.0, -1.0], b)
+    turned *= np.where(turned[:, :1] < 0, -1.0, 1.0)
+    sine = np.linalg.norm(turned[:, 1:], axis=1, keepdims=True)
+    angle = turned[:, 1:] / np.maximum(sine, 1e-12) * 2.0 * np.arctan2(sine, turned[:, :1])
+    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(when)[:, None]
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+
+    def until(moments: np.ndarray) -> np.ndarray:
+        return np.stack([np.interp(moments, when, axis) for axis in total.T], axis=1)
+
+    mean = np.array([(until(ends + lag) - until(starts + lag)) / length for lag in lags])
+    return starts, angle / length, mean
+
+
+def _product(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Hamilton product of quaternions (m, 4), scalar first."""
+    a, b, c, d = p.T
+    w, x, y, z = q.T
+    return np.stack(
+        [
+            a * w - b * x - c * y - d * z,
+            a * x + b * w + c * z - d * y,
+            a * y - b * z + c * w + d * x,
+            a * z + b * y - c * x + d * w,
+        ],
+        axis=1,
+    )
+
+
+TESTS = (
+    two_publishers,
+    clock_jumped,
+    another_airframe,
+    outputs_beyond_range,
+    wild_motion,
+    weightless,
+    two_clocks,
+    attitude_against_gyro,
+    outputs_at_rest,
+    motion_without_command,
+    outputs_of_other_rotors,
+    command_without_effect,
+)

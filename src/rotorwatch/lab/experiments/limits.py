@@ -1,0 +1,190 @@
+"""The best that any diagnoser could do: a bound on the error of a loss, and one on the delay of its detection.
+
+Both follow from one number: how much the data up to a time tell about a jump of one actuator's loss at a known time,
+
+    I(t) = sum_k phi_k' S_k^-1 phi_k
+
+with S_k the innovation variances of the Kalman filter that knows of no jump, and phi_k what a unit jump does to its innovations
+(Willsky and Jones, IEEE TAC 21(1), 1976). 1 / I is the variance with which the filter that has this loss in its state ends,
+all else unknown as before: the posterior Cramer-Rao bound (Tichavsky, Muravchik and Nehorai, IEEE TSP 46(5), 1998), whose
+recursion it is for additive Gaussian noise. And theta^2 I / 2 is the information (Kullback-Leibler) in favour of the jump
+over none, on which the delay of Page's CUSUM depends, the optimal rule for a known change (Moustakides, Ann. Statist. 14, 1986):
+
+    mean time to a false alarm   (e^h - h - 1) / r        mean delay: until the information is  h - 1 + e^-h
+
+for a threshold h and r information per time (Shiryaev 1996; the limit of many small samples).
+"""
+
+from __future__ import annotations
+
+import functools
+from collections import namedtuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.engine.default import noise
+from rotorwatch.errors import ConfigError
+
+Array = Any
+
+
+class Rows(namedtuple("Rows", "A G C H Q R")):
+    """Matrices of one step: x' = A x + G theta + w, var w = Q; y = C x + H theta + v, var v = R.
+
+    A (n, n), or (n,) where it is diagonal; G (n,); C (m, n); H (m,); Q (n, n); R (m,).
+    """
+
+
+def information(model: Callable[[Any], Rows], rows: Any, P0: Array, valid: Array, onset: Array) -> Array:
+    """(T,) information I on a jump of theta at step `onset` that the measurements up to each step hold.
+
+    model: what `Rows` a row of `rows` (a pytree of (T, ...) arrays) stands for. P0 (n, n): covariance before the first step. valid
+    (T, m) bool. Pure: to be compiled and mapped over flights.
+    """
+    jax = load_jax()
+    jnp = jax.numpy
+
+    def step(carry, row):
+        P, M, total, k = carry
+        row, ok = row
+        A, G, C, H, Q, R = model(row)
+        begun = jnp.where(k >= onset, 1.0, 0.0)
+        P = (A[:, None] * P * A[None, :] if A.ndim == 1 else A @ P @ A.T) + Q
+        M = (A * M if A.ndim == 1 else A @ M) + begun * G
+        for a in range(C.shape[0]):
+            Pc = P @ C[a]
+            S = C[a] @ Pc + R[a]
+            w = jnp.where(ok[a], 1.0 / S, 0.0)
+            phi = C[a] @ M + begun * H[a]
+            total = total + w * phi * phi
+            M = M - Pc * (w * phi)
+            P = P - w * (Pc[:, None] * Pc[None, :])
+        return (0.5 * (P + P.T), M, total, k + 1), total
+
+    P0 = jnp.asarray(P0)
+    carry = (P0, jnp.zeros(P0.shape[0]), jnp.zeros(()), jnp.int32(0))
+    return jax.lax.scan(step, carry, (rows, valid))[1]
+
+
+def along(system, actuator: int, dt: float) -> Callable[[Any], Rows]:
+    """`information`'s model for any plant: linearised where it is, at rows (x (n_x,), u (n_u,), theta (n_theta,)) of its true path.
+
+    Raises ConfigError for an actuator that the plant does not have.
+    """
+    if not 0 <= actuator < system.n_theta:
+        raise ConfigError(f"actuator must lie between 0 and {system.n_theta - 1}, not {actuator}.")
+    jax = load_jax()
+
+    def model(row) -> Rows:
+        x, u, theta = row
+        A, G = jax.jacfwd(system.f, argnums=(0, 2))(x, u, theta, dt)
+        C, H = jax.jacfwd(system.h, argnums=(0, 2))(x, u, theta)
+        return Rows(A, G[:, actuator], C, H[:, actuator], system.Q(dt), system.R(u))
+
+    return model
+
+
+def loss_sd(information, prior_sd: float = np.inf):
+    """Posterior Cramer-Rao bound: the least standard deviation of the loss. prior_sd: what was known before."""
+    with np.errstate(divide="ignore"):
+        return 1.0 / np.sqrt(np.asarray(information, float) + prior_sd**-2.0)
+
+
+def cusum(rate, false_alarm_period) -> tuple[Array, Array]:
+    """(threshold h, information needed) of the CUSUM with that mean time between false alarms; arrays or numbers.
+
+    rate: information per time, rate * false_alarm_period is all that counts. A rule with the same time between false alarms
+    detects on average no sooner than when theta^2 I / 2 reaches the information needed. Raises ConfigError unless both are above 0.
+    """
+    wanted = np.asarray(rate, float) * false_alarm_period
+    if not np.all(np.isfinite(wanted) & (wanted > 0.0)):
+        raise ConfigError("rate and false_alarm_period must be above zero.")
+    low, high = np.zeros_like(wanted), np.maximum(1.7, np.log(2.0 * wanted))  # e^h - h - 1 > e^h / 2 from 1.7 on
+    h = high
+    for _ in range(60):
+        h = 0.5 * (low + high)
+        short = np.expm1(h) - h < wanted
+        low, high = np.where(short, h, low), np.where(short, high, h)
+    return h, h + np.expm1(-h)
+
+
+def delay(time: Array, information: Array, theta: float, onset: float, false_alarm_period: float) -> float:
+    """Least mean delay [s] of a detection of the loss theta: when there is enough information; inf when there never is.
+
+    time (T,): when each step is known. information (T,): of `information`. onset, false_alarm_period [s]. The information comes
+    unevenly; the threshold is that of its mean rate up to the detection.
+    """
+    kl = 0.5 * theta * theta * np.asarray(information, float)
+    since = np.asarray(time, float) - onset
+    some = (since > 0.0) & (kl > 0.0)
+    if not some.any():
+        return float("inf")
+    enough = kl[some] >= cusum(kl[some] / since[some], false_alarm_period)[1]
+    return float(since[some][np.argmax(enough)]) if enough.any() else float("inf")
+
+
+class Bound(NamedTuple):
+    """Of one flight on its ticks: information (T,) on the loss, and the noise variances (4, 4) it holds for (engine/default/noise.py)."""
+
+    information: Array
+    variances: Array
+
+
+@functools.lru_cache(maxsize=16)
+def _program(n: int, dt: float, batch: bool):
+    jax = load_jax()
+    jnp = jax.numpy
+    from rotorwatch.engine.default.plant import AXIS_STATES, WrenchBalance
+
+    def one(B, u, y, valid, flying, theta, rotor, onset) -> Bound:
+        system = WrenchBalance(B)
+        A = system.decay(dt)
+        x0, P0 = jnp.asarray(system.x0), jnp.asarray(system.P0)
+        clean = y + jax.vmap(lambda u, theta: system.drag(u).sum(axis=1) - system.H(u) @ theta)(u, theta)
+
+        def walks(variances):
+            return jnp.append(noise.process_variance(variances, dt), jnp.zeros(system.n_x - AXIS_STATES))
+
+        def learn(carry, row):
+            x, P, noises = carry
+            u, y, ok, fly = row
+            q = jnp.where(fly, walks(noises.variances), 0.0)
+            x, P = A * x, A[:, None] * P * A[None, :] + jnp.diag(q)
+            C = system.C(u)
+            gains = np.append(np.tile([0.0, 0.0, 0.0, 1.0, 1.0], 4), np.ones(system.n_x - AXIS_STATES))
+            left = y - C @ (gains * x)
+            for a in range(4):
+                Pc = P @ C[a]
+                K = Pc * jnp.where(ok[a], 1.0 / (C[a] @ Pc + noises.variances[0, a]), 0.0)
+                x = x + K * (y[a] - C[a] @ x)
+                P = P - K[:, None] * Pc[None, :]
+            return (x, 0.5 * (P + P.T), noise.step(noises, left, ok & fly, jnp.ones(4), dt)), None
+
+        start = jax.tree.map(jnp.asarray, noise.init(dt))
+        (_, _, noises), _ = jax.lax.scan(learn, (x0, P0, start), (u, clean, valid, flying))
+        variances = noises.variances / noises.safety
+        Q = walks(variances)
+
+        def model(row) -> Rows:
+            u, fly = row
+            H = (system.H(u) * (jnp.arange(n) == rotor)).sum(axis=1)
+            return Rows(A, jnp.zeros(system.n_x), system.C(u), H, jnp.diag(jnp.where(fly, Q, 0.0)), variances[0])
+
+        return Bound(information(model, (u, flying), P0, valid, onset), variances)
+
+    return jax.jit(jax.vmap(one, in_axes=(None, *[0] * 7)) if batch else one)
+
+
+def on_ticks(B, u, y, valid, flying, theta, rotor, onset, dt: float, batch: bool = False) -> Bound:
+    """The bound for a diagnoser that sees these ticks: plant and noise model are the default diagnoser's (engine/default/plant.py),
+    its noise that of the whole flight with the true losses taken out, the rotor and the onset known.
+
+    B (4, n), u (T, n + 13), y (T, 4), valid (T, 4), flying (T,) bool; theta (T, n) true losses; rotor (0-based), onset (first tick with
+    the loss): integers. batch: all but B have a first axis of flights. Arrays of NumPy.
+    """
+    program = _program(np.shape(B)[1], dt, batch)
+    found = program(B, u, np.where(valid, y, 0.0), valid, flying, theta, np.asarray(rotor), np.asarray(onset))
+    return Bound(*map(np.asarray, found))

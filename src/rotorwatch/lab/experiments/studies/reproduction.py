@@ -1,0 +1,179 @@
+"""What every `reproduce_<paper>` study returns: the paper's claims beside what comes out here, and the numbers behind them.
+
+A study is a module `studies/reproduce_<paper>.py` with
+
+    PAPER = "axkf"                      the name on the command line, and of papers/PAPER.toml: title, errata and the words of all claims
+    TITLE, LITERAL = about(PAPER)       LITERAL: name -> what the paper prints, and what it does: errata that can be read literally
+    SEEDS = 10                          noise seeds when the user names none
+    def reproduce(seeds=SEEDS, literal=(), progress=silent) -> Reproduction     of names in LITERAL; progress(share)
+    def figures(result) -> {"file_stem": matplotlib Figure}             the paper's figures, drawn again
+
+and is found by looking into this folder.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import json
+import math
+import pkgutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Literal
+
+import numpy as np
+
+from rotorwatch.base import many
+from rotorwatch.base import files, optional
+from rotorwatch.errors import ConfigError
+
+Verdict = Literal["holds", "partly", "not reproduced"]
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One claim: what it says, what the paper reports, what came out here, the verdict and why. Short sentences."""
+
+    claim: str
+    paper: str
+    measured: str
+    verdict: Verdict
+    why: str
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """A paper's experiments run again. figures: the numbers, JSON-able. series: arrays for drawing, not in the JSON."""
+
+    paper: str
+    title: str
+    claims: tuple[Claim, ...]
+    figures: Mapping[str, Any]
+    literal: tuple[str, ...] = ()
+    seeds: int = 0
+    series: Mapping[str, Any] = field(default_factory=dict, repr=False)
+
+    def to_dict(self) -> dict:
+        """Plain lists, numbers and strings; NaN and infinity become None."""
+        return {
+            "paper": self.paper,
+            "title": self.title,
+            "seeds": self.seeds,
+            "literal": list(self.literal),
+            "claims": [vars(claim) for claim in self.claims],
+            "figures": plain(self.figures),
+        }
+
+    def to_json(self) -> str:
+        """The same as JSON text."""
+        return json.dumps(self.to_dict(), indent=1, allow_nan=False)
+
+
+@functools.cache
+def _words(paper: str) -> dict[str, Any]:
+    return files.toml(Path(__file__).parent / "papers" / f"{paper}.toml", "study")[0]
+
+
+def about(paper: str) -> tuple[str, dict[str, str]]:
+    """Title of the paper, and the errata that can be read literally."""
+    return _words(paper)["title"], _words(paper)["literal"]
+
+
+def claims(paper: str, verdicts: Mapping[str, Any], **values: Any) -> tuple[Claim, ...]:
+    """The claims of these keys in the words and the order of papers/PAPER.toml, filled in with `values`."""
+    known = _words(paper)["claims"]
+    return tuple(
+        Claim(verdict=verdicts[key], **{part: text.format_map(values) for part, text in row.items()})
+        for key, row in known.items()
+        if key in verdicts
+    )
+
+
+def graded(holds: Any, partly: Any = False) -> Verdict:
+    """The verdict on a claim that holds, or does in part."""
+    return "holds" if holds else "partly" if partly else "not reproduced"
+
+
+def panels(rows: int, columns: int, size: tuple[float, float], grid: bool = True, **shared: Any) -> tuple[Any, Any]:
+    """(figure, its axes (rows, columns)). Raises ConfigError without matplotlib."""
+    figure = optional.library("matplotlib.figure", "A figure").Figure(figsize=size, layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False, **shared)
+    for axis in axes.flat if grid else ():
+        axis.grid(alpha=0.3)
+    return figure, axes
+
+
+def studies() -> dict[str, ModuleType]:
+    """Paper name -> its study module, in the order of names."""
+    package = importlib.import_module("rotorwatch.lab.experiments.studies")
+    names = [info.name for info in pkgutil.iter_modules(package.__path__) if info.name.startswith("reproduce_")]
+    found = [importlib.import_module(f"{package.__name__}.{name}") for name in names]
+    return {module.PAPER: module for module in sorted(found, key=lambda module: module.PAPER)}
+
+
+def study(paper: str) -> ModuleType:
+    """The study of that paper. Raises ConfigError that lists the known ones."""
+    known = studies()
+    if paper not in known:
+        raise ConfigError(f"There is no paper called {paper!r}; known are {', '.join(known)}.")
+    return known[paper]
+
+
+def reproduce(
+    paper: str, seeds: int | None = None, literal: tuple[str, ...] = (), progress: Callable | None = None
+) -> Reproduction:
+    """Run the experiments of a paper.
+
+    paper: its name (`studies` lists them). seeds: how many repetitions; None: the study's own number. literal: errata read as printed.
+    progress: called with the finished share. Raises ConfigError for an unknown paper or literal reading.
+    """
+    module = study(paper)
+    check_libraries(module)
+    seeds = module.SEEDS if seeds is None else seeds
+    return module.reproduce(seeds, check_literal(module, literal), progress or silent)
+
+
+def reproduce_many(
+    papers: Sequence[str], seeds: int | None = None, jobs: int | None = None, scheduler: str | None = None
+) -> Iterator[Reproduction]:
+    """`reproduce` of each of several papers, in this order. jobs, scheduler: as for `many.run`."""
+    return many.ordered(functools.partial(reproduce, seeds=seeds), papers, jobs, scheduler)
+
+
+def silent(share: float, text: str = "") -> None:
+    """Progress that nobody watches."""
+
+
+def check_libraries(module: ModuleType) -> None:
+    """Raise ConfigError when the study needs a library that is not installed; NEEDS of a study names those that not everybody has."""
+    for name in getattr(module, "NEEDS", ()):
+        optional.library(name, f"The study {module.PAPER}")
+
+
+def check_literal(module: ModuleType, literal: tuple[str, ...]) -> tuple[str, ...]:
+    """The chosen literal readings; raises ConfigError for one the study does not have."""
+    for name in literal:
+        if name not in module.LITERAL:
+            known = ", ".join(module.LITERAL) or "none"
+            raise ConfigError(f"{module.PAPER} has no literal reading {name!r}; it has {known}.")
+    return tuple(literal)
+
+
+def plain(value: Any) -> Any:
+    """Arrays and NumPy numbers as plain Python, for JSON."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [plain(v) for v in value]
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    if hasattr(value, "tolist"):
+        return plain(np.asarray(value).tolist())
+    return value

@@ -1,0 +1,80 @@
+"""The slope of a straight line under errors that wander by an unknown amount, with its interval.
+
+    y_k = a + b t_k + w_k + v_k,      w: a random walk with steps of variance s2,      v: white, of variance q s2
+
+the local-level model with a drift. For each q of a grid the slope is that of generalised least squares, Student's t with N - 2 degrees of
+freedom, and the likelihood of q is the restricted one: a, b and log s2 integrated out with flat priors. The interval is that of the
+mixture over the grid. Ordinary least squares would take correlated errors for as many independent ones, and be sure of slopes
+that are none. Errors that are correlated but do not wander (an autoregression) make the interval wider than it need be, never narrower.
+
+Source: A. C. Harvey, Forecasting, structural time series models and the Kalman filter (1989), section 2.3, for the model; D. A. Harville,
+Bayesian inference for variance components using only error contrasts, Biometrika 61 (1974) 383-385, for the likelihood.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rotorwatch.errors import ConfigError
+from rotorwatch.methods.maths.tails import student_cdf, student_density
+
+# q, and its prior: what wanders is believed to unless the data say otherwise, as a walk taken for white noise makes false trends.
+WHITE = (0.0, 0.25, 1.0, 4.0, 16.0, 64.0, 256.0, 1024.0)
+DOUBT = 0.2  # prior of each q relative to the one before it
+LEAST = 16  # values; with fewer, how much they wander cannot be estimated
+COVERED = 0.95
+
+
+class Slope(NamedTuple):
+    """Per unit of time: the slope, and the ends of its 95 % interval."""
+
+    slope: float
+    low: float
+    high: float
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation of a normal distribution with that interval."""
+        return (self.high - self.low) / (2.0 * 1.959964)
+
+
+def slope(time: np.ndarray, values: np.ndarray, step: float) -> Slope:
+    """Slope of values (N,) at time (N,), means over blocks of length `step`, gaps allowed. Raises ConfigError for fewer than LEAST."""
+    time, y = np.asarray(time, float), np.asarray(values, float)
+    N = y.size
+    if N < LEAST:
+        raise ConfigError(f"A trend needs at least {LEAST} values, not {N}.")
+    X = np.column_stack([np.ones(N), time - time.mean()])
+    at = (time - time[0]) / step
+    walk = np.minimum(at[:, None], at[None, :])
+    fits, means, spreads = [], [], []
+    for k, q in enumerate(WHITE):
+        L = np.linalg.cholesky(walk + q * np.eye(N) + 1.0)  # the 1, a level of its own, is lost in a
+        Xw, yw = np.linalg.solve(L, X), np.linalg.solve(L, y)
+        information = Xw.T @ Xw
+        b = np.linalg.solve(information, Xw.T @ yw)
+        rest = max(float(np.sum((yw - Xw @ b) ** 2)), 1e-300)
+        fit = -np.log(np.diag(L)).sum() - 0.5 * np.linalg.slogdet(information)[1] - 0.5 * (N - 2) * np.log(rest)
+        fits.append(fit + k * np.log(DOUBT))
+        means.append(b[1])
+        spreads.append(max(np.sqrt(rest / (N - 2) * np.linalg.inv(information)[1, 1]), 1e-150))
+    mean, spread, weight = np.array(means), np.array(spreads), np.exp(np.array(fits) - max(fits))
+    weight /= weight.sum()
+
+    def quantile(share):
+        low, high = (mean - 1e3 * spread).min(), (mean + 1e3 * spread).max()
+        at = float(weight @ mean)
+        while True:  # Newton's steps, halves where one would leave the bracket
+            z = (at - mean) / spread
+            below = float(weight @ [student_cdf(v, N - 2) for v in z])
+            low, high = (at, high) if below < share else (low, at)
+            step = (share - below) / float((weight / spread) @ student_density(z, N - 2))
+            after = at + step if low < at + step < high else 0.5 * (low + high)
+            if abs(after - at) <= 1e-10 * (spread.min() + abs(at)) or after in (low, high):
+                return float(after)
+            at = after
+
+    tail = 0.5 * (1.0 - COVERED)
+    return Slope(float(weight @ mean), quantile(tail), quantile(1.0 - tail))

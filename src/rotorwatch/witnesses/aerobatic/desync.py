@@ -1,0 +1,335 @@
+"""Motors that lose step for a moment: commanded up, they give nothing for 30 to 500 ms, and come back. Events `desync`.
+
+In windows of 4 ms each axis, and each motor's speed where it is logged, follows what is commanded with a lag (innovation.py). Where rotor i
+gives nothing from s to e, what comes as a surprise is
+
+    z = - theta answer * (drive_i inside [s, e)) / scale + noise,      theta about 1, noise as Student's t
+
+of all channels at once: the direction must be the rotor's, the size what was commanded, the shape that of its command. Two steps: a matched
+filter over (rotor, start, length) finds candidates; each gets its exact log likelihood ratio, theta by its prior, and how rough the air was
+just then by what the axes show. If the noise is as described, exp of that has the mean 1 in a healthy flight, so that a threshold of
+log(windows in ten hours x rotors x lengths) is passed there once in ten hours at most (the bound of Markov and Boole).
+
+A knock pushes in any direction: each axis with a size of its own must not explain much more. A dead or weak motor is none: it works
+before and after. One in which it was commanded up for less than 100 ms counts only where the motor's speed shows it, or where it did it
+again: so long a motor takes from rest to full thrust.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from rotorwatch.witnesses.aerobatic.innovation import DOF, LAGS, Channel, channels
+from rotorwatch.answer.ledger import explained
+from rotorwatch.answer.wording import said
+from rotorwatch.engine.default.announcement import FALSE_ALARM_PERIOD_S
+from rotorwatch.engine.default.hypotheses import CLEAR
+from rotorwatch.flight import Flight
+from rotorwatch.flight.diagnosis import Event, Source
+from rotorwatch.flight.kinds import DESYNC
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.engine.motion.allocation import Spans
+
+SHORTEST_S, LONGEST_S = 0.025, 0.65  # 30 to 500 ms, as well as ends are known
+LENGTHS_S = 0.03 * 10.0 ** (0.1 * np.arange(15))  # 30 to 750 ms: what lasts longer is none, and must be seen to
+SCREEN = 9.0  # nats, from which the matched filter's peaks are looked at
+REFINED = 20.0  # nats that moves of single windows may add to the best start and length on a line
+ALONG, POINTS = 8, 16  # windows by which a short one's ends are moved at least; moves each way of a longer one's
+SIZES = np.linspace(-1.2, 2.4, 19)  # theta
+LEAST_SIZE, MOST_SIZE = 0.5, 1.4
+ROUGHER = (1.0, 1.4, 2.0, 2.8)  # times the scale within a second: propwash lasts less
+SLOWER_S = (0.0, 0.015, 0.03)  # than a motor that is commanded to
+YAW = 2
+UNEVEN = 0.3  # of all that is explained, that roll and pitch may explain more with sizes of their own: gains are known to some 20 %
+RETURNS_S = (0.15, 0.3)  # after its end: by then it is clear that the motor is back
+AROUND_S, LEFT = 0.3, 0.5  # before and after: the rotor works there, and lacks less than that
+IDLE = 0.03  # share of full thrust: below, a motor gives next to nothing anyway
+KNOCK_S = (
+    0.1  # without its speed, a motor that is missed once for less may as well have come from idle, or been a knock
+)
+APART_S = 0.06  # two that are nearer are one
+
+
+@dataclass(frozen=True)
+class Desync:
+    """One of rotor `rotor` (from 0), from start to end [s]. ratio: log likelihood ratio, above the threshold; size: of what was commanded;
+    commanded: how long of it the motor was to give more than idle [s]; others: rotors that explain it as well."""
+
+    rotor: int
+    start: float
+    end: float
+    ratio: float
+    size: float
+    commanded: float
+    others: tuple[int, ...] = ()
+
+
+class Ratios(NamedTuple):
+    """Log likelihood ratios of a desync against none. each (cases, channels, SIZES): a case is one of SLOWER_S with one of ROUGHER; weight
+    (cases,): log probability of the case where there is no desync."""
+
+    each: np.ndarray
+    weight: np.ndarray
+
+
+def find(flight: Flight, vehicle: Vehicle, air: Spans, known: tuple[Event, ...] = ()) -> tuple[Event, ...]:
+    """The events `desync` of a flight, one a motor. known: other events, which may explain some (answer/ledger.py)."""
+    seen = channels(flight, vehicle, air)
+    if not seen:
+        return ()
+    found = [d for d in search(seen) if not explained(_claim(d), known)]
+    return events(found, any(c.rotor is not None for c in seen))
+
+
+def _claim(d: Desync) -> Event:
+    return Event(DESYNC, (d.rotor + 1,), d.start, d.end, d.end, (), (), 1.0, source=Source.DESYNC)
+
+
+def events(found: list[Desync], rpm: bool) -> tuple[Event, ...]:
+    """One event a motor, or a set of motors that nothing tells apart. rpm: speeds are logged."""
+    sets: dict[tuple[int, ...], list[Desync]] = {}
+    sure = {d.rotor for d in found if not d.others}
+    for d in found:  # a motor that certainly lost step once did it again
+        again = [r for r in (d.rotor, *d.others) if r in sure]
+        d = replace(d, rotor=again[0], others=()) if d.others and len(again) == 1 else d
+        sets.setdefault(tuple(sorted((d.rotor, *d.others))), []).append(d)
+    return tuple(sorted((_event(who, group, rpm) for who, group in sets.items()), key=lambda e: e.detected_s))
+
+
+def _event(who: tuple[int, ...], group: list[Desync], rpm: bool) -> Event:
+    group = sorted(group, key=lambda d: d.start)
+    first, last = group[0], group[-1]
+    rotor = max(who, key=lambda r: sum(d.ratio for d in group if d.rotor == r))
+    length = [d.end - d.start for d in group]
+    extra = {"times": [d.start for d in group], "durations": length, "count": len(group), "rpm": rpm, "live": False}
+    p = 1.0 / len(who) if len(who) > 1 else 1.0 - float(np.exp(-min(30.0, CLEAR + first.ratio)))
+    others = tuple((r + 1,) for r in who if r != rotor)
+    event = Event(DESYNC, (rotor + 1,), first.start, first.end, last.end, (), (), p, others, "", extra, Source.DESYNC)
+    fell = ", and its speed fell" if rpm else ""
+    gave = f": it was commanded up and gave nothing for {_span(length)}{fell}"
+    return replace(event, reason=said("{motors} desynced {times} at {at}", event) + gave)
+
+
+def _span(length: list[float]) -> str:
+    low, high = (10 * round(100 * x) for x in (min(length), max(length)))
+    return f"{low} ms" if low == high else f"{low} to {high} ms"
+
+
+def search(seen: list[Channel]) -> list[Desync]:
+    """All desyncs in the channels of a flight, in the order of time."""
+    dt = seen[0].width
+    lengths = np.unique(np.maximum(2, np.round(LENGTHS_S / dt).astype(int)))
+    rotors = [i for i in range(seen[0].drive.shape[1])]
+    limit = float(np.log(FALSE_ALARM_PERIOD_S / dt * len(rotors) * len(lengths)))
+    found: list[Desync] = []
+    for i in rotors:
+        for start, length in _peaks(seen, i, lengths, dt):
+            best = _judged(seen, i, start, length, lengths, rotors, limit)
+            if best is not None:
+                found.append(best)
+    separate: list[Desync] = []
+    for d in sorted(found, key=lambda d: -d.ratio):
+        if all(d.start > k.end + APART_S or d.end < k.start - APART_S for k in separate):
+            separate.append(d)
+    spun = {c.rotor for c in seen}
+    long = KNOCK_S - 2.0 * dt  # both ends are known to a window
+    often = {d.rotor for d in separate if d.commanded > long or sum(e.rotor == d.rotor for e in separate) > 1}
+    return sorted((d for d in separate if d.rotor in spun or d.rotor in often), key=lambda d: d.start)
+
+
+def _peaks(seen: list[Channel], i: int, lengths: np.ndarray, dt: float) -> list[tuple[int, int]]:
+    """(start, length) windows at which the matched filter for rotor i peaks, largest first, none near a larger one."""
+    K = len(seen[0].left)
+    moment, shared = np.zeros(K), np.zeros((LAGS, K))
+    for c in seen:
+        if c.rotor is not None and c.rotor != i:
+            continue
+        pull = np.clip(c.left, -3.0, 3.0) / c.scale
+        back = np.zeros(K)
+        for lag, b in enumerate(c.answer):
+            back[: K - lag] -= b * pull[lag:]
+        moment += c.drive[:, i] * back
+        commanded = c.drive[:, i] / c.scale
+        for d in range(LAGS):
+            r = float(c.answer[: LAGS - d] @ c.answer[d:])
+            shared[d, : K - d] += (1.0 if d == 0 else 2.0) * r * commanded[: K - d] * commanded[d:]
+    M = np.concatenate([[0.0], np.cumsum(moment)])
+    S = np.concatenate([np.zeros((LAGS, 1)), np.cumsum(shared, axis=1)], axis=1)
+    score, which = np.zeros(K), np.zeros(K, int)
+    for length in lengths[lengths + LAGS < K]:
+        stop = K - length
+        m = M[length : length + stop] - M[:stop]
+        info = sum(S[d, length - d : length - d + stop] - S[d, :stop] for d in range(min(LAGS, length)))
+        value = np.where(m > 0.0, 0.5 * m**2 / np.maximum(info, 1e-9), 0.0)
+        value[info < SCREEN] = 0.0  # too little commanded to be missed
+        value[~seen[0].flies[:stop] | ~seen[0].flies[length : length + stop]] = 0.0
+        better = value > score[:stop]
+        score[:stop][better], which[:stop][better] = value[better], length
+    out: list[tuple[int, int]] = []
+    taken = np.zeros(K, bool)
+    for k in np.argsort(-score):
+        if score[k] < SCREEN:
+            break
+        if not taken[k]:
+            out.append((int(k), int(which[k])))
+            near = max(int(APART_S / dt), int(which[k]) // 2)
+            taken[max(0, k - near) : k + near] = True
+    return out
+
+
+def _judged(
+    seen: list[Channel], i: int, start: int, length: int, lengths: np.ndarray, rotors: list[int], limit: float
+) -> Desync | None:
+    """The desync of rotor i near (start, length); None where it is none."""
+    dt = seen[0].width
+    start, length = _refined(seen, i, start, length, lengths, limit - REFINED)
+    if not SHORTEST_S <= length * dt <= LONGEST_S:
+        return None
+    inside = slice(start, start + length)
+    if seen[0].thrust[inside, i].mean() < IDLE or not seen[0].flies[inside].all():
+        return None
+    ratios = _ratios(seen, i, start, length)
+    ratio = _marginal(ratios)
+    if ratio < limit:
+        return None
+    each = ratios.each[int(np.argmax(_by_case(ratios)))]
+    firm = np.delete(each, YAW, axis=0)
+    together = firm.sum(axis=0)
+    size = float(SIZES[np.argmax(together)])
+    turning = each[:YAW]  # that a speed has a size of its own makes it no knock
+    uneven = turning.max(axis=1).sum() - turning.sum(axis=0).max()
+    if not LEAST_SIZE - 1e-9 <= size <= MOST_SIZE + 1e-9 or uneven > UNEVEN * firm.max(axis=1).sum():
+        return None
+    if _works_not(seen, i, start, length) or not _returns(seen, i, start, length):
+        return None
+    others = []
+    for j in rotors:
+        if j != i:
+            other = _marginal(_ratios(seen, j, start, length))
+            if other > ratio:
+                return None
+            if other > ratio - CLEAR:
+                others.append(j)
+    time = seen[0].time
+    commanded = float((seen[0].thrust[inside, i] > IDLE).sum() * dt)
+    return Desync(
+        i, float(time[start]), float(time[start] + length * dt), ratio - limit, size, commanded, tuple(others)
+    )
+
+
+def _refined(
+    seen: list[Channel], i: int, start: int, length: int, lengths: np.ndarray, least: float
+) -> tuple[int, int]:
+    """The likeliest start and length near these: first the start, then the end, over half the length and over all of `lengths`, as a speed
+    that falls makes the likelihood a narrow ridge, and a part of a desync, or more than it, may be the peak; then both by ever smaller
+    steps, where that may come to `least`. (0, 0) where it does not."""
+
+    def value(s: int, n: int) -> float:
+        possible = s >= 0 and n >= 2 and s + n + LAGS < len(seen[0].left)
+        return _marginal(_ratios(seen, i, s, n, rougher=(1.0,))) if possible else -np.inf
+
+    reach = max(ALONG, length // 2)
+    step = max(1, reach // POINTS)
+    tried = {*range(length - (reach // step) * step, length + reach + 1, step), *lengths.tolist()}
+    end = start + length
+    best, start, length = max((value(end - n, n), end - n, n) for n in tried)
+    best, length = max((value(start, n), n) for n in tried)
+    if best < least:
+        return 0, 0
+    while step >= 1:
+        for ds, dl in ((-step, step), (step, -step), (0, step), (0, -step), (-step, 0), (step, 0)):
+            if (moved := value(start + ds, length + dl)) > best + 1e-9:
+                best, start, length = moved, start + ds, length + dl
+                break
+        else:
+            step //= 2
+    return start, length
+
+
+def _ratios(
+    seen: list[Channel], i: int, start: int, length: int, until: int | None = None, rougher: tuple[float, ...] = ROUGHER
+) -> Ratios:
+    """Of a desync of rotor i from its start until the last answer, or `until`. rougher: the air may be, just then."""
+    each = np.zeros((len(SLOWER_S), len(rougher), len(seen), len(SIZES)))
+    none = np.zeros(len(rougher))
+    kernels = _kernels(seen[0].width)
+    for k, c in enumerate(seen):
+        if c.rotor is not None and c.rotor != i:
+            continue
+        stop = min(start + length + LAGS + len(kernels[-1]) - 2, len(c.left)) if until is None else until
+        z, scale = c.left[start:stop], c.scale[start:stop]
+        answer = np.convolve(c.drive[start : start + length, i], c.answer)
+        times = rougher if c.rotor is None else (1.0,)  # air does not turn motors
+        without = np.array([_likelihood(z, r) for r in times])
+        none += without
+        for m, kernel in enumerate(kernels):
+            s = np.convolve(answer, kernel)[: len(z)]
+            s = np.concatenate([s, np.zeros(len(z) - len(s))]) / scale
+            each[m, :, k] = np.array([_likelihood(z + SIZES[:, None] * s, r) for r in times]) - without[:, None]
+    weight = none - np.logaddexp.reduce(none) - np.log(len(SLOWER_S))
+    return Ratios(each.reshape(-1, *each.shape[2:]), np.tile(weight, len(SLOWER_S)))
+
+
+def _likelihood(z: np.ndarray, times: float) -> np.ndarray:
+    """Log likelihood of surprises z (..., K) over their scale, by Student's t that is so many times as wide."""
+    return -0.5 * (DOF + 1.0) * np.log1p((z / times) ** 2 / DOF).sum(axis=-1) - z.shape[-1] * np.log(times)
+
+
+@functools.cache
+def _kernels(width: float) -> tuple[np.ndarray, ...]:
+    """How a motor that lost step runs down and up, against one that is commanded to: so much slower."""
+    out = []
+    for slower in SLOWER_S:
+        x = np.exp(-np.arange(max(1, round(3.0 * slower / width))) * width / max(slower, 1e-9))
+        out.append(x / x.sum())
+    return tuple(out)
+
+
+def _log_prior(middle: float, sd: float) -> np.ndarray:
+    x = np.where(SIZES < -1e-9, -np.inf, -0.5 * ((SIZES - middle) / sd) ** 2)
+    return x - np.log(np.exp(x).sum())
+
+
+_OF_ALL, _OF_YAW = _log_prior(0.9, 0.25), _log_prior(0.8, 0.5)
+
+
+def _marginal(ratios: Ratios) -> float:
+    """Log likelihood ratio with shape, roughness and sizes by their priors."""
+    return float(np.logaddexp.reduce(_by_case(ratios)))
+
+
+def _by_case(ratios: Ratios) -> np.ndarray:
+    """(cases,) log likelihood ratios: yaw has a size of its own, as motors that lose step jerk."""
+    each = ratios.each
+    firm = each[:, [k for k in range(each.shape[1]) if k != YAW]].sum(axis=1)
+    of_yaw = np.logaddexp.reduce(each[:, YAW] + _OF_YAW, axis=-1)
+    return np.logaddexp.reduce(firm + _OF_ALL, axis=-1) + of_yaw + ratios.weight
+
+
+def _works_not(seen: list[Channel], i: int, start: int, length: int) -> bool:
+    """Whether the rotor lacks much before or after as well."""
+    around = int(AROUND_S / seen[0].width)
+    for first, count in ((start - around - LAGS, around), (start + length + LAGS // 2, around)):
+        first, count = max(first, 0), min(count, len(seen[0].left) - LAGS - first)
+        if count < 5:
+            return True
+        ratio = _ratios(seen, i, first, count, rougher=(1.0,)).each[0].sum(axis=0)
+        if SIZES[np.argmax(ratio)] > LEFT and ratio.max() > SCREEN:
+            return True
+    return False
+
+
+def _returns(seen: list[Channel], i: int, start: int, length: int) -> bool:
+    """Whether the rotor came back, rather than giving nothing any more."""
+    for later in RETURNS_S:
+        until = start + length + round(later / seen[0].width)
+        if until >= len(seen[0].left):
+            return False
+        back = _marginal(_ratios(seen, i, start, length, until))
+        if _marginal(_ratios(seen, i, start, until - start, until)) > back - CLEAR:
+            return False
+    return True

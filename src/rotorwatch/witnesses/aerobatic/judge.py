@@ -1,0 +1,252 @@
+"""Which rotor of a vehicle that never hovers has lost effectiveness, from what its angular motion lacks over seconds.
+
+Windows become blocks of BLOCK_S: missing torque z (3,), thrust T (n,). A loss theta of rotor i since block j makes
+
+    z_a = trim_a + slope_a (sum T - mean) + B_ai T_i theta [k >= j] + noise_a
+
+Noise: each axis as wide as the flight's own blocks scatter, blocks that follow each other alike (ALIKE). Against the losses stand steps of
+the trim in any direction, which air and payload make. Each onset of each rotor has its marginal likelihood ratio; their sum is held
+against the Shiryaev-Roberts threshold (engine/default/announcement.py), and must be CLEAR above that of the steps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorwatch.witnesses.aerobatic.response import EDGE_S, WINDOW_S, Response, respond
+from rotorwatch.engine.default import hypotheses
+from rotorwatch.engine.default.announcement import FALSE_ALARM_PERIOD_S
+from rotorwatch.engine.default.posterior import PLACES
+from rotorwatch.engine.default.program import TickOutput
+from rotorwatch.errors import ConfigError
+from rotorwatch.flight import Flight
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.engine.motion.allocation import Spans
+from rotorwatch.engine.motion.ticks import GROUND, JUDGE, Ticks
+from rotorwatch.engine.motion.ticks import LEARN as LEARNING
+from rotorwatch.methods.published.published import blank
+
+BLOCK_S = 1.0
+FIRMWARES = ("betaflight", "inav", "emuflight", "cleanflight", "baseflight", "butterflight")
+LEARN = 10  # blocks of a flight in which its trim and scatter are learned
+ALIKE = (
+    0.35  # correlation of a block's noise with the next one's: 0.1 to 0.75 in roll, 0.0 to 0.3 else (docs/aerobatic.md)
+)
+LOSS_SD, STEP_SD = 0.25, 0.08  # prior of a loss; of a step of the trim, full thrusts of a rotor
+SCATTER, PRIOR_BLOCKS = (
+    (0.3, 0.25, 0.2),
+    5.0,
+)  # of the mean thrust: what is expected of the noise, and how many blocks that is worth
+OUTLIER = 3.0  # standard deviations, from which a block counts less
+LOOK_BACK = 60  # blocks
+WHOLE = 0.9  # share of a block's windows that fly
+NOTHING = -20.0  # the statistic where nothing is known
+CURVE_SD = 0.2  # of theta (1 - theta): the thrust curve is assumed; what curves from linear to quadratic in the command make of a loss
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """K blocks of a flight. start, end (K,) s; missing (K, 3); thrust (K, n)."""
+
+    start: np.ndarray
+    end: np.ndarray
+    missing: np.ndarray
+    thrust: np.ndarray
+
+
+def blocks(seen: Response, air: Spans) -> Blocks:
+    """The blocks of all flights ((start, end), ...) s, one after the other."""
+    size, parts = round(BLOCK_S / WINDOW_S), []
+    for start, end in air:
+        first = int(np.searchsorted(seen.time, start))
+        count = max(0, (int(np.searchsorted(seen.time, end)) - first) // size)
+        rows = np.arange(first, first + count * size).reshape(count, size)
+        rows = rows[seen.flies[rows].mean(axis=1) >= WHOLE]
+        ends = seen.time[rows[:, -1]]
+        parts.append((ends - BLOCK_S, ends, seen.missing[rows].mean(axis=1), seen.thrust[rows].mean(axis=1)))
+    return Blocks(*(np.concatenate(column) for column in zip(*parts)))
+
+
+@dataclass(frozen=True)
+class Weak:
+    """A rotor that is known to be weak from block `onset` on, up to block `end`; None: still."""
+
+    rotor: int
+    onset: int
+    end: int | None = None
+
+
+@dataclass(frozen=True)
+class Look:
+    """What the blocks up to one say: statistic (above 0: announced); rotor, onset (block) of the likeliest loss; share (n,) of each
+    rotor; loss, sd (n,) of the rotors that are known to be weak; least (n,): the loss of each that would be seen by now."""
+
+    statistic: float
+    rotor: int
+    onset: int
+    share: np.ndarray
+    loss: np.ndarray
+    sd: np.ndarray
+    least: np.ndarray
+
+
+def applies(flight: Flight) -> bool:
+    """Whether a flight is of a vehicle that does not hover: of firmware for pilots who command rates."""
+    return flight.autopilot.lower() in FIRMWARES
+
+
+def decline(flight: Flight, why: str) -> None:
+    """Raise ConfigError where a way that is made for hover is asked to judge a flight that is judged here. why: the sentence goes on."""
+    if applies(flight):
+        raise ConfigError(f"{flight.name or 'The log'} is flown by commanded rates and does not hover: {why}")
+
+
+def lacks(flight: Flight) -> tuple[str, ...]:
+    """What the log of such a vehicle lacks without which nothing can be judged, a sentence; empty where it lacks nothing."""
+    if flight.angular_rate() is not None:
+        return ()
+    return (
+        "the log holds no gyro, and a vehicle that does not hover is judged by its angular motion; log the gyro (Betaflight: "
+        "set blackbox_disable_gyro = OFF).",
+    )
+
+
+def examine(known: Blocks, B: np.ndarray, variance: np.ndarray, weak: list[Weak]) -> Look:
+    """The blocks of a flight so far, of a vehicle with effectiveness B (4, n). variance (3,): of `scatter`."""
+    z, T = known.missing, known.thrust
+    K, n = T.shape
+    precision = _precision(z, variance)
+    shape = B[:3].T[None, :, :] * T[:, :, None]  # (K, n, 3): what a loss of all of a rotor takes
+    # Trim and slope of each axis, and what is known to be weak, are fitted with every loss.
+    total = T.sum(axis=1) - T.sum(axis=1).mean()
+    X = np.zeros((K, 3, 6 + len(weak)))
+    for a in range(3):
+        X[:, a, 2 * a], X[:, a, 2 * a + 1] = 1.0, total
+    for m, one in enumerate(weak):
+        X[one.onset : one.end, :, 6 + m] = shape[one.onset : one.end, one.rotor]
+    own = np.r_[[1e-3] * 6, np.full(len(weak), 1.0 / LOSS_SD**2)]
+    Q = np.linalg.inv(np.einsum("kaq,ka,kap->qp", X, precision, X) + np.diag(own))
+    fitted = Q @ np.einsum("kaq,ka,ka->q", X, precision, z)
+
+    def since(x: np.ndarray) -> np.ndarray:
+        return np.cumsum(x[::-1], axis=0)[::-1]
+
+    # Of a signature from block j on: information and moment, what the nuisances explain taken out.
+    weighted = precision[:, None, :] * shape
+    left = z - X @ fitted
+    information = since(np.einsum("kia,kia->ki", weighted, shape))
+    crossed = since(np.einsum("kia,kaq->kiq", weighted, X))
+    information -= np.einsum("kiq,qp,kip->ki", crossed, Q, crossed)
+    moment = since(np.einsum("kia,ka->ki", weighted, left))
+    ratio, size = _ratio(moment, information, LOSS_SD)
+    active = {one.rotor for one in weak if one.end is None}
+    for i in range(n):  # of a weak rotor only that it works again
+        wrong = size[:, i] > 0.0 if i in active else size[:, i] < 0.0
+        ratio[wrong, i] = np.minimum(ratio[wrong, i], -5.0)
+    steps = since(precision)
+    crossed = since(precision[:, :, None] * X)
+    steps -= np.einsum("kaq,qp,kap->ka", crossed, Q, crossed)
+    other = _ratio(since(precision * left), steps, STEP_SD)[0].sum(axis=1)
+    first, last = max(LEARN // 2, K - LOOK_BACK), K - 1
+    ratio, other = ratio[first:last], other[first:last]
+    each = np.logaddexp.reduce(ratio, axis=0)
+    limit = np.log(FALSE_ALARM_PERIOD_S / BLOCK_S * n)
+    fault = float(np.logaddexp.reduce(each))
+    statistic = min(fault - limit, fault - float(np.logaddexp.reduce(other)) - hypotheses.CLEAR)
+    rotor = int(np.argmax(each))
+    loss, sd = np.zeros(n), np.zeros(n)
+    for m, one in enumerate(weak):
+        if one.end is None:
+            loss[one.rotor], sd[one.rotor] = np.clip(fitted[6 + m], 0.0, 1.0), np.sqrt(Q[6 + m, 6 + m])
+    seen = np.sqrt(2.0 * (limit + 2.0) / np.maximum(information[first:last].max(axis=0), 1e-9))
+    share = np.exp(each - each.max())
+    return Look(
+        statistic, rotor, first + int(np.argmax(ratio[:, rotor])), share / share.sum(), loss, sd, np.minimum(seen, 1.0)
+    )
+
+
+def scatter(known: Blocks) -> np.ndarray:
+    """(3,) variance of the noise of a block: of neighbours' differences, which steps do not widen, and what is expected."""
+    change = np.diff(known.missing, axis=0)
+    seen = (1.4826 * np.median(np.abs(change), axis=0)) ** 2 / (2.0 * (1.0 - ALIKE)) if len(change) else np.zeros(3)
+    expected = (np.array(SCATTER) * known.thrust.mean()) ** 2
+    return (len(change) * seen + PRIOR_BLOCKS * expected) / (len(change) + PRIOR_BLOCKS)
+
+
+def _precision(z: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """(K, 3) weight of each block and axis: less for what lies far out."""
+    far = ((z - np.median(z, axis=0)) ** 2 / variance).max(axis=1)
+    return np.minimum(1.0, OUTLIER**2 / np.maximum(far, 1e-9))[:, None] / (variance * (1.0 + ALIKE) / (1.0 - ALIKE))
+
+
+def _ratio(moment: np.ndarray, information: np.ndarray, sd: float) -> tuple[np.ndarray, np.ndarray]:
+    """Log marginal likelihood ratio of a signature whose size is N(0, sd^2), and its size."""
+    total = np.maximum(information, 0.0) + 1.0 / sd**2
+    return 0.5 * moment**2 / total - 0.5 * np.log(total * sd**2), moment / total
+
+
+def estimate(flight: Flight, vehicle: Vehicle, air: Spans, table: Ticks) -> tuple[Ticks, TickOutput]:
+    """The ticks `table` as they count here, and what is left behind on them, in the default estimator's form. Where the flight is too
+    short, or its motion does not answer its outputs, nothing is judged."""
+    B = vehicle.effectiveness()
+    out, seen = blank(len(table.time), hypotheses.make(B.shape[1])), respond(flight, vehicle, air)
+    out.statistic[:], out.detectable[:] = NOTHING, 1.0 / 1.96
+    known = None if seen is None else blocks(seen, air)
+    if known is None or len(known.end) <= LEARN:
+        return _observed(table, air, np.inf), out
+    _follow(out, known, table, B)
+    return _observed(table, air, known.end[LEARN]), out
+
+
+def _observed(table: Ticks, air: Spans, since: float) -> Ticks:
+    """Whatever the attitude and the rates, without knocks and thrust; judged from `since` s on."""
+    mode = np.full(len(table.time), GROUND, np.int32)
+    for start, end in air:
+        mode[(table.time >= start) & (table.time <= end)] = LEARNING
+        mode[(table.time > max(start + EDGE_S, since)) & (table.time <= end)] = JUDGE
+    nothing, turns = np.zeros(len(table.time), bool), np.array([True, True, True, False])
+    valid = (mode > GROUND)[:, None] & turns & (True if table.seen is None else table.seen[:, None])
+    return replace(table, mode=mode, upset=nothing, contact=None, contacts=(), valid=valid)
+
+
+def _follow(out: TickOutput, known: Blocks, table: Ticks, B: np.ndarray) -> None:
+    """Block by block; what is known goes on over landings."""
+    weak: list[Weak] = []
+    variance = scatter(known)
+    for k in range(LEARN, len(known.end)):
+        first = int(np.searchsorted(table.time, known.end[k]))
+        so_far = Blocks(*(x[: k + 1] for x in vars(known).values()))
+        now = examine(so_far, B, variance, weak)
+        out.statistic[first:] = now.statistic
+        if now.statistic > 0.0 and first < len(table.time):
+            active = {one.rotor for one in weak if one.end is None}
+            over = [one for one in weak if one.end is None and one.rotor == now.rotor]
+            weak = [one for one in weak if one not in over]
+            weak += [replace(one, end=now.onset) for one in over] or [Weak(now.rotor, now.onset)]
+            age = np.searchsorted(table.command_time, (known.end[k], known.start[now.onset]))
+            _announce(out, first, now, active, float(age[0] - age[1]))
+            now = examine(so_far, B, variance, weak)
+        out.theta[first:], out.detectable[first:] = now.loss, now.least / 1.96
+        out.theta_sd[first:] = np.sqrt(now.sd**2 + (CURVE_SD * now.loss * (1.0 - now.loss)) ** 2)
+    for k in np.flatnonzero(table.restart):  # what is still weak at a take-off is said again of that flight
+        if out.active[k, 0].any():
+            out.announced[k], out.onsets[k:] = True, np.arange(len(table.time) - k)[:, None]
+
+
+def _announce(out: TickOutput, first: int, now: Look, active: set[int], age: float) -> None:
+    """A rotor fails, or one of the `active` ones works again, `age` ticks before the tick `first`."""
+    rows = slice(first, None)
+    sets, share = [active ^ {now.rotor}], [now.share[now.rotor]]
+    if now.rotor not in active:  # which other rotor it may have been instead
+        others = [int(i) for i in np.argsort(-now.share) if i != now.rotor and i not in active][: PLACES - 1]
+        sets, share = [*sets, *(active | {i} for i in others)], [*share, *now.share[others]]
+    out.announced[first], out.best[rows] = True, now.rotor
+    out.probability[rows] = 0.0  # of two at once nothing is asked
+    out.probability[rows, : now.share.size] = now.share
+    out.active[rows], out.share[rows] = False, 0.0
+    for place, (rotors, p) in enumerate(zip(sets, share)):
+        out.active[rows, place, sorted(rotors)] = True
+        out.share[rows, place] = p / sum(share)
+    out.onsets[rows] = (age + np.arange(len(out.onsets) - first))[:, None]

@@ -1,0 +1,453 @@
+"""What the response to an excitation of the commands shows of events that are ambiguous without it.
+
+Commands in the null space of the geometry (methods/control/excitation.py) move nothing while all rotors are well; a flight in which they were
+excited is an experiment. The commanded thrust that the motion does not show, e = y - G m of the thrust channel (plant.py), then holds
+
+    e(t) = sum_i phi_i(t) theta_i + noise,        phi_i = B_i q_i,        q: the part of the thrusts that nobody needed
+
+q is what the thrusts (n,) have in ker B, less what follows from the commanded wrench (mixers that are no pseudo-inverse have such a
+part at all times). It is chosen by whoever designs the excitation, independently of gusts and of the controller's answers to them: unlike
+the evidence of a jump, which grows old while errors of the model go on (posterior.py), this evidence counts in full. With the noise
+as it was learned before, Sigma, the information and vector of theta are
+
+    J = phi' Sigma^-1 phi,        z = phi' Sigma^-1 e
+
+and the evidence of a set S of weak rotors is that of a Gaussian: their losses have the mean m that explains what lacks in hover, all
+others are as unlike as healthy rotors are (sd UNLIKE), W the diagonal of the variances:
+
+    log BF_S = m' z - m' J m / 2 + (z - J m)' (J + W^-1)^-1 (z - J m) / 2 - log det(1 + W J) / 2
+
+times the probability that the losses of S are above 0, over what it was before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from rotorwatch.methods.control import excitation
+from rotorwatch.engine.default import hypotheses
+from rotorwatch.engine.default.events import CREDIBLE, read, sd_of
+from rotorwatch.engine.default.model_error import AT_LIMIT
+from rotorwatch.engine.default.noise import spread
+from rotorwatch.engine.default.plant import AXIS_STATES, GAIN, PER_AXIS, TAU, lower_rotors
+from rotorwatch.engine.default.program import estimate
+from rotorwatch.engine.default.residual_evidence import TRIM_S, TRIM_SD
+from rotorwatch.engine.estimator.plant import SHARE
+from rotorwatch.flight.diagnosis import Event, Source
+from rotorwatch.flight.kinds import LOSS
+from rotorwatch.methods.maths.nonnegative import least_squares
+from rotorwatch.methods.maths.tails import normal_cdf
+from rotorwatch.engine.motion.ticks import JUDGE, Ticks
+
+LEAST = 0.05  # hover thrusts of one rotor, off the mixer's own way of making a wrench: an excitation, no rounding
+SHORTEST_S, GAP_S, ASIDE_S = 0.5, 1.0, 1.0  # of an excitation; between two; of flight looked at before and after
+HOVER_S = 3.0  # over which hover's commands are averaged
+LONGEST = 400  # ticks looked at together
+CERTAIN = 0.99  # probability from which on a set is named
+UNLIKE = 0.03  # by what share healthy rotors differ in what a command changes
+LOSS_SD = 0.05  # of what hover says of a loss, besides RECOVERY_SHARE of it
+EXPLAINED = 4.0  # standard deviations of trim that a set of rotors may leave unexplained to be suspected
+LEAST_LOSS = 0.1  # ... and the smallest loss in it
+OTHER = 1e-4  # prior weight of a set that no event names, relative to one that is named and to none
+CONTAINS = 0.1  # ... of one that contains another that it named: the smaller says it all
+AFTER_S = 2.0  # for which an excitation still shows in the evidence of jumps
+DELAYS_S = (0.0, 0.02, 0.04, 0.07, 0.1)  # of a rotor behind what the ticks take for granted
+
+
+@dataclass(frozen=True)
+class ExcitationEvidence:
+    """The evidence of one excitation. start, end [s]. J (D, n, n), z (D, n): information on the losses, for each of DELAYS_S."""
+
+    start: float
+    end: float
+    J: np.ndarray
+    z: np.ndarray
+
+
+def find(
+    table: Ticks, B: np.ndarray, dynamics=None
+) -> tuple[tuple[ExcitationEvidence, ...], ExcitationEvidence | None, tuple[Event, ...]]:
+    """The excitations of a flight, in order; `trim` before the first of them; and the losses known by then. table: its ticks; B (4, n);
+    dynamics: what was learned of the vehicle from healthy flights.
+
+    What the vehicle is like, and how noisy, is what the default estimator knew when the first of them began: from the answers of
+    weak rotors it would learn wrong gains."""
+    N = excitation.null_space(B)
+    full = table.thrust * table.hover[:, None]
+    usable = (table.mode == JUDGE) & table.valid[:, 3] & (full < AT_LIMIT).all(axis=1) & (full > 0.0).all(axis=1)
+    if not N.shape[1] or usable.sum() * table.dt < 2.0 * ASIDE_S:
+        return (), None, ()
+    q = _unneeded(table, N, usable)
+    spans = _spans(table, usable & (np.abs(q).max(axis=1) > LEAST))
+    if not spans:
+        return (), None, ()
+    before = until(table, spans[0][0])
+    carry, out = estimate(before, B, dynamics)
+    model = _model(carry, table, B)
+    found = []
+    for a, b in spans:
+        near = (table.time > table.time[a] - ASIDE_S) & (table.time < table.time[b] + ASIDE_S) & usable
+        rows = np.flatnonzero(near)[:LONGEST]
+        if rows.size * table.dt >= SHORTEST_S:
+            span = float(table.command_time[a]), float(table.time[b])
+            found.append(_response(rows, span, q, model, table, B))
+    return tuple(found), trim(carry, out, before, B), read(out, before, B)
+
+
+def trim(carry, out, table: Ticks, B: np.ndarray) -> ExcitationEvidence | None:
+    """What the wrench of trim has changed by since the flight was first judged, as information on losses that began since then; its
+    uncertainty is that of what a loss leaves behind, and of how much this flight's disturbances wander. None where it was not judged."""
+    lacking, sd = shift(carry, out, table)
+    if lacking is None:
+        return None
+    J, z = (B.T / sd**2) @ B, (B.T / sd**2) @ lacking
+    D = len(DELAYS_S)
+    return ExcitationEvidence(float(table.time[0]), float(table.time[-1]), np.tile(J, (D, 1, 1)), np.tile(z, (D, 1)))
+
+
+def shift(carry, out, table: Ticks) -> tuple[np.ndarray | None, np.ndarray]:
+    """By how much the commanded wrench of trim (4,) has grown since the hop was first judged, and its standard deviation (4,)."""
+    sd = np.sqrt(TRIM_SD**2 + np.asarray(spread(np.asarray(carry.variances))))
+    starts = np.flatnonzero(table.restart)
+    judged = (table.mode == JUDGE) & (np.arange(len(table.time)) >= (starts[-1] if starts.size else 0))
+    time, biases = table.time[judged], np.asarray(out.biases)[judged]
+    if time.size == 0 or time[-1] - time[0] < 2.0 * TRIM_S:
+        return None, sd
+    return biases[time > time[-1] - TRIM_S].mean(axis=0) - biases[time < time[0] + TRIM_S].mean(axis=0), sd
+
+
+def suspects(carry, out, table: Ticks, B: np.ndarray) -> dict[tuple[int, ...], np.ndarray]:
+    """Single rotors and pairs (0-based) whose losses (n,) explain by how much trim has changed, whatever was announced."""
+    lacking, sd = shift(carry, out, table)
+    n, found = B.shape[1], {}
+    if lacking is None:
+        return found
+    for who in (*combinations(range(n), 1), *combinations(range(n), 2)):
+        losses = np.zeros(n)
+        losses[list(who)], left = least_squares(B[:, who] / sd[:, None], lacking / sd)
+        least = losses[list(who)].min()
+        if left < EXPLAINED and LEAST_LOSS < least and losses.max() <= 1.0:
+            found[who] = losses
+    return found
+
+
+def until(table: Ticks, k: int) -> Ticks:
+    """The ticks before tick k."""
+    whole = {f.name: getattr(table, f.name) for f in fields(table)}
+    return replace(table, **{name: v[:k] for name, v in whole.items() if isinstance(v, np.ndarray)})
+
+
+def _unneeded(table: Ticks, N: np.ndarray, usable: np.ndarray) -> np.ndarray:
+    """q (T, n): thrusts in the null space, less what the commanded wrench says of them (twice: at first with excitations in it)."""
+    own = table.thrust @ N
+    inputs = np.column_stack([table.wrench, np.ones(len(own))])
+    calm, q = usable, (own - np.median(own[usable], axis=0)) @ N.T
+    for _ in range(2):
+        if calm.sum() < 4 * inputs.shape[1]:
+            break
+        K = np.linalg.lstsq(inputs[calm], own[calm], rcond=None)[0]
+        q = (own - inputs @ K) @ N.T
+        calm = usable & (np.abs(q).max(axis=1) < 0.5 * LEAST)
+    return q
+
+
+def _spans(table: Ticks, responses: np.ndarray) -> list[tuple[int, int]]:
+    """First and last ticks of spells that are no more than GAP_S apart and last SHORTEST_S."""
+    ticks = np.flatnonzero(responses)
+    if not ticks.size:
+        return []
+    breaks = np.flatnonzero(np.diff(table.time[ticks]) > GAP_S)
+    starts, ends = ticks[np.r_[0, breaks + 1]], ticks[np.r_[breaks, ticks.size - 1]]
+    return [(int(a), int(b)) for a, b in zip(starts, ends) if table.time[b] - table.time[a] >= SHORTEST_S]
+
+
+class _Model(NamedTuple):
+    """left (T,): e; more (T, n): q times this is what the lower rotors of coaxial arms add, per unit of the share of which nobody knows
+    more than its standard deviation sd; noise."""
+
+    left: np.ndarray
+    more: np.ndarray
+    sd: float
+    noise: excitation.Noise
+
+
+def _model(carry, table: Ticks, B: np.ndarray) -> _Model:
+    """e with the gain and, on coaxial frames, the lower rotors' share of `carry`."""
+    n, lower = B.shape[1], lower_rotors(B)
+    s, P = np.asarray(carry.s), np.asarray(carry.P)
+    left = table.wrench[:, 3] - s[3 * PER_AXIS + GAIN] * n * table.load
+    more, sd = np.zeros(n), 0.0
+    if lower is not None:
+        more = B[3] * (lower - (B[3] * lower).mean())
+        left, sd = left + s[SHARE] * (table.thrust @ more), float(np.sqrt(P[SHARE, SHARE]))
+    return _Model(left, more, sd, excitation.Noise(np.asarray(carry.variances)[:, 3], np.array(TAU)))
+
+
+def _response(rows, span, q, model: _Model, table: Ticks, B: np.ndarray) -> ExcitationEvidence:
+    """The information of one excitation, seen at ticks `rows`."""
+    n, time, here = B.shape[1], table.time, rows - rows[0]
+    J, z = [], []
+    whiten = np.linalg.cholesky(excitation.covariance(model.noise, here[-1] + 1, table.dt)[np.ix_(here, here)])
+    for delay in DELAYS_S:
+        late = np.column_stack([np.interp(time[rows] - delay, time, q[:, i]) for i in range(n)])
+        white = np.linalg.solve(whiten, np.column_stack([B[3] * late, late @ model.more * model.sd, model.left[rows]]))
+        phi, share, e = white[:, :n], white[:, n], white[:, n + 1]
+        scale = max(1.0, _unexplained(white[:, : n + 1], e))
+        # The lower rotors' share is integrated out; its prior is of variance one here.
+        known = share / (scale + share @ share)
+        J.append((phi.T @ phi - np.outer(phi.T @ share, known @ phi)) / scale)
+        z.append((phi.T @ e - phi.T @ share * (known @ e)) / scale)
+    return ExcitationEvidence(span[0], span[1], np.stack(J), np.stack(z))
+
+
+def _unexplained(phi: np.ndarray, e: np.ndarray) -> float:
+    """Mean square of what is left of e (T,) after its best fit by phi (T, k): one, where the noise is what it was."""
+    fit = phi @ np.linalg.lstsq(phi, e, rcond=1e-6)[0]
+    return float(((e - fit) ** 2).sum() / max(len(e) - min(phi.shape), 1))
+
+
+class Prior(NamedTuple):
+    """Losses of the rotors of a set, before the excitation: mean (n,) and sd (n,), others 0 and UNLIKE."""
+
+    mean: np.ndarray
+    sd: np.ndarray
+
+
+def prior(rotors: Sequence[int], n: int, losses: np.ndarray | None = None) -> Prior:
+    """Of a set (0-based) that anybody might name, or of one whose losses (n,) hover has shown."""
+    own = np.isin(np.arange(n), list(rotors))
+    if losses is None:
+        return Prior(np.zeros(n), np.where(own, hypotheses.LOSS_WIDTH, UNLIKE))
+    spread = hypotheses.RECOVERY_SHARE * np.max(losses, initial=0.0) + LOSS_SD
+    return Prior(np.where(own, losses, 0.0), np.where(own, spread, UNLIKE))
+
+
+def evidence(
+    responses: Sequence[ExcitationEvidence], rotors: Sequence[int], before: Prior
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """Log evidence that these rotors (0-based) are weak, against none; and mean (n,) and covariance (n, n) of all losses then."""
+    n, own = len(before.mean), list(rotors)
+    J, z = (np.sum([getattr(one, name) for one in responses], axis=0) for name in ("J", "z"))
+    total, base, mean, cov = [], [], [], []
+    none = np.full(n, UNLIKE)
+    for own_J, own_z in zip(J, z, strict=True):
+        log, m, P = _gaussian(own_J, own_z, before.mean, before.sd)
+        above = _positive(m[own], P[np.ix_(own, own)])
+        above /= _positive(before.mean[own], np.diag(before.sd[own] ** 2))
+        total.append(log + np.log(max(above, 1e-300)))
+        base.append(_gaussian(own_J, own_z, np.zeros(n), none)[0])
+        mean.append(m)
+        cov.append(P)
+    k = int(np.argmax(total))
+    return float(np.logaddexp.reduce(total) - np.logaddexp.reduce(base)), mean[k], cov[k]
+
+
+def _positive(mean: np.ndarray, cov: np.ndarray) -> float:
+    """Probability that all of one or two Gaussian numbers, mean (k,) and cov (k, k), are above 0."""
+    sd = np.sqrt(np.diag(cov))
+    if not len(mean):
+        return 1.0
+    if len(mean) == 1:
+        return float(normal_cdf(mean[0] / sd[0]))
+    x = np.linspace(max(0.0, mean[0] - 8.0 * sd[0]), max(0.0, mean[0]) + 8.0 * sd[0], 401)
+    density = np.exp(-0.5 * ((x - mean[0]) / sd[0]) ** 2) / (sd[0] * np.sqrt(2.0 * np.pi))
+    slope = cov[0, 1] / cov[0, 0]
+    rest = np.sqrt(max(cov[1, 1] - slope * cov[0, 1], 1e-18))
+    joint = density * normal_cdf((mean[1] + slope * (x - mean[0])) / rest)
+    return float(np.diff(x) @ (joint[1:] + joint[:-1]) / 2)
+
+
+def _gaussian(J: np.ndarray, z: np.ndarray, mean: np.ndarray, sd: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """Log evidence of losses that are Gaussian, mean (n,) and sd (n,), against losses of exactly 0; and their posterior."""
+    A = np.eye(len(z)) + sd[:, None] * J * sd[None, :]
+    y = sd * (z - J @ mean)
+    x = np.linalg.solve(A, y)
+    log = mean @ z - 0.5 * mean @ J @ mean + 0.5 * y @ x - 0.5 * np.linalg.slogdet(A)[1]
+    return float(log), mean + sd * x, sd[:, None] * np.linalg.inv(A) * sd[None, :]
+
+
+def shares(
+    responses: Sequence[ExcitationEvidence],
+    named: dict[tuple[int, ...], np.ndarray],
+    n: int,
+    before: ExcitationEvidence | None = None,
+) -> dict[tuple[int, ...], float]:
+    """Probability of each set of weak rotors (0-based; (): none): of those named, with the losses (n,) that hover gives them, of all single
+    rotors and of all pairs. before: the trim, which a loss since then has changed and an older one has not."""
+    logs: dict[tuple[int, ...], float] = {(): 0.0}
+    for who in (*combinations(range(n), 1), *combinations(range(n), 2)):
+        old = evidence(responses, who, prior(who, n))[0]
+        new = evidence([*responses, before], who, prior(who, n))[0] if before else old
+        logs[who] = np.log(OTHER) + np.logaddexp(old, new) - np.log(2.0)
+    for who, losses in named.items():
+        weight = CONTAINS if any(set(other) < set(who) for other in named) else 1.0
+        logs[who] = np.logaddexp(
+            logs.get(who, -np.inf), np.log(weight) + evidence(responses, who, prior(who, n, losses))[0]
+        )
+    top = max(logs.values())
+    weights = {who: float(np.exp(v - top)) for who, v in logs.items()}
+    total = sum(weights.values())
+    return {who: w / total for who, w in sorted(weights.items(), key=lambda item: -item[1])}
+
+
+def candidates(event: Event, B: np.ndarray) -> dict[tuple[int, ...], np.ndarray]:
+    """The sets of rotors (0-based) that may explain an event, each with the losses (n,) with which it does so in hover: what lacks of
+    thrust and moment, by non-negative least squares. B (4, n)."""
+    n = B.shape[1]
+    lacking = B[:, [r - 1 for r in event.rotors]] @ np.array(event.loss)
+    found = {}
+    for who in (event.rotors, *event.alternatives):
+        own = sorted(r - 1 for r in who)
+        losses = np.zeros(n)
+        losses[own] = np.minimum(least_squares(B[:, own], lacking)[0], 1.0)
+        if who is event.rotors or losses.max() > hypotheses.NONE:  # what explains nothing in hover is no candidate
+            found[tuple(own)] = losses
+    return found
+
+
+class Question(NamedTuple):
+    """What an excitation is designed from, as a log has shown it. candidates: sets of rotors (0-based; (): none) and their losses (n,);
+    hover (n,): commands, shares of full thrust; noise and gain (3,) as in `excitation.design`; dt [s] of a tick."""
+
+    candidates: dict[tuple[int, ...], np.ndarray]
+    hover: np.ndarray
+    noise: excitation.Noise
+    gain: np.ndarray
+    dt: float
+
+
+def question(sets: dict[tuple[int, ...], np.ndarray], carry, table: Ticks, B: np.ndarray) -> Question:
+    """What an excitation has to distinguish: sets of rotors (`candidates` or `suspects`), or none. carry: of the default estimator after
+    the ticks of `table`."""
+    flying = table.mode == JUDGE
+    late = flying & (table.time > table.time[flying][-1] - HOVER_S)
+    hover = (table.thrust * table.hover[:, None])[late].mean(axis=0)
+    gain = np.asarray(carry.s)[:AXIS_STATES].reshape(4, PER_AXIS)[:3, GAIN]
+    found = {**sets, (): np.zeros(B.shape[1])}
+    return Question(found, hover, excitation.Noise(np.asarray(carry.variances)[:, 3], np.array(TAU)), gain, table.dt)
+
+
+def resolve(
+    events: Sequence[Event], table: Ticks, B: np.ndarray, dynamics=None
+) -> tuple[tuple[Event, ...], tuple[str, ...]]:
+    """The losses of a flight with what its excitations say of them: ambiguous ones are resolved where an excitation after them says which
+    rotors it was, so are those that were announced while one was going on (weak rotors answer it by what looks like jumps of others), and
+    losses that nothing else has shown are added; and sentences on what it says no rotor made. Without an excitation the events are what
+    they were. table, B, dynamics: as for `find`."""
+    responses, before, known = find(table, B, dynamics)
+    if not responses:
+        return tuple(events), ()
+    open_ = {e.detected_s: e for e in known if e.alternatives}
+    result, notes = [], []
+    for e in events:
+        if not e.alternatives and e.detected_s in open_ and e.end_s is None:
+            e = open_[
+                e.detected_s
+            ]  # what has become of its explanations since is what the excitation did to their weights
+        during = [q for q in responses if q.start < e.detected_s < q.end + AFTER_S]
+        later = [q for q in responses if q.start > e.onset_s and (e.end_s is None or q.end < e.end_s)]
+        if not during and (not e.alternatives or not later):
+            result.append(e)
+            continue
+        later = later or during
+        resolved, note = _resolved(e, later, B)
+        result += [resolved] if resolved else []
+        notes += [note] if note else []
+    if not result:
+        found, note = _unseen(responses, before, B)
+        result += [found] if found and not notes else []
+        notes += [note] if note and not notes else []
+    return tuple(result), tuple(notes)
+
+
+def _unsure(event: Event, found: dict[tuple[int, ...], float], extra: dict) -> Event:
+    """The event with all sets named that are left, those of the event first: it stays, or becomes, ambiguous."""
+    if event.alternatives:
+        return replace(event, extra=extra)
+    own = tuple(sorted(event.rotors))
+    left = [tuple(k + 1 for k in who) for who, p in found.items() if who and p >= CREDIBLE]
+    others = tuple(who for who in left if who != own)
+    names = ", ".join("+".join(map(str, who)) for who in others)
+    reason = (
+        f"while the commands were excited they and the motion changed as if rotor {' and '.join(map(str, event.rotors))} had lost thrust, "
+        f"but {names} would look the same"
+    )
+    return replace(event, alternatives=others, reason=reason, extra=extra) if others else replace(event, extra=extra)
+
+
+def _unseen(
+    responses: Sequence[ExcitationEvidence], before: ExcitationEvidence | None, B: np.ndarray
+) -> tuple[Event | None, str]:
+    """The loss that only the excitations show, if there is one, since the flight was judged (then the trim `before` has changed as well) or
+    from before; else, if so, that there is none."""
+    n = B.shape[1]
+    found = shares(responses, {}, n, before)
+    best, share = next(iter(found.items()))
+    when = _when(responses)
+    if not best:
+        well = f"the excitation of the commands from {when} was answered as by a vehicle whose rotors are all well"
+        return None, well if share > CERTAIN else ""
+    whole = [responses, *([[*responses, before]] if before else [])]
+    _, mean, cov = max((evidence(some, best, prior(best, n)) for some in whole), key=lambda one: one[0])
+    loss, bounds = _losses(best, mean, cov, B)
+    if found[()] > 1.0 - CERTAIN or max(low for low, _ in bounds) < UNLIKE:
+        return None, ""
+    others = tuple(tuple(k + 1 for k in who) for who, p in found.items() if who != best and p >= CREDIBLE)
+    who = tuple(k + 1 for k in best)
+    reason = f"the excitation of the commands from {when} was answered as by a vehicle whose rotor {' and '.join(map(str, who))} is weak"
+    reason += f", but {', '.join('+'.join(map(str, o)) for o in others)} would look the same" if others else ""
+    extra = {"asked": _extra(responses, found)}
+    start, end = responses[0].start, responses[-1].end
+    return Event(LOSS, who, start, end, None, loss, bounds, share, others, reason, extra, Source.EXCITATION), ""
+
+
+def _when(responses: Sequence[ExcitationEvidence]) -> str:
+    return f"{responses[0].start:.1f} to {responses[-1].end:.1f} s"
+
+
+def _extra(responses: Sequence[ExcitationEvidence], found: dict[tuple[int, ...], float]) -> dict:
+    """For an event's `extra`: when it was excited, and the probabilities of the sets that are left."""
+    left = {"+".join(str(k + 1) for k in who) or "none": round(p, 6) for who, p in found.items() if p > 1e-3}
+    return {"start_s": responses[0].start, "end_s": responses[-1].end, "probability": left}
+
+
+def _losses(who: tuple[int, ...], mean: np.ndarray, cov: np.ndarray, B: np.ndarray) -> tuple[tuple, tuple]:
+    """Losses of the rotors `who` (0-based) and their 95 % intervals."""
+    own = list(who)
+    loss = np.clip(mean[own], 0.0, 1.0)
+    sd = sd_of(loss, np.sqrt(np.diag(cov)[own]), B)
+    bounds = tuple(
+        (max(0.0, float(v - 1.96 * s)), min(1.0, float(v + 1.96 * s))) for v, s in zip(loss, sd, strict=True)
+    )
+    return tuple(float(v) for v in loss), bounds
+
+
+def _resolved(event: Event, responses: Sequence[ExcitationEvidence], B: np.ndarray) -> tuple[Event | None, str]:
+    named = candidates(event, B)
+    n = B.shape[1]
+    found = shares(responses, named, n)
+    best, share = next(iter(found.items()))
+    when, extra = _when(responses), {**event.extra, "asked": _extra(responses, found)}
+    if share < CERTAIN:
+        return _unsure(event, found, extra), ""
+    if not best:
+        return None, (
+            f"a shift of thrust at {event.onset_s:.1f} s might have been rotors {'+'.join(map(str, event.rotors))} or others; the "
+            f"excitation of the commands from {when} was answered as by a vehicle whose rotors are all well"
+        )
+    _, mean, cov = evidence(responses, best, prior(best, n, named.get(best)))
+    loss, bounds = _losses(best, mean, cov, B)
+    who = tuple(k + 1 for k in best)
+    names = " and ".join(map(str, who))
+    reason = (
+        f"commands and motion changed at {event.onset_s:.1f} s as if rotors had lost thrust, and the excitation of the commands "
+        f"from {when} was answered as only weak rotors {names} answer it"
+    )
+    return replace(
+        event, rotors=who, loss=loss, interval=bounds, probability=share, alternatives=(), reason=reason, extra=extra
+    ), ""

@@ -1,0 +1,346 @@
+"""Healthy flights are judged before anything is learned from them, and held against the flight that they are to judge.
+
+A flight is rejected, with a sentence that names it and the reason, when
+
+* it shows no flight, or is the very flight that is judged, or one that is there already;
+* the default diagnosis, without a baseline, finds something in it;
+* it is of another frame, or logged in other units or at another rate;
+* it cannot be of the same aircraft: its thrust curve rises otherwise at the hover command (SLOPE), or it hovers at another share of full
+  thrust (HOVER), or a command turns it faster or slower by a factor (GAIN) that the uncertainty of both cannot explain;
+* it hovers unlike the others (`whole_flight.rarity`): of three or more the worst is left out while it is rarer than FALSE_ALARM shared by
+  all of them. Of two that differ nobody can say which is wrong: that is an error.
+
+What "the same" is held against: the flight that is judged; without one, the flight that agrees with most others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from os import PathLike
+
+import numpy as np
+
+from rotorwatch import airframes
+from rotorwatch.answer.conclusion import LOPSIDED
+from rotorwatch.errors import ConfigError, RotorwatchError, VehicleError
+from rotorwatch.flight import Flight
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.witnesses.healthy import whole_flight
+from rotorwatch.engine.motion import trust
+from rotorwatch.engine.motion.airborne import airborne
+from rotorwatch.engine.motion.allocation import within
+from rotorwatch.engine.motion.ticks import Ticks
+
+READY_S = 3.0  # after lift-off, before the dynamics of a flight are learned from
+
+SLOPE = 1.25
+"""Ratio of the slopes d ln f / du of two thrust curves at the hover command: with it, a rotor trimmed by a tenth seems to be off by
+0.025 more, as much as the yaw of healthy flights does (whole_flight.TILT_SD)."""
+HOVER = 1.5
+"""Ratio of the shares of full thrust in hover: half the weight again, which no battery and no air makes."""
+GAIN = 2.0
+"""Ratio of the angular accelerations by one command: what is learned of it changes by up to 1.7 when a hexa loses a rotor (simulated)."""
+SURE = 3.0  # standard deviations by which gains must differ more than that
+AXES = ("roll", "pitch", "yaw")
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A flight that is said to be healthy, and what is worked out of it on demand. given: its airframe; None: as its log says."""
+
+    flight: Flight
+    given: Vehicle | None = None
+
+    @property
+    def name(self) -> str:
+        """What to call it."""
+        return self.flight.name or "a flight without a name"
+
+    @cached_property
+    def vehicle(self) -> Vehicle:
+        """Its airframe, with nothing learned. Raises VehicleError."""
+        craft = self.given or airframes.identify(self.flight)
+        airframes.check(craft, self.flight)
+        return replace(craft, identified=None)
+
+    @cached_property
+    def air(self) -> tuple[tuple[float, float], ...]:
+        """When it was in the air."""
+        return airborne(self.flight) if self.flight.has("motors") else ()
+
+    @cached_property
+    def table(self) -> Ticks | None:
+        """Its ticks; None when it shows no flight."""
+        from rotorwatch.engine.motion.ticks import observe
+
+        return observe(self.flight, self.vehicle, self.air, READY_S)
+
+    @cached_property
+    def features(self) -> whole_flight.Features:
+        """How it hovered, by its own thrust curve: limits and compensation may have been set anew between flights."""
+        return whole_flight.features(self.flight, self.vehicle, self.air)
+
+    @cached_property
+    def gains(self) -> tuple[np.ndarray, np.ndarray]:
+        """Commanded torque per angular acceleration (roll, pitch, yaw) as the default estimator learns it: (3,) and its sd (3,)."""
+        from rotorwatch.engine.default import plant
+        from rotorwatch.engine.default.program import estimate
+
+        assert self.table is not None
+        carry, _ = estimate(self.table, self.vehicle.effectiveness())
+        rows = np.arange(3) * plant.PER_AXIS + plant.GAIN
+        return np.asarray(carry.s)[rows], np.sqrt(np.diag(np.asarray(carry.P))[rows])
+
+    @cached_property
+    def unusable(self) -> str:
+        """Why nothing can be held against it at all; empty when it shows a flight of a known airframe."""
+        try:
+            if not self.flight.has("motors"):
+                return "it shows no motor outputs"
+            return "it shows no flight" if self.table is None else ""
+        except RotorwatchError as why:
+            return str(why).rstrip(".")
+
+    @cached_property
+    def flaw(self) -> str:
+        """What the default diagnosis finds in it alone, or makes its log doubtful; empty without such, and when it is too short to say."""
+        from rotorwatch.diagnose import diagnose
+
+        try:
+            assert self.table is not None
+            found = diagnose(self.flight, vehicle=self.vehicle)
+            doubts = trust.contradictions(self.flight, self.vehicle, self.air, self.table)
+        except RotorwatchError as why:
+            return str(why).rstrip(".")
+        # Unlike other builds it may well be: that it is healthy nevertheless is what its owner says.
+        lopsided = {r.note for r in found.rotors if r.status == "suspect"} == {LOPSIDED} and not found.events
+        if found.verdict == "healthy" or lopsided or (found.verdict == "inconclusive" and not doubts):
+            return ""
+        return f"judged by itself it is {found.verdict}, not healthy: {found.reason.rstrip('.')}"
+
+
+Given = Flight | Candidate | str | PathLike
+
+
+def several(flights: Given | Iterable[Given]) -> tuple[Given, ...]:
+    """One flight or file given by itself, or many: always a tuple."""
+    return (flights,) if isinstance(flights, (Flight, Candidate, str, PathLike)) else tuple(flights)
+
+
+def healthy(
+    flights: Given | Iterable[Given],
+    vehicle: Vehicle | None = None,
+    of: Candidate | None = None,
+    progress: Callable | None = None,
+) -> tuple[tuple[Candidate, ...], tuple[str, ...]]:
+    """The flights that can be learned from, and a sentence for each that was rejected.
+
+    vehicle: the airframe of all of them; None: as each log says. of: the flight that they are to judge. progress: called with the
+    finished share, 0..1. Raises ConfigError without a flight, LogError for a file that cannot be read, and VehicleError when no flight is
+    left or two that are left contradict one another.
+    """
+    given = several(flights)
+    tell = progress or (lambda share: None)
+    found = [f if isinstance(f, Candidate) else Candidate(_read(f), vehicle) for f in given]
+    if not found:
+        raise ConfigError("Give at least one healthy flight.")
+    rejected: list[tuple[str, str]] = []
+    accepted: list[Candidate] = []
+    for k, one in enumerate(found):
+        why = one.unusable or _again(one, accepted, of) or one.flaw
+        if why:
+            rejected.append((one.name, why))
+        else:
+            accepted.append(one)
+        tell((k + 1) / len(found))
+    accepted = _same_build(accepted, of, rejected)
+    accepted = _alike_in_hover(accepted, rejected)
+    if not accepted:
+        reasons = "; ".join(f"{name}: {why}" for name, why in rejected)
+        raise VehicleError(
+            f"No healthy flight is left to learn from ({reasons}); give healthy flights of one aircraft."
+        )
+    return tuple(accepted), tuple(f"{name} was set aside: {why}" for name, why in rejected)
+
+
+def settle(
+    flight: Flight, vehicle: Vehicle | None, baseline: Given | Iterable[Given], progress: Callable | None = None
+) -> tuple[Vehicle, str, tuple[str, ...]]:
+    """The vehicle that a flight is judged as, what was taken as healthy in words ("none" when nothing was), and warnings.
+
+    vehicle: asked for, or None: as the log says. baseline: healthy flights, whose `identified` the vehicle then carries. Raises
+    as `healthy` does, and VehicleError when the vehicle has another number of rotors than the log.
+    """
+    craft = vehicle or airframes.identify(flight)
+    airframes.check(craft, flight)
+    told = _other_frame(flight, vehicle)
+    given = several(baseline)
+    if given:
+        from rotorwatch.witnesses.healthy.calibrate import learned
+
+        own = Candidate(flight, vehicle)
+        accepted, rejected = healthy(given, vehicle, None if own.unusable else own, progress)
+        known = learned(accepted)
+        craft = replace(craft, identified=known.identified, assumptions=(*craft.assumptions, *known.assumptions))
+        source = f"{len(accepted)} healthy flight{'s' if len(accepted) > 1 else ''} of the same build"
+        return craft, source, (*told, *(f"baseline: {sentence}" for sentence in rejected))
+    return craft, f"vehicle file {craft.name}" if vehicle and craft.identified else "none", told
+
+
+def vehicle_of(vehicle: Vehicle | str | PathLike | None) -> Vehicle | None:
+    """A vehicle that may be given as its file. Raises VehicleError, ConfigError."""
+    from rotorwatch.flight import vehicle_file
+
+    return vehicle_file.read(vehicle) if isinstance(vehicle, str | PathLike) else vehicle
+
+
+def _read(given) -> Flight:
+    from rotorwatch.logs import plausible, read
+
+    return plausible.checked(given) if isinstance(given, Flight) else read(given)
+
+
+def _other_frame(flight: Flight, vehicle: Vehicle | None) -> tuple[str, ...]:
+    """A warning when the vehicle asked for is not the one that the log names."""
+    if vehicle is None:
+        return ()
+    try:
+        own = airframes.identify(flight)
+    except RotorwatchError:
+        return ()
+    if _same_geometry(own, vehicle):
+        return ()
+    return (
+        f"the log says {own.name}; its rotors are taken to be where the vehicle {vehicle.name} has them, as asked for",
+    )
+
+
+def _again(one: Candidate, accepted: list[Candidate], of: Candidate | None) -> str:
+    """Whether it is the flight that is judged, or one that is there already: a copy says nothing new."""
+
+    def same(other):
+        a, b = one.flight["motors"], other.flight["motors"]
+        return np.array_equal(a.time, b.time) and np.array_equal(a.values, b.values)
+
+    if of is not None and same(of):
+        return "it is the flight that is to be judged, which says nothing about itself"
+    return next((f"it is the same flight as {other.name}" for other in accepted if same(other)), "")
+
+
+def _same_build(found: list[Candidate], of: Candidate | None, rejected: list[tuple[str, str]]) -> list[Candidate]:
+    """Those of the build of the flight `of`; without it, of the one that agrees with most of the others."""
+    if len(found) < (1 if of else 2):
+        return found
+    if of is not None:
+        reference, why = of, [unlike(one, of) for one in found]
+    else:
+        table = [[unlike(one, other) if one is not other else "" for one in found] for other in found]
+        agree = [sum(not why for why in row) for row in table]
+        best = int(np.argmax(agree))
+        if agree.count(agree[best]) > agree[best]:  # as many flights of another build
+            odd = next(k for k, why in enumerate(table[best]) if why)
+            raise VehicleError(
+                f"{found[odd].name} and {found[best].name} are not of one build: {table[best][odd]}; give flights of one build only."
+            )
+        reference, why = found[best], table[best]
+    rejected += [(one.name, f"{w} (held against {reference.name})") for one, w in zip(found, why) if w]
+    return [one for one, w in zip(found, why) if not w]
+
+
+def _alike_in_hover(found: list[Candidate], rejected: list[tuple[str, str]]) -> list[Candidate]:
+    """Those that hover alike: leave-one-out, the worst first."""
+    while True:
+        usable = [one for one in found if one.features.usable]
+        m = len(usable)
+        if m < 2:
+            return found
+        others = [[u.features for u in usable if u is not one] for one in usable]
+        rare = [whole_flight.rarity(one.features, rest) for one, rest in zip(usable, others)]
+        worst = int(np.argmin(rare))
+        if m == 2:
+            if min(rare) >= whole_flight.FALSE_FAULT:
+                return found
+            raise VehicleError(
+                f"{usable[0].name} and {usable[1].name} hover too differently for two healthy flights of one aircraft, and two cannot show "
+                "which of them is not healthy; add a third, or leave one out."
+            )
+        if rare[worst] >= whole_flight.FALSE_ALARM / m:
+            return found
+        odd = usable[worst]
+        rejected.append((odd.name, f"its rotors share the load otherwise than in the {m - 1} other flights"))
+        found = [one for one in found if one is not odd]
+
+
+# Can two flights be of one aircraft?
+
+
+def unlike(one: Candidate, other: Candidate) -> str:
+    """Why `one` cannot have been flown by the same aircraft with the same logging as `other`, in words; empty when it can."""
+    a, b = one.vehicle, other.vehicle
+    if len(a.rotors) != len(b.rotors):
+        return f"its frame is {a.name} with {len(a.rotors)} rotors, not {b.name} with {len(b.rotors)}"
+    if not _same_geometry(a, b):
+        return f"its frame is {a.name}, not {b.name}: the rotors are placed, turn or share the load otherwise"
+    units = one.flight["motors"].unit, other.flight["motors"].unit
+    if units[0] != units[1]:
+        words = {"us": "pulses in us"}
+        return f"its outputs are logged as {words.get(units[0], 'shares')}, not as {words.get(units[1], 'shares')}"
+    assert one.table is not None and other.table is not None
+    if one.table.dt != other.table.dt:
+        return f"it is logged at another rate: judged every {one.table.dt:.2f} s, not every {other.table.dt:.2f} s"
+    command = _hover_command(other)
+    slopes = _slope(a.curve, command), _slope(b.curve, command)
+    if _ratio(*slopes) > SLOPE:
+        return (
+            f"its thrust curve ({_curve(a)}) rises otherwise than the other ({_curve(b)}), by a factor {_ratio(*slopes):.1f} in hover: "
+            "other settings or another drive"
+        )
+    hover = float(np.mean(one.features.share)), float(np.mean(other.features.share))
+    if one.features.usable and other.features.usable and _ratio(*hover) > HOVER:
+        return f"it hovers at {100 * hover[0]:.0f} % of full thrust, not at {100 * hover[1]:.0f} %: another weight or another drive"
+    return _other_gains(one, other)
+
+
+def _other_gains(one: Candidate, other: Candidate) -> str:
+    try:
+        (mine, sd), (theirs, their_sd) = one.gains, other.gains
+    except RotorwatchError:  # commands too slow to learn from: said where the flight is judged
+        return ""
+    mine, theirs = np.maximum(mine, 1e-6), np.maximum(theirs, 1e-6)
+    apart = np.abs(np.log(mine / theirs)) - np.log(GAIN) - SURE * np.hypot(sd / mine, their_sd / theirs)
+    axis = int(np.argmax(apart))
+    if apart[axis] <= 0:
+        return ""
+    ratio = theirs[axis] / mine[axis]
+    faster = f"{max(ratio, 1 / ratio):.1f} times as {'fast' if ratio > 1 else 'slowly'}"
+    return f"a command turns it {faster} in {AXES[axis]}: another weight, size or drive"
+
+
+def _same_geometry(a: Vehicle, b: Vehicle) -> bool:
+    return len(a.rotors) == len(b.rotors) and np.allclose(a.effectiveness(), b.effectiveness(), atol=0.01)
+
+
+def _hover_command(one: Candidate) -> float:
+    """Median of the outputs in the air, in their unit."""
+    motors = one.flight["motors"]
+    values = motors.values[within(motors.time, one.air) & motors.valid.all(axis=1)]
+    return float(np.median(values)) if values.size else float("nan")
+
+
+def _slope(curve, u: float) -> float:
+    """d ln f / du of a thrust curve."""
+    h = 1e-3 * (curve.u_max - curve.u_min)
+    low, high = (float(curve(np.array(v))) for v in (u - h, u + h))
+    return (high - low) / (2 * h) / max(0.5 * (high + low), 1e-9)
+
+
+def _curve(vehicle: Vehicle) -> str:
+    c = vehicle.curve
+    return f"{c.u_min:g} to {c.u_max:g}, expo {c.expo:.2g}"
+
+
+def _ratio(a: float, b: float) -> float:
+    """Of the larger to the smaller; 1 where one of them is not known."""
+    return max(a, b) / min(a, b) if a > 0 and b > 0 else 1.0

@@ -1,0 +1,109 @@
+"""Was a rotor weak from take-off on? One flight's balance of commands against that of healthy vehicles of any build.
+
+Without a healthy flight of the build the balance w = B f / sum f (roll, pitch, yaw; whole_flight.py) is compared with how unequally healthy
+vehicles are commanded. It is a t distribution about 0 with FREEDOM degrees of freedom, of scale CENTRE of an arm length in roll and pitch
+(the centre of mass) and TILT / sqrt(n) in yaw (motors that do not stand upright, each on its own).
+
+Source: 18 real healthy flights of 12 quadrotors (7 with ArduPilot, 3 with PX4, 2 Crazyflies, from public logs; no fault is known of any);
+maximum likelihood of one mean w for each vehicle: scales 0.040 and 0.10, 6 degrees of freedom. With any one vehicle left out: 0.035 to
+0.045 and 0.09 to 0.11. Of hexas and octas there are none; the scaling of yaw is assumed.
+
+    healthy          w ~ t(0)
+    rotor i weak     w ~ t(B_i e / (n + e)), e = theta / (1 - a theta), theta even between 0 and MOST
+    centre of mass   w ~ t((x, y, 0)), x and y normal with SHIFT_SD
+
+a is the diagonal of B+ B (B+: pseudoinverse, with the row of thrust): the mixer makes up for B_i e with all rotors, f = 1 + (B+ B)_i e,
+and what rotor i does not give is e = theta f_i. Of a quadrotor a is 1.
+
+A weak rotor asks for as much yaw as its column says, a shifted centre for none. Healthy vehicles are trimmed in yaw by as much as a loss
+of a third asks for, so that yaw decides of large losses alone: smaller ones are `ambiguous`, or unseen
+within the bound of a healthy answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rotorwatch.flight import Flight
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.witnesses.healthy.whole_flight import CENTRE_RHO_SD, LIMITED, RHO_SD, Features, features
+from rotorwatch.methods.maths import multivariate_t as student
+
+CENTRE, TILT, FREEDOM = 0.04, 0.2, 6.0
+SHIFT_SD = 0.15  # arm lengths: a camera or a battery that hangs out in front
+HEALTHY, ROTOR, SHIFTED = 0.9, 0.05, 0.05  # before anything is seen
+MOST = 0.9
+FALSE_ALARM, FALSE_FAULT = 0.05, 0.001  # share of healthy vehicles that differ as much, for a word and for a fault
+SURE, OTHER = 0.99, 0.05  # probability of being weak: for a fault, more than elsewhere, of so few vehicles; for a word
+
+
+def judge(flight: Flight, vehicle: Vehicle, air: Sequence[tuple[float, float]], until: float = np.inf) -> dict | None:
+    """What the flight says of damage that was there from take-off, of its steady part before `until` [s]; None where that is too short or
+    where a rotor was at its limit.
+
+    -> verdict healthy, ambiguous or fault; reason; rotors (1-based, named); loss (n,), interval (n, 2), of a healthy flight with 0 and what
+    could be there in each rotor unseen; causes as in WholeFlight."""
+    found = features(flight, vehicle, [(a, min(b, until)) for a, b in air if a < until])
+    if not found.usable or max(found.limited) > LIMITED:
+        return None
+    return weigh(found, vehicle.effectiveness())
+
+
+def weigh(found: Features, B: np.ndarray) -> dict:
+    """The same for a flight's features and effectiveness B (4, n)."""
+    n = B.shape[1]
+    w = np.array(found.wrench)
+    scale = np.diag([CENTRE**2, CENTRE**2, TILT**2 / n]) + np.array(found.covariance)
+    p_value = student.tail(w, scale, FREEDOM)
+    theta = np.linspace(0.0, MOST, 181)[1:]
+    shifts = [_weak(B, i, theta) for i in range(n)]
+    # RHO_SD: whole_flight.py, of the yaw that a damaged rotor asks for; without a turning moment of its own it asks for none.
+    likelihood = np.stack([_density(w - at, scale, RHO_SD * at[:, 2]) for at in shifts])
+    where, distance, mass = student.centred_grid(SHIFT_SD, 3.0)
+    centre = mass @ _density(w - np.pad(where, ((0, 0), (0, 1))), scale, CENTRE_RHO_SD * distance)
+    weight = np.array([HEALTHY * _density(w, scale, 0.0), SHIFTED * centre])
+    rotor = ROTOR / n * likelihood.mean(axis=1)
+    total = weight.sum() + rotor.sum()
+    probability = rotor / total
+    means, intervals = zip(*(student.mean_and_interval(theta, one) for one in likelihood))
+    loss, (low, high) = np.array(means), np.array(intervals).T
+    best = int(np.argmax(probability))
+    named = [i for i in np.argsort(-probability) if probability[i] > OTHER * probability.sum()]
+    causes = [{"kind": "rotors", "rotors": [int(i) + 1], "probability": float(probability[i])} for i in named]
+    causes.append({"kind": "centre_of_mass", "rotors": [], "probability": float(weight[1] / total)})
+    rare, sure = p_value < FALSE_ALARM and probability.sum() > 0.5, probability[best] > SURE
+    verdict = "fault" if rare and sure and p_value < FALSE_FAULT else "ambiguous" if rare else "healthy"
+    if verdict == "healthy":
+        return {"verdict": verdict, "reason": "", "rotors": [], "causes": [], "p_value": p_value, "loss": [0.0] * n,
+                "interval": [[0.0, float(v)] for v in high]}  # fmt: skip
+    said = f"rotor {best + 1} ({100 * loss[best]:.0f} % loss)"
+    if verdict == "fault":
+        named = [best]
+        reason = (
+            f"{said} had to work harder from take-off on than in any healthy vehicle, and roll, pitch and yaw agree."
+        )
+    else:
+        others = "".join(f", rotor {i + 1}" for i in named if i != best)
+        reason = (
+            f"{said}{others} or a centre of mass off the middle: from take-off on the rotors were commanded unlike those of healthy "
+            "vehicles, and yaw does not tell them apart."
+        )
+        low = np.zeros(n)
+    mine = np.isin(np.arange(n), named)
+    return {"verdict": verdict, "reason": reason, "rotors": [best + 1], "causes": causes, "p_value": p_value,
+            "loss": np.where(mine, loss, 0.0).tolist(),
+            "interval": [[float(a), float(b)] for a, b in zip(np.where(mine, low, 0.0), high)]}  # fmt: skip
+
+
+def _density(rest: np.ndarray, scale: np.ndarray, yaw_sd) -> np.ndarray:
+    """(g,) t densities, but for a factor, of rest (g, 3) with variances yaw_sd (g,) squared more in yaw."""
+    return student.density(rest, scale, FREEDOM, (0.0, 0.0, np.square(yaw_sd)))
+
+
+def _weak(B: np.ndarray, rotor: int, theta: np.ndarray) -> np.ndarray:
+    """(g, 3) w of an otherwise equal vehicle of effectiveness B (4, n) whose rotor lost theta (g,)."""
+    share = (np.linalg.pinv(B) @ B)[rotor, rotor]
+    lacks = theta / (1.0 - share * theta)
+    return lacks[:, None] * B[:3, rotor] / (B[3].sum() + lacks * B[3, rotor])[:, None]

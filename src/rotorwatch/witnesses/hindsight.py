@@ -1,0 +1,131 @@
+"""Losses in the blind time after take-off, found afterwards: a flight shows its gains and noise, and with these its start is judged again.
+
+The estimator learns a vehicle's trim, gains and noise in the blind time and so takes a rotor that fails there as normal. After the
+flight gains and noise are known. The same estimator then runs again over the first seconds of each hop, judging from the end of the first
+second in the air on, with the biases open as for any multirotor. Nothing else differs: a loss announced there is an event like any.
+
+Four conditions are physics. What a knock broke looks like any loss, and motion after it is the knock's: the second look ends there, and
+where the vehicle is upset. A loss lasts: one that is over again before the second look ends was a gust, or the ground that was left. A hop
+that hovers at less than half of the command of another stands on the ground. And while the rotors give clearly less than what carries the
+vehicle later, the ground carries the rest, and takes torques as well: the second look begins when they carry all of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rotorwatch.engine.default import events, hypotheses
+from rotorwatch.engine.default.learning import LEARNED_WEIGHT
+from rotorwatch.engine.default.plant import DAMPING, GAIN, PER_AXIS, any_multirotor, lower_rotors
+from rotorwatch.engine.default.program import estimate
+from rotorwatch.engine.estimator.plant import AIR, CURVE, SHARE
+from rotorwatch.flight.diagnosis import Event, Source
+from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LEARN, Ticks
+
+LOOK_S = 7.0  # beyond the blind time: a loss just before its end is announced in it, and has lasted
+REST_S = 20.0  # of flight after the blind time, from which gains and noise are learned without it
+LEAST = 0.05  # of a loss, by its interval: after few seconds the trim of a healthy rotor is not known better
+CARRIES, CARRIES_S = (
+    0.85,
+    1.0,
+)  # share of the thrust per load of later flight, in the mean of so many seconds: ground effect saves less
+STANDS = 0.5  # of the hover command of another hop: so much weight is not dropped in flight
+
+
+def learned(carry, B: np.ndarray) -> dict:
+    """`program.parameters`' dynamics of one flight, from the last carry of its own pass: its gains, damping and noise; biases open."""
+    rows = (np.arange(4)[:, None] * PER_AXIS + np.array([GAIN, DAMPING])).reshape(-1)
+    s, P = np.asarray(carry.s), np.asarray(carry.P)
+    x0, P0 = (a.copy() for a in any_multirotor(B.shape[1]))
+    x0[rows] = s[rows]
+    P0[rows], P0[:, rows] = 0.0, 0.0
+    P0[rows[:, None], rows] = P[rows[:, None], rows]
+    known = {"x0": x0, "P0": P0, "noise": np.asarray(carry.variances), "noise_weight": LEARNED_WEIGHT}
+    also = {"curve": CURVE, "air": AIR, **({"share": SHARE} if lower_rotors(B) is not None else {})}
+    known |= {name: [float(s[k]), float(P[k, k])] for name, k in also.items()}
+    return known
+
+
+def beginnings(ticks: Ticks) -> Ticks | None:
+    """The first ticks of each hop from when it is clear of the ground, all of them judged: its blind time and LOOK_S more, up to a knock or
+    an upset. A hop that has no tick after its blind time is left out: nothing shows that what happened in it lasted. None when there is
+    none."""
+    stops = ticks.upset if ticks.contact is None else ticks.upset | ticks.contact
+    keep, restart = np.zeros(len(ticks.time), bool), np.zeros(len(ticks.time), bool)
+    for flying, blind in _hops(ticks):
+        clear = _clear(ticks, flying, blind)
+        look = flying[clear:][ticks.time[flying[clear:]] < ticks.time[flying[blind]] + LOOK_S]
+        stopped = np.flatnonzero(stops[look])
+        if clear < blind and (not stopped.size or stopped[0] > blind - clear):
+            keep[look[: stopped[0]] if stopped.size else look] = True
+            restart[look[0]] = True
+    return _cut(ticks, keep, restart, JUDGE)
+
+
+def _clear(ticks: Ticks, flying: np.ndarray, blind: int) -> int:
+    """From which of the ticks `flying` of a hop on its rotors carry the vehicle; `blind`: how many are blind."""
+    carried = ticks.thrust[flying].sum(axis=1) / np.maximum(ticks.load[flying], 0.1)
+    known = ticks.valid[flying, 3]
+    if not known[blind:].any():
+        return 0
+    carried = np.where(known, carried, np.median(carried[blind:][known[blind:]]))
+    few = max(1, round(CARRIES_S / ticks.dt))
+    mean = np.convolve(carried, np.ones(few) / few, "valid")
+    enough = np.flatnonzero(mean >= CARRIES * np.median(carried[blind:]))
+    return int(enough[0]) if enough.size else blind
+
+
+def rest(ticks: Ticks) -> Ticks | None:
+    """The ticks of each hop from its blind time on, for REST_S: to learn from; None when there is none."""
+    keep, restart = np.zeros(len(ticks.time), bool), np.zeros(len(ticks.time), bool)
+    for flying, blind in _hops(ticks):
+        keep[flying[blind : blind + round(REST_S / ticks.dt)]] = True
+        restart[flying[blind]] = True
+    return _cut(ticks, keep, restart, LEARN)
+
+
+def _hops(ticks: Ticks) -> list[tuple[np.ndarray, int]]:
+    """(ticks in the air, how many of them are blind) of every hop that is one and goes on after its blind time."""
+    first = np.flatnonzero(ticks.restart)
+    found = []
+    for start, end in zip(first, [*first[1:], len(ticks.time)]):
+        flying = np.flatnonzero(ticks.mode[start:end] > GROUND) + start
+        seen = np.flatnonzero(ticks.mode[flying] != LEARN)
+        if seen.size and ticks.hover[start] >= STANDS * ticks.hover[first].max():
+            found.append((flying, int(seen[0])))
+    return found
+
+
+def _cut(ticks: Ticks, keep: np.ndarray, restart: np.ndarray, mode: int) -> Ticks | None:
+    """The ticks `keep` (T,), all of one mode; None when there is none."""
+    if not keep.any():
+        return None
+    return replace(ticks, restart=restart, mode=np.full(len(ticks.time), mode, np.int32)).part(keep)
+
+
+def find(carry, ticks: Ticks, B: np.ndarray) -> tuple[Event, ...]:
+    """Losses that began in the blind time of a hop and last; `detected_s` is the end of what was looked at again, `live` is False.
+
+    carry: the last of the flight's own pass over `ticks`; B (4, n): effectiveness."""
+    again = beginnings(ticks)
+    if again is None:
+        return ()
+    _, out = estimate(again, B, learned(carry, B))
+    if not out.announced.any() and float(out.statistic.max()) > -hypotheses.CLEAR:
+        # As likely as any disturbance, not ten times so: a loss in the blind time is in the noise that was learned there, as disturbances
+        # that would explain it.
+        later, _ = estimate(rest(ticks) or again, B)
+        _, out = estimate(again, B, learned(later, B))
+    starts = again.time[again.restart]
+    ends = np.append(again.time[np.flatnonzero(again.restart)[1:] - 1], again.time[-1])
+    found = []
+    for event in events.read(out, again, B):
+        hop = max(int(np.searchsorted(starts, event.detected_s, "right")) - 1, 0)
+        later = ticks.time[(ticks.mode == JUDGE) & (ticks.time >= starts[hop])]
+        least = max(low for low, _ in event.interval)
+        if event.end_s is None and event.onset_s < later[0] and (least > LEAST or event.alternatives):
+            extra = {**event.extra, "live": False}
+            found.append(replace(event, detected_s=float(ends[hop]), extra=extra, source=Source.HINDSIGHT))
+    return tuple(found)

@@ -1,0 +1,121 @@
+"""What the rotors of a vehicle did around the moment it left control: every explanation at every onset, by the balance (`balance`).
+
+Explanations: all rotors gave what was commanded; one of them lost a share theta from a tick on, or gave one thrust whatever it was
+commanded; all of them did alike (battery); something turned the vehicle from outside (a torque that lasts); two outputs went to each
+other's motor; yaw works the wrong way round. Sizes and onsets are summed over a grid, with the prior of each.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from rotorwatch.witnesses.upset.balance import Fit, Offset, Window, delivered, fit
+
+SIZES = np.array([0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
+STUCK = np.array(
+    [0.5, 0.7, 0.9]
+)  # of full thrust, of a rotor that follows no command any more but gives more than in hover
+CARRIES = 1.5  # hover thrusts: a rotor that still gives so much, turns nothing over
+# How often each kind of explanation is met, of vehicles that left control.
+PRIOR = {"healthy": 0.4, "rotor": 0.4, "outside": 0.1}
+ORDER = {"healthy": 0.25, "rotor": 0.35, "outside": 0.08, "order": 0.25, "yaw": 0.05}
+# That all rotors fail alike: where the battery's voltage was steady (then none can, but commands that are wrong look so), where it is not
+# logged, where it collapsed.
+COMMON = {False: 1e-12, None: 0.005, True: 0.3}
+EXTERNAL_SD = 1.0  # hover thrusts of one rotor, of a torque from outside that lasts
+CHUNK = 256  # courses that are fitted at once
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """One kind of explanation, summed over sizes and onsets. kind: healthy, rotor, common, outside, order or yaw; rotors (0-based); log:
+    of its evidence with its prior; onset: most probable [s]; size: mean loss, low, high: its 95 % interval; residual (K, 4) of the best;
+    gives: the thrust that the rotor gave whatever it was commanded, in hover thrusts, where that is the likeliest, else 0."""
+
+    kind: str
+    rotors: tuple[int, ...]
+    log: float
+    onset: float
+    size: float
+    low: float
+    high: float
+    residual: np.ndarray
+    gives: float = 0.0
+
+
+def explain(
+    window: Window, B: np.ndarray, offset: Offset, onsets: np.ndarray, orders: bool, sagged: bool | None = None
+) -> tuple[tuple[Explanation, ...], np.ndarray]:
+    """All explanations, the most probable first, and their probabilities.
+
+    B (4, n); onsets: indices of the ticks at which something may have begun; orders: whether outputs may go to the wrong motors (at the
+    first take-off: later it would have shown); sagged: whether the battery's voltage collapsed, None where that is not known.
+    """
+    n, K = B.shape[1], window.time.size
+    T = delivered(window)
+    healthy = T @ B.T
+    courses: list[np.ndarray] = []
+    labels: list[tuple[str, tuple[int, ...], int, float, float]] = []
+    prior = {**(ORDER if orders else PRIOR), "common": COMMON[sagged]}
+
+    sizes = SIZES[(1.0 - SIZES) * window.full < CARRIES]
+
+    def add(kind, rotors, onset, size, wrench, gives=0.0):
+        courses.append(wrench)
+        labels.append((kind, rotors, onset, size, gives))
+
+    add("healthy", (), 0, 0.0, healthy)
+    for k in onsets:
+        since = (np.arange(K) >= k)[:, None]
+        for size in sizes:
+            for i in range(n):
+                lost = np.zeros(n)
+                lost[i] = size
+                add("rotor", (i,), k, size, np.where(since, (T * (1.0 - lost)) @ B.T, healthy))
+            if size <= 0.9:
+                add("common", (), k, size, np.where(since, (1.0 - size) * healthy, healthy))
+        # At the first take-off outputs that go to the wrong motors look the same, and are met far more often.
+        for gives in () if orders else STUCK[STUCK * window.full > 1.0] * window.full:
+            for i in range(n):
+                other = np.where(np.arange(n) == i, gives, T)
+                add("rotor", (i,), k, 1.0, np.where(since, other @ B.T, healthy), gives)
+        for a in range(3):
+            for push in (-1.5, -0.6, 0.6, 1.5):
+                shifted = healthy.copy()
+                shifted[:, a] += np.where(since[:, 0], push * EXTERNAL_SD, 0.0)
+                add("outside", (), k, push, shifted)
+    if orders:
+        for i, j in combinations(range(n), 2):
+            swapped = T.copy()
+            swapped[:, [i, j]] = swapped[:, [j, i]]
+            add("order", (i, j), 0, 0.0, swapped @ B.T)
+        add("yaw", (), 0, 0.0, healthy * np.array([1.0, 1.0, -1.0, 1.0]))
+    fits = [fit(window, np.stack(courses[c : c + CHUNK]), B, offset) for c in range(0, len(courses), CHUNK)]
+    log = np.concatenate([f.log_evidence for f in fits])
+    found = [
+        _summed(kind, rotors, prior, labels, log, fits, window) for kind, rotors in dict.fromkeys(x[:2] for x in labels)
+    ]
+    found.sort(key=lambda e: -e.log)
+    weight = np.exp(np.array([e.log for e in found]) - found[0].log)
+    return tuple(found), weight / weight.sum()
+
+
+def _summed(kind, rotors, prior, labels, log, fits: list[Fit], window: Window) -> Explanation:
+    mine = np.array([k for k, x in enumerate(labels) if x[0] == kind and x[1] == rotors])
+    kinds = len({x[1] for x in labels if x[0] == kind})
+    top = float(log[mine].max())
+    weight = np.exp(log[mine] - top)
+    evidence = top + float(np.log(weight.mean())) + float(np.log(prior[kind] / kinds))
+    weight = weight / weight.sum()
+    best = int(mine[np.argmax(weight)])
+    sizes = np.array([labels[k][3] for k in mine])
+    mean = float(weight @ sizes)
+    sd = float(np.sqrt(weight @ (sizes - mean) ** 2 + (0.5 * (SIZES[1] - SIZES[0])) ** 2))
+    onsets = np.array([labels[k][2] for k in mine])
+    when = window.time[onsets[np.argmax(weight)]]
+    residual = fits[best // CHUNK].residual[best % CHUNK]
+    low, high = max(0.0, mean - 1.96 * sd), min(1.0, mean + 1.96 * sd)
+    return Explanation(kind, rotors, evidence, float(when), mean, low, high, residual, labels[best][4])

@@ -1,0 +1,341 @@
+"""The loss of control of a flight, its cause, and the rotors that may be to blame; `answer/falls.py` makes events of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorwatch.answer.falls import SURE
+from rotorwatch.flight import Flight
+from rotorwatch.flight.kinds import ORDER
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.engine.front.losses import CREDIBLE
+from rotorwatch.engine.motion import allocation, ticks
+from rotorwatch.engine.motion.contact import LEAST_GAIN
+from rotorwatch.engine.motion.ticks import Sensed
+from rotorwatch.witnesses.upset import loss_of_control
+from rotorwatch.witnesses.upset.balance import INERTIA, Offset, Window
+from rotorwatch.witnesses.upset.explain import Explanation, explain
+from rotorwatch.witnesses.upset.loss_of_control import HIT_S, LossOfControl, held, thrust_axis
+
+BEFORE_S, AFTER_S = 2.0, 3.0  # of the upset that are looked at, at most
+EARLIER_S, LATER_S = 0.7, 0.3  # of its onset at which a cause may have begun
+CALM_S = 0.4  # of flight under control before, from which the offset of the torques is known
+CALM_SD, UNKNOWN_SD = 0.1, 0.15
+FIRST_S = 3.0  # after lift-off: what is wrong now was wrong on the ground
+STIRS = 2.0, 0.2  # rad/s^2, rad/s: a vehicle that has moved
+LIES = 0.15, 1.5  # rad/s, rad/s^2: below both for three ticks, a vehicle that has turned over lies on the ground
+STOPS_S, TURNED_OVER = (
+    0.5,
+    1.0,
+)  # s within which the ground stops it; rad/s that it stops: one that drifts out of control is in the air
+PINNED = 3.0  # rad/s: the ranges of gyros end above
+MOST_TICKS = 60
+HOVER_PARAMETERS = ("MOT_THST_HOVER", "MPC_THR_HOVER")
+USUAL_HOVER = 0.35
+
+FITS = 1.7  # standard deviations, root mean square: beyond, even the best explanation does not explain the motion
+TURNED = 1.4  # the same, of torques: the rotors turned the vehicle as commanded
+STRAYS, STRAYS_THRUST = 3.0, 1.5  # standard deviations of torque and of thrust: the motion leaves the commands
+JOINS_S = 0.5  # a departure that began earlier in the residuals is the same
+KNOCK_S = 0.3
+DISARMED_S = 1.0
+SAG = 0.85  # share of the usual voltage below which the power fails
+BATTERY_S = 60.0  # of flight before, from which it is learned how the voltage follows the current
+UNSAID = "the battery's voltage fell, and no current is logged that would tell whether that was cause or effect"
+RESISTANCE = 0.05, 0.05  # share of the voltage that the usual current costs, and by how much batteries differ
+LIMIT, LIMIT_SHARE = 0.97, 0.5  # of full thrust; of the last second before the onset in which an output was there
+LEVEL_DEG = 40.0
+TRIM = 0.1  # arm lengths: healthy vehicles are commanded less of roll and pitch in calm flight (witnesses/healthy/population.py, 95 %)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """The verdict on one loss of control. cause; explanations with their probabilities, () where the log shows too little; window; onset
+    [s]; evidence: sentences; commanded: until when the log holds commands of each rotor, infinite where up to the onset, None where it
+    never did [s]."""
+
+    left: LossOfControl
+    cause: str
+    found: tuple[Explanation, ...]
+    probability: np.ndarray
+    window: Window | None
+    onset: float
+    evidence: tuple[str, ...]
+    commanded: tuple[float | None, ...] = ()
+
+    @property
+    def fell(self) -> bool:
+        """Whether it went on until the vehicle hit the ground."""
+        return self.left.impact is not None and self.left.impact - self.onset > HIT_S
+
+
+def judged(flight: Flight, vehicle: Vehicle, air) -> tuple[Judged, ...]:
+    """Every loss of control of a flight with its cause. air: intervals ((start, end), ...) s in the air."""
+    found = (judge(flight, vehicle, air, left) for left in loss_of_control.find(flight, air))
+    return tuple(replace(one, commanded=_commanded(flight, one.onset)) for one in found)
+
+
+def _commanded(flight: Flight, onset: float) -> tuple[float | None, ...]:
+    """`Judged.commanded`."""
+    if not flight.has("motors"):
+        return ()
+    motors = flight["motors"].between(-np.inf, onset)
+    known = [motors.time[column] for column in motors.valid.T]
+    return tuple(None if not t.size else np.inf if t[-1] == motors.time[-1] else float(t[-1]) for t in known)
+
+
+def judge(flight: Flight, vehicle: Vehicle, air, left: LossOfControl) -> Judged:
+    """The cause of one loss of control."""
+    if left.landed:
+        return Judged(left, "unknown", (), np.empty(0), None, left.onset, ("it had landed before, under control",))
+    start = next((a for a, b in air if a - 1.0 <= left.onset <= b + 1.0), left.onset)
+    got = window_of(flight, vehicle, left, start)
+    if got is None:
+        return Judged(left, "disarmed" if left.falls else "unknown", (), np.empty(0), None, left.onset, ())
+    window, offset, onsets, at_take_off, ground = got
+    found, probability = explain(
+        window, vehicle.effectiveness(), offset, onsets, at_take_off, _sagged(flight, left.onset)
+    )
+    healthy = next(e for e in found if e.kind == "healthy")
+    onset = left.onset if left.falls else _strays(window, healthy.residual, left.onset)
+    cause, evidence = _cause(flight, vehicle, start, left, found, probability, window, onset)
+    if cause == "controller" and np.abs(offset.mean[:2]).max() > TRIM * len(vehicle.rotors):
+        cause, evidence = "unknown", ("its rotors had been commanded unlike those of healthy vehicles since take-off",)
+    if left.impact is None and ground is not None:
+        left = replace(left, impact=ground)
+    return Judged(left, cause, found, probability, window, onset, evidence)
+
+
+def _cause(
+    flight, vehicle, start: float, left: LossOfControl, found, probability, window: Window, onset: float
+) -> tuple[str, tuple[str, ...]]:
+    """The cause of a loss of control, and the sentences that speak for it."""
+    if left.falls:
+        disarmed = any(
+            m.kind == "armed" and not m.value and abs(m.time - left.onset) < DISARMED_S for m in flight.messages
+        )
+        return "disarmed", (
+            "all outputs went to rest in the air" + (", and the autopilot says disarmed" if disarmed else ""),
+        )
+    best, p = found[0], float(probability[0])
+    rms = np.sqrt((best.residual[:, :3] ** 2).mean(axis=0))
+    fits = bool((rms < FITS).all())
+    rotor = sum(float(q) for e, q in zip(found, probability) if e.kind == "rotor")
+    struck = _struck(window, vehicle.effectiveness(), onset)
+    if rotor > SURE and fits and not struck:
+        without = (
+            f"with {best.gives:.1f} times the thrust of hover, whatever it was commanded,"
+            if best.gives
+            else "without its thrust"
+        )
+        return "rotor", (f"the motion is what {_names(found, probability)} {without} would make it",)
+    order = sum(float(q) for e, q in zip(found, probability) if e.kind in ("order", "yaw"))
+    if best.kind in ("order", "yaw") and order > SURE and fits:
+        return ORDER, ("the first movement went against the commands",)
+    blow = left.impact is not None and left.impact - onset <= HIT_S and not loss_of_control.low(flight, onset, start)
+    if struck or blow:
+        return "knock", ("something outside pushed the vehicle harder than its rotors can",)
+    sagged = _sagged(flight, onset)
+    if sagged:
+        return "power", ("the battery's voltage collapsed, by more than its current explains",)
+    early = (window.time > onset - 1.0) & (window.time <= onset)
+    limit = (window.thrust[early] > LIMIT * window.full).any(axis=1)
+    if best.kind == "healthy" and p > SURE and early.any() and limit.mean() > LIMIT_SHARE:
+        return "saturated", ("outputs had been at their limits before control was lost",)
+    flying = window.time < (np.inf if left.impact is None else left.impact)
+    torque = next(e for e in found if e.kind == "healthy").residual[flying, :3]
+    turned = (
+        left.onset - start > FIRST_S and torque.size > 0 and bool((np.sqrt((torque**2).mean(axis=0)) < TURNED).all())
+    )
+    # Air may have taken the thrust, too: what the torques say of a rotor has to be nothing without that explanation as well.
+    nobody = best.kind == "common" and rotor < (1.0 - SURE) * float(probability[1:].sum())
+    if (best.kind == "healthy" and p > SURE and fits and turned) or (nobody and turned and _level(flight, left, onset)):
+        return "controller", (
+            "all rotors turned the vehicle as commanded, so the commands were wrong: from a sensor, an estimate or the pilot",
+        )
+    unsaid = sagged is None and _fell(flight, onset)
+    return "unknown", (UNSAID,) if unsaid else ()
+
+
+def _struck(window: Window, B: np.ndarray, onset: float) -> bool:
+    """Did the vehicle turn, as control was lost, as the loss of no two of its rotors could turn it? Sizes as for knocks in flight."""
+    n, torque = B.shape[1], (window.thrust @ B.T)[:, :3]
+    near = np.abs(window.time - onset) <= KNOCK_S
+    with_it = np.maximum(np.sign(window.rate_dot) * torque, 0.0)
+    most = np.sort(np.maximum(window.thrust, window.before), axis=1)[:, -2:].sum(axis=1)
+    beyond = (LEAST_GAIN * n * np.abs(window.rate_dot) - with_it).max(axis=1) - most
+    return bool((beyond[near & window.torque_ok.all(axis=1)] > 0.0).any())
+
+
+def _names(found, probability) -> str:
+    who = [e.rotors[0] + 1 for e, p in zip(found, probability) if e.kind == "rotor" and p >= CREDIBLE]
+    return "rotor " + " or ".join(str(r) for r in who)
+
+
+def _fell(flight: Flight, onset: float) -> bool | None:
+    """Did the battery's voltage fall far as control was lost? None where it is not known."""
+    if not flight.has("battery"):
+        return None
+    battery = flight["battery"]
+    volts = np.where(battery.valid[:, 0], battery.values[:, 0], np.nan)
+    usual, now = volts[battery.time < onset - 1.0], volts[np.abs(battery.time - onset) < 1.5]
+    if np.isfinite(usual).sum() < 3 or not np.isfinite(now).any() or np.nanmedian(usual) <= 0.0:
+        return None
+    return float(np.nanmin(now)) < SAG * float(np.nanmedian(usual))
+
+
+def _sagged(flight: Flight, onset: float) -> bool | None:
+    """Did it fall by more than its current explains? None where that is not known.
+
+    Before, the voltage is E + D t - R I: a controller that fights for a dead rotor draws twice the current, and the voltage sags by that.
+    """
+    fell = _fell(flight, onset)
+    if not fell:
+        return fell
+    battery = flight["battery"]
+    time, volts = battery.time, np.where(battery.valid[:, 0], battery.values[:, 0], np.nan)
+    before, now = time < onset - 1.0, np.abs(time - onset) < 1.5
+    usual = float(np.nanmedian(volts[before]))
+    logged = battery.values.shape[1] > 1 and battery.valid[:, 1]
+    amps = np.where(logged, battery.values[:, -1], np.nan)
+    known = np.isfinite(volts) & np.isfinite(amps)
+    if (known & before).sum() < 3 or not (known & now).any() or not np.nanmedian(amps[before]) > 0.0:
+        return None
+    load = amps / np.nanmedian(amps[before])
+    X = np.column_stack([np.ones(time.size), (time - onset) / BATTERY_S, -load])
+    lately = known & before & (time > onset - BATTERY_S)
+    lately = lately if lately.sum() > 2 else known & before
+    noise = max(float(np.diff(volts[lately]).std()), 0.002 * usual)
+    # How much the voltage falls with the current is open where the current has hardly changed: by RESISTANCE of the usual, or so.
+    mean, sd = np.array([usual, 0.0, RESISTANCE[0] * usual]), np.array([usual, usual, RESISTANCE[1] * usual])
+    P = np.linalg.inv(X[lately].T @ X[lately] / noise**2 + np.diag(sd**-2.0))
+    fit = P @ (X[lately].T @ volts[lately] / noise**2 + mean / sd**2)
+    x = X[known & now]
+    beyond = volts[known & now] - x @ fit + 2.0 * np.sqrt(np.einsum("ij,jk,ik->i", x, P, x) + noise**2)
+    return bool(beyond.min() < (SAG - 1.0) * usual)
+
+
+def _level(flight: Flight, left: LossOfControl, onset: float) -> bool:
+    """Did the autopilot believe that the vehicle was upright while it left?"""
+    if not flight.has("attitude"):
+        return False
+    q, age = held(flight["attitude"], np.linspace(onset, left.onset, 5))
+    return bool((age < 1.0).all() and (thrust_axis(q)[:, 2] > np.cos(np.radians(LEVEL_DEG))).all())
+
+
+def _strays(window: Window, residual: np.ndarray, onset: float) -> float:
+    """When the motion began to leave the commands, of a loss of control that showed at `onset` [s]."""
+    far = (np.abs(residual[:, :3]) > STRAYS).any(axis=1) | (np.abs(residual[:, 3]) > STRAYS_THRUST)
+    first = onset
+    for k in np.flatnonzero(far & (window.time < onset))[::-1]:
+        if first - window.time[k] > JOINS_S:
+            break
+        first = float(window.time[k])
+    return first
+
+
+def until_impact(flight: Flight, air, found: Sequence[Judged]) -> tuple[tuple[float, float], ...]:
+    """`loss_of_control.until_impact` for losses of control whose onset has been judged."""
+    return loss_of_control.until_impact(
+        flight, air, tuple(replace(j.left, onset=min(j.onset, j.left.onset)) for j in found)
+    )
+
+
+def window_of(
+    flight: Flight, vehicle: Vehicle, left: LossOfControl, start: float
+) -> tuple[Window, Offset, np.ndarray, bool, float | None] | None:
+    """The ticks around an upset, the torques' offset before it, indices of the ticks at which its cause may have begun, whether it came
+    with the take-off, and when the vehicle lay on the ground, or None [s]; None where the log shows no commands or rates there. start:
+    of the flight [s]."""
+    first, last = left.onset - BEFORE_S, min(left.lost + AFTER_S, np.inf if left.end is None else left.end)
+    if left.impact is not None and left.impact > left.onset + HIT_S:
+        last = min(last, left.impact)
+    part = replace(flight, signals={k: s.between(first - 3.0, last + 1.0) for k, s in flight.signals.items()})
+    if not part.has("motors") or not (part.has("gyro") or part.has("rates")):
+        return None
+    thrust = allocation.rotor_thrusts(part, vehicle)
+    if len(thrust) < 4:
+        return None
+    how = ticks.plan(part, thrust, 0.0)
+    seen = ticks.sense(part, thrust, how)
+    at_take_off = left.onset - start < FIRST_S
+    hover = _hover(flight, seen, vehicle, left.onset, at_take_off)
+    stirs = (np.abs(seen.rate_dot).max(axis=1) > STIRS[0]) | (np.abs(seen.rate).max(axis=1) > STIRS[1])
+    stirs &= seen.rate_ok & (seen.share.max(axis=1) > 0.05) & (seen.time > start - FIRST_S)
+    began = float(seen.time[np.argmax(stirs)]) - how.dt if at_take_off and stirs.any() else first
+    still = (np.abs(seen.rate).max(axis=1) < LIES[0]) & (np.abs(seen.rate_dot).max(axis=1) < LIES[1]) & seen.rate_ok
+    still &= seen.time > max(left.onset + LATER_S, left.lost - loss_of_control.LASTS_S)
+    lies = np.flatnonzero(still[2:] & still[1:-1] & still[:-2])
+    turning = np.abs(seen.rate).max(axis=1)
+    stopped = last
+    for k in lies:  # and what stopped it was the ground
+        before = np.flatnonzero((seen.time <= seen.time[k]) & (seen.time >= max(seen.time[k] - STOPS_S, left.onset)))
+        if before.size and turning[before].max() > TURNED_OVER:
+            stopped = float(seen.time[before[np.argmax(turning[before])]])
+            break
+    ground, last = (stopped if stopped < last else None), min(last, stopped)
+    first = max(first, began, left.onset - MOST_TICKS * how.dt / 3.0)
+    inside = np.flatnonzero(
+        (seen.time >= first) & (seen.time <= last + (how.lag_s if ground is None else 0.0)) & seen.some
+    )[:MOST_TICKS]
+    commanded = np.flatnonzero(seen.share[inside].max(axis=1, initial=0.0) > loss_of_control.REST)
+    if commanded.size and not left.falls:  # with its motors stopped, a vehicle tumbles on as it likes
+        inside = inside[: commanded[-1] + 2]
+    if inside.size < 3:
+        return None
+    T = seen.share / hover
+    window = Window(
+        seen.time[inside], T[inside], 1.0 / hover, seen.rate[inside], seen.rate_dot[inside], seen.load[inside],
+        seen.rate_ok[inside, None] & ~_pinned(seen.rate[inside], seen.rate_dot[inside]), seen.load_ok[inside],
+        T[np.maximum(inside - 1, 0)], T[np.minimum(inside + 1, len(seen) - 1)], left.onset,
+    )  # fmt: skip
+    causes = np.flatnonzero((window.time >= left.onset - EARLIER_S) & (window.time <= left.onset + LATER_S))
+    onsets = np.union1d([0], causes) if at_take_off or not causes.size else causes
+    return (
+        window,
+        _offset(window, vehicle.effectiveness(), left.onset - EARLIER_S, at_take_off),
+        onsets,
+        at_take_off,
+        ground,
+    )
+
+
+def _pinned(rate: np.ndarray, rate_dot: np.ndarray) -> np.ndarray:
+    """(K, 3) bool: a gyro at the end of its range, where it tells no acceleration."""
+    most = np.abs(rate).max(axis=0)
+    there = (np.abs(rate) > 0.97 * most) & (np.abs(rate_dot) < STIRS[0]) & (most > PINNED)
+    return there & (there.sum(axis=0) >= 4)
+
+
+def _hover(flight: Flight, seen: Sensed, vehicle: Vehicle, until: float, at_take_off: bool) -> float:
+    """Mean share of full thrust that carries the vehicle: as learned from healthy flights, of the ticks before `until` [s] at which about
+    one g was carried, or as the autopilot has learned it."""
+    known = ticks.known_hover(vehicle)
+    if known:
+        return known
+    mean = seen.share.mean(axis=1)
+    load = np.where(seen.load_ok, seen.load, 1.0)
+    carried = (
+        seen.some
+        & (mean > 0.02)
+        & (np.abs(seen.rate).max(axis=1) < 1.0)
+        & (load > 0.7)
+        & (load < 1.6)
+        & (seen.time < until)
+    )
+    if not at_take_off and carried.any():
+        return float(np.clip(np.median(mean[carried] / load[carried]), 0.05, 1.0))
+    learned = [flight.parameters[name] for name in HOVER_PARAMETERS if 0.05 < flight.parameters.get(name, 0.0) < 0.8]
+    return float(learned[0]) if learned else USUAL_HOVER
+
+
+def _offset(window: Window, B: np.ndarray, until: float, at_take_off: bool) -> Offset:
+    """Torques that the vehicle is commanded in calm flight before `until` [s]: trim."""
+    calm = np.flatnonzero((window.time < until) & window.torque_ok.all(axis=1))
+    if at_take_off or calm.size < 2 or window.time[calm[-1]] - window.time[calm[0]] < CALM_S:
+        return Offset(np.zeros(3), np.full(3, UNKNOWN_SD))
+    w = (window.thrust @ B.T)[calm, :3] - B.shape[1] * INERTIA * window.rate_dot[calm]
+    return Offset(-np.median(w, axis=0), CALM_SD + 0.5 * w.std(axis=0))

@@ -1,0 +1,429 @@
+"""When a vehicle left control: its attitude or rates part from what was wanted, and do not come back; or it falls without thrust.
+
+Wanted is what the autopilot asked for: the direction of thrust (attitude_wanted), which aerobatics turn as well, or, where there is none,
+the rates (rates_wanted). Where a log has neither, only a vehicle on its head is out of control.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorwatch.base.physics import G0
+from rotorwatch.flight import Flight, Signal
+from rotorwatch.engine.motion.airborne import commands, output_range
+
+# Degrees between the actual direction of thrust and any that was wanted lately, and for how long. Healthy vehicles of public logs,
+# aerobatics and gusts of 18 m/s included, stay below 20 degrees, but for half a second of 57 in one manual flight.
+ERROR_DEG, LASTS_S = 40.0, 0.4
+AWAY_DEG, AWAY_S = 20.0, 2.0  # less, for long: of public logs only vehicles that no longer fly as they are asked
+LOST_S = 1.2  # control that is back sooner was not lost: a knock or a hard turn that the vehicle mastered
+TUMBLED_DEG = 100.0  # two samples so far from all that was wanted: it tumbled, however it came to rest
+SPINS = 20.0  # rad/s of yaw, faster than anybody asks for
+ANSWERS_S = 0.6  # within which a vehicle under control has the attitude, or the rates, that were wanted
+BACK = np.linspace(0.0, ANSWERS_S, 7)
+TURNS_S, TURNED_RAD = (
+    10.0,
+    0.2,
+)  # within which a vehicle turns to a heading that is wanted; how exactly headings are held
+RATE_ERROR = 6.0  # rad/s of roll or pitch between the wanted and the actual rate
+OVER_DEG = 100.0  # of tilt, which nobody has asked for where nothing says what was wanted
+BACK_DEG, BACK_S = 15.0, 2.0  # closer than that for so long: control has come back
+MASTERED_S = 0.5  # the same, of a turn that is mastered at once, though another follows it: the vehicle was under control between them
+FRESH_S = 0.5  # a wanted attitude that is older is none
+FALLS, FALLS_S = 0.35, 0.25  # load factor [g] below which a vehicle falls, with outputs at rest for so long
+SINKS_M_S, NEARLY_FULL = 4.0, 0.85  # down, at so much of all outputs' range
+REST = 0.015  # share of the range up to which an output is at rest
+POWERED = 0.1  # share of the range of commands
+HITS_G = 2.0  # g from the side or from above, twice as much from below: no rotor pushes so; the ground does, or another thing
+HIT_S = 0.2  # a blow so soon after the wanted attitude was left made it leave
+SHORT_S = 3.0  # of a flight that ended in its take-off
+LOW_M = 1.5  # above the place of take-off or rest: a blow there is the ground's
+CRASHES_M_S, STOPS_M_S = (
+    5.0,
+    1.0,
+)  # down before a blow, any way after it: no landing, whatever the attitude was believed to be
+FAST_M_S, STAYS_M_S = 2.0, 0.3  # down before a blow, any way after it: a vehicle that fell to the ground
+
+
+@dataclass(frozen=True)
+class LossOfControl:
+    """onset: when the vehicle began to leave what was wanted; lost: when that was certain; end: when control came back, else None; impact:
+    of the ground or what it fell on, None where none was seen [all s]. what: in words. falls: outputs came to rest in the air. landed: it
+    had landed before, so that the ground pushed it as well as its rotors."""
+
+    onset: float
+    lost: float
+    end: float | None
+    impact: float | None
+    what: str
+    falls: bool = False
+    landed: bool = False
+
+
+def thrust_axis(q: np.ndarray) -> np.ndarray:
+    """(n, 3) body z axis in the world, of quaternions (n, 4) body to world."""
+    w, x, y, z = q.T
+    return np.stack([2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)], axis=1)
+
+
+def without_heading(q: np.ndarray) -> np.ndarray:
+    """Quaternions (n, 4) body to world without their turn about the world's vertical axis: the tilt as seen from the vehicle."""
+    w, x, y, z = q.T
+    c, s = w, -z  # the turn back, but for its length
+    size = np.maximum(np.hypot(c, s), 1e-9)
+    return np.stack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w], axis=1) / size[:, None]
+
+
+def held(signal: Signal, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The last sample of all columns before each time, and how old it is [s]; infinitely old where there is none."""
+    ok = signal.valid.all(axis=1)
+    time, values = signal.time[ok], signal.values[ok]
+    if not time.size:
+        return np.zeros((at.size, values.shape[1])), np.full(at.size, np.inf)
+    k = np.searchsorted(time, at, side="right") - 1
+    age = np.where(k >= 0, at - time[np.maximum(k, 0)], np.inf)
+    return values[np.maximum(k, 0)], age
+
+
+def attitude_error(flight: Flight) -> tuple[np.ndarray, np.ndarray, str]:
+    """Times (m,) s, angle (m,) in degrees by which the direction of thrust differs from what was wanted, and what that is, in words.
+
+    NaN where it is not known. A difference of rates counts as the angle that it makes within LASTS_S.
+    """
+    if flight.has("attitude"):
+        attitude = flight["attitude"]
+        ok = attitude.valid.all(axis=1)
+        time, q = attitude.time[ok], attitude.values[ok]
+        axis = thrust_axis(q)
+        angle, words = np.full(time.size, np.nan), "tilted {:.0f} degrees away from what was wanted"
+        if flight.has("attitude_wanted"):
+            angle = _angle(flight["attitude_wanted"], time, q)
+        if flight.has("rates_wanted"):
+            both = np.isnan(angle) & _known_rates(flight, time)
+            rate = np.minimum(_rate_error(flight, time) / RATE_ERROR * ERROR_DEG, 90.0)
+            angle = np.where(both, rate, angle)
+        if np.isnan(angle).all():
+            tilt = np.degrees(np.arccos(np.clip(axis[:, 2], -1.0, 1.0)))
+            angle, words = np.where(tilt > OVER_DEG, tilt, 0.0), "tilted by {:.0f} degrees"
+        return time, np.where(_spins(flight, time), np.fmax(angle, 90.0), angle), words
+    return np.empty(0), np.empty(0), ""
+
+
+def _angle(wanted: Signal, time: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """(m,) degrees between the direction of thrust, of attitudes (m, 4), and the nearest of those wanted in the last ANSWERS_S: a vehicle
+    that follows what it is asked follows it late. NaN where nothing fresh was wanted. A vehicle on its way to another heading that is
+    wanted leans as asked, seen from itself, while that points elsewhere in the world: there the nearer of the two directions counts."""
+    least, fresh = np.full(time.size, -1.0), held(wanted, time)[1] <= FRESH_S
+    turns = _turns(wanted, time, q)
+    for back in BACK:
+        was, age = held(wanted, time - back)
+        cosine = (thrust_axis(q) * thrust_axis(was)).sum(axis=1)
+        own = (thrust_axis(without_heading(q)) * thrust_axis(without_heading(was))).sum(axis=1)
+        cosine = np.where(turns, np.maximum(cosine, own), cosine)
+        least = np.where(age <= FRESH_S, np.maximum(least, cosine), least)
+    return np.where(fresh, np.degrees(np.arccos(np.clip(least, -1.0, 1.0))), np.nan)
+
+
+def heading(q: np.ndarray) -> np.ndarray:
+    """(n,) rad by which quaternions (n, 4) body to world turn about the world's vertical axis."""
+    return 2.0 * np.arctan2(q[:, 3], q[:, 0])
+
+
+def _turns(wanted: Signal, time: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """(m,) bool: the heading of attitudes (m, 4) is one of those wanted in the last TURNS_S, or on the way between them."""
+    ok = wanted.valid.all(axis=1)
+    at, asked = wanted.time[ok], np.unwrap(heading(wanted.values[ok]))
+    if not at.size:
+        return np.zeros(time.size, bool)
+
+    def then(when: np.ndarray) -> np.ndarray:
+        return asked[np.maximum(np.searchsorted(at, when, side="right") - 1, 0)]
+
+    apart = (heading(q) - then(time) + np.pi) % (2.0 * np.pi) - np.pi
+    before = [then(time - back) - then(time) for back in np.arange(0.0, TURNS_S + 0.1, 0.25)]
+    return (apart > np.min(before, axis=0) - TURNED_RAD) & (apart < np.max(before, axis=0) + TURNED_RAD)
+
+
+def _known_rates(flight: Flight, time: np.ndarray) -> np.ndarray:
+    if not flight.has("gyro", "rates_wanted"):
+        return np.zeros(time.size, bool)
+    return held(flight["rates_wanted"], time)[1] <= FRESH_S
+
+
+def _rate_error(flight: Flight, time: np.ndarray) -> np.ndarray:
+    """(m,) rad/s of roll and pitch between the actual rate and the nearest of those wanted in the last ANSWERS_S."""
+    rates = held(flight["gyro"], time)[0][:, :2]
+    wanted = (held(flight["rates_wanted"], time - back)[0][:, :2] for back in BACK)
+    return np.min([np.linalg.norm(rates - was, axis=1) for was in wanted], axis=0)
+
+
+def _spins(flight: Flight, time: np.ndarray) -> np.ndarray:
+    """(m,) bool: the vehicle turns about its vertical axis faster than anybody asks for."""
+    if not flight.has("gyro"):
+        return np.zeros(time.size, bool)
+    rate, age = held(flight["gyro"], time)
+    return (np.abs(rate[:, 2]) > SPINS) & (age <= FRESH_S)
+
+
+def find(flight: Flight, air) -> tuple[LossOfControl, ...]:
+    """The losses of control of a flight, one at most in each of the intervals `air` ((start, end), ...) s in which it was in the air."""
+    time, angle, words = attitude_error(flight)
+    found = []
+    for start, end in _from_the_ground(flight, time, angle, air) or _powered(flight):
+        spans = [
+            d
+            for d in (
+                _leaves(flight, time, angle, words, start, end),
+                _falls(flight, start, end),
+                _sinks(flight, start, end),
+                _strikes(flight, start, end),
+            )
+            if d
+        ]
+        over = None if spans or not air else _turns_over(flight, end)
+        if spans or over:
+            found.append(over or min(spans, key=lambda d: d.onset))
+    return tuple(found)
+
+
+def _from_the_ground(flight: Flight, time: np.ndarray, angle: np.ndarray, air) -> tuple[tuple[float, float], ...]:
+    """`air`, from when the motors were first asked for something if the vehicle had left control before it counted as in the air."""
+    if not air:
+        return ()
+    (start, end), *later = air
+    before = [a for a, b in _powered(flight) if a < start <= b]
+    left = before and (angle[(time >= before[0]) & (time <= start)] > ERROR_DEG).any()
+    return ((before[0] if left else start, end), *later)
+
+
+def _powered(flight: Flight) -> list[tuple[float, float]]:
+    """Spans in which the motors of a vehicle that never flew were asked for something: it may have turned over on the ground."""
+    if not flight.has("motors"):
+        return []
+    time, share = commands(flight)
+    on = np.concatenate([[False], share > POWERED, [False]])
+    starts, stops = np.flatnonzero(on[1:] & ~on[:-1]), np.flatnonzero(~on[1:] & on[:-1]) - 1
+    return [(float(time[a]), float(time[b])) for a, b in zip(starts, stops) if time[b] - time[a] > LASTS_S]
+
+
+def _turns_over(flight: Flight, end: float) -> LossOfControl | None:
+    """A vehicle on its head after a landing at `end` s while its motors still push."""
+    if not flight.has("attitude"):
+        return None
+    until = max((b for a, b in _powered(flight) if a <= end <= b), default=end)
+    attitude = flight["attitude"].between(end, until)
+    ok = attitude.valid.all(axis=1)
+    t, up = attitude.time[ok], thrust_axis(attitude.values[ok])[:, 2]
+    tilt = np.degrees(np.arccos(np.clip(up, -1.0, 1.0)))
+    over = np.flatnonzero(tilt > OVER_DEG)
+    if not over.size or until - t[over[0]] < LOST_S:
+        return None
+    k = int(over[0])
+    return LossOfControl(
+        _began(t, tilt, k), float(min(t[k] + LASTS_S, t[-1])), None, None, "turned over on the ground", landed=True
+    )
+
+
+def _leaves(flight, time, angle, words, start, end) -> LossOfControl | None:
+    inside = np.flatnonzero((time >= start) & (time <= end + LASTS_S) & np.isfinite(angle))
+    if inside.size < 3:
+        return None
+    t, a = time[inside], angle[inside]
+    out = (a > ERROR_DEG) | _long(t, (a > AWAY_DEG) & (a <= ERROR_DEG))
+    for k in np.flatnonzero(out & ~np.concatenate([[False], out[:-1]])):
+        if t[k] > end:
+            return None
+        onset, back = _began(t, a, int(k)), _back(t, a, int(k))
+        impact = hit(flight, onset, end + 30.0 if back is None else back)
+        soon = _back(t, a, int(k), MASTERED_S)
+        # A flight that was over as soon as it began may have ended on its side.
+        last = t[-1] if end - start > SHORT_S else time[np.isfinite(angle)][-1]
+        lasts = (last if soon is None else soon) - t[k]
+        if impact is not None and _ground(flight, impact, onset, start, end):
+            return None
+        until = t[-1] if soon is None else soon
+        over = (a[k:] > TUMBLED_DEG) & (t[k:] <= until)
+        if not (over[1:] & over[:-1]).any() and lasts < (
+            LOST_S if impact is None or impact - onset <= HIT_S else LASTS_S
+        ):
+            continue
+        certain = np.flatnonzero(out[k:] & (t[k:] - t[k] >= LASTS_S))
+        lost = float(t[k + certain[0]]) if certain.size else float(min(t[k] + LASTS_S, t[-1]))
+        largest = float(a[k:][t[k:] <= (lost + 1.0 if back is None else back)].max())
+        return LossOfControl(onset, lost, back, impact, words.format(largest))
+    return None
+
+
+def _long(t: np.ndarray, away: np.ndarray) -> np.ndarray:
+    """(m,) bool: the samples of every run of `away` that lasts AWAY_S."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], away, [False]])))
+    lasting = np.zeros(away.size, bool)
+    for a, b in zip(edges[::2], edges[1::2]):
+        lasting[a:b] = t[b - 1] - t[a] >= AWAY_S
+    return lasting
+
+
+def _began(t: np.ndarray, a: np.ndarray, k: int) -> float:
+    """When the angle that passes APART_DEG at k began to grow: the last sample that was as close as is usual in this flight."""
+    calm = a[: max(k - 5, 1)]
+    usual = max(2.0, 3.0 * float(np.median(calm))) if calm.size > 5 else 2.0
+    close = np.flatnonzero(a[:k] <= min(usual, 0.5 * ERROR_DEG))
+    return float(t[close[-1]] if close.size else t[0])
+
+
+def _back(t: np.ndarray, a: np.ndarray, k: int, lasts: float = BACK_S) -> float | None:
+    """When control came back: the begin of so many seconds within BACK_DEG; None where the flight ends before."""
+    since = None
+    for when, fine in zip(t[k:], a[k:] < BACK_DEG):
+        since = (since if since is not None else when) if fine else None
+        if since is not None and when - since >= lasts:
+            return float(since)
+    return None
+
+
+def _falls(flight: Flight, start: float, end: float) -> LossOfControl | None:
+    """Outputs that come to rest while nothing carries the vehicle."""
+    if not flight.has("motors", "accel"):
+        return None
+    motors, share = flight["motors"], _shares(flight).max(axis=1)
+    accel = flight["accel"]
+    ok = accel.valid.all(axis=1)
+    time, force = accel.time[ok], np.linalg.norm(accel.values[ok], axis=1) / G0
+    near = (time >= start) & (time <= end + 5.0)
+    time, force = time[near], force[near]
+    if not time.size or not motors.time.size:
+        return None
+    k = np.searchsorted(motors.time, time, side="right") - 1
+    rest = (share[np.maximum(k, 0)] < REST) & (k >= 0)
+    falling = (force < FALLS) & rest
+    since = None
+    for when, down in zip(time, falling):
+        since = (since if since is not None else when) if down else None
+        if since is not None and when - since >= FALLS_S:
+            quiet = motors.time[(share < REST) & (motors.time <= when) & (motors.time > since - 1.0)]
+            onset = float(min(since, quiet[0])) if quiet.size else float(since)
+            return LossOfControl(
+                onset, float(when), None, hit(flight, float(when), end + 30.0), "falling without thrust", True
+            )
+    return None
+
+
+def _sinks(flight: Flight, start: float, end: float) -> LossOfControl | None:
+    """A vehicle that sinks fast, and goes on to, while its rotors are asked for nearly all they have."""
+    if not flight.has("motors", "velocity", "accel"):
+        return None
+    velocity = flight["velocity"]
+    inside = (velocity.time >= start) & (velocity.time <= end) & velocity.valid.all(axis=1)
+    time, down = velocity.time[inside], velocity.values[inside, 2]
+    share, age = held(replace(flight["motors"], values=_shares(flight)), time)
+    push, known = held(flight["accel"], time)
+    full = (share.mean(axis=1) > NEARLY_FULL) & (age <= FRESH_S) & (-push[:, 2] < G0) & (known <= FRESH_S)
+    since = None
+    for when, falling in zip(time, full & (down > SINKS_M_S)):
+        since = (since if since is not None else when) if falling else None
+        if since is not None and when - since >= LASTS_S:
+            slow = np.flatnonzero((time < since) & (down < 0.2 * SINKS_M_S))
+            onset = float(time[slow[-1]]) if slow.size else float(since)
+            return LossOfControl(
+                onset,
+                float(when),
+                None,
+                hit(flight, float(when), end + 30.0),
+                f"sinking at {down[time == when][0]:.0f} m/s though nearly full thrust was commanded",
+            )
+    return None
+
+
+def _strikes(flight: Flight, start: float, end: float) -> LossOfControl | None:
+    """A vehicle that strikes the ground faster than anything lands, though its attitude, as it was believed to be, was as wanted."""
+    if not flight.has("velocity"):
+        return None
+    velocity = flight["velocity"].between(start, end + 3.0)
+    time, down = velocity.time, np.where(velocity.valid[:, 2], velocity.values[:, 2], 0.0)
+    at = start
+    while (blow := hit(flight, at, end + 1.0)) is not None:
+        before, after = (time > blow - 0.5) & (time <= blow), (time > blow + 0.5) & (time < blow + 2.5)
+        struck = down[before].max() if before.any() else 0.0
+        if struck > CRASHES_M_S and (np.abs(velocity.values[after]) < STOPS_M_S).all():
+            # It may have been asked to descend before.
+            slow = np.flatnonzero((time < blow - HIT_S) & (down < 0.2 * struck))
+            onset = float(time[slow[-1]]) if slow.size else start
+            return LossOfControl(onset, blow, None, blow, f"striking the ground at {struck:.0f} m/s")
+        at = blow + 0.5
+    return None
+
+
+def _shares(flight: Flight) -> np.ndarray:
+    """(n, rotors) commands as shares of their range; 0 where there is none."""
+    low, high = output_range(flight)
+    motors = flight["motors"]
+    return np.where(motors.valid, np.clip((motors.values - low) / max(high - low, 1e-6), 0.0, 1.0), 0.0)
+
+
+def hit(flight: Flight, start: float, end: float) -> float | None:
+    """The first time after `start` [s] at which a force acts that no rotor makes; None where there is none, or no accelerometer."""
+    if not flight.has("accel"):
+        return None
+    accel = flight["accel"]
+    part = accel.between(start, end)
+    force = np.where(part.valid, part.values, 0.0) / G0
+    blow = (np.hypot(force[:, 0], force[:, 1]) > HITS_G) | (force[:, 2] > HITS_G) | (-force[:, 2] > 2.0 * HITS_G)
+    when = part.time[blow]
+    return float(when[0]) if when.size else None
+
+
+def until_impact(flight: Flight, air, left: tuple[LossOfControl, ...]) -> tuple[tuple[float, float], ...]:
+    """The intervals `air` ((start, end), ...) s, each cut where the vehicle fell to the ground: what outputs and motion do after that says
+    nothing of its rotors."""
+    cut = []
+    for start, end in air:
+        ends = [
+            d.impact for d in left if d.impact is not None and start <= d.onset <= end and d.impact - d.onset > HIT_S
+        ]
+        down = _struck_ground(flight, start, end)
+        ends += [down] if down is not None else []
+        cut.append((start, min([end, *ends])))
+    return tuple(cut)
+
+
+def _struck_ground(flight: Flight, start: float, end: float) -> float | None:
+    """When the vehicle came down fast and stayed where it hit, whatever its motors did then; None where it did not."""
+    if not flight.has("velocity"):
+        return None
+    velocity = flight["velocity"].between(start, end + 2.0)
+    down, when = velocity.values[:, 2], velocity.time
+    if not velocity.valid.all() or when.size < 3:
+        return None
+    at = start + 1.0
+    while (blow := hit(flight, at, end)) is not None:
+        before = (when > blow - 0.5) & (when < blow)
+        after = (when > blow + 2.0) & (when < blow + 5.0)
+        still = after.sum() > 2 and when[-1] > blow + 4.0 and np.abs(velocity.values[after]).max() < STAYS_M_S
+        if before.any() and down[before].max() > FAST_M_S and still:
+            return blow
+        at = blow + 0.5
+    return None
+
+
+def height(flight: Flight, at: float, ground: float) -> float | None:
+    """m above where the vehicle was at `ground` [s]; None where it is not logged."""
+    if not flight.has("position"):
+        return None
+    (now, then), age = held(flight["position"], np.array([at, ground]))
+    return float(then[2] - now[2]) if (age < 2.0).all() else None
+
+
+def low(flight: Flight, at: float, start: float) -> bool:
+    """Is the vehicle, as far as is known, no higher than LOW_M above where it took off?"""
+    above = height(flight, at, start)
+    return above is not None and above < LOW_M
+
+
+def _ground(flight, impact, onset, start, end) -> bool:
+    """Did the vehicle leave what was wanted because it touched the ground? Then it is a landing, or tips over after one."""
+    if impact - onset > HIT_S or end - onset > 3.0:
+        return False
+    above = height(flight, onset, start)
+    return end - onset < 1.0 if above is None else above < LOW_M
