@@ -23,9 +23,9 @@ import numpy as np
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.base.compiling import native
+from rotorwatch.export.export_c import allocator_program
 from rotorwatch.methods.control import allocation
 from rotorwatch.methods.control.allocation import DRIVEN_BY, Allocator, Belief
-from rotorwatch.export.export_c import allocator_program
 
 FRAMES = ("ardupilot-quad-x", "ardupilot-hexa-x", "ardupilot-octa-x", "ardupilot-dodecahexa-x")
 WAYS = (*(("bounded", by) for by in DRIVEN_BY), ("pseudo-inverse", "estimate"))

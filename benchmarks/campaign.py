@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorwatch.lab import campaign
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.lab import campaign
 from rotorwatch.lab.campaign import batch
 from rotorwatch.lab.campaign.plan import Plan
 from rotorwatch.lab.simulation import logbook, loop, prepare

@@ -17,8 +17,8 @@ from pathlib import Path
 import rotorwatch
 from rotorwatch import airframes
 from rotorwatch.base.compiling.translate import Translation
-from rotorwatch.export import export_diagnoser
 from rotorwatch.engine.front import definition, sizes
+from rotorwatch.export import export_diagnoser
 
 HERE = Path(__file__).resolve().parent
 CORE = HERE.parent / "embedded" / "cortex-m7"

@@ -22,14 +22,14 @@ from pathlib import Path
 import numpy as np
 
 from rotorwatch import logs
-from rotorwatch.witnesses.aerobatic import desync
-from rotorwatch.witnesses.aerobatic.innovation import Channel, channels, means
-from rotorwatch.flight import Flight
-from rotorwatch.witnesses.healthy import baselines
-from rotorwatch.logs import blackbox
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.allocation import motor_thrusts, within
+from rotorwatch.flight import Flight
 from rotorwatch.lab.simulation import fpv
+from rotorwatch.logs import blackbox
+from rotorwatch.witnesses.aerobatic import desync
+from rotorwatch.witnesses.aerobatic.innovation import Channel, channels, means
+from rotorwatch.witnesses.healthy import baselines
 from rotorwatch.witnesses.upset import find as upset
 
 LENGTHS_S = (0.03, 0.05, 0.1, 0.2, 0.5)

@@ -19,9 +19,9 @@ import numpy as np
 
 from rotorwatch import airframes, logs
 from rotorwatch.engine.default import program
-from rotorwatch.lab.experiments import limits
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import GROUND, JUDGE, READY_S, observe
+from rotorwatch.lab.experiments import limits
 
 RATES_HZ = (10.0, 25.0, 50.0, 100.0, 400.0, 1000.0)
 LOSSES, AFTER_S, PERIOD_S = (0.2, 0.3), 10.0, 36_000.0

@@ -17,9 +17,9 @@ import numpy as np
 from rotorwatch import airframes, logs
 from rotorwatch.base.backend import jax
 from rotorwatch.engine.default import plant, program
-from rotorwatch.errors import RotorwatchError
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import GROUND, READY_S, observe
+from rotorwatch.errors import RotorwatchError
 
 MEAN_S, BLOCK_S, LEAST_S, TURNS = 5.0, 0.5, 30.0, 3.0
 

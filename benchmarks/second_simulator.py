@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.lab.campaign import closed_loop, plan, summary
 from rotorwatch.errors import RotorwatchError
+from rotorwatch.lab.campaign import closed_loop, plan, summary
 from rotorwatch.lab.simulation import dynamics, reconfigured, rigid
 from rotorwatch.lab.simulation.scenario import Scenario
 

@@ -22,12 +22,12 @@ import numpy as np
 from logging_rate import thinned
 
 from rotorwatch import airframes
-from rotorwatch.lab.campaign import methods, summary
-from rotorwatch.engine.default import program
 from rotorwatch.diagnose import diagnose
-from rotorwatch.lab.experiments import limits
+from rotorwatch.engine.default import program
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LAG_S, READY_S, observe, tick_length
+from rotorwatch.lab.campaign import methods, summary
+from rotorwatch.lab.experiments import limits
 from rotorwatch.lab.simulation import logbook, scenario
 from rotorwatch.lab.simulation import plan as flight_plan
 from rotorwatch.lab.simulation.loop import fly_each

@@ -16,9 +16,9 @@ import rotorwatch as rw
 from rotorwatch import airframes
 from rotorwatch.engine.default import hypotheses, program
 from rotorwatch.engine.default.plant import AXES
-from rotorwatch.lab.experiments.inject import inject
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import READY_S, observe
+from rotorwatch.lab.experiments.inject import inject
 
 ROTOR, LOSS, ONSET = 2, 0.35, 45.0
 OUT = Path(__file__).parent / "methods" / "default-parts.svg"

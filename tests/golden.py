@@ -24,11 +24,11 @@ from tests.link_flights import sent
 from tests.onboard_law import events_in_c, flown
 
 from rotorwatch import diagnose, logs
-from rotorwatch.witnesses.aerobatic import judge as aerobatic
 from rotorwatch.base.compiling.structs import LASTS
+from rotorwatch.engine.motion import ticks
 from rotorwatch.errors import RotorwatchError
 from rotorwatch.gathering import Gathered
-from rotorwatch.engine.motion import ticks
+from rotorwatch.witnesses.aerobatic import judge as aerobatic
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "flights"
 TIME_S, SIZE = 0.0015, 0.0015  # by which rounded numbers may differ and be the same

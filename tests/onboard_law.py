@@ -8,9 +8,9 @@ import numpy as np
 from tests.embedded_c_parts import STRICT
 
 from rotorwatch import airframes
-from rotorwatch.export import export_diagnoser
 from rotorwatch.engine.motion import allocation, ticks
 from rotorwatch.engine.motion.airborne import output_range
+from rotorwatch.export import export_diagnoser
 
 OUTPUTS, ACCEL, GYRO, VELOCITY, STATE, CONTROL, ATTITUDE, BATTERY = range(8)
 FIRST = {BATTERY: 0, STATE: 1, ATTITUDE: 2, VELOCITY: 3, GYRO: 4, ACCEL: 5, OUTPUTS: 6, CONTROL: 7}  # of the same time

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from rotorwatch.lab.campaign import ablation
-from rotorwatch.lab.campaign.constants import TABLE
 from rotorwatch.commands import cli
 from rotorwatch.engine.default import program
 from rotorwatch.engine.default.hypotheses import make
 from rotorwatch.engine.estimator import hypotheses, kalman, model_error, posterior
-from rotorwatch.errors import ConfigError
 from rotorwatch.engine.front import losses
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN, Ticks
+from rotorwatch.errors import ConfigError
+from rotorwatch.lab.campaign import ablation
+from rotorwatch.lab.campaign.constants import TABLE
 
 DT = 0.1
 

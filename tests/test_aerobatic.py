@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes, diagnose
+from rotorwatch.engine.default import events
+from rotorwatch.engine.motion.ticks import JUDGE, READY_S, observe
+from rotorwatch.flight import Flight, Signal
+from rotorwatch.lab.simulation import fpv
 from rotorwatch.witnesses.aerobatic import judge
 from rotorwatch.witnesses.aerobatic.response import respond
-from rotorwatch.engine.default import events
-from rotorwatch.flight import Flight, Signal
 from rotorwatch.witnesses.healthy.calibrate import calibrate
-from rotorwatch.engine.motion.ticks import JUDGE, READY_S, observe
-from rotorwatch.lab.simulation import fpv
 
 CRAFT = airframes.named("betaflight-quad-x")
 B = CRAFT.effectiveness()

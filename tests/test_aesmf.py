@@ -9,11 +9,11 @@ from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.base.compiling.run import run
 from rotorwatch.errors import ConfigError
+from rotorwatch.lab.experiments.studies import ruav_flight, small_systems
 from rotorwatch.methods.estimators.aekf import AEKF
 from rotorwatch.methods.estimators.aesmf import AESMF, gradient
 from rotorwatch.methods.estimators.aukf import AUKF
 from rotorwatch.methods.estimators.esmf import ESMF
-from rotorwatch.lab.experiments.studies import ruav_flight, small_systems
 from rotorwatch.methods.maths import ellipsoid, interval, mit_rule, small, taylor
 from rotorwatch.methods.maths.set_membership import Cutting
 from rotorwatch.methods.maths.systems.helicopter import Helicopter

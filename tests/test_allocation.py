@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes, diagnose, logs
-from rotorwatch.flight import Flight, Signal
-from rotorwatch.flight.vehicle import ThrustCurve
 from rotorwatch.engine.front import deviations, mixer
 from rotorwatch.engine.front.vehicle import Vehicle
 from rotorwatch.engine.motion import allocation
 from rotorwatch.engine.motion.deviations import overrides
+from rotorwatch.flight import Flight, Signal
+from rotorwatch.flight.vehicle import ThrustCurve
 
 FLIGHTS = Path(__file__).resolve().parents[2] / "shared" / "flights"
 needs_flights = pytest.mark.skipif(not FLIGHTS.is_dir(), reason="the shared test flights are not beside the repository")

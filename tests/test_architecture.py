@@ -33,7 +33,11 @@ FORBIDDEN = (
     ("flight/flight.py", "rotorwatch.flight.vehicle_file", "Inside the flight"),
     ("methods/estimators/planted.py", "rotorwatch.methods.estimators.ekf", "Estimators do not"),
     ("methods/maths/systems/planted.py", "rotorwatch.methods.maths.systems.rate_dynamics", "Plants do not"),
-    ("methods/published/detectors/thrust_loss.py", "rotorwatch.methods.published.detectors.esc_current", "Detectors do not"),
+    (
+        "methods/published/detectors/thrust_loss.py",
+        "rotorwatch.methods.published.detectors.esc_current",
+        "Detectors do not",
+    ),
     ("airframes/crazyflie.py", "rotorwatch.airframes.ardupilot", "Airframes do not"),
     ("logs/ulog.py", "rotorwatch.logs.tlog", "Log formats do not"),
     ("serve/hub.py", "rotorwatch.serve.live", "Inside the served"),

@@ -10,10 +10,10 @@ import pytest
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
+from rotorwatch.lab.experiments.studies import reproduce_atsukf as study
 from rotorwatch.methods.estimators.atsukf import ATSUKF
 from rotorwatch.methods.estimators.tsukf import TSUKF
 from rotorwatch.methods.estimators.ukf import UKF
-from rotorwatch.lab.experiments.studies import reproduce_atsukf as study
 from rotorwatch.methods.maths import two_stage, unscented
 from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
 

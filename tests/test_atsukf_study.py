@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from rotorwatch.errors import ConfigError
-from rotorwatch.methods.estimators.tsukf import TSUKF
 from rotorwatch.lab.experiments.studies import reproduce_atsukf as study
 from rotorwatch.lab.experiments.studies import reproduction
 from rotorwatch.lab.experiments.studies import two_stage_as_printed as printed
 from rotorwatch.lab.experiments.studies.uaf_flight import DT, fly, losses
+from rotorwatch.methods.estimators.tsukf import TSUKF
 
 EXACT = 1e-9
 

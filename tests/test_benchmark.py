@@ -14,9 +14,9 @@ from click.testing import CliRunner
 from scipy.stats import binomtest
 
 from rotorwatch.base.optional import tomllib
-from rotorwatch.lab.campaign import batch, benchmark, benchmark_plan, public_data, ranking, results_file, score, summary
 from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError
+from rotorwatch.lab.campaign import batch, benchmark, benchmark_plan, public_data, ranking, results_file, score, summary
 
 pytest.importorskip("pyarrow")
 ROOT = Path(__file__).resolve().parents[1]

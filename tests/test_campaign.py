@@ -16,11 +16,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conftest import trials
+from rotorwatch.commands import cli
+from rotorwatch.errors import ConfigError
 from rotorwatch.lab import campaign
 from rotorwatch.lab.campaign import batch, page, score, store, summary, work
 from rotorwatch.lab.campaign import plan as plans
-from rotorwatch.commands import cli
-from rotorwatch.errors import ConfigError
 from rotorwatch.lab.simulation import scenario
 
 pyarrow = pytest.importorskip("pyarrow")

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 import rotorwatch
-from rotorwatch.lab import campaign
 from rotorwatch.base import backend
-from rotorwatch.lab.campaign import batch, methods, score, work
 from rotorwatch.base.compiling import run, toolchain
 from rotorwatch.engine.motion.ticks import LEARN
-from rotorwatch.methods.published import log_plant, published
+from rotorwatch.lab import campaign
+from rotorwatch.lab.campaign import batch, methods, score, work
 from rotorwatch.lab.simulation import scenario, simulate
+from rotorwatch.methods.published import log_plant, published
 
 pytest.importorskip("pyarrow")
 WIDTH = 4

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import pytest
 
 from rotorwatch.base import many
+from rotorwatch.base.many import processes
 from rotorwatch.lab.experiments.studies import reproduction
 from rotorwatch.lab.experiments.studies.reproduction import Claim, Reproduction
-from rotorwatch.base.many import processes
 
 
 class Drawing:

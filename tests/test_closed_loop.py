@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rotorwatch.lab.campaign import batch, closed_loop, plan, store
-from rotorwatch.methods.control import spinning
-from rotorwatch.methods.control.allocation import believed, rows
 from rotorwatch.engine.default import posterior, program
 from rotorwatch.errors import ConfigError
+from rotorwatch.lab.campaign import batch, closed_loop, plan, store
 from rotorwatch.lab.simulation import control, loop, prepare, reconfigured, record_of, scenario
 from rotorwatch.lab.simulation.multirotor import MULTIROTOR
+from rotorwatch.methods.control import spinning
+from rotorwatch.methods.control.allocation import believed, rows
 
 pytest.importorskip("pyarrow")
 

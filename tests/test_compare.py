@@ -10,11 +10,11 @@ from click.testing import CliRunner
 from rotorwatch import airframes, diagnose
 from rotorwatch.commands import cli
 from rotorwatch.engine.default import program
+from rotorwatch.engine.motion.ticks import JUDGE
 from rotorwatch.errors import ConfigError
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.lab.experiments.studies import compare as study
 from rotorwatch.lab.experiments.studies import compare_flights
-from rotorwatch.flight.diagnosis import Event
-from rotorwatch.engine.motion.ticks import JUDGE
 from rotorwatch.methods.published import published
 
 

@@ -9,8 +9,8 @@ import rotorwatch.diagnose  # noqa: F401  the module: the package has a function
 from conftest import hexa_diagnosis, hexa_event
 from rotorwatch.answer.conclusion import main_event
 from rotorwatch.engine.default.residual_evidence import ResidualEvidence
-from rotorwatch.witnesses.healthy.baselines import Candidate
 from rotorwatch.engine.motion import trust
+from rotorwatch.witnesses.healthy.baselines import Candidate
 
 
 def whole(verdict, rotors=(), loss=0.0, causes=()):

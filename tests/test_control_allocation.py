@@ -13,10 +13,10 @@ import exporting
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.base.compiling import toolchain
-from rotorwatch.methods.control import allocation, box
-from rotorwatch.methods.control.allocation import Allocator, Belief, believed
 from rotorwatch.errors import ConfigError
 from rotorwatch.export.export_c import allocator_program, export_allocator
+from rotorwatch.methods.control import allocation, box
+from rotorwatch.methods.control.allocation import Allocator, Belief, believed
 
 BENCHMARK = importlib.util.spec_from_file_location(
     "benchmark_of_allocation", Path(__file__).resolve().parents[1] / "benchmarks" / "allocation.py"

@@ -5,8 +5,8 @@ import pytest
 from scipy.optimize import linprog
 
 from rotorwatch import airframes
-from rotorwatch.methods.control import allocation, attainable
 from rotorwatch.errors import ConfigError
+from rotorwatch.methods.control import allocation, attainable
 
 FRAMES = ("quad-x", "hexa-plus", "octa-x", "octaquad-x", "y6-b", "dodecahexa-x", "tri")
 

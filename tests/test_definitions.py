@@ -21,11 +21,11 @@ from rotorwatch import airframes, logs
 from rotorwatch.base.compiling import shipped, structs, toolchain
 from rotorwatch.base.compiling.running import TRANSLATOR, TYPES, Definition, Rows
 from rotorwatch.base.compiling.translate import Translation
-from rotorwatch.errors import ConfigError
 from rotorwatch.engine.front import front, sense, sizes, ticks, vehicle, whole
 from rotorwatch.engine.front.definition import FRONT, known, merged, states
 from rotorwatch.engine.motion import allocation
 from rotorwatch.engine.motion import ticks as of_a_flight
+from rotorwatch.errors import ConfigError
 from test_shipped import SAMPLE
 
 IMPORTS = (

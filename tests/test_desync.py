@@ -13,14 +13,14 @@ from rich.console import Console
 
 import agreement
 import blackbox_writer as writer
-from rotorwatch.witnesses.aerobatic import desync, innovation
 from rotorwatch.commands.cli import main
 from rotorwatch.diagnose import diagnose
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.witnesses.healthy import baselines
-from rotorwatch.report import figures, terminal, upset
 from rotorwatch.lab.simulation import fpv
 from rotorwatch.lab.simulation.fpv import Moment, Push
+from rotorwatch.report import figures, terminal, upset
+from rotorwatch.witnesses.aerobatic import desync, innovation
+from rotorwatch.witnesses.healthy import baselines
 
 SHARED = Path(__file__).parents[1] / "../shared/flights/blackbox"
 LONG = 50.0

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes, diagnose, logs
+from rotorwatch.engine.motion import allocation
 from rotorwatch.errors import ConfigError, RotorwatchError
 from rotorwatch.flight import Signal
-from rotorwatch.engine.motion import allocation
 
 ROOT = Path(__file__).resolve().parents[1]
 FLIGHTS = ROOT / ".." / "shared" / "flights"

@@ -12,9 +12,9 @@ from threading import Thread
 import pytest
 
 import rotorwatch
+from rotorwatch import gathering
 from rotorwatch.commands import several
 from rotorwatch.errors import ConfigError, LogError
-from rotorwatch import gathering
 from rotorwatch.report import overview
 from test_cli import fake, run  # noqa: F401
 

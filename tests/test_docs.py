@@ -18,8 +18,8 @@ import rotorwatch as rw
 from rotorwatch import airframes, logs
 from rotorwatch.base.optional import tomllib
 from rotorwatch.commands import cli
-from rotorwatch.flight import diagnosis
 from rotorwatch.engine.motion.allocation import ambiguous_sets
+from rotorwatch.flight import diagnosis
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "tutorials").glob("*.md")])

@@ -8,14 +8,14 @@ import pytest
 
 import rotorwatch as rw
 from rotorwatch.diagnose import observe
-from rotorwatch.witnesses.esc import consistency, stopped, telemetry, watch
-from rotorwatch.lab.experiments.studies import esc_causes
-from rotorwatch.flight import Signal
-from rotorwatch.witnesses.healthy import baselines
 from rotorwatch.engine.motion import allocation
 from rotorwatch.engine.motion.airborne import airborne
-from rotorwatch.report.html import page
+from rotorwatch.flight import Signal
+from rotorwatch.lab.experiments.studies import esc_causes
 from rotorwatch.lab.simulation import scenario, simulate
+from rotorwatch.report.html import page
+from rotorwatch.witnesses.esc import consistency, stopped, telemetry, watch
+from rotorwatch.witnesses.healthy import baselines
 
 ONSET = 35.0
 FAULTS = {

@@ -12,14 +12,14 @@ from conftest import trials
 from rotorwatch import airframes
 from rotorwatch.answer.conclusion import main_event
 from rotorwatch.engine.default import events
-from rotorwatch.flight.diagnosis import Event
 from rotorwatch.engine.front import changes as front_changes
 from rotorwatch.engine.front import events as listed
 from rotorwatch.engine.front import whole
 from rotorwatch.engine.front.definition import FRONT
 from rotorwatch.engine.front.sizes import EVENTS
-from rotorwatch.live.changes import Changes
 from rotorwatch.engine.motion.contact import Contact
+from rotorwatch.flight.diagnosis import Event
+from rotorwatch.live.changes import Changes
 
 B = airframes.named("ardupilot-hexa-x").effectiveness()
 DT = 0.05

@@ -7,7 +7,16 @@ from tests.loss_prior import beside_steps, one_of
 
 from rotorwatch import airframes
 from rotorwatch.engine.default import bank, evidence, hypotheses
-from rotorwatch.engine.default.hypotheses import AIR_SHARE, CLEAR, FAR, FAR_SHARE, LOSS_WIDTH, NOTHING, TOTAL_LOSS, WEIGHT
+from rotorwatch.engine.default.hypotheses import (
+    AIR_SHARE,
+    CLEAR,
+    FAR,
+    FAR_SHARE,
+    LOSS_WIDTH,
+    NOTHING,
+    TOTAL_LOSS,
+    WEIGHT,
+)
 
 N, N_X, DT = 4, 20, 0.05
 HYP = hypotheses.make(N)

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from rotorwatch import airframes
-from rotorwatch.methods.control import excitation
-from rotorwatch.methods.control.excitation import Limits, Noise, Signal
 from rotorwatch.engine.default.plant import TAU, usual_gains
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.planning.ask import ask
+from rotorwatch.methods.control import excitation
+from rotorwatch.methods.control.excitation import Limits, Noise, Signal
 
 FRAMES = ("hexa-x", "hexa-plus", "octa-x", "octa-plus", "y6", "dodecahexa-x")
 NOISE = Noise(np.array([0.025**2, 0.01**2, 0.02**2, 0.2**2]), np.array(TAU))

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes, diagnose
+from rotorwatch.engine.default.plant import TAU
+from rotorwatch.engine.motion.ticks import JUDGE, LEARN
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.lab.campaign import excitation_flights
 from rotorwatch.methods.control import excitation
-from rotorwatch.witnesses import excitation_response
-from rotorwatch.engine.default.plant import TAU
-from rotorwatch.flight.diagnosis import Event
 from rotorwatch.methods.maths.tails import normal_cdf
-from rotorwatch.engine.motion.ticks import JUDGE, LEARN
+from rotorwatch.witnesses import excitation_response
 
 B = airframes.named("px4-hexa-x").effectiveness()
 N = excitation.null_space(B)

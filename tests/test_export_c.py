@@ -15,14 +15,14 @@ from click.testing import CliRunner
 import rotorwatch as rw
 from exporting import STRICT, address, jax, library, room, struct
 from rotorwatch import airframes
-from rotorwatch.commands.cli import cli
 from rotorwatch.base.compiling import native, toolchain
 from rotorwatch.base.compiling.c99.lower import Refused
 from rotorwatch.base.compiling.c99.project import Field, make
 from rotorwatch.base.compiling.run import run
+from rotorwatch.commands.cli import cli
 from rotorwatch.errors import ConfigError
-from rotorwatch.methods.estimators.ekf import EKF
 from rotorwatch.export.export_c import export_c, prepare
+from rotorwatch.methods.estimators.ekf import EKF
 from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
 
 jnp, lax = jax.numpy, jax.lax

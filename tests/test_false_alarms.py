@@ -9,10 +9,10 @@ import pytest
 
 from rotorwatch import airframes, diagnose, logs
 from rotorwatch.commands import cli
-from rotorwatch.errors import ConfigError
-from rotorwatch.lab.experiments.studies import false_alarms as study
-from rotorwatch.flight.diagnosis import Event
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN
+from rotorwatch.errors import ConfigError
+from rotorwatch.flight.diagnosis import Event
+from rotorwatch.lab.experiments.studies import false_alarms as study
 
 
 @pytest.fixture(scope="module")

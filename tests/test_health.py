@@ -11,8 +11,8 @@ from conftest import hexa_diagnosis, hexa_event
 from rotorwatch import report
 from rotorwatch.answer import health
 from rotorwatch.answer.conclusion import Evidence, conclude
-from rotorwatch.flight.diagnosis import Trend
 from rotorwatch.engine.motion.ticks import JUDGE
+from rotorwatch.flight.diagnosis import Trend
 from rotorwatch.report import html, terminal
 
 # Roll, pitch, yaw, thrust of a quad X in the autopilot's order: front right, rear left, front left, rear right.

@@ -7,9 +7,9 @@ import pytest
 
 from rotorwatch import airframes
 from rotorwatch.engine.default import events, hypotheses
-from rotorwatch.witnesses import hindsight
 from rotorwatch.engine.default.program import estimate
 from rotorwatch.engine.motion.ticks import GROUND, HOVER_LEARN_S, JUDGE, LEARN, READY_S, Ticks
+from rotorwatch.witnesses import hindsight
 
 DT = 0.1
 QUAD = airframes.named("ardupilot-quad-x").effectiveness()

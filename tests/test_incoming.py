@@ -16,11 +16,11 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
+from rotorwatch import gathering
 from rotorwatch.base import incoming
 from rotorwatch.commands import cli
 from rotorwatch.errors import LogError
 from rotorwatch.logs import container
-from rotorwatch import gathering
 
 SAMPLE = cli.SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"
 

@@ -8,11 +8,11 @@ import pytest
 
 from rotorwatch import airframes, logs
 from rotorwatch.commands import cli
+from rotorwatch.engine.motion import airborne, allocation, deviations
 from rotorwatch.errors import ConfigError
-from rotorwatch.lab.experiments import counting, inject
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.engine.motion import airborne, allocation, deviations
+from rotorwatch.lab.experiments import counting, inject
 
 ONSET = 10.0
 FLIGHTS = Path(__file__).resolve().parents[1] / ".." / "shared" / "flights"

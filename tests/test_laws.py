@@ -18,10 +18,10 @@ from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.core import Estimate
 from rotorwatch.engine.default.plant import WrenchBalance
+from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LEARN
 from rotorwatch.methods.estimators.adaptive_ekf import AdaptiveEKF
 from rotorwatch.methods.estimators.ekf import EKF
 from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
-from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LEARN
 
 DT, TICKS = 0.02, 220
 THETA_VAR = 0.1  # of the losses on the linear plant: much of what an innovation is made of

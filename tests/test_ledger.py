@@ -12,10 +12,10 @@ from rotorwatch import airframes
 from rotorwatch.answer import ledger
 from rotorwatch.engine.default import events
 from rotorwatch.engine.default.events import Report
-from rotorwatch.flight.diagnosis import Source
-from rotorwatch.flight.kinds import CONTACT, DESYNC, LOSS, LOST, OVERRIDE, SLOW
 from rotorwatch.engine.motion.deviations import Override
 from rotorwatch.engine.motion.ticks import Ticks
+from rotorwatch.flight.diagnosis import Source
+from rotorwatch.flight.kinds import CONTACT, DESYNC, LOSS, LOST, OVERRIDE, SLOW
 
 B = airframes.named("ardupilot-hexa-x").effectiveness()
 

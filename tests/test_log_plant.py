@@ -13,10 +13,10 @@ from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.base.compiling.run import run
 from rotorwatch.engine.default import events, hypotheses
-from rotorwatch.errors import ConfigError
-from rotorwatch.methods.estimators.ekf import EKF
-from rotorwatch.lab.experiments.studies import compare_flights
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN, Ticks
+from rotorwatch.errors import ConfigError
+from rotorwatch.lab.experiments.studies import compare_flights
+from rotorwatch.methods.estimators.ekf import EKF
 from rotorwatch.methods.published import decide, log_plant, published
 
 jax = load_jax()

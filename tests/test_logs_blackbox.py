@@ -20,13 +20,12 @@ import fuzzing
 from blackbox_writer import Field, Log
 from conftest import trials
 from embedded_c_parts import STRICT, compilers
-from rotorwatch import airframes, logs
+from rotorwatch import airframes, gathering, logs
 from rotorwatch.base.compiling.running import Definition
+from rotorwatch.diagnose_many import diagnose_many
 from rotorwatch.errors import LogError, VehicleError
 from rotorwatch.logs import container
 from rotorwatch.logs.blackbox import decoder, encodings, frames, header, sizes
-from rotorwatch import gathering
-from rotorwatch.diagnose_many import diagnose_many
 from rotorwatch.report.info import info
 
 SHARED = Path(__file__).parents[1] / "../shared/flights/blackbox"

@@ -18,10 +18,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rotorwatch.base import many
-from rotorwatch.errors import BackendWarning, ConfigError, FirstUse, LogError, WorkerError
 from rotorwatch.base.many import cluster, processes
 from rotorwatch.base.many.done import Task
 from rotorwatch.base.many.result_cache import ResultCache
+from rotorwatch.errors import BackendWarning, ConfigError, FirstUse, LogError, WorkerError
 
 ROOT = Path(__file__).parents[1]
 

@@ -19,11 +19,11 @@ from rotorwatch import __version__
 from rotorwatch.assistants import answers, desk, models, series, work
 from rotorwatch.assistants.desk import Desk
 from rotorwatch.assistants.quoted import label, quoted, several, utc
+from rotorwatch.base.many.limited import Workers
 from rotorwatch.commands import cli
 from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.errors import ConfigError
 from rotorwatch.fleet.store import Entry, Store
-from rotorwatch.base.many.limited import Workers
 from rotorwatch.report import still
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from rotorwatch.lab import campaign
 from rotorwatch import diagnose, logs
+from rotorwatch.lab import campaign
 from rotorwatch.lab.campaign import batch, score
 from rotorwatch.lab.experiments import counting, inject
 from rotorwatch.lab.experiments.studies import compare, compare_flights

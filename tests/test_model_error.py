@@ -6,9 +6,17 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.lab.campaign import batch, plan
 from rotorwatch.engine.default import events, model_error, noise, plant
-from rotorwatch.engine.default.plant import AXIS_STATES, DAMPING, DAMPING_RATE, GAIN, GAIN_MEAN, PER_AXIS, any_multirotor
+from rotorwatch.engine.default.plant import (
+    AXIS_STATES,
+    DAMPING,
+    DAMPING_RATE,
+    GAIN,
+    GAIN_MEAN,
+    PER_AXIS,
+    any_multirotor,
+)
+from rotorwatch.lab.campaign import batch, plan
 
 N, DT = 4, 0.05
 B = airframes.named("ardupilot-quad-x").effectiveness()

@@ -7,9 +7,9 @@ import pytest
 
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.engine.motion.allocation import ambiguous_sets
 from rotorwatch.errors import ConfigError, VehicleError
 from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
-from rotorwatch.engine.motion.allocation import ambiguous_sets
 from rotorwatch.methods.published import observability as module
 from rotorwatch.methods.published.observability import observability
 

@@ -14,13 +14,13 @@ import pytest
 
 from onboard_law import ACCEL, ATTITUDE, BATTERY, GYRO, OUTPUTS, events_in_c, flown
 from rotorwatch import logs
-from rotorwatch.witnesses.aerobatic import judge as aerobatic
-from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.base.compiling.structs import LASTS
+from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.diagnose import diagnose
-from rotorwatch.errors import RotorwatchError
 from rotorwatch.engine.motion import ticks
 from rotorwatch.engine.motion.airborne import airborne
+from rotorwatch.errors import RotorwatchError
+from rotorwatch.witnesses.aerobatic import judge as aerobatic
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"
 FULL = bool(os.environ.get("ROTORWATCH_FULL_LAW"))

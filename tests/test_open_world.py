@@ -8,11 +8,11 @@ from types import SimpleNamespace
 import pytest
 from click.testing import CliRunner
 
-from rotorwatch.lab import campaign
-from rotorwatch.lab.campaign import open_score, open_world
 from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Event
+from rotorwatch.lab import campaign
+from rotorwatch.lab.campaign import open_score, open_world
 from rotorwatch.lab.simulation import scenario
 
 KINDS = [

@@ -7,7 +7,17 @@ import pytest
 
 from rotorwatch import airframes
 from rotorwatch.engine.default import plant
-from rotorwatch.engine.default.plant import AXIS_STATES, B3, DAMPING, GAIN, PER_AXIS, SHARE_SD, SIDEWAYS, TAU, WrenchBalance
+from rotorwatch.engine.default.plant import (
+    AXIS_STATES,
+    B3,
+    DAMPING,
+    GAIN,
+    PER_AXIS,
+    SHARE_SD,
+    SIDEWAYS,
+    TAU,
+    WrenchBalance,
+)
 
 QUAD, Y6 = (airframes.named(f"ardupilot-{name}").effectiveness() for name in ("quad-x", "y6"))
 RNG = np.random.default_rng(5)

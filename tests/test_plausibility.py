@@ -6,13 +6,20 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
+from rotorwatch.diagnose import diagnose
 from rotorwatch.engine.default import plausibility
 from rotorwatch.engine.default.evidence import Jump
 from rotorwatch.engine.default.hypotheses import NONE
 from rotorwatch.engine.default.model_error import AT_LIMIT, BELOW_LIMIT
 from rotorwatch.engine.default.plant import ANSWER_S, USUAL_S
-from rotorwatch.engine.default.plausibility import CUT_SHARE, DEMAND_SHARE, DEMAND_SLACK, LIMIT_S, MISSING_SLACK, Missing
-from rotorwatch.diagnose import diagnose
+from rotorwatch.engine.default.plausibility import (
+    CUT_SHARE,
+    DEMAND_SHARE,
+    DEMAND_SLACK,
+    LIMIT_S,
+    MISSING_SLACK,
+    Missing,
+)
 from rotorwatch.lab.simulation import scenario, simulate
 
 N, DT = 4, 0.1

@@ -5,9 +5,9 @@ import warnings
 import pytest
 
 from rotorwatch import airframes, logs
-from rotorwatch.lab import campaign
 from rotorwatch.base import discovery
 from rotorwatch.errors import ConfigError, LogError, PluginWarning
+from rotorwatch.lab import campaign
 from rotorwatch.methods.published import detectors
 
 GOOD = """

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes, logs
+from rotorwatch.engine.motion.airborne import airborne
+from rotorwatch.methods.maths.tails import f_tail
 from rotorwatch.witnesses.healthy import population
 from rotorwatch.witnesses.healthy.whole_flight import Features, features
-from rotorwatch.methods.maths.tails import f_tail
-from rotorwatch.engine.motion.airborne import airborne
 
 FLIGHTS = Path(__file__).resolve().parents[1] / ".." / "shared" / "flights"
 QUAD, HEXA, OCTA = (airframes.named(f"ardupilot-{name}-x").effectiveness() for name in ("quad", "hexa", "octa"))

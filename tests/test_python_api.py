@@ -9,8 +9,8 @@ import pytest
 import rotorwatch as rw
 from conftest import hexa_diagnosis
 from rotorwatch.base import discovery
-from rotorwatch.methods.estimators.akf import AKF
 from rotorwatch.flight import Flight, Message, Signal
+from rotorwatch.methods.estimators.akf import AKF
 
 
 def small_flight(**changes):

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.lab.campaign import score
 from rotorwatch.engine.default.announcement import TICKS
-from rotorwatch.lab.experiments import counting, limits
-from rotorwatch.flight.diagnosis import Event
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN
+from rotorwatch.flight.diagnosis import Event
+from rotorwatch.lab.campaign import score
+from rotorwatch.lab.experiments import counting, limits
 from rotorwatch.lab.simulation import scenario as scenarios
 
 DT, ONSET = 0.1, 30.0

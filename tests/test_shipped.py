@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.base.compiling import shipped, toolchain
+from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.engine.default import shipping
 from rotorwatch.engine.estimator.definition import ENGINE
 
@@ -57,7 +57,12 @@ def test_code_of_another_definition_or_computer_never_runs(folder, tmp_path, mon
 
 
 def test_the_estimators_code_is_of_its_files_and_of_those_whose_constants_it_takes():
-    assert {"engine/estimator/bank.py", "engine/front/losses.py", "engine/front/ticks.py", "base/compiling/body.py"} <= set(ENGINE.files)
+    assert {
+        "engine/estimator/bank.py",
+        "engine/front/losses.py",
+        "engine/front/ticks.py",
+        "base/compiling/body.py",
+    } <= set(ENGINE.files)
     assert not [f for f in ENGINE.files if not f.startswith(("engine/", "front/", "compiling/"))]
     taken = {
         name.replace(".", "/") + ".py"

@@ -11,7 +11,18 @@ from hypothesis import strategies as st
 from conftest import trials
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.lab.simulation import control, dynamics, faults, loop, record_of, rotation, scenario, simulate_batch, trajectories, wind
+from rotorwatch.lab.simulation import (
+    control,
+    dynamics,
+    faults,
+    loop,
+    record_of,
+    rotation,
+    scenario,
+    simulate_batch,
+    trajectories,
+    wind,
+)
 from rotorwatch.lab.simulation.multirotor import MULTIROTOR
 from rotorwatch.lab.simulation.prepare import induced_velocity, plan, vehicle
 

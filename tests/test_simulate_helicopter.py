@@ -13,11 +13,11 @@ from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.base.physics import G0
 from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError, LogError
-from rotorwatch.logs import memory
-from rotorwatch.methods.published import helicopter_log
 from rotorwatch.lab.simulation import faults, rotation, scenario, simulate, simulate_batch
 from rotorwatch.lab.simulation.helicopter import aircraft, dynamics
 from rotorwatch.lab.simulation.rigid import Air, Body
+from rotorwatch.logs import memory
+from rotorwatch.methods.published import helicopter_log
 
 jax = load_jax()
 jnp = jax.numpy

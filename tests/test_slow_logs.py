@@ -8,10 +8,10 @@ import pytest
 
 from rotorwatch import diagnose
 from rotorwatch.engine.default import announcement
-from rotorwatch.live.replay import Replay
-from rotorwatch.live.watched import Watched
 from rotorwatch.engine.motion import ticks
 from rotorwatch.lab.simulation import scenario, simulate
+from rotorwatch.live.replay import Replay
+from rotorwatch.live.watched import Watched
 
 
 @cache

@@ -7,8 +7,8 @@ import pytest
 
 from rotorwatch.engine.default import kalman, model_error, plant
 from rotorwatch.engine.default.plant import AIR, CURVE, GAIN, PER_AXIS, WrenchBalance
-from rotorwatch.flight.vehicle import ThrustCurve
 from rotorwatch.engine.front.ticks import JUDGE, LEARN
+from rotorwatch.flight.vehicle import ThrustCurve
 from test_default_estimator import DT, KNOWN_NOISE, make
 from test_plant import QUAD
 

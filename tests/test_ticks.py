@@ -10,12 +10,12 @@ import pytest
 from rotorwatch import airframes
 from rotorwatch.base.compiling.structs import LASTS
 from rotorwatch.engine.default import announcement
-from rotorwatch.flight import Flight, Signal
 from rotorwatch.engine.front import sense
 from rotorwatch.engine.front import ticks as definition
 from rotorwatch.engine.front.vehicle import Vehicle
 from rotorwatch.engine.motion import ticks
 from rotorwatch.engine.motion.contact import G0, Contact
+from rotorwatch.flight import Flight, Signal
 
 B = np.array([[-1.0, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1], [1, 1, 1, 1]])
 END = 12.0

@@ -8,10 +8,10 @@ import pytest
 
 import rotorwatch as rw
 from rotorwatch import airframes
-from rotorwatch.lab import simulation
-from rotorwatch.flight import Flight, Signal
 from rotorwatch.engine.motion import ticks
 from rotorwatch.engine.motion.airborne import airborne
+from rotorwatch.flight import Flight, Signal
+from rotorwatch.lab import simulation
 from rotorwatch.lab.simulation import scenario
 
 ONSET = 25.0

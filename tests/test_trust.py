@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes, diagnose
-from rotorwatch.flight import Signal
 from rotorwatch.engine.motion import trust
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import READY_S, observe
+from rotorwatch.flight import Signal
 from rotorwatch.lab.simulation import scenario, simulate
 
 WILD = Path(__file__).resolve().parents[2] / "shared" / "flights" / "wild"

@@ -9,11 +9,11 @@ from rotorwatch import airframes
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.witnesses.healthy import tune
 from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
 from rotorwatch.methods.published import published
 from rotorwatch.methods.published.log_plant import LogPlant
 from rotorwatch.methods.published.published import Tuning
+from rotorwatch.witnesses.healthy import tune
 
 jax = load_jax()
 DT, T = 0.05, 360

@@ -9,15 +9,15 @@ import pytest
 from scipy import stats
 
 import rotorwatch as rw
-from rotorwatch.lab import campaign
 from rotorwatch.answer import unseen
 from rotorwatch.engine.default import hypotheses
+from rotorwatch.engine.motion.ticks import JUDGE
 from rotorwatch.flight.diagnosis import Event
+from rotorwatch.lab import campaign
+from rotorwatch.lab.simulation import scenario, simulate
 from rotorwatch.live.replay import Replay
 from rotorwatch.live.watched import Watched
-from rotorwatch.engine.motion.ticks import JUDGE
 from rotorwatch.serve import landed
-from rotorwatch.lab.simulation import scenario, simulate
 
 B = np.array([[-1.0, 1.0, 1.0, -1.0], [1.0, -1.0, 1.0, -1.0], [0.1, 0.1, -0.1, -0.1], [1.0, 1.0, 1.0, 1.0]])
 DT = 0.1

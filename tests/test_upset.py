@@ -10,11 +10,11 @@ import pytest
 from tests import tumbling
 
 from rotorwatch import airframes, diagnose
-from rotorwatch.lab import campaign
 from rotorwatch.answer import falls
-from rotorwatch.lab.campaign import batch, benchmark_plan
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import Event
+from rotorwatch.lab import campaign
+from rotorwatch.lab.campaign import batch, benchmark_plan
 from rotorwatch.lab.simulation import simulate
 from rotorwatch.witnesses.upset import find, loss_of_control
 from rotorwatch.witnesses.upset.balance import INERTIA, Offset, Window, fit

@@ -11,16 +11,16 @@ from tests.conftest import hexa_event
 
 from rotorwatch import airframes, diagnose, logs
 from rotorwatch.commands import cli
+from rotorwatch.engine.motion import allocation, ticks
+from rotorwatch.engine.motion.airborne import airborne
+from rotorwatch.engine.motion.ticks import READY_S
+from rotorwatch.lab.simulation import scenario, simulate
 from rotorwatch.live import view
 from rotorwatch.live.changes import Changes
 from rotorwatch.live.replay import Replay
 from rotorwatch.live.session import Session
 from rotorwatch.live.stream import Stream
 from rotorwatch.live.watched import Watched
-from rotorwatch.engine.motion import allocation, ticks
-from rotorwatch.engine.motion.airborne import airborne
-from rotorwatch.engine.motion.ticks import READY_S
-from rotorwatch.lab.simulation import scenario, simulate
 
 FLIGHTS = Path(__file__).resolve().parents[2] / "shared" / "flights"
 SAMPLES = cli.SAMPLES

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes, logs
+from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.witnesses.healthy import whole_flight as wf
-from rotorwatch.engine.motion.airborne import airborne
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "flights"
 shared = pytest.mark.skipif(not SHARED.is_dir(), reason="needs the test logs in ../shared/flights")

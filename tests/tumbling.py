@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorwatch import airframes
-from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.engine.motion.allocation import drive
+from rotorwatch.flight import Flight, Message, Signal
 
 G, DT, LIFT_S = 9.80665, 0.0025, 3.0
 LEGS = 0.4  # from the middle to the line between two feet, in arms

@@ -71,13 +71,12 @@ if TYPE_CHECKING:
     from rotorwatch.assistants.server import mcp as mcp
     from rotorwatch.base.compiling.run import run as run
     from rotorwatch.diagnose import diagnose as diagnose
+    from rotorwatch.diagnose_many import diagnose_many as diagnose_many
+    from rotorwatch.engine.motion.airborne import airborne as airborne
     from rotorwatch.errors import ConfigError as ConfigError
     from rotorwatch.errors import LogError as LogError
     from rotorwatch.errors import RotorwatchError as RotorwatchError
     from rotorwatch.errors import VehicleError as VehicleError
-    from rotorwatch.lab.experiments.inject import inject as inject
-    from rotorwatch.lab.experiments.studies.compare import compare as compare
-    from rotorwatch.lab.experiments.studies.reproduction import reproduce as reproduce
     from rotorwatch.export.export_c import export_c as export_c
     from rotorwatch.flight import Flight as Flight
     from rotorwatch.flight import Message as Message
@@ -89,18 +88,19 @@ if TYPE_CHECKING:
     from rotorwatch.flight.vehicle import Rotor as Rotor
     from rotorwatch.flight.vehicle import ThrustCurve as ThrustCurve
     from rotorwatch.flight.vehicle import Vehicle as Vehicle
-    from rotorwatch.witnesses.healthy.calibrate import calibrate as calibrate
-    from rotorwatch.witnesses.healthy.tune import tune as tune
-    from rotorwatch.logs import read as read
-    from rotorwatch.diagnose_many import diagnose_many as diagnose_many
-    from rotorwatch.engine.motion.airborne import airborne as airborne
+    from rotorwatch.lab.experiments.inject import inject as inject
+    from rotorwatch.lab.experiments.studies.compare import compare as compare
+    from rotorwatch.lab.experiments.studies.reproduction import reproduce as reproduce
     from rotorwatch.lab.planning.ask import ask as ask
     from rotorwatch.lab.planning.survive import survive as survive
+    from rotorwatch.lab.simulation import simulate as simulate
+    from rotorwatch.lab.simulation.any_system import simulate_system as simulate_system
+    from rotorwatch.logs import read as read
     from rotorwatch.methods.published.observability import observability as observability
     from rotorwatch.report.info import info as info
     from rotorwatch.serve.server import serve as serve
-    from rotorwatch.lab.simulation import simulate as simulate
-    from rotorwatch.lab.simulation.any_system import simulate_system as simulate_system
+    from rotorwatch.witnesses.healthy.calibrate import calibrate as calibrate
+    from rotorwatch.witnesses.healthy.tune import tune as tune
 
 
 class _Verb(ModuleType):

@@ -10,30 +10,30 @@ from typing import Any, cast
 
 import numpy as np
 
-from rotorwatch.witnesses.aerobatic import desync
-from rotorwatch.witnesses.aerobatic import judge as aerobatic
 from rotorwatch.answer import common_mode, conclusion, health, ledger, picture, places, slow, traces, unseen, wording
 from rotorwatch.answer.ledger import Merged
 from rotorwatch.base import discovery
 from rotorwatch.engine.default import events, hypotheses, residual_evidence
-from rotorwatch.witnesses import excitation_response, hindsight
 from rotorwatch.engine.default.announcement import threshold
 from rotorwatch.engine.default.program import TickOutput, estimate
-from rotorwatch.errors import ConfigError
-from rotorwatch.witnesses.esc import consistency
-from rotorwatch.flight import Flight, identity
-from rotorwatch.flight.diagnosis import Diagnosis
-from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.witnesses.healthy import baselines, population
-from rotorwatch.witnesses.healthy.baselines import Given
-from rotorwatch.logs import plausible
 from rotorwatch.engine.motion import ticks, trust
 from rotorwatch.engine.motion.airborne import Gap, airborne, gaps
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.missed import without_missed
 from rotorwatch.engine.motion.ticks import JUDGE, READY_KNOWN_S, READY_S, Ticks, observe
+from rotorwatch.errors import ConfigError
+from rotorwatch.flight import Flight, identity
+from rotorwatch.flight.diagnosis import Diagnosis
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.logs import plausible
 from rotorwatch.methods.published import decide, detectors, published
 from rotorwatch.methods.published.published import Tuning
+from rotorwatch.witnesses import excitation_response, hindsight
+from rotorwatch.witnesses.aerobatic import desync
+from rotorwatch.witnesses.aerobatic import judge as aerobatic
+from rotorwatch.witnesses.esc import consistency
+from rotorwatch.witnesses.healthy import baselines, population
+from rotorwatch.witnesses.healthy.baselines import Given
 from rotorwatch.witnesses.upset import find as upset
 
 AEROBATIC = (

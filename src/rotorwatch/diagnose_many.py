@@ -10,14 +10,13 @@ from functools import cached_property, partial
 from os import PathLike
 from typing import Any
 
-from rotorwatch import logs
+from rotorwatch import gathering, logs
+from rotorwatch.base.many.done import Done
+from rotorwatch.base.many.spread import run, useful_jobs
 from rotorwatch.errors import ConfigError, RotorwatchError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import SCHEMA, Diagnosis
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch import gathering
-from rotorwatch.base.many.done import Done
-from rotorwatch.base.many.spread import run, useful_jobs
 
 ERROR = 2
 """Exit code of a log without an answer."""

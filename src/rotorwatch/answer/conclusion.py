@@ -27,9 +27,9 @@ from rotorwatch.answer.wording import (
 )
 from rotorwatch.engine.default.hypotheses import TOTAL_LOSS
 from rotorwatch.engine.default.residual_evidence import ResidualEvidence
+from rotorwatch.engine.motion.airborne import Gap
 from rotorwatch.flight.diagnosis import Event, RotorState, StoryLine, Trend
 from rotorwatch.flight.kinds import CONTACT, LOST, Weight
-from rotorwatch.engine.motion.airborne import Gap
 
 # Causes of a loss of control that clear the rotors, in words that follow "when".
 NOT_A_ROTOR = {

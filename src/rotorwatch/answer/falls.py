@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rotorwatch.engine.front.losses import CREDIBLE
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import CONTACT, LOSS, LOST, ORDER, OVERRIDE
-from rotorwatch.engine.front.losses import CREDIBLE
 
 if TYPE_CHECKING:
     from rotorwatch.witnesses.upset.explain import Explanation

@@ -24,9 +24,9 @@ import numpy as np
 
 from rotorwatch.answer.wording import SCALE
 from rotorwatch.engine.default.plant import USUAL_S
+from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event, Trend
 from rotorwatch.methods.maths import trend as line
-from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 
 UNGRADED = "not judged"
 LEAST_S = 30.0  # of flight, below which no trend is looked for

@@ -29,10 +29,10 @@ from rotorwatch.answer import falls, slow
 from rotorwatch.answer.unseen import Unseen
 from rotorwatch.engine.default.events import Report, accuses, packed, shared, unexplained
 from rotorwatch.engine.default.residual_evidence import ResidualEvidence
-from rotorwatch.flight.diagnosis import Event, Source
-from rotorwatch.flight.kinds import LOSS, LOST, ORDER, OVERRIDE, Weight
 from rotorwatch.engine.front import whole
 from rotorwatch.engine.front.definition import FRONT
+from rotorwatch.flight.diagnosis import Event, Source
+from rotorwatch.flight.kinds import LOSS, LOST, ORDER, OVERRIDE, Weight
 
 if TYPE_CHECKING:
     from rotorwatch.witnesses.upset.find import Judged

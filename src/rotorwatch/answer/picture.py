@@ -14,11 +14,11 @@ import numpy as np
 
 from rotorwatch.answer.story import initiating_event
 from rotorwatch.answer.traces import angles, rates
+from rotorwatch.engine.motion import allocation
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event, StoryLine
 from rotorwatch.flight.kinds import DESYNC, LOST
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.engine.motion import allocation
 
 MOST = 160  # samples of a series
 BEFORE_S, AFTER_S = 1.5, 1.0  # of the initiating event and of the end that are shown

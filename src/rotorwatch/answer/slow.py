@@ -34,11 +34,11 @@ from rotorwatch.answer.wording import SCALE
 from rotorwatch.engine.default import events
 from rotorwatch.engine.default.plant import USUAL_S
 from rotorwatch.engine.default.residual_evidence import ResidualEvidence
+from rotorwatch.engine.front.losses import CLEAR, CREDIBLE, CURVE_SHARE, WITHIN_95
+from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import LOSS
-from rotorwatch.engine.front.losses import CLEAR, CREDIBLE, CURVE_SHARE, WITHIN_95
 from rotorwatch.methods.maths.trend import DOUBT, LEAST, WHITE
-from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 
 LEAST_S = 30.0  # of flight, below which nothing is looked for
 BLOCK_S, BLOCKS = 2.0, 60  # length of a block at least; so many at most

@@ -13,9 +13,9 @@ from rotorwatch.answer.conclusion import most
 from rotorwatch.answer.wording import rotors
 from rotorwatch.engine.default import events
 from rotorwatch.engine.default.hypotheses import Hypotheses
+from rotorwatch.engine.motion.ticks import JUDGE, LEARN, Ticks
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import Trace
-from rotorwatch.engine.motion.ticks import JUDGE, LEARN, Ticks
 
 LN10 = float(np.log(10.0))
 LEAST_ODDS = -3.0

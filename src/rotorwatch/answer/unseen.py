@@ -34,11 +34,11 @@ import numpy as np
 from rotorwatch.answer.wording import SCALE
 from rotorwatch.engine.default import announcement, events, hypotheses, plant, residual_evidence
 from rotorwatch.engine.default.residual_evidence import ResidualEvidence
+from rotorwatch.engine.front.losses import WITHIN_95
+from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import LOST
-from rotorwatch.engine.front.losses import WITHIN_95
 from rotorwatch.methods.maths.tails import student_quantile
-from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 
 STEP_S = 2.0  # length of a block; a longer one hides the scatter of wind, a shorter one is as correlated as the wind is
 BLOCKS = 8, 200  # at least, so that short flights have shorter ones, and at most

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from rotorwatch.engine.default.hypotheses import TOTAL_LOSS
+from rotorwatch.engine.motion.airborne import Gap
 from rotorwatch.flight.diagnosis import Event, Trend
 from rotorwatch.flight.kinds import Words
-from rotorwatch.engine.motion.airborne import Gap
 
 CAUSES = {"propeller": "propeller", "motor_or_esc": "motor or ESC", "bearing": "bearing"}
 BASELINE = "To see smaller damage that was there from take-off, give a healthy flight of the same build: --baseline HEALTHY.LOG."

@@ -14,8 +14,8 @@ from rotorwatch.assistants.folders import Folders
 from rotorwatch.assistants.quoted import quoted
 from rotorwatch.assistants.store import Fleet
 from rotorwatch.assistants.work import Question
-from rotorwatch.errors import ConfigError
 from rotorwatch.base.many.limited import TooMuch, Workers
+from rotorwatch.errors import ConfigError
 
 WAITING, PATIENCE_S = 8, 300.0  # questions that wait for their turn, and how long
 MOST_HEALTHY, MOST_LISTED = 20, 50

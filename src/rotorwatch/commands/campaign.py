@@ -32,8 +32,8 @@ def campaign(plan, flights, jobs, scheduler, out, as_json, quiet) -> None:
     """
     import json
 
-    from rotorwatch.lab import campaign as campaigns
     from rotorwatch.base import files
+    from rotorwatch.lab import campaign as campaigns
     from rotorwatch.lab.campaign import batch, open_world, page
     from rotorwatch.lab.campaign.store import Folder
 

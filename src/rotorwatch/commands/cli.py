@@ -204,8 +204,8 @@ def diagnose(context, **options) -> None:
 
     Exit code: 0 healthy, 1 fault found, 3 inconclusive or ambiguous only, 2 error; of several logs the worst.
     """
-    from rotorwatch.base import files
     from rotorwatch import gathering
+    from rotorwatch.base import files
 
     request = several.Request(**options)
     if request.as_json and request.jsonl:
@@ -239,8 +239,8 @@ def diagnose(context, **options) -> None:
 
 def _diagnose(request: several.Request) -> int:
     """`rotorwatch diagnose` of one log; returns the exit code."""
-    from rotorwatch.witnesses.healthy.baselines import Candidate
     from rotorwatch.diagnose_many import timed
+    from rotorwatch.witnesses.healthy.baselines import Candidate
 
     known = vehicle_of(request.vehicle)
     with progress(request.quiet) as report:

@@ -19,12 +19,12 @@ from rotorwatch import airframes
 from rotorwatch.base import checks, discovery
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.base.compiling.c99.project import Field, Program, make
-from rotorwatch.methods.control import allocation
 from rotorwatch.engine.default import noise
 from rotorwatch.engine.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS, WrenchBalance, any_multirotor
 from rotorwatch.engine.default.program import parameters as balance_parameters
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.methods.control import allocation
 from rotorwatch.methods.published import log_plant
 
 SINGLE = "default-filter"  # the default diagnoser's filter for one hypothesis

@@ -26,12 +26,12 @@ from rotorwatch.engine.estimator.bank import FIRST_LOSS
 from rotorwatch.engine.estimator.definition import PARTS as ENGINE_PARTS
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
 from rotorwatch.engine.estimator.plant import Plant
-from rotorwatch.errors import ConfigError
-from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.engine.front import sizes
 from rotorwatch.engine.front.definition import PARTS
 from rotorwatch.engine.motion import allocation, ticks
 from rotorwatch.engine.motion.contact import look_back
+from rotorwatch.errors import ConfigError
+from rotorwatch.flight.vehicle import Vehicle
 
 SOURCES = Path(__file__).parent / "embedded_c"
 FRONT_ABOUT = "The front end: samples in, ticks out. Made of the definitions in rotorwatch/front; not to be edited."

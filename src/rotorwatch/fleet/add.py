@@ -15,8 +15,8 @@ from rotorwatch.errors import LogError, NotInStore, RotorwatchError, StoreError
 from rotorwatch.fleet import assess, judge
 from rotorwatch.fleet.store import Entry, Store
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.logs import fingerprint
 from rotorwatch.gathering import Gathered, fetched, full, is_address, is_log
+from rotorwatch.logs import fingerprint
 
 POLL_S = 2.0
 

@@ -16,8 +16,8 @@ import numpy as np
 from rotorwatch.fleet import explain, false_discovery, listing, prognosis, scatter
 from rotorwatch.fleet.explain import CENTRE, STEP, WORN, Found, Series
 from rotorwatch.fleet.store import Store
-from rotorwatch.witnesses.healthy.whole_flight import LIMITED, SLOPE_BETWEEN_SD, of_wind
 from rotorwatch.methods.maths import multivariate_t as student
+from rotorwatch.witnesses.healthy.whole_flight import LIMITED, SLOPE_BETWEEN_SD, of_wind
 
 FELL = "control was lost in it"
 TAUGHT_BY = ("healthy", "inconclusive")

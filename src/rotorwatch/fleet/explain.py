@@ -37,9 +37,9 @@ import numpy as np
 
 from rotorwatch.fleet import scatter
 from rotorwatch.fleet.prognosis import Lines
-from rotorwatch.witnesses.healthy.whole_flight import CENTRE_RHO_SD, RHO_SD, SHIFT_SD
 from rotorwatch.methods.maths import multivariate_t as student
 from rotorwatch.methods.maths.tails import log_normal_cdf, normal_quantile
+from rotorwatch.witnesses.healthy.whole_flight import CENTRE_RHO_SD, RHO_SD, SHIFT_SD
 
 LOSS_SD = 0.15  # of e by a step, or by wear at the end of the history
 STEPS, WEAR, CENTRES = 0.3, 0.3, 0.3  # how many an aircraft's history has of each, before it is looked at

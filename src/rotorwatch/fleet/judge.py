@@ -6,12 +6,12 @@ import os
 from collections.abc import Callable, Sequence
 
 from rotorwatch import __version__, airframes
+from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.fleet.store import Entry
 from rotorwatch.flight import Flight, identity
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.witnesses.healthy import whole_flight
-from rotorwatch.engine.motion.airborne import airborne
 
 
 def entry(

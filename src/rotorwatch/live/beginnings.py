@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch.witnesses import hindsight
-from rotorwatch.flight.diagnosis import Event
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.ticks import Ticks, joined
+from rotorwatch.flight.diagnosis import Event
+from rotorwatch.witnesses import hindsight
 
 HOPS = 10  # whose beginnings are kept, the newest
 

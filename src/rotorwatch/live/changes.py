@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rotorwatch.engine.default.events import packed
-from rotorwatch.flight import kinds
-from rotorwatch.flight.diagnosis import Event
 from rotorwatch.engine.front import changes, whole
 from rotorwatch.engine.front import events as listed
 from rotorwatch.engine.front.definition import FRONT
 from rotorwatch.engine.front.sizes import EVENTS
+from rotorwatch.flight import kinds
+from rotorwatch.flight.diagnosis import Event
 
 ANNOUNCED, CHANGED, WITHDRAWN, FINAL = "announced", "changed", "withdrawn", "final"
 NAMES = {changes.ANNOUNCED: ANNOUNCED, changes.CHANGED: CHANGED, changes.WITHDRAWN: WITHDRAWN}

@@ -6,10 +6,10 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
+from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.live.window import Window
-from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.witnesses.upset import find as upset
 from rotorwatch.witnesses.upset import loss_of_control
 

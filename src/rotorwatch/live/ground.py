@@ -15,10 +15,10 @@ from types import SimpleNamespace
 from typing import Any
 
 from rotorwatch.engine.default.events import packed
-from rotorwatch.flight.kinds import Span, Weight, kind_of
 from rotorwatch.engine.front import whole, words
 from rotorwatch.engine.front.definition import FRONT
 from rotorwatch.engine.front.words import CRITICAL, NOTICE, WARNING
+from rotorwatch.flight.kinds import Span, Weight, kind_of
 from rotorwatch.live.changes import WITHDRAWN
 from rotorwatch.live.frames import Outgoing, outgoing
 from rotorwatch.live.link import Link

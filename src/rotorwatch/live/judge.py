@@ -9,15 +9,15 @@ import numpy as np
 
 from rotorwatch.answer.unseen import Unseen
 from rotorwatch.engine.default import events, program
+from rotorwatch.engine.motion.airborne import CONFIRM_S
+from rotorwatch.engine.motion.allocation import Spans
+from rotorwatch.engine.motion.deviations import Override
+from rotorwatch.engine.motion.ticks import JUDGE, Plan, Ticks
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.live.account import Account, grounded
 from rotorwatch.live.beginnings import Beginnings
 from rotorwatch.live.stream import Piece
-from rotorwatch.engine.motion.airborne import CONFIRM_S
-from rotorwatch.engine.motion.allocation import Spans
-from rotorwatch.engine.motion.deviations import Override
-from rotorwatch.engine.motion.ticks import JUDGE, Plan, Ticks
 
 
 class Judge:

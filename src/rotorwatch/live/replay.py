@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotorwatch.witnesses.aerobatic import judge as aerobatic
 from rotorwatch.flight import Flight
 from rotorwatch.live.watched import Watched
+from rotorwatch.witnesses.aerobatic import judge as aerobatic
 
 STEP_S, FAST_STEP_S = 0.05, 1.0
 

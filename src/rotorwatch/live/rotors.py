@@ -11,9 +11,9 @@ from collections import deque
 import numpy as np
 
 from rotorwatch.answer.wording import rotors
-from rotorwatch.witnesses.esc.stopped import COMMANDED, OTHERS_TURN, REPORTS, STANDS
 from rotorwatch.flight import Signal
 from rotorwatch.logs.esc_columns import RPM
+from rotorwatch.witnesses.esc.stopped import COMMANDED, OTHERS_TURN, REPORTS, STANDS
 
 USUAL_REPORTS, LEAST = 300, 20  # reports that tell what is usual
 AGAIN_S = 2.0  # of turning before a rotor that stood is said to turn again

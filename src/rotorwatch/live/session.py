@@ -13,6 +13,8 @@ from rotorwatch.answer import ledger
 from rotorwatch.answer.wording import rotors
 from rotorwatch.engine.default import events
 from rotorwatch.engine.default.residual_evidence import ResidualEvidence
+from rotorwatch.engine.motion.airborne import Gap
+from rotorwatch.engine.motion.ticks import JUDGE, LEARN, READY_KNOWN_S, READY_S
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
@@ -20,8 +22,6 @@ from rotorwatch.live.control import Control
 from rotorwatch.live.judge import Judge
 from rotorwatch.live.stream import Piece, Stream
 from rotorwatch.live.trust import MEMORY_S, Trust
-from rotorwatch.engine.motion.airborne import Gap
-from rotorwatch.engine.motion.ticks import JUDGE, LEARN, READY_KNOWN_S, READY_S
 
 _ONE = threading.Lock()
 

@@ -12,17 +12,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorwatch.base.compiling.structs import LASTS
-from rotorwatch.flight import Flight, Message, Signal
-from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.engine.front import front, ticks, whole
 from rotorwatch.engine.front.definition import FRONT, merged, states
-from rotorwatch.live.window import WINDOW_S, Window
 from rotorwatch.engine.motion import allocation
 from rotorwatch.engine.motion.airborne import Gap
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.contact import Contact
 from rotorwatch.engine.motion.deviations import Override, found
 from rotorwatch.engine.motion.ticks import Plan, Ticks, columns, joined, laid_out, plan
+from rotorwatch.flight import Flight, Message, Signal
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.live.window import WINDOW_S, Window
 
 LOOK_S = 0.2  # at least so often it is asked whether the vehicle flies
 FORGET_S = 1.0  # between two clearings of what is not needed any more

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch.flight import Flight
-from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.engine.motion import trust
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.ticks import Ticks, joined
+from rotorwatch.flight import Flight
+from rotorwatch.flight.vehicle import Vehicle
 
 MEMORY_S = 120.0  # of the flight that is held against itself
 EVERY_S = 10.0  # between two looks while nothing new is announced

@@ -8,13 +8,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from rotorwatch import airframes
+from rotorwatch.engine.motion import trust
+from rotorwatch.engine.motion.airborne import airborne
+from rotorwatch.engine.motion.ticks import READY_S, observe, tick_length
 from rotorwatch.errors import RotorwatchError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import SCHEMA
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.engine.motion import trust
-from rotorwatch.engine.motion.airborne import airborne
-from rotorwatch.engine.motion.ticks import READY_S, observe, tick_length
 
 # Faster logging than this finds nothing sooner; of vehicles that never hover no short moment.
 FAST_HZ, FAST_BLACKBOX_HZ = 50.0, 500.0

@@ -46,12 +46,12 @@ def serve(
     """
     for name in ("starlette", "uvicorn"):
         optional.library(name, "The page")
-    from rotorwatch.witnesses.healthy.baselines import vehicle_of
     from rotorwatch.serve import security
     from rotorwatch.serve.app import application
     from rotorwatch.serve.flights import Flights
     from rotorwatch.serve.live import Feed
     from rotorwatch.serve.uploads import Limits
+    from rotorwatch.witnesses.healthy.baselines import vehicle_of
 
     known = security.checked(host, os.environ.get("ROTORWATCH_TOKEN", "") if token is None else token)
     most = int(checks.positive("max_upload", max_upload) * 2**20)

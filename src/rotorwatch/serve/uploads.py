@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from rotorwatch.base.many.limited import TooMuch, Workers
 from rotorwatch.errors import ConfigError, LogError, RotorwatchError, VehicleError
 from rotorwatch.fleet.store import Entry
-from rotorwatch.base.many.limited import TooMuch, Workers
 from rotorwatch.serve import names
 from rotorwatch.serve.flights import Flights, wrong
 

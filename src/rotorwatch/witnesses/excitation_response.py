@@ -29,7 +29,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch.methods.control import excitation
 from rotorwatch.engine.default import hypotheses
 from rotorwatch.engine.default.events import CREDIBLE, read, sd_of
 from rotorwatch.engine.default.model_error import AT_LIMIT
@@ -38,11 +37,12 @@ from rotorwatch.engine.default.plant import AXIS_STATES, GAIN, PER_AXIS, TAU, lo
 from rotorwatch.engine.default.program import estimate
 from rotorwatch.engine.default.residual_evidence import TRIM_S, TRIM_SD
 from rotorwatch.engine.estimator.plant import SHARE
+from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import LOSS
+from rotorwatch.methods.control import excitation
 from rotorwatch.methods.maths.nonnegative import least_squares
 from rotorwatch.methods.maths.tails import normal_cdf
-from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 
 LEAST = 0.05  # hover thrusts of one rotor, off the mixer's own way of making a wrench: an excitation, no rounding
 SHORTEST_S, GAP_S, ASIDE_S = 0.5, 1.0, 1.0  # of an excitation; between two; of flight looked at before and after

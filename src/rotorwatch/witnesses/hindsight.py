@@ -21,8 +21,8 @@ from rotorwatch.engine.default.learning import LEARNED_WEIGHT
 from rotorwatch.engine.default.plant import DAMPING, GAIN, PER_AXIS, any_multirotor, lower_rotors
 from rotorwatch.engine.default.program import estimate
 from rotorwatch.engine.estimator.plant import AIR, CURVE, SHARE
-from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LEARN, Ticks
+from rotorwatch.flight.diagnosis import Event, Source
 
 LOOK_S = 7.0  # beyond the blind time: a loss just before its end is announced in it, and has lasted
 REST_S = 20.0  # of flight after the blind time, from which gains and noise are learned without it

@@ -24,8 +24,8 @@ from typing import Any
 
 from rotorwatch import __version__
 from rotorwatch.base import optional
-from rotorwatch.errors import ConfigError, WorkerError, WorkerWarning
 from rotorwatch.base.many.done import Done, Task, attempt, packed
+from rotorwatch.errors import ConfigError, WorkerError, WorkerWarning
 
 AHEAD, LEAST = 2, 16
 """Items in flight for each worker, and in all."""

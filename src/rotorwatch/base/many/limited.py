@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from rotorwatch.base import incoming
-from rotorwatch.errors import WorkerError
 from rotorwatch.base.many.processes import Worker
+from rotorwatch.errors import WorkerError
 
 
 class TooMuch(WorkerError):

@@ -22,8 +22,8 @@ from multiprocessing import connection, get_context, parent_process
 from typing import Any
 
 from rotorwatch.base import incoming
-from rotorwatch.errors import FirstUse, WorkerError
 from rotorwatch.base.many.done import Done, Task, attempt, packed, portable
+from rotorwatch.errors import FirstUse, WorkerError
 
 START_S, EXIT_S = 120.0, 10.0
 """For a process to load what it needs, and to end after its pipe."""

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
-from rotorwatch.errors import ConfigError
 from rotorwatch.base.many.done import Done, Task, attempt
 from rotorwatch.base.many.result_cache import ResultCache
+from rotorwatch.errors import ConfigError
 
 EACH = 4
 """Logs that make it worth while to start one more process."""

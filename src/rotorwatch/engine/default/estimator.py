@@ -14,7 +14,19 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.core import Array, Decision, Estimate
-from rotorwatch.engine.default import announcement, bank, evidence, hypotheses, kalman, model_error, noise, opposite, plant, plausibility, posterior
+from rotorwatch.engine.default import (
+    announcement,
+    bank,
+    evidence,
+    hypotheses,
+    kalman,
+    model_error,
+    noise,
+    opposite,
+    plant,
+    plausibility,
+    posterior,
+)
 from rotorwatch.engine.default.plant import AIR, B3, CURVE, DAMPING, GAIN, PER_AXIS
 from rotorwatch.engine.front.ticks import AGAIN, GROUND, JUDGE
 

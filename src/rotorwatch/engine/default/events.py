@@ -16,10 +16,6 @@ from rotorwatch.base.compiling.running import Rows
 from rotorwatch.base.compiling.structs import LASTS
 from rotorwatch.engine.default.hypotheses import Hypotheses
 from rotorwatch.engine.default.plant import lower_rotors
-from rotorwatch.flight import Flight
-from rotorwatch.flight.diagnosis import Event, Source
-from rotorwatch.flight.kinds import CONTACT, LOSS, OVERRIDE, TABLE, number
-from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.engine.front import deviations, losses, whole
 from rotorwatch.engine.front import events as definition
 from rotorwatch.engine.front.definition import FRONT, craft
@@ -30,6 +26,10 @@ from rotorwatch.engine.motion.contact import Contact
 from rotorwatch.engine.motion.deviations import Override
 from rotorwatch.engine.motion.deviations import overrides as deviating
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks
+from rotorwatch.flight import Flight
+from rotorwatch.flight.diagnosis import Event, Source
+from rotorwatch.flight.kinds import CONTACT, LOSS, OVERRIDE, TABLE, number
+from rotorwatch.flight.vehicle import Vehicle
 
 __all__ = ["CREDIBLE", "CURVE_SHARE"]
 

@@ -14,7 +14,17 @@ from itertools import combinations
 
 import numpy as np
 
-from rotorwatch.engine.estimator.hypotheses import AIR_SHARE, CLEAR, FAR, FAR_SHARE, LOSS_WIDTH, MORE, NONE, NOTHING, RECOVERY_SHARE, SLOP, SMALL_WIDTH, TOTAL_LOSS, TOTAL_SHARE
+from rotorwatch.engine.estimator.hypotheses import (
+    AIR_SHARE,
+    LOSS_WIDTH,
+    MORE,
+    NONE,
+    NOTHING,
+    RECOVERY_SHARE,
+    SLOP,
+    SMALL_WIDTH,
+    TOTAL_SHARE,
+)
 from rotorwatch.engine.front import losses
 
 # Prior weights: how often each kind of jump happens, relative to one particular rotor failing, or working again. Disturbances are common.

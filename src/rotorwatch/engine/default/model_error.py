@@ -16,7 +16,26 @@ from rotorwatch.base.physics import G0
 from rotorwatch.core import Array
 from rotorwatch.engine.default import noise, plant
 from rotorwatch.engine.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS
-from rotorwatch.engine.estimator.model_error import AIR_ERROR, AT_LIMIT, BELOW_LIMIT, DAMPING_ERROR, ERROR_TICKS, FAR, FAR_ERROR, GAIN_ERROR, GARROTE, GUST_SHARE, LAG_ERROR_S, LASTING_MEMORY_S, LEAST_GAIN, LEVEL_MEMORY_S, SIDE_FORCE, STILL, WASH, WASH_SINK
+from rotorwatch.engine.estimator.model_error import (
+    AIR_ERROR,
+    AT_LIMIT,
+    BELOW_LIMIT,
+    DAMPING_ERROR,
+    ERROR_TICKS,
+    FAR,
+    FAR_ERROR,
+    GAIN_ERROR,
+    GARROTE,
+    GUST_SHARE,
+    LAG_ERROR_S,
+    LASTING_MEMORY_S,
+    LEAST_GAIN,
+    LEVEL_MEMORY_S,
+    SIDE_FORCE,
+    STILL,
+    WASH,
+    WASH_SINK,
+)
 
 
 class Memory(NamedTuple):

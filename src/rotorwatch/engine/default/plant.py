@@ -25,7 +25,20 @@ import numpy as np
 
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.estimator import plant as definition
-from rotorwatch.engine.estimator.plant import AIR, ANSWER_S, BUILT_SD, BURST_S, CURVE, DAMPING_RATE, DAMPING_RATE_SD, DRAG, INFLOW, INFLOW_SD, PER_AXIS, SHARE_SD, SIDE, SIDE_SD, SIDEWAYS, TAU, USUAL_S
+from rotorwatch.engine.estimator.plant import (
+    CURVE,
+    DAMPING_RATE,
+    DAMPING_RATE_SD,
+    DRAG,
+    INFLOW,
+    INFLOW_SD,
+    PER_AXIS,
+    SHARE_SD,
+    SIDE,
+    SIDE_SD,
+    SIDEWAYS,
+    TAU,
+)
 
 B1, B2, B3, GAIN, DAMPING = range(PER_AXIS)
 AXES = ("roll", "pitch", "yaw", "thrust")

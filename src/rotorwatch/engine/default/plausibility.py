@@ -13,7 +13,15 @@ from rotorwatch.base.physics import G0
 from rotorwatch.core import Array
 from rotorwatch.engine.default import hypotheses, model_error, plant
 from rotorwatch.engine.default.evidence import Jump
-from rotorwatch.engine.estimator.plausibility import CUT_SHARE, DEMAND_SHARE, DEMAND_SLACK, INFLOW, LEAST_THRUST, LIMIT_S, MISSING_SLACK
+from rotorwatch.engine.estimator.plausibility import (
+    CUT_SHARE,
+    DEMAND_SHARE,
+    DEMAND_SLACK,
+    INFLOW,
+    LEAST_THRUST,
+    LIMIT_S,
+    MISSING_SLACK,
+)
 
 
 class Plausible(NamedTuple):

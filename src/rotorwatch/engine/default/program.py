@@ -14,8 +14,8 @@ from rotorwatch.engine.estimator import estimator, noise, sizes, whole
 from rotorwatch.engine.estimator.definition import ENGINE
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
 from rotorwatch.engine.estimator.plant import AIR, CURVE, SHARE, SHARE_SD, Plant
-from rotorwatch.errors import ConfigError
 from rotorwatch.engine.motion.ticks import AGAIN, TICKS_S, Ticks
+from rotorwatch.errors import ConfigError
 
 PIECE = 256  # ticks in one call
 

@@ -15,9 +15,9 @@ import numpy as np
 
 from rotorwatch.engine.default import hypotheses, plant
 from rotorwatch.engine.default.hypotheses import Hypotheses
+from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import CONTACT
-from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 
 LASTS_S = 1.0
 TRIM_S = 2.0  # over which the trim before and after it was learned afresh is averaged

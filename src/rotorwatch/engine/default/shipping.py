@@ -14,8 +14,8 @@ from pathlib import Path
 
 from rotorwatch.base.compiling import shipped, toolchain
 from rotorwatch.engine.estimator.definition import ENGINE
-from rotorwatch.errors import RotorwatchError
 from rotorwatch.engine.front.definition import FRONT
+from rotorwatch.errors import RotorwatchError
 from rotorwatch.logs.blackbox.decoder import BLACKBOX
 
 DEFINITIONS = (FRONT, ENGINE, BLACKBOX)

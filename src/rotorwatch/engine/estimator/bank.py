@@ -17,7 +17,20 @@ reveals them.
 from __future__ import annotations
 
 from rotorwatch.base.compiling.structs import REAL, Real, Reals, Struct, array, exp, local, log, real
-from rotorwatch.engine.estimator.plant import ANSWER_S, B1, B2, B3, DAMPING, PER_AXIS, PITCH, ROLL, SIDEWAYS, THETA, YAW_GAIN, Plant
+from rotorwatch.engine.estimator.plant import (
+    ANSWER_S,
+    B1,
+    B2,
+    B3,
+    DAMPING,
+    PER_AXIS,
+    PITCH,
+    ROLL,
+    SIDEWAYS,
+    THETA,
+    YAW_GAIN,
+    Plant,
+)
 from rotorwatch.engine.estimator.sizes import DIRECTIONS, ROTORS, SLOTS, STATES
 
 GROUP, GROUPS = 16, 3  # slots of a group

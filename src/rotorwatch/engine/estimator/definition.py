@@ -4,7 +4,22 @@ from __future__ import annotations
 
 from rotorwatch.base.compiling.running import Definition
 from rotorwatch.base.compiling.shipped import files_in
-from rotorwatch.engine.estimator import announcement, bank, estimator, evidence, hypotheses, kalman, model_error, noise, opposite, plant, plausibility, posterior, sizes, whole
+from rotorwatch.engine.estimator import (
+    announcement,
+    bank,
+    estimator,
+    evidence,
+    hypotheses,
+    kalman,
+    model_error,
+    noise,
+    opposite,
+    plant,
+    plausibility,
+    posterior,
+    sizes,
+    whole,
+)
 
 PARTS = (
     plant,

@@ -18,7 +18,26 @@ from rotorwatch.engine.estimator.kalman import Measured
 from rotorwatch.engine.estimator.model_error import ERROR_TICKS, Memory, Seen, shows_air, unknown_damping
 from rotorwatch.engine.estimator.noise import WHITE, Noise
 from rotorwatch.engine.estimator.opposite import TURNING, Opposite
-from rotorwatch.engine.estimator.plant import AIR, B1, B2, B3, CURVE, LOAD_GAIN, PER_AXIS, THETA, THRUST, YAW, YAW_GAIN, Inputs, Plant, Rows, bend, bent_wrench, dot, rows
+from rotorwatch.engine.estimator.plant import (
+    AIR,
+    B1,
+    B2,
+    B3,
+    CURVE,
+    LOAD_GAIN,
+    PER_AXIS,
+    THETA,
+    THRUST,
+    YAW,
+    YAW_GAIN,
+    Inputs,
+    Plant,
+    Rows,
+    bend,
+    bent_wrench,
+    dot,
+    rows,
+)
 from rotorwatch.engine.estimator.plausibility import Coupling, Missing, Plausible
 from rotorwatch.engine.estimator.posterior import Branches, lives
 from rotorwatch.engine.estimator.sizes import HYPOTHESES, PLACES, ROTORS, SLOTS

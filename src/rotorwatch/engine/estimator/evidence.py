@@ -10,10 +10,48 @@ most probable onset and size of a hypothesis comes what the augmented filter wou
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import REAL, Real, Reals, Struct, array, embedded, exp, local, log, real, reset, sqrt
+from rotorwatch.base.compiling.structs import (
+    REAL,
+    Real,
+    Reals,
+    Struct,
+    array,
+    embedded,
+    exp,
+    local,
+    log,
+    real,
+    reset,
+    sqrt,
+)
 from rotorwatch.engine.estimator import hypotheses
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Bank, Slot, Window
-from rotorwatch.engine.estimator.hypotheses import CLEAR, DISTURBANCE, DISTURBANCE_COUNT, DISTURBANCE_WEIGHT, DISTURBANCES, FAR, FAR_SHARE, LOSS_WIDTH, NONE, NOTHING, ONE_THRUST, PAIR, RECOVERY, SINGLE, TOTAL_LOSS, Asked, Freed, Jump, hypothesis_count, kind_of, other_rotor_of, recovery_variance, rotor_of, weight_of
+from rotorwatch.engine.estimator.hypotheses import (
+    CLEAR,
+    DISTURBANCE,
+    DISTURBANCE_COUNT,
+    DISTURBANCE_WEIGHT,
+    DISTURBANCES,
+    FAR,
+    FAR_SHARE,
+    LOSS_WIDTH,
+    NONE,
+    NOTHING,
+    ONE_THRUST,
+    PAIR,
+    RECOVERY,
+    SINGLE,
+    TOTAL_LOSS,
+    Asked,
+    Freed,
+    Jump,
+    hypothesis_count,
+    kind_of,
+    other_rotor_of,
+    recovery_variance,
+    rotor_of,
+    weight_of,
+)
 from rotorwatch.engine.estimator.kalman import Branch
 from rotorwatch.engine.estimator.noise import Noise
 from rotorwatch.engine.estimator.plant import ANSWER_S, THETA, THRUST, Plant

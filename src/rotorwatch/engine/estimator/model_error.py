@@ -8,10 +8,28 @@ noise count as a side force: a regressor that holds noise makes its coefficient 
 
 from __future__ import annotations
 
-from rotorwatch.base.physics import G0
 from rotorwatch.base.compiling.structs import REAL, Flags, Real, Reals, Struct, array, local, real, sqrt
+from rotorwatch.base.physics import G0
 from rotorwatch.engine.estimator.noise import CLIP, DRIFT, FAST, SLOW, WHITE, Noise
-from rotorwatch.engine.estimator.plant import ANSWER_S, B1, B2, B3, BURST_S, DAMPING, DAMPING_RATE, DAMPING_RATE_SD, GAIN, GAIN_MEAN, PER_AXIS, TAU, THETA, THRUST, USUAL_S, Inputs, Plant
+from rotorwatch.engine.estimator.plant import (
+    ANSWER_S,
+    B1,
+    B2,
+    B3,
+    BURST_S,
+    DAMPING,
+    DAMPING_RATE,
+    DAMPING_RATE_SD,
+    GAIN,
+    GAIN_MEAN,
+    PER_AXIS,
+    TAU,
+    THETA,
+    THRUST,
+    USUAL_S,
+    Inputs,
+    Plant,
+)
 from rotorwatch.engine.estimator.sizes import ROTORS, STATES
 
 GARROTE = 2.5  # how many times its calm level motion must reach to stand out

@@ -15,7 +15,17 @@ from rotorwatch.base.compiling.structs import Real, Struct, exp, log, real
 from rotorwatch.engine.estimator.announcement import Alarm, either
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Bank, Window
 from rotorwatch.engine.estimator.evidence import Evidence
-from rotorwatch.engine.estimator.hypotheses import CLEAR, LOSS_WIDTH, NONE, NOTHING, PAIR, SMALL_WIDTH, kind_of, other_rotor_of, rotor_of
+from rotorwatch.engine.estimator.hypotheses import (
+    CLEAR,
+    LOSS_WIDTH,
+    NONE,
+    NOTHING,
+    PAIR,
+    SMALL_WIDTH,
+    kind_of,
+    other_rotor_of,
+    rotor_of,
+)
 from rotorwatch.engine.estimator.plant import ANSWER_S, USUAL_S, Plant
 from rotorwatch.engine.estimator.plausibility import Missing, torque_free
 from rotorwatch.engine.estimator.sizes import SLOTS

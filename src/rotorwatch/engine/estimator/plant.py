@@ -16,8 +16,8 @@ The state x is (b1, b2, b3, G, c) of each axis, where thrust, which has no dampi
 
 from __future__ import annotations
 
-from rotorwatch.base.physics import G0
 from rotorwatch.base.compiling.structs import FLAG, REAL, Real, Reals, Struct, array, exp, local, real, sqrt
+from rotorwatch.base.physics import G0
 from rotorwatch.engine.estimator.sizes import PLANT_STATES, ROTORS, STATES
 from rotorwatch.engine.front.vehicle import PITCH, ROLL, THRUST, YAW
 

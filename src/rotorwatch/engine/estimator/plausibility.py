@@ -5,8 +5,8 @@ Evidence says which explanation fits best; these gates say whether the best one 
 
 from __future__ import annotations
 
-from rotorwatch.base.physics import G0
 from rotorwatch.base.compiling.structs import REAL, Real, Struct, array, exp, local, real, sqrt
+from rotorwatch.base.physics import G0
 from rotorwatch.engine.estimator.bank import Slot
 from rotorwatch.engine.estimator.evidence import Best
 from rotorwatch.engine.estimator.hypotheses import NONE

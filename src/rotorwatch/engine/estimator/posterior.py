@@ -14,11 +14,36 @@ what that bank finds becomes branches of it, each with its jump in state, covari
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import FLAG, INT, REAL, Flags, Real, Reals, Struct, array, copy, embedded, exp, isnan, local, log, sqrt
+from rotorwatch.base.compiling.structs import (
+    FLAG,
+    INT,
+    REAL,
+    Flags,
+    Real,
+    Reals,
+    Struct,
+    array,
+    copy,
+    embedded,
+    exp,
+    isnan,
+    local,
+    log,
+    sqrt,
+)
 from rotorwatch.engine.estimator.announcement import either
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Bank, Slot
 from rotorwatch.engine.estimator.evidence import Best, Evidence, Shift
-from rotorwatch.engine.estimator.hypotheses import CLEAR, DISTURBANCE_COUNT, NONE, NOTHING, RECOVERY, hypothesis_count, other_rotor_of, rotor_of
+from rotorwatch.engine.estimator.hypotheses import (
+    CLEAR,
+    DISTURBANCE_COUNT,
+    NONE,
+    NOTHING,
+    RECOVERY,
+    hypothesis_count,
+    other_rotor_of,
+    rotor_of,
+)
 from rotorwatch.engine.estimator.kalman import Branch, swap
 from rotorwatch.engine.estimator.opposite import contested
 from rotorwatch.engine.estimator.plant import BUILT_SD, BURST_S, THETA, USUAL_S, Plant

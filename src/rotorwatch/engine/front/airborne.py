@@ -7,8 +7,25 @@ set seconds after touch-down, and many logs lack it.
 
 from __future__ import annotations
 
+from rotorwatch.base.compiling.structs import (  # fmt: skip
+    LASTS,
+    NAN,
+    REAL,
+    TIME,
+    Flags,
+    Mask,
+    Real,
+    Reals,
+    Struct,
+    Time,
+    array,
+    embedded,
+    floor,
+    isnan,
+    real,
+    sqrt,
+)
 from rotorwatch.base.physics import G0
-from rotorwatch.base.compiling.structs import LASTS, NAN, REAL, TIME, Flags, Mask, Real, Reals, Struct, Time, array, embedded, floor, isnan, real, sqrt  # fmt: skip
 from rotorwatch.engine.front.sizes import FLIGHTS, HALF_SECOND, ROTORS
 from rotorwatch.engine.front.vehicle import Vehicle
 

@@ -7,8 +7,21 @@ vehicle, an obstacle, the ground. What follows - tumbling, saturated outputs, a 
 
 from __future__ import annotations
 
+from rotorwatch.base.compiling.structs import (
+    FLAG,
+    LASTS,
+    REAL,
+    Real,
+    Reals,
+    Struct,
+    Time,
+    Times,
+    array,
+    local,
+    real,
+    sqrt,
+)
 from rotorwatch.base.physics import G0
-from rotorwatch.base.compiling.structs import FLAG, LASTS, REAL, Real, Reals, Struct, Time, Times, array, local, real, sqrt
 from rotorwatch.engine.front.sizes import ROTORS, TICKS_BEFORE
 from rotorwatch.engine.front.vehicle import Vehicle
 

@@ -8,8 +8,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorwatch.base.compiling.running import Definition, Rows
+from rotorwatch.engine.front import (
+    airborne,
+    changes,
+    contact,
+    deviations,
+    events,
+    front,
+    losses,
+    mixer,
+    records,
+    sense,
+    sizes,
+    ticks,
+    vehicle,
+    whole,
+    words,
+)
 from rotorwatch.flight import Flight, Message
-from rotorwatch.engine.front import airborne, changes, contact, deviations, events, front, losses, mixer, records, sense, sizes, ticks, vehicle, whole, words
 
 PARTS = (vehicle, airborne, mixer, deviations, contact, sense, ticks, front, events, records, losses, changes, words)
 FRONT = Definition("front", (*PARTS, whole), sizes)

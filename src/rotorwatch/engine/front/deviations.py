@@ -13,7 +13,25 @@ from __future__ import annotations
 
 from math import inf
 
-from rotorwatch.base.compiling.structs import FLAG, LASTS, NAN, REAL, TIME, Flags, Real, Reals, Struct, Time, array, copy, isnan, local, real, reset, sqrt  # fmt: skip
+from rotorwatch.base.compiling.structs import (  # fmt: skip
+    FLAG,
+    LASTS,
+    NAN,
+    REAL,
+    TIME,
+    Flags,
+    Real,
+    Reals,
+    Struct,
+    Time,
+    array,
+    copy,
+    isnan,
+    local,
+    real,
+    reset,
+    sqrt,
+)
 from rotorwatch.engine.front.mixer import FLYING, NOISE_SD, PART, Comparison
 from rotorwatch.engine.front.sizes import OVERRIDES, RECENT, ROTORS
 from rotorwatch.engine.front.vehicle import PITCH, ROLL, Vehicle

@@ -7,7 +7,20 @@ rotors alone, accuses nobody.
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import LASTS, MASK, REAL, TIME, Mask, Real, Small, Struct, Time, array, copy, reset
+from rotorwatch.base.compiling.structs import (
+    LASTS,
+    MASK,
+    REAL,
+    TIME,
+    Mask,
+    Real,
+    Small,
+    Struct,
+    Time,
+    array,
+    copy,
+    reset,
+)
 from rotorwatch.engine.front.deviations import Override
 from rotorwatch.engine.front.sizes import ALTERNATIVES, CONTACTS, EVENTS, FALLS, TOGETHER
 from rotorwatch.engine.front.vehicle import PITCH, ROLL, THRUST, Vehicle

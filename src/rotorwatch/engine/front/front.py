@@ -7,7 +7,21 @@ until that is known, up to some seconds.
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import FLAG, LASTS, REAL, Real, Reals, Struct, Time, array, copy, embedded, isnan, local, sqrt
+from rotorwatch.base.compiling.structs import (
+    FLAG,
+    LASTS,
+    REAL,
+    Real,
+    Reals,
+    Struct,
+    Time,
+    array,
+    copy,
+    embedded,
+    isnan,
+    local,
+    sqrt,
+)
 from rotorwatch.engine.front.airborne import Airborne
 from rotorwatch.engine.front.deviations import Deviations
 from rotorwatch.engine.front.mixer import Comparison, Mixer, curve

@@ -9,7 +9,27 @@ Rotors count from 0; a set of rotors has bit k for rotor k.
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import FLAG, INT, LASTS, REAL, TIME, Mask, Real, Reals, Small, Struct, Time, array, copy, embedded, exp, local, real, reset, sqrt
+from rotorwatch.base.compiling.structs import (
+    FLAG,
+    INT,
+    LASTS,
+    REAL,
+    TIME,
+    Mask,
+    Real,
+    Reals,
+    Small,
+    Struct,
+    Time,
+    array,
+    copy,
+    embedded,
+    exp,
+    local,
+    real,
+    reset,
+    sqrt,
+)
 from rotorwatch.engine.front.events import LOSS, PLAIN, SHARED, SUSPECTED, Event
 from rotorwatch.engine.front.records import Course, ExplanationState, Found, Onset, Record, Records
 from rotorwatch.engine.front.sizes import ALTERNATIVES, PAIRS, PLACES, REACH, RECORDS, ROTORS, SETS, TOGETHER

@@ -15,7 +15,23 @@ measures it. All thrusts are shares of full thrust. A value at time s uses nothi
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import FLAG, LASTS, REAL, TIME, Flags, Real, Reals, Struct, Time, array, copy, exp, local, real, sqrt  # fmt: skip
+from rotorwatch.base.compiling.structs import (  # fmt: skip
+    FLAG,
+    LASTS,
+    REAL,
+    TIME,
+    Flags,
+    Real,
+    Reals,
+    Struct,
+    Time,
+    array,
+    copy,
+    exp,
+    local,
+    real,
+    sqrt,
+)
 from rotorwatch.engine.front.sizes import PENDING, ROTORS
 from rotorwatch.engine.front.vehicle import PITCH, ROLL, YAW, Vehicle
 

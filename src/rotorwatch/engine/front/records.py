@@ -2,7 +2,23 @@
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import FLAG, INT, LASTS, MASK, REAL, SMALL, Mask, Real, Small, Struct, Time, array, copy, local, reset
+from rotorwatch.base.compiling.structs import (
+    FLAG,
+    INT,
+    LASTS,
+    MASK,
+    REAL,
+    SMALL,
+    Mask,
+    Real,
+    Small,
+    Struct,
+    Time,
+    array,
+    copy,
+    local,
+    reset,
+)
 from rotorwatch.engine.front.sizes import HYPOTHESES, PAIRS, PLACES, RECORDS, ROTORS, SETS, TOGETHER
 
 ESTIMATES = 16  # evenly spaced, that say what a loss was that is over

@@ -8,8 +8,25 @@ It pairs the commands sent during one tick length with the motion they caused a 
 
 from __future__ import annotations
 
+from rotorwatch.base.compiling.structs import (  # fmt: skip
+    LASTS,
+    NAN,
+    REAL,
+    TIME,
+    Real,
+    Reals,
+    Struct,
+    Time,
+    Times,
+    array,
+    embedded,
+    floor,
+    isnan,
+    local,
+    real,
+    reset,
+)
 from rotorwatch.base.physics import G0
-from rotorwatch.base.compiling.structs import LASTS, NAN, REAL, TIME, Real, Reals, Struct, Time, Times, array, embedded, floor, isnan, local, real, reset  # fmt: skip
 from rotorwatch.engine.front.contact import Vibration
 from rotorwatch.engine.front.sizes import LEVELS, MOTION_SAMPLES, ROTORS, WAITING
 from rotorwatch.engine.front.vehicle import Vehicle

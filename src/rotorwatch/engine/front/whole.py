@@ -5,7 +5,21 @@ A sample is its kind, its time and its numbers: `values` from `at` on. NaN: not 
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import FLAG, LASTS, REAL, Flags, Ints, Reals, Struct, Time, Times, array, isnan, local, sqrt
+from rotorwatch.base.compiling.structs import (
+    FLAG,
+    LASTS,
+    REAL,
+    Flags,
+    Ints,
+    Reals,
+    Struct,
+    Time,
+    Times,
+    array,
+    isnan,
+    local,
+    sqrt,
+)
 from rotorwatch.engine.front.airborne import Airborne
 from rotorwatch.engine.front.changes import Change, Changes
 from rotorwatch.engine.front.deviations import Deviations, Override

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorwatch.flight import Flight
 from rotorwatch.engine.front import airborne as definition
 from rotorwatch.engine.front import whole
 from rotorwatch.engine.front.airborne import CONFIRM_S, GAP_S, MOST_GAP_S, TICK_S
 from rotorwatch.engine.front.definition import FRONT, craft, known, merged, states
 from rotorwatch.engine.motion.allocation import output_range
+from rotorwatch.flight import Flight
 
 __all__ = ["CONFIRM_S", "GAP_S", "MOST_GAP_S", "TICK_S", "Gap", "airborne", "commands", "gaps", "output_range"]
 

@@ -21,10 +21,10 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.base.compiling.running import Rows
-from rotorwatch.flight import Flight, Signal
-from rotorwatch.flight.vehicle import ThrustCurve, Vehicle
 from rotorwatch.engine.front import mixer, whole
 from rotorwatch.engine.front.definition import FRONT, craft, known, merged
+from rotorwatch.flight import Flight, Signal
+from rotorwatch.flight.vehicle import ThrustCurve, Vehicle
 
 Spans = tuple[tuple[float, float], ...]
 FASTER = 1.5  # times as many samples of the one as of the other

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorwatch.base.physics import G0
 from rotorwatch.base.compiling.running import Rows
+from rotorwatch.base.physics import G0
 from rotorwatch.engine.front import contact as definition
 from rotorwatch.engine.front.sense import BEFORE_S
 

@@ -11,13 +11,13 @@ import numpy as np
 
 from rotorwatch.base.compiling.running import Rows
 from rotorwatch.base.compiling.structs import LASTS
-from rotorwatch.flight import Flight
-from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.engine.front import deviations, mixer, whole
 from rotorwatch.engine.front.definition import FRONT
 from rotorwatch.engine.front.sizes import OVERRIDES
 from rotorwatch.engine.motion import allocation
 from rotorwatch.engine.motion.allocation import Spans, within
+from rotorwatch.flight import Flight
+from rotorwatch.flight.vehicle import Vehicle
 
 LEAST = 3  # comparisons
 KINDS = {deviations.STUCK: "stuck", deviations.OFF: "off", deviations.OVERRIDDEN: "overridden"}

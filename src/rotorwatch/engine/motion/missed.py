@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotorwatch.flight import Flight
 from rotorwatch.engine.motion.allocation import Spans, within
+from rotorwatch.flight import Flight
 
 LEAST_S, MOST_S = 0.3, 5.0  # how long outputs repeat
 LEAST = 3  # samples that repeat

@@ -13,8 +13,6 @@ import numpy as np
 
 from rotorwatch.base.compiling.running import Rows
 from rotorwatch.base.compiling.structs import LASTS
-from rotorwatch.flight import Flight, Signal
-from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.engine.front import sense as cutting
 from rotorwatch.engine.front import ticks as definition
 from rotorwatch.engine.front import whole
@@ -23,6 +21,8 @@ from rotorwatch.engine.front.sense import LATE_S, SIDE_S
 from rotorwatch.engine.front.ticks import AGAIN, GROUND, HOVER_LEARN_S, JUDGE, LEARN
 from rotorwatch.engine.motion import allocation
 from rotorwatch.engine.motion.contact import Contact, contacts, look_back
+from rotorwatch.flight import Flight, Signal
+from rotorwatch.flight.vehicle import Vehicle
 
 __all__ = ["AGAIN", "GROUND", "HOVER_LEARN_S", "JUDGE", "LATE_S", "LEARN", "SIDE_S"]
 

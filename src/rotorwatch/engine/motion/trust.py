@@ -15,10 +15,10 @@ from itertools import pairwise
 import numpy as np
 
 from rotorwatch.base.physics import G0
-from rotorwatch.flight import Flight, Signal, output_functions
-from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.engine.motion.allocation import within
 from rotorwatch.engine.motion.ticks import Ticks
+from rotorwatch.flight import Flight, Signal, output_functions
+from rotorwatch.flight.vehicle import Vehicle
 
 Spans = tuple[tuple[float, float], ...]
 

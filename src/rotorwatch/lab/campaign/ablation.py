@@ -25,20 +25,20 @@ from typing import Any
 import numpy as np
 
 from rotorwatch import airframes, logs
-from rotorwatch.lab.campaign import batch, sequences
-from rotorwatch.lab.campaign.constants import TABLE
-from rotorwatch.lab.campaign.plan import Plan
-from rotorwatch.engine.default import announcement, events, hypotheses, program
 from rotorwatch.diagnose import Estimated, Prepared, prepare
 from rotorwatch.diagnose import judge as conclude
+from rotorwatch.engine.default import announcement, events, hypotheses, program
 from rotorwatch.engine.estimator.definition import ENGINE
-from rotorwatch.errors import ConfigError
-from rotorwatch.lab.experiments import inject, tools
-from rotorwatch.lab.experiments.studies import false_alarms
-from rotorwatch.flight.diagnosis import Event
 from rotorwatch.engine.front.definition import FRONT
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import JUDGE, READY_S, Ticks
+from rotorwatch.errors import ConfigError
+from rotorwatch.flight.diagnosis import Event
+from rotorwatch.lab.campaign import batch, sequences
+from rotorwatch.lab.campaign.constants import TABLE
+from rotorwatch.lab.campaign.plan import Plan
+from rotorwatch.lab.experiments import inject, tools
+from rotorwatch.lab.experiments.studies import false_alarms
 
 # Files of the method's step, and the definition that makes losses of its ticks.
 FILES = {

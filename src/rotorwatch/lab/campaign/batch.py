@@ -13,24 +13,24 @@ from typing import Any, NamedTuple, Protocol, cast
 import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.lab.campaign import methods, score
-from rotorwatch.lab.campaign.plan import Plan
-from rotorwatch.engine.default import hypotheses, program
-from rotorwatch.engine.default.announcement import threshold
 from rotorwatch.diagnose import Estimated, Prepared, prepare
 from rotorwatch.diagnose import judge as conclude
+from rotorwatch.engine.default import hypotheses, program
+from rotorwatch.engine.default.announcement import threshold
+from rotorwatch.engine.motion.ticks import GROUND, LAG_S, Ticks
 from rotorwatch.errors import ConfigError
-from rotorwatch.lab.experiments import counting, limits
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Source
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.engine.motion.ticks import GROUND, LAG_S, Ticks
-from rotorwatch.methods.published import decide, detectors
+from rotorwatch.lab.campaign import methods, score
+from rotorwatch.lab.campaign.plan import Plan
+from rotorwatch.lab.experiments import counting, limits
 from rotorwatch.lab.simulation import logbook
 from rotorwatch.lab.simulation import plan as flight_plan
 from rotorwatch.lab.simulation.loop import fly_each
 from rotorwatch.lab.simulation.multirotor import MULTIROTOR
 from rotorwatch.lab.simulation.scenario import Scenario
+from rotorwatch.methods.published import decide, detectors
 
 CPU_WIDTH, ACCELERATOR_WIDTH = 32, 1024
 

@@ -21,15 +21,15 @@ import numpy as np
 from rotorwatch import __version__, airframes
 from rotorwatch.base import discovery, files
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.errors import ConfigError
 from rotorwatch.lab.campaign import batch, public_data, results_file, summary, work
 from rotorwatch.lab.campaign.benchmark_plan import Benchmark, digest, read, shipped
 from rotorwatch.lab.campaign.plan import Plan
 from rotorwatch.lab.campaign.score import COLUMNS
-from rotorwatch.errors import ConfigError
 from rotorwatch.lab.experiments.studies import compare, compare_flights
+from rotorwatch.lab.simulation.scenario import brief
 from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
 from rotorwatch.methods.published import detectors, published
-from rotorwatch.lab.simulation.scenario import brief
 
 __all__ = ["Benchmark", "known_methods", "parts_of", "read", "run", "selected_methods", "shipped", "try_out"]
 REPEATS = 7  # of the table that a step is timed over

@@ -19,10 +19,10 @@ from typing import NamedTuple
 
 from rotorwatch.base import files
 from rotorwatch.base.optional import tomllib
+from rotorwatch.errors import ConfigError
 from rotorwatch.lab.campaign import plan as plans
 from rotorwatch.lab.campaign.plan import Plan
 from rotorwatch.lab.campaign.score import RISE_S
-from rotorwatch.errors import ConfigError
 from rotorwatch.lab.simulation.scenario import number, plain, whole
 
 SHIPPED = Path(__file__).parent / "benchmark_plans"

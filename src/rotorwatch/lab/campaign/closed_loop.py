@@ -22,20 +22,20 @@ import numpy as np
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.base.physics import G0
+from rotorwatch.engine.default import program
+from rotorwatch.engine.motion.ticks import LEARN
+from rotorwatch.errors import ConfigError
 from rotorwatch.lab.campaign import batch, methods, work
 from rotorwatch.lab.campaign import plan as plans
 from rotorwatch.lab.campaign.plan import Plan
 from rotorwatch.lab.campaign.score import read_columns
 from rotorwatch.lab.campaign.store import Folder
+from rotorwatch.lab.experiments import tools
+from rotorwatch.lab.simulation import logbook, loop, prepare, reconfigured, trajectories
+from rotorwatch.lab.simulation.scenario import Scenario
 from rotorwatch.methods.control import attainable, spinning
 from rotorwatch.methods.control.airframe import Airframe
 from rotorwatch.methods.control.allocation import DRIVEN_BY, rows
-from rotorwatch.engine.default import program
-from rotorwatch.errors import ConfigError
-from rotorwatch.lab.experiments import tools
-from rotorwatch.engine.motion.ticks import LEARN
-from rotorwatch.lab.simulation import logbook, loop, prepare, reconfigured, trajectories
-from rotorwatch.lab.simulation.scenario import Scenario
 
 NOBODY, TRUTH = "nobody", "truth"
 ENTRIES = 8  # beliefs that a flight may act on, one after the other

@@ -19,19 +19,19 @@ from typing import Any
 import numpy as np
 
 from rotorwatch import airframes
-from rotorwatch.methods.control import excitation
-from rotorwatch.engine.default import events, program
-from rotorwatch.witnesses import excitation_response
 from rotorwatch.diagnose import diagnose
-from rotorwatch.errors import ConfigError
-from rotorwatch.lab.experiments import tools
-from rotorwatch.flight.diagnosis import Event
+from rotorwatch.engine.default import events, program
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.allocation import ambiguous_sets
 from rotorwatch.engine.motion.ticks import READY_S, observe
+from rotorwatch.errors import ConfigError
+from rotorwatch.flight.diagnosis import Event
+from rotorwatch.lab.experiments import tools
 from rotorwatch.lab.simulation import logbook, loop, prepare, scenario
 from rotorwatch.lab.simulation.excited import EXCITED
 from rotorwatch.lab.simulation.scenario import Scenario
+from rotorwatch.methods.control import excitation
+from rotorwatch.witnesses import excitation_response
 
 FRAMES = ("hexa-x", "hexa-plus", "octa-x", "octa-plus")
 ONSET_S, WAITS_S, ENDS_S = (

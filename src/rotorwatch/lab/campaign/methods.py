@@ -18,9 +18,9 @@ from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.base.compiling.run import engine, run, run_built
 from rotorwatch.engine.default import hypotheses, program
 from rotorwatch.engine.default.plant import PER_AXIS
+from rotorwatch.engine.motion.ticks import LEARN, Ticks
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.experiments import tools
-from rotorwatch.engine.motion.ticks import LEARN, Ticks
 from rotorwatch.methods.published import log_plant, published
 from rotorwatch.methods.published.log_plant import LogPlant
 from rotorwatch.methods.published.published import Decisions

@@ -20,9 +20,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from rotorwatch.lab.experiments.counting import EARLY_S
 from rotorwatch.flight.diagnosis import Diagnosis, Event
 from rotorwatch.flight.kinds import DESYNC, LOSS, OVERRIDE
+from rotorwatch.lab.experiments.counting import EARLY_S
 from rotorwatch.lab.simulation.scenario import Scenario
 
 ACCUSES = (LOSS, OVERRIDE, DESYNC)

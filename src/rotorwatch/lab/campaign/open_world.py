@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
+from rotorwatch.diagnose import diagnose
+from rotorwatch.errors import ConfigError, RotorwatchError
 from rotorwatch.lab.campaign import open_score, work
 from rotorwatch.lab.campaign.plan import Plan
 from rotorwatch.lab.campaign.score import read_columns
-from rotorwatch.diagnose import diagnose
-from rotorwatch.errors import ConfigError, RotorwatchError
 from rotorwatch.lab.experiments import tools
 from rotorwatch.lab.simulation import logbook
 from rotorwatch.lab.simulation import plan as flight_plan

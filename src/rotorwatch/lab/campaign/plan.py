@@ -54,9 +54,9 @@ import numpy as np
 
 from rotorwatch.base import discovery, files
 from rotorwatch.errors import ConfigError
-from rotorwatch.methods.published import detectors
 from rotorwatch.lab.simulation import prepare, scenario
 from rotorwatch.lab.simulation.scenario import Scenario, brief, is_number, number, only_fields, whole
+from rotorwatch.methods.published import detectors
 
 MAX_BYTES = 1_000_000
 DRAWS = ("choice", "uniform", "log_uniform")

@@ -31,13 +31,13 @@ import numpy as np
 
 from rotorwatch import logs
 from rotorwatch.base import files
+from rotorwatch.diagnose import prepare
+from rotorwatch.engine.motion.ticks import LAG_S
+from rotorwatch.errors import ConfigError, RotorwatchError
+from rotorwatch.flight import Flight
 from rotorwatch.lab.campaign import batch
 from rotorwatch.lab.campaign.batch import Flown
 from rotorwatch.lab.campaign.plan import Plan
-from rotorwatch.diagnose import prepare
-from rotorwatch.errors import ConfigError, RotorwatchError
-from rotorwatch.flight import Flight
-from rotorwatch.engine.motion.ticks import LAG_S
 from rotorwatch.lab.simulation.scenario import Scenario, brief, number, only_fields, whole
 
 SHIPPED, OWN = Path(__file__).parent / "datasets", "rotorwatch-index.toml"

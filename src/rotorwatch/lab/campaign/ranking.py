@@ -15,9 +15,9 @@ from typing import Any
 
 from rotorwatch import __version__
 from rotorwatch.base import files
+from rotorwatch.errors import ConfigError
 from rotorwatch.lab.campaign import results_file, summary
 from rotorwatch.lab.campaign.page import STYLE
-from rotorwatch.errors import ConfigError
 from rotorwatch.lab.experiments.tools import interval
 from rotorwatch.report.colours import PALETTE
 

@@ -16,8 +16,8 @@ import os
 from typing import Any
 
 from rotorwatch.base import files
-from rotorwatch.lab.campaign import benchmark_plan
 from rotorwatch.errors import ConfigError
+from rotorwatch.lab.campaign import benchmark_plan
 
 FORMAT, VERSION = "rotorwatch-benchmark", 1
 MAX_BYTES = 50_000_000

@@ -14,12 +14,12 @@ import numpy as np
 
 from rotorwatch.answer.conclusion import Conclusion
 from rotorwatch.base import files
-from rotorwatch.lab.campaign.plan import Plan
 from rotorwatch.engine.default import events
 from rotorwatch.engine.default.announcement import TICKS
+from rotorwatch.engine.motion.ticks import JUDGE
+from rotorwatch.lab.campaign.plan import Plan
 from rotorwatch.lab.experiments import counting, limits
 from rotorwatch.lab.experiments.counting import EARLY_S, Alarm
-from rotorwatch.engine.motion.ticks import JUDGE
 from rotorwatch.lab.simulation import prepare
 from rotorwatch.lab.simulation.scenario import Scenario
 

@@ -22,16 +22,16 @@ from typing import Any, Protocol
 import numpy as np
 
 from rotorwatch.base import files
+from rotorwatch.diagnose import Estimated, judge
+from rotorwatch.engine.default import hypotheses
+from rotorwatch.engine.default.announcement import threshold
+from rotorwatch.engine.motion.ticks import JUDGE, Ticks
+from rotorwatch.errors import ConfigError
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.lab.campaign import batch
 from rotorwatch.lab.campaign.plan import Cell, drawn
 from rotorwatch.lab.campaign.summary import INDUCED_EDGES, by_speed
-from rotorwatch.engine.default import hypotheses
-from rotorwatch.engine.default.announcement import threshold
-from rotorwatch.diagnose import Estimated, judge
-from rotorwatch.errors import ConfigError
 from rotorwatch.lab.experiments import tools
-from rotorwatch.flight.diagnosis import Event
-from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.lab.simulation import scenario
 from rotorwatch.lab.simulation.prepare import induced_velocity
 from rotorwatch.lab.simulation.scenario import Scenario

@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from rotorwatch.base import optional
+from rotorwatch.errors import ConfigError
 from rotorwatch.lab.campaign.plan import Plan
 from rotorwatch.lab.campaign.score import COLUMNS
-from rotorwatch.errors import ConfigError
 
 PART = re.compile(r"(\d{2})-(\d{5})-(\d{4})-(\d{4})\.parquet")
 

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.lab.campaign.score import COLUMNS, NOTHING, RISE_S, WINDOWS_S
 from rotorwatch.errors import ConfigError
+from rotorwatch.lab.campaign.score import COLUMNS, NOTHING, RISE_S, WINDOWS_S
 from rotorwatch.lab.experiments.tools import RESAMPLES, boot, interval, rate, share, table
 
 LOSS_EDGES = (0.03, 0.06, 0.12, 0.25, 0.5, 1.01)

@@ -13,11 +13,11 @@ from typing import Any
 
 from rotorwatch import __version__
 from rotorwatch.base import many
+from rotorwatch.errors import ConfigError
 from rotorwatch.lab.campaign import batch, methods
 from rotorwatch.lab.campaign.plan import Plan
 from rotorwatch.lab.campaign.score import COLUMNS
 from rotorwatch.lab.campaign.store import Folder, Work
-from rotorwatch.errors import ConfigError
 
 Progress = Callable[[int, int, float], None]
 Judge = Callable[[Plan, Sequence[int], int], list[dict]]

@@ -22,13 +22,13 @@ import numpy as np
 
 from rotorwatch import airframes, logs
 from rotorwatch.diagnose import estimated, judge, prepare
-from rotorwatch.errors import ConfigError
-from rotorwatch.lab.experiments import counting, tools
-from rotorwatch.flight import Flight, Signal
-from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.engine.motion import allocation
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import JUDGE, READY_KNOWN_S, READY_S
+from rotorwatch.errors import ConfigError
+from rotorwatch.flight import Flight, Signal
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.lab.experiments import counting, tools
 
 RESPONSE_S = 0.7  # how fast rate and attitude controllers of real quads make up for a loss
 AFTER_READY_S, BEFORE_END_S = 3.0, 12.0  # where onsets may lie within a flight

@@ -22,17 +22,17 @@ import numpy as np
 from rotorwatch import airframes, logs
 from rotorwatch.base import checks, files, optional
 from rotorwatch.base.physics import G0
-from rotorwatch.methods.control import excitation
-from rotorwatch.methods.control.excitation import Design, Limits, Noise
 from rotorwatch.engine.default import events
-from rotorwatch.witnesses import excitation_response
 from rotorwatch.engine.default.plant import TAU, usual_gains
 from rotorwatch.engine.default.program import estimate
+from rotorwatch.engine.motion.airborne import airborne
+from rotorwatch.engine.motion.ticks import READY_S, observe
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, vehicle_file
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.engine.motion.airborne import airborne
-from rotorwatch.engine.motion.ticks import READY_S, observe
+from rotorwatch.methods.control import excitation
+from rotorwatch.methods.control.excitation import Design, Limits, Noise
+from rotorwatch.witnesses import excitation_response
 
 # Of the thrust of simulated multirotors of 1 to 8 kg in winds of 2 to 4 m/s, in hover thrusts of one rotor.
 USUAL_NOISE = (0.025**2, 0.0, 0.02**2, 0.2**2)

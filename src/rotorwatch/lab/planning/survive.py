@@ -22,13 +22,13 @@ import numpy as np
 from rotorwatch import airframes
 from rotorwatch.base import checks, files, optional
 from rotorwatch.base.physics import G0
-from rotorwatch.methods.control import attainable, spinning
-from rotorwatch.methods.control.airframe import Airframe
-from rotorwatch.methods.control.attainable import Planes
 from rotorwatch.errors import ConfigError, VehicleError
 from rotorwatch.flight import vehicle_file
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.lab.simulation import prepare, scenario
+from rotorwatch.methods.control import attainable, spinning
+from rotorwatch.methods.control.airframe import Airframe
+from rotorwatch.methods.control.attainable import Planes
 
 FULL, NO_YAW, SPINNING, NO = VERDICTS = ("full control", "yaw given up", "only spinning", "cannot hover")
 LEAST = 0.01  # of each channel's authority that full control has to both sides of hover

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.logs import esc_columns
 from rotorwatch.lab.simulation.scenario import Scenario
+from rotorwatch.logs import esc_columns
 
 POLE_PAIRS = 7
 LATE_S = (0.01, 0.06)  # between measuring and logging, each ESC's own

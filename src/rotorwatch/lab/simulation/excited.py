@@ -7,8 +7,8 @@ log holds what the rotors get. A plan's `schedule` is the `control.excitation.Si
 from __future__ import annotations
 
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.methods.control import excitation
 from rotorwatch.lab.simulation.multirotor import Drives, Multirotor, Plan
+from rotorwatch.methods.control import excitation
 
 
 class Excited(Multirotor):

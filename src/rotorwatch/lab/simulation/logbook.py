@@ -14,13 +14,13 @@ from rotorwatch.base.physics import G0
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.logs import esc_columns
-from rotorwatch.logs.series import SHAPES
 from rotorwatch.lab.simulation import escs, sensors, trajectories, truth
 from rotorwatch.lab.simulation.logged import LOGGED
 from rotorwatch.lab.simulation.multirotor import Plan, Record
 from rotorwatch.lab.simulation.prepare import PWM, SPIN, a_compensates, frame_numbers, vehicle
 from rotorwatch.lab.simulation.scenario import Scenario
+from rotorwatch.logs import esc_columns
+from rotorwatch.logs.series import SHAPES
 
 RATES, GROUPS, SOURCES = (LOGGED[part] for part in ("rates", "groups", "sources"))
 SUFFIXES = {".bin": "ardupilot", ".ulg": "px4"}

@@ -10,7 +10,17 @@ import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.base.physics import G0
-from rotorwatch.lab.simulation import control, dynamics, faults, incremental, motor, outside, rotation, trajectories, wind
+from rotorwatch.lab.simulation import (
+    control,
+    dynamics,
+    faults,
+    incremental,
+    motor,
+    outside,
+    rotation,
+    trajectories,
+    wind,
+)
 from rotorwatch.lab.simulation.loop import Moment, State
 from rotorwatch.lab.simulation.rigid import Air, Body
 from rotorwatch.lab.simulation.sensors import Sensors

@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.methods.control import spinning
-from rotorwatch.methods.control.allocation import Allocator, Belief
 from rotorwatch.lab.simulation import control, rotation
 from rotorwatch.lab.simulation.multirotor import Drives, Multirotor, Plan
+from rotorwatch.methods.control import spinning
+from rotorwatch.methods.control.allocation import Allocator, Belief
 
 Array = Any
 PLACES = 4  # explanations of the default diagnosis

@@ -14,8 +14,8 @@ import numpy as np
 
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
-from rotorwatch.logs import esc_columns
 from rotorwatch.lab.simulation.logged import LOGGED
+from rotorwatch.logs import esc_columns
 
 HEAD = b"\xa3\x95"
 MESSAGES: dict[str, tuple[int, str, str]] = {name: tuple(row) for name, row in LOGGED["dataflash"].items()}

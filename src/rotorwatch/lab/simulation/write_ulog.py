@@ -14,9 +14,9 @@ import numpy as np
 
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
-from rotorwatch.logs import esc_columns
 from rotorwatch.lab.simulation.logged import LOGGED
 from rotorwatch.lab.simulation.write_dataflash import nearest
+from rotorwatch.logs import esc_columns
 
 MAGIC = b"ULog\x01\x12\x35\x01"
 TOPICS, NESTED = LOGGED["ulog"]["topics"], LOGGED["ulog"]["nested"]

@@ -31,10 +31,10 @@ import numpy as np
 
 from rotorwatch.base import checks
 from rotorwatch.base.backend import jnp
-from rotorwatch.methods.control import box
 from rotorwatch.core import Array
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.methods.control import box
 from rotorwatch.methods.maths import bounded
 
 CHANNELS = ("thrust", "roll", "pitch", "yaw")

@@ -24,9 +24,9 @@ import numpy as np
 from rotorwatch.base import checks
 from rotorwatch.base.backend import jax, jnp
 from rotorwatch.base.physics import G0
-from rotorwatch.methods.control.airframe import Airframe
 from rotorwatch.core import Array
 from rotorwatch.errors import ConfigError
+from rotorwatch.methods.control.airframe import Airframe
 
 RATE_MOST = 35.0  # rad/s: gyros of autopilots measure 2,000 degrees a second
 COMMANDS = (0.02, 0.95)  # what is left to control with

@@ -22,8 +22,8 @@ import numpy as np
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.default import program
 from rotorwatch.engine.default.plant import DAMPING, GAIN, PER_AXIS, TAU, usual_gains
-from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
 from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LEARN, Ticks
+from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
 
 GAIN_RANGE = 3.0  # a gain further than this factor from what any multirotor has was learned from noise
 FASTEST_DAMPING = 5.0  # 1/s

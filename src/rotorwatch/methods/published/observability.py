@@ -23,12 +23,12 @@ from rotorwatch.base import checks, files, optional
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.default.plant import usual_gains
+from rotorwatch.engine.motion.allocation import ambiguous_sets
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.methods.maths import bounded
 from rotorwatch.methods.maths import plant as plants
 from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
-from rotorwatch.engine.motion.allocation import ambiguous_sets
 
 T0 = 0.05  # s
 HIGHEST = 4  # order of derivatives: scaled like this, those above do next to nothing

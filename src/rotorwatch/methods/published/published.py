@@ -23,8 +23,8 @@ from rotorwatch.engine.default import hypotheses
 from rotorwatch.engine.default.events import rotor_sets
 from rotorwatch.engine.default.posterior import PLACES
 from rotorwatch.engine.default.program import TickOutput
-from rotorwatch.errors import ConfigError
 from rotorwatch.engine.motion.ticks import Ticks
+from rotorwatch.errors import ConfigError
 from rotorwatch.methods.published import decide, log_plant
 from rotorwatch.methods.published.log_plant import LogPlant
 

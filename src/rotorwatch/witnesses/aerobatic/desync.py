@@ -23,16 +23,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch.witnesses.aerobatic.innovation import DOF, LAGS, Channel, channels
 from rotorwatch.answer.ledger import explained
 from rotorwatch.answer.wording import said
 from rotorwatch.engine.default.announcement import FALSE_ALARM_PERIOD_S
 from rotorwatch.engine.default.hypotheses import CLEAR
+from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import DESYNC
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.engine.motion.allocation import Spans
+from rotorwatch.witnesses.aerobatic.innovation import DOF, LAGS, Channel, channels
 
 SHORTEST_S, LONGEST_S = 0.025, 0.65  # 30 to 500 ms, as well as ends are known
 LENGTHS_S = 0.03 * 10.0 ** (0.1 * np.arange(15))  # 30 to 750 ms: what lasts longer is none, and must be seen to

@@ -15,18 +15,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorwatch.witnesses.aerobatic.response import EDGE_S, WINDOW_S, Response, respond
 from rotorwatch.engine.default import hypotheses
 from rotorwatch.engine.default.announcement import FALSE_ALARM_PERIOD_S
 from rotorwatch.engine.default.posterior import PLACES
 from rotorwatch.engine.default.program import TickOutput
-from rotorwatch.errors import ConfigError
-from rotorwatch.flight import Flight
-from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.ticks import GROUND, JUDGE, Ticks
 from rotorwatch.engine.motion.ticks import LEARN as LEARNING
+from rotorwatch.errors import ConfigError
+from rotorwatch.flight import Flight
+from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.methods.published.published import blank
+from rotorwatch.witnesses.aerobatic.response import EDGE_S, WINDOW_S, Response, respond
 
 BLOCK_S = 1.0
 FIRMWARES = ("betaflight", "inav", "emuflight", "cleanflight", "baseflight", "butterflight")

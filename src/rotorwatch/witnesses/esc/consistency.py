@@ -13,13 +13,13 @@ import numpy as np
 
 from rotorwatch.answer.ledger import joined
 from rotorwatch.answer.wording import CAUSES, listed, percent, probability, rotors
-from rotorwatch.witnesses.esc import evidence, ratios, stopped, telemetry, watch
-from rotorwatch.witnesses.esc.telemetry import Binned
+from rotorwatch.engine.motion import allocation
+from rotorwatch.engine.motion.ticks import Ticks
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.engine.motion import allocation
-from rotorwatch.engine.motion.ticks import Ticks
+from rotorwatch.witnesses.esc import evidence, ratios, stopped, telemetry, watch
+from rotorwatch.witnesses.esc.telemetry import Binned
 
 CLEAR_S = 1.0  # before an onset: it is known no better
 RESPONSE_S = 0.5  # after it: controllers and motors answer

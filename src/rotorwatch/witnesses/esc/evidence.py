@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from rotorwatch.answer.wording import CAUSES, rotors
-from rotorwatch.witnesses.esc import ratios
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import LOSS
+from rotorwatch.witnesses.esc import ratios
 
 
 def entry(

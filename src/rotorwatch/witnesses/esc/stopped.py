@@ -15,9 +15,9 @@ import numpy as np
 
 from rotorwatch.answer.ledger import explained
 from rotorwatch.answer.wording import rotors, seconds
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.witnesses.esc import evidence, ratios
 from rotorwatch.witnesses.esc.telemetry import Binned
-from rotorwatch.flight.diagnosis import Event
 
 USUAL = 0.75
 STANDS = 0.2  # of its usual speed

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.answer.wording import rotors, seconds
+from rotorwatch.engine.motion import allocation
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.methods.maths.nonnegative import best_total
-from rotorwatch.engine.motion import allocation
 
 BIN_S = 0.5
 LEAST_SHARE = 0.03  # of full thrust: less is no command to compare with

@@ -16,10 +16,10 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch.answer.wording import interval, percent, rotors, seconds
-from rotorwatch.witnesses.esc import evidence, ratios
-from rotorwatch.witnesses.esc.telemetry import BIN_S, Binned
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import HIGH, LOW, SLOW
+from rotorwatch.witnesses.esc import evidence, ratios
+from rotorwatch.witnesses.esc.telemetry import BIN_S, Binned
 
 BLOCK_S = 5.0
 BEFORE, AFTER = 3, 2  # blocks that a change needs on each side

@@ -24,14 +24,14 @@ import numpy as np
 
 from rotorwatch import airframes
 from rotorwatch.answer.conclusion import LOPSIDED
-from rotorwatch.errors import ConfigError, RotorwatchError, VehicleError
-from rotorwatch.flight import Flight
-from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.witnesses.healthy import whole_flight
 from rotorwatch.engine.motion import trust
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.allocation import within
 from rotorwatch.engine.motion.ticks import Ticks
+from rotorwatch.errors import ConfigError, RotorwatchError, VehicleError
+from rotorwatch.flight import Flight
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.witnesses.healthy import whole_flight
 
 READY_S = 3.0  # after lift-off, before the dynamics of a flight are learned from
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotorwatch.witnesses.aerobatic import judge as aerobatic
 from rotorwatch.engine.default.learning import learn
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.witnesses.aerobatic import judge as aerobatic
 from rotorwatch.witnesses.healthy import baselines, whole_flight
 from rotorwatch.witnesses.healthy.baselines import Candidate, Given
 

@@ -28,8 +28,8 @@ import numpy as np
 
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.witnesses.healthy.whole_flight import CENTRE_RHO_SD, LIMITED, RHO_SD, Features, features
 from rotorwatch.methods.maths import multivariate_t as student
+from rotorwatch.witnesses.healthy.whole_flight import CENTRE_RHO_SD, LIMITED, RHO_SD, Features, features
 
 CENTRE, TILT, FREEDOM = 0.04, 0.2, 6.0
 SHIFT_SD = 0.15  # arm lengths: a camera or a battery that hangs out in front

@@ -24,15 +24,15 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.witnesses.aerobatic import judge as aerobatic
 from rotorwatch.base import checks, discovery, files
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.base.optional import tomllib
 from rotorwatch.errors import ConfigError
-from rotorwatch.witnesses.healthy import baselines
 from rotorwatch.methods.published import log_plant, published
 from rotorwatch.methods.published.log_plant import LogPlant
 from rotorwatch.methods.published.published import Scaled, Tuning
+from rotorwatch.witnesses.aerobatic import judge as aerobatic
+from rotorwatch.witnesses.healthy import baselines
 
 # What methods call the variance that a loss gains per second, or the time after which they forget what they measured.
 PACES = ("theta_walk", "Q_theta", "theta_drift", "memory_s")

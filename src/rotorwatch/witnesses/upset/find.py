@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorwatch.answer.falls import SURE
-from rotorwatch.flight import Flight
-from rotorwatch.flight.kinds import ORDER
-from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.engine.front.losses import CREDIBLE
 from rotorwatch.engine.motion import allocation, ticks
 from rotorwatch.engine.motion.contact import LEAST_GAIN
 from rotorwatch.engine.motion.ticks import Sensed
+from rotorwatch.flight import Flight
+from rotorwatch.flight.kinds import ORDER
+from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.witnesses.upset import loss_of_control
 from rotorwatch.witnesses.upset.balance import INERTIA, Offset, Window
 from rotorwatch.witnesses.upset.explain import Explanation, explain

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorwatch.base.physics import G0
-from rotorwatch.flight import Flight, Signal
 from rotorwatch.engine.motion.airborne import commands, output_range
+from rotorwatch.flight import Flight, Signal
 
 # Degrees between the actual direction of thrust and any that was wanted lately, and for how long. Healthy vehicles of public logs,
 # aerobatics and gusts of 18 m/s included, stay below 20 degrees, but for half a second of 57 in one manual flight.

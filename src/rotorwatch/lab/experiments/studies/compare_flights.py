@@ -17,17 +17,17 @@ from typing import cast
 import numpy as np
 
 from rotorwatch import airframes, logs
-from rotorwatch.witnesses.aerobatic import judge as aerobatic
 from rotorwatch.base.physics import G0
 from rotorwatch.diagnose import Prepared, prepare
-from rotorwatch.errors import ConfigError
-from rotorwatch.lab.experiments.inject import inject
-from rotorwatch.flight import Flight, Signal
-from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.engine.motion import allocation
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import READY_S, Ticks
+from rotorwatch.errors import ConfigError
+from rotorwatch.flight import Flight, Signal
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.lab.experiments.inject import inject
 from rotorwatch.methods.published import log_plant
+from rotorwatch.witnesses.aerobatic import judge as aerobatic
 
 STEP, SECONDS, LANDED_S = 0.005, 45.0, 1.0
 AIRFRAMES = ("ardupilot-quad-x", "ardupilot-hexa-x", "ardupilot-octa-plus")

@@ -15,9 +15,9 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from rotorwatch.diagnose import diagnose
-from rotorwatch.lab.experiments import tools
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.flight.kinds import HIGH, LOW, SLOW
+from rotorwatch.lab.experiments import tools
 from rotorwatch.lab.simulation import scenario, simulate
 
 DURATION_S = 80.0

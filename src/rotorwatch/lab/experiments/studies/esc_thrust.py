@@ -15,18 +15,18 @@ from typing import Any
 
 import numpy as np
 
+from rotorwatch.diagnose import READY_S
 from rotorwatch.engine.default import events
 from rotorwatch.engine.default.program import estimate
-from rotorwatch.diagnose import READY_S
-from rotorwatch.witnesses.esc import telemetry
-from rotorwatch.lab.experiments import tools
+from rotorwatch.engine.motion import allocation, ticks
+from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.witnesses.healthy import baselines
-from rotorwatch.engine.motion import allocation, ticks
-from rotorwatch.engine.motion.airborne import airborne
+from rotorwatch.lab.experiments import tools
 from rotorwatch.lab.simulation import scenario, simulate
+from rotorwatch.witnesses.esc import telemetry
+from rotorwatch.witnesses.healthy import baselines
 
 ONSET_S, ROTOR = 35.0, 2
 LEARN_S = (2.0, READY_S)  # after lift-off

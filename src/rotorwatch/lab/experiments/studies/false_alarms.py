@@ -28,18 +28,18 @@ import numpy as np
 
 from rotorwatch import airframes, logs
 from rotorwatch.base import many
-from rotorwatch.witnesses.aerobatic import judge as aerobatic
 from rotorwatch.base.compiling.run import CHUNK
 from rotorwatch.engine.default import events, hypotheses, program
-from rotorwatch.errors import ConfigError
-from rotorwatch.lab.experiments import tools
-from rotorwatch.lab.experiments.inject import ready_s
-from rotorwatch.flight import Flight
-from rotorwatch.flight.diagnosis import Event
-from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.engine.motion import allocation, ticks
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN, Ticks, observe
+from rotorwatch.errors import ConfigError
+from rotorwatch.flight import Flight
+from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.lab.experiments import tools
+from rotorwatch.lab.experiments.inject import ready_s
+from rotorwatch.witnesses.aerobatic import judge as aerobatic
 
 PROMISED_PER_HOUR = 0.1
 FLIGHT_S = 100.0  # length of a surrogate flight, roughly: as short as flights are, each starts without knowledge

@@ -11,7 +11,14 @@ import numpy as np
 
 from rotorwatch.base import checks
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.lab.experiments.studies import reproduction, ruav_filters, ruav_flight, ruav_flight_test, ruav_identification, ruav_linearisation
+from rotorwatch.lab.experiments.studies import (
+    reproduction,
+    ruav_filters,
+    ruav_flight,
+    ruav_flight_test,
+    ruav_identification,
+    ruav_linearisation,
+)
 from rotorwatch.lab.experiments.studies.reproduction import Claim, Reproduction, graded, panels, silent
 from rotorwatch.lab.experiments.studies.ruav_filters import TOO_WIDE, filters
 from rotorwatch.lab.experiments.studies.ruav_flight import DT, FAULT_S

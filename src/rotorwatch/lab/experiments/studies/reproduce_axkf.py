@@ -14,14 +14,14 @@ import numpy as np
 from rotorwatch import airframes
 from rotorwatch.base import optional
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.methods.estimators.adaptive_ekf import AdaptiveEKF
-from rotorwatch.methods.estimators.axkf import AXKF, Carry
-from rotorwatch.methods.estimators.ekf import EKF
 from rotorwatch.lab.experiments import tools
 from rotorwatch.lab.experiments.studies import reproduction
 from rotorwatch.lab.experiments.studies import rot_flights as flights
 from rotorwatch.lab.experiments.studies.reproduction import Claim, Reproduction, graded, panels, silent
 from rotorwatch.lab.experiments.studies.rot_flights import DT, LOSSES, MOTORS, ONSETS
+from rotorwatch.methods.estimators.adaptive_ekf import AdaptiveEKF
+from rotorwatch.methods.estimators.axkf import AXKF, Carry
+from rotorwatch.methods.estimators.ekf import EKF
 from rotorwatch.methods.maths import linearise, observer_gain
 from rotorwatch.methods.maths.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
 

@@ -14,9 +14,9 @@ import numpy as np
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.methods.estimators.intermediate import Intermediate
 from rotorwatch.lab.experiments.studies import error_bound, hover_flights, reproduction
 from rotorwatch.lab.experiments.studies.reproduction import Claim, Reproduction, graded, panels, silent
+from rotorwatch.methods.estimators.intermediate import Intermediate
 from rotorwatch.methods.maths import intermediate_design as design
 from rotorwatch.methods.maths.systems.linear_hover import LinearHover
 

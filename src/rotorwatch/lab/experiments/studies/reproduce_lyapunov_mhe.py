@@ -10,13 +10,13 @@ import numpy as np
 import rotorwatch.methods.published.observability as observability
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.methods.estimators.lyapunov import Lyapunov
-from rotorwatch.methods.estimators.mh_lyapunov import MHLyapunov
-from rotorwatch.methods.estimators.mhe import MHE
 from rotorwatch.lab.experiments import tools
 from rotorwatch.lab.experiments.studies import niermeyer_flights as flights
 from rotorwatch.lab.experiments.studies import reproduction
 from rotorwatch.lab.experiments.studies.reproduction import Claim, Reproduction, graded, panels, silent
+from rotorwatch.methods.estimators.lyapunov import Lyapunov
+from rotorwatch.methods.estimators.mh_lyapunov import MHLyapunov
+from rotorwatch.methods.estimators.mhe import MHE
 from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
 
 PAPER = "lyapunov-mhe"

@@ -26,8 +26,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rotorwatch.base import many
-from rotorwatch.base import files, optional
+from rotorwatch.base import files, many, optional
 from rotorwatch.errors import ConfigError
 
 Verdict = Literal["holds", "partly", "not reproduced"]

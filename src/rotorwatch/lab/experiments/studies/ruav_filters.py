@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.lab.experiments.studies import ruav_flight
+from rotorwatch.lab.experiments.studies.ruav_flight import DT, MEASUREMENT, PROCESS
 from rotorwatch.methods.estimators.aekf import AEKF
 from rotorwatch.methods.estimators.aesmf import AESMF
 from rotorwatch.methods.estimators.aukf import AUKF
 from rotorwatch.methods.estimators.ekf import EKF
 from rotorwatch.methods.estimators.esmf import ESMF
-from rotorwatch.lab.experiments.studies import ruav_flight
-from rotorwatch.lab.experiments.studies.ruav_flight import DT, MEASUREMENT, PROCESS
 
 TOO_WIDE = 3.0  # Q of the filters in true semi-axes
 CENTRE, REACH = np.repeat([0.5, 0.0], 4), np.repeat([1.0, 0.5], 4)

@@ -16,9 +16,9 @@ import numpy as np
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.base.physics import G0
 from rotorwatch.errors import ConfigError
-from rotorwatch.methods.maths.systems.helicopter import Helicopter
 from rotorwatch.lab.simulation import rotation
 from rotorwatch.lab.simulation.rigid import Air, Body, runge_kutta
+from rotorwatch.methods.maths.systems.helicopter import Helicopter
 
 Array = Any
 SOUND = np.zeros(8)  # theta of the plant: faults are in U already

@@ -12,11 +12,11 @@ import numpy as np
 from rotorwatch.base import optional
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
-from rotorwatch.logs import memory
 from rotorwatch.lab.simulation import sensors, truth
 from rotorwatch.lab.simulation.helicopter.aircraft import ACTUATORS, Plan, Record
 from rotorwatch.lab.simulation.scenario import ACTUATORS as NAMES
 from rotorwatch.lab.simulation.scenario import Scenario
+from rotorwatch.logs import memory
 
 RATES = {"default": 50.0, "fast": 100.0, "full": 200.0}
 SUFFIXES = (".csv", ".parquet")

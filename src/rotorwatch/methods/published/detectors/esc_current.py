@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from rotorwatch.engine.motion import allocation
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.engine.motion import allocation
 
 name = "px4-esc-current"
 autopilot = "PX4"

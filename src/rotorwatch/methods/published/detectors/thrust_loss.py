@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from rotorwatch.engine.motion import allocation
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.engine.motion import allocation
 
 name = "ardupilot-thrust-loss"
 autopilot = "ArduPilot"
