@@ -20,7 +20,7 @@ from pathlib import Path
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 BUILDING = ["numpy>=1.26"]
-HERE = Path("rotorwatch") / "compiling" / "built"
+HERE = Path("rotorwatch") / "base" / "compiling" / "built"
 DOCUMENTS = "glossary", "limits"  # what `rotorwatch mcp` gives as resources
 
 

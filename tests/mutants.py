@@ -48,8 +48,8 @@ PARTS: dict[str, tuple[tuple[str, ...], float]] = {
     "motion": (("engine/motion/allocation.py", "engine/motion/ticks.py"), 0.15),
     "campaign": (("lab/campaign/score.py", "lab/campaign/summary.py", "lab/campaign/sequences.py"), 0.15),
     "report": (("report/*.py",), 0.13),
-    "estimators": (("estimators/*.py",), 0.15),
-    "default": (("default/*.py",), 0.17),
+    "estimators": (("methods/estimators/*.py",), 0.15),
+    "default": (("engine/default/*.py", "witnesses/*.py"), 0.17),
 }
 
 # Tests of a file besides tests/test_<its name>.py: the ones that fail soonest first.
@@ -98,7 +98,7 @@ NAMED: dict[str, tuple[str, ...]] = {
     "methods/estimators/tsukf.py": ("atsukf",),
     "methods/estimators/esmf.py": ("aesmf",),
     "methods/estimators/lyapunov.py": ("lyapunov_mhe",),
-    "estimators/mh*.py": ("lyapunov_mhe",),
+    "methods/estimators/mh*.py": ("lyapunov_mhe",),
     "engine/default/estimator.py": ("default_estimator",),
     "engine/default/model_error.py": ("default_estimator",),
     "engine/default/bank.py": ("default_estimator",),

@@ -99,13 +99,13 @@ def test_a_module_without_a_place_is_found(copy):
 def test_a_plug_in_is_one_file(copy):
     """An estimator, a plant, a detector, a format and an airframe are found as soon as their file is there."""
     folder, run = copy
-    (folder / "estimators" / "planted.py").write_text(
+    (folder / "methods" / "estimators" / "planted.py").write_text(
         "class Planted:\n    name = 'planted'\n    def init(self): ...\n    def step(self, carry, u, y, valid): ...\n"
     )
-    (folder / "maths" / "systems" / "planted.py").write_text(
+    (folder / "methods" / "maths" / "systems" / "planted.py").write_text(
         "class Planted:\n    name = 'planted'\n    def f(self): ...\n    def h(self): ...\n"
     )
-    (folder / "published" / "detectors" / "planted.py").write_text(
+    (folder / "methods" / "published" / "detectors" / "planted.py").write_text(
         "name = 'planted'\nautopilot = 'PX4'\ndef detect(flight, vehicle, airborne): ...\n"
     )
     (folder / "logs" / "planted.py").write_text("FORMAT = 'planted'\ndef sniff(head, name): ...\n")
@@ -122,7 +122,7 @@ def test_a_plug_in_is_one_file(copy):
 
 def test_two_plug_ins_of_one_name_are_refused(copy):
     folder, run = copy
-    shutil.copy(folder / "estimators" / "ekf.py", folder / "estimators" / "planted.py")
+    shutil.copy(folder / "methods" / "estimators" / "ekf.py", folder / "methods" / "estimators" / "planted.py")
     done = run(sys.executable, "-c", "from rotorwatch.base import discovery; discovery.estimators()")
     assert done.returncode != 0 and "both called 'ekf'" in done.stderr
 

@@ -1,4 +1,5 @@
-"""The mixer and its deviations (engine/front/mixer.py, engine/front/deviations.py): made-up flights with known answers, and Python against C."""
+"""The mixer and its deviations (engine/front/mixer.py, engine/front/deviations.py): made-up flights with known answers, and Python against
+C."""
 
 from __future__ import annotations
 

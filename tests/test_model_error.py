@@ -281,5 +281,5 @@ def test_a_light_coaxial_octa_that_flies_off_is_not_accused():
     flights = plan.read(Path(__file__).parents[1] / "plans" / "default.toml")
     (flown,) = batch.fly(flights, [3599], 1)
     B = flown.vehicle.effectiveness()
-    (judged,) = batch.by_default([flown], B)
+    ((judged, _),) = batch.by_default([flown], B)
     assert events.read(judged.kept, flown.ticks, B) == ()

@@ -82,7 +82,7 @@ def package(tmp_path, monkeypatch):
 def test_what_other_packages_offer_is_found(package):
     package(
         {
-            "rotorwatch.methods.estimators": {"own": "elsewhere:Own"},
+            "rotorwatch.estimators": {"own": "elsewhere:Own"},
             "rotorwatch.systems": {"own_plant": "elsewhere:Plant"},
             "rotorwatch.detectors": {"own-rule": "elsewhere:Rule"},
         }
@@ -111,7 +111,7 @@ def test_what_other_packages_offer_is_found(package):
     ],
 )  # fmt: skip
 def test_a_broken_plug_in_is_one_sentence_that_names_the_package(package, target, source, says):
-    package({"rotorwatch.methods.estimators": {"own": target}}, source)
+    package({"rotorwatch.estimators": {"own": target}}, source)
     with pytest.raises(ConfigError, match=says) as why:
         discovery.estimator("own")
     assert "of the package elsewhere 1.2" in str(why.value) and "\n" not in str(why.value)
@@ -131,7 +131,7 @@ def test_a_broken_detector_of_another_package_stops_no_diagnosis(package):
 
 
 def test_a_name_of_ours_stays_ours(package):
-    package({"rotorwatch.methods.estimators": {"ekf": "elsewhere:Own"}}, GOOD.replace('name = "own"', 'name = "ekf"'))
+    package({"rotorwatch.estimators": {"ekf": "elsewhere:Own"}}, GOOD.replace('name = "own"', 'name = "ekf"'))
     with pytest.warns(PluginWarning, match="ekf of the package elsewhere 1.2 is not used"):
         assert discovery.estimators()["ekf"].__module__ == "rotorwatch.methods.estimators.ekf"
     assert discovery.estimator("ekf").__module__ == "rotorwatch.methods.estimators.ekf"

@@ -21,26 +21,26 @@ __version__ = "0.1.0"
 
 # Verbs: functions that live in a module of the same name (rotorwatch/diagnose.py holds diagnose), each in its room.
 _VERBS = {
-    "airborne": "motion.airborne",
-    "ask": "planning.ask",
-    "calibrate": "healthy.calibrate",
+    "airborne": "engine.motion.airborne",
+    "ask": "lab.planning.ask",
+    "calibrate": "witnesses.healthy.calibrate",
     "diagnose": "diagnose",
-    "diagnose_many": "many.diagnose_many",
+    "diagnose_many": "diagnose_many",
     "export_c": "export.export_c",
     "info": "report.info",
-    "inject": "experiments.inject",
-    "observability": "published.observability",
-    "run": "compiling.run",
-    "survive": "planning.survive",
-    "tune": "healthy.tune",
+    "inject": "lab.experiments.inject",
+    "observability": "methods.published.observability",
+    "run": "base.compiling.run",
+    "survive": "lab.planning.survive",
+    "tune": "witnesses.healthy.tune",
 }
 # Other names: where each one lives.
 _HOMES = {
     "read": "logs",
-    "compare": "experiments.studies.compare",
-    "reproduce": "experiments.studies.reproduction",
-    "simulate": "simulation",
-    "simulate_system": "simulation.any_system",
+    "compare": "lab.experiments.studies.compare",
+    "reproduce": "lab.experiments.studies.reproduction",
+    "simulate": "lab.simulation",
+    "simulate_system": "lab.simulation.any_system",
     "serve": "serve.server",
     "mcp": "assistants.server",
     "Flight": "flight",
@@ -60,9 +60,14 @@ _HOMES = {
 }
 # Modules that users know by a shorter name than that of their room.
 _SHORT = {
+    "campaign": "lab.campaign",
     "checks": "base.checks",
-    "detectors": "published.detectors",
-    "systems": "maths.systems",
+    "control": "methods.control",
+    "detectors": "methods.published.detectors",
+    "estimators": "methods.estimators",
+    "many": "base.many",
+    "simulation": "lab.simulation",
+    "systems": "methods.maths.systems",
 }
 
 __all__ = ["__version__", "read", *_VERBS, *(n for n in _HOMES if n != "read")]

@@ -6,10 +6,10 @@ the wrench that the commands give and the motion does not show, per hover thrust
     z = (b + B T theta) / mean T,      growth of rotor i's loss by s a minute:  dz/dt = s B_i T_i / mean T
 
 b, theta: biases and losses as estimated, T: thrusts commanded; dividing by the mean takes a sagging battery out, and thrust itself, which
-battery and air move for all rotors alike, is left out. The slopes d of z and their variances are those of `methods/maths/trend.py`, over block
-means since the last event, take-off or knock: a step is no trend. For each rotor s is weighted least squares on d. A drift is a rotor's
-when it is along that rotor's direction, and along no other's; wind and a shifting load point anywhere, and what is no single rotor's is
-"unclear". Intervals are for all rotors at once (Scheffe): with d within its 95 % ellipsoid about 0, none shows a trend.
+battery and air move for all rotors alike, is left out. The slopes d of z and their variances are those of `methods/maths/trend.py`, over
+block means since the last event, take-off or knock: a step is no trend. For each rotor s is weighted least squares on d. A drift is a
+rotor's when it is along that rotor's direction, and along no other's; wind and a shifting load point anywhere, and what is no single
+rotor's is "unclear". Intervals are for all rotors at once (Scheffe): with d within its 95 % ellipsoid about 0, none shows a trend.
 
 Source of the aim: Zhang, Zhang, Li, Qin and Xu, ATSUKF-based actuator health assessment method for quad-copter unmanned aerial vehicles,
 Drones 7 (2023) 12, section 2.2: a loss of 0 is healthy, of 1 failed, anything between partly degraded; it prints no scale between them.

@@ -13,10 +13,10 @@ between. The explanations of z on roll, pitch and yaw, each weighed by its evide
     other       any drift: of each axis by an amount of its own, of a Cauchy distribution of scale DRIFT - wind that turns, a load that
                 shifts, a mount that gives -, of all axes at the same time or of each at its own
 
-The noise of each axis is a random walk and white noise of any size and ratio (`methods/maths/trend.py`), for air wanders; white noise is larger
-where z scatters more within a block of time. Manoeuvres show in z where gains are off, by GAIN or so: in proportion to commands of torque
-that come and go within SMOOTH blocks. Thrust, which battery and air move for all rotors alike, is left out. So a drift is a rotor's where
-it has the direction of that rotor, and is larger than drifts are.
+The noise of each axis is a random walk and white noise of any size and ratio (`methods/maths/trend.py`), for air wanders; white noise is
+larger where z scatters more within a block of time. Manoeuvres show in z where gains are off, by GAIN or so: in proportion to commands of
+torque that come and go within SMOOTH blocks. Thrust, which battery and air move for all rotors alike, is left out. So a drift is a rotor's
+where it has the direction of that rotor, and is larger than drifts are.
 
 A step of one rotor is told by the estimator. Where it has told that the step is over, its end is held against the trim after it: a loss
 that is over leaves none.

@@ -36,7 +36,10 @@ GROUPS = {
     "rotorwatch.airframes": "airframe",
 }
 # Rooms of ours that are not called as their group.
-ROOMS = {"rotorwatch.systems": "rotorwatch.maths.systems"}
+ROOMS = {
+    "rotorwatch.systems": "rotorwatch.methods.maths.systems",
+    "rotorwatch.estimators": "rotorwatch.methods.estimators",
+}
 
 
 class Source(NamedTuple):
@@ -48,13 +51,15 @@ class Source(NamedTuple):
 
 
 def estimators() -> dict[str, type]:
-    """Name -> class of every estimator (`core.Estimator`: name, init, step) in `rotorwatch.estimators`, the default one, and those that
+    """Name -> class of every estimator (`core.Estimator`: name, init, step) in `rotorwatch.methods.estimators`, the default one, and those
+    that
     other packages offer as entry points `rotorwatch.estimators`; one that is broken is left out, with a PluginWarning."""
     return _with_offered("rotorwatch.estimators")
 
 
 def systems() -> dict[str, type]:
-    """Name -> class of every plant (`core.System`: name, f, h) in `rotorwatch.maths.systems`, the default estimator's, and those that other
+    """Name -> class of every plant (`core.System`: name, f, h) in `rotorwatch.methods.maths.systems`, the default estimator's, and those
+    that other
     packages offer as entry points `rotorwatch.systems`."""
     return _with_offered("rotorwatch.systems")
 
@@ -179,7 +184,9 @@ def _with_offered(group: str) -> dict[str, type]:
 def _own(group: str) -> dict[str, type]:
     """Classes defined in the modules of a room, or of the default method, that have all the parts, by their `name`, in order of names."""
     found: dict[str, type] = {}
-    for module in (module for room in (ROOMS.get(group, group), "rotorwatch.default") for module in modules(room)):
+    for module in (
+        module for room in (ROOMS.get(group, group), "rotorwatch.engine.default") for module in modules(room)
+    ):
         members: list[tuple[str, Any]] = inspect.getmembers(module, inspect.isclass)
         for label, kind in members:
             own = kind.__module__ == module.__name__ and not label.startswith("_")

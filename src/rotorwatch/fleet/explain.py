@@ -1,8 +1,8 @@
 """What changed in an aircraft, when, and how sure: its flights' balance of commands explained by wear, damage and shifted weights.
 
 Of flight k there is the wrench w_k (roll, pitch, yaw) that its commands ask for in steady hover, as a share of the thrust
-(witnesses/healthy/whole_flight.py), with the wind's part taken out. A rotor that gives 1 - theta of its thrust is commanded 1 / (1 - theta) as
-much, of a sum that grows by it, so that with e = theta / (1 - (1 - s_i) theta)
+(witnesses/healthy/whole_flight.py), with the wind's part taken out. A rotor that gives 1 - theta of its thrust is commanded 1 / (1 - theta)
+as much, of a sum that grows by it, so that with e = theta / (1 - (1 - s_i) theta)
 
     w_k = mu + sum_i g_i e_i(k) + c(k) + noise_k,      g_i = s_i (B_i - mu): s_i the rotor's share of the thrust, B_i its column,
 

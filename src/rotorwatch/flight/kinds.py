@@ -1,7 +1,8 @@
 """The kinds of events, one row each: what is said of them, what they mean for a rotor, and for how long.
 
 Everybody who asks what an event means asks this table, so that a new kind is a row here and the place that finds it. The order of the rows
-numbers them for compiled definitions (engine/front/events.py). A sentence is a template; `answer/wording.py` lists what may stand in its braces.
+numbers them for compiled definitions (engine/front/events.py). A sentence is a template; `answer/wording.py` lists what may stand in its
+braces.
 """
 
 from __future__ import annotations

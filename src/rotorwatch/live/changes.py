@@ -1,4 +1,5 @@
-"""What is new about a list of events that is made again and again (engine/front/changes.py), in words: announced, changed, withdrawn or final."""
+"""What is new about a list of events that is made again and again (engine/front/changes.py), in words: announced, changed, withdrawn or
+final."""
 
 from __future__ import annotations
 

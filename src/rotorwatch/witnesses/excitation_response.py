@@ -1,7 +1,7 @@
 """What the response to an excitation of the commands shows of events that are ambiguous without it.
 
-Commands in the null space of the geometry (methods/control/excitation.py) move nothing while all rotors are well; a flight in which they were
-excited is an experiment. The commanded thrust that the motion does not show, e = y - G m of the thrust channel (plant.py), then holds
+Commands in the null space of the geometry (methods/control/excitation.py) move nothing while all rotors are well; a flight in which they
+were excited is an experiment. The commanded thrust that the motion does not show, e = y - G m of the thrust channel (plant.py), then holds
 
     e(t) = sum_i phi_i(t) theta_i + noise,        phi_i = B_i q_i,        q: the part of the thrusts that nobody needed
 

@@ -261,7 +261,7 @@ def traced(estimator, parameters, select: Callable | None = None, sizes: tuple[i
 @functools.cache
 def _package() -> str:
     """A hash of rotorwatch's own sources and of what traces them. Raises ConfigError without JAX."""
-    home, digest = Path(__file__).parents[1], hashlib.sha256(_jax_version().encode())
+    home, digest = shipped.HOME, hashlib.sha256(_jax_version().encode())
     for path in sorted([*home.rglob("*.py"), *(home / name for name in shipped.templates())]):
         digest.update(str(path.relative_to(home)).encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()

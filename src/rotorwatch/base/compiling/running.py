@@ -48,7 +48,7 @@ FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-s
 # ... many of them at once, for what is mostly arithmetic: as wide as the processor has it.
 VECTORS = ("-O3", "-fno-trapping-math")
 
-TRANSLATOR = tuple(f"compiling/{name}.py" for name in ("structs", "body", "translate"))
+TRANSLATOR = tuple(f"base/compiling/{name}.py" for name in ("structs", "body", "translate"))
 """Files that every definition is made by."""
 
 

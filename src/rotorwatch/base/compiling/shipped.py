@@ -12,7 +12,7 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-HOME = Path(__file__).parents[1]
+HOME = Path(__file__).parents[2]
 FOLDER = Path(__file__).parent / "built"
 DEFINITIONS = (
     "definitions.json"  # what `compiling.running` runs: room -> digest of its files, target, library and its SHA-256
@@ -47,13 +47,13 @@ def levels() -> tuple[str, ...]:
 
 def templates() -> list[str]:
     """Files of C that translated programs begin with."""
-    return sorted(path.relative_to(HOME).as_posix() for path in (HOME / "compiling" / "c99").glob("*.h*"))
+    return sorted(path.relative_to(HOME).as_posix() for path in (HOME / "base" / "compiling" / "c99").glob("*.h*"))
 
 
 def files_in(room: str) -> list[str]:
     """Files of the package that the definitions of a room are translated from."""
     own = [path.relative_to(HOME).as_posix() for path in (HOME / room).glob("*.py")]
-    return sorted([*own, *(f"compiling/{name}.py" for name in ("structs", "body", "translate"))])
+    return sorted([*own, *(f"base/compiling/{name}.py" for name in ("structs", "body", "translate"))])
 
 
 def digest(files: Iterable[str]) -> str:

@@ -6,8 +6,6 @@ done.py           the result of an item, and errors that can be sent between pro
 processes.py      processes of this computer, by the standard library alone
 limited.py        a job on files of strangers: processes with limits of time and memory
 cluster.py        the workers of a Dask scheduler (the extra `cluster`)
-gathering.py      which logs a call is about: files, folders, patterns, addresses
-diagnose_many.py  `diagnose` of every one of them
 """
 
 from rotorwatch.base.many.done import Done

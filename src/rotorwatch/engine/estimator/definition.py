@@ -35,5 +35,5 @@ PARTS = (
     posterior,
     estimator,
 )
-NEIGHBOURS = tuple(f"front/{name}.py" for name in ("contact", "losses", "sizes", "ticks", "vehicle"))
-ENGINE = Definition("engine", (*PARTS, whole), sizes, [*files_in("engine"), *NEIGHBOURS], vectors=True)
+NEIGHBOURS = tuple(f"engine/front/{name}.py" for name in ("contact", "losses", "sizes", "ticks", "vehicle"))
+ENGINE = Definition("engine", (*PARTS, whole), sizes, [*files_in("engine/estimator"), *NEIGHBOURS], vectors=True)

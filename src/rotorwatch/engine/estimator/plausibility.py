@@ -140,8 +140,8 @@ class Plausible(Struct):
         two = best.other >= 0 and abs(best.jump.other_size) > 0.0 and abs(best.jump.size) > 0.0
         rough = 0.0 if two else noise.spread(0) + noise.spread(1) + noise.spread(2)
         swing = max(DEMAND_SLACK, sqrt(rough) / real(n))
-        # A controller asks more of a rotor that gives less, and less of one that gives more: a candidate whose command went the other way is
-        # none. Of two rotors it asks what geometry leaves of that.
+        # A controller asks more of a rotor that gives less, and less of one that gives more: a candidate whose command went the other way
+        # is none. Of two rotors it asks what geometry leaves of that.
         largest = 0.0
         lost = 0.0
         commanded = 0.0

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorwatch.base.compiling.running import Definition, Rows
+from rotorwatch.base.compiling.shipped import files_in
 from rotorwatch.engine.front import (
     airborne,
     changes,
@@ -28,7 +29,7 @@ from rotorwatch.engine.front import (
 from rotorwatch.flight import Flight, Message
 
 PARTS = (vehicle, airborne, mixer, deviations, contact, sense, ticks, front, events, records, losses, changes, words)
-FRONT = Definition("front", (*PARTS, whole), sizes)
+FRONT = Definition("front", (*PARTS, whole), sizes, files_in("engine/front"))
 KINDS = {
     "motors": whole.OUTPUTS, "control": whole.CONTROL, "gyro": whole.GYRO, "accel": whole.ACCEL, "velocity": whole.VELOCITY,
     "state": whole.STATE, "attitude": whole.ATTITUDE, "voltage": whole.VOLTAGE, "thrust": whole.THRUSTS, "rates": whole.RATES,

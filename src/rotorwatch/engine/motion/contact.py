@@ -21,7 +21,8 @@ WORDS = (("hover thrusts of one rotor", "turned it"), ("g", "pushed it sideways"
 
 @dataclass(frozen=True)
 class Contact:
-    """time s; size: of the force in g, or of the torque in hover thrusts of one rotor, by push (TURNED and so on of engine/front/contact.py)."""
+    """time s; size: of the force in g, or of the torque in hover thrusts of one rotor, by push (TURNED and so on of
+    engine/front/contact.py)."""
 
     time: float
     size: float

@@ -1,7 +1,7 @@
 """Published estimators over all flights of a batch side by side, each with every decision of the plan behind it.
 
-What `published.judge` does flight by flight - the hop's plant, the method, the threshold of methods/published/decide.py - is done here in one
-compiled loop: the estimator is stepped once, and as many thresholds as the plan names look at it. On a processor with a C compiler that
+What `published.judge` does flight by flight - the hop's plant, the method, the threshold of methods/published/decide.py - is done here in
+one compiled loop: the estimator is stepped once, and as many thresholds as the plan names look at it. On a processor with a C compiler that
 is native code, which is built once for a method and a number of rotors; on an accelerator a scan over flights side by side. Methods whose
 design needs values (linear matrix inequalities, eigenvalues) cannot be built inside a program; they run flight by flight.
 """

@@ -1,8 +1,9 @@
 """How good rotorwatch's answers are: known faults in, answers counted. campaign/ does it on simulated flights.
 
-tools.py      shares and rates with intervals, tables, parts done in processes
-counting.py   what is found, right, late, and a false alarm: one definition
-limits.py     the best that any method could do
-inject.py     losses put into healthy flights
-studies/      comparisons, false alarms, and the experiments of the papers
+tools.py            shares and rates with intervals, tables, parts done in processes
+counting.py         what is found, right, late, and a false alarm: one definition
+limits.py           the best that any method could do
+inject.py           losses put into healthy flights
+studies/            comparisons, false alarms, and the experiments of the papers
+research_tables.py  their results in the terminal
 """

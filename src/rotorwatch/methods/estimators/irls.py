@@ -6,8 +6,8 @@
     Huber    w = min(1, c s / |r|), c = 1.345              Tukey    w = (1 - (r / c s)^2)^2 below c s, else 0, c = 4.685
     s^2 = mean min(r^2, k^2 s^2) / beta, k = 1.5, beta = E min(Z^2, k^2) for a standard normal Z; s >= 1
 
-z = Omega theta + noise is the regression of `methods/maths/measured_regression.py`, whitened, so that s = 1 where the plant's noise is right.
-Source: Holland and Welsch, Robust regression using iteratively reweighted least squares, Communications in Statistics A6 (1977)
+z = Omega theta + noise is the regression of `methods/maths/measured_regression.py`, whitened, so that s = 1 where the plant's noise is
+right. Source: Holland and Welsch, Robust regression using iteratively reweighted least squares, Communications in Statistics A6 (1977)
 813-827; Huber, Robust Statistics, 1981, section 7.8, for the scale ("proposal 2").
 """
 

@@ -97,7 +97,8 @@ def parameters(B: np.ndarray, G, c, b, noise: np.ndarray, dt: float) -> dict:
     to_common = np.array([1.0, 1.0, (G[0] + G[1]) / G[2]])  # yaw: drag ratios to arm lengths, as a flat body has it
     # What is slower than a tick counts as white noise of the same power at 0 Hz; drift as what drifts within a second.
     white, slow = noise[0], 2.0 * np.array(TAU) @ noise[1:3] + noise[3]
-    # Half of the white part is taken as the gyro's (a difference of two samples), half as torque: witnesses/healthy/tune.py estimates the shares.
+    # Half of the white part is taken as the gyro's (a difference of two samples), half as torque: witnesses/healthy/tune.py estimates the
+    # shares.
     gyro_sd = 0.5 * np.sqrt(white[:3]) * dt / G[:3]
     torque_sd = np.sqrt(0.5 * white[:3] * dt + slow[:3])
     accel_sd = np.sqrt(noise[:, 3].sum()) * G0 / (n * G[3])

@@ -1,0 +1,7 @@
+"""Published methods, one a file, and what they stand on.
+
+estimators/   the methods: states and losses of a plant, step by step
+maths/        what several of them use; maths/systems/ holds their plants
+control/      commands for a vehicle whose rotors are weak or dead
+published/    a method instead of the default one over a log; the autopilots' own checks
+"""

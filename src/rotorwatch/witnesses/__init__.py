@@ -1,0 +1,10 @@
+"""What else testifies of a flight, beside the estimator. Each looks at what only it can see; the answer's ledger merges what all of them
+say.
+
+hindsight.py             losses in the blind time, once the flight's gains and noise are known
+excitation_response.py   what the response to an excitation of the commands says
+upset/                   vehicles that left control, and why
+esc/                     ESC telemetry: the cause of a loss, stopped rotors, slow motors
+aerobatic/               vehicles that never hover
+healthy/                 healthy flights of the vehicle, or any healthy vehicle, for damage from take-off
+"""
