@@ -14,8 +14,11 @@ from itertools import combinations
 
 import numpy as np
 
-from rotorwatch.engine.estimator.hypotheses import (
+from rotorwatch.engine.estimator.hypotheses import (  # noqa: F401 - the method's constants stand in its definition
     AIR_SHARE,
+    CLEAR,
+    FAR,
+    FAR_SHARE,
     LOSS_WIDTH,
     MORE,
     NONE,
@@ -23,6 +26,7 @@ from rotorwatch.engine.estimator.hypotheses import (
     RECOVERY_SHARE,
     SLOP,
     SMALL_WIDTH,
+    TOTAL_LOSS,
     TOTAL_SHARE,
 )
 from rotorwatch.engine.front import losses

@@ -25,7 +25,11 @@ import numpy as np
 
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.estimator import plant as definition
-from rotorwatch.engine.estimator.plant import (
+from rotorwatch.engine.estimator.plant import (  # noqa: F401 - the method's constants stand in its definition
+    AIR,
+    ANSWER_S,
+    BUILT_SD,
+    BURST_S,
     CURVE,
     DAMPING_RATE,
     DAMPING_RATE_SD,
@@ -38,6 +42,7 @@ from rotorwatch.engine.estimator.plant import (
     SIDE_SD,
     SIDEWAYS,
     TAU,
+    USUAL_S,
 )
 
 B1, B2, B3, GAIN, DAMPING = range(PER_AXIS)
