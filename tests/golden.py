@@ -1,6 +1,7 @@
 """What is said of each sample log, to be held against what another version says: by `diagnose`, over a link, and on board.
 
-    python -m tests.golden answers -o now.json --jobs 2                 # ../shared/flights; minutes
+    python -m tests.golden answers -o now.json --jobs 2                 # ../shared/flights; half an hour
+    python -m tests.golden answers -o now.json --jobs 2 --only none     # diagnose alone; minutes
     python -m tests.golden compare tests/golden.json.xz now.json        # prints what differs; exit code 1 where anything does
 
 Of each flight: verdict, headline, and of each event kind, rotors, candidates, onset, detection, end, sizes and intervals, with three
@@ -15,7 +16,9 @@ import json
 import lzma
 import sys
 import tempfile
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -36,8 +39,8 @@ MAV_TYPE = {3: 15, 4: 2, 6: 13, 8: 14, 10: 35, 12: 29}  # of a frame with so man
 BOARD = ("loss_of_effectiveness", "output_override", "contact")
 
 
-def answers(path: Path) -> dict:
-    """All three of one log."""
+def answers(path: Path, asked: Sequence[str] = ("link", "board")) -> dict:
+    """Of one log: what `diagnose` says, and those that are asked beside it."""
     try:
         flight = logs.read(path)
         told = diagnose(flight)
@@ -46,7 +49,8 @@ def answers(path: Path) -> dict:
     found: dict = {
         "diagnose": {"verdict": told.verdict, "headline": told.headline, "events": events(told.to_dict()["events"])}
     }
-    for name, ask in (("link", _link), ("board", _board)):
+    for name in asked:
+        ask = _link if name == "link" else _board
         try:
             aerobatic.decline(flight, "neither watch nor the library takes it.")
             found[name] = ask(flight, told)
@@ -100,6 +104,8 @@ def differences(old, new, where: str = "") -> list[str]:
     """What differs, a line each: numbers by more than rounding, and everything else."""
     if isinstance(old, dict) and isinstance(new, dict):
         names = [*old, *(name for name in new if name not in old)]
+        if not where.count(" ") > 1:  # who was asked in both
+            names = [name for name in names if name not in ("link", "board") or (name in old and name in new)]
         return [line for name in names for line in differences(old.get(name), new.get(name), f"{where} {name}")]
     if isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
         return [line for k, pair in enumerate(zip(old, new)) for line in differences(*pair, f"{where}[{k}]")]
@@ -131,6 +137,7 @@ def main() -> int:
     ask.add_argument("folder", nargs="?", default=SHARED, type=Path)
     ask.add_argument("-o", "--output", required=True)
     ask.add_argument("--jobs", type=int, default=1)
+    ask.add_argument("--only", default="link,board", help="whom to ask beside diagnose: link, board, both or none")
     compare = commands.add_parser("compare")
     compare.add_argument("old")
     compare.add_argument("new")
@@ -140,8 +147,9 @@ def main() -> int:
         print("\n".join(lines) or "The same.")
         return int(bool(lines))
     paths, found = sorted(map(Path, Gathered([given.folder]))), {}
+    work = partial(answers, asked=[name for name in ("link", "board") if name in given.only])
     with ProcessPoolExecutor(given.jobs, get_context("spawn")) as pool:
-        for path, answer in zip(paths, pool.map(answers, paths)):
+        for path, answer in zip(paths, pool.map(work, paths)):
             found[path.relative_to(given.folder).as_posix()] = answer
             print(f"{len(found)} of {len(paths)}: {path.name}", file=sys.stderr, flush=True)
     write(found, given.output)
