@@ -87,6 +87,7 @@ NAMED: dict[str, tuple[str, ...]] = {
     "report/terminal.py": ("words",),
     "lab/experiments/research_tables.py": ("cli_research",),
     "report/*.py": ("report",),
+    "engine/estimator/*.py": ("engine",),
     "methods/estimators/__init__.py": ("architecture",),
     "methods/estimators/akf.py": ("axkf",),
     "methods/estimators/adaptive_ekf.py": ("axkf",),

@@ -8,6 +8,7 @@ import pytest
 
 from rotorwatch import airframes, diagnose
 from rotorwatch.engine.default.plant import TAU
+from rotorwatch.engine.estimator.plant import CURVE, SHARE
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.lab.campaign import excitation_flights
@@ -253,3 +254,16 @@ def test_a_log_says_what_to_ask(flown):
     found = ask(flown[0][1])
     assert set(found.candidates) == {(1, 2), (3, 4), (5, 6), ()}
     assert found.design.information.min() >= found.design.needed and found.design.signal.length <= 10.0
+
+
+def test_the_lower_rotors_share_is_read_from_its_own_place_in_the_state():
+    """Not from that of the thrust curve, which stands before it."""
+    coaxial = airframes.named("ardupilot-y6").effectiveness()
+    n, T = coaxial.shape[1], 5
+    s, P = np.zeros(SHARE + 1 + n), 9.0 * np.eye(SHARE + 1 + n)
+    s[CURVE], s[SHARE], P[SHARE, SHARE] = 0.7, 0.1, 0.04**2
+    thrust = np.random.default_rng(0).uniform(0.5, 1.5, (T, n))
+    table = SimpleNamespace(thrust=thrust, wrench=np.zeros((T, 4)), load=np.zeros(T))
+    model = excitation_response._model(SimpleNamespace(s=s, P=P, variances=np.zeros((4, 4))), table, coaxial)
+    assert model.sd == pytest.approx(0.04)
+    np.testing.assert_allclose(model.left, 0.1 * thrust @ model.more)

@@ -6,7 +6,6 @@ Python's own library is enough for this file: the build of the package asks it b
 from __future__ import annotations
 
 import functools
-import hashlib
 import os
 import platform
 import shlex
@@ -67,12 +66,6 @@ def machine() -> str:
     except OSError:
         cpu = platform.processor()
     return f"{cc} {about.st_size} {about.st_mtime_ns} {platform.machine()} {cpu}"
-
-
-def cached_path(name: str, about: str) -> Path:
-    """A place in the cache for what is made of `about` by this compiler for this processor. Raises Unavailable without a compiler."""
-    key = "\0".join([about, machine(), *QUICK, *FLAGS, *VECTORS])
-    return folder() / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:32]}"
 
 
 def folder() -> Path:

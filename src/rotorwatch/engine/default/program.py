@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -105,7 +105,7 @@ class Steps:
         self.plant, self.state = _plant(parameters), ENGINE.new(estimator.Estimator)
         self.rotors = np.shape(parameters["B"])[1]
         self.plausible = np.zeros(0, bool)
-        self._room = ENGINE.array(estimator.Result, PIECE)
+        self._room, self._outputs = ENGINE.array(estimator.Result, PIECE), _outputs(self.rotors)
         ENGINE.call(whole.begin, self.plant, self.state)
 
     def raise_threshold(self, nats: float) -> None:
@@ -124,26 +124,30 @@ class Steps:
     def run(self, u: np.ndarray, y: np.ndarray, valid: np.ndarray, progress=None) -> TickOutput:
         """Step over the rows u (T, n + 15), y and valid (T, 4); the stacked outputs. progress: called with the finished share, 0..1."""
         tables = [np.ascontiguousarray(u, float), np.ascontiguousarray(y, float), np.ascontiguousarray(valid, bool)]
-        made = {name: np.empty((len(u), *shape), kind) for name, (shape, kind) in self._outputs().items()}
-        for first in range(0, len(u), PIECE):
+        parts = []
+        for first in range(0, max(len(u), 1), PIECE):
             rows = [table[first : first + PIECE] for table in tables]
-            ENGINE.call(whole.run, self.plant, self.state, len(rows[0]), *rows, self._room)
-            for name, column in made.items():
-                part = self._room[name][: len(rows[0])]
-                column[first : first + PIECE] = part[tuple(slice(0, size) for size in (len(part), *column.shape[1:]))]
-            if progress:
+            count = len(rows[0])
+            ENGINE.call(whole.run, self.plant, self.state, count, *rows, self._room)
+            parts.append([self._room[name][:count][fitting].copy() for name, fitting in self._outputs])
+            if progress and len(u):
                 progress(min(1.0, (first + PIECE) / len(u)))
+        columns = parts[0] if len(parts) == 1 else [np.concatenate(column) for column in zip(*parts, strict=True)]
+        made = {name: column for (name, _), column in zip(self._outputs, columns, strict=True)}
         self.plausible = made.pop("plausible")
         # Opposite rotors are announced as any other fault.
         none = np.full(len(u), -1, np.int32)
         return TickOutput(**made, opposite=none, opposite_onset=np.zeros(len(u)), opposite_loss=np.zeros((len(u), 2)))
 
-    def _outputs(self) -> dict[str, Any]:
-        """Name -> (shape, type) of each output of a tick."""
-        fitting = {sizes.ROTORS: self.rotors, sizes.HYPOTHESES: hypothesis_count(self.rotors)}
-        kinds = ENGINE.type_of(estimator.Result)
-        found = {name: (kinds[name].shape, kinds[name].base) for name in kinds.names or ()}
-        return {name: (tuple(fitting.get(k, k) for k in shape), kind) for name, (shape, kind) in found.items()}
+
+def _outputs(rotors: int) -> list[tuple[str, tuple[slice, ...]]]:
+    """(name, how much of it a vehicle with so many rotors has) of each output of a tick, of many ticks."""
+    fitting = {sizes.ROTORS: rotors, sizes.HYPOTHESES: hypothesis_count(rotors)}
+    kinds = ENGINE.type_of(estimator.Result)
+    return [
+        (name, tuple(slice(0, size) for size in (None, *(fitting.get(k, k) for k in kinds[name].shape))))
+        for name in kinds.names or ()
+    ]
 
 
 def _plant(parameters: dict) -> Rows:
