@@ -25,7 +25,7 @@ def numbered(plan, cells, each):
 
 @pytest.fixture(scope="module")
 def flights(tmp_path_factory):
-    """(Flown, path of its log) of 30 flights."""
+    """(Flown, path of its log, what `diagnose` says of that) of 30 flights."""
     folder, found = tmp_path_factory.mktemp("logs"), []
     plan = campaign.read(PLANS / "default.toml")
     for numbers in numbered(plan, range(0, len(plan.cells), 2), 30 // len(range(0, len(plan.cells), 2)) + 1):
@@ -39,7 +39,7 @@ def flights(tmp_path_factory):
             logbook.write(scenario, number, record, path)
             flown = batch.prepared(k, scenario, number, record)
             assert flown is not None
-            found.append((flown, path))
+            found.append((flown, path, diagnose(path)))
     assert len(found) >= 30
     return found
 
@@ -60,19 +60,18 @@ def counts(answer, scenario) -> dict:
 
 def test_a_campaign_counts_what_diagnose_says_of_the_written_log(flights):
     plan = campaign.read(PLANS / "default.toml")
-    told = {path: diagnose(path) for _, path in flights}
     alarms = 0
-    for flown, path in flights:
+    for flown, path, told in flights:
         (row,) = [r for r in batch.rows(plan, [flown], 1) if r["method"] == "default"]
-        wanted = counts(told[path], flown.scenario)
+        wanted = counts(told, flown.scenario)
         assert {name: row[name] for name in wanted} == pytest.approx(wanted, abs=1e-3), path.name
-        alarms += len(counting.alarms(told[path].events))
+        alarms += len(counting.alarms(told.events))
     assert alarms > 5
 
 
 def test_injections_count_what_diagnose_says_of_the_flight(flights):
     """Into healthy written logs, of both autopilots."""
-    healthy = [(f, path) for f, path in flights if not f.scenario.faults]
+    healthy = [(f, path) for f, path, _ in flights if not f.scenario.faults]
     assert len(healthy) >= 4
     for k, (flown, path) in enumerate(healthy):
         flight, (start, end) = logs.read(path), flown.ready.air[0]
@@ -86,11 +85,11 @@ def test_injections_count_what_diagnose_says_of_the_flight(flights):
 
 
 def test_comparisons_count_what_diagnose_says_of_the_written_log(flights):
-    for flown, path in flights:
+    for flown, path, told in flights:
         faults = tuple((f["rotor"], f["onset_s"], f.get("strength") or 1.0) for f in flown.scenario.faults)
         scene = compare_flights._scene("one", logs.read(path), flown.vehicle, faults)
         assert scene is not None
-        trial, wanted = compare._trial("default", scene), counts(diagnose(path), flown.scenario)
+        trial, wanted = compare._trial("default", scene), counts(told, flown.scenario)
         assert trial["false_alarms"] == wanted["false_alarms"] + wanted["wrong"], path.name
         for name in ("right", "named", "delay_s"):
             if wanted.get("detected"):
