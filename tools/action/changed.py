@@ -12,8 +12,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from rotorwatch import logs
-from rotorwatch import gathering
+from rotorwatch import gathering, logs
 
 FIX = "give actions/checkout `fetch-depth: 0`, or name the logs in the input 'logs'."
 
