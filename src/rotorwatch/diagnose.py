@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -74,14 +75,20 @@ class Prepared:
 
 @dataclass(frozen=True)
 class Estimated:
-    """What an estimator left behind. table: the ticks as they count for it; limit: the statistic's, from which on a loss is announced;
-    last: the default estimator's state, for hindsight; own: it is the default one."""
+    """What an estimator left behind. table: the ticks as they count for it; last: the default estimator's state, for hindsight; own: it is
+    the default one."""
 
     table: Ticks
     out: TickOutput
-    limit: float
-    last: Any
-    own: bool
+    last: Any = None
+    own: bool = True
+
+    @functools.cached_property
+    def limit(self) -> float:
+        """The statistic's, from which on a loss is announced."""
+        if not self.own:
+            return 0.5 * decide.SIGMAS**2
+        return float(threshold(hypotheses.make(self.out.theta.shape[1]), self.table.dt))
 
 
 class _Clock:
@@ -208,17 +215,15 @@ def estimated(
 ) -> Estimated:
     """The ticks of a flight that has some, through the estimator; those of a vehicle that does not hover through its own way."""
     table, progress = cast(Ticks, ready.table), progress or (lambda share: None)
-    B, own = ready.vehicle.effectiveness(), estimator == "default"
-    limit = float(threshold(hypotheses.make(B.shape[1]), table.dt))
+    B = ready.vehicle.effectiveness()
     if not ready.hovers:
-        table, out = aerobatic.estimate(ready.flight, ready.vehicle, ready.air, table)
-        return Estimated(table, out, limit, None, own)
-    if own:
+        return Estimated(*aerobatic.estimate(ready.flight, ready.vehicle, ready.air, table))
+    if estimator == "default":
         last, out = estimate(table, B, ready.dynamics, progress)
-        return Estimated(table, out, limit, last, own)
+        return Estimated(table, out, last)
     out = published.judge(estimator, table, B, ready.dynamics, tuning, progress)
     ready.assumptions += published.notes(discovery.title(estimator))
-    return Estimated(table, out, 0.5 * decide.SIGMAS**2, None, own)
+    return Estimated(table, out, own=False)
 
 
 def _find(ready: Prepared, done: Estimated) -> Merged:

@@ -27,7 +27,7 @@ import numpy as np
 from rotorwatch import airframes, logs
 from rotorwatch.diagnose import Estimated, Prepared, prepare
 from rotorwatch.diagnose import judge as conclude
-from rotorwatch.engine.default import announcement, events, hypotheses, program
+from rotorwatch.engine.default import events, program
 from rotorwatch.engine.estimator.definition import ENGINE
 from rotorwatch.engine.front.definition import FRONT
 from rotorwatch.engine.motion.airborne import airborne
@@ -205,8 +205,7 @@ def _said(case: Case, kept: program.TickOutput) -> tuple[Event, ...]:
     """The losses that `diagnose` says; of a surrogate what the estimator announces."""
     if case.ready is None:
         return events.read(kept, case.ticks, case.B)
-    limit = float(announcement.threshold(hypotheses.make(case.B.shape[1]), case.ticks.dt))
-    said = conclude(case.ready, Estimated(case.ticks, kept, limit, None, True)).end.events
+    said = conclude(case.ready, Estimated(case.ticks, kept)).end.events
     return tuple(e for e in said if e.means.weakens)
 
 

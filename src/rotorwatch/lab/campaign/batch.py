@@ -15,8 +15,7 @@ import numpy as np
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.diagnose import Estimated, Prepared, prepare
 from rotorwatch.diagnose import judge as conclude
-from rotorwatch.engine.default import hypotheses, program
-from rotorwatch.engine.default.announcement import threshold
+from rotorwatch.engine.default import program
 from rotorwatch.engine.motion.ticks import GROUND, LAG_S, Ticks
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
@@ -30,7 +29,7 @@ from rotorwatch.lab.simulation import plan as flight_plan
 from rotorwatch.lab.simulation.loop import fly_each
 from rotorwatch.lab.simulation.multirotor import MULTIROTOR
 from rotorwatch.lab.simulation.scenario import Scenario
-from rotorwatch.methods.published import decide, detectors
+from rotorwatch.methods.published import detectors
 
 CPU_WIDTH, ACCELERATOR_WIDTH = 32, 1024
 
@@ -110,8 +109,7 @@ def rows(
     if "default" in plan.estimators:
         for f, bound, (out, last) in zip(flown, bounds, by_default(flown, B), strict=True):
             statistic = np.where(out.plausible, out.kept.statistic, score.NOTHING)
-            limit = float(threshold(hypotheses.make(B.shape[1]), f.ticks.dt))
-            found.append(row("default", f, Estimated(f.ticks, out.kept, limit, last, True), statistic, bound))
+            found.append(row("default", f, Estimated(f.ticks, out.kept, last), statistic, bound))
     if published:
         tables = [f.ticks for f in flown]
         hops = methods.learn(tables, B, learned_states(flown, B))
@@ -120,9 +118,8 @@ def rows(
                 judged = methods.judge(name, tables, hops, B, size, tuple(d.tuning for d in plan.decisions))
                 for decision, kept in zip(plan.decisions, judged, strict=True):
                     label = decision.label(name)
-                    limit = 0.5 * decide.SIGMAS**2
                     found += [
-                        row(label, f, Estimated(f.ticks, k, limit, None, False), k.statistic, b)
+                        row(label, f, Estimated(f.ticks, k, own=False), k.statistic, b)
                         for f, k, b in zip(flown, kept, bounds, strict=True)
                     ]
     rules = {m.name: m for m in detectors.modules() if m.name in plan.detectors}

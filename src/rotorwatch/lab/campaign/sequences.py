@@ -23,8 +23,6 @@ import numpy as np
 
 from rotorwatch.base import files
 from rotorwatch.diagnose import Estimated, judge
-from rotorwatch.engine.default import hypotheses
-from rotorwatch.engine.default.announcement import threshold
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Event
@@ -213,9 +211,8 @@ def judged(plan: Sequences, flown: Sequence[batch.Flown]) -> list[dict[str, Any]
         return []
     B = flown[0].vehicle.effectiveness()
     rows = []
-    limit = float(threshold(hypotheses.make(B.shape[1]), flown[0].ticks.dt))
     for f, (out, last) in zip(flown, batch.by_default(flown, B)):
-        end = judge(f.ready, Estimated(f.ticks, out.kept, limit, last, True)).end
+        end = judge(f.ready, Estimated(f.ticks, out.kept, last)).end
         accusing = [e for e in end.events if e.means.weakens]
         induced = induced_velocity(f.scenario)
         for s in states(f, accusing):

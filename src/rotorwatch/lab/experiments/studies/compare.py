@@ -27,7 +27,7 @@ from rotorwatch.engine.motion.ticks import JUDGE
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.experiments import counting, tools
 from rotorwatch.lab.experiments.studies.compare_flights import Scene
-from rotorwatch.methods.published import decide, published
+from rotorwatch.methods.published import published
 
 SETTLED_S = 2.0
 STEPS = 4096
@@ -70,7 +70,7 @@ def _trial(name: str, scene: Scene) -> dict:
         done = estimated(scene.ready)
     else:
         out = published.judge(name, table, scene.B, hops=scene.hops)
-        done = Estimated(table, out, 0.5 * decide.SIGMAS**2, None, False)
+        done = Estimated(table, out, own=False)
     raised, out = counting.alarms(judge(scene.ready, done).end.events), done.out
     judged = table.mode == JUDGE
     rotors = tuple(sorted(r for r, _, _ in scene.faults))
