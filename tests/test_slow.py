@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from conftest import hexa_event
-from rotorwatch.answer import slow
+from rotorwatch.answer import slow, trim
 from rotorwatch.answer.conclusion import Evidence, conclude
 from rotorwatch.engine.default.residual_evidence import ResidualEvidence
 from rotorwatch.engine.motion.ticks import JUDGE
@@ -47,7 +47,7 @@ def flight(
 
 def found(B=QUAD, **how) -> Any:
     out, ticks = flight(B, **how)
-    return slow.find(out, ticks, B)
+    return slow.find(trim.explain(out, ticks, B), B)
 
 
 @pytest.mark.parametrize("B", [QUAD, HEXA])
@@ -82,7 +82,7 @@ def test_what_wind_may_have_done_as_well_is_not_certain():
 def test_growth_is_looked_for_since_the_last_take_off_or_knock():
     out, ticks = flight(loss=0.35)
     ticks.mode[(ticks.time > 60.0) & (ticks.time < 62.0)] = JUDGE - 1
-    assert slow.find(out, ticks, QUAD) is None
+    assert slow.find(trim.explain(out, ticks, QUAD), QUAD) is None
 
 
 def test_a_step_announced_within_a_ramp_is_its_beginning():

@@ -11,7 +11,20 @@ from typing import Any, cast
 
 import numpy as np
 
-from rotorwatch.answer import common_mode, conclusion, health, ledger, picture, places, slow, traces, unseen, wording
+from rotorwatch.answer import (
+    common_mode,
+    conclusion,
+    health,
+    ledger,
+    mounts,
+    picture,
+    places,
+    slow,
+    traces,
+    trim,
+    unseen,
+    wording,
+)
 from rotorwatch.answer.ledger import Merged
 from rotorwatch.base import discovery
 from rotorwatch.engine.default import events, hypotheses, residual_evidence
@@ -236,7 +249,9 @@ def _find(ready: Prepared, done: Estimated) -> Merged:
     if done.last is not None and not ready.known:  # healthy flights would have told what happened in the blind time
         claims = (*claims, *hindsight.find(done.last, table, B))
     claims = (*claims, *events.claimed(flight, craft, air))
-    grown = slow.find(done.out, table, B) if done.own and ready.hovers else None
+    shown = trim.explain(done.out, table, B) if done.own and ready.hovers else None
+    grown = slow.find(shown, B)
+    claims = (*claims, *mounts.claims(shown))
     merged = ledger.merge(claims, events.Report(B).add(table, air).finish(air), ready.upsets, B.shape[1], grown)
     ready.warnings += [text for text, lasts in wording.together(merged.shared) if not lasts]
     found, notes = consistency.check(flight, craft, air, table, merged.events)

@@ -32,6 +32,7 @@ from rotorwatch.engine.estimator.hypotheses import (
     DISTURBANCE_COUNT,
     DISTURBANCE_WEIGHT,
     DISTURBANCES,
+    EXCESS_WEIGHT,
     FAR,
     FAR_SHARE,
     LOSS_WIDTH,
@@ -45,6 +46,7 @@ from rotorwatch.engine.estimator.hypotheses import (
     Asked,
     Freed,
     Jump,
+    either,
     hypothesis_count,
     kind_of,
     other_rotor_of,
@@ -97,6 +99,7 @@ class Evidence(Struct):
     known = array(REAL, ROTORS)  # the most information on each rotor's jump alone
     fault: Real = 0.0  # log of the sum over all faults
     other: Real = 0.0  # ... over all disturbances
+    excess: Real = 0.0  # ... over all rotors that give more than they are commanded
     first: int = 0  # the likeliest fault
     live: int = 0  # the first slot in use, else 0
     window = embedded(Window)
@@ -185,10 +188,11 @@ class Evidence(Struct):
                 out[h] = self.jump.factor
                 h += 1
         for i in range(n):
-            out[h] = NOTHING
             if self.asked.active[i]:
                 self.freed.recovery(i, self._target(p, slot, i), self.jump)
-                out[h] = self.jump.factor
+            else:
+                self.freed.excess(i, self.jump)
+            out[h] = self.jump.factor
             out[h + n] = NOTHING
             if self.asked.active[i] or not self.asked.weak:
                 hypotheses.one_thrust(p, self.window, self.asked, i, self.jump)
@@ -231,7 +235,10 @@ class Evidence(Struct):
         """A rotor that has failed is likely to change again, another one less so, and far less beside one that is lost."""
         n = p.rotors
         another = -3.0 * CLEAR if self.asked.dead else -CLEAR if self.asked.weak else 0.0
+        self.excess = -1e30
         for h in range(hypothesis_count(n) - DISTURBANCE_COUNT):
+            if kind_of(n, h) == RECOVERY and self._fresh(n, h) > 0:
+                self.excess = either(self.excess, self.odds[h] + log(EXCESS_WEIGHT))
             if self.barred(n, h):
                 self.odds[h] = 2.0 * NOTHING + log(real(SLOTS))
             else:
@@ -259,7 +266,7 @@ class Evidence(Struct):
         total = 0.0
         for h in range(faults, count):
             total += exp(self.odds[h] - least)
-        self.other = least + log(total)
+        self.other = either(least + log(total), self.excess)
 
     def far(self, p: Plant, bank: Bank) -> Real:
         """Log evidence of disturbances much larger than this flight's."""
