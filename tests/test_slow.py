@@ -142,3 +142,15 @@ def test_growth_that_is_not_certain_makes_its_rotor_a_suspect():
     end = conclude(Evidence((), 4, hidden=np.full(4, 0.02), judged_s=80.0, residual_evidence=(spell,)))
     assert end.verdict == "ambiguous" and [r.status for r in end.rotors] == ["suspect", "healthy", "healthy", "healthy"]
     assert slow.suspected(grown, (hexa_event(),)) == () == slow.suspected(None, ())
+
+
+def test_a_flight_in_pieces_has_the_trim_of_the_whole():
+    out, ticks = flight(loss=0.4)
+    pieces = trim.Trims(QUAD)
+    for a in range(0, ticks.time.size, 3):
+        part = slice(a, a + 3)
+        some = SimpleNamespace(**{k: v[part] if isinstance(v, np.ndarray) else v for k, v in vars(ticks).items()})
+        pieces.add(SimpleNamespace(theta=out.theta[part], biases=out.biases[part]), some)
+    whole, found_ = slow.find(trim.explain(out, ticks, QUAD), QUAD), slow.find(pieces.explain(), QUAD)
+    assert found_ is not None and whole is not None
+    assert found_.rotors == whole.rotors and np.allclose(found_.loss, whole.loss) and found_.start_s == whole.start_s

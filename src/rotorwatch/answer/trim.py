@@ -32,6 +32,8 @@ from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.methods.maths.trend import DOUBT, LEAST, WHITE
 
 LEAST_S = 30.0  # of flight, below which nothing is looked for
+ROW_S = 0.5  # of ticks that are kept as their sums
+TOGETHER = 256  # pieces of a flight, before they are joined
 BLOCK_S, BLOCKS = 2.0, 60  # length of a block at least; so many at most
 RISES = (0, 3, 5, 8, 12, 18, 27, 40)  # blocks from t0 to t1
 ONSETS = 20  # t0 that are tried for each, at most
@@ -80,43 +82,74 @@ class Explained(NamedTuple):
 
 
 def explain(out, table: Ticks, B: np.ndarray) -> Explained | None:
-    """The trim of a flight with what explains it; None where too little was judged. out: the estimator's stacked outputs (theta (T, n),
-    biases (T, 4)); B (4, n): effectiveness."""
-    seen = blocks(out, table, B)
-    return None if seen is None else _weighed(seen, B)
+    """The trim of a whole flight with what explains it; None where too little was judged. Arguments as of `Trims`."""
+    trims = Trims(B)
+    trims.add(out, table)
+    return trims.explain()
 
 
 def _total(logs: np.ndarray) -> float:
     return float(np.logaddexp.reduce(logs, None))
 
 
-def blocks(out, table: Ticks, B: np.ndarray) -> Trim | None:
-    """The trim since the last take-off or knock; None where too little was judged. Arguments as of `explain`."""
-    judging = table.mode == JUDGE
-    begins = table.time[judging & ~np.concatenate([[False], judging[:-1]])]
-    if not begins.size:
-        return None
-    rows = np.flatnonzero(unseen.usable(table) & (table.time >= begins[-1] + USUAL_S))
-    if rows.size < LEAST or table.time[rows[-1]] - table.time[rows[0]] < LEAST_S:
-        return None
-    time, T = table.time[rows], table.thrust[rows]
-    span = float(time[-1] - time[0]) + table.dt
-    count = int(np.clip(span / BLOCK_S, LEAST, BLOCKS))
-    block = np.minimum(((time - time[0]) / span * count).astype(int), count - 1)
-    size = np.bincount(block, minlength=count)
-    some = size >= 0.5 * size.max()
-    if some.sum() < LEAST:
-        return None
+class Trims:
+    """The trim of a flight that goes on, since its last take-off or knock, in rows of ROW_S. B (4, n): effectiveness."""
 
-    def mean(rows: np.ndarray) -> np.ndarray:
-        return np.column_stack([np.bincount(block, column, minlength=count)[some] / size[some] for column in rows.T])
+    def __init__(self, B: np.ndarray):
+        self._B, self._curve_sd = B, 0.0
+        self._rows: list[
+            np.ndarray
+        ] = []  # (R, 8 + n): its number, ticks in it, sums of z (3,), of its squares and of thrusts over their mean
+        self._judging, self._begin = False, np.inf
 
-    usual = mean(T.mean(axis=1, keepdims=True))
-    z = ((out.biases[rows] + (T * out.theta[rows]) @ B.T) / T.mean(axis=1, keepdims=True))[:, :3]
-    scatter = mean(z**2) - mean(z) ** 2
-    white = np.maximum((scatter / np.maximum(np.median(scatter, axis=0), 1e-12)).max(axis=1), 1.0)
-    at = np.flatnonzero(some)
-    return Trim(time[0] + span * (at + 0.5) / count, at, mean(z), mean(T) / usual, white, span / count, table.curve[1])
+    def add(self, out, table: Ticks) -> None:
+        """More ticks. out: the estimator's stacked outputs at them (theta (T, n), biases (T, 4))."""
+        judging = table.mode == JUDGE
+        begins = np.flatnonzero(judging & ~np.concatenate([[self._judging], judging[:-1]]))
+        if begins.size:
+            self._rows, self._begin = [], float(table.time[begins[-1]])
+        self._judging, self._curve_sd = bool(judging[-1]), table.curve[1]
+        use = np.flatnonzero(unseen.usable(table) & (table.time >= self._begin + USUAL_S))
+        if not use.size:
+            return
+        T = table.thrust[use]
+        mean = T.mean(axis=1, keepdims=True)
+        z = ((out.biases[use] + (T * out.theta[use]) @ self._B.T) / mean)[:, :3]
+        row, first = np.unique(np.floor(table.time[use] / ROW_S), return_index=True)
+        sums = np.add.reduceat(np.column_stack([np.ones(use.size), z, z**2, T / mean]), first)
+        self._rows.append(np.column_stack([row, sums]))
+        if len(self._rows) > TOGETHER:
+            self._rows = [self._joined()]
+
+    def explain(self) -> Explained | None:
+        """What explains it; None where too little was judged."""
+        seen = self._blocks()
+        return None if seen is None else _weighed(seen, self._B)
+
+    def _joined(self) -> np.ndarray:
+        """The rows as one table, each number once."""
+        rows = np.concatenate(self._rows)
+        first = np.flatnonzero(np.diff(rows[:, 0], prepend=-1.0))
+        return np.column_stack([rows[first, 0], np.add.reduceat(rows[:, 1:], first)])
+
+    def _blocks(self) -> Trim | None:
+        if not self._rows:
+            return None
+        rows = self._joined()
+        time = ROW_S * rows[:, 0]
+        span = float(time[-1] - time[0]) + ROW_S
+        if span < LEAST_S:
+            return None
+        count = int(np.clip(span / BLOCK_S, LEAST, BLOCKS))
+        block = np.minimum(((time - time[0]) / span * count).astype(int), count - 1)
+        sums = np.column_stack([np.bincount(block, column, minlength=count) for column in rows[:, 1:].T])
+        at = np.flatnonzero(sums[:, 0] >= 0.5 * sums[:, 0].max())
+        if at.size < LEAST:
+            return None
+        means = sums[at, 1:] / sums[at, :1]
+        z, scatter = means[:, :3], means[:, 3:6] - means[:, :3] ** 2
+        white = np.maximum((scatter / np.maximum(np.median(scatter, axis=0), 1e-12)).max(axis=1), 1.0)
+        return Trim(time[0] + span * (at + 0.5) / count, at, z, means[:, 6:], white, span / count, self._curve_sd)
 
 
 def _courses(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
