@@ -153,4 +153,5 @@ def test_a_flight_in_pieces_has_the_trim_of_the_whole():
         pieces.add(SimpleNamespace(theta=out.theta[part], biases=out.biases[part]), some)
     whole, found_ = slow.find(trim.explain(out, ticks, QUAD), QUAD), slow.find(pieces.explain(), QUAD)
     assert found_ is not None and whole is not None
-    assert found_.rotors == whole.rotors and np.allclose(found_.loss, whole.loss) and found_.start_s == whole.start_s
+    assert found_.rotors == whole.rotors and found_.loss == pytest.approx(whole.loss, rel=1e-3)
+    assert found_.start_s == pytest.approx(whole.start_s, abs=0.01)
