@@ -32,7 +32,6 @@ from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.methods.maths.trend import DOUBT, LEAST, WHITE
 
 LEAST_S = 30.0  # of flight, below which nothing is looked for
-ROW_S = 0.5  # of ticks that are kept as their sums
 TOGETHER = 256  # pieces of a flight, before they are joined
 BLOCK_S, BLOCKS = 2.0, 60  # length of a block at least; so many at most
 RISES = (0, 3, 5, 8, 12, 18, 27, 40)  # blocks from t0 to t1
@@ -93,13 +92,11 @@ def _total(logs: np.ndarray) -> float:
 
 
 class Trims:
-    """The trim of a flight that goes on, since its last take-off or knock, in rows of ROW_S. B (4, n): effectiveness."""
+    """The trim of a flight that goes on, since its last take-off or knock. B (4, n): effectiveness."""
 
     def __init__(self, B: np.ndarray):
-        self._B, self._curve_sd = B, 0.0
-        self._rows: list[
-            np.ndarray
-        ] = []  # (R, 8 + n): its number, ticks in it, sums of z (3,), of its squares and of thrusts over their mean
+        self._B, self._curve_sd, self._dt = B, 0.0, 0.0
+        self._ticks: list[np.ndarray] = []  # (T, 4 + n): time [s], z times the mean thrust (3,), thrusts
         self._judging, self._begin = False, np.inf
 
     def add(self, out, table: Ticks) -> None:
@@ -107,49 +104,44 @@ class Trims:
         judging = table.mode == JUDGE
         begins = np.flatnonzero(judging & ~np.concatenate([[self._judging], judging[:-1]]))
         if begins.size:
-            self._rows, self._begin = [], float(table.time[begins[-1]])
-        self._judging, self._curve_sd = bool(judging[-1]), table.curve[1]
+            self._ticks, self._begin = [], float(table.time[begins[-1]])
+        self._judging, self._curve_sd, self._dt = bool(judging[-1]), table.curve[1], table.dt
         use = np.flatnonzero(unseen.usable(table) & (table.time >= self._begin + USUAL_S))
-        if not use.size:
-            return
         T = table.thrust[use]
-        mean = T.mean(axis=1, keepdims=True)
-        z = ((out.biases[use] + (T * out.theta[use]) @ self._B.T) / mean)[:, :3]
-        row, first = np.unique(np.floor(table.time[use] / ROW_S), return_index=True)
-        sums = np.add.reduceat(np.column_stack([np.ones(use.size), z, z**2, T / mean]), first)
-        self._rows.append(np.column_stack([row, sums]))
-        if len(self._rows) > TOGETHER:
-            self._rows = [self._joined()]
+        lacking = (out.biases[use] + (T * out.theta[use]) @ self._B.T)[:, :3]
+        self._ticks.append(np.column_stack([table.time[use], lacking, T]))
+        if len(self._ticks) > TOGETHER:
+            self._ticks = [np.concatenate(self._ticks)]
 
     def explain(self) -> Explained | None:
         """What explains it; None where too little was judged."""
         seen = self._blocks()
         return None if seen is None else _weighed(seen, self._B)
 
-    def _joined(self) -> np.ndarray:
-        """The rows as one table, each number once."""
-        rows = np.concatenate(self._rows)
-        first = np.flatnonzero(np.diff(rows[:, 0], prepend=-1.0))
-        return np.column_stack([rows[first, 0], np.add.reduceat(rows[:, 1:], first)])
-
     def _blocks(self) -> Trim | None:
-        if not self._rows:
+        ticks = np.concatenate(self._ticks) if self._ticks else np.empty((0, 4))
+        time, T = ticks[:, 0], ticks[:, 4:]
+        if time.size < LEAST or time[-1] - time[0] < LEAST_S:
             return None
-        rows = self._joined()
-        time = ROW_S * rows[:, 0]
-        span = float(time[-1] - time[0]) + ROW_S
-        if span < LEAST_S:
-            return None
+        span = float(time[-1] - time[0]) + self._dt
         count = int(np.clip(span / BLOCK_S, LEAST, BLOCKS))
         block = np.minimum(((time - time[0]) / span * count).astype(int), count - 1)
-        sums = np.column_stack([np.bincount(block, column, minlength=count) for column in rows[:, 1:].T])
-        at = np.flatnonzero(sums[:, 0] >= 0.5 * sums[:, 0].max())
-        if at.size < LEAST:
+        size = np.bincount(block, minlength=count)
+        some = size >= 0.5 * size.max()
+        if some.sum() < LEAST:
             return None
-        means = sums[at, 1:] / sums[at, :1]
-        z, scatter = means[:, :3], means[:, 3:6] - means[:, :3] ** 2
+
+        def mean(rows: np.ndarray) -> np.ndarray:
+            return np.column_stack(
+                [np.bincount(block, column, minlength=count)[some] / size[some] for column in rows.T]
+            )
+
+        of_all = T.mean(axis=1, keepdims=True)
+        z = ticks[:, 1:4] / of_all
+        scatter = mean(z**2) - mean(z) ** 2
         white = np.maximum((scatter / np.maximum(np.median(scatter, axis=0), 1e-12)).max(axis=1), 1.0)
-        return Trim(time[0] + span * (at + 0.5) / count, at, z, means[:, 6:], white, span / count, self._curve_sd)
+        at, share = np.flatnonzero(some), mean(T) / mean(of_all)
+        return Trim(time[0] + span * (at + 0.5) / count, at, mean(z), share, white, span / count, self._curve_sd)
 
 
 def _courses(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
