@@ -15,13 +15,14 @@ from click.testing import CliRunner
 import rotorwatch as rw
 from exporting import STRICT, address, jax, library, room, struct
 from rotorwatch import airframes
-from rotorwatch.base.compiling import native, toolchain
-from rotorwatch.base.compiling.c99.lower import Refused
-from rotorwatch.base.compiling.c99.project import Field, make
-from rotorwatch.base.compiling.run import run
+from rotorwatch.base.compiling import toolchain
 from rotorwatch.commands.cli import cli
 from rotorwatch.errors import ConfigError
 from rotorwatch.export.export_c import export_c
+from rotorwatch.methods.compiling import native
+from rotorwatch.methods.compiling.c99.lower import Refused
+from rotorwatch.methods.compiling.c99.project import Field, make
+from rotorwatch.methods.compiling.run import run
 from rotorwatch.methods.estimators.ekf import EKF
 from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
 
@@ -427,8 +428,8 @@ WARM = """
 import json, sys
 import numpy as np
 from typing import NamedTuple
-from rotorwatch.base.compiling import native
-from rotorwatch.base.compiling.run import run_built
+from rotorwatch.methods.compiling import native
+from rotorwatch.methods.compiling.run import run_built
 class Carry(NamedTuple):
     total: object
 class Sum:

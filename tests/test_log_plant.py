@@ -12,7 +12,6 @@ from tests.plain import made, room
 from rotorwatch import airframes
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.base.compiling.run import run
 from rotorwatch.engine.default import events
 from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Window
@@ -21,6 +20,7 @@ from rotorwatch.engine.estimator.plant import Plant
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN, Ticks
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.experiments.studies import compare_flights
+from rotorwatch.methods.compiling.run import run
 from rotorwatch.methods.estimators.ekf import EKF
 from rotorwatch.methods.published import decide, log_plant, published
 

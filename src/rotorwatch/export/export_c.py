@@ -19,13 +19,13 @@ import numpy as np
 from rotorwatch import airframes
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.base.compiling.c99.project import Field, Program, make
 from rotorwatch.engine.default.plant import any_multirotor
 from rotorwatch.engine.default.program import parameters as balance_parameters
 from rotorwatch.engine.estimator.plant import DAMPING, GAIN, PER_AXIS
 from rotorwatch.errors import ConfigError
 from rotorwatch.export import export_default
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.methods.compiling.c99.project import Field, Program, make
 from rotorwatch.methods.control import allocation
 from rotorwatch.methods.published import log_plant
 

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.base.compiling.run import engine, run, run_built
 from rotorwatch.engine.default import program
 from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.estimator.plant import PER_AXIS
 from rotorwatch.engine.motion.ticks import LEARN, Ticks
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.experiments import tools
+from rotorwatch.methods.compiling.run import engine, run, run_built
 from rotorwatch.methods.published import log_plant, published
 from rotorwatch.methods.published.log_plant import LogPlant
 from rotorwatch.methods.published.published import Decisions

@@ -18,13 +18,13 @@ import numpy as np
 
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.base.compiling.run import chosen, run, run_built
 from rotorwatch.engine.default.events import rotor_sets
 from rotorwatch.engine.default.hypotheses import Hypotheses, list_hypotheses
 from rotorwatch.engine.default.program import TickOutput
 from rotorwatch.engine.estimator.posterior import PLACES
 from rotorwatch.engine.motion.ticks import Ticks
 from rotorwatch.errors import ConfigError
+from rotorwatch.methods.compiling.run import chosen, run, run_built
 from rotorwatch.methods.published import decide, log_plant
 from rotorwatch.methods.published.log_plant import LogPlant
 

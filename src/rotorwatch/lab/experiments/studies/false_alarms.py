@@ -28,7 +28,6 @@ import numpy as np
 
 from rotorwatch import airframes, logs
 from rotorwatch.base import many
-from rotorwatch.base.compiling.run import CHUNK
 from rotorwatch.engine.default import events, program
 from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.motion import allocation, ticks
@@ -40,6 +39,7 @@ from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.lab.experiments import tools
 from rotorwatch.lab.experiments.inject import ready_s
+from rotorwatch.methods.compiling.run import CHUNK
 from rotorwatch.witnesses.aerobatic import judge as aerobatic
 
 PROMISED_PER_HOUR = 0.1
