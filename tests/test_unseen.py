@@ -10,7 +10,7 @@ from scipy import stats
 
 import rotorwatch as rw
 from rotorwatch.answer import unseen
-from rotorwatch.engine.default import hypotheses
+from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.motion.ticks import JUDGE
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.lab import campaign
@@ -25,7 +25,7 @@ DT = 0.1
 
 def outputs(biases, odds=-5.0, onset=0.0, rotors=4):
     """Outputs of the estimator: biases (T, 4), and no evidence against any rotor."""
-    T, kinds = len(biases), len(hypotheses.make(rotors).fault)
+    T, kinds = len(biases), len(list_hypotheses(rotors).fault)
     return SimpleNamespace(biases=biases, log_odds=np.full((T, kinds), odds), onset=np.full(T, onset))
 
 

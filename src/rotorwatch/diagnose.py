@@ -14,9 +14,9 @@ import numpy as np
 from rotorwatch.answer import common_mode, conclusion, health, ledger, picture, places, slow, traces, unseen, wording
 from rotorwatch.answer.ledger import Merged
 from rotorwatch.base import discovery
-from rotorwatch.engine.default import events, hypotheses, residual_evidence
-from rotorwatch.engine.default.announcement import threshold
-from rotorwatch.engine.default.program import TickOutput, estimate
+from rotorwatch.engine.default import events, residual_evidence
+from rotorwatch.engine.default.hypotheses import list_hypotheses
+from rotorwatch.engine.default.program import TickOutput, estimate, threshold
 from rotorwatch.engine.motion import ticks, trust
 from rotorwatch.engine.motion.airborne import Gap, airborne, gaps
 from rotorwatch.engine.motion.allocation import Spans
@@ -88,7 +88,7 @@ class Estimated:
         """The statistic's, from which on a loss is announced."""
         if not self.own:
             return 0.5 * decide.SIGMAS**2
-        return float(threshold(hypotheses.make(self.out.theta.shape[1]), self.table.dt))
+        return threshold(self.out.theta.shape[1], self.table.dt)
 
 
 class _Clock:
@@ -260,7 +260,7 @@ def judge(ready: Prepared, done: Estimated) -> Judgement:
     """The answer to a flight that an estimator has seen. `diagnose` shows it, and campaigns count it."""
     flight, craft, air, found = ready.flight, ready.vehicle, ready.air, _find(ready, done)
     table, out, B = done.table, done.out, ready.vehicle.effectiveness()
-    n, hyp = B.shape[1], hypotheses.make(B.shape[1])
+    n, hyp = B.shape[1], list_hypotheses(B.shape[1])
     doubts = trust.contradictions(flight, craft, air, cast(Ticks, ready.table))
     doubts += tuple(text for text, lasts in wording.together(found.shared) if lasts)
     doubts += () if ready.hovers else aerobatic.lacks(flight)
@@ -295,7 +295,7 @@ def _conclude(ready: Prepared, done: Estimated, last: Judgement, title: str, clo
     clock.lap("comparison_s")
     judged = (table.mode == JUDGE) & table.valid.any(axis=1)
     common = common_mode.thrust_shift(out.biases[judged, 3]) if not doubts and ready.hovers else {}
-    hyp = hypotheses.make(B.shape[1])
+    hyp = list_hypotheses(B.shape[1])
     trace = traces.compose(
         flight, out, table, hyp, B, air, ready.ready_s, done.limit, end.events, last.spells, end.rotors
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rotorwatch.answer.wording import BASELINE, listed, rotors, said, seconds, sentence
-from rotorwatch.engine.default.hypotheses import TOTAL_LOSS
+from rotorwatch.engine.estimator.hypotheses import TOTAL_LOSS
 from rotorwatch.flight.diagnosis import Event, RotorState
 from rotorwatch.flight.kinds import DESYNC, LOST, Weight
 

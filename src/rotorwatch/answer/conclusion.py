@@ -25,8 +25,8 @@ from rotorwatch.answer.wording import (
     seconds,
     sentence,
 )
-from rotorwatch.engine.default.hypotheses import TOTAL_LOSS
 from rotorwatch.engine.default.residual_evidence import ResidualEvidence
+from rotorwatch.engine.estimator.hypotheses import TOTAL_LOSS
 from rotorwatch.engine.motion.airborne import Gap
 from rotorwatch.flight.diagnosis import Event, RotorState, StoryLine, Trend
 from rotorwatch.flight.kinds import CONTACT, LOST, Weight

@@ -32,8 +32,8 @@ import numpy as np
 from rotorwatch.answer import unseen
 from rotorwatch.answer.wording import SCALE
 from rotorwatch.engine.default import events
-from rotorwatch.engine.default.plant import USUAL_S
 from rotorwatch.engine.default.residual_evidence import ResidualEvidence
+from rotorwatch.engine.estimator.plant import USUAL_S
 from rotorwatch.engine.front.losses import CLEAR, CREDIBLE, CURVE_SHARE, WITHIN_95
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event

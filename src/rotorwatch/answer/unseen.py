@@ -32,8 +32,10 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.answer.wording import SCALE
-from rotorwatch.engine.default import announcement, events, hypotheses, plant, residual_evidence
+from rotorwatch.engine.default import events, residual_evidence
+from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.default.residual_evidence import ResidualEvidence
+from rotorwatch.engine.estimator import announcement, hypotheses, plant
 from rotorwatch.engine.front.losses import WITHIN_95
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event
@@ -97,7 +99,7 @@ class Unseen:
     def __init__(self, B: np.ndarray, dt: float):
         self.B, self._dt, self._each = B, dt, 1
         n = B.shape[1]
-        self._disturbance, none = ~hypotheses.make(n).fault, np.empty((0, n))
+        self._disturbance, none = ~list_hypotheses(n).fault, np.empty((0, n))
         self._rows = Rows(np.empty((0, 4 + n)), none, none, none, none > 0.0, np.empty(0, bool))  # of `_each` ticks
         self._rest = self._rows  # ticks that are too few for a row
         self._new: list[tuple[np.ndarray, ...]] = []  # what is looked at once it is many, or asked for

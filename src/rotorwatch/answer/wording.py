@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from rotorwatch.engine.default.hypotheses import TOTAL_LOSS
+from rotorwatch.engine.estimator.hypotheses import TOTAL_LOSS
 from rotorwatch.engine.motion.airborne import Gap
 from rotorwatch.flight.diagnosis import Event, Trend
 from rotorwatch.flight.kinds import Words

@@ -6,7 +6,7 @@ Windows become blocks of BLOCK_S: missing torque z (3,), thrust T (n,). A loss t
 
 Noise: each axis as wide as the flight's own blocks scatter, blocks that follow each other alike (ALIKE). Against the losses stand steps of
 the trim in any direction, which air and payload make. Each onset of each rotor has its marginal likelihood ratio; their sum is held
-against the Shiryaev-Roberts threshold (engine/default/announcement.py), and must be CLEAR above that of the steps.
+against the Shiryaev-Roberts threshold (engine/estimator/announcement.py), and must be CLEAR above that of the steps.
 """
 
 from __future__ import annotations
@@ -15,10 +15,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorwatch.engine.default import hypotheses
-from rotorwatch.engine.default.announcement import FALSE_ALARM_PERIOD_S
-from rotorwatch.engine.default.posterior import PLACES
+from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.default.program import TickOutput
+from rotorwatch.engine.estimator import hypotheses
+from rotorwatch.engine.estimator.announcement import FALSE_ALARM_PERIOD_S
+from rotorwatch.engine.estimator.posterior import PLACES
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.ticks import GROUND, JUDGE, Ticks
 from rotorwatch.engine.motion.ticks import LEARN as LEARNING
@@ -191,7 +192,7 @@ def estimate(flight: Flight, vehicle: Vehicle, air: Spans, table: Ticks) -> tupl
     """The ticks `table` as they count here, and what is left behind on them, in the default estimator's form. Where the flight is too
     short, or its motion does not answer its outputs, nothing is judged."""
     B = vehicle.effectiveness()
-    out, seen = blank(len(table.time), hypotheses.make(B.shape[1])), respond(flight, vehicle, air)
+    out, seen = blank(len(table.time), list_hypotheses(B.shape[1])), respond(flight, vehicle, air)
     out.statistic[:], out.detectable[:] = NOTHING, 1.0 / 1.96
     known = None if seen is None else blocks(seen, air)
     if known is None or len(known.end) <= LEARN:
