@@ -5,7 +5,7 @@ import pytest
 
 from rotorwatch.commands import cli
 from rotorwatch.engine.default import program
-from rotorwatch.engine.default.hypotheses import make
+from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.estimator import hypotheses, kalman, model_error, posterior
 from rotorwatch.engine.front import losses
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN, Ticks
@@ -140,7 +140,7 @@ def test_a_fault_is_found_late_or_never_and_an_event_without_one_is_false():
 
 def made(table, rotor, at=0.0, theta=0.0) -> program.TickOutput:
     """What the estimator would have left had it announced a rotor's loss at a time."""
-    T, hyp = len(table.time), make(4)
+    T, hyp = len(table.time), list_hypotheses(4)
     k = round(at / DT)
     on = np.arange(T) >= k
     sizes = dict(

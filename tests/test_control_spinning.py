@@ -7,10 +7,10 @@ import pytest
 
 import exporting
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.base.compiling.c99.project import Field, make
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.simulation import dynamics, prepare, rotation, scenario
 from rotorwatch.lab.simulation.rigid import Air, Body
+from rotorwatch.methods.compiling.c99.project import Field, make
 from rotorwatch.methods.control import spinning
 from rotorwatch.methods.control.airframe import Airframe
 from rotorwatch.methods.control.spinning import SpinningHover, relaxed_hover

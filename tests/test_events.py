@@ -7,12 +7,13 @@ import pytest
 from tests.conftest import hexa_event
 
 from rotorwatch import airframes
-from rotorwatch.engine.default import events, hypotheses
-from rotorwatch.engine.default.posterior import PLACES
+from rotorwatch.engine.default import events
+from rotorwatch.engine.default.hypotheses import list_hypotheses
+from rotorwatch.engine.estimator.posterior import PLACES
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 
 DT, COUNT, N = 0.1, 300, 4
-HYP = hypotheses.make(N)
+HYP = list_hypotheses(N)
 QUAD = airframes.named("ardupilot-quad-x").effectiveness()
 
 
@@ -145,7 +146,7 @@ def test_what_cannot_be_told_apart_is_listed():
 def test_a_pair_of_opposite_rotors_has_to_be_surer_than_another():
     """Only a manoeuvre tells a hexarotor's opposite pairs apart: 95 % names any other pair, but not these."""
     hexa = airframes.named("ardupilot-hexa-x").effectiveness()
-    hyp, partners = hypotheses.make(6), events.opposites(hexa)
+    hyp, partners = list_hypotheses(6), events.opposites(hexa)
     opposite = (0, partners[0][0])
     for pair in (opposite, next((0, j) for j in range(1, 6) if j not in partners[0])):
         out = silence()

@@ -8,9 +8,10 @@ import pytest
 from onboard_c import doubles, library
 from rotorwatch import airframes
 from rotorwatch.base.compiling.structs import LASTS
-from rotorwatch.engine.default import events, hypotheses
+from rotorwatch.engine.default import events
+from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.default.plant import lower_rotors
-from rotorwatch.engine.default.posterior import PLACES
+from rotorwatch.engine.estimator.posterior import PLACES
 from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LEARN
 
 # A row of numbers per event: onset, detected, end, probability, rotors, loss, lower and upper (4 each), alternatives (30).
@@ -130,7 +131,7 @@ def in_python(out, ticks, B, count):
 def flight(B, seed, count=420, dt=0.05):
     """What an estimator might say in a flight of one to three hops: announcements, explanations that overtake, recoveries, suspicions."""
     rng, n = np.random.default_rng(seed), B.shape[1]
-    hyp = hypotheses.make(n)
+    hyp = list_hypotheses(n)
     time = 3.0 + dt * np.arange(count)
     ticks = SimpleNamespace(
         time=time,

@@ -9,7 +9,7 @@ import pytest
 
 from rotorwatch import airframes
 from rotorwatch.base.compiling.structs import LASTS
-from rotorwatch.engine.default import announcement
+from rotorwatch.engine.estimator import announcement
 from rotorwatch.engine.front import sense
 from rotorwatch.engine.front import ticks as definition
 from rotorwatch.engine.front.vehicle import Vehicle

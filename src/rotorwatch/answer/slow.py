@@ -14,8 +14,8 @@ import numpy as np
 from rotorwatch.answer.trim import SIZES, Explained
 from rotorwatch.answer.wording import SCALE
 from rotorwatch.engine.default import events
-from rotorwatch.engine.default.plant import USUAL_S
 from rotorwatch.engine.default.residual_evidence import ResidualEvidence
+from rotorwatch.engine.estimator.plant import USUAL_S
 from rotorwatch.engine.front.losses import CLEAR, CREDIBLE, CURVE_SHARE, WITHIN_95
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import LOSS

@@ -59,7 +59,7 @@ class Losses:
     def __init__(self, B: np.ndarray, of: Losses | None = None):
         """of: begin as these are."""
         self.craft = vehicle(B) if of is None else of.craft
-        self._state = FRONT.new(losses.Losses) if of is None else of._state.cut(1)
+        self._state = FRONT.new(losses.Losses) if of is None else of._state.copy()
         self._found = FRONT.array(Found, ROOM) if of is None else of._found
 
     def add(self, ticks: Ticks, out) -> None:
@@ -154,7 +154,7 @@ class Report:
     def __init__(self, B: np.ndarray, of: Report | None = None):
         """of: begin as this is."""
         self.craft = vehicle(B) if of is None else of.craft
-        self._state = FRONT.new(definition.Report) if of is None else of._state.cut(1)
+        self._state = FRONT.new(definition.Report) if of is None else of._state.copy()
         self.contacts: tuple[Contact, ...] = () if of is None else of.contacts
 
     def add(self, table: Ticks, air: Sequence[tuple[float, float]]) -> Report:

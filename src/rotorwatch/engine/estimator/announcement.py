@@ -9,10 +9,10 @@ reach with commands that went its way (plausibility.py).
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import Real, Struct, log, real
+from rotorwatch.base.compiling.structs import Real, Struct, exp, log, real
 from rotorwatch.engine.estimator.bank import Bank
 from rotorwatch.engine.estimator.evidence import Best, Evidence
-from rotorwatch.engine.estimator.hypotheses import CLEAR, ONE_THRUST, PAIR, either, pair_count, weight_of
+from rotorwatch.engine.estimator.hypotheses import CLEAR, ONE_THRUST, PAIR, pair_count, weight_of
 from rotorwatch.engine.estimator.noise import MEMORY_S
 from rotorwatch.engine.estimator.plant import USUAL_S, Plant
 from rotorwatch.engine.estimator.plausibility import Plausible
@@ -81,3 +81,8 @@ def threshold(p: Plant, period: Real) -> Real:
     time in s."""
     weight = real(p.rotors) * (1.0 + weight_of(ONE_THRUST)) + real(pair_count(p.rotors)) * weight_of(PAIR)
     return log(period / p.dt * weight)
+
+
+def either(a: Real, b: Real) -> Real:
+    """Log of the sum of two numbers that are known by their logs."""
+    return max(a, b) + log(1.0 + exp(-abs(a - b)))

@@ -11,6 +11,7 @@ from rotorwatch.engine.estimator import (
     evidence,
     hypotheses,
     kalman,
+    known,
     model_error,
     noise,
     opposite,
@@ -36,4 +37,4 @@ PARTS = (
     estimator,
 )
 NEIGHBOURS = tuple(f"engine/front/{name}.py" for name in ("contact", "losses", "sizes", "ticks", "vehicle"))
-ENGINE = Definition("engine", (*PARTS, whole), sizes, [*files_in("engine/estimator"), *NEIGHBOURS], vectors=True)
+ENGINE = Definition("engine", (*PARTS, whole, known), sizes, [*files_in("engine/estimator"), *NEIGHBOURS], vectors=True)

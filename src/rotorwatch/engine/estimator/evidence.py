@@ -33,7 +33,6 @@ from rotorwatch.engine.estimator.hypotheses import (
     DISTURBANCE_COUNT,
     DISTURBANCE_WEIGHT,
     DISTURBANCES,
-    EXCESS_WEIGHT,
     FAR,
     FAR_SHARE,
     LOSS_WIDTH,
@@ -47,7 +46,6 @@ from rotorwatch.engine.estimator.hypotheses import (
     Asked,
     Freed,
     Jump,
-    either,
     hypothesis_count,
     kind_of,
     other_rotor_of,
@@ -100,7 +98,6 @@ class Evidence(Struct):
     known = array(REAL, ROTORS)  # the most information on each rotor's jump alone
     fault: Real = 0.0  # log of the sum over all faults
     other: Real = 0.0  # ... over all disturbances
-    excess: Real = 0.0  # ... over all rotors that give more than they are commanded
     far: Real = 0.0  # ... over disturbances much larger than this flight's: something else
     far_sum: Real = 0.0  # of which exp(far) is a factor, while it is gathered
     first: int = 0  # the likeliest fault
@@ -194,11 +191,10 @@ class Evidence(Struct):
                 out[h] = self.jump.factor
                 h += 1
         for i in range(n):
+            out[h] = NOTHING
             if self.asked.active[i]:
                 self.freed.recovery(i, self._target(p, slot, i), self.jump)
-            else:
-                self.freed.excess(i, self.jump)
-            out[h] = self.jump.factor
+                out[h] = self.jump.factor
             out[h + n] = NOTHING
             if self.asked.active[i] or not self.asked.weak:
                 hypotheses.one_thrust(p, self.window, self.asked, i, self.jump)
@@ -250,10 +246,7 @@ class Evidence(Struct):
         """A rotor that has failed is likely to change again, another one less so, and far less beside one that is lost."""
         n = p.rotors
         another = -3.0 * CLEAR if self.asked.dead else -CLEAR if self.asked.weak else 0.0
-        self.excess = -1e30
         for h in range(hypothesis_count(n) - DISTURBANCE_COUNT):
-            if kind_of(n, h) == RECOVERY and self._fresh(n, h) > 0:
-                self.excess = either(self.excess, self.odds[h] + log(EXCESS_WEIGHT))
             if self.barred(n, h):
                 self.odds[h] = 2.0 * NOTHING + log(real(SLOTS))
             else:
@@ -281,7 +274,7 @@ class Evidence(Struct):
         total = 0.0
         for h in range(faults, count):
             total += exp(self.odds[h] - least)
-        self.other = either(least + log(total), self.excess)
+        self.other = least + log(total)
 
     def pick(self, p: Plant, bank: Bank, h: int, out: Best) -> None:
         """One hypothesis at its most probable onset."""

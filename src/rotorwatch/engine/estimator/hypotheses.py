@@ -38,8 +38,6 @@ FAR_SHARE, FAR = 0.2, 4.0
 STUCK_WEIGHT, DISTURBANCE_WEIGHT = 0.1, 3.0
 # By what share of it a loss that ends may differ from what it was thought to be.
 RECOVERY_SHARE = 0.3
-# Share by which a rotor that was well may give more than it is commanded; how often, to how often one gives less.
-EXCESS_WIDTH, EXCESS_WEIGHT = 0.15, 0.3
 # Hover thrusts that a rotor gives at least that is told to give one thrust; nats of what cannot be.
 MORE, NOTHING = 1.25, -50.0
 # Disturbances: which of roll (1), pitch (2), yaw (4), thrust (8) they touch.
@@ -193,18 +191,6 @@ class Freed(Struct):
         out.variance = 1.0 / left
         fit = z * size - 0.5 * c * size * size - 0.5 * (size - target) * (size - target) / variance
         out.factor = fit - 0.5 * log(left * variance) + self.gain[0]
-
-    def excess(self, i: int, out: Jump) -> None:
-        """Rotor i, which was well, gives more than it is commanded."""
-        c = self.own[0][i]
-        z = self.score[0][i]
-        left = c + 1.0 / (EXCESS_WIDTH * EXCESS_WIDTH)
-        size = min(z / left, 0.0)
-        out.size = size
-        out.other_size = 0.0
-        out.gives = 0.0
-        out.variance = 1.0 / left
-        out.factor = z * size - 0.5 * left * size * size - 0.5 * log(left * EXCESS_WIDTH * EXCESS_WIDTH) + self.gain[0]
 
 
 def recovery_variance(target: Real) -> Real:
@@ -384,8 +370,3 @@ def weight_of(kind: int) -> Real:
         if kind == DISTURBANCE
         else 1.0
     )
-
-
-def either(a: Real, b: Real) -> Real:
-    """Log of the sum of two numbers that are known by their logs."""
-    return max(a, b) + log(1.0 + exp(-abs(a - b)))

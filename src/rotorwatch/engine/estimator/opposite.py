@@ -12,7 +12,7 @@ Only steady flight can tell: who climbs, drops or turns changes the air that all
 from __future__ import annotations
 
 from rotorwatch.base.compiling.structs import Real, Struct, exp, log, real
-from rotorwatch.engine.estimator.announcement import Alarm
+from rotorwatch.engine.estimator.announcement import Alarm, either
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Bank, Window
 from rotorwatch.engine.estimator.evidence import Evidence
 from rotorwatch.engine.estimator.hypotheses import (
@@ -22,7 +22,6 @@ from rotorwatch.engine.estimator.hypotheses import (
     NOTHING,
     PAIR,
     SMALL_WIDTH,
-    either,
     kind_of,
     other_rotor_of,
     rotor_of,

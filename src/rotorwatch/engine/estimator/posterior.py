@@ -31,6 +31,7 @@ from rotorwatch.base.compiling.structs import (
     log,
     sqrt,
 )
+from rotorwatch.engine.estimator.announcement import either
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Bank, Slot
 from rotorwatch.engine.estimator.evidence import Best, Evidence, Shift
 from rotorwatch.engine.estimator.hypotheses import (
@@ -39,7 +40,6 @@ from rotorwatch.engine.estimator.hypotheses import (
     NONE,
     NOTHING,
     RECOVERY,
-    either,
     hypothesis_count,
     other_rotor_of,
     rotor_of,

@@ -91,7 +91,7 @@ LENGTHS = ((0.05, 19.0), (0.1, 8.0), (0.2, 4.5), (0.5, 1.8), (1.0, 0.0))
 TICKS_S = tuple(length for length, _ in LENGTHS)
 # A snapshot of the commands is compared with motion over so long, or over a sample and a half of the gyro.
 SHORTEST_S = 0.2
-EARLIEST_TICKS = 2  # that an announcement takes: engine/default/announcement.py
+EARLIEST_TICKS = 2  # that an announcement takes: engine/estimator/announcement.py
 READY_TICKS = 30  # from which the noise is learned
 
 
