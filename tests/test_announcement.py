@@ -33,10 +33,10 @@ def decide(
 ):
     """One tick more."""
     alarm = alarm or made(Alarm, limit=LIMIT)
-    found = SimpleNamespace(fault=fault, other=other, asked=SimpleNamespace(weak=weak))
+    found = SimpleNamespace(fault=fault, other=other, far=far, asked=SimpleNamespace(weak=weak))
     best = SimpleNamespace(kind=PAIR if pair else SINGLE, since=since, jump=SimpleNamespace(gives=gives))
     may = SimpleNamespace(asked=asked, missing=missing)
-    alarm.decide(made(Plant, rotors=N, dt=dt), found, far, best, SimpleNamespace(reach=REACH), may, judge)
+    alarm.decide(made(Plant, rotors=N, dt=dt), found, best, SimpleNamespace(reach=REACH), may, judge)
     return alarm
 
 
@@ -57,19 +57,20 @@ def test_a_fault_over_the_threshold_at_two_ticks_in_a_row_is_announced(dt):
     assert ticks_until_alarm(dt, fault=LIMIT + 0.1) == TICKS and ticks_until_alarm(dt, fault=LIMIT - 0.1) is None
 
 
+@pytest.mark.parametrize("weak", [False, True])
 @pytest.mark.parametrize("name", ["other", "far"])
-def test_it_has_to_be_ten_times_likelier_than_any_disturbance(name):
-    """Also than one larger than the flight has shown, where a rotor is weak already."""
-    assert ticks_until_alarm(fault=30.0, weak=True, **{name: 30.0 - MUCH - 0.1}) is not None
-    assert ticks_until_alarm(fault=30.0, weak=True, **{name: 30.0 - MUCH + 0.1}) is None
-    both = decide(fault=30.0, other=25.0, far=25.0, weak=True).statistic
+def test_it_has_to_be_ten_times_likelier_than_any_disturbance(name, weak):
+    """Also than something else, which is larger than the flight has shown."""
+    assert ticks_until_alarm(fault=30.0, weak=weak, **{name: 30.0 - MUCH - 0.1}) is not None
+    assert ticks_until_alarm(fault=30.0, weak=weak, **{name: 30.0 - MUCH + 0.1}) is None
+    both = decide(fault=30.0, other=25.0, far=25.0, weak=weak).statistic
     assert both == pytest.approx(min(30.0 - LIMIT, 5.0 - np.log(2.0) - MUCH))
 
 
-def test_disturbances_such_as_this_flight_has_not_seen_are_asked_about_for_one_more_rotor_only():
-    assert ticks_until_alarm(fault=30.0, far=30.0, pair=True, weak=True) is not None
-    assert ticks_until_alarm(fault=30.0, far=30.0, weak=True) is None
-    assert ticks_until_alarm(fault=30.0, far=30.0, pair=False) is not None
+def test_pairs_which_are_rare_by_their_prior_are_not_held_against_something_else():
+    for weak in (False, True):
+        assert ticks_until_alarm(fault=30.0, far=30.0, pair=True, weak=weak) is not None
+        assert ticks_until_alarm(fault=30.0, far=30.0, weak=weak) is None
     assert ticks_until_alarm(fault=30.0, other=30.0, pair=True) is None
 
 

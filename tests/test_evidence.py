@@ -13,6 +13,7 @@ from rotorwatch.engine.estimator.bank import FIRST_LOSS, Bank
 from rotorwatch.engine.estimator.evidence import Best, Evidence, Shift
 from rotorwatch.engine.estimator.hypotheses import (
     AIR_SHARE,
+    ALL_TORQUES,
     CLEAR,
     DISTURBANCE_WEIGHT,
     FAR,
@@ -126,19 +127,21 @@ def test_two_rotors_at_once_need_ten_thousand_times_the_odds():
     assert PAIR_WEIGHT == 1e-4 and DISTURBANCE_WEIGHT > 1.0  # of one rotor: 1
 
 
-def test_disturbances_larger_than_this_flights_are_a_fifth_of_them():
-    """Four times as wide as the noise model has them, within limits; in thrust also as the air that moves."""
+@pytest.mark.parametrize(("active", "first"), [((), ALL_TORQUES), ((2,), 0)])
+def test_something_else_is_a_fifth_of_disturbances_and_larger_than_this_flights(active, first):
+    """Four times as wide as the noise model has them, within limits; in thrust also as the air that moves. Of all torques together, and
+    beside a weak rotor of any axes."""
     bank = told()
-    found = gather(bank)
+    found = gather(bank, active=active)
     sd = np.sqrt(CALM[1] + CALM[2] + 5.0 * CALM[3])
     assert found.asked.width == pytest.approx(moved(np.clip(3.0 * sd, 0.03, 1.0))) and min(found.asked.width) > 0.03
     wide, steps = [], room(len(HYP.blocks))
     for slot in (slot for slot in bank.slots if slot.age >= 0):
         found.window.reduce(P, slot, 1e-12, 1e-12)
         hypotheses.disturbances(found.window, found.asked.width, FAR, steps)
-        wide.append(np.array(steps) + slot.log_stride)
+        wide.append(np.array(steps)[first:] + slot.log_stride)
     wanted = logsumexp(wide) + np.log(FAR_SHARE * DISTURBANCE_WEIGHT)
-    assert found.far(P, bank) == pytest.approx(wanted, rel=1e-9)
+    assert found.far == pytest.approx(wanted, rel=1e-9)
     assert gather(bank, variances=1e-12 * CALM).asked.width == pytest.approx(moved(np.full(4, 0.03)))
     assert gather(bank, variances=1e6 * CALM).asked.width == pytest.approx(moved(np.ones(4)))
 

@@ -16,10 +16,12 @@ from rotorwatch.answer import (
     conclusion,
     health,
     ledger,
+    mounts,
     picture,
     places,
     slow,
     traces,
+    trim,
     unjudged,
     unseen,
     wording,
@@ -251,7 +253,9 @@ def _find(ready: Prepared, done: Estimated) -> Merged:
     if done.last is not None and not ready.known:  # healthy flights would have told what happened in the blind time
         claims = (*claims, *hindsight.find(done.last, table, B))
     claims = (*claims, *events.claimed(flight, craft, air))
-    grown = slow.find(done.out, table, B) if done.own and ready.hovers else None
+    shown = trim.explain(done.out, table, B) if done.own and ready.hovers else None
+    grown = slow.find(shown, B)
+    claims = (*claims, *mounts.claims(shown))
     merged = ledger.merge(claims, events.Report(B).add(table, air).finish(air), ready.upsets, B.shape[1], grown)
     ready.warnings += [text for text, lasts in wording.together(merged.shared) if not lasts]
     found, notes = consistency.check(flight, craft, air, table, merged.events)

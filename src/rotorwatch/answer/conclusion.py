@@ -324,6 +324,7 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
         parts.append(
             sentence(f"{rotors([rotor], seen.places)} {notices}, since {seconds(min(e.onset_s for e in own))}.")
         )
+    parts += [said(e.means.headline, e) for e in _notices(seen) if not e.rotors]
     return " ".join(parts)
 
 
