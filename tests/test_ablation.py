@@ -153,10 +153,10 @@ def made(table, rotor, at=0.0, theta=0.0) -> program.TickOutput:
         detectable=4,
         biases=4,
     )
-    sizes |= dict(innovation=4, innovation_var=4, opposite_loss=2, onsets=4)
+    sizes |= dict(innovation=4, innovation_var=4, onsets=4)
     shape = {name: (size,) for name, size in sizes.items()}
     kept = program.TickOutput(**{name: np.zeros((T, *shape.get(name, ()))) for name in program.TickOutput._fields})
-    kept = kept._replace(announced=np.zeros(T, bool), active=np.zeros((T, 4, 4), bool), opposite=np.full(T, -1))
+    kept = kept._replace(announced=np.zeros(T, bool), active=np.zeros((T, 4, 4), bool))
     kept.share[:, 0] = 1.0
     kept.theta_sd[:] = 0.02
     if rotor is not None:

@@ -321,13 +321,13 @@ def test_one_explanation_at_least_is_without_the_rotor_that_leads(quad):
 
 def test_gains_learn_without_what_the_known_loss_takes(quad, monkeypatch):
     """Torque that a weak rotor lacks was commanded and made no motion."""
-    k, look, given, (u, y, _) = quad.born + 20, Memory.look, [], quad.table
+    k, look, given, (u, y, _) = quad.born + 20, Memory.weigh_inputs, [], quad.table
 
     def spied(self, p, now, s, lost, *rest):
         given.append(list(lost))
         return look(self, p, now, s, lost, *rest)
 
-    monkeypatch.setattr(Memory, "look", spied)
+    monkeypatch.setattr(Memory, "weigh_inputs", spied)
     now = tick(u[k + 1], quad.method.n)
     now.mode, now.wrench = JUDGE, y[k + 1].tolist()
     unpacked(Estimator, quad.carries.rows[k]).step(quad.method.plant, now, Result())

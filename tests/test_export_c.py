@@ -21,7 +21,7 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.export.export_c import export_c
 from rotorwatch.methods.compiling import native
 from rotorwatch.methods.compiling.c99.lower import Refused
-from rotorwatch.methods.compiling.c99.project import Field, make
+from rotorwatch.methods.compiling.c99.project import Field, emit_program
 from rotorwatch.methods.compiling.run import run
 from rotorwatch.methods.estimators.ekf import EKF
 from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
@@ -148,7 +148,7 @@ def start(_):
 @pytest.mark.parametrize("seed", range(PROGRAMS))
 def test_random_programs_say_the_same_in_c(seed, tmp_path):
     step = random_program(seed)
-    program = make("chance", step, start, INPUTS)
+    program = emit_program("chance", step, start, INPUTS)
     # Half of them watched by the sanitizers' traps, half optimised, one of these as far as it goes: all without a warning.
     optimised = "-O3" if seed == 0 else "-O1"
     flags = ("-O0", "-fsanitize=undefined", "-fsanitize-undefined-trap-on-error") if seed % 2 else (optimised,)
@@ -191,7 +191,7 @@ def test_a_matrix_that_is_changed_many_times(seed, tmp_path):
             known.append(m)
         return (m,), m.sum()
 
-    program = make("changed", step, lambda _: (jnp.ones((size, size)) * 0.3,), (Field("x", "f", (size,)),))
+    program = emit_program("changed", step, lambda _: (jnp.ones((size, size)) * 0.3,), (Field("x", "f", (size,)),))
     if seed == 0:
         assert program.workspace_bytes < 8 * size * size
     lib, rng, carry = library(program, tmp_path, "-O2"), np.random.default_rng(seed), (jnp.ones((size, size)) * 0.3,)
@@ -222,7 +222,7 @@ REFUSED = {
 def test_what_cannot_be_c_is_refused_with_its_line(what):
     function, advice = REFUSED[what]
     with pytest.raises(Refused, match=what) as why:
-        make("refused", lambda _, c, a: (c, function(a)), start, (Field("a", "f", (N,)),))
+        emit_program("refused", lambda _, c, a: (c, function(a)), start, (Field("a", "f", (N,)),))
     said = str(why.value)
     assert advice in said and "test_export_c.py:" in said and len(said.splitlines()) == 1
 

@@ -75,7 +75,7 @@ def look(memory, now, valid=YES, flying=True, restart=False, variances=CALM, sha
     biases = X[:AXIS_STATES].reshape(4, PER_AXIS)[:3, :3].sum(axis=1)
     now = filled(copied(now), wrench=lost + np.array([*(share * needs + biases), 0.0]), valid=valid, restart=restart)
     memory, seen = copied(memory), Seen()
-    memory.look(P, now, X.tolist(), lost.tolist(), room(4), made(Noise, v=variances), flying, seen)
+    memory.weigh_inputs(P, now, X.tolist(), lost.tolist(), room(4), made(Noise, v=variances), flying, seen)
     return memory, seen
 
 

@@ -139,5 +139,5 @@ def test_the_curve_shows_near_hover_in_what_moves_the_vehicle(share, load, teach
     u = np.concatenate([np.ones(N), [0.0, 0.0, 4.0 * share, load * N], np.zeros(5), [2.5, ASSUMED, 0.35, 0.0]])
     now = filled(tick(u, N), wrench=np.array([0.0, 0.0, 4.0 * gain, N]))
     memory.begin(p)
-    memory.look(p, now, x.tolist(), room(4), [0.5] * 4, made(Noise, v=KNOWN_NOISE), True, seen)
+    memory.weigh_inputs(p, now, x.tolist(), room(4), [0.5] * 4, made(Noise, v=KNOWN_NOISE), True, seen)
     assert (seen.curve > 0.5) if teaches else (seen.curve == 0.0)

@@ -25,7 +25,7 @@ from rotorwatch.engine.estimator.plant import DAMPING, GAIN, PER_AXIS
 from rotorwatch.errors import ConfigError
 from rotorwatch.export import export_default
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.methods.compiling.c99.project import Field, Program, make
+from rotorwatch.methods.compiling.c99.project import Field, Program, emit_program
 from rotorwatch.methods.control import allocation
 from rotorwatch.methods.published import log_plant
 
@@ -160,7 +160,7 @@ def allocator_program(allocator: allocation.Allocator, identifier: str, candidat
         return allocator.step(carry, demand, allocation.Belief(mean, lower, upper, sets, weights))
 
     about = f"Control allocation for {n} rotors, {allocator.method}, driven by {allocator.by}."
-    return make(identifier, step, lambda _: allocator.init(), tuple(inputs), (), notes, about)
+    return emit_program(identifier, step, lambda _: allocator.init(), tuple(inputs), (), notes, about)
 
 
 def _allocator_example(program: Program, allocator: allocation.Allocator) -> str:
@@ -253,7 +253,7 @@ def program_of(method: Any, identifier: str, variable_dt: bool = False) -> Progr
 
     about = f"{method.name} on the plant {getattr(system, 'name', type(system).__name__)}, a step of {method.dt:g} s"
     about += ", or as long as dt says." if variable_dt else "."
-    return make(identifier, step, lambda _: method.init(), tuple(inputs), (), notes, about)
+    return emit_program(identifier, step, lambda _: method.init(), tuple(inputs), (), notes, about)
 
 
 def _named(system, letter: str, count: int) -> str:

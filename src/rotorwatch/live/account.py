@@ -56,7 +56,7 @@ class Account:
     def _feed(self, table: Ticks, out: SimpleNamespace) -> None:
         after = landed(table, self._spans)
         if after.any():
-            silent = {"announced": out.announced.astype(bool) & ~after, "opposite": np.where(after, -1, out.opposite)}
+            silent = {"announced": out.announced.astype(bool) & ~after}
             table, out = grounded(table, self._spans), SimpleNamespace(**{**vars(out), **silent})
         self.losses.add(table, out)
         self.report.add(table, self._spans)

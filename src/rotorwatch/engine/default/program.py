@@ -40,9 +40,6 @@ class TickOutput(NamedTuple):
     gives: Array
     detectable: Array
     biases: Array
-    opposite: Array
-    opposite_onset: Array
-    opposite_loss: Array
 
 
 class Learned(NamedTuple):
@@ -164,9 +161,7 @@ class Steps:
         columns = parts[0] if len(parts) == 1 else [np.concatenate(column) for column in zip(*parts, strict=True)]
         made = {name: column for (name, _), column in zip(self._outputs, columns, strict=True)}
         self.plausible = made.pop("plausible")
-        # Opposite rotors are announced as any other fault.
-        none = np.full(len(u), -1, np.int32)
-        return TickOutput(**made, opposite=none, opposite_onset=np.zeros(len(u)), opposite_loss=np.zeros((len(u), 2)))
+        return TickOutput(**made)
 
 
 def _outputs(rotors: int) -> list[tuple[str, tuple[slice, ...]]]:

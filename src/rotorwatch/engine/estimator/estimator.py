@@ -194,7 +194,7 @@ class Estimator(Struct):
             for i in range(n):
                 lost[a] += self.rows.h[a][THETA + i] * leader.s[THETA + i]
         seen = self.seen
-        self.memory.look(p, now, leader.s, lost, bent, self.noise, flying, seen)
+        self.memory.weigh_inputs(p, now, leader.s, lost, bent, self.noise, flying, seen)
         # What carries a vehicle that is not clear of the ground says nothing of the curve, and beside a weak rotor a curve looks like
         # its loss.
         if not judge or leader.weak(p):

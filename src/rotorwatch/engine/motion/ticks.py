@@ -255,7 +255,7 @@ def observe(flight: Flight, vehicle: Vehicle, air, ready_s: float) -> Ticks | No
     thrust = allocation.rotor_thrusts(flight, vehicle)
     if len(thrust) < 20 or not thrust.valid.all(axis=1).any():  # or one output is never a command
         return None
-    made = make(flight, thrust, vehicle.effectiveness(), air, ready_s, hover=known_hover(vehicle))
+    made = cut_ticks(flight, thrust, vehicle.effectiveness(), air, ready_s, hover=known_hover(vehicle))
     return replace(made, curve=vehicle.curve.believed)
 
 
@@ -264,7 +264,7 @@ def known_hover(vehicle: Vehicle) -> float | None:
     return (vehicle.identified or {}).get("hover")
 
 
-def make(
+def cut_ticks(
     flight: Flight,
     thrust: Signal,
     B: np.ndarray,

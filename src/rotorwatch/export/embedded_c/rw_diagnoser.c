@@ -35,7 +35,6 @@ static void judge(rw_diagnoser *d, const rw_made *made)
     memcpy(found.gives, out->gives, sizeof found.gives);
     memcpy(found.onsets, out->onsets, sizeof found.onsets);
     memcpy(found.probability, out->probability, sizeof found.probability);
-    memcpy(found.log_odds, out->log_odds, sizeof found.log_odds);
     found.announced = out->announced;
     rw_losses_on(&d->losses, d->vehicle, made->time, made->when, made->mode, made->restart, &found);
     rw_report_tick(&d->report, made->time, made->start, made->upset);

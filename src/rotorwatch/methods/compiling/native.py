@@ -257,7 +257,7 @@ def flattened(tree: Any) -> list:
 def _made(make_estimator: Callable, select: Callable, parameters, sizes: tuple[int, int], name: str):
     """(program, layout) of an estimator built from parameters: traced and exported."""
     from rotorwatch.base.backend import jax as load_jax
-    from rotorwatch.methods.compiling.c99.project import Field, make
+    from rotorwatch.methods.compiling.c99.project import Field, emit_program
 
     jax = load_jax()
 
@@ -268,7 +268,7 @@ def _made(make_estimator: Callable, select: Callable, parameters, sizes: tuple[i
     carry = make_estimator(parameters).init()
     n_u, n_y = sizes
     inputs = (Field("u", "f", (n_u,)), Field("y", "f", (n_y,)), Field("valid", "b", (n_y,)))
-    program = make(name, step, None, inputs, parameters, carry=carry)
+    program = emit_program(name, step, None, inputs, parameters, carry=carry)
     out = jax.eval_shape(step, parameters, carry, *(jax.ShapeDtypeStruct(f.shape, TYPES[f.kind]) for f in inputs))[1]
     p, s, o = ([(f.name, f.kind, list(f.shape)) for f in g] for g in (program.parameters, program.state, program.out))
     return program, Layout(name, p, s, o, program.workspace_bytes, described(carry), described(out))

@@ -195,13 +195,12 @@ def blank(T: int, hyp: Hypotheses) -> TickOutput:
     n, n_h = hyp.n, len(hyp.names)
     numbers = {
         "theta": (n,), "theta_sd": (n,), "innovation": (4,), "biases": (4,), "onset": (), "onsets": (PLACES,),
-        "share": (PLACES,), "gives": (n,), "each": (PLACES, n), "opposite_onset": (), "opposite_loss": (2,),
+        "share": (PLACES,), "gives": (n,), "each": (PLACES, n),
     }  # fmt: skip
     flags = {"announced": (), "active": (PLACES, n)}
     filled = {k: np.zeros((T, *size)) for k, size in numbers.items()} | {
         "innovation_var": np.ones((T, 4)), "log_odds": np.full((T, n_h), -50.0), "statistic": np.full(T, -50.0),
         "best": np.zeros(T, int), "probability": np.full((T, n_h), 1.0 / n_h), "detectable": np.ones((T, n)),
-        "opposite": np.full(T, -1),
     } | {k: np.zeros((T, *size), bool) for k, size in flags.items()}  # fmt: skip
     return TickOutput(**{name: filled[name] for name in TickOutput._fields})
 

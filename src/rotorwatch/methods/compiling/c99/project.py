@@ -87,7 +87,7 @@ def _key(part) -> str:
     return "".join(c if c.isalnum() else "_" for c in text)
 
 
-def make(
+def emit_program(
     name: str,
     step: Callable,
     init: Callable | None,
