@@ -10,8 +10,8 @@ from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.engine.default import program
 from rotorwatch.engine.default.estimator import JumpBank
 from rotorwatch.engine.default.plant import WrenchBalance
+from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.estimator import estimator
-from rotorwatch.engine.estimator.definition import ENGINE
 from rotorwatch.engine.motion.ticks import AGAIN, GROUND, JUDGE, LEARN
 
 SETTLES, FAILS, WELL, PUSHED, LANDED, AGAIN_UP = 60, 130, 260, 330, 380, 390

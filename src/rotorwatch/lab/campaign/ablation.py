@@ -28,8 +28,7 @@ from rotorwatch import airframes, logs
 from rotorwatch.diagnose import Estimated, Prepared, prepare
 from rotorwatch.diagnose import judge as conclude
 from rotorwatch.engine.default import events, program
-from rotorwatch.engine.estimator.definition import ENGINE
-from rotorwatch.engine.front.definition import FRONT
+from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import JUDGE, READY_S, Ticks
 from rotorwatch.errors import ConfigError
@@ -125,7 +124,7 @@ def changed(values: Mapping[str, Any]) -> Iterator[None]:
             others |= {"hypotheses.CLEAR": float(np.log(value)), "posterior.ALIKE": -float(np.log(value))}
         elif name in TAKEN:
             others[f"{TAKEN[name]}.{name}"] = value
-    with FRONT.changed(losses), ENGINE.changed(others), ExitStack() as stack:
+    with ENGINE.changed(losses | others), ExitStack() as stack:
         for key, value in others.items():  # what else reads them
             file, name = key.split(".")
             module = import_module(f"rotorwatch.engine.default.{file}")
