@@ -55,20 +55,21 @@ DIAGNOSER = """
 static rw_diagnoser d;
 int main(void)
 {{
-    static rw_real u[RW_INPUTS], y[4];
-    static const bool valid[4] = {{true, true, true, true}};
+    static rw_inputs now;
+    rw_engine *const e = &d.engine;
     rw_diagnoser_init(&d, &rw_vehicle_default, &rw_plan_default);
-    for (int k = 0; k < RW_ROTORS; ++k) u[k] = 1;
-    u[RW_ROTORS + 3] = y[3] = RW_ROTORS;
-    u[RW_ROTORS + 9] = 2;
-    u[RW_ROTORS + 13] = RW_JUDGE;
-    for (int k = 0; k < 80; ++k) rw_whole_run(&rw_plant_default, &d.estimator, 1, u, y, valid, &d.out);
+    for (int k = 0; k < RW_ROTORS; ++k) now.thrust[k] = 1;
+    for (int a = 0; a < 4; ++a) now.valid[a] = true;
+    now.load = now.wrench[3] = RW_ROTORS;
+    now.full = 2;
+    now.mode = RW_JUDGE;
+    for (int k = 0; k < 80; ++k) rw_estimator_step(&e->estimator, &rw_plant_default, &now, &e->out);
     SYSTICK[1] = 0xFFFFFF;
     SYSTICK[2] = 0;
     SYSTICK[0] = 5;
-    for (int k = 0; k < {steps}; ++k) rw_whole_run(&rw_plant_default, &d.estimator, 1, u, y, valid, &d.out);
+    for (int k = 0; k < {steps}; ++k) rw_estimator_step(&e->estimator, &rw_plant_default, &now, &e->out);
     printf("%lu %lu %lu %lu\\n", (unsigned long)(0xFFFFFFu - SYSTICK[2]), (unsigned long)sizeof d,
-           (unsigned long)sizeof d.estimator, (unsigned long)sizeof d.poll);
+           (unsigned long)sizeof e->estimator, (unsigned long)sizeof e->room);
     return 0;
 }}
 """

@@ -16,8 +16,6 @@ from pathlib import Path
 
 import rotorwatch
 from rotorwatch import airframes
-from rotorwatch.base.compiling.translate import Translation
-from rotorwatch.engine.front import definition, sizes
 from rotorwatch.export import export_diagnoser
 
 HERE = Path(__file__).resolve().parent
@@ -39,10 +37,10 @@ def written(n: int, folder: Path) -> None:
     """rw_config.h of n rotors, ticks of 0.05 s, motion at 100 Hz and outputs at 50 Hz, and the front end."""
     B = airframes.named({4: "ardupilot-quad-x", 6: "ardupilot-hexa-x"}[n]).effectiveness()
     values = export_diagnoser.settings(B, 0.05) | export_diagnoser.rates(50.0, 100.0, 100.0)
-    made = Translation(definition.PARTS, sizes)
     (folder / "rw_config.h").write_text("".join(f"#define RW_{name} {value}\n" for name, value in values.items()))
-    (folder / "rw_front.h").write_text(made.header(export_diagnoser.FRONT_ABOUT))
-    (folder / "rw_front.c").write_text(made.source("rw_front.h"))
+    for name, text in export_diagnoser.definitions().items():
+        if name.startswith("rw_front"):
+            (folder / name).write_text(text)
 
 
 def run(command, **options) -> str:

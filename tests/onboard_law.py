@@ -22,7 +22,10 @@ static rw_notification notifications[2 * RW_EVENTS];
 static int burst; /* most ticks that one call in flight took from those that waited */
 static void to_real(rw_real *to, const double *from, int n) { for (int k = 0; k < n; k++) to[k] = (rw_real)from[k]; }
 int sizes(int what);
-int sizes(int what) { return what == 0 ? (int)sizeof d : what == 1 ? (int)sizeof d.estimator : what == 2 ? (int)sizeof d.poll : burst; }
+int sizes(int what)
+{
+    return what == 0 ? (int)sizeof d : what == 1 ? (int)sizeof d.engine.estimator : what == 2 ? (int)sizeof d.engine.room : burst;
+}
 int drive(int rows, const double *table, double until, double *found, int most);
 int drive(int rows, const double *table, double until, double *found, int most)
 {
@@ -30,8 +33,8 @@ int drive(int rows, const double *table, double until, double *found, int most)
     for (int i = 0; i < rows; i++) {
         const double *row = table + (long)i * WIDTH, t = row[1];
         rw_real x[RW_ROTORS > 4 ? RW_ROTORS : 4];
-        const bool ok = row[2] > 0.5, flew = d.front.start < RW_LASTS;
-        const int waited = d.front.count;
+        const bool ok = row[2] > 0.5, flew = d.engine.front.start < RW_LASTS;
+        const int waited = d.engine.front.count;
         to_real(x, row + 3, row[0] < 0.5 ? RW_ROTORS : 4);
         switch ((int)row[0]) {
         case 0: rw_diagnoser_outputs(&d, t, x, (rw_rotors)row[2]); break;
@@ -43,7 +46,7 @@ int drive(int rows, const double *table, double until, double *found, int most)
         case 6: rw_diagnoser_attitude(&d, t, x); break;
         default: rw_diagnoser_battery(&d, t, x[0]); break;
         }
-        if (flew && d.front.start < RW_LASTS && waited - d.front.count > burst) burst = waited - d.front.count;
+        if (flew && d.engine.front.start < RW_LASTS && waited - d.engine.front.count > burst) burst = waited - d.engine.front.count;
         if (i % 50 == 0) rw_diagnoser_poll(&d, notifications);
     }
     rw_diagnoser_finish(&d, until);

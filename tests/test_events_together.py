@@ -12,10 +12,10 @@ from conftest import trials
 from rotorwatch import airframes
 from rotorwatch.answer.conclusion import main_event
 from rotorwatch.engine.default import events
+from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.front import changes as front_changes
 from rotorwatch.engine.front import events as listed
 from rotorwatch.engine.front import whole
-from rotorwatch.engine.front.definition import FRONT
 from rotorwatch.engine.front.sizes import EVENTS
 from rotorwatch.engine.motion.contact import Contact
 from rotorwatch.flight.diagnosis import Event
@@ -168,13 +168,13 @@ def test_kinds_and_causes_are_never_taken_for_one_another():
 def test_what_ended_long_ago_and_is_forgotten_is_not_withdrawn():
     """As on board, where the list has little room."""
     known, out, withdrawn = (
-        FRONT.new(front_changes.Changes),
-        FRONT.array(front_changes.Change, 2 * EVENTS),
-        FRONT.array(listed.Event, EVENTS),
+        ENGINE.new(front_changes.Changes),
+        ENGINE.array(front_changes.Change, 2 * EVENTS),
+        ENGINE.array(listed.Event, EVENTS),
     )
     one = events.packed([loss(10.0, end=15.0)])
-    assert FRONT.call(whole.changes, known, one, 1, 14.0, -1, False, withdrawn, out) == 1
-    assert FRONT.call(whole.changes, known, one, 0, 20.0, -1, False, withdrawn, out) == 0
+    assert ENGINE.call(whole.changes, known, one, 1, 14.0, -1, False, withdrawn, out) == 1
+    assert ENGINE.call(whole.changes, known, one, 0, 20.0, -1, False, withdrawn, out) == 0
 
 
 @example([[(0, 2, 0.5), (0, 1, 0.453125)], [(0, 1, 0.4375), (0, 1, 0.421875)]])
@@ -200,7 +200,7 @@ def test_what_was_said_adds_up_to_the_list(steps):
 def test_a_list_goes_on_where_another_one_was_and_leaves_that_as_it_is(machine_code, monkeypatch):
     """As a watched vehicle's does while ticks may still be withdrawn; also where Python runs the definition."""
     if not machine_code:
-        monkeypatch.setitem(FRONT.__dict__, "library", None)
+        monkeypatch.setitem(ENGINE.__dict__, "library", None)
     air, late = ((2.0, 22.0),), [override(21.0)]
     first = flown(18.0, air)
     on = flown(30.0, air, upset=[(20.0, 22.1)], report=events.Report(B, first), since=18.0).finish(air)

@@ -15,7 +15,7 @@ import pytest
 from rotorwatch.base.compiling import shipped, toolchain
 from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.engine.default import shipping
-from rotorwatch.engine.estimator.definition import ENGINE
+from rotorwatch.engine.definition import ENGINE
 
 SAMPLE = SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"
 
@@ -56,22 +56,9 @@ def test_code_of_another_definition_or_computer_never_runs(folder, tmp_path, mon
     assert ENGINE._shipped() is None
 
 
-def test_the_estimators_code_is_of_its_files_and_of_those_whose_constants_it_takes():
-    assert {
-        "engine/estimator/bank.py",
-        "engine/front/losses.py",
-        "engine/front/ticks.py",
-        "base/compiling/body.py",
-    } <= set(ENGINE.files)
-    assert not [f for f in ENGINE.files if not f.startswith(("engine/estimator/", "engine/front/", "base/compiling/"))]
-    taken = {
-        name.replace(".", "/") + ".py"
-        for path in (shipped.HOME / "engine" / "estimator").glob("*.py")
-        for line in path.read_text().splitlines()
-        if line.startswith("from rotorwatch.engine.front.")
-        for name in [line.split()[1].removeprefix("rotorwatch.")]
-    }
-    assert taken <= set(ENGINE.files)
+def test_code_is_of_the_files_of_its_definitions_and_of_what_translates_them():
+    made_of = {Path(str(m.__file__)).relative_to(shipped.HOME).as_posix() for m in (*ENGINE.modules, *ENGINE.sizes)}
+    assert made_of | {"base/compiling/body.py"} <= set(ENGINE.files)
 
 
 @needs_compiler

@@ -113,5 +113,5 @@ void AP_RotorDiagnosis::notify(const rw_notification &notification, uint64_t now
 
 float AP_RotorDiagnosis::loss(uint8_t rotor) const
 {
-    return rotor < RW_ROTORS ? float(_diagnoser.out.theta[rotor]) : 0.0f;
+    return rotor < RW_ROTORS ? float(rw_diagnoser_loss(&_diagnoser, rotor)) : 0.0f;
 }

@@ -209,7 +209,7 @@ void RotorWatchDiagnoser::publish(const rw_event *event, uint8_t notification_ki
 	}
 
 	for (int k = 0; k < 12; k++) {
-		verdict.rotor_loss[k] = k < RW_ROTORS ? static_cast<float>(_diagnoser.out.theta[k]) : NAN;
+		verdict.rotor_loss[k] = k < RW_ROTORS ? static_cast<float>(rw_diagnoser_loss(&_diagnoser, k)) : NAN;
 	}
 
 	_verdict.publish(verdict);
@@ -219,7 +219,7 @@ int RotorWatchDiagnoser::print_status()
 {
 	PX4_INFO("%s", rw_diagnoser_verdict_text(&_diagnoser));
 	for (int k = 0; k < RW_ROTORS; k++) {
-		PX4_INFO("rotor %d: loss %.0f %%", k + 1, 100 * static_cast<double>(_diagnoser.out.theta[k]));
+		PX4_INFO("rotor %d: loss %.0f %%", k + 1, 100 * static_cast<double>(rw_diagnoser_loss(&_diagnoser, k)));
 	}
 
 	return 0;

@@ -30,8 +30,8 @@ from rotorwatch.answer import falls, slow
 from rotorwatch.answer.unseen import Unseen
 from rotorwatch.engine.default.events import Report, accuses, packed, shared, unexplained
 from rotorwatch.engine.default.residual_evidence import ResidualEvidence
+from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.front import whole
-from rotorwatch.engine.front.definition import FRONT
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import LOSS, LOST, ORDER, OVERRIDE, Weight
 
@@ -149,6 +149,6 @@ def main_event(events: Sequence[Event]) -> int | None:
         return swapped
     order = [i for i, e in enumerate(events) if e.means.accuses]
     named = [replace(events[i], kind=LOSS if events[i].means.weakens else OVERRIDE) for i in order]
-    place = FRONT.call(whole.most_important, packed(named), len(named))
+    place = ENGINE.call(whole.most_important, packed(named), len(named))
     upsets = (i for i, e in enumerate(events) if e.means.weight is Weight.UPSET)
     return order[place] if place >= 0 else next(upsets, None)

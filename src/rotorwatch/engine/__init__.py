@@ -1,7 +1,10 @@
-"""From samples to losses: one way for logs, links and boards.
+"""From samples to events: one way for logs, links and boards.
 
-front/     samples -> ticks, and the estimator's outputs -> events: one definition, in Python and C
-motion/    the same over a whole log
-estimator/ the default estimator: ticks in, losses and evidence out
-default/   the estimator over ticks, its losses in words, what healthy flights teach it
+front/        samples -> ticks, and what the estimator announces -> events
+estimator/    the default estimator: ticks in, losses and evidence out
+engine.py     the two joined: samples in, events out
+feed.py       many samples in one call
+definition.py  all of these, one definition: run as machine code, or by Python as they stand
+motion/       the front over a whole log
+default/      the estimator over ticks, its losses in words, what healthy flights teach it
 """

@@ -14,8 +14,8 @@ import numpy as np
 from rotorwatch import __version__
 from rotorwatch.base.compiling import structs
 from rotorwatch.base.compiling.translate import Translation
+from rotorwatch.engine.definition import ESTIMATOR
 from rotorwatch.engine.estimator import sizes, whole
-from rotorwatch.engine.estimator.definition import PARTS
 from rotorwatch.engine.estimator.estimator import Estimator
 from rotorwatch.engine.motion.ticks import JUDGE
 from rotorwatch.export.export_diagnoser import plant_table, settings, text_of
@@ -35,7 +35,7 @@ class Project(NamedTuple):
 def compose_project(name: str, vehicle: Vehicle, dt: float) -> Project:
     """The header and source NAME.h, NAME.c and an example, for a vehicle and ticks of dt seconds. Raises ConfigError for other ticks."""
     B = vehicle.effectiveness()
-    made = Translation((*PARTS, whole), sizes)
+    made = Translation((*ESTIMATOR, whole), sizes)
     values = settings(B, dt)
     plant = text_of(plant_table(vehicle, dt), "rw_plant", "rw_plant_default")
     text = made.header("", name="estimator"), made.source(f"{name}.h")

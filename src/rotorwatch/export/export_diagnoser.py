@@ -2,8 +2,8 @@
 
     export_diagnoser("out", vehicle="mine.toml", prefix="rotor")
 
-The front end and the estimator are made of their definitions (front/, engine/); rw_diagnoser.{h,c} (embedded_c) joins the two.
-rw_config.h and rw_config.c hold the vehicle and the rates.
+All of it is made of definitions (engine/); rw_diagnoser.{h,c} (embedded_c) is what a flight controller calls. rw_config.h and rw_config.c
+hold the vehicle and the rates.
 """
 
 from __future__ import annotations
@@ -18,27 +18,23 @@ from rotorwatch import airframes
 from rotorwatch.base import checks
 from rotorwatch.base.compiling.body import exact
 from rotorwatch.base.compiling.translate import Translation
+from rotorwatch.engine import definition, engine
 from rotorwatch.engine.default import events, program
 from rotorwatch.engine.default.plant import lower_rotors
-from rotorwatch.engine.estimator import bank, whole
+from rotorwatch.engine.estimator import bank
 from rotorwatch.engine.estimator import sizes as engine_sizes
 from rotorwatch.engine.estimator.bank import FIRST_LOSS
-from rotorwatch.engine.estimator.definition import PARTS as ENGINE_PARTS
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
 from rotorwatch.engine.estimator.plant import Plant
 from rotorwatch.engine.front import sizes
-from rotorwatch.engine.front.definition import PARTS
 from rotorwatch.engine.motion import allocation, ticks
 from rotorwatch.engine.motion.contact import look_back
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.vehicle import Vehicle
 
 SOURCES = Path(__file__).parent / "embedded_c"
-FRONT_ABOUT = "The front end: samples in, ticks out. Made of the definitions in rotorwatch/front; not to be edited."
-ESTIMATOR_ABOUT = (
-    "The default estimator: ticks in, losses out. Made of the definitions in rotorwatch/engine; not to be edited."
-)
-ROOMS = ("RECORDS", "CONTACTS", "FALLS", "EVENTS")  # sizes of buffers, which a compiler's -D may override
+MADE = "Made of the definitions in rotorwatch/engine; not to be edited."
+ROOMS = ("RECORDS", "CONTACTS", "FALLS", "EVENTS", "BURST")  # sizes of buffers, which a compiler's -D may override
 QUEUE_S = 6.0  # ticks that wait: airborne.CONFIRM_S, and room
 
 
@@ -67,7 +63,7 @@ def settings(B: np.ndarray, dt: float) -> dict[str, Any]:
         "RECORDS": 2 * n + 4, "TOGETHER": min(4, n), "ALTERNATIVES": places + 2 + opposite,
         "CONTACTS": 4, "FALLS": 4, "EVENTS": 12,
         "TICKS_BEFORE": look_back(dt), "SETTLING": 2 * look_back(dt) + 4, "QUEUE": round(QUEUE_S / dt), "WAITING": 8, "FLIGHTS": 4,
-        "LEVELS": 8, "PENDING": 8, "OVERRIDES": 2 * n,
+        "LEVELS": 8, "PENDING": 8, "OVERRIDES": 2 * n, "BURST": sizes.BURST,
     }  # fmt: skip
 
 
@@ -129,12 +125,16 @@ def text_of(table: dict[str, Any], kind: str, name: str) -> str:
 
 def definitions() -> dict[str, str]:
     """File name -> text of what is made of definitions, the same for all vehicles."""
-    front, estimator = Translation(PARTS, sizes), Translation((*ENGINE_PARTS, whole), engine_sizes)
+    front = Translation(definition.FRONT, *definition.SIZES)
+    estimator = Translation(definition.ESTIMATOR, *definition.SIZES, given=[front])
+    joined = Translation([engine], *definition.SIZES, given=[front, estimator])
     return {
-        "rw_front.h": front.header(FRONT_ABOUT),
+        "rw_front.h": front.header(f"The front end: samples in, ticks out. {MADE}"),
         "rw_front.c": front.source("rw_front.h"),
-        "rw_estimator.h": estimator.header(ESTIMATOR_ABOUT, name="estimator"),
+        "rw_estimator.h": estimator.header(f"The estimator: ticks in, losses out. {MADE}", ["rw_front.h"], "estimator"),
         "rw_estimator.c": estimator.source("rw_estimator.h"),
+        "rw_engine.h": joined.header(f"The two joined: samples in, events out. {MADE}", ["rw_estimator.h"], "engine"),
+        "rw_engine.c": joined.source("rw_engine.h"),
     }
 
 

@@ -71,7 +71,9 @@ class Source(Enum):
     """Who claims an event. EXCITATION: the answer to an excitation of the commands; ESC_STANDS: a rotor that its ESC reports to stand or to
     turn without load; ESC_CHANGED: one whose speed or current has changed. TRIM: the trim of a whole flight."""
 
-    NOBODY, ESTIMATOR, EXCITATION, HINDSIGHT, OUTPUTS, CONTACTS, CONTROL, ESC_STANDS, ESC_CHANGED, DESYNC, TRIM = range(11)
+    NOBODY, ESTIMATOR, EXCITATION, HINDSIGHT, OUTPUTS, CONTACTS, CONTROL, ESC_STANDS, ESC_CHANGED, DESYNC, TRIM = range(
+        11
+    )
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rotorwatch.engine.default.events import packed
+from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.front import changes, whole
 from rotorwatch.engine.front import events as listed
-from rotorwatch.engine.front.definition import FRONT
 from rotorwatch.engine.front.sizes import EVENTS
 from rotorwatch.flight import kinds
 from rotorwatch.flight.diagnosis import Event
@@ -32,15 +32,15 @@ class Changes:
 
     def __init__(self):
         self.now: dict[int, Event] = {}
-        self._known = FRONT.new(changes.Changes)
-        self._room = FRONT.array(listed.Event, EVENTS), FRONT.array(changes.Change, 2 * EVENTS)
+        self._known = ENGINE.new(changes.Changes)
+        self._room = ENGINE.array(listed.Event, EVENTS), ENGINE.array(changes.Change, 2 * EVENTS)
 
     def of(self, events: Sequence[Event], final: bool = False) -> list[Change]:
         """What is new about the events as they are now. final: nothing will come after, so that any difference is announced."""
         withdrawn, out = self._room
         refined, never = kinds.number(kinds.LOST), -listed.LASTS
         arguments = packed(events), min(len(events), EVENTS), never, refined, final, withdrawn, out
-        count = FRONT.call(whole.changes, self._known, *arguments)
+        count = ENGINE.call(whole.changes, self._known, *arguments)
         found = []
         for number, place, what in zip(*(out[name][:count].tolist() for name in ("number", "place", "what"))):
             if what == changes.WITHDRAWN:

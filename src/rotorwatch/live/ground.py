@@ -15,8 +15,8 @@ from types import SimpleNamespace
 from typing import Any
 
 from rotorwatch.engine.default.events import packed
+from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.front import whole, words
-from rotorwatch.engine.front.definition import FRONT
 from rotorwatch.engine.front.words import CRITICAL, NOTICE, WARNING
 from rotorwatch.flight.kinds import Span, Weight, kind_of
 from rotorwatch.live.changes import WITHDRAWN
@@ -146,8 +146,8 @@ def text_of(alert: dict) -> tuple[str, int]:
         what, event.rotors = ", ".join(filter(None, (what, who))), ()
     if not _over(alert["event"]):
         event.end_s = None
-    made = FRONT.new(words.Words)
-    severity = FRONT.call(whole.in_words, packed([event]), withdrawn, what, made)
+    made = ENGINE.new(words.Words)
+    severity = ENGINE.call(whole.in_words, packed([event]), withdrawn, what, made)
     text = bytes(made["at"].reshape(-1)[: int(made["length"][0])].tolist()).decode("ascii")
     return text, CRITICAL if upset and severity == WARNING else severity
 

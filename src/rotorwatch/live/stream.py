@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorwatch.base.compiling.structs import LASTS
+from rotorwatch.engine.definition import ENGINE, merged, states
 from rotorwatch.engine.front import front, ticks, whole
-from rotorwatch.engine.front.definition import FRONT, merged, states
 from rotorwatch.engine.motion import allocation
 from rotorwatch.engine.motion.airborne import Gap
 from rotorwatch.engine.motion.allocation import Spans
@@ -50,9 +50,9 @@ class Stream:
         self.plan: Plan | None = None
         self._ready_s, self._mixing, self._planned_aloft = ready_s, False, False
         self._front, self._made, self._done = (
-            FRONT.new(front.Front),
-            FRONT.array(ticks.Made, ROOM),
-            FRONT.new(whole.Done),
+            ENGINE.new(front.Front),
+            ENGINE.array(ticks.Made, ROOM),
+            ENGINE.new(whole.Done),
         )
         self._fed: dict[str, float] = {}  # signal -> time of its last sample that was fed
         self._messages: list[Message] = []
@@ -84,7 +84,7 @@ class Stream:
             return None
         tables, end = self._feed(), max(duration, self.window.now)
         while True:
-            FRONT.call(whole.finish, self._front, self._craft, self._plan, end, self._made, ROOM, self._done)
+            ENGINE.call(whole.finish, self._front, self._craft, self._plan, end, self._made, ROOM, self._done)
             count, end = int(self._done["rows"][0]), LASTS
             if not count:
                 return self._piece(tables)
@@ -163,7 +163,7 @@ class Stream:
         samples, tables, taken = merged(parts), [], 0
         while taken < len(samples):
             arguments = (taken, len(samples), samples.kind, samples.time, samples.at, samples.values)
-            FRONT.call(whole.feed, self._front, self._craft, self._plan, *arguments, self._made, ROOM, self._done)
+            ENGINE.call(whole.feed, self._front, self._craft, self._plan, *arguments, self._made, ROOM, self._done)
             taken = int(self._done["samples"][0])
             if count := int(self._done["rows"][0]):
                 tables.append(self._table(count))

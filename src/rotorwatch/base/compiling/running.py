@@ -141,18 +141,19 @@ def _fill(one: Any, name: str, value: Any) -> None:
 
 
 class Definition:
-    """Modules of definitions. name: what the library is called; sizes: the module with the sizes of arrays; files: of the package, that
+    """Modules of definitions. name: what the library is called; sizes: the modules with the sizes of arrays; files: of the package, that
     these are, by default all in the room of that name; vectors: built for each level of processors (shipped.LEVELS), not once for all."""
 
     def __init__(
         self,
         name: str,
         modules: Sequence[ModuleType],
-        sizes: ModuleType,
+        sizes: ModuleType | Sequence[ModuleType],
         files: Sequence[str] | None = None,
         vectors: bool = False,
     ):
-        self.name, self.modules, self.sizes, self.vectors = name, tuple(modules), sizes, vectors
+        self.name, self.modules, self.vectors = name, tuple(modules), vectors
+        self.sizes = (sizes,) if isinstance(sizes, ModuleType) else tuple(sizes)
         self.files = shipped.files_in(name) if files is None else sorted([*files, *TRANSLATOR])
         self._types: dict[type[Struct], np.dtype] = {}
         self._other: dict[str, float] = {}
@@ -230,7 +231,7 @@ class Definition:
         """(rw_config.h, header, source) for a computer."""
         from rotorwatch.base.compiling.translate import Translation
 
-        whole = Translation(self.modules, self.sizes)
+        whole = Translation(self.modules, *self.sizes)
         config = "".join(f"#define RW_{name} {value}\n" for name, value in whole.sizes.items())
         return config, whole.header("For this computer.", name=self.name), whole.source(f"rw_{self.name}.h")
 

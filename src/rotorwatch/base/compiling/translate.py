@@ -62,16 +62,20 @@ static inline int32_t abs_int(int32_t a) { return a < 0 ? -a : a; }
 
 
 class Translation:
-    """All definitions of some modules, in the order in which they are to stand. sizes: a module of whole numbers that become macros."""
+    """All definitions of some modules, in the order in which they are to stand. sizes: modules of whole numbers that become macros; given:
+    translations of what these build on, which stand in files of their own."""
 
-    def __init__(self, modules: Sequence[ModuleType], sizes: ModuleType):
-        self.modules, self.sizes = modules, {k: v for k, v in vars(sizes).items() if k.isupper() and isinstance(v, int)}
+    def __init__(self, modules: Sequence[ModuleType], *sizes: ModuleType, given: Sequence[Translation] = ()):
+        self.modules = modules
+        self.sizes = {k: v for m in sizes for k, v in vars(m).items() if k.isupper() and isinstance(v, int)}
         self.trees = {m: ast.parse(inspect.getsource(m)) for m in modules}
         self.lines = {m: inspect.getsource(m).splitlines() for m in modules}
         self.comments = {m: _comments("\n".join(self.lines[m])) for m in modules}
-        self.fields: dict[type, dict[str, tuple[Type, ast.AST]]] = {}
+        self.fields: dict[type, dict[str, tuple[Type, ast.AST]]] = {
+            k: v for one in given for k, v in one.fields.items()
+        }
         self.home: dict[type, ModuleType] = {}
-        self.functions: dict[Any, Function] = {}
+        self.functions: dict[Any, Function] = {k: f for one in given for k, f in one.functions.items()}
         self.tables: dict[str, str] = {}
         self.enums: dict[str, int] = {}
         for module, tree in self.trees.items():
@@ -86,7 +90,8 @@ class Translation:
                     for method in node.body:
                         if isinstance(method, ast.FunctionDef):
                             self._sign(module, method, getattr(module, node.name))
-        while any(self._mark(f) for f in self.functions.values()):
+        self.own = [f for f in self.functions.values() if f.module in self.trees]
+        while any([self._mark(f) for f in self.own]):
             pass
 
     # Declarations
@@ -111,6 +116,8 @@ class Translation:
     def _size(self, module: ModuleType, node: ast.AST) -> str:
         if isinstance(node, ast.Name) and node.id in self.sizes:
             return f"RW_{node.id}"
+        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult):
+            return f"({self._size(module, node.left)} * {self._size(module, node.right)})"
         return str(eval(compile(ast.Expression(node), "", "eval"), vars(module)))  # type: ignore[arg-type]  # of our own source
 
     def annotation(self, module: ModuleType, node: ast.AST | None) -> Type:
@@ -152,10 +159,11 @@ class Translation:
 
     # Text
 
-    def header(self, about: str, config: str = "rw_config.h", name: str = "front") -> str:
+    def header(self, about: str, includes: Sequence[str] = ("rw_config.h",), name: str = "front") -> str:
         """The header: types, structs, functions. name: of the definition, for what keeps it from being included twice."""
         guard = f"RW_{name.upper()}_H"
-        parts = [f"/* {about} */", f"#ifndef {guard}", f"#define {guard}", "", f'#include "{config}"', HEAD]
+        included = [f'#include "{file}"' for file in includes]
+        parts = [f"/* {about} */", f"#ifndef {guard}", f"#define {guard}", "", *included, HEAD]
         for module, tree in self.trees.items():
             parts.append(comment(ast.get_docstring(tree) or ""))
             for name in _enumerated(tree):
@@ -163,9 +171,9 @@ class Translation:
             for kind in (k for k, home in self.home.items() if home is module):
                 parts.append(self._struct(module, kind))
         parts.append('#ifdef __cplusplus\nextern "C" {\n#endif\n')
-        for kind in self.fields:
+        for kind in self.home:
             parts.append(f"void {snake(kind.__name__)}_init({snake(kind.__name__)} *self);")
-        for function in self.functions.values():
+        for function in self.own:
             if function.public:
                 parts.append(
                     "\n" + comment(ast.get_docstring(function.node) or "") + "\n" + self.signature(function) + ";"
@@ -188,7 +196,7 @@ class Translation:
 
     def source(self, header: str) -> str:
         """The source."""
-        bodies = [Body(self, f).emit() for f in self.functions.values()]
+        bodies = [Body(self, f).emit() for f in self.own]
         used = set(re.findall(r"\w+", "\n".join(bodies)))  # of the helpers, those that nothing calls would be a warning
         helpers = [
             line for line in HELPERS.splitlines() if "(" not in line or used & set(re.findall(r"\w+(?=\()", line))
@@ -199,8 +207,8 @@ class Translation:
             "",
             *self.tables.values(),
         ]
-        parts += [f"static {self.signature(f)};" for f in self.functions.values() if not f.public]
-        parts += [self._init(kind) for kind in self.fields]
+        parts += [f"static {self.signature(f)};" for f in self.own if not f.public]
+        parts += [self._init(kind) for kind in self.home]
         return "\n".join([*parts, "", *bodies])
 
     def signature(self, f: Function) -> str:

@@ -16,9 +16,9 @@ from rotorwatch.base.compiling.running import Rows
 from rotorwatch.base.compiling.structs import LASTS
 from rotorwatch.engine.default.hypotheses import Hypotheses
 from rotorwatch.engine.default.plant import lower_rotors
+from rotorwatch.engine.definition import ENGINE, craft
 from rotorwatch.engine.front import deviations, losses, whole
 from rotorwatch.engine.front import events as definition
-from rotorwatch.engine.front.definition import FRONT, craft
 from rotorwatch.engine.front.losses import CREDIBLE, CURVE_SHARE
 from rotorwatch.engine.front.records import Found
 from rotorwatch.engine.front.sizes import EVENTS, RECORDS, TOGETHER
@@ -55,8 +55,8 @@ class Losses:
     def __init__(self, B: np.ndarray, of: Losses | None = None):
         """of: begin as these are."""
         self.craft = vehicle(B) if of is None else of.craft
-        self._state = FRONT.new(losses.Losses) if of is None else of._state.copy()
-        self._found = FRONT.array(Found, ROOM) if of is None else of._found
+        self._state = ENGINE.new(losses.Losses) if of is None else of._state.copy()
+        self._found = ENGINE.array(Found, ROOM) if of is None else of._found
 
     def add(self, ticks: Ticks, out) -> None:
         """More ticks with the estimator's stacked outputs (COLUMNS)."""
@@ -66,7 +66,7 @@ class Losses:
             part = slice(first, first + ROOM)
             self._found.fill(**{name: column[part] for name, column in columns.items()})
             rows = (ticks.time[part], ticks.command_time[part], mode[part], np.asarray(ticks.restart)[part])
-            FRONT.call(
+            ENGINE.call(
                 whole.announce, self._state, self.craft, len(rows[0]), *map(np.ascontiguousarray, rows), self._found
             )
 
@@ -81,8 +81,8 @@ class Losses:
 
     def rows(self, flies: bool = False) -> Rows:
         """The same as the definition has them."""
-        rows = FRONT.array(definition.Event, RECORDS)
-        return rows.cut(FRONT.call(whole.losses, self._state, self.craft, flies, rows))
+        rows = ENGINE.array(definition.Event, RECORDS)
+        return rows.cut(ENGINE.call(whole.losses, self._state, self.craft, flies, rows))
 
 
 def vehicle(B: np.ndarray) -> Rows:
@@ -119,14 +119,14 @@ def rotor_sets(hyp: Hypotheses, probability: np.ndarray) -> dict[tuple[int, ...]
 def opposites(B: np.ndarray) -> dict[int, tuple[int, ...]]:
     """For each rotor the rotors that cancel its roll and pitch torque: with those it can share a loss almost unseen."""
     known = vehicle(B)
-    return {i: _rotors(FRONT.call(losses.opposite_of, known, i)) for i in range(B.shape[1])}
+    return {i: _rotors(ENGINE.call(losses.opposite_of, known, i)) for i in range(B.shape[1])}
 
 
 def sd_of(theta: np.ndarray, sd: np.ndarray, B: np.ndarray) -> np.ndarray:
     """Standard deviation of losses (any shape) with what the model of a vehicle with effectiveness B (4, n) is uncertain of."""
     theta, sd = np.broadcast_arrays(np.asarray(theta, float), np.asarray(sd, float))
     flat, out = (np.ascontiguousarray(theta.ravel()), np.ascontiguousarray(sd.ravel())), np.empty(theta.size)
-    FRONT.call(losses.spread, vehicle(B), theta.size, *flat, out)
+    ENGINE.call(losses.spread, vehicle(B), theta.size, *flat, out)
     return out.reshape(theta.shape)
 
 
@@ -146,7 +146,7 @@ class Report:
     def __init__(self, B: np.ndarray, of: Report | None = None):
         """of: begin as this is."""
         self.craft = vehicle(B) if of is None else of.craft
-        self._state = FRONT.new(definition.Report) if of is None else of._state.copy()
+        self._state = ENGINE.new(definition.Report) if of is None else of._state.copy()
         self.contacts: tuple[Contact, ...] = () if of is None else of.contacts
 
     def add(self, table: Ticks, air: Sequence[tuple[float, float]]) -> Report:
@@ -167,7 +167,7 @@ class Report:
     ) -> None:
         starts, ends = np.minimum(np.array(air, float).reshape(-1, 2).T, LASTS)
         rows = len(time), *map(np.ascontiguousarray, (time, upset)), float(dt), len(starts), starts.copy(), ends.copy()
-        FRONT.call(
+        ENGINE.call(
             whole.follow,
             self._state,
             *rows,
@@ -181,14 +181,17 @@ class Report:
     def events(self, lost: Sequence[Event], overridden: Sequence[Event]) -> tuple[Event, ...]:
         """All events, in the order in which they were detected: the losses that accuse and that no overridden output explains, the outputs
         that left the mixer, and the contacts, but for what is the fall or the landing."""
-        rows, outputs = FRONT.array(definition.Event, EVENTS), FRONT.array(deviations.Override, max(1, len(overridden)))
+        rows, outputs = (
+            ENGINE.array(definition.Event, EVENTS),
+            ENGINE.array(deviations.Override, max(1, len(overridden))),
+        )
         outputs.fill(
             onset=np.array([o.onset_s for o in overridden]), detected=np.array([o.detected_s for o in overridden]),
             end=np.array([_end(o) for o in overridden]), rotor=np.array([o.rotors[0] - 1 for o in overridden], int),
             shared=np.array([shared(o) for o in overridden], bool),
         )  # fmt: skip
         arguments = packed(lost), len(lost), outputs, len(overridden)
-        rows = rows.cut(FRONT.call(whole.events, self._state, self.craft, *arguments, rows))
+        rows = rows.cut(ENGINE.call(whole.events, self._state, self.craft, *arguments, rows))
         found, contacts = [], {c.time: c for c in self.contacts}
         for kind, source, detail, onset in zip(
             *(rows[name].tolist() for name in ("kind", "source", "detail", "onset"))
@@ -243,7 +246,7 @@ def _one_arm(event: Event) -> Event:
 
 def packed(events: Sequence[Event]) -> Rows:
     """Events as the definitions take them; detail: a number for what became of an output, or for a cause."""
-    rows = FRONT.array(definition.Event, max(1, len(events)))
+    rows = ENGINE.array(definition.Event, max(1, len(events)))
     if not events:
         return rows
 

@@ -10,8 +10,8 @@ import numpy as np
 from rotorwatch.base.compiling import running
 from rotorwatch.core import Array
 from rotorwatch.engine.default.plant import any_air, any_curve, any_multirotor, lower_rotors, packed
+from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.estimator import announcement, estimator, known, noise, plant, sizes, whole
-from rotorwatch.engine.estimator.definition import ENGINE
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
 from rotorwatch.engine.estimator.plant import AIR, CURVE, SHARE, THETA, Plant, Rows
 from rotorwatch.engine.motion.ticks import AGAIN, TICKS_S, Ticks

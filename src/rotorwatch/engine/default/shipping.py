@@ -13,12 +13,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rotorwatch.base.compiling import shipped, toolchain
-from rotorwatch.engine.estimator.definition import ENGINE
-from rotorwatch.engine.front.definition import FRONT
+from rotorwatch.engine.definition import ENGINE
 from rotorwatch.errors import RotorwatchError
 from rotorwatch.logs.blackbox.decoder import BLACKBOX
 
-DEFINITIONS = (FRONT, ENGINE, BLACKBOX)
+DEFINITIONS = (ENGINE, BLACKBOX)
 
 
 def levels(portable: bool) -> tuple[str, ...]:

@@ -30,6 +30,22 @@ from rotorwatch.engine.front.sizes import QUEUE, ROTORS
 from rotorwatch.engine.front.ticks import HOVER_LEARN_S, Made, Ticks
 from rotorwatch.engine.front.vehicle import Vehicle
 
+# Kinds of samples; those of equal times come in this order. VELOCITY: north, east, down; SPEED: climb rate and horizontal speed alone;
+# STATE: landed, armed; VOLTAGE: as a share of full; THRUSTS: what `sense` takes without outputs (whole.cut).
+VOLTAGE, OUTPUTS, CONTROL, GYRO, ACCEL, VELOCITY, STATE, ATTITUDE, THRUSTS, RATES, SPEED = (
+    0,
+    1,
+    2,
+    3,
+    4,
+    5,
+    6,
+    7,
+    8,
+    9,
+    10,
+)
+
 _LYING_S, _BLOW_S = 0.5, 3.0  # of airborne: by how much an end may lie before what showed it
 
 
@@ -57,6 +73,29 @@ class Front(Struct):
     known = array(FLAG, ROTORS)  # which of these outputs were valid
     battery: Real = 1.0  # voltage as a share of full
     doubting: bool = False
+
+    def sample(self, v: Vehicle, p: Plan, kind: int, time: Time, x: Reals) -> None:
+        """One sample of any kind; NaN: not known. x: as many numbers as the kind has."""
+        if kind == OUTPUTS:
+            self.outputs(v, p, time, x)
+        elif kind == CONTROL:
+            self.control(v, p, time, x)
+        elif kind == GYRO:
+            self.gyro(v, p, time, x[0], x[1], x[2])
+        elif kind == RATES:
+            self.rates(v, p, time, x[0], x[1], x[2])
+        elif kind == ACCEL:
+            self.accel(v, p, time, x[0], x[1], x[2])
+        elif kind == VELOCITY:
+            self.velocity(v, p, time, x[0], x[1], x[2])
+        elif kind == SPEED:
+            self.speed(v, p, time, x[0], x[1])
+        elif kind == STATE:
+            self.state(v, p, time, int(x[0]), int(x[1]))
+        elif kind == ATTITUDE:
+            self.attitude(v, p, time, x[0], x[1], x[2], x[3])
+        elif kind == VOLTAGE:
+            self.voltage(v, p, time, x[0])
 
     def outputs(self, v: Vehicle, p: Plan, time: Time, output: Reals) -> None:
         """Outputs to the motors; NaN: not known."""

@@ -45,26 +45,6 @@ class Made(Struct):
     some: bool = False  # there were commands
     touch = embedded(Touch)
 
-    def inputs(self, v: Vehicle, u: Reals) -> None:
-        """u [rotors + 15] of the estimator: thrusts; angular accelerations; rotors times the load factor; angular rates; side forces; full
-        thrust of a rotor in hover thrusts; expo and its standard deviation; speed along the thrust axis, NaN where it is not known; mode; 1
-        at the first tick of a flight, 2 at a contact."""
-        n = v.rotors
-        for k in range(n):
-            u[k] = self.thrust[k]
-        for a in range(3):
-            u[n + a] = self.rate_dot[a]
-            u[n + 4 + a] = self.rate[a]
-        u[n + 3] = self.load * real(n)
-        u[n + 7] = self.side[0]
-        u[n + 8] = self.side[1]
-        u[n + 9] = 1.0 / self.hover
-        u[n + 10] = v.expo
-        u[n + 11] = v.expo_sd
-        u[n + 12] = self.axial
-        u[n + 13] = real(self.mode)
-        u[n + 14] = real(AGAIN if self.touch.hit else 1 if self.restart else 0)
-
 
 class Ticks(Struct):
     """What ticks leave to those that follow."""

@@ -24,7 +24,18 @@ from rotorwatch.engine.front.airborne import Airborne
 from rotorwatch.engine.front.changes import Change, Changes
 from rotorwatch.engine.front.deviations import Deviations, Override
 from rotorwatch.engine.front.events import Event, Report, main_event
-from rotorwatch.engine.front.front import Front
+from rotorwatch.engine.front.front import (
+    ACCEL,
+    ATTITUDE,
+    CONTROL,
+    GYRO,
+    OUTPUTS,
+    STATE,
+    THRUSTS,
+    VELOCITY,
+    VOLTAGE,
+    Front,
+)
 from rotorwatch.engine.front.losses import Losses
 from rotorwatch.engine.front.mixer import CONTROLS, Comparison, Mixer
 from rotorwatch.engine.front.records import Found, Records
@@ -33,8 +44,6 @@ from rotorwatch.engine.front.sizes import ROTORS
 from rotorwatch.engine.front.ticks import HOVER_LEARN_S, Made, Ticks
 from rotorwatch.engine.front.vehicle import Vehicle
 from rotorwatch.engine.front.words import Words, severity
-
-VOLTAGE, OUTPUTS, CONTROL, GYRO, ACCEL, VELOCITY, STATE, ATTITUDE, THRUSTS, RATES = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
 
 
 class Done(Struct):
@@ -229,34 +238,12 @@ def feed(
     numbers = local(REAL, ROTORS)
     done.rows = 0
     for i in range(begin, n):
-        x = values[at[i]]
-        y = values[at[i] + 1]
-        z = values[at[i] + 2]
         if done.rows + 2 > room:
             done.samples = i
             return
-        if kind[i] == OUTPUTS:
-            for k in range(v.rotors):
-                numbers[k] = values[at[i] + k]
-            f.outputs(v, p, time[i], numbers)
-        elif kind[i] == CONTROL:
-            for k in range(4):
-                numbers[k] = values[at[i] + k]
-            f.control(v, p, time[i], numbers)
-        elif kind[i] == GYRO:
-            f.gyro(v, p, time[i], x, y, z)
-        elif kind[i] == RATES:
-            f.rates(v, p, time[i], x, y, z)
-        elif kind[i] == ACCEL:
-            f.accel(v, p, time[i], x, y, z)
-        elif kind[i] == VELOCITY:
-            f.velocity(v, p, time[i], x, y, z)
-        elif kind[i] == STATE:
-            f.state(v, p, time[i], int(x), int(y))
-        elif kind[i] == ATTITUDE:
-            f.attitude(v, p, time[i], x, y, z, values[at[i] + 3])
-        elif kind[i] == VOLTAGE:
-            f.voltage(v, p, time[i], x)
+        for k in range(ROTORS):
+            numbers[k] = values[at[i] + k]
+        f.sample(v, p, kind[i], time[i], numbers)
         while done.rows < room and f.next(v, p, made[done.rows]):
             done.rows += 1
     done.samples = n

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotorwatch.engine.definition import ENGINE, craft, known, merged, states
 from rotorwatch.engine.front import airborne as definition
 from rotorwatch.engine.front import whole
 from rotorwatch.engine.front.airborne import CONFIRM_S, GAP_S, MOST_GAP_S, TICK_S
-from rotorwatch.engine.front.definition import FRONT, craft, known, merged, states
 from rotorwatch.engine.motion.allocation import output_range
 from rotorwatch.flight import Flight
 
@@ -38,14 +38,14 @@ def airborne(flight: Flight) -> tuple[tuple[float, float], ...]:
     parts += [(name, flight[name].time, known(flight, name)) for name in ("gyro", "accel") if flight.has(name)]
     if flight.has("velocity"):
         parts.append(("velocity", flight["velocity"].time, known(flight, "velocity")))
-    samples, follow = merged(parts), FRONT.new(definition.Airborne)
+    samples, follow = merged(parts), ENGINE.new(definition.Airborne)
     found: list[tuple[float, float]] = []
     for first in range(0, len(samples), BATCH):
         part = slice(first, first + BATCH)
         now = samples.kind[part], samples.time[part], samples.at[part]
-        FRONT.call(whole.fly, follow, vehicle, len(now[0]), *now, samples.values)
+        ENGINE.call(whole.fly, follow, vehicle, len(now[0]), *now, samples.values)
         found += _ended(follow)
-    FRONT.call(whole.wait, follow, max(flight.duration, float(flight["motors"].time[-1])))
+    ENGINE.call(whole.wait, follow, max(flight.duration, float(flight["motors"].time[-1])))
     found += _ended(follow)
     start, last = float(follow["start"][0]), float(follow["last"][0])
     return tuple((a, min(b, last)) for a, b in [*found, *([(start, last)] if start < last else [])])

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.base.compiling.running import Rows
+from rotorwatch.engine.definition import ENGINE, craft, known, merged
 from rotorwatch.engine.front import mixer, whole
-from rotorwatch.engine.front.definition import FRONT, craft, known, merged
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import ThrustCurve, Vehicle
 
@@ -165,10 +165,10 @@ def _mixed(flight: Flight, vehicle: Vehicle) -> tuple[Rows, Rows]:
     ]
     parts.append(("voltage", *voltages(flight)))
     samples = merged(parts)
-    found, made = FRONT.array(mixer.Comparison, len(motors) + 1), FRONT.array(whole.Mixed, max(len(control), 1))
-    done = FRONT.new(whole.Done)
+    found, made = ENGINE.array(mixer.Comparison, len(motors) + 1), ENGINE.array(whole.Mixed, max(len(control), 1))
+    done = ENGINE.new(whole.Done)
     arguments = (len(samples), samples.kind, samples.time, samples.at, samples.values)
-    FRONT.call(whole.mix, FRONT.new(mixer.Mixer), laid_out(vehicle, flight), *arguments, found, made, done)
+    ENGINE.call(whole.mix, ENGINE.new(mixer.Mixer), laid_out(vehicle, flight), *arguments, found, made, done)
     return found.cut(int(done["rows"][0])), made.cut(int(done["samples"][0]))
 
 

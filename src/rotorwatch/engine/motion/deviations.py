@@ -11,8 +11,8 @@ import numpy as np
 
 from rotorwatch.base.compiling.running import Rows
 from rotorwatch.base.compiling.structs import LASTS
+from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.front import deviations, mixer, whole
-from rotorwatch.engine.front.definition import FRONT
 from rotorwatch.engine.front.sizes import OVERRIDES
 from rotorwatch.engine.motion import allocation
 from rotorwatch.engine.motion.allocation import Spans, within
@@ -53,8 +53,8 @@ def overrides(flight: Flight, vehicle: Vehicle, airborne: Spans) -> tuple[Overri
     """
     if not flight.has("motors"):
         return ()
-    state, craft, motors = FRONT.new(deviations.Deviations), allocation.laid_out(vehicle, flight), flight["motors"]
-    checks, checked = FRONT.array(mixer.Comparison, 1), np.empty(0)
+    state, craft, motors = ENGINE.new(deviations.Deviations), allocation.laid_out(vehicle, flight), flight["motors"]
+    checks, checked = ENGINE.array(mixer.Comparison, 1), np.empty(0)
     if flight.has("control"):
         check = allocation.compare(flight, vehicle)
         if len(check.time) >= LEAST:
@@ -64,14 +64,14 @@ def overrides(flight: Flight, vehicle: Vehicle, airborne: Spans) -> tuple[Overri
     known = np.asarray(motors.valid).all(axis=1)
     compared = len(checked), checks, within(checked, airborne)
     outputs = len(motors), motors.time, logged, thrust, known, within(motors.time, airborne)
-    FRONT.call(whole.deviate, state, craft, *compared, *outputs)
+    ENGINE.call(whole.deviate, state, craft, *compared, *outputs)
     return found(state, craft)
 
 
 def found(state: Rows, craft: Rows) -> tuple[Override, ...]:
     """All overrides so far; the end of one that lasts is None."""
-    rows = FRONT.array(deviations.Override, OVERRIDES)
-    return in_words(rows.cut(FRONT.call(whole.overrides, state, craft, rows)))
+    rows = ENGINE.array(deviations.Override, OVERRIDES)
+    return in_words(rows.cut(ENGINE.call(whole.overrides, state, craft, rows)))
 
 
 def in_words(rows: Rows) -> tuple[Override, ...]:

@@ -13,10 +13,10 @@ import numpy as np
 
 from rotorwatch.base.compiling.running import Rows
 from rotorwatch.base.compiling.structs import LASTS
+from rotorwatch.engine.definition import ENGINE, craft, known, merged
 from rotorwatch.engine.front import sense as cutting
 from rotorwatch.engine.front import ticks as definition
 from rotorwatch.engine.front import whole
-from rotorwatch.engine.front.definition import FRONT, craft, known, merged
 from rotorwatch.engine.front.sense import LATE_S, SIDE_S
 from rotorwatch.engine.front.ticks import AGAIN, GROUND, HOVER_LEARN_S, JUDGE, LEARN
 from rotorwatch.engine.motion import allocation
@@ -202,7 +202,7 @@ class Sensed:
 
 def laid_out(plan: Plan, hover: float | None = None, rebuilt: bool = False) -> Rows:
     """The plan as the definitions take it; see `table`."""
-    made = FRONT.new(cutting.Plan)
+    made = ENGINE.new(cutting.Plan)
     made.set(**table(plan, hover, rebuilt))
     return made
 
@@ -232,14 +232,14 @@ def sense(flight: Flight, thrust: Signal, plan: Plan) -> Sensed:
         (name, flight[name].time, known(flight, name)) for name in ("velocity", "attitude") if name in flight.signals
     ]
     samples, vehicle, how = merged(parts), craft(n), laid_out(plan)
-    state, rows, done = FRONT.new(cutting.Sense), FRONT.array(cutting.Sensed, ROOM), FRONT.new(whole.Done)
+    state, rows, done = ENGINE.new(cutting.Sense), ENGINE.array(cutting.Sensed, ROOM), ENGINE.new(whole.Done)
     pieces, taken = [], 0
     while taken < len(samples):
         arguments = (taken, len(samples), samples.kind, samples.time, samples.at, samples.values)
-        FRONT.call(whole.cut, state, vehicle, how, *arguments, rows, ROOM, done)
+        ENGINE.call(whole.cut, state, vehicle, how, *arguments, rows, ROOM, done)
         taken = int(done["samples"][0])
         pieces.append(rows.cut(int(done["rows"][0])))
-    while count := FRONT.call(whole.rest, state, vehicle, how, rows, ROOM):
+    while count := ENGINE.call(whole.rest, state, vehicle, how, rows, ROOM):
         pieces.append(rows.cut(count))
     whole_rows = Rows.joined(pieces)
     commanded = np.flatnonzero(whole_rows["some"])  # the rows after the last command are no flight
@@ -293,9 +293,9 @@ def assemble(
         if inside.any():
             lifted[time >= begin] = begin
             start[inside] = begin
-    made = FRONT.array(definition.Made, count)
-    state, vehicle = FRONT.new(definition.Ticks), craft(n, effectiveness=B)
-    FRONT.call(whole.assemble, state, vehicle, laid_out(plan, hover), count, seen.rows, lifted, start, made)
+    made = ENGINE.array(definition.Made, count)
+    state, vehicle = ENGINE.new(definition.Ticks), craft(n, effectiveness=B)
+    ENGINE.call(whole.assemble, state, vehicle, laid_out(plan, hover), count, seen.rows, lifted, start, made)
     return columns(made, plan, n)
 
 

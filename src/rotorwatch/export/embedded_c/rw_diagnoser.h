@@ -15,16 +15,10 @@
 #ifndef RW_DIAGNOSER_H
 #define RW_DIAGNOSER_H
 
-#include "rw_estimator.h"
-#include "rw_front.h"
+#include "rw_engine.h"
 
 #ifdef __cplusplus
 extern "C" {
-#endif
-
-/* Steps of the estimator in one call in flight: samples come several times as often as ticks, so that what waits is soon worked off. */
-#ifndef RW_BURST
-#define RW_BURST 2
 #endif
 
 /* A set of rotors: bit k is rotor k, from 0. */
@@ -32,9 +26,6 @@ typedef uint16_t rw_rotors;
 #if RW_ROTORS < 3 || RW_ROTORS > 16
 #error "RW_ROTORS must be 3 to 16"
 #endif
-
-/* Numbers that the estimator takes of a tick: rw_made_inputs. */
-#define RW_INPUTS (RW_ROTORS + 15)
 
 /* Characters of a text with the 0 at its end, as long as a MAVLink STATUSTEXT. */
 #define RW_TEXT 51
@@ -46,24 +37,11 @@ typedef struct {
     uint8_t kind;    /* RW_ANNOUNCED, RW_CHANGED, RW_WITHDRAWN */
 } rw_notification;
 
+/* One vehicle; what is known of it may stay in flash. */
 typedef struct {
     const rw_vehicle *vehicle;
     const rw_plan *plan;
-    rw_front front;
-    rw_losses losses;
-    rw_report report;
-    rw_changes changes;
-    rw_event listed[RW_EVENTS], withdrawn[RW_EVENTS];
-    rw_estimator estimator;
-    rw_result out;
-    struct { /* room to work in, of a poll: nothing in it outlives that */
-        rw_records records;
-        rw_event losses[RW_RECORDS];
-        rw_override overrides[RW_OVERRIDES];
-        rw_change changes[2 * RW_EVENTS];
-    } poll;
-    uint8_t event_count;
-    bool judged;
+    rw_engine engine;
 } rw_diagnoser;
 
 /* Of rw_config.c: the vehicle, what is known of it before take-off, and the rates that the library was exported for. */
@@ -107,6 +85,9 @@ int rw_diagnoser_events(const rw_diagnoser *d, const rw_event **events);
 int rw_diagnoser_main(const rw_diagnoser *d);
 int rw_diagnoser_verdict(const rw_diagnoser *d);
 const char *rw_diagnoser_verdict_text(const rw_diagnoser *d);
+
+/* Loss of a rotor, from 0, as the estimator has it now: 0 healthy to 1 dead. */
+rw_real rw_diagnoser_loss(const rw_diagnoser *d, int rotor);
 
 /* "rotorwatch: rotor 3 lost 32 % (28-36)" into text[RW_TEXT]; returns its severity: RW_CRITICAL, RW_WARNING or RW_NOTICE. */
 int rw_diagnoser_words(const rw_notification *notification, char *text);

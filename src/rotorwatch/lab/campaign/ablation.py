@@ -28,8 +28,7 @@ from rotorwatch import airframes, logs
 from rotorwatch.diagnose import Estimated, Prepared, prepare
 from rotorwatch.diagnose import judge as conclude
 from rotorwatch.engine.default import events, program
-from rotorwatch.engine.estimator.definition import ENGINE
-from rotorwatch.engine.front.definition import FRONT
+from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import JUDGE, READY_S, Ticks
 from rotorwatch.errors import ConfigError
@@ -55,7 +54,7 @@ NOT_CHOSEN = {
     *(f"noise.{name}" for name in ("WHITE", "FAST", "SLOW", "DRIFT", "LAGS", "LAG_COUNT", "ITERATIONS")),
     *(f"bank.{name}" for name in ("GROUP", "GROUPS", "SHORT", "LONG", "SLOW_S", "YAW_ERROR", "DAMPING_ERROR", "FIRST_LOSS")),
     *(f"hypotheses.{name}" for name in ("SINGLE", "PAIR", "RECOVERY", "ONE_THRUST", "DISTURBANCE", "DISTURBANCES", "DISTURBANCE_COUNT")),
-    "hypotheses.NOTHING", "opposite.LEAST_ROTORS", "plausibility.CANCELS", "announcement.FALSE_ALARM_PERIOD_S", "posterior.NEVER",
+    "hypotheses.ALL_TORQUES", "hypotheses.NOTHING", "opposite.LEAST_ROTORS", "plausibility.CANCELS", "announcement.FALSE_ALARM_PERIOD_S", "posterior.NEVER",
     "posterior.OLD_S", "losses.WITHIN_95", "losses.CANCELS",
 }  # fmt: skip
 # Constants of `losses` that the estimator takes from there: where it does.
@@ -125,7 +124,7 @@ def changed(values: Mapping[str, Any]) -> Iterator[None]:
             others |= {"hypotheses.CLEAR": float(np.log(value)), "posterior.ALIKE": -float(np.log(value))}
         elif name in TAKEN:
             others[f"{TAKEN[name]}.{name}"] = value
-    with FRONT.changed(losses), ENGINE.changed(others):
+    with ENGINE.changed(losses | others):
         yield
 
 

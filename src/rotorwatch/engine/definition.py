@@ -9,6 +9,24 @@ import numpy as np
 
 from rotorwatch.base.compiling.running import Definition, Rows
 from rotorwatch.base.compiling.shipped import files_in
+from rotorwatch.engine import engine, feed
+from rotorwatch.engine.estimator import (
+    announcement,
+    bank,
+    estimator,
+    evidence,
+    hypotheses,
+    kalman,
+    model_error,
+    noise,
+    opposite,
+    plant,
+    plausibility,
+    posterior,
+)
+from rotorwatch.engine.estimator import known as estimator_known
+from rotorwatch.engine.estimator import sizes as estimator_sizes
+from rotorwatch.engine.estimator import whole as estimator_whole
 from rotorwatch.engine.front import (
     airborne,
     changes,
@@ -28,11 +46,21 @@ from rotorwatch.engine.front import (
 )
 from rotorwatch.flight import Flight, Message
 
-PARTS = (vehicle, airborne, mixer, deviations, contact, sense, ticks, front, events, records, losses, changes, words)
-FRONT = Definition("front", (*PARTS, whole), sizes, files_in("engine/front"))
+FRONT = vehicle, airborne, mixer, deviations, contact, sense, ticks, front, events, records, losses, changes, words
+ESTIMATOR = (
+    plant, noise, model_error, kalman, bank, hypotheses, evidence, plausibility, announcement, opposite, posterior, estimator,
+)  # fmt: skip
+SIZES = sizes, estimator_sizes
+ENGINE = Definition(
+    "engine",
+    (*FRONT, *ESTIMATOR, engine, whole, estimator_whole, estimator_known, feed),
+    SIZES,
+    [*files_in("engine/front"), *files_in("engine/estimator"), "engine/engine.py", "engine/feed.py"],
+    vectors=True,
+)
 KINDS = {
-    "motors": whole.OUTPUTS, "control": whole.CONTROL, "gyro": whole.GYRO, "accel": whole.ACCEL, "velocity": whole.VELOCITY,
-    "state": whole.STATE, "attitude": whole.ATTITUDE, "voltage": whole.VOLTAGE, "thrust": whole.THRUSTS, "rates": whole.RATES,
+    "motors": front.OUTPUTS, "control": front.CONTROL, "gyro": front.GYRO, "accel": front.ACCEL, "velocity": front.VELOCITY,
+    "state": front.STATE, "attitude": front.ATTITUDE, "voltage": front.VOLTAGE, "thrust": front.THRUSTS, "rates": front.RATES,
 }  # fmt: skip
 
 
@@ -82,6 +110,6 @@ def states(messages: Iterable[Message]) -> tuple[np.ndarray, np.ndarray]:
 
 def craft(rotors: int, **facts: object) -> Rows:
     """A Vehicle with what is known of it."""
-    made = FRONT.new(vehicle.Vehicle)
+    made = ENGINE.new(vehicle.Vehicle)
     made.set(rotors=rotors, **facts)
     return made

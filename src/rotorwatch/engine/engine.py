@@ -1,0 +1,168 @@
+"""One vehicle, from its samples to its events: the front end, the estimator, and what is written down of them, joined.
+
+    sample -> front end -> tick -> estimator -> losses, falls, contacts -> events -> what is new about them
+
+Feed every sample in the order of time, of all kinds together; feeding one of time t says that all older ones have come. `step` then goes
+on by a tick as long as there is one that is certain. A flight controller calls `sample` and `poll`, which is all of it; a computer feeds
+many samples in one call and keeps the ticks (`feed`). Both do the same in the same order.
+"""
+
+from __future__ import annotations
+
+from rotorwatch.base.compiling.structs import LASTS, Reals, Small, Struct, Time, array, embedded, isnan, real
+from rotorwatch.engine.estimator.estimator import Estimator, Result
+from rotorwatch.engine.estimator.hypotheses import hypothesis_count
+from rotorwatch.engine.estimator.plant import Inputs, Plant
+from rotorwatch.engine.front.changes import Change, Changes
+from rotorwatch.engine.front.deviations import Override
+from rotorwatch.engine.front.events import Event, Report, main_event, verdict
+from rotorwatch.engine.front.front import Front
+from rotorwatch.engine.front.losses import Losses
+from rotorwatch.engine.front.records import Found, Records
+from rotorwatch.engine.front.sense import Plan
+from rotorwatch.engine.front.sizes import BURST, EVENTS, OVERRIDES, PLACES, RECORDS
+from rotorwatch.engine.front.ticks import JUDGE, Made
+from rotorwatch.engine.front.vehicle import Vehicle
+
+FINAL_S = 60.0  # what ended so long ago is not withdrawn any more
+
+
+class Room(Struct):
+    """To list events in: nothing in it outlives that."""
+
+    records = embedded(Records)
+    losses = array(Event, RECORDS)
+    overrides = array(Override, OVERRIDES)
+
+
+class Engine(Struct):
+    """One vehicle, from its samples to its events. v, p, e of all methods: the vehicle, how its flight is cut into ticks, and what the
+    estimator knows of it before take-off."""
+
+    front = embedded(Front)
+    estimator = embedded(Estimator)
+    losses = embedded(Losses)
+    report = embedded(Report)
+    changes = embedded(Changes)
+    made = embedded(Made)  # the last tick
+    out = embedded(Result)  # what the estimator made of it
+    events = array(Event, EVENTS)  # at the last poll
+    withdrawn = array(Event, EVENTS)  # since the poll before
+    fresh = array(Change, 2 * EVENTS)
+    room = embedded(Room)
+    count: Small = 0  # of events
+    landed: bool = False  # the flight is over, and its last ticks wait
+    judged: bool = False  # a tick has been judged
+
+    def begin(self, e: Plant) -> None:
+        """Before the first sample."""
+        self.estimator.begin(e)
+
+    def sample(self, v: Vehicle, p: Plan, e: Plant, kind: int, time: Time, x: Reals) -> None:
+        """One sample, and what it makes certain. What waited for a landing is worked off at once; else at most BURST ticks, so that no call
+        in flight keeps the processor for all that have waited."""
+        self.take(v, p, kind, time, x)
+        left = BURST
+        while left > 0 and self.step(v, p, e):
+            left -= 0 if self.landed else 1
+
+    def finish(self, v: Vehicle, p: Plan, e: Plant, time: Time) -> None:
+        """The end: all samples up to `time` s have come, and no more will."""
+        self.end(v, p, time)
+        while self.step(v, p, e):
+            pass
+
+    def take(self, v: Vehicle, p: Plan, kind: int, time: Time, x: Reals) -> None:
+        """One sample of a kind (`Front`); x: its numbers, NaN where they are not known."""
+        was = self.front.start
+        self.front.sample(v, p, kind, time, x)
+        self._look(was)
+
+    def end(self, v: Vehicle, p: Plan, time: Time) -> None:
+        """No sample comes after `time` s."""
+        was = self.front.start
+        self.front.finish(v, p, time)
+        self._look(was)
+
+    def step(self, v: Vehicle, p: Plan, e: Plant) -> bool:
+        """The next tick that is certain, through the estimator and into the books; False where there is none."""
+        if self.landed and self.front.certain == 0:
+            self.report.landed(self.front.before_end)
+            self.landed = False
+        if not self.front.next(v, p, self.made):
+            return False
+        now = Inputs()
+        _tell(v, self.made, now)
+        self.estimator.step(e, now, self.out)
+        self.write(v, self.made, self.out)
+        return True
+
+    def write(self, v: Vehicle, made: Made, out: Result) -> None:
+        """Write a tick down, and what the estimator made of it."""
+        found = Found()
+        _find(v, out, found)
+        self.losses.on(v, made.time, made.when, made.mode, made.restart, found)
+        self.report.tick(made.time, made.start, made.upset)
+        if made.touch.is_new:
+            self.report.contact(made.touch.time, made.touch.push, made.touch.size)
+        self.judged = self.judged or made.mode == JUDGE
+
+    def poll(self, v: Vehicle) -> int:
+        """List the events, and what is new about them since the last poll, in `fresh`; how much."""
+        flies = self.front.start < LASTS
+        room = self.room
+        lost = self.losses.losses(v, flies, room.records, room.losses)
+        overridden = self.front.deviations.found(v, room.overrides)
+        self.count = self.report.events(v, room.losses, lost, room.overrides, overridden, self.events)
+        final = self.front.newest - FINAL_S
+        return self.changes.look(self.events, self.count, final, -1, False, self.withdrawn, self.fresh)
+
+    def main(self) -> int:
+        """Place of the event that matters most, of those at the last poll; -1 without one."""
+        return main_event(self.events, self.count)
+
+    def verdict(self) -> int:
+        """NOT_JUDGED, HEALTHY, FAULT or AMBIGUOUS, by the events at the last poll. What is not seen is not healthy."""
+        return verdict(self.events, self.count, self.judged and self.front.air.unseen == 0)
+
+    def _look(self, was: Time) -> None:
+        """Whether the flight that had begun at `was` is over."""
+        self.landed = self.landed or (was < LASTS and (self.front.start < was or self.front.start > was))
+
+
+def _tell(v: Vehicle, made: Made, now: Inputs) -> None:
+    """A tick as the estimator takes it."""
+    for i in range(v.rotors):
+        now.thrust[i] = made.thrust[i]
+    for a in range(3):
+        now.turn[a] = made.rate_dot[a]
+        now.rate[a] = made.rate[a]
+    for a in range(4):
+        now.wrench[a] = made.wrench[a]
+        now.valid[a] = made.valid[a]
+    now.load = made.load * real(v.rotors)
+    now.forward = made.side[0]
+    now.right = made.side[1]
+    now.full = 1.0 / made.hover
+    now.expo = v.expo
+    now.expo_sd = v.expo_sd
+    now.axial = 0.0 if isnan(made.axial) else made.axial
+    now.mode = made.mode
+    now.restart = made.restart or made.touch.hit
+    now.hop = made.restart and not made.touch.hit
+
+
+def _find(v: Vehicle, out: Result, found: Found) -> None:
+    """What the estimator made of a tick, as losses are written down from it."""
+    for k in range(v.rotors):
+        found.theta[k] = out.theta[k]
+        found.theta_sd[k] = out.theta_sd[k]
+        found.gives[k] = out.gives[k]
+    for p in range(PLACES):
+        found.share[p] = out.share[p]
+        found.onsets[p] = out.onsets[p]
+        for k in range(v.rotors):
+            found.active[p][k] = out.active[p][k]
+    for h in range(hypothesis_count(v.rotors)):
+        found.probability[h] = out.probability[h]
+    found.announced = out.announced

@@ -1,0 +1,72 @@
+"""Many samples in one call: of a whole log, or of what has come on a link.
+
+A sample is its kind, its time and its numbers: `values` from `at` on. NaN: not known. Samples of equal times come in the order of kinds.
+"""
+
+from __future__ import annotations
+
+from rotorwatch.base.compiling.structs import LASTS, REAL, Ints, Reals, Struct, Time, Times, copy, local
+from rotorwatch.engine.engine import Engine
+from rotorwatch.engine.estimator.estimator import Result
+from rotorwatch.engine.estimator.plant import Plant
+from rotorwatch.engine.front.sense import Plan
+from rotorwatch.engine.front.sizes import ROTORS
+from rotorwatch.engine.front.ticks import Made
+from rotorwatch.engine.front.vehicle import Vehicle
+
+
+class Fed(Struct):
+    """How far a call has come: samples that were taken, ticks that were made."""
+
+    samples: int = 0
+    ticks: int = 0
+
+
+def feed(
+    g: Engine,
+    v: Vehicle,
+    p: Plan,
+    e: Plant,
+    first: int,
+    n: int,
+    kind: Ints,
+    time: Times,
+    at: Ints,
+    values: Reals,
+    made: list[Made],
+    out: list[Result],
+    room: int,
+    fed: Fed,
+) -> None:
+    """The samples from `first` to n, and the ticks that are certain by them with what the estimator made of each, as far as there is room;
+    again from fed.samples on where there was not enough."""
+    x = local(REAL, ROTORS)
+    fed.ticks = 0
+    fed.samples = first
+    for i in range(first, n):
+        _go_on(g, v, p, e, made, out, room, fed)
+        if fed.ticks == room:
+            return
+        for k in range(ROTORS):
+            x[k] = values[at[i] + k]
+        g.take(v, p, kind[i], time[i], x)
+        fed.samples = i + 1
+    _go_on(g, v, p, e, made, out, room, fed)
+
+
+def finish(
+    g: Engine, v: Vehicle, p: Plan, e: Plant, time: Time, made: list[Made], out: list[Result], room: int, fed: Fed
+) -> None:
+    """The end at `time` s, and the ticks that are left, as far as there is room; again with LASTS until there are none."""
+    fed.ticks = 0
+    if time < LASTS:
+        g.end(v, p, time)
+    _go_on(g, v, p, e, made, out, room, fed)
+
+
+def _go_on(g: Engine, v: Vehicle, p: Plan, e: Plant, made: list[Made], out: list[Result], room: int, fed: Fed) -> None:
+    """The ticks that are certain."""
+    while fed.ticks < room and g.step(v, p, e):
+        copy(made[fed.ticks], g.made)
+        copy(out[fed.ticks], g.out)
+        fed.ticks += 1
