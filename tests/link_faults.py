@@ -26,6 +26,7 @@ from tests.mavlink_vehicle import Autopilot, mavlink, messages
 from rotorwatch.lab.simulation import scenario, simulate
 from rotorwatch.live.endpoint import Endpoint
 from rotorwatch.live.link import Link
+from rotorwatch.live.session import building
 
 STEP_S = 0.04
 SECONDS, ONSET_S = 45.0, 22.0
@@ -145,6 +146,7 @@ def watched(datagrams, parameters, kind, record=None):
         alerts.append({**alert, "at": now[0] - 1.0})
 
     link = Link(wire, tell, talks=False, record=record, patience_s=math.inf, clock=lambda: now[0])
+    building().done(wait=True)  # native code that is built for the first time
     greeting = Autopilot(parameters)
     wire.queue.append(("a", greeting.packed(mavlink.MAVLink_heartbeat_message(kind, 3, 0x80, 0, 4, 3))))
     link.poll(0.0)
@@ -157,10 +159,6 @@ def watched(datagrams, parameters, kind, record=None):
             now[0], due = 1.0 + at, at + STEP_S
             link.poll(0.0)
     now[0] += STEP_S
-    link.poll(0.0)
-    for vehicle in link.vehicles:
-        if vehicle.session is not None and vehicle.session._building is not None:
-            vehicle.session._building.judge(True)  # native code that is built for the first time
     link.poll(0.0)
     link.leave()
     return alerts, link

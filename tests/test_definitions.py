@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import importlib
-import itertools
 import json
 import re
 import subprocess
@@ -17,16 +16,12 @@ from hypothesis import strategies as st
 
 from conftest import trials
 from embedded_c_parts import STRICT, compilers
-from rotorwatch import airframes, logs
 from rotorwatch.base.compiling import shipped, structs, toolchain
 from rotorwatch.base.compiling.running import TRANSLATOR, TYPES, Definition, Rows
 from rotorwatch.base.compiling.translate import Translation
-from rotorwatch.engine.definition import ENGINE, known, merged, states
-from rotorwatch.engine.front import front, sense, sizes, ticks, vehicle, whole
-from rotorwatch.engine.motion import allocation
-from rotorwatch.engine.motion import ticks as of_a_flight
+from rotorwatch.engine.definition import ENGINE
+from rotorwatch.engine.front import sizes
 from rotorwatch.errors import ConfigError
-from test_shipped import SAMPLE
 
 IMPORTS = (
     "from __future__ import annotations\n"
@@ -499,66 +494,3 @@ def test_vehicle_and_plan_are_constant_and_tables_are(translated):
         assert len(named) > 20 and {word for word, _ in named} == {"const"}
     assert set(re.findall(r"static (\w+) rw_real rw_\w+\[\d+\] = \{", source)) == {"const"}
     assert "rw_samples_area(const rw_samples *self" in header and "rw_samples_add(rw_samples *self" in header
-
-
-SECONDS = 40.0
-
-
-@pytest.fixture(scope="module")
-def flight():
-    """(samples, fields of the vehicle, fields of the plan) of the first 40 s of a flight."""
-    log = logs.read(SAMPLE).until(SECONDS)
-    craft = airframes.identify(log)
-    parts = [(name, log[name].time, known(log, name)) for name in ("motors", "gyro", "accel")]
-    parts += [("control", log["control"].time, known(log, "control")[:, :4]), ("voltage", *allocation.voltages(log))]
-    parts += [("state", *states(log.messages)), ("attitude", log["attitude"].time, log["attitude"].values)]
-    parts.append(("velocity", log["velocity"].time, known(log, "velocity")))
-    mixing = allocation.faster_control(log)
-    plan = of_a_flight.plan(log, log["control" if mixing else "motors"], 3.0)
-    fields = {"rotors": len(craft.rotors), **allocation.table(craft, allocation.output_range(log))}
-    return merged(parts), fields, of_a_flight.table(plan, None, mixing)
-
-
-def fed(definition, flight, ends=(), room=512):
-    """(T,) records of all rows of a flight, fed in pieces that end at these samples."""
-    samples, fields, plan_fields = flight
-    craft, plan = definition.new(vehicle.Vehicle), definition.new(sense.Plan)
-    craft.set(**fields)
-    plan.set(**plan_fields)
-    state, done, rows = definition.new(front.Front), definition.new(whole.Done), definition.array(ticks.Made, room)
-    found, taken = [], 0
-    for end in (*ends, len(samples)):
-        while taken < end:
-            now = taken, end, samples.kind, samples.time, samples.at, samples.values
-            definition.call(whole.feed, state, craft, plan, *now, rows, room, done)
-            taken = int(done["samples"][0])
-            found.append(records(rows.cut(int(done["rows"][0])), definition))
-    last, count = SECONDS, 1
-    while count:
-        definition.call(whole.finish, state, craft, plan, last, rows, room, done)
-        last, count = structs.LASTS, int(done["rows"][0])
-        found.append(records(rows.cut(count), definition))
-    return np.concatenate(found)
-
-
-@pytest.fixture(scope="module")
-def compiled(flight):
-    if ENGINE.library is None:
-        pytest.skip("no C compiler")
-    return fed(ENGINE, flight)
-
-
-def test_interpreted_and_compiled_make_the_same_rows(flight, compiled):
-    plain = Definition("engine", ENGINE.modules, ENGINE.sizes)
-    plain.__dict__["library"] = None
-    ours = fed(plain, flight)
-    assert len(ours) > 500 and (ours["mode"] == ticks.JUDGE).sum() > 200 and ours["valid"].any(axis=0).all()
-    same(ours, compiled)
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_any_cut_into_pieces_makes_the_same_rows(flight, compiled, seed):
-    rng, count = np.random.default_rng(seed), len(flight[0])
-    ends = np.unique(rng.integers(1, count, int(10.0 ** rng.uniform(0.5, 3.5)))).tolist()
-    assert all(a < b for a, b in itertools.pairwise(ends))
-    same(fed(ENGINE, flight, ends, room=int(rng.integers(2, 600))), compiled)

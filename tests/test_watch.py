@@ -155,15 +155,15 @@ def test_aerobatics_are_never_told_as_a_loss_of_control():
 def test_the_table_of_ticks_is_the_same_tick_for_tick(name):
     flight = flight_of(name)
     vehicle = airframes.identify(flight)
-    stream, found = Stream(flight, vehicle, READY_S), []
+    stream, found = Stream(flight, vehicle), []
     for signals, messages, _ in pieces(flight, seed=1):
         stream.add(signals, messages)
         piece = stream.advance()
         stream.replanned()
-        if piece is not None and piece.table is not None:
-            found.append(piece.table)
+        if piece is not None and piece.judged is not None:
+            found.append(piece.judged.table)
     last = stream.finish(flight.duration)
-    found += [last.table] if last.table is not None else []
+    found += [last.judged.table] if last.judged is not None else []
     assert len(found) > 5
     together, plan = ticks.joined(found), stream.plan
     commands = flight["control" if allocation.faster_control(flight) else "motors"]
@@ -192,13 +192,13 @@ def test_a_tick_is_judged_with_the_sample_that_completes_it():
         signal = flight[name]
         at = np.minimum(np.searchsorted(signal.time, signal.time[0] + grid), len(signal) - 1)
         held[name] = signal.with_arrays(grid, signal.values[at], signal.valid[at])
-    stream, waited = Stream(flight, airframes.identify(flight), READY_S), []
+    stream, waited = Stream(flight, airframes.identify(flight)), []
     for k, now in enumerate(grid):
         stream.add({name: signal.part(slice(k, k + 1)) for name, signal in held.items()})
         due, piece = stream.due_s, stream.advance()
-        if piece is not None and piece.table is not None and k > 100 and not stream._front["doubting"][0]:
+        if piece is not None and piece.judged is not None and k > 100 and not stream.diagnoser.doubting:
             assert due <= now
-            waited.append(now - piece.table.time[-1])  # `time`: when all is known of the tick
+            waited.append(now - piece.judged.table.time[-1])  # `time`: when all is known of the tick
     assert len(waited) > 100
     assert max(waited) < 0.02 - 1e-6
 

@@ -51,9 +51,12 @@ BUILDS_FOR_LONG = """
 import os, signal, threading, time
 from rotorwatch.live import session
 signal.signal(signal.SIGINT, signal.default_int_handler)  # also where whoever runs the tests ignores it
-session.Judge = lambda: time.sleep(30.0)
-building = session.Building()
-assert building.judge(wait=False) is None
+class Slow:
+    @property
+    def library(self):
+        time.sleep(30.0)
+session.ENGINE = Slow()
+assert not session.building().done(wait=False)
 threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
 time.sleep(30.0)
 """

@@ -9,7 +9,7 @@ many samples in one call and keeps the ticks (`feed`). Both do the same in the s
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import LASTS, Reals, Small, Struct, Time, array, embedded, isnan, real
+from rotorwatch.base.compiling.structs import LASTS, Reals, Small, Struct, Time, array, copy, embedded, isnan, real
 from rotorwatch.engine.estimator.estimator import Estimator, Result
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
 from rotorwatch.engine.estimator.plant import Inputs, Plant
@@ -44,12 +44,15 @@ class Engine(Struct):
     losses = embedded(Losses)
     report = embedded(Report)
     changes = embedded(Changes)
-    made = embedded(Made)  # the last tick
+    made = embedded(Made)  # the last tick, as it was measured
     out = embedded(Result)  # what the estimator made of it
     events = array(Event, EVENTS)  # at the last poll
     withdrawn = array(Event, EVENTS)  # since the poll before
     fresh = array(Change, 2 * EVENTS)
     room = embedded(Room)
+    fell: Time = (
+        LASTS  # the flight that goes on, or was the last, ended then, as only what comes after it shows; LASTS: not so
+    )
     count: Small = 0  # of events
     landed: bool = False  # the flight is over, and its last ticks wait
     judged: bool = False  # a tick has been judged
@@ -87,25 +90,20 @@ class Engine(Struct):
     def step(self, v: Vehicle, p: Plan, e: Plant) -> bool:
         """The next tick that is certain, through the estimator and into the books; False where there is none."""
         if self.landed and self.front.certain == 0:
-            self.report.landed(self.front.before_end)
+            fell = self.front.before_start <= self.fell < self.front.before_end
+            self.report.landed(self.fell if fell else self.front.before_end)
             self.landed = False
         if not self.front.next(v, p, self.made):
             return False
+        tick = Made()
+        copy(tick, self.made)
+        if tick.start <= self.fell < tick.when:
+            tick.ground()
         now = Inputs()
-        _tell(v, self.made, now)
+        _tell(v, tick, now)
         self.estimator.step(e, now, self.out)
-        self.write(v, self.made, self.out)
+        self._write(v, tick)
         return True
-
-    def write(self, v: Vehicle, made: Made, out: Result) -> None:
-        """Write a tick down, and what the estimator made of it."""
-        found = Found()
-        _find(v, out, found)
-        self.losses.on(v, made.time, made.when, made.mode, made.restart, found)
-        self.report.tick(made.time, made.start, made.upset)
-        if made.touch.is_new:
-            self.report.contact(made.touch.time, made.touch.push, made.touch.size)
-        self.judged = self.judged or made.mode == JUDGE
 
     def poll(self, v: Vehicle) -> int:
         """List the events, and what is new about them since the last poll, in `fresh`; how much."""
@@ -124,6 +122,16 @@ class Engine(Struct):
     def verdict(self) -> int:
         """NOT_JUDGED, HEALTHY, FAULT or AMBIGUOUS, by the events at the last poll. What is not seen is not healthy."""
         return verdict(self.events, self.count, self.judged and self.front.air.unseen == 0)
+
+    def _write(self, v: Vehicle, tick: Made) -> None:
+        """Write a tick down, and what the estimator made of it."""
+        found = Found()
+        _find(v, self.out, found)
+        self.losses.on(v, tick.time, tick.when, tick.mode, tick.restart, found)
+        self.report.tick(tick.time, tick.start, tick.upset)
+        if tick.touch.is_new:
+            self.report.contact(tick.touch.time, tick.touch.push, tick.touch.size)
+        self.judged = self.judged or tick.mode == JUDGE
 
     def _look(self, was: Time) -> None:
         """Whether the flight that had begun at `was` is over."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 from rotorwatch.base.compiling.structs import LASTS, REAL, Ints, Reals, Struct, Time, Times, copy, local
 from rotorwatch.engine.engine import Engine
 from rotorwatch.engine.estimator.estimator import Result
-from rotorwatch.engine.estimator.plant import Plant
+from rotorwatch.engine.estimator.plant import Plant, set_plant
 from rotorwatch.engine.front.sense import Plan
 from rotorwatch.engine.front.sizes import ROTORS
 from rotorwatch.engine.front.ticks import Made
@@ -20,6 +20,12 @@ class Fed(Struct):
 
     samples: int = 0
     ticks: int = 0
+
+
+def begin(g: Engine, e: Plant) -> None:
+    """Complete what the estimator knows before take-off, and be ready for the first sample."""
+    set_plant(e)
+    g.begin(e)
 
 
 def feed(

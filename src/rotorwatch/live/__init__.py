@@ -9,12 +9,12 @@ requests.py   what is requested of a vehicle: parameters, rates, who it is
 link.py       one endpoint: its frames by vehicle, recorded
 replay.py     a recorded flight instead of a link
 window.py     the last seconds of a vehicle's signals
-stream.py     samples to ticks: the front end of a diagnosis, piece by piece
-account.py    losses, falls and contacts, with a way back
+stream.py     samples to the diagnoser of `diagnose`, piece by piece
+account.py    the way back, from an impact that is found later
 beginnings.py losses in the blind time, looked for again
 control.py    loss of control: samples of ten minutes to losses of control and their causes
 trust.py      whether what comes can be what flies
-judge.py      ticks to events, and what is withdrawn when a landing is certain
+judge.py      what the diagnoser has written down to claims
 session.py    one vehicle's stream, judge and loss of control
 rotors.py     what ESC telemetry says of a vehicle that flies
 changes.py    what is new about the events

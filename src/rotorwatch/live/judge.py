@@ -1,4 +1,4 @@
-"""Ticks as they come -> estimator -> events, as `diagnose` has them of a log that ends now."""
+"""What the diagnoser has written down -> claims, as `diagnose` has them of a log that ends now."""
 
 from __future__ import annotations
 
@@ -8,26 +8,25 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.answer.unseen import Unseen
-from rotorwatch.engine.default import events, program
+from rotorwatch.engine.default import events
+from rotorwatch.engine.diagnoser import Diagnoser, Judged
 from rotorwatch.engine.motion.airborne import CONFIRM_S
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.deviations import Override
 from rotorwatch.engine.motion.ticks import JUDGE, Plan, Ticks
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.live.account import Account, grounded
 from rotorwatch.live.beginnings import Beginnings
 from rotorwatch.live.stream import Piece
 
 
 class Judge:
-    """One vehicle, tick by tick. now: the last ticks, and the estimator's outputs of these rows; None before there are any."""
+    """One vehicle, piece by piece. now: the last ticks, and the estimator's outputs of these rows; None before there are any."""
 
-    def __init__(self, vehicle: Vehicle, plan: Plan, dynamics=None):
-        self.vehicle, self.plan = vehicle, plan
-        self.B = vehicle.effectiveness()
-        self._steps = program.steps(plan.dt, self.B, dynamics)
-        self._account = Account(self.B)
+    def __init__(self, diagnoser: Diagnoser, account: Account):
+        """account: its way back."""
+        vehicle, plan = diagnoser.vehicle, diagnoser.plan
+        self._diagnoser, self._account, self.B = diagnoser, account, vehicle.effectiveness()
         known = vehicle.identified  # healthy flights have told what happened in the blind time
         self._beginnings = None if known else Beginnings(self.B, plan.ready_s)
         self._spans: Spans = ()
@@ -44,40 +43,41 @@ class Judge:
         if self._beginnings is not None and (end := _earlier(self._spans, piece.spans)) is not None:
             self._beginnings.cut(end)
         self._spans, self._over, self._overrides = piece.spans, final, piece.overrides
-        if piece.table is not None:
-            self._judge(piece.table)
-        if final:
-            self._account.report.finish(piece.spans)
+        if piece.judged is not None:
+            self._look(piece.judged)
         early = self._beginnings
         if early is not None and (final or early.due(self._spans, self._time)):
-            early.look(self._steps.learned, self._spans, self._time, final)
+            early.look(self._diagnoser.learned, self._spans, self._time, final)
+
+    @property
+    def plan(self) -> Plan:
+        """How the samples are cut into ticks."""
+        return self._diagnoser.plan
 
     @property
     def revision(self) -> int:
         """Grows, or shrinks, when there may be other events."""
         early = 0 if self._beginnings is None else len(self._beginnings.found)
-        return self._account.losses.announcements + len(self._overrides) + len(self._account.report.contacts) + early
+        return self._diagnoser.losses.announcements + len(self._overrides) + len(self._diagnoser.contacts) + early
 
     @property
     def contact_s(self) -> float:
         """Time of the last knock, s; minus infinity without one."""
-        return max([-np.inf, *(c.time for c in self._account.report.contacts[-1:])])
+        return max([-np.inf, *(c.time for c in self._diagnoser.contacts[-1:])])
 
     @property
     def report(self) -> events.Report:
         """Its falls and contacts."""
-        return self._account.report
+        return self._diagnoser.report
 
     def claims(self) -> tuple[Event, ...]:
         """All that is claimed, as it looks now."""
-        losses = self._account.losses.events(flies=not self._over)
+        losses = self._diagnoser.losses.events(flies=not self._over)
         early = () if self._beginnings is None else self._beginnings.found
         return (*losses, *early, *map(events.overridden, _in_flight(self._overrides, self._spans)))
 
-    def _judge(self, table: Ticks) -> None:
-        raw, table = table, grounded(table, self._spans)
-        out = self._steps.run(*program.inputs(table, self.B))
-        self._account.add(raw, out)
+    def _look(self, judged: Judged) -> None:
+        table, out = grounded(judged.table, self._spans), judged.out
         if self._beginnings is not None:
             self._beginnings.add(table, self._spans)
         self._time, self.now = float(table.time[-1]), (table, out)

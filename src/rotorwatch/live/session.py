@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import threading
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -13,8 +14,9 @@ from rotorwatch.answer import ledger
 from rotorwatch.answer.wording import rotors
 from rotorwatch.engine.default import events
 from rotorwatch.engine.default.residual_evidence import ResidualEvidence
+from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.motion.airborne import Gap
-from rotorwatch.engine.motion.ticks import JUDGE, LEARN, READY_KNOWN_S, READY_S
+from rotorwatch.engine.motion.ticks import JUDGE, LEARN
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
@@ -23,33 +25,22 @@ from rotorwatch.live.judge import Judge
 from rotorwatch.live.stream import Piece, Stream
 from rotorwatch.live.trust import MEMORY_S, Trust
 
-_ONE = threading.Lock()
-
 
 class Building:
-    """A judge that is made in a thread of its own, which ends with the program: code that is half built is built again another time."""
+    """The diagnoser's code, loaded in a thread of its own, which ends with the program: where it is built for the first time that takes
+    seconds, in which a link must be read. Code that is half built is built again another time."""
 
-    def __init__(self, *about):
-        self._made: list[Judge | BaseException] = []
-        self._thread = threading.Thread(target=self._make, args=about, daemon=True)
+    def __init__(self):
+        self._thread = threading.Thread(target=lambda: ENGINE.library, daemon=True)
         self._thread.start()
 
-    def _make(self, *about) -> None:
-        try:
-            with _ONE:  # the second of a kind finds what the first has built
-                self._made.append(Judge(*about))
-        except BaseException as why:  # raised again where it is asked for
-            self._made.append(why)
-
-    def judge(self, wait: bool) -> Judge | None:
-        """The judge; None when it is not ready yet."""
+    def done(self, wait: bool) -> bool:
+        """Whether it is there."""
         self._thread.join(None if wait else 0.0)
-        if self._thread.is_alive():
-            return None
-        (made,) = self._made
-        if isinstance(made, BaseException):
-            raise made
-        return made
+        return not self._thread.is_alive()
+
+
+building = functools.cache(Building)  # one for all vehicles
 
 
 class Session:
@@ -61,10 +52,6 @@ class Session:
         self._judge: Judge | None = None
         self._control: Control | None = None
         self._trust: Trust | None = None
-        self._building: Building | None = None
-        self._pieces: list[Piece] = []
-        self._dynamics = (vehicle.identified or {}).get("dynamics") if vehicle is not None else None
-        self._ready_s = READY_KNOWN_S if self._dynamics else READY_S
         self._stream: Stream | None = None
         self._early: list[tuple[Mapping[str, Signal], tuple[Message, ...]]] = []
         self._spans: tuple[tuple[float, float], ...] = ()
@@ -99,63 +86,44 @@ class Session:
 
     def _open(self) -> None:
         assert self.vehicle is not None
-        self._stream, self._judge = Stream(self.about, self.vehicle, self._ready_s), None
+        self._stream, self._judge = Stream(self.about, self.vehicle), None
         self._trust = Trust(self.vehicle)
-        self._building, self._pieces = None, []
 
     def advance(self, complete: float | None = None) -> bool:
         """Judge what has become certain; whether there was anything. complete: time up to which all samples have been added, where that is
         known; None on a link, where nothing may be waited for."""
         stream = self._stream
-        if stream is None:
+        if stream is None or not building().done(wait=complete is not None):
             return False
         piece = stream.advance()
-        if piece is None or stream.plan is None:
+        if piece is None:
             return False
-        if self._dynamics and self._dynamics.get("dt") != stream.plan.dt:
-            self._dynamics = None  # the noise of healthy flights at another rate is not this one's
-        if self._ready_s < READY_S and not (self._dynamics and stream.plan.gyro == "gyro"):
-            self._ready_s = READY_S
-            return self._again(stream.window.flight(-np.inf), complete)
         flight = stream.replanned()
-        if flight is not None:
-            return self._again(flight, complete)
-        return self._judged(self._cut(piece), complete is not None)
+        if flight is not None:  # begin anew with what is kept
+            self._open()
+            self._stream_of().add(flight.signals, flight.messages)
+            return self.advance(complete)
+        return self._judged(piece)
 
-    def _cut(self, piece: Piece, final: bool = False) -> Piece:
-        """The piece with its flights cut where the vehicle fell to the ground."""
-        assert self._control is not None
-        return replace(piece, spans=self._control.on(piece.spans, final))
-
-    def _again(self, flight: Flight, complete: float | None) -> bool:
-        """Begin anew with what is kept."""
-        self._open()
-        self._stream_of().add(flight.signals, flight.messages)
-        return self.advance(complete)
-
-    def _judged(self, piece: Piece, wait: bool, final: bool = False) -> bool:
-        """Give a piece to the judge; final: the last one. Where native code is built for the first time that takes seconds, in which a link
-        must be read: unless told to `wait`, pieces are put by until it is there."""
+    def _judged(self, piece: Piece, final: bool = False) -> bool:
+        """Give a piece to the judge, its flights cut where the vehicle fell to the ground; final: the last one."""
         stream = self._stream_of()
-        assert self.vehicle is not None and stream.plan is not None
-        assert self._trust is not None and self._control is not None
+        assert (
+            stream.diagnoser is not None
+            and stream.account is not None
+            and self._trust is not None
+            and self._control is not None
+        )
+        piece = replace(piece, spans=self._control.on(piece.spans, final))
         self._spans = piece.spans
-        self._pieces.append(piece)
         if self._judge is None:
-            if self._building is None:
-                self._building = Building(self.vehicle, stream.plan, self._dynamics)
-            self._judge = self._building.judge(wait)
-            if self._judge is None:
-                return False
-        self._judge.plan = stream.plan
-        pieces, self._pieces = self._pieces, []
-        for one in pieces:
-            self._judge.on(one, final and one is pieces[-1])
-            if one.table is not None:
-                self._trust.add(one.table)
+            self._judge = Judge(stream.diagnoser, stream.account)
+        self._judge.on(piece, final)
+        if piece.judged is not None:
+            self._trust.add(piece.judged.table)
         if final or self._trust.due(self.now, self._judge.revision):
             self._trust.look(self._control.flight(self.now - MEMORY_S), self._spans, self.now, self._judge.revision)
-        return any(one.table is not None for one in pieces)
+        return piece.judged is not None
 
     @property
     def due_s(self) -> float:
@@ -166,9 +134,10 @@ class Session:
         """The flight has ended, after `duration` s."""
         if self._stream is None or self._control is None:
             return
-        piece = None if self._stream.plan is None else self._stream.finish(duration)
+        building().done(wait=True)
+        piece = self._stream.finish(duration)
         if piece is not None:
-            self._judged(self._cut(piece, True), True, True)
+            self._judged(piece, True)
         else:
             self._control.on((), True)
 
@@ -257,10 +226,10 @@ class Session:
         """Why nothing can be judged right now, in a few words; empty when it is judged."""
         if self._stream is None:
             return "no motor outputs yet"
-        if self._stream.plan is None:
-            return "waiting for data"
-        if self._judge is None:
+        if not building().done(wait=False):
             return "building the estimator, the first time only"
+        if self._judge is None:
+            return "waiting for data"
         if not self.flying:
             return "on the ground"
         if self._judge.now is None:

@@ -114,6 +114,15 @@ class Rows:
                 for one, value in zip(self.plain or (), values):
                     _fill(one, name, value)
 
+    def put(self, **fields: Rows) -> None:
+        """Write fields of the first one that are structs, as those of the first of these are."""
+        for name, rows in fields.items():
+            if self.native is not None and rows.native is not None:
+                self.native[name][0] = rows.native[0]
+            else:
+                assert self.plain is not None and rows.plain is not None
+                structs.copy(getattr(self.plain[0], name), rows.plain[0])
+
     def set(self, **fields: Any) -> None:
         """Write fields of the first one; arrays fill as much of a field as they have."""
         for name, value in fields.items():

@@ -52,28 +52,26 @@ SHOWN_S = 2.0  # after an announcement: the loss that was shown then
 class Losses:
     """The losses of one vehicle with effectiveness B (4, n), tick by tick."""
 
-    def __init__(self, B: np.ndarray, of: Losses | None = None):
-        """of: begin as these are."""
-        self.craft = vehicle(B) if of is None else of.craft
-        self._state = ENGINE.new(losses.Losses) if of is None else of._state.copy()
-        self._found = ENGINE.array(Found, ROOM) if of is None else of._found
+    def __init__(self, B: np.ndarray, state: Rows | None = None):
+        """state: where they are written down; None: anew."""
+        self.craft = vehicle(B)
+        self.state = ENGINE.new(losses.Losses) if state is None else state
 
     def add(self, ticks: Ticks, out) -> None:
         """More ticks with the estimator's stacked outputs (COLUMNS)."""
         mode = np.ascontiguousarray(ticks.mode, np.int32)
         columns = {name: np.asarray(getattr(out, name)) for name in COLUMNS}
+        found = ENGINE.array(Found, ROOM)
         for first in range(0, len(mode), ROOM):
             part = slice(first, first + ROOM)
-            self._found.fill(**{name: column[part] for name, column in columns.items()})
+            found.fill(**{name: column[part] for name, column in columns.items()})
             rows = (ticks.time[part], ticks.command_time[part], mode[part], np.asarray(ticks.restart)[part])
-            ENGINE.call(
-                whole.announce, self._state, self.craft, len(rows[0]), *map(np.ascontiguousarray, rows), self._found
-            )
+            ENGINE.call(whole.announce, self.state, self.craft, len(rows[0]), *map(np.ascontiguousarray, rows), found)
 
     @property
     def announcements(self) -> int:
         """How often something has been announced."""
-        return int(self._state["announcements"][0])
+        return int(self.state["announcements"][0])
 
     def events(self, flies: bool = False) -> tuple[Event, ...]:
         """The losses so far. flies: the flight goes on, and what was announced a moment ago may still turn out to be a pair."""
@@ -82,7 +80,7 @@ class Losses:
     def rows(self, flies: bool = False) -> Rows:
         """The same as the definition has them."""
         rows = ENGINE.array(definition.Event, RECORDS)
-        return rows.cut(ENGINE.call(whole.losses, self._state, self.craft, flies, rows))
+        return rows.cut(ENGINE.call(whole.losses, self.state, self.craft, flies, rows))
 
 
 def vehicle(B: np.ndarray) -> Rows:
@@ -141,18 +139,18 @@ def unexplained(losses: Iterable[Event], overridden: Sequence[Event]) -> tuple[E
 
 
 class Report:
-    """Falls and contacts of one vehicle with effectiveness B (4, n), tick by tick, and all events together. contacts: so far."""
+    """Falls and contacts of one vehicle with effectiveness B (4, n), tick by tick, and all events together."""
 
-    def __init__(self, B: np.ndarray, of: Report | None = None):
-        """of: begin as this is."""
-        self.craft = vehicle(B) if of is None else of.craft
-        self._state = ENGINE.new(definition.Report) if of is None else of._state.copy()
-        self.contacts: tuple[Contact, ...] = () if of is None else of.contacts
+    def __init__(self, B: np.ndarray, state: Rows | None = None, contacts: tuple[Contact, ...] = ()):
+        """state: where they are written down; None: anew. contacts: of the ticks before."""
+        self.craft = vehicle(B)
+        self.state = ENGINE.new(definition.Report) if state is None else state
+        self._contacts = contacts
 
     def add(self, table: Ticks, air: Sequence[tuple[float, float]]) -> Report:
         """More ticks. air: all flights so far, (start, end) s, infinite where it lasts. This report."""
-        same = next((k for k, (a, b) in enumerate(zip(self.contacts, table.contacts)) if a != b), len(self.contacts))
-        fresh, self.contacts = table.contacts[same:], table.contacts
+        same = next((k for k, (a, b) in enumerate(zip(self._contacts, table.contacts)) if a != b), len(self._contacts))
+        fresh, self._contacts = table.contacts[same:], table.contacts
         hits = np.array([(c.time, c.push, c.size) for c in fresh], float).reshape(-1, 3).T
         self._follow(table.time, table.upset, table.dt, air, hits)
         return self
@@ -169,7 +167,7 @@ class Report:
         rows = len(time), *map(np.ascontiguousarray, (time, upset)), float(dt), len(starts), starts.copy(), ends.copy()
         ENGINE.call(
             whole.follow,
-            self._state,
+            self.state,
             *rows,
             hits.shape[1],
             hits[0].copy(),
@@ -191,13 +189,11 @@ class Report:
             shared=np.array([shared(o) for o in overridden], bool),
         )  # fmt: skip
         arguments = packed(lost), len(lost), outputs, len(overridden)
-        rows = rows.cut(ENGINE.call(whole.events, self._state, self.craft, *arguments, rows))
-        found, contacts = [], {c.time: c for c in self.contacts}
-        for kind, source, detail, onset in zip(
-            *(rows[name].tolist() for name in ("kind", "source", "detail", "onset"))
-        ):
+        rows = rows.cut(ENGINE.call(whole.events, self.state, self.craft, *arguments, rows))
+        found, names = [], ("kind", "source", "detail", "onset", "size")
+        for kind, source, detail, onset, size in zip(*(rows[name].tolist() for name in names)):
             if kind == definition.CONTACT:
-                found.append(_contact(contacts[onset]))
+                found.append(_contact(Contact(onset, size, detail)))
             elif kind == definition.OUTPUT_OVERRIDE:
                 found.append(overridden[source])
             else:

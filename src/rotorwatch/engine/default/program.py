@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -128,10 +129,10 @@ class Steps:
     fault may be true."""
 
     def __init__(self, parameters: dict):
-        self.plant, self.state = _plant(parameters), ENGINE.new(estimator.Estimator)
+        self.plant, self.state = laid_out(parameters), ENGINE.new(estimator.Estimator)
         self.rotors = np.shape(parameters["B"])[1]
         self.plausible = np.zeros(0, bool)
-        self._room, self._outputs = ENGINE.array(estimator.Result, PIECE), _outputs(self.rotors)
+        self._room = ENGINE.array(estimator.Result, PIECE)
         ENGINE.call(whole.begin, self.plant, self.state)
 
     def raise_threshold(self, nats: float) -> None:
@@ -142,28 +143,39 @@ class Steps:
     @property
     def learned(self) -> Learned:
         """What it has come to."""
-        states = sizes.PLANT_STATES + self.rotors
-        all_ = self.state.part("branches").part("all")
-        s, P = all_["s"][0, :states], all_["P"][0, :states, :states]
-        return Learned(s.copy(), P.copy(), self.state.part("noise")["v"][0].copy())
+        return learned(self.state, self.rotors)
 
     def run(self, u: np.ndarray, y: np.ndarray, valid: np.ndarray, progress=None) -> TickOutput:
         """Step over the rows u (T, n + 15), y and valid (T, 4); the stacked outputs. progress: called with the finished share, 0..1."""
         tables = [np.ascontiguousarray(u, float), np.ascontiguousarray(y, float), np.ascontiguousarray(valid, bool)]
-        parts = []
+        parts, plausible = [], []
         for first in range(0, max(len(u), 1), PIECE):
             rows = [table[first : first + PIECE] for table in tables]
             count = len(rows[0])
             ENGINE.call(whole.run, self.plant, self.state, count, *rows, self._room)
-            parts.append([self._room[name][:count][fitting].copy() for name, fitting in self._outputs])
+            parts.append(outputs(self._room, count, self.rotors))
+            plausible.append(self._room["plausible"][:count].copy())
             if progress and len(u):
                 progress(min(1.0, (first + PIECE) / len(u)))
-        columns = parts[0] if len(parts) == 1 else [np.concatenate(column) for column in zip(*parts, strict=True)]
-        made = {name: column for (name, _), column in zip(self._outputs, columns, strict=True)}
-        self.plausible = made.pop("plausible")
-        return TickOutput(**made)
+        self.plausible = np.concatenate(plausible)
+        return parts[0] if len(parts) == 1 else TickOutput(*map(np.concatenate, zip(*parts, strict=True)))
 
 
+def learned(state: running.Rows, rotors: int) -> Learned:
+    """What the estimator has come to."""
+    states = sizes.PLANT_STATES + rotors
+    leader = state.part("branches").part("all")
+    s, P = leader["s"][0, :states], leader["P"][0, :states, :states]
+    return Learned(s.copy(), P.copy(), state.part("noise")["v"][0].copy())
+
+
+def outputs(results: running.Rows, count: int, rotors: int) -> TickOutput:
+    """The first of these results, of a vehicle with so many rotors."""
+    made = {name: results[name][:count][fitting].copy() for name, fitting in _outputs(rotors) if name != "plausible"}
+    return TickOutput(**made)
+
+
+@functools.cache
 def _outputs(rotors: int) -> list[tuple[str, tuple[slice, ...]]]:
     """(name, how much of it a vehicle with so many rotors has) of each output of a tick, of many ticks."""
     fitting = {sizes.ROTORS: rotors, sizes.HYPOTHESES: hypothesis_count(rotors)}
@@ -174,7 +186,7 @@ def _outputs(rotors: int) -> list[tuple[str, tuple[slice, ...]]]:
     ]
 
 
-def _plant(parameters: dict) -> running.Rows:
+def laid_out(parameters: dict) -> running.Rows:
     """A Plant of `parameters`, not yet completed."""
     B, lower = np.asarray(parameters["B"], float), parameters.get("lower")
     mean, variance = np.zeros(sizes.PLANT_STATES), np.zeros((sizes.PLANT_STATES, sizes.PLANT_STATES))

@@ -45,6 +45,15 @@ class Made(Struct):
     some: bool = False  # there were commands
     touch = embedded(Touch)
 
+    def ground(self) -> None:
+        """It lies on the ground."""
+        self.start = LASTS
+        self.mode = GROUND
+        self.upset = False
+        self.touch.is_new = False
+        for a in range(4):
+            self.valid[a] = False
+
 
 class Ticks(Struct):
     """What ticks leave to those that follow."""

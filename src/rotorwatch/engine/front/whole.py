@@ -34,7 +34,6 @@ from rotorwatch.engine.front.front import (
     THRUSTS,
     VELOCITY,
     VOLTAGE,
-    Front,
 )
 from rotorwatch.engine.front.losses import Losses
 from rotorwatch.engine.front.mixer import CONTROLS, Comparison, Mixer
@@ -218,44 +217,6 @@ def deviate(
     while done < m:
         d.compared(v, checks[done], checked_aloft[done])
         done += 1
-
-
-def feed(
-    f: Front,
-    v: Vehicle,
-    p: Plan,
-    begin: int,
-    n: int,
-    kind: Ints,
-    time: Times,
-    at: Ints,
-    values: Reals,
-    made: list[Made],
-    room: int,
-    done: Done,
-) -> None:
-    """The samples from `begin` to n, of all kinds but THRUSTS, and the ticks that are certain by them, as far as there is room."""
-    numbers = local(REAL, ROTORS)
-    done.rows = 0
-    for i in range(begin, n):
-        if done.rows + 2 > room:
-            done.samples = i
-            return
-        for k in range(ROTORS):
-            numbers[k] = values[at[i] + k]
-        f.sample(v, p, kind[i], time[i], numbers)
-        while done.rows < room and f.next(v, p, made[done.rows]):
-            done.rows += 1
-    done.samples = n
-
-
-def finish(f: Front, v: Vehicle, p: Plan, time: Time, made: list[Made], room: int, done: Done) -> None:
-    """The end of a flight at `time` s, and the ticks that are left, as far as there is room; again with LASTS for more."""
-    done.rows = 0
-    if time < LASTS:
-        f.finish(v, p, time)
-    while done.rows < room and f.next(v, p, made[done.rows]):
-        done.rows += 1
 
 
 def overrides(d: Deviations, v: Vehicle, found: list[Override]) -> int:

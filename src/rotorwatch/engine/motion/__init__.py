@@ -3,6 +3,7 @@
 airborne.py     when it was in the air
 missed.py       outputs that the log shows again because it missed the next ones
 allocation.py   commands to the thrust of each rotor; rotors that cannot be distinguished
+samples.py      signals as the definitions take them
 deviations.py   outputs that deviate from the mixer
 contact.py      knocks: motion that no rotor can make
 ticks.py        one uniform table of all that

@@ -1,0 +1,43 @@
+"""Signals as the definitions take them: one row of samples of all kinds, in the order of time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from rotorwatch.engine.definition import Samples, merged, states
+from rotorwatch.flight import Message, Signal
+from rotorwatch.flight.vehicle import Vehicle
+
+SIGNALS = ("motors", "control", "gyro", "rates", "accel", "velocity", "attitude", "lift", "battery")
+
+
+def samples(
+    signals: Mapping[str, Signal], messages: Iterable[Message], vehicle: Vehicle, gyro: str | None, battery: bool
+) -> Samples:
+    """What the diagnoser takes of signals, and of the words of the autopilot. gyro: the signal that tells angular rates; battery: its
+    voltage is known, now or later, which counts where motors are driven straight from it."""
+    full = vehicle.extra.get("full_voltage") if battery else None
+    parts = [part for name, signal in signals.items() if (part := _numbers(name, signal, full, gyro)) is not None]
+    words = list(messages)
+    return merged([*parts, ("state", *states(words))] if words else parts)
+
+
+def _numbers(
+    name: str, signal: Signal, full: float | None, gyro: str | None
+) -> tuple[str, np.ndarray, np.ndarray] | None:
+    """Samples of a signal; None where the diagnoser does not take it. full: voltage of a full battery."""
+    value = signal.values if signal.valid.all() else np.where(signal.valid, signal.values, np.nan)
+    if name == "battery" and full:
+        ok = value[:, 0] > 0.5 * full
+        return "voltage", signal.time[ok], value[ok, :1] / full
+    if name == "lift" and not full and "voltage_ratio" in signal.columns:
+        ratio = value[:, signal.columns.index("voltage_ratio")]
+        ok = ratio > 0.3
+        return "voltage", signal.time[ok], ratio[ok, None]
+    if name == "rates":
+        return (name, signal.time, value) if gyro == "rates" else None
+    if name == "control":
+        return name, signal.time, value[:, :4]
+    return (name, signal.time, value) if name in ("motors", "gyro", "accel", "velocity", "attitude") else None
