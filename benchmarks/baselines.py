@@ -64,7 +64,7 @@ def vehicles(folder: Path) -> dict[str, list[dict]]:
 def judged(flight: Candidate, baseline) -> whole_flight.WholeFlight | None:
     """As `diagnose` compares whole flights; None where it refuses the baseline."""
     try:
-        accepted, _ = healthy(baseline, None, flight)
+        accepted, _ = healthy(baseline, diagnose, None, flight)
     except VehicleError:
         return None
     return whole_flight.judge(flight.features, [one.features for one in accepted], flight.vehicle)
