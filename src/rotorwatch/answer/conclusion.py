@@ -40,7 +40,7 @@ NOT_A_ROTOR = {
     "power": "the power failed",
 }
 LEAST_S = 3.0  # of judged flight, below which no rotor is called healthy
-CREDIBLE = 0.05  # causes of a whole flight's difference that are less probable accuse nobody
+CAUSE_CREDIBLE = 0.05  # causes of a whole flight's difference that are less probable accuse nobody
 LANDED_S = 1.5
 UNJUDGED = "Damage from take-off was not judged."
 INVISIBLE = (0.0, 1.0)
@@ -383,7 +383,7 @@ def _from_takeoff(whole: Mapping[str, Any] | None, rotor: int, verdict: str, see
     """The state of a rotor from take-off on, by the comparison with healthy flights or vehicles."""
     if not whole or verdict == "inconclusive":
         return "not judged"
-    likely = {r for c in whole.get("causes", ()) if c["probability"] > CREDIBLE for r in c["rotors"]}
+    likely = {r for c in whole.get("causes", ()) if c["probability"] > CAUSE_CREDIBLE for r in c["rotors"]}
     if verdict != "healthy" and whole["verdict"] == "fault" and rotor in whole["rotors"]:
         return "damaged"
     if verdict != "healthy" and whole["verdict"] != "healthy" and rotor in {*whole["rotors"], *likely}:

@@ -44,7 +44,7 @@ HOVER = 1.5
 """Ratio of the shares of full thrust in hover: half the weight again, which no battery and no air makes."""
 GAIN = 2.0
 """Ratio of the angular accelerations by one command: what is learned of it changes by up to 1.7 when a hexa loses a rotor (simulated)."""
-SURE = 3.0  # standard deviations by which gains must differ more than that
+APART_SD = 3.0  # standard deviations by which gains must differ more than that
 AXES = ("roll", "pitch", "yaw")
 Diagnose = Callable[[Flight, Vehicle], Diagnosis]
 
@@ -319,7 +319,7 @@ def _other_gains(one: Candidate, other: Candidate) -> str:
     except RotorwatchError:  # commands too slow to learn from: said where the flight is judged
         return ""
     mine, theirs = np.maximum(mine, 1e-6), np.maximum(theirs, 1e-6)
-    apart = np.abs(np.log(mine / theirs)) - np.log(GAIN) - SURE * np.hypot(sd / mine, their_sd / theirs)
+    apart = np.abs(np.log(mine / theirs)) - np.log(GAIN) - APART_SD * np.hypot(sd / mine, their_sd / theirs)
     axis = int(np.argmax(apart))
     if apart[axis] <= 0:
         return ""
