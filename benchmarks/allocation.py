@@ -22,8 +22,8 @@ import numpy as np
 
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.base.compiling import native
 from rotorwatch.export.export_c import allocator_program
+from rotorwatch.methods.compiling import native
 from rotorwatch.methods.control import allocation
 from rotorwatch.methods.control.allocation import DRIVEN_BY, Allocator, Belief
 

@@ -15,8 +15,8 @@ import numpy as np
 from rotorwatch import airframes
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.base.compiling import native
-from rotorwatch.base.compiling.run import run
+from rotorwatch.methods.compiling import native
+from rotorwatch.methods.compiling.run import run
 from rotorwatch.methods.estimators import mhe
 from rotorwatch.methods.maths.systems.rigid_body import RigidBody
 

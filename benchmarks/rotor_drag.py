@@ -1,10 +1,10 @@
-"""How much the drag of unequal rotors yaws a vehicle in wind (engine/default/plant.py, `DRAG`), from flights without a loss.
+"""How much the drag of unequal rotors yaws a vehicle in wind (engine/estimator/plant.py, `DRAG`), from flights without a loss.
 
     python benchmarks/rotor_drag.py LOG...
 
-Commanded yaw is regressed on what `WrenchBalance.drag` says for DRAG = 1, on angular acceleration and on the rate of yaw: all without their
-means over five seconds, in means of half a second. Printed with two standard deviations; the last row is the weighted mean. The side force
-holds noise and the drag of the body, so that the result is rather too small than too large.
+Commanded yaw is regressed on what `estimator.plant.drag` says for DRAG = 1, on angular acceleration and on the rate of yaw: all without
+their means over five seconds, in means of half a second. Printed with two standard deviations; the last row is the weighted mean. The side
+force holds noise and the drag of the body, so that the result is rather too small than too large.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from rotorwatch import airframes, logs
-from rotorwatch.base.backend import jax
-from rotorwatch.engine.default import plant, program
+from rotorwatch.engine.default import program
+from rotorwatch.engine.estimator.plant import DRAG
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import GROUND, READY_S, observe
 from rotorwatch.errors import RotorwatchError
@@ -31,7 +31,7 @@ def measured(table, B) -> tuple[float, float, float] | None:
     flown = (table.mode > GROUND) & valid[:, 2] & (np.abs(table.rate).max(axis=1) < TURNS)
     if table.side is None or not block or flown.sum() * table.dt < LEAST_S:
         return None
-    drag = np.asarray(jax().vmap(plant.WrenchBalance(B).drag)(u[:, :-2]))[:, 2].sum(axis=1) / plant.DRAG
+    drag = program.balance(u, program.steps(table.dt, B).plant)[1].sum(axis=1) / DRAG
     window = np.ones(round(MEAN_S / table.dt)) / round(MEAN_S / table.dt)
     rows = [x - np.convolve(x, window, "same") for x in (y[:, 2], -drag, u[:, n + 2], u[:, n + 6])]
     blocks = np.stack(rows)[:, flown][:, : flown.sum() // block * block]

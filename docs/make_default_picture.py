@@ -14,7 +14,8 @@ import numpy as np
 
 import rotorwatch as rw
 from rotorwatch import airframes
-from rotorwatch.engine.default import hypotheses, program
+from rotorwatch.engine.default import program
+from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.default.plant import AXES
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import READY_S, observe
@@ -34,7 +35,7 @@ def main(log: str) -> None:
         raise SystemExit(f"{log} shows no flight.")
     B = vehicle.effectiveness()
     seen = steps(table, B)
-    t, hyp = table.time - start, hypotheses.make(B.shape[1])
+    t, hyp = table.time - start, list_hypotheses(B.shape[1])
     some = (t > 2) & (t < ONSET + 20)
     plt.rcParams.update({"svg.hashsalt": "default-parts", "svg.fonttype": "none", "font.size": 8})
     figure, axes = plt.subplots(7, 1, figsize=(9, 13), sharex=True, layout="constrained")

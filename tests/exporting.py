@@ -20,24 +20,14 @@ def estimator(name):
     return prepare(name)
 
 
-def width(method):
-    return method.system.n_u + (2 if method.name == "default" else 0)
-
-
 def measurements(method, rows, seed=0):
     """(u, y, valid) around what a healthy vehicle measures; what is not valid is NaN."""
     rng = np.random.default_rng(seed)
-    system, n_u = method.system, width(method)
+    system, n_u = method.system, method.system.n_u
     u = 0.5 + 0.05 * rng.standard_normal((rows, n_u))
-    if method.name == "default":
-        u[:, :4], u[:, 4:-2] = 1.0 + 0.02 * rng.standard_normal((rows, 4)), 0.1 * rng.standard_normal((rows, n_u - 6))
-        u[:, 7] += 4.0
-        u[:, 13] = 1.3  # full thrust: some rotors come near their limits
-        u[:, -2:] = 0.0
-        u[5:100, -2], u[100:, -2], u[5, -1] = 1.0, 2.0, 1.0
     h = jax.jit(jax.vmap(lambda u: system.h(jax.numpy.asarray(system.x0, float), u, np.zeros(system.n_theta))))
-    sd = np.sqrt(np.asarray(system.R(u[0, : system.n_u]))) if hasattr(system, "R") else 0.05
-    y = np.asarray(h(u[:, : system.n_u])) + sd * rng.standard_normal((rows, system.n_y))
+    sd = np.sqrt(np.asarray(system.R(u[0]))) if hasattr(system, "R") else 0.05
+    y = np.asarray(h(u)) + sd * rng.standard_normal((rows, system.n_y))
     valid = rng.random((rows, system.n_y)) > 0.05
     valid[rng.random(rows) < 0.02] = False
     return u, np.where(valid, y, np.nan), valid

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.integrate import trapezoid
 
-from rotorwatch.engine.default.hypotheses import LOSS_WIDTH, NONE, SMALL_WIDTH, TOTAL_SHARE
+from rotorwatch.engine.estimator.hypotheses import LOSS_WIDTH, NONE, SMALL_WIDTH, TOTAL_SHARE
 
 # Share, mean and width of the parts of the prior; small, large, total.
 KINDS = [(0.5 - TOTAL_SHARE / 2, 0.0, SMALL_WIDTH), (0.5 - TOTAL_SHARE / 2, 0.0, LOSS_WIDTH), (TOTAL_SHARE, 1.0, NONE)]

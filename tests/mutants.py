@@ -49,7 +49,7 @@ PARTS: dict[str, tuple[tuple[str, ...], float]] = {
     "campaign": (("lab/campaign/score.py", "lab/campaign/summary.py", "lab/campaign/sequences.py"), 0.15),
     "report": (("report/*.py",), 0.13),
     "estimators": (("methods/estimators/*.py",), 0.15),
-    "default": (("engine/default/*.py", "witnesses/*.py"), 0.17),
+    "default": (("engine/default/*.py", "engine/estimator/*.py", "witnesses/*.py"), 0.17),
 }
 
 # Tests of a file besides tests/test_<its name>.py: the ones that fail soonest first.
@@ -87,7 +87,9 @@ NAMED: dict[str, tuple[str, ...]] = {
     "report/terminal.py": ("words",),
     "lab/experiments/research_tables.py": ("cli_research",),
     "report/*.py": ("report",),
-    "engine/estimator/*.py": ("engine",),
+    "engine/front/losses.py": ("hypotheses", "announcement", "events"),
+    "engine/estimator/known.py": ("limits",),
+    "engine/estimator/*.py": ("default_estimator", "engine"),
     "methods/estimators/__init__.py": ("architecture",),
     "methods/estimators/akf.py": ("axkf",),
     "methods/estimators/adaptive_ekf.py": ("axkf",),
@@ -100,14 +102,7 @@ NAMED: dict[str, tuple[str, ...]] = {
     "methods/estimators/esmf.py": ("aesmf",),
     "methods/estimators/lyapunov.py": ("lyapunov_mhe",),
     "methods/estimators/mh*.py": ("lyapunov_mhe",),
-    "engine/default/estimator.py": ("default_estimator",),
-    "engine/default/model_error.py": ("default_estimator",),
-    "engine/default/bank.py": ("default_estimator",),
-    "engine/default/evidence.py": ("default_estimator",),
-    "engine/default/kalman.py": ("default_estimator",),
-    "engine/default/announcement.py": ("default_estimator",),
-    "engine/default/opposite.py": ("default_estimator",),
-    "engine/default/posterior.py": ("default_estimator",),
+    "engine/default/estimator.py": ("laws",),
     "engine/default/program.py": ("coaxial_share",),
 }
 

@@ -5,7 +5,7 @@ import pytest
 
 from rotorwatch.commands import cli
 from rotorwatch.engine.default import program
-from rotorwatch.engine.default.hypotheses import make
+from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.estimator import hypotheses, kalman, model_error, posterior
 from rotorwatch.engine.front import losses
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN, Ticks
@@ -140,7 +140,7 @@ def test_a_fault_is_found_late_or_never_and_an_event_without_one_is_false():
 
 def made(table, rotor, at=0.0, theta=0.0) -> program.TickOutput:
     """What the estimator would have left had it announced a rotor's loss at a time."""
-    T, hyp = len(table.time), make(4)
+    T, hyp = len(table.time), list_hypotheses(4)
     k = round(at / DT)
     on = np.arange(T) >= k
     sizes = dict(
@@ -153,10 +153,10 @@ def made(table, rotor, at=0.0, theta=0.0) -> program.TickOutput:
         detectable=4,
         biases=4,
     )
-    sizes |= dict(innovation=4, innovation_var=4, opposite_loss=2, onsets=4)
+    sizes |= dict(innovation=4, innovation_var=4, onsets=4)
     shape = {name: (size,) for name, size in sizes.items()}
     kept = program.TickOutput(**{name: np.zeros((T, *shape.get(name, ()))) for name in program.TickOutput._fields})
-    kept = kept._replace(announced=np.zeros(T, bool), active=np.zeros((T, 4, 4), bool), opposite=np.full(T, -1))
+    kept = kept._replace(announced=np.zeros(T, bool), active=np.zeros((T, 4, 4), bool))
     kept.share[:, 0] = 1.0
     kept.theta_sd[:] = 0.02
     if rotor is not None:

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.base.compiling.run import run
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.experiments.studies import ruav_flight, small_systems
+from rotorwatch.methods.compiling.run import run
 from rotorwatch.methods.estimators.aekf import AEKF
 from rotorwatch.methods.estimators.aesmf import AESMF, gradient
 from rotorwatch.methods.estimators.aukf import AUKF

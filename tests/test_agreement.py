@@ -86,7 +86,7 @@ def test_a_second_loss_that_was_never_announced_leaves_its_rotor_suspect():
         pytest.skip("no ../shared/flights/px4-ulogassessment")
     answer = rw.diagnose(SEQUENTIAL)
     status = {r.rotor: r.status for r in answer.rotors}
-    assert status[3] == "suspect" and status[2] == "healthy" and "rotor" in answer.reason
+    assert status[3] == "suspect" and status[2] != "suspect" and "rotor" in answer.reason
     assert walk(answer) == []
 
 

@@ -28,7 +28,7 @@ FORBIDDEN = (
     ("diagnose.py", "rotorwatch.witnesses.healthy.tune", "Inside the healthy"),
     ("answer/advice.py", "rotorwatch.answer.conclusion", "Inside the answer"),
     ("methods/published/log_plant.py", "rotorwatch.methods.published.published", "Inside the published"),
-    ("base/compiling/native.py", "rotorwatch.base.compiling.run", "Inside compiling"),
+    ("methods/compiling/native.py", "rotorwatch.methods.compiling.run", "Inside the compiling"),
     ("engine/motion/airborne.py", "rotorwatch.engine.motion.ticks", "Inside motion"),
     ("flight/flight.py", "rotorwatch.flight.vehicle_file", "Inside the flight"),
     ("methods/estimators/planted.py", "rotorwatch.methods.estimators.ekf", "Estimators do not"),

@@ -4,6 +4,8 @@ The linear plant of the study has gaps in its table and losses that are felt in 
 compiled step.
 """
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -248,7 +250,8 @@ def test_bad_adaptation_gets_one_sentence(options, says, plant):
 
 @each_method
 def test_a_plant_without_noise_is_refused(method):
-    from rotorwatch.engine.default.plant import WrenchBalance
-
-    with pytest.raises(ConfigError, match=f"{method.name} is not defined for the plant wrench_balance: it needs Q, R"):
-        method(WrenchBalance(np.ones((4, 4))), DT)
+    usual = RateDynamics.of(airframes.paper("niermeyer-hexa"))
+    parts = ("n_x", "n_u", "n_theta", "n_y", "x0", "P0", "f", "h")
+    silent = SimpleNamespace(name="silent", **{part: getattr(usual, part) for part in parts})
+    with pytest.raises(ConfigError, match=f"{method.name} is not defined for the plant silent: it needs Q, R"):
+        method(silent, DT)

@@ -4,9 +4,11 @@ from functools import cache
 
 import numpy as np
 import pytest
+from tests.plain import measured
+from tests.plain import plant as plant_of
 
-from rotorwatch.engine.default import plant
-from rotorwatch.engine.default.plant import AIR, WrenchBalance
+from rotorwatch.engine.estimator import plant
+from rotorwatch.engine.estimator.plant import AIR
 from rotorwatch.engine.front.ticks import JUDGE, LEARN
 from test_default_estimator import DT, EXPO, FULL, KNOWN_NOISE, make
 from test_plant import QUAD
@@ -42,7 +44,7 @@ def test_the_first_climb_teaches_what_air_takes_and_accuses_nobody(takes):
     """0 to a tenth of the thrust for each m/s: as vehicles differ."""
     out, carries = flown(takes)
     assert not out.announced.any()
-    k, variance = carries.branches.s[:, 0, AIR], carries.branches.P[:, 0, AIR, AIR]
+    k, variance = carries.s[:, 0, AIR], carries.P[:, 0, AIR, AIR]
     assert k[-1] == pytest.approx(takes, abs=0.01) and variance[-1] < 0.01**2
     assert k[CLIMBS - 10] == pytest.approx(plant.INFLOW, abs=0.005)  # hover shows nothing of it
     assert variance[CLIMBS - 10] == pytest.approx(plant.INFLOW_SD**2, rel=0.05)
@@ -65,18 +67,18 @@ def test_a_loss_in_hover_or_in_a_climb_has_its_size(fails):
 def test_air_from_above_gives_no_thrust():
     """Wind that is not known may look so: as far as it does, it is a disturbance."""
     _, carries = flown(-0.08)
-    assert carries.branches.s[:, 0, AIR].min() > -1e-9
+    assert carries.s[:, 0, AIR].min() > -1e-9
 
 
 def test_where_velocity_is_not_logged_nothing_is_learned():
     _, carries = flown(0.05, known=False)
-    assert carries.branches.s[-1, 0, AIR] == pytest.approx(plant.INFLOW, abs=1e-9)
-    assert carries.branches.P[-1, 0, AIR, AIR] == pytest.approx(plant.INFLOW_SD**2)
+    assert carries.s[-1, 0, AIR] == pytest.approx(plant.INFLOW, abs=1e-9)
+    assert carries.P[-1, 0, AIR, AIR] == pytest.approx(plant.INFLOW_SD**2)
 
 
 def test_what_air_takes_is_thrust_alone_and_nothing_where_its_speed_is_not_known():
-    system = WrenchBalance(QUAD)
+    p = plant_of(QUAD)
     u = np.concatenate([np.ones(N), np.zeros(3), [N], np.zeros(5), [FULL, EXPO, 0.0, -2.0]])
-    assert np.asarray(system.C(u))[:, AIR] == pytest.approx([0.0, 0.0, 0.0, -2.0 * N])
+    assert measured(p, u)[0][:, AIR] == pytest.approx([0.0, 0.0, 0.0, -2.0 * N])
     u[-1] = np.nan
-    assert not np.asarray(system.C(u))[:, AIR].any()
+    assert not measured(p, u)[0][:, AIR].any()

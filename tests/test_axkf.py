@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.base.compiling.run import run
 from rotorwatch.errors import ConfigError
+from rotorwatch.methods.compiling.run import run
 from rotorwatch.methods.estimators.adaptive_ekf import AdaptiveEKF
 from rotorwatch.methods.estimators.akf import AKF
 from rotorwatch.methods.estimators.axkf import AXKF

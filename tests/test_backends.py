@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.base.compiling import native
-from rotorwatch.base.compiling.run import run, run_built
 from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.errors import BackendWarning
 from rotorwatch.lab.experiments.studies.compare_flights import _scene, simulate
+from rotorwatch.methods.compiling import native
+from rotorwatch.methods.compiling.run import run, run_built
 from rotorwatch.methods.estimators.ekf import EKF
 from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
 from rotorwatch.methods.published import published

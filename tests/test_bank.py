@@ -2,117 +2,131 @@
 
 import numpy as np
 import pytest
+from tests.plain import array, copied, made, plant
 
-from rotorwatch.engine.default import bank
-from rotorwatch.engine.default.bank import SLOTS, STRIDES
-from rotorwatch.engine.default.plant import ANSWER_S
+from rotorwatch import airframes
+from rotorwatch.engine.estimator.bank import (
+    DAMPING_ERROR,
+    FIRST_LOSS,
+    GROUP,
+    LONG,
+    SHORT,
+    YAW_ERROR,
+    Bank,
+    Slot,
+    Window,
+)
+from rotorwatch.engine.estimator.plant import ANSWER_S, B3, DAMPING, PER_AXIS, SIDEWAYS, THETA, YAW_GAIN
 
-DT, N_S, Q, TICKS = 0.05, 5, 3, 70
+B = airframes.named("ardupilot-quad-x").effectiveness()
+N, DT, TICKS, FIRST = 4, 0.05, 70, 6
+STATES, DIRECTIONS = THETA + N, FIRST_LOSS + N
+AGE = [np.exp(-DT / ANSWER_S) ** k for k in range(400)]
+
+
+def directions():
+    """(states, directions) what a unit jump does: a step of an axis' bias, two errors of the model, the loss of a rotor."""
+    E = np.zeros((STATES, DIRECTIONS))
+    E[[a * PER_AXIS + B3 for a in range(4)], range(4)] = 1.0
+    E[YAW_GAIN, YAW_ERROR] = E[DAMPING, DAMPING_ERROR] = E[PER_AXIS + DAMPING, DAMPING_ERROR] = 1.0
+    E[range(THETA, STATES), range(FIRST_LOSS, DIRECTIONS)] = 1.0
+    return E
 
 
 @pytest.fixture(scope="module")
 def run():
-    """A table of transitions, rows, gains, variances and innovations, and the bank after every tick of it."""
-    from rotorwatch.base.backend import jax as load
-
-    jax = load()
-    rng = np.random.default_rng(0)
-    directions = rng.standard_normal((N_S, Q))
-    jumps = bank.Jumps(directions, DT)
-    A, h = rng.uniform(0.7, 1.0, N_S), rng.standard_normal((TICKS, N_S))
-    K, S, nu = 0.2 * rng.standard_normal((TICKS, N_S)), rng.uniform(0.5, 2.0, TICKS), rng.standard_normal(TICKS)
-    start, keep = np.arange(TICKS) >= 6, np.arange(TICKS) >= 6
-
-    def tick(state, row):
-        h, K, w, nu, start, keep, noted = row
-        state = jumps.observe(jumps.advance(state, A, start, keep, noted), h, K, w, nu)
-        return state, state
-
-    w = np.where(np.arange(TICKS) % 7 == 3, 0.0, 1.0 / S)  # now and then nothing is measured
-    K = np.where((w > 0)[:, None], K, 0.0)
-    noted = np.stack([np.arange(TICKS), np.arange(TICKS) ** 2.0], axis=1)
-    rows = (h, K, w, nu, start, keep, noted)
-    states = jax.jit(lambda first, *rows: jax.lax.scan(tick, first, rows)[1])(jumps.init(2), *rows)
-    return jumps, directions, (A, h, K, w, nu), jax.tree.map(np.asarray, states)
+    """Rows, gains, weights and innovations of each tick's axis, and the bank after some ticks."""
+    rng, p, bank = np.random.default_rng(0), plant(B, DT), Bank()
+    axis = rng.integers(0, 4, TICKS)
+    states = np.arange(STATES)
+    h = rng.standard_normal((TICKS, STATES)) * ((states // PER_AXIS == axis[:, None]) | (states >= SIDEWAYS))
+    w = np.where(np.arange(TICKS) % 7 == 3, 0.0, rng.uniform(0.5, 2.0, TICKS))  # now and then nothing is measured
+    K, nu = 0.2 * rng.standard_normal((TICKS, STATES)) * (w > 0)[:, None], rng.standard_normal(TICKS)
+    bank.begin(p)
+    kept = {}
+    for k in range(TICKS):
+        bank.advance(p, k >= FIRST, False, [float(k), float(k) ** 2, 0.0, 0.0])
+        for slot in bank.slots:
+            if slot.age >= 0 and w[k] > 0.0:
+                slot.observe(p, int(axis[k]), h[k].tolist(), K[k].tolist(), float(w[k]), float(nu[k]))
+        if k in (5, 6, 20, TICKS - 1):
+            kept[k] = copied(bank)
+    return p, (h, K, w, nu), kept
 
 
 def test_a_slot_holds_what_a_jump_at_its_onset_has_done_since(run):
     """Two filters of the same gains, one of which is given the jump: the difference of their innovations is phi, of their states M."""
-    jumps, directions, (A, h, K, w, nu), states = run
-    last = TICKS - 1
-    seen = set()
-    for slot in range(0, jumps.stride.size, 5):
-        age = int(states.age[last, slot])
-        if age < 0:
+    p, (h, K, w, nu), kept = run
+    last, seen, A = TICKS - 1, set(), array(p.decay, STATES)
+    for slot in kept[last].slots[::5]:
+        if slot.age < 0:
             continue
-        seen.add(bool(jumps.slow[slot]))
-        M, C, z = np.zeros((N_S, Q)), np.zeros((Q, Q)), np.zeros(Q)
-        for k in range(last - age, last + 1):
-            since = k - (last - age)
-            share = (1 - jumps.decay) * jumps.decay**since if jumps.slow[slot] else float(since == 0)
-            M = (0.0 if since == 0 else A[:, None] * M) + share * directions
+        seen.add(slot.gradual)
+        M, C, z = np.zeros((STATES, DIRECTIONS)), np.zeros((DIRECTIONS, DIRECTIONS)), np.zeros(DIRECTIONS)
+        for since in range(slot.age + 1):
+            k = last - slot.age + since
+            share = (1 - AGE[1]) * AGE[since] if slot.gradual else float(since == 0)
+            M = A[:, None] * M + share * directions()
             phi = h[k] @ M
             C, z, M = C + w[k] * np.outer(phi, phi), z + w[k] * nu[k] * phi, M - np.outer(K[k], phi)
-        np.testing.assert_allclose(states.C[last, slot], C, rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(states.z[last, slot], z, rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(states.M[last, slot], M, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(array(slot.C, DIRECTIONS, DIRECTIONS), C, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(array(slot.z, DIRECTIONS), z, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(array(slot.M, STATES, DIRECTIONS), M, rtol=1e-9, atol=1e-12)
     assert seen == {True, False}
 
 
 def test_recent_onsets_are_dense_and_older_ones_sparse(run):
-    """Of each group the last SLOTS onsets, its stride apart; none from before it was started."""
-    jumps, _, _, states = run
-    for group, stride in enumerate(STRIDES[0.05]):
-        part = slice(group * SLOTS, (group + 1) * SLOTS)
-        assert (jumps.stride[part] == stride).all() and jumps.slow[part].all() == (group == 2) == jumps.slow[part].any()
-        for k in (5, 6, 20, TICKS - 1):
-            onsets = [t for t in range(6, k + 1) if t % stride == 0][-SLOTS:]
-            assert sorted(k - states.age[k, part][states.age[k, part] >= 0]) == onsets
-    assert jumps.reach == SLOTS * max(STRIDES[0.05]) and jumps.decay == pytest.approx(np.exp(-DT / ANSWER_S))
-    assert bank.Jumps(np.eye(3), 0.2).stride.tolist() == np.repeat(STRIDES[0.1], SLOTS).tolist()
+    """Of each group the last GROUP onsets, its stride apart; none from before it was started."""
+    kept = run[2]
+    for k, bank in kept.items():
+        for group, stride in enumerate(SHORT):
+            part = bank.slots[group * GROUP : (group + 1) * GROUP]
+            assert {slot.log_stride for slot in part} == {np.log(stride)} and {s.gradual for s in part} == {group == 2}
+            onsets = [t for t in range(FIRST, k + 1) if t % stride == 0][-GROUP:]
+            assert sorted(k - slot.age for slot in part if slot.age >= 0) == onsets
+    assert kept[5].reach == GROUP * max(SHORT)
+    long = Bank()
+    long.begin(plant(B, 0.2))
+    assert [slot.log_stride for slot in long.slots] == np.log(np.repeat(LONG, GROUP)).tolist()
 
 
 def test_of_each_onset_is_kept_what_was_noted_then(run):
-    states = run[3]
-    used = states.age >= 0
-    onset = np.arange(TICKS)[:, None] - states.age
-    assert used.any() and (states.before[used] == np.stack([onset[used], onset[used] ** 2.0], axis=1)).all()
+    used = [(TICKS - 1 - slot.age, slot.before[:2]) for slot in run[2][TICKS - 1].slots if slot.age >= 0]
+    assert used and all(before == [float(k), float(k) ** 2] for k, before in used)
 
 
 def test_losses_that_build_up_are_there_after_a_while(run):
     """All shares of a gradual jump add up to one, 63 % of them within its time constant."""
-    jumps = run[0]
-    shares = (1 - jumps.decay) * jumps.decay ** np.arange(400)
-    assert shares.sum() == pytest.approx(1.0) and shares[: round(ANSWER_S / DT)].sum() == pytest.approx(
-        1 - np.exp(-1.0)
-    )
+    p, slot = run[0], made(Slot, gradual=True)
+    shares = []
+    for k in range(400):
+        before = slot.M[THETA][FIRST_LOSS]
+        slot.advance(p, (1 - AGE[1]) * AGE[k])
+        shares.append(slot.M[THETA][FIRST_LOSS] - before)
+    assert sum(shares) == pytest.approx(1.0) and sum(shares[: round(ANSWER_S / DT)]) == pytest.approx(1 - np.exp(-1.0))
 
 
-def test_the_last_direction_integrated_out_leaves_the_marginal():
-    rng = np.random.default_rng(0)
-    A = rng.standard_normal((3, 20, 6))
-    C, z = np.einsum("wki,wkj->wij", A, A), rng.standard_normal((3, 6))
-    told = bank.without_last(
-        bank.Bank(np.zeros((3, 9, 6)), C, z, np.zeros(3, np.int32), np.int32(0), np.zeros((3, 1))), 0.3
-    )
-    for w in range(3):
-        full = np.linalg.inv(C[w] + np.diag([0.0] * 5 + [1 / 0.3]))
-        assert np.asarray(told.C)[w] == pytest.approx(np.linalg.inv(full[:5, :5]), rel=1e-9)
-        assert np.linalg.solve(np.asarray(told.C)[w], np.asarray(told.z)[w]) == pytest.approx(
-            (full @ z[w])[:5], rel=1e-9
-        )
-    assert told.M.shape == (3, 9, 5)
+def test_errors_of_the_model_integrated_out_leave_the_marginal(run):
+    """Of yaw's gain either way; of damping where there is more of it than is known."""
+    rng, p = np.random.default_rng(0), run[0]
+    for _ in range(6):
+        A = rng.standard_normal((20, DIRECTIONS))
+        C, z = A.T @ A, rng.standard_normal(DIRECTIONS)
+        window = Window()
+        window.reduce(p, made(Slot, C=C, z=z), 0.3, 0.7)
+        errors, rest = [YAW_ERROR, DAMPING_ERROR], [d for d in range(DIRECTIONS) if d not in (YAW_ERROR, DAMPING_ERROR)]
+        more = 0.7 if z[DAMPING_ERROR] > 0.0 else 1e-12
+        prior = np.zeros((DIRECTIONS, DIRECTIONS))
+        prior[errors, errors] = 1.0 / 0.3, 1.0 / more
+        full = np.linalg.inv(C + prior)
+        told = array(window.C, DIRECTIONS, DIRECTIONS)[np.ix_(rest, rest)]
+        assert told == pytest.approx(np.linalg.inv(full[np.ix_(rest, rest)]), rel=1e-7)
+        score = np.linalg.solve(told, array(window.z, DIRECTIONS)[rest])
+        assert score == pytest.approx((full @ z)[rest], rel=1e-7)
 
 
-def test_one_slot_is_picked_and_all_are_forgotten(run):
-    state = run[3]
-    one = bank.Bank(*(a[-1] for a in state))
-    M, C, z = bank.pick(one, (np.arange(one.age.size) == 7).astype(float))
-    assert (
-        np.asarray(M) == pytest.approx(one.M[7])
-        and np.asarray(C) == pytest.approx(one.C[7])
-        and np.asarray(z) == pytest.approx(one.z[7])
-    )
-    assert (np.asarray(bank.forget(one, True).age) == -1).all() and (
-        np.asarray(bank.forget(one, False).age) == one.age
-    ).all()
+def test_what_it_was_compared_with_has_changed_and_all_are_forgotten(run):
+    bank = copied(run[2][TICKS - 1])
+    assert any(slot.age >= 0 for slot in bank.slots)
+    bank.forget()
+    assert all(slot.age == -1 for slot in bank.slots)

@@ -8,11 +8,12 @@ import pytest
 
 import rotorwatch
 from rotorwatch.base import backend
-from rotorwatch.base.compiling import run, toolchain
+from rotorwatch.base.compiling import toolchain
 from rotorwatch.engine.motion.ticks import LEARN
 from rotorwatch.lab import campaign
 from rotorwatch.lab.campaign import batch, methods, score, work
 from rotorwatch.lab.simulation import scenario, simulate
+from rotorwatch.methods.compiling import run
 from rotorwatch.methods.published import log_plant, published
 
 pytest.importorskip("pyarrow")

@@ -20,7 +20,7 @@ from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.report.info import info
 
 ROOT = Path(__file__).parents[1]
-VERDICTS = {"healthy": 0, "fault": 1, "ambiguous": 3, "inconclusive": 3}
+VERDICTS = {"healthy": 0, "fault": 1, "crashed": 1, "ambiguous": 3, "inconclusive": 3}
 
 
 def a_flight(**changes):
@@ -47,17 +47,17 @@ def fake(monkeypatch, tmp_path):
             raise RuntimeError("unforeseen")
         return a_flight(name=Path(path).name)
 
-    def diagnose(flight, vehicle=None, baseline=(), estimator="default", progress=None, tuning=None):
+    def diagnose(flight, vehicle=None, baseline=(), estimator="default", progress=None, tuning=None, matters=0.2):
         verdict = flight.name.split("-")[0].removesuffix(".bin")
         flight = {**hexa_diagnosis().flight, "name": flight.name}
-        told = f"{len(baseline)} baseline, vehicle {getattr(vehicle, 'name', None)}, estimator {estimator}"
+        told = f"{len(baseline)} baseline, vehicle {getattr(vehicle, 'name', None)}, estimator {estimator}, {matters:g}"
         return hexa_diagnosis(verdict=verdict, flight=flight, baseline=told)
 
     module = ModuleType("rotorwatch.diagnose")
     module.diagnose = diagnose
     monkeypatch.setitem(sys.modules, module.__name__, module)
     monkeypatch.setattr(rotorwatch.logs, "read", read)
-    for name in ("healthy", "fault", "ambiguous", "inconclusive", "broken", "bug", "healthy-2"):
+    for name in ("healthy", "fault", "ambiguous", "inconclusive", "crashed", "broken", "bug", "healthy-2"):
         (tmp_path / f"{name}.bin").write_bytes(b"x")
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("ROTORWATCH_DEBUG", raising=False)
@@ -124,10 +124,12 @@ def test_baselines_and_estimator_reach_the_diagnoser(fake, run):
         "healthy-2.bin",
         "--estimator",
         "kf",
+        "--matters",
+        "0.3",
         "--json",
     )
     assert err == ""
-    assert json.loads(out)["baseline"] == "2 baseline, vehicle None, estimator kf"
+    assert json.loads(out)["baseline"] == "2 baseline, vehicle None, estimator kf, 0.3"
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rotorwatch.engine.default import posterior, program
+from rotorwatch.engine.default import program
+from rotorwatch.engine.estimator.sizes import PLACES
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.campaign import batch, closed_loop, plan, store
 from rotorwatch.lab.simulation import control, loop, prepare, reconfigured, record_of, scenario
@@ -159,7 +160,7 @@ def test_all_explanations_drive_the_allocation():
 
 def test_explanations_become_entries():
     """The default diagnosis holds as many as an entry; what is expected of the rotors decides when one is entered."""
-    assert reconfigured.PLACES == posterior.PLACES
+    assert reconfigured.PLACES == PLACES
     s, _, _ = planned(faults=[])
     T = 400
     ticks = SimpleNamespace(time=10.0 + 0.05 * np.arange(T), dt=0.05, thrust=np.ones((T, 4)), mode=np.full(T, 2.0))

@@ -4,10 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.plain import array, measured
+from tests.plain import plant as plant_of
 
 from rotorwatch import airframes
 from rotorwatch.engine.default import events, program
-from rotorwatch.engine.default.plant import AXIS_STATES, SHARE_SD, WrenchBalance, lower_rotors
+from rotorwatch.engine.default.plant import lower_rotors
+from rotorwatch.engine.estimator.plant import SHARE, SHARE_SD, THETA
 
 
 @pytest.mark.parametrize(
@@ -18,8 +21,8 @@ def test_which_rotors_are_below(frame, lower):
     found = lower_rotors(vehicle.effectiveness())
     assert (() if found is None else tuple(np.flatnonzero(found))) == lower
     assert tuple(k for k, r in enumerate(vehicle.rotors) if r.lower) == lower
-    system = WrenchBalance(vehicle.effectiveness(), lower=found)
-    assert system.n_x == AXIS_STATES + 2 + bool(lower) == len(system.x_names) == len(system.x0)
+    known = plant_of(vehicle.effectiveness())
+    assert (known.variance[SHARE][SHARE] > 0.0) == bool(lower) == any(known.lower)
     assert "lower" in program.parameters(vehicle.effectiveness(), 0.05) or not lower
 
 
@@ -29,7 +32,7 @@ def test_the_state_is_the_derivative_of_the_geometry(frame):
     takes by what H says: finite differences of the vehicle's own matrix."""
     vehicle = airframes.named(f"ardupilot-{frame}")
     B, n = vehicle.effectiveness(), len(vehicle.rotors)
-    system = WrenchBalance(B, lower=lower_rotors(B))
+    p = plant_of(B)
     rng = np.random.default_rng(1)
     u = np.concatenate([1.0 + 0.3 * rng.standard_normal(n), np.zeros(9), [2.5, 0.65, 0.0, 0.3]])
     s = 1e-6
@@ -37,33 +40,33 @@ def test_the_state_is_the_derivative_of_the_geometry(frame):
         vehicle, rotors=tuple(replace(r, share=r.share * (1.0 + s * r.lower)) for r in vehicle.rotors)
     ).effectiveness()
     wanted = (more - B) / s @ u[:n]
-    np.testing.assert_allclose(-np.asarray(system.C(u))[:, -1], wanted, rtol=1e-4, atol=1e-6)
-    x = np.zeros(system.n_x)
-    x[-1] = s
-    np.testing.assert_allclose(
-        (np.asarray(system.H(u, x)) - np.asarray(system.H(u))) / s, (more - B) / s * u[:n], rtol=1e-4, atol=1e-6
-    )
+    np.testing.assert_allclose(-measured(p, u)[0][:, SHARE], wanted, rtol=1e-4, atol=1e-6)
+    x = np.zeros(THETA + n)
+    x[SHARE] = s
+    change = (measured(p, u, x)[0] - measured(p, u)[0])[:, THETA:] / s
+    np.testing.assert_allclose(change, (more - B) / s * u[:n], rtol=1e-4, atol=1e-6)
 
 
 def test_the_share_is_learned_where_motion_shows_it():
     """A Kalman filter on the plant, yawing with upper and lower rotors that turn differently: from 0.85 to the truth, 0.97."""
     vehicle = airframes.named("ardupilot-y6-b")  # all upper rotors one way, all lower ones the other
     B, n, truth = vehicle.effectiveness(), 6, 0.97 / 0.85 - 1.0
-    lower = lower_rotors(B)
-    system = WrenchBalance(B, lower=lower)
-    more = np.asarray(system._more())
+    p = plant_of(B)
+    more = array(p.more, n)
     rng = np.random.default_rng(3)
-    x, P = system.x0.copy(), system.P0.copy()
-    assert P[-1, -1] == pytest.approx(SHARE_SD**2)
+    x, P = np.array(p.mean), array(p.variance)
+    assert P[SHARE, SHARE] == pytest.approx(SHARE_SD**2)
     for k in range(600):
         load = 1.0 + 0.2 * np.sin(0.05 * k)
         u = np.concatenate([np.full(n, load), np.zeros(3), [n * load], np.zeros(5), [2.5, 0.65, 0.0, 0.3]])
         y = np.array([0.0, 0.0, -truth * (B @ (more * u[:n]))[2], n * load]) + 0.02 * rng.standard_normal(4)
-        C = np.asarray(system.C(u))
+        C = measured(p, u)[0][:, :THETA]
         S = C @ P @ C.T + 0.02**2 * np.eye(4)
         K = np.linalg.solve(S, C @ P).T
         x, P = x + K @ (y - C @ x), P - K @ S @ K.T
-    assert x[-1] == pytest.approx(truth, abs=4 * np.sqrt(P[-1, -1])) and np.sqrt(P[-1, -1]) < 0.5 * SHARE_SD
+    assert (
+        x[SHARE] == pytest.approx(truth, abs=4 * np.sqrt(P[SHARE, SHARE])) and np.sqrt(P[SHARE, SHARE]) < 0.5 * SHARE_SD
+    )
 
 
 def test_sizes_on_coaxial_frames_carry_what_is_unknown_of_the_share():

@@ -7,10 +7,10 @@ import pytest
 
 import exporting
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.base.compiling.c99.project import Field, make
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.simulation import dynamics, prepare, rotation, scenario
 from rotorwatch.lab.simulation.rigid import Air, Body
+from rotorwatch.methods.compiling.c99.project import Field, emit_program
 from rotorwatch.methods.control import spinning
 from rotorwatch.methods.control.airframe import Airframe
 from rotorwatch.methods.control.spinning import SpinningHover, relaxed_hover
@@ -113,7 +113,9 @@ def test_two_neighbours_gone_cannot_be_held(quad):
 def test_c_says_what_python_says(quad, tmp_path):
     control = SpinningHover(Airframe.of(quad), dead(quad, 0), DT)
     inputs = (Field("omega", "f", (3,)), Field("down", "f", (3,)), Field("lift", "f", ()))
-    program = make("spin", lambda _, carry, *given: control.step(carry, *given), lambda _: control.init(), inputs)
+    program = emit_program(
+        "spin", lambda _, carry, *given: control.step(carry, *given), lambda _: control.init(), inputs
+    )
     library, rng = exporting.library(program, tmp_path), np.random.default_rng(0)
     state, out = np.zeros((), exporting.struct(program.state)), np.zeros((), exporting.struct(program.out))
     room = exporting.room(program)

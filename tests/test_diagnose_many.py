@@ -149,20 +149,24 @@ def plain_pages(monkeypatch):
 # What is shown
 
 
-def test_the_table_has_the_worst_first_with_full_paths(fake, run):  # noqa: F811
-    logs = [f"{name}.bin" for name in ("healthy", "ambiguous", "fault", "broken", "inconclusive")]
+def test_the_table_has_the_worst_first_with_full_paths(fake, run, monkeypatch):  # noqa: F811
+    """It stays a table in a pipe; the folder that all are in is said once, and in a wide one why as well."""
+    logs = [f"{name}.bin" for name in ("healthy", "ambiguous", "crashed", "fault", "broken", "inconclusive")]
     code, out, err = run("diagnose", *logs)
     assert code == 2
-    order = [(line.split()[0], line.split()[1]) for line in out.splitlines() if str(fake) in line]
-    assert [word for word, _ in order] == ["error", "fault", "ambiguous", "inconclusive", "healthy"]
-    assert [path for _, path in order] == [
-        str(fake / f"{n}.bin") for n in ("broken", "fault", "ambiguous", "inconclusive", "healthy")
+    order = [tuple(line.split()[:2]) for line in out.splitlines() if ".bin" in line]
+    assert order == [
+        (n.replace("broken", "error"), f"{n}.bin")
+        for n in ("broken", "crashed", "fault", "ambiguous", "inconclusive", "healthy")
     ]
-    assert out.startswith("5 logs: 1 error, 1 fault, 1 ambiguous, 1 inconclusive, 1 healthy")
+    assert f"all in {fake}/" in "".join(out.split("\n")[1:3])
+    assert out.startswith("6 logs: 1 error, 1 crashed, 1 fault, 1 ambiguous, 1 inconclusive, 1 healthy")
+    assert max(map(len, out.splitlines())) <= 80 and out.split().count("what") == 1 and "why" not in out.split()
     # Answers were told as they came.
     assert [line.split()[0] for line in err.splitlines()] == [
         "healthy",
         "ambiguous",
+        "crashed,",
         "fault",
         "rotorwatch:",
         "inconclusive",
@@ -344,7 +348,12 @@ def test_when_is_utc_or_the_logs_own_clock(facts, main, says):
 
 def test_settings_change_with_what_answers_depend_on(tmp_path):
     (tmp_path / "v.toml").write_text("a")
-    one = several.settings("default", tmp_path / "v.toml")
-    assert one == several.settings("default", tmp_path / "v.toml") != several.settings("ekf", tmp_path / "v.toml")
+    one = several.settings("default", 0.2, tmp_path / "v.toml")
+    assert (
+        one
+        == several.settings("default", 0.2, tmp_path / "v.toml")
+        != several.settings("ekf", 0.2, tmp_path / "v.toml")
+    )
+    assert one != several.settings("default", 0.3, tmp_path / "v.toml")
     (tmp_path / "v.toml").write_text("b")
-    assert one != several.settings("default", tmp_path / "v.toml")
+    assert one != several.settings("default", 0.2, tmp_path / "v.toml")

@@ -10,7 +10,7 @@ import pytest
 from exporting import exported
 from rotorwatch.base import discovery
 from rotorwatch.base.compiling.body import exact
-from rotorwatch.export.export_c import SINGLE, export_c
+from rotorwatch.export.export_c import export_c
 from rotorwatch.export.export_diagnoser import export_diagnoser
 
 EMBEDDED = Path(__file__).resolve().parents[1] / "embedded"
@@ -101,7 +101,11 @@ def no_warning(folder, *flags):
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(n, marks=[] if n in USUAL else pytest.mark.thorough) for n in [*discovery.estimators(), SINGLE]],
+    [
+        pytest.param(n, marks=[] if n in USUAL else pytest.mark.thorough)
+        for n in discovery.estimators()
+        if n != "default"
+    ],
 )
 def test_estimators_meet_the_flags_of_both_autopilots(name, tmp_path):
     program = exported(name)

@@ -1,4 +1,4 @@
-"""The estimator's definition: machine code and Python give the same bits, and both what the method written as one traced step gives."""
+"""The estimator's definition as a whole: machine code and Python give the same bits, whatever the frame, the tick and the pieces."""
 
 import itertools
 
@@ -6,15 +6,12 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.engine.default import program
-from rotorwatch.engine.default.estimator import JumpBank
-from rotorwatch.engine.default.plant import WrenchBalance
 from rotorwatch.engine.definition import ENGINE
-from rotorwatch.engine.estimator import estimator
 from rotorwatch.engine.motion.ticks import AGAIN, GROUND, JUDGE, LEARN
 
 SETTLES, FAILS, WELL, PUSHED, LANDED, AGAIN_UP = 60, 130, 260, 330, 380, 390
+SHORT = 160  # ticks that Python runs in a second or two
 
 
 def flight(B: np.ndarray, ticks: int, dt: float, seed: int = 0):
@@ -51,72 +48,36 @@ def flight(B: np.ndarray, ticks: int, dt: float, seed: int = 0):
     return u, y, rng.random((ticks, 4)) > 0.02
 
 
-def test_python_and_machine_code_give_the_same_bits():
+@pytest.mark.thorough(keep=2)
+@pytest.mark.parametrize(
+    "frame, dt",
+    [
+        ("ardupilot-quad-x", 0.05),
+        ("ardupilot-y6", 0.1),
+        ("ardupilot-hexa-x", 0.05),
+        ("ardupilot-tri", 0.2),
+        ("ardupilot-octaquad-x", 0.05),
+    ],
+)
+def test_python_and_machine_code_give_the_same_bits(frame, dt):
+    """Every output, and what has been learned, through an announcement."""
     if ENGINE.library is None:
         pytest.skip("no C compiler")
-    B = airframes.named("ardupilot-quad-x").effectiveness()
-    table = flight(B, 160, 0.05)
-    told = program.steps(0.05, B).run(*table)
-    library = ENGINE.library
+    B = airframes.named(frame).effectiveness()
+    table, library = flight(B, SHORT, dt), ENGINE.library
+    compiled = program.steps(dt, B)
+    told = compiled.run(*table)
     ENGINE.__dict__["library"] = None
     try:
-        plain = program.steps(0.05, B).run(*table)
+        python = program.steps(dt, B)
+        plain = python.run(*table)
     finally:
         ENGINE.__dict__["library"] = library
     assert told.announced.any()
     for name, one, other in zip(told._fields, told, plain, strict=True):
         np.testing.assert_array_equal(one, other, err_msg=name)
-
-
-@pytest.mark.thorough(keep=1)
-@pytest.mark.parametrize(
-    "frame, dt",
-    [
-        ("ardupilot-hexa-x", 0.05),
-        ("ardupilot-quad-x", 0.1),
-        ("ardupilot-y6", 0.05),
-        ("ardupilot-tri", 0.2),
-        ("ardupilot-octaquad-x", 0.05),
-    ],
-)
-def test_the_definition_is_the_method(frame, dt):
-    """Against the step that is traced: every output, and what has been learned, at every tick."""
-    jax = load_jax()
-    B = airframes.named(frame).effectiveness()
-    p, table = program.parameters(B, dt), flight(B, 520, dt)
-    system = WrenchBalance(p["B"], (p["x0"], p["P0"]), p.get("lower"), p.get("share"), p["curve"], p["air"])
-    bank = JumpBank(system, dt, (p["noise"], p["noise_weight"]))
-
-    def tick(carry, row):
-        carry, out = bank.step(carry, *row)
-        d = out.decision
-        kept = {
-            name: getattr(out, name) for name in estimator.Result._deep | estimator.Result._plain if hasattr(out, name)
-        }
-        return carry, kept | {
-            "log_odds": d.log_odds,
-            "statistic": d.statistic,
-            "onset": d.onset,
-            "innovation": out.estimate.innovation,
-        }
-
-    last, said = jax.tree.map(np.asarray, jax.jit(lambda first: jax.lax.scan(tick, first, table))(bank.init()))
-    steps = program.steps(dt, B)
-    told = steps.run(*table)._asdict() | {"plausible": steps.plausible}
-    assert said["announced"].any() and said["active"][:, 0, 1].any()
-    left = said["share"] > 0.0
-    for name, one in said.items():
-        other = told[name]
-        if name == "plausible":  # where there is nothing to be plausible it says nothing
-            one, other = (np.where(said["statistic"] > -15.0, side, False) for side in (one, other))
-        if name in ("active", "each", "onsets"):  # what is no explanation any more says nothing
-            shown = left if one.ndim == 2 else left[:, :, None]
-            one, other = np.where(shown, one, 0), np.where(shown, other, 0)
-        np.testing.assert_allclose(other, one, rtol=1e-8, atol=1e-8, err_msg=name)
-    states = [*range(system.n_x), *range(23, 23 + B.shape[1])]
-    np.testing.assert_allclose(steps.learned.s[states], last.s, rtol=1e-8, atol=1e-10)
-    np.testing.assert_allclose(steps.learned.P[np.ix_(states, states)], last.P, rtol=1e-8, atol=1e-10)
-    np.testing.assert_allclose(steps.learned.variances, last.noise.variances, rtol=1e-8)
+    for name, one, other in zip(program.Learned._fields, compiled.learned, python.learned, strict=True):
+        np.testing.assert_array_equal(one, other, err_msg=name)
 
 
 def test_ticks_may_come_piece_by_piece():

@@ -7,12 +7,13 @@ import pytest
 from tests.conftest import hexa_event
 
 from rotorwatch import airframes
-from rotorwatch.engine.default import events, hypotheses
-from rotorwatch.engine.default.posterior import PLACES
+from rotorwatch.engine.default import events
+from rotorwatch.engine.default.hypotheses import list_hypotheses
+from rotorwatch.engine.estimator.posterior import PLACES
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 
 DT, COUNT, N = 0.1, 300, 4
-HYP = hypotheses.make(N)
+HYP = list_hypotheses(N)
 QUAD = airframes.named("ardupilot-quad-x").effectiveness()
 
 
@@ -39,9 +40,6 @@ def silence():
         gives=np.zeros((COUNT, N)),
         probability=np.zeros((COUNT, len(HYP.names))),
         log_odds=np.zeros((COUNT, len(HYP.names))),
-        opposite=np.full(COUNT, -1),
-        opposite_onset=np.zeros(COUNT),
-        opposite_loss=np.zeros((COUNT, 2)),
     )
 
 
@@ -145,7 +143,7 @@ def test_what_cannot_be_told_apart_is_listed():
 def test_a_pair_of_opposite_rotors_has_to_be_surer_than_another():
     """Only a manoeuvre tells a hexarotor's opposite pairs apart: 95 % names any other pair, but not these."""
     hexa = airframes.named("ardupilot-hexa-x").effectiveness()
-    hyp, partners = hypotheses.make(6), events.opposites(hexa)
+    hyp, partners = list_hypotheses(6), events.opposites(hexa)
     opposite = (0, partners[0][0])
     for pair in (opposite, next((0, j) for j in range(1, 6) if j not in partners[0])):
         out = silence()
@@ -347,47 +345,6 @@ def test_intervals_stay_within_a_loss():
     out.theta_sd[:] = 0.1
     (event,) = events.read(out, ticks, QUAD)
     assert event.interval[0][0] == 0.0 and event.interval[1][1] == 1.0
-
-
-@pytest.mark.parametrize("rotor", range(N))
-def test_opposite_rotors_that_were_suspected_are_found_when_they_were(rotor):
-    """A suspicion of two opposite rotors becomes the loss of one of them: no second event, the earlier times."""
-    out, ticks = silence(), table()
-    suspect(out, 80, age=10)
-    announce(out, 120, {(rotor,): 1.0}, age=3)
-    out.theta[120:, rotor] = 0.3
-    (event,) = events.read(out, ticks, QUAD)
-    assert event.rotors == (rotor + 1,) and event.loss == (0.3,)
-    assert event.detected_s == ticks.time[80] and event.onset_s == pytest.approx(ticks.command_time[70])
-
-
-def test_a_later_suspicion_changes_nothing_that_was_said_before():
-    out, ticks = silence(), table()
-    suspect(out, 80, age=10)
-    announce(out, 120, {(0,): 1.0}, age=3)
-    announce(out, 160, {(): 1.0}, age=3)
-    out.theta[120:160, 0] = 0.3
-    (before,) = events.read(out, ticks, QUAD)
-    suspect(out, 220, age=10)
-    after, _ = events.read(out, ticks, QUAD)
-    assert (after.rotors, after.onset_s, after.detected_s) == (before.rotors, before.onset_s, before.detected_s)
-    assert before.loss == (0.3,)  # before it was announced nothing was estimated of it
-
-
-def test_opposite_rotors_that_stay_a_suspicion_may_be_any_such_pair():
-    out, ticks = silence(), table()
-    suspect(out, 80, age=10)
-    (event,) = events.read(out, ticks, QUAD)
-    assert event.rotors == (1, 2) and event.alternatives == ((3, 4),) and event.loss == (0.2, 0.2)
-    assert event.interval[0][0] == pytest.approx(0.0, abs=1e-9)
-
-
-def suspect(out, k, age):
-    """A sudden shift of thrust at tick k that may be rotors 1 and 2, of 20 % each."""
-    pair = HYP.rotors.index((0, 1))
-    out.opposite[k], out.opposite_onset[k], out.opposite_loss[k] = pair, age, 0.2
-    out.log_odds[k, [h for h, kind in enumerate(HYP.kinds) if kind == "pair"]] = -40.0
-    out.log_odds[k, pair] = 30.0
 
 
 @pytest.mark.parametrize(

@@ -194,3 +194,16 @@ def test_what_was_said_adds_up_to_the_list(steps):
         assert len(held) == len(found) and held == changes.now
         for event, e in zip(*(sorted(all_, key=lambda e: (e.onset_s, e.loss[0])) for all_ in (held.values(), found))):
             assert abs(e.onset_s - event.onset_s) < 1.0 and abs(e.loss[0] - event.loss[0]) < 0.02
+
+
+@pytest.mark.parametrize("machine_code", [True, False])
+def test_a_list_goes_on_where_another_one_was_and_leaves_that_as_it_is(machine_code, monkeypatch):
+    """As a watched vehicle's does while ticks may still be withdrawn; also where Python runs the definition."""
+    if not machine_code:
+        monkeypatch.setitem(ENGINE.__dict__, "library", None)
+    air, late = ((2.0, 22.0),), [override(21.0)]
+    first = flown(18.0, air)
+    on = flown(30.0, air, upset=[(20.0, 22.1)], report=events.Report(B, first.state.copy(), first.contacts), since=18.0).finish(air)
+    assert on.events((), late) == ()  # that is the fall
+    assert first.finish(air).events((), late) == tuple(late)
+    assert events.Losses(B, events.Losses(B).state.copy()).events() == ()

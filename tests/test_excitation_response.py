@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes, diagnose
-from rotorwatch.engine.default.plant import TAU
-from rotorwatch.engine.estimator.plant import CURVE, SHARE
+from rotorwatch.engine.estimator.plant import CURVE, SHARE, TAU
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.lab.campaign import excitation_flights
@@ -139,7 +138,7 @@ def judged_trim(biases, dt=0.1):
     """(carry, out, table) of a flight that learns for 3 s and is judged for 9 s, with these biases (120, 4) of its trim."""
     time = dt * np.arange(120)
     mode, restart = np.where(time < 3.0, LEARN, JUDGE), np.arange(120) == 0
-    carry = SimpleNamespace(variances=np.zeros((4, 4)))
+    carry = SimpleNamespace(spread=np.zeros(4))
     return carry, SimpleNamespace(biases=biases), SimpleNamespace(time=time, mode=mode, restart=restart)
 
 

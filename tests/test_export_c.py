@@ -15,13 +15,14 @@ from click.testing import CliRunner
 import rotorwatch as rw
 from exporting import STRICT, address, jax, library, room, struct
 from rotorwatch import airframes
-from rotorwatch.base.compiling import native, toolchain
-from rotorwatch.base.compiling.c99.lower import Refused
-from rotorwatch.base.compiling.c99.project import Field, make
-from rotorwatch.base.compiling.run import run
+from rotorwatch.base.compiling import toolchain
 from rotorwatch.commands.cli import cli
 from rotorwatch.errors import ConfigError
-from rotorwatch.export.export_c import export_c, prepare
+from rotorwatch.export.export_c import export_c
+from rotorwatch.methods.compiling import native
+from rotorwatch.methods.compiling.c99.lower import Refused
+from rotorwatch.methods.compiling.c99.project import Field, emit_program
+from rotorwatch.methods.compiling.run import run
 from rotorwatch.methods.estimators.ekf import EKF
 from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
 
@@ -147,7 +148,7 @@ def start(_):
 @pytest.mark.parametrize("seed", range(PROGRAMS))
 def test_random_programs_say_the_same_in_c(seed, tmp_path):
     step = random_program(seed)
-    program = make("chance", step, start, INPUTS)
+    program = emit_program("chance", step, start, INPUTS)
     # Half of them watched by the sanitizers' traps, half optimised, one of these as far as it goes: all without a warning.
     optimised = "-O3" if seed == 0 else "-O1"
     flags = ("-O0", "-fsanitize=undefined", "-fsanitize-undefined-trap-on-error") if seed % 2 else (optimised,)
@@ -190,7 +191,7 @@ def test_a_matrix_that_is_changed_many_times(seed, tmp_path):
             known.append(m)
         return (m,), m.sum()
 
-    program = make("changed", step, lambda _: (jnp.ones((size, size)) * 0.3,), (Field("x", "f", (size,)),))
+    program = emit_program("changed", step, lambda _: (jnp.ones((size, size)) * 0.3,), (Field("x", "f", (size,)),))
     if seed == 0:
         assert program.workspace_bytes < 8 * size * size
     lib, rng, carry = library(program, tmp_path, "-O2"), np.random.default_rng(seed), (jnp.ones((size, size)) * 0.3,)
@@ -221,7 +222,7 @@ REFUSED = {
 def test_what_cannot_be_c_is_refused_with_its_line(what):
     function, advice = REFUSED[what]
     with pytest.raises(Refused, match=what) as why:
-        make("refused", lambda _, c, a: (c, function(a)), start, (Field("a", "f", (N,)),))
+        emit_program("refused", lambda _, c, a: (c, function(a)), start, (Field("a", "f", (N,)),))
     said = str(why.value)
     assert advice in said and "test_export_c.py:" in said and len(said.splitlines()) == 1
 
@@ -275,11 +276,11 @@ def test_the_same_estimator_has_the_same_definition(project, tmp_path):
 
 
 def test_the_command_line(tmp_path):
-    done = CliRunner().invoke(cli, ["export-c", "--estimator", "default-filter", "-o", str(tmp_path / "out")])
+    done = CliRunner().invoke(cli, ["export-c", "--estimator", "default", "-o", str(tmp_path / "out")])
     assert done.exit_code == 0, done.output
     assert {p.name for p in (tmp_path / "out").iterdir()} == {
-        "default_filter.c",
-        "default_filter.h",
+        "default.c",
+        "default.h",
         "example.c",
         "CMakeLists.txt",
     }
@@ -291,6 +292,9 @@ def test_the_command_line(tmp_path):
         ({"estimator": "nonsense"}, "no estimator called 'nonsense'"),
         ({"estimator": "ekf", "vehicle": "no-such-frame"}, "no airframe called"),
         ({"estimator": "default", "vehicle": "f450"}, "is a paper's"),
+        ({"estimator": "default", "variable_dt": True}, "leave --variable-dt out"),
+        ({"estimator": "default", "dt": 0.03}, "no ticks of 0.03 s"),
+        ({"estimator": "default-filter"}, "give ekf with --vehicle"),
         ({"estimator": "ekf", "vehicle": "ruav-40kg"}, "does not say"),
         ({"estimator": "ekf", "name": "2nd"}, "begin it with a letter"),
     ],
@@ -424,8 +428,8 @@ WARM = """
 import json, sys
 import numpy as np
 from typing import NamedTuple
-from rotorwatch.base.compiling import native
-from rotorwatch.base.compiling.run import run_built
+from rotorwatch.methods.compiling import native
+from rotorwatch.methods.compiling.run import run_built
 class Carry(NamedTuple):
     total: object
 class Sum:
@@ -457,20 +461,3 @@ def test_what_is_known_is_run_without_jax(tmp_path):
     for note in Path(tmp_path, "native").glob("known-*.json"):
         note.write_text("{damaged")
     assert process(1.0)[0] == 5.0
-
-
-def test_the_default_filter_takes_a_step_of_any_length():
-    """A length given at run time, and the same length known beforehand: the same step."""
-    rng = np.random.default_rng(2)
-    usual, longer = prepare("default-filter"), prepare("default-filter", dt=0.1)
-    u = np.concatenate(
-        [np.ones(4), 0.1 * rng.standard_normal(3), [4.1], 0.2 * rng.standard_normal(5), [2.5, 0.65, 0.0, 1.5]]
-    )
-    y, valid = np.array([0.1, -0.05, 0.02, 4.2]), np.ones(4, bool)
-    carry, _ = usual.step(usual.init(), u, y, valid)
-    given = jax.jit(usual.step)(carry, u, y, valid, 0.1)
-    known = longer.step(carry, u, y, valid)
-    for a, b in zip(jax.tree.leaves(given), jax.tree.leaves(known), strict=True):
-        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-15)
-    shorter = jax.jit(usual.step)(carry, u, y, valid, 0.05)[1]
-    assert np.abs(np.asarray(shorter.x_cov) - np.asarray(known[1].x_cov)).max() > 1e-9

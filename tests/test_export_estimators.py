@@ -10,33 +10,32 @@ import pytest
 
 from exporting import STRICT, address, difference, estimator, exported, library, measurements, room, struct
 from rotorwatch.base import discovery
-from rotorwatch.base.compiling.c99 import operations
-from rotorwatch.base.compiling.c99.plan import Plan
-from rotorwatch.export.export_c import SINGLE, export_c, program_of
+from rotorwatch.export.export_c import export_c, program_of
+from rotorwatch.methods.compiling.c99 import operations
+from rotorwatch.methods.compiling.c99.plan import Plan
 
 EQUAL = 1e-12
-NAMES = [*discovery.estimators(), SINGLE]
-# Random steps a method is compared on; the default's bank and sliding windows carry much more along. With ROTORWATCH_FULL_LAW=1
+NAMES = [name for name in discovery.estimators() if name != "default"]  # of that see test_export_default.py
+# Random steps a method is compared on; sliding windows carry much more along. With ROTORWATCH_FULL_LAW=1
 # set: 100,000 steps of every method, and the sanitizers on every one of them, in some 20 minutes.
 FULL = os.environ.get("ROTORWATCH_FULL_LAW") == "1"
-ROWS = {"default": 300, "mhe": 300, "esmf": 300, "aesmf": 300, "ekf": 5_000}
+ROWS = {"mhe": 300, "esmf": 300, "aesmf": 300, "ekf": 5_000}
 USUAL_ROWS, MANY_ROWS = 1_000, 100_000
 CHUNK = {
-    "default": 500,
     "mhe": 1_000,
     "esmf": 5_000,
     "aesmf": 5_000,
 }  # rows of one flight, whose carries fit the memory
 # Single precision: largest difference of losses over a flight, in losses, and of the covariance, relative.
 FLOAT_LOSS, FLOAT_FLIGHT = 1e-4, 400
-FLOAT = ("ekf", "adaptive_ekf", "lyapunov", "ukf", "tsukf", "default-filter")
+FLOAT = ("ekf", "adaptive_ekf", "lyapunov", "ukf", "tsukf")
 SANITIZE = ("-O0", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
 
 
-# The default's code is compared with JAX in test_shipped as well; aesmf has all of the step of esmf.
-USUAL = ("aesmf", "atsukf", "intermediate", "mhe", "imm", SINGLE)
+# aesmf has all of the step of esmf.
+USUAL = ("aesmf", "atsukf", "intermediate", "mhe", "imm")
 
 
 @pytest.mark.parametrize(
@@ -45,7 +44,7 @@ USUAL = ("aesmf", "atsukf", "intermediate", "mhe", "imm", SINGLE)
 )
 def test_a_step_in_c_is_the_step_in_python(name, tmp_path):
     program = exported(name)
-    lib = library(program, tmp_path, "-O1" if FULL or name in FLOAT[:-1] else "-O0")
+    lib = library(program, tmp_path, "-O1" if FULL or name in FLOAT else "-O0")
     rows, found = MANY_ROWS if FULL else ROWS.get(name, USUAL_ROWS), (0.0, "")
     chunk = min(rows, CHUNK.get(name, 10_000))
     for seed in range(rows // chunk):

@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.engine.default import events, hypotheses
+from rotorwatch.engine.default import events
+from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.default.program import estimate
 from rotorwatch.engine.motion.ticks import GROUND, HOVER_LEARN_S, JUDGE, LEARN, READY_S, Ticks
 from rotorwatch.witnesses import hindsight
 
 DT = 0.1
 QUAD = airframes.named("ardupilot-quad-x").effectiveness()
-HYP = hypotheses.make(4)
+HYP = list_hypotheses(4)
 
 
 def flight(rotor=0, loss=0.0, onset=3.0, end=np.inf, seconds=30.0, knocked=None, seed=0):

@@ -5,9 +5,13 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import minimize
 from tests.loss_prior import KINDS, moments
+from tests.plain import array, made, room
 
-from rotorwatch.engine.default import hypotheses
-from rotorwatch.engine.default.hypotheses import LOSS_WIDTH
+from rotorwatch.engine.default.hypotheses import list_hypotheses
+from rotorwatch.engine.estimator import hypotheses
+from rotorwatch.engine.estimator.bank import FIRST_LOSS, Window
+from rotorwatch.engine.estimator.hypotheses import LOSS_WIDTH, Asked, Freed, Jump
+from rotorwatch.engine.estimator.plant import Plant
 
 WIDTH, AIR = np.array([0.1, 0.2, 0.3, 0.4]), 0.4
 FULL = 2.5  # hover thrusts
@@ -17,13 +21,6 @@ def effect(n):
     """(4, n) effectiveness of rotors on a circle that turn either way."""
     angle = 2.0 * np.pi * np.arange(n) / n
     return np.stack([np.sin(angle), np.cos(angle), (-1.0) ** np.arange(n), np.ones(n)])
-
-
-@pytest.fixture(scope="module", autouse=True)
-def float64():
-    from rotorwatch.base.backend import jax
-
-    jax()
 
 
 def information(n, seed=0, windows=3, strength=60.0):
@@ -39,19 +36,60 @@ def information(n, seed=0, windows=3, strength=60.0):
     return C, z
 
 
-def factors(n, C, z, lo=None, hi=None, gone=None, reach=0.0):
-    """(hypotheses, log BF, sizes); reach: 0 counts geometry as exact."""
-    return with_spread(n, C, z, lo, hi, gone, reach)[:3]
+def window(C, z):
+    """What the ticks since an onset say, of rotors' losses and then the steps of the four axes."""
+    n = len(z) - 4
+    place = [*range(FIRST_LOSS, FIRST_LOSS + n), *range(4)]
+    wide, long = np.zeros((FIRST_LOSS + n,) * 2), np.zeros(FIRST_LOSS + n)
+    wide[np.ix_(place, place)], long[place] = C, z
+    return made(Window, C=wide, z=long)
 
 
-def with_spread(n, C, z, lo=None, hi=None, gone=None, reach=0.0):
-    """`factors`, and the variance of a single rotor's loss."""
-    hyp = hypotheses.make(n)
+def asked(n, lo=None, hi=None, reach=0.0, drag=0.0, air=AIR**2, width=WIDTH):
+    """reach: 0 counts geometry as exact."""
     lo, hi = np.zeros(n) if lo is None else lo, np.ones(n) if hi is None else hi
-    gone = np.zeros((len(z), n)) if gone is None else gone
-    slop = hypotheses.slop(C, z, lo, hi, np.full(n, reach), np.zeros(n))
-    found = hypotheses.log_bayes_factors(hyp, C, z, lo, hi, WIDTH, gone, slop, AIR**2, effect(n), FULL)
-    return hyp, *(np.asarray(a) for a in found)
+    reach, drag = (np.broadcast_to(v, n) for v in (reach, drag))
+    return made(Asked, lo=lo, hi=hi, reach=reach, drag=drag, air=air, full=FULL, width=width)
+
+
+def freed(n, C, z, **known):
+    """Each rotor's jump of one window, with the axes' freedom."""
+    found = Freed()
+    found.free(made(Plant, rotors=n, effect=effect(n)), window(C, z), asked(n, **known))
+    return found
+
+
+def factors(n, C, z, gone=None, **known):
+    """(hypotheses, log BF, sizes) of all windows."""
+    return with_spread(n, C, z, gone, **known)[:3]
+
+
+def with_spread(n, C, z, gone=None, **known):
+    """`factors`, the variance (W, n) of a single rotor's loss, and of one that gives one thrust that thrust and its variance (2, W, n)."""
+    hyp, p, ask = list_hypotheses(n), made(Plant, rotors=n, effect=effect(n)), asked(n, **known)
+    rows = []
+    for w in range(len(z)):
+        one, free, jumps = window(C[w], z[w]), freed(n, C[w], z[w], **known), []
+        for kind, who in zip(hyp.kinds, hyp.rotors):
+            jump = Jump()
+            if kind == "single":
+                free.loss(ask, *who, jump)
+            elif kind == "pair":
+                hypotheses.pair(one, ask, *who, jump)
+            elif kind == "recovery":
+                free.recovery(*who, float(np.zeros(n)[who[0]] if gone is None else gone[w][who[0]]), jump)
+            elif kind == "stuck":
+                hypotheses.one_thrust(p, one, ask, *who, jump)
+            jumps += [jump] * (kind != "disturbance")
+        steps = room(len(hyp.blocks))
+        hypotheses.disturbances(one, ask.width, 1.0, steps)
+        stuck = [jumps[h] for h, kind in enumerate(hyp.kinds) if kind == "stuck"]
+        rows.append((
+            [*(jump.factor for jump in jumps), *steps], [(jump.size, jump.other_size) for jump in jumps],
+            [jump.variance for jump in jumps[:n]], [(jump.gives, jump.variance) for jump in stuck],
+        ))  # fmt: skip
+    logbf, nu, spread, gives = (np.array(column) for column in zip(*rows))
+    return hyp, logbf, nu, spread, gives.transpose(2, 0, 1)
 
 
 def quad_evidence(wrong=(1.0, 1.0, 1.0, 1.0), loss=0.4, sd=0.02):
@@ -103,38 +141,40 @@ def test_slop_is_a_share_of_what_the_likeliest_rotor_lacks(seed):
     C, z = information(n, seed)
     reach = np.random.default_rng(seed).uniform(0.3, 2.0, n)
     drag = np.random.default_rng(seed + 9).uniform(-2.0, 2.0, n)
-    found = np.asarray(hypotheses.slop(C, z, np.zeros(n), np.ones(n), reach, drag))
     for w in range(len(C)):
         precision = np.diag(C[w])[:n] + LOSS_WIDTH**-2
         nu = np.clip(z[w, :n] / precision, 0.0, 1.0)
         i = np.argmax(z[w, :n] * nu - 0.5 * precision * nu**2)
         wanted = (np.array(hypotheses.SLOP) * nu[i] * reach[i]) ** 2 + 1e-12
         wanted[2] += (nu[i] * drag[i]) ** 2
-        np.testing.assert_allclose(found[w], wanted, rtol=1e-9)
+        np.testing.assert_allclose(freed(n, C[w], z[w], reach=reach, drag=drag).slop, wanted, rtol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_slop_is_steps_of_the_axes_integrated_out(seed):
-    """Against the same Gaussian integral done at once, by dense linear algebra: information, vector, and what the freedom gains."""
+    """Against the same Gaussian integral done at once, by dense linear algebra: information, vector, and what the freedom gains; with more
+    of it in thrust where air moves."""
     n = 6
     C, z = information(n, seed)
-    prior = np.random.default_rng(seed).uniform(1e-4, 0.1, (len(C), 4))
-    own, told, gain = (np.asarray(a) for a in hypotheses.with_slop(C, z, prior))
     for w in range(len(C)):
-        for i in range(n):
-            inner = np.linalg.inv(C[w][n:, n:] + np.diag(1.0 / prior[w]))
-            assert own[w, i] == pytest.approx(C[w, i, i] - C[w, i, n:] @ inner @ C[w, n:, i], rel=1e-9)
-            assert told[w, i] == pytest.approx(z[w, i] - C[w, i, n:] @ inner @ z[w, n:], rel=1e-8, abs=1e-8)
-            for nu in (0.0, 0.3):
-                expected = with_steps(C[w], z[w], i, prior[w], nu)
-                assert gain[w] + told[w, i] * nu - 0.5 * own[w, i] * nu**2 == pytest.approx(expected, rel=1e-9)
+        found = freed(n, C[w], z[w], reach=1.0, drag=0.3)
+        for moving, more in enumerate((0.0, AIR**2)):
+            prior = np.array(found.slop) + np.array([0.0, 0.0, 0.0, more])
+            inner = np.linalg.inv(C[w][n:, n:] + np.diag(1.0 / prior))
+            own, told = array(found.own, 2, n)[moving], array(found.score, 2, n)[moving]
+            for i in range(n):
+                assert own[i] == pytest.approx(C[w, i, i] - C[w, i, n:] @ inner @ C[w, n:, i], rel=1e-8)
+                assert told[i] == pytest.approx(z[w, i] - C[w, i, n:] @ inner @ z[w, n:], rel=1e-8, abs=1e-8)
+                for nu in (0.0, 0.3):
+                    expected = with_steps(C[w], z[w], i, prior, nu)
+                    assert found.gain[moving] + told[i] * nu - 0.5 * own[i] * nu**2 == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("loss, sd", [(0.15, 0.02), (0.4, 0.05)])
 def test_a_single_rotor_with_slop_is_weighed_as_the_integral_over_loss_and_axes(loss, sd):
     C, z = quad_evidence(wrong=(1.05, 0.95, 0.8, 1.1), loss=loss, sd=sd)
     _, logbf, _ = factors(4, C, z, reach=1.0)
-    steady = np.asarray(hypotheses.slop(C, z, np.zeros(4), np.ones(4), np.ones(4), np.zeros(4)))[0]
+    steady = np.array(freed(4, C[0], z[0], reach=1.0).slop)
     moved = steady + np.array([0.0, 0.0, 0.0, AIR**2])
     often = hypotheses.AIR_SHARE
     parts = [
@@ -155,7 +195,7 @@ def test_a_recovery_is_weighed_as_the_integral_around_the_known_loss(ended, back
     gone = np.zeros((1, n))
     gone[0, 0] = -ended
     hyp, logbf, nu = factors(n, C, z, lo=np.array([-1.0, 0, 0, 0]), gone=gone, reach=reach)
-    prior = np.asarray(hypotheses.slop(C, z, np.array([-1.0, 0, 0, 0]), np.ones(n), np.full(n, reach), np.zeros(n)))[0]
+    prior = np.array(freed(n, C[0], z[0], lo=np.array([-1.0, 0, 0, 0]), reach=reach).slop)
     h = hyp.names.index("rotor 1 is well again")
     expected = evidence(lambda v: with_steps(C[0], z[0], 0, prior, v), -ended, sd)
     assert logbf[0, h] == pytest.approx(expected, abs=1e-4)
@@ -189,7 +229,7 @@ def test_a_rotor_that_is_well_again_gives_more_not_less():
 
 @pytest.mark.parametrize("n", [4, 6, 8])
 def test_every_explanation_is_listed_once(n):
-    hyp = hypotheses.make(n)
+    hyp = list_hypotheses(n)
     assert len(set(hyp.names)) == len(hyp.names) == len(hyp.kinds) == len(hyp.rotors) == len(hyp.weight)
     assert len(hyp.pairs) == n * (n - 1) // 2
     again = [who for who, kind in zip(hyp.rotors, hyp.kinds) if kind == "recovery"]
@@ -236,7 +276,7 @@ def test_pairs_are_the_best_point_of_their_box(n, seed):
     rng = np.random.default_rng(seed + 100)
     z[:, :n] += 200.0 * rng.standard_normal((len(z), n))
     lo, hi = -0.1 * (rng.random(n) < 0.3), rng.uniform(0.1, 1.0, n)
-    hyp, logbf, nu = factors(n, C, z, lo, hi)
+    hyp, logbf, nu = factors(n, C, z, lo=lo, hi=hi)
     on_an_edge = inside = 0
     for w in range(len(C)):
         for k, (a, b) in enumerate(hyp.pairs):
@@ -271,8 +311,8 @@ def test_disturbances_are_gaussian_integrals():
     hyp, logbf, _ = factors(n, C, z)
     first = len(hyp.names) - len(hyp.blocks)
     for k, block in enumerate(hyp.blocks):
-        idx = np.array(block)
-        prior = np.diag(WIDTH[idx - n] ** 2)
+        idx = n + np.array(block)
+        prior = np.diag(WIDTH[list(block)] ** 2)
         for w in range(len(C)):
             c, zz = C[w][np.ix_(idx, idx)], z[w, idx]
             expected = 0.5 * zz @ np.linalg.solve(c + np.linalg.inv(prior), zz)
@@ -284,16 +324,13 @@ def test_a_manoeuvre_in_calm_air_is_no_loss():
     """A pitch step ten times as large as calm air knows, with a little of everything else: rotor 1 fits better than anything usual,
     and worse than a disturbance far larger."""
     C, z = quad_evidence(wrong=(0.25, 1.0, 0.2, 0.5), loss=0.3, sd=0.02)
-    calm, hyp = np.full(4, 0.03), hypotheses.make(4)
-    slop = hypotheses.slop(C, z, np.zeros(4), np.ones(4), np.ones(4), np.zeros(4))
-    logbf, *_ = hypotheses.log_bayes_factors(
-        hyp, C, z, np.zeros(4), np.ones(4), calm, np.zeros((1, 4)), slop, 0.0, effect(4), FULL
-    )
-    told = dict(zip(hyp.names, np.asarray(logbf)[0]))
-    far = np.asarray(hypotheses.disturbances(hyp, C, z, hypotheses.FAR * calm))[0]
+    calm, far = np.full(4, 0.03), room(hypotheses.DISTURBANCE_COUNT)
+    hyp, logbf, _ = factors(4, C, z, reach=1.0, air=1e-12, width=calm)
+    told = dict(zip(hyp.names, logbf[0]))
+    hypotheses.disturbances(window(C[0], z[0]), calm.tolist(), hypotheses.FAR, far)
     usual = max(v for name, v in told.items() if "rotor" not in name)
     assert told["rotor 1"] > usual + np.log(10.0)
-    assert far.max() > told["rotor 1"] + np.log(10.0)
+    assert max(far) > told["rotor 1"] + np.log(10.0)
 
 
 def test_no_data_says_nothing():
@@ -332,7 +369,7 @@ def test_a_rotor_that_gives_one_thrust_is_the_integral_over_that_thrust(rotor):
         z[w] = C[w] @ nu
     top = 0.5 * z @ nu
     hyp, logbf, _, _, (gives, variance) = with_spread(n, C, z)
-    told = logbf[:, hyp.stuck]
+    told = logbf[:, np.array(hyp.kinds) == "stuck"]
     assert (told.argmax(axis=1) == rotor).all()
     mean, sd = 0.5 * (1.0 + FULL), 0.5 * (FULL - 1.0)
     for w in range(len(C)):
@@ -357,4 +394,4 @@ def test_a_rotor_that_gives_hardly_more_than_in_hover_is_told_by_its_loss():
     C, _ = information(4)
     z = np.stack([c @ np.concatenate([np.eye(4)[1], -1.2 * effect(4)[:, 1]]) for c in C])
     hyp, logbf, *_ = with_spread(4, C, z)
-    assert (logbf[:, hyp.stuck][:, 1] < logbf[:, 1]).all()
+    assert (logbf[:, np.array(hyp.kinds) == "stuck"][:, 1] < logbf[:, 1]).all()

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from conftest import trials
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.base.compiling.run import run
 from rotorwatch.errors import ConfigError
+from rotorwatch.methods.compiling.run import run
 from rotorwatch.methods.estimators import intermediate
 from rotorwatch.methods.estimators.intermediate import Intermediate
 from rotorwatch.methods.maths import intermediate_design as design

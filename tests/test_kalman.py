@@ -2,124 +2,127 @@
 
 import numpy as np
 import pytest
+from tests.plain import array, copied, made, plant
 
 from rotorwatch import airframes
-from rotorwatch.engine.default import kalman, noise, plant, posterior
-from rotorwatch.engine.default.plant import B1, B2, B3, PER_AXIS, WrenchBalance
-from rotorwatch.engine.default.posterior import NEVER, PLACES
+from rotorwatch.engine.estimator import kalman
+from rotorwatch.engine.estimator.kalman import Branch, Measured
+from rotorwatch.engine.estimator.noise import Noise
+from rotorwatch.engine.estimator.plant import AIR, B1, B2, B3, BUILT_SD, PER_AXIS, SIDEWAYS, THETA, Rows
 
-N, N_X, DT = 4, 22, 0.05
-SYSTEM = WrenchBalance(airframes.named("ardupilot-quad-x").effectiveness())
+N, DT = 4, 0.05
+SIZE = THETA + N
+P = plant(airframes.named("ardupilot-quad-x").effectiveness(), DT)
 QUIET = np.tile(np.array([[0.01**2], [0.02**2], [0.03**2], [0.01**2]]), (1, 4))
 RNG = np.random.default_rng(8)
+STATES = np.arange(SIZE)
+OWN = ((STATES // PER_AXIS == np.arange(4)[:, None]) & (STATES < SIDEWAYS)) | (STATES >= SIDEWAYS)  # of an axis' row
 
 
-@pytest.fixture(scope="module", autouse=True)
-def float64():
-    from rotorwatch.base.backend import jax
-
-    jax()
+def covariance(seed=0, scale=1.0):
+    A = np.random.default_rng(seed).standard_normal((SIZE, SIZE + 4))
+    return 0.01 * scale * A @ A.T
 
 
-def covariance(size, seed=0):
-    A = np.random.default_rng(seed).standard_normal((size, size + 4))
-    return 0.01 * A @ A.T
+def branch(**more):
+    """An explanation of which no two numbers are the same."""
+    usual = dict(
+        s=RNG.uniform(0.1, 0.5, SIZE), P=covariance(), active=np.ones(N, bool), alike=np.ones(N, bool), learning=np.full(N, 3.0),
+        mean=np.full(N, 0.2), variance=np.full(N, 1e-4),
+    )  # fmt: skip
+    return made(Branch, **(usual | more))
 
 
-def branches(**more):
-    """Explanations of which no two are the same."""
-    P = np.stack([covariance(N_X + N, k) for k in range(PLACES)])
-    one = posterior.init(np.zeros(N_X + N), P[0], N)
-    return one._replace(
-        s=RNG.uniform(0.1, 0.5, (PLACES, N_X + N)), P=P, active=np.ones((PLACES, N), bool), weight=np.array([0.0, -1.0, -2.0, NEVER]),
-        learning=np.full((PLACES, N), 3.0), theta_mean=np.full((PLACES, N), 0.2), theta_var=np.full((PLACES, N), 1e-4),
-    )._replace(**more)  # fmt: skip
+def updated(one, rows, y, counts, R, share=1.0):
+    """(state, covariance) after one tick's wrench, where no state has bounds."""
+    after = copied(one)
+    after.s[AIR] += 100.0  # far from its bound
+    y = np.asarray(y) + 100.0 * rows[:, AIR]
+    m = made(Measured, y=y, R=np.broadcast_to(R, 4), counts=np.asarray(counts), least=-1e9, most=1e9)
+    after.update(P, made(Rows, h=rows), m, np.broadcast_to(np.asarray(share, float), SIZE).tolist())
+    after.s[AIR] -= 100.0
+    return array(after.s, SIZE), array(after.P, SIZE, SIZE), after
 
 
 def test_an_update_is_kalmans_of_all_axes_at_once():
     """One axis after the other is the joint update; what is not measured counts for nothing, whatever stands there."""
-    s, P, rows = RNG.standard_normal(N_X + N), covariance(N_X + N), RNG.standard_normal((4, N_X + N))
-    R, y = RNG.uniform(0.1, 1.0, 4), rows @ s + 0.3 * RNG.standard_normal(4)
+    one, rows, R = branch(), RNG.standard_normal((4, SIZE)) * OWN, RNG.uniform(0.1, 1.0, 4)
+    s, cov = array(one.s, SIZE), array(one.P, SIZE, SIZE)
+    y = rows @ s + 0.3 * RNG.standard_normal(4)
     for measured in ([0, 1, 2, 3], [1, 3], []):
         valid = np.isin(np.arange(4), measured)
-        new, cov, gains, innovation, variance = map(
-            np.asarray, kalman.update(s, P, rows, np.where(valid, y, 1e6), valid, R, np.ones(N_X + N))
-        )
+        new, after, out = updated(one, rows, np.where(valid, y, 1e6), valid, R)
         H = rows[measured]
-        K = P @ H.T @ np.linalg.inv(H @ P @ H.T + np.diag(R[measured]))
-        assert new == pytest.approx(s + K @ (y[measured] - H @ s)) and cov == pytest.approx(P - K @ H @ P)
-        assert not innovation[~valid].any() and not gains[~valid].any() and (cov == cov.T).all()
-    first = rows[0] @ P @ rows[0] + R[0]
-    _, _, gains, innovation, variance = map(
-        np.asarray, kalman.update(s, P, rows, y, np.ones(4, bool), R, np.ones(N_X + N))
+        K = cov @ H.T @ np.linalg.inv(H @ cov @ H.T + np.diag(R[measured]))
+        assert new == pytest.approx(s + K @ (y[measured] - H @ s)) and after == pytest.approx(cov - K @ H @ cov)
+        assert not np.array(out.innovation)[~valid].any() and not np.array(out.gain)[~valid].any()
+        assert after == pytest.approx(after.T, abs=1e-13)
+    _, _, out = updated(one, rows, y, [True] * 4, R)
+    assert out.S[0] == pytest.approx(rows[0] @ cov @ rows[0] + R[0]) and out.innovation[0] == pytest.approx(
+        y[0] - rows[0] @ s
     )
-    assert variance[0] == pytest.approx(first) and innovation[0] == pytest.approx(y[0] - rows[0] @ s)
-    assert gains[0] == pytest.approx(P @ rows[0] / first)
+    assert array(out.gain[0], SIZE) == pytest.approx(cov @ rows[0] / out.S[0])
 
 
 def test_a_smaller_gain_has_the_covariance_of_that_gain():
     """Joseph's form, with the share of the gain that each state may learn."""
-    s, P, h = RNG.standard_normal(N_X + N), covariance(N_X + N), RNG.standard_normal(N_X + N)
-    rows, teach = np.stack([h, *np.zeros((3, N_X + N))]), RNG.uniform(0.0, 1.0, N_X + N)
-    only = np.array([True, False, False, False])
-    new, cov, _, _, _ = map(
-        np.asarray, kalman.update(s, P, rows, np.full(4, h @ s + 0.1), only, np.full(4, 0.5), teach)
-    )
-    K = teach * (P @ h) / (h @ P @ h + 0.5)
-    left = np.eye(N_X + N) - np.outer(K, h)
-    assert new == pytest.approx(s + 0.1 * K) and cov == pytest.approx(left @ P @ left.T + 0.5 * np.outer(K, K))
+    one, rows, share = branch(), RNG.standard_normal((4, SIZE)) * OWN, RNG.uniform(0.0, 1.0, SIZE)
+    s, cov, h, only = array(one.s, SIZE), array(one.P, SIZE, SIZE), rows[0], [True, False, False, False]
+    new, after, _ = updated(one, rows, np.full(4, h @ s + 0.1), only, 0.5, share)
+    K = share * (cov @ h) / (h @ cov @ h + 0.5)
+    left = np.eye(SIZE) - np.outer(K, h)
+    assert new == pytest.approx(s + 0.1 * K) and after == pytest.approx(left @ cov @ left.T + 0.5 * np.outer(K, K))
 
 
 def test_an_innovation_counts_as_six_standard_deviations_at_most():
     """A larger one widens its own variance: the further off, the less it moves the state."""
-    s, P, h = np.zeros(N_X + N), covariance(N_X + N), RNG.standard_normal(N_X + N)
-    rows, only = np.stack([h, *np.zeros((3, N_X + N))]), np.array([True, False, False, False])
-    S = h @ P @ h + 0.2
+    one, rows, only = branch(s=np.zeros(SIZE)), RNG.standard_normal((4, SIZE)) * OWN, [True, False, False, False]
+    h, cov = rows[0], covariance()
+    S = h @ cov @ h + 0.2
     for times, variance in ((5.9, S), (6.1, S * (6.1 / 6.0) ** 2), (60.0, S * 100.0)):
         y = times * np.sqrt(S)
-        new, _, _, _, found = map(
-            np.asarray, kalman.update(s, P, rows, np.full(4, y), only, np.full(4, 0.2), np.ones(N_X + N))
-        )
-        assert found[0] == pytest.approx(variance) and new == pytest.approx(P @ h * y / variance)
+        new, _, out = updated(one, rows, np.full(4, y), only, 0.2)
+        assert out.S[0] == pytest.approx(variance) and new == pytest.approx(cov @ h * y / variance)
 
 
-def predict(b, flying=True, burst_factor=1.0):
-    return kalman.predict(b, SYSTEM.decay(DT), QUIET, burst_factor, flying, DT)
+def predicted(one, flying=True, unsure=1.0):
+    after = copied(one)
+    after.predict(P, made(Noise, v=QUIET), unsure, flying)
+    return after
 
 
 def test_disturbances_fade_and_walk_while_a_loss_is_refined_it_walks_too():
-    b = branches(learning=np.tile([3.0, 0.0, 3.0, 0.0], (PLACES, 1)))
-    after, A = predict(b), np.append(SYSTEM.decay(DT), np.ones(N))
-    walks = np.append(
-        np.append(noise.process_variance(QUIET, DT), [0.0, 0.0]),
-        kalman.THETA_WALK * DT * np.array([1.0, 0.0, 1.0, 0.0]),
-    )
-    for k in range(PLACES):
-        assert np.asarray(after.s)[k] == pytest.approx(A * b.s[k])
-        assert np.asarray(after.P)[k] == pytest.approx(A[:, None] * b.P[k] * A + np.diag(walks))
-    assert np.asarray(after.learning)[0] == pytest.approx([3.0 - DT, 0.0, 3.0 - DT, 0.0])
-    theta = b.s[:, N_X:]
-    assert np.asarray(after.theta_mean) == pytest.approx(0.2 + (theta - 0.2) * DT / kalman.MOVING_S)
-    ground = np.asarray(predict(b, flying=False).P)
-    assert ground[0, :N_X, :N_X] == pytest.approx((A[:, None] * b.P[0] * A)[:N_X, :N_X])
+    one = branch(learning=np.array([3.0, 0.0, 3.0, 0.0]))
+    after, A = predicted(one), array(P.decay, SIZE)
+    left, walks = np.exp(-DT / np.array([0.25, 1.0])), np.zeros(SIZE)
+    for a in range(4):
+        walks[a * PER_AXIS : a * PER_AXIS + 3] = QUIET[1:, a] * [*(1.0 - left**2), DT]
+    still = A[:, None] * array(one.P, SIZE, SIZE) * A
+    assert array(after.s, SIZE) == pytest.approx(A * array(one.s, SIZE))
+    refined = np.where(np.isin(STATES, (THETA, THETA + 2)), kalman.THETA_WALK * DT, 0.0)
+    assert array(after.P, SIZE, SIZE) == pytest.approx(still + np.diag(walks + refined))
+    assert after.learning[:N] == pytest.approx([3.0 - DT, 0.0, 3.0 - DT, 0.0])
+    theta = array(one.s, SIZE)[THETA:]
+    assert after.mean[:N] == pytest.approx(0.2 + (theta - 0.2) * DT / kalman.MOVING_S)
+    ground = array(predicted(one, flying=False).P, SIZE, SIZE)
+    assert ground[:THETA, :THETA] == pytest.approx(still[:THETA, :THETA])
+    assert {A[a * PER_AXIS + k] for a in range(4) for k in (B1, B2)} == set(left) and (A == 1.0).sum() == SIZE - 8
 
 
 def test_a_loss_that_has_been_refined_is_known_its_variance_remembered():
     """At the end of its time: no more cross terms, no walk, the variance as it was, times the doubt. Others go on."""
-    learning = np.tile([DT, 3.0, 0.0, DT], (PLACES, 1))
-    b = branches(learning=learning, P=1e-6 * branches().P)
-    b.s[:, N_X:] = [0.2, 0.2, 0.2, plant.BUILT_SD - 0.001]
-    b.theta_mean[:, 3] = plant.BUILT_SD - 0.001
-    after = predict(b, burst_factor=2.0)
-    P = np.asarray(after.P)
-    assert not P[:, N_X, :].any() and not P[:, :, N_X].any() and P[:, N_X + 1, N_X + 1].all() and P[:, N_X + 1, 0].all()
-    assert np.asarray(after.theta_var)[:, 0] == pytest.approx(2.0 * b.P[:, N_X, N_X]) and np.asarray(after.theta_var)[
-        :, 1
-    ] == pytest.approx(1e-4)
+    one = branch(learning=np.array([DT, 3.0, 0.0, DT]), P=covariance(scale=1e-6))
+    before = array(one.P, SIZE, SIZE)
+    losses = np.array([0.2, 0.2, 0.2, BUILT_SD - 0.001])
+    one.s[THETA:SIZE] = losses.tolist()
+    one.mean[3] = losses[3]
+    after = predicted(one, unsure=2.0)
+    cov = array(after.P, SIZE, SIZE)
+    assert not cov[THETA].any() and not cov[:, THETA].any() and cov[THETA + 1, THETA + 1] and cov[THETA + 1, 0]
+    assert after.variance[0] == pytest.approx(2.0 * before[THETA, THETA]) and after.variance[1] == pytest.approx(1e-4)
     # One that turned out to be no more than how rotors differ is over, and stays known as that.
-    assert np.asarray(after.active).tolist() == [[True, True, True, False]] * PLACES
-    assert np.asarray(after.s)[:, N_X:] == pytest.approx(np.tile([0.2, 0.2, 0.2, plant.BUILT_SD - 0.001], (PLACES, 1)))
-    assert not np.asarray(after.theta_var)[:, 3].any() and not np.asarray(after.learning)[:, [0, 3]].any()
+    assert after.active[:N] == [True, True, True, False] and after.s[THETA:SIZE] == pytest.approx(losses)
+    assert after.variance[3] == 0.0 and after.learning[0] == after.learning[3] == 0.0
 
 
 @pytest.mark.parametrize(
@@ -127,29 +130,45 @@ def test_a_loss_that_has_been_refined_is_known_its_variance_remembered():
 )
 def test_a_loss_that_still_moves_is_refined_further(away, sd, moving):
     """It has left its mean of two seconds by its own uncertainty."""
-    b = branches(learning=np.full((PLACES, N), DT), P=np.tile(sd**2 * np.eye(N_X + N), (PLACES, 1, 1)))
-    b.s[:, N_X:] = 0.2 + away / (1.0 - DT / kalman.MOVING_S)
-    after = predict(b)
-    assert np.asarray(after.learning) == pytest.approx(np.full((PLACES, N), kalman.MOVING_S if moving else 0.0))
-    assert (np.asarray(after.P)[0, N_X, N_X] > 0.0) == moving and np.asarray(after.active).all()
+    one = branch(learning=np.full(N, DT), P=sd**2 * np.eye(SIZE))
+    one.s[THETA:SIZE] = [0.2 + away / (1.0 - DT / kalman.MOVING_S)] * N
+    after = predicted(one)
+    assert after.learning[:N] == pytest.approx([kalman.MOVING_S if moving else 0.0] * N)
+    assert (after.P[THETA][THETA] > 0.0) == moving and all(after.active[:N])
 
 
-@pytest.mark.parametrize("begins, hop", [(False, False), (True, False), (True, True)])
-def test_what_a_new_hop_and_a_contact_leave(begins, hop):
-    """Biases open again; gains stay; losses stay unless it is a new hop; the leader is alone."""
-    b = branches()
-    after = kalman.restart(b, SYSTEM.P0, begins, hop)
-    bias = np.zeros(N_X + N, bool)
-    bias[[a * PER_AXIS + k for a in range(4) for k in (B1, B2, B3)]] = True
-    loss = np.arange(N_X + N) >= N_X
+@pytest.mark.parametrize("contact, hop", [(False, False), (True, False), (True, True)])
+def test_what_a_new_hop_and_a_contact_leave(contact, hop):
+    """Biases open again; gains stay; losses stay unless it is a new hop."""
+    one = branch()
+    after = copied(one)
+    if hop:
+        after.hop(P)
+    if contact:
+        after.open(P)
+    bias = np.isin(STATES, [a * PER_AXIS + k for a in range(4) for k in (B1, B2, B3)])
+    loss = STATES >= THETA
     gone = (bias | loss) & hop
-    assert np.asarray(after.s) == pytest.approx(np.where(gone, 0.0, b.s))
-    kept = np.where(gone[:, None] | gone, 0.0, b.P)
-    opened = np.zeros((N_X + N, N_X + N))
-    opened[np.ix_(bias, bias)] = SYSTEM.P0[np.ix_(bias[:N_X], bias[:N_X])]
-    built = np.diag(loss * plant.BUILT_SD**2) if hop else 0.0  # all rotors were weak
-    assert np.asarray(after.P) == pytest.approx(kept + begins * opened + built)
-    assert np.asarray(after.active).all() == (not hop) and np.asarray(after.learning).any() == np.asarray(
-        after.theta_var
-    ).any() == (not hop)
-    assert np.asarray(after.weight).tolist() == ([0.0, NEVER, NEVER, NEVER] if begins else [0.0, -1.0, -2.0, NEVER])
+    assert array(after.s, SIZE) == pytest.approx(np.where(gone, 0.0, array(one.s, SIZE)))
+    opened = np.zeros((SIZE, SIZE))
+    opened[np.ix_(bias, bias)] = array(P.variance)[np.ix_(bias[:THETA], bias[:THETA])]
+    built = np.diag(loss * BUILT_SD**2) if hop else 0.0  # all rotors were weak
+    kept = np.where(gone[:, None] | gone, 0.0, array(one.P, SIZE, SIZE))
+    assert array(after.P, SIZE, SIZE) == pytest.approx(kept + contact * opened + built)
+    for field in (after.active, after.alike, after.learning, after.variance):
+        assert any(field[:N]) == (not hop)
+
+
+def test_states_with_bounds_are_not_learned_beyond_them():
+    """Air takes no less than nothing, a thrust curve lies between straight and square; the rest learns as it would."""
+    rows = RNG.standard_normal((4, SIZE)) * OWN
+    rows[0, AIR], only = 5.0, [True, False, False, False]
+    one = branch(P=0.1 * np.eye(SIZE))
+    one.s[AIR] = 0.01
+    free = rows[0] @ array(one.s, SIZE)
+    for away, least in ((-3.0, 0.0), (3.0, 0.01)):
+        after = copied(one)
+        m = made(Measured, y=np.full(4, free + away), R=np.ones(4), counts=np.array(only), least=-1e9, most=1e9)
+        after.update(P, made(Rows, h=rows), m, [1.0] * SIZE)
+        assert (after.s[AIR] == pytest.approx(0.0, abs=1e-12)) == (away < 0.0) and after.s[AIR] >= least - 1e-12
+        assert np.linalg.eigvalsh(array(after.P, SIZE, SIZE)).min() > 0.0

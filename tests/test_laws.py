@@ -12,12 +12,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rotorwatch.engine.estimator.definition import ENGINE
 
 from rotorwatch import airframes
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.core import Estimate
-from rotorwatch.engine.default.plant import WrenchBalance
+from rotorwatch.engine.default import plant, program
+from rotorwatch.engine.default.estimator import Default
+from rotorwatch.engine.estimator.plant import PER_AXIS, TAU, THETA
 from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LEARN
 from rotorwatch.methods.estimators.adaptive_ekf import AdaptiveEKF
 from rotorwatch.methods.estimators.ekf import EKF
@@ -50,7 +53,12 @@ def rates_hexa():
 
 def wrench_quad():
     """The plant of the default method."""
-    return WrenchBalance(airframes.named("ardupilot-quad-x").effectiveness())
+    B = airframes.named("ardupilot-quad-x").effectiveness()
+    names = [f"{axis}.{what}" for axis in plant.AXES for what in ("b1", "b2", "b3", "gain", "damping")]
+    names[-1] = "side force"
+    return SimpleNamespace(
+        B=B, n_x=THETA, n_theta=4, n_y=4, n_u=19, x_names=(*names, "thrust curve", "air", "lower rotors' share")
+    )
 
 
 def gaps():
@@ -124,7 +132,7 @@ def balanced(seed=0, motion=1.0, loss=LOSS, mode=None):
     when = np.arange(TICKS)
     if mode is None:
         mode = np.where(when < TAKE_OFF, GROUND, np.where(when < READY, LEARN, JUDGE))
-    u = np.column_stack([system.pack(table), np.broadcast_to(mode, TICKS), when == TAKE_OFF]).astype(float)
+    u = np.column_stack([plant.packed(table, n), np.broadcast_to(mode, TICKS), when == TAKE_OFF]).astype(float)
     return u, thrust @ B.T, gaps()
 
 
@@ -168,17 +176,15 @@ class Case:
 
     @functools.cached_property
     def together(self):
-        """Stacked estimates of the `flights` side by side, compiled at once; with the length of each step where a step takes one."""
+        """Stacked estimates of the `flights` side by side, compiled at once; with the length of each step."""
         columns = [np.stack(column) for column in zip(*self.flights, strict=True)]
         return jax.tree.map(np.asarray, jax.jit(jax.vmap(self.run))(*columns))
 
     @functools.cached_property
     def flights(self):
-        """(u, y, valid), and dt but on the default's own plant: the usual flight, another, and two without a gap but for the tick
-        LONG, which is short in one and long in the other."""
+        """(u, y, valid) and dt: the usual flight, another, and two without a gap but for the tick LONG, which is short in one and long in
+        the other."""
         found = [self.flight(), self.flight(2, 0.0)]
-        if self.own_plant:
-            return found
         u, y, valid = self.flight()
         valid = np.ones_like(valid)
         valid[LONG] = False
@@ -187,18 +193,33 @@ class Case:
         return [(*table, dt) for table, dt in zip([*found, (u, y, valid), (u, y, valid)], lengths, strict=True)]
 
 
+class DefaultCase(Case):
+    """The default estimator, which is a definition: it is stepped, not traced."""
+
+    def __init__(self):
+        self.kind, self.make, self.dt, self.own_plant, self.system = Default, wrench_quad, 0.05, True, wrench_quad()
+        self.estimator = Default(self.system.B, self.dt)
+
+    def over(self, u, y, valid):
+        carry, rows = self.estimator.init(), []
+        for row in zip(u, y, valid, strict=True):
+            carry, out = self.estimator.step(carry, *row)
+            rows.append(out)
+        return Estimate(*(np.stack(column) for column in zip(*rows, strict=True)))
+
+
 def published():
     return {name: kind for name, kind in discovery.estimators().items() if name != "default"}
 
 
 # Methods whose laws are always tried on a hexacopter as well: as different from each other as they are.
 HEXA_TOO = ("ekf", "mh_lyapunov", "tsukf")
-CASES = [("default", wrench_quad)] + [(name, make) for name in published() for make in (rates_quad, rates_hexa)]
+CASES = [(name, make) for name in published() for make in (rates_quad, rates_hexa)]
 
 
 @functools.cache
 def case_of(name, make):
-    return Case(discovery.estimator(name), make, 0.05 if make is wrench_quad else DT)
+    return DefaultCase() if name == "default" else Case(discovery.estimator(name), make)
 
 
 def assert_same(one, other, **tolerance):
@@ -402,11 +423,10 @@ LAWS = [
     innovations_are_as_large_as_their_covariance_says,
     a_loss_is_found,
 ]
-# Compiled once more each. Left to ROTORWATCH_FULL_LAW=1: esmf, all of whose step aesmf has, and the default, which
-# test_campaign_flights compares side by side and one by one, and which nobody runs uncompiled: that is 900 programs of one operation.
+# Compiled once more each. Left to ROTORWATCH_FULL_LAW=1: esmf, all of whose step aesmf has.
 SLOW_LAWS = [many_flights_at_once_are_the_same_as_one_by_one, compiled_is_the_same_as_not]
 FULL = os.environ.get("ROTORWATCH_FULL_LAW") == "1"
-SLOW_CASES = [c for c in CASES if c[1] is not rates_hexa and (FULL or c[0] not in ("default", "esmf"))]
+SLOW_CASES = [c for c in CASES if c[1] is not rates_hexa and (FULL or c[0] != "esmf")]
 
 
 EACH = [
@@ -419,6 +439,14 @@ EACH = [
 @pytest.mark.parametrize(("name", "make"), EACH, ids=lambda v: v if isinstance(v, str) else v.__name__)
 def test_law(name, make, law):
     law(case_of(name, make))
+
+
+@pytest.mark.parametrize(
+    "law", [law for law in LAWS if law is not a_step_is_made_of_what_can_run_anywhere], ids=lambda law: law.__name__
+)
+def test_law_of_the_default(law):
+    """What can run anywhere is what the translator takes (test_definitions.py); other pieces give the same bits (test_engine.py)."""
+    law(case_of("default", wrench_quad))
 
 
 # Methods as different from each other as they are; the others with --thorough.
@@ -647,7 +675,6 @@ def test_on_linear_plants_the_innovations_are_what_they_are_said_to_be(name):
     [
         pytest.param(name, marks=[] if discovery.estimator(name).not_kalman else pytest.mark.thorough)
         for name, _ in SLOW_CASES
-        if name != "default"
     ],
 )
 def test_the_length_of_a_step_counts(name):
@@ -782,16 +809,16 @@ def test_planted_errors_of_the_filter_are_caught(law, change):
 # The default method on its own plant.
 
 
-def balance_kalman(system, x, P, u, y, valid, Q, R):
+def balance_kalman(known, h, y, valid, Q, R):
     """Textbook Kalman filter, dense and in NumPy: x- = A x, P- = A P A' + Q; K = P- C' S^-1 with S = C P- C' + R.
 
-    Q (T, n_x, n_x) and R (T, n_y) may change from step to step. Returns x (T, n_x) and P (T, n_x, n_x) after each.
+    h (T, n_y, n_x), Q (T, n_x) and R (T, n_y) may change from step to step. Returns x (T, n_x) and P (T, n_x, n_x) after each.
     """
-    A, given = np.diag(system.decay(0.05)), jax.jit(system.C)
+    x, P, A = known["mean"][0], known["variance"][0], np.diag(known["decay"][0, :THETA])
     history = []
     for k in range(len(y)):
-        x, P = A @ x, A @ P @ A.T + Q[k]
-        C, r = np.asarray(given(u[k]))[valid[k]], R[k][valid[k]]
+        x, P = A @ x, A @ P @ A.T + np.diag(Q[k])
+        C, r = h[k][valid[k]], R[k][valid[k]]
         S = C @ P @ C.T + np.diag(r)
         K = np.linalg.solve(S, C @ P).T
         x = x + K @ (y[k][valid[k]] - C @ x)
@@ -801,33 +828,26 @@ def balance_kalman(system, x, P, u, y, valid, Q, R):
     return (np.stack(column) for column in zip(*history, strict=True))
 
 
-def test_default_is_the_kalman_filter_while_nothing_is_suspected(monkeypatch):
+def test_default_is_the_kalman_filter_while_nothing_is_suspected():
     """Hovering without motion the plant is linear and Gaussian: the filter has to be Kalman's with the learned noise.
 
     In motion the default estimator is more careful than Kalman: it counts the error of its own gains as noise. So it is
     with outliers and with commands that jump; that caution is switched off here.
     """
-    from rotorwatch.engine.default import kalman, model_error, noise, plant
-
-    monkeypatch.setattr(kalman, "OUTLIER", 1e9)
-    monkeypatch.setattr(model_error, "LAG_ERROR_S", 0.0)
-    monkeypatch.setattr(plant, "BUILT_SD", 0.0)  # how rotors differ is in the dense filter of test_default_estimator.py
-    system = wrench_quad()
-    estimator = discovery.estimator("default")(system, 0.05)
-
-    def tick(carry, now):
-        carry, out = estimator.step(carry, *now)
-        return carry, (out.estimate, carry.noise.variances)
-
     u, y, valid = balanced(4, 0.0, 0.0, mode=tuple(np.where(np.arange(TICKS) < TAKE_OFF, GROUND, LEARN).tolist()))
-    run = jax.jit(lambda *table: jax.lax.scan(tick, estimator.init(), table)[1])
-    estimate, variances = jax.tree.map(np.asarray, run(u, y, valid))
-    learned = variances[:-1]  # what a tick works with was known before it
-    flying = slice(TAKE_OFF, TICKS)
-    R = learned[TAKE_OFF - 1 :, 0]
-    variance = jax.jit(lambda v: noise.process_variance(v, 0.05))
-    Q = np.stack([np.diag(np.append(variance(v), [0.0, 0.0])) for v in learned[TAKE_OFF - 1 :]])
-    x, P = balance_kalman(system, system.x0, system.P0, u[flying], y[flying], valid[flying], Q, R)
+    # How rotors differ is in the dense filter of test_default_estimator.py.
+    with ENGINE.changed({"kalman.OUTLIER": 1e9, "model_error.LAG_ERROR_S": 0.0, "plant.BUILT_SD": 0.0}):
+        steps, kept = program.steps(0.05, wrench_quad().B), []
+        for k in range(TICKS):
+            steps.run(u[k : k + 1], y[k : k + 1], valid[k : k + 1])
+            kept.append(steps.learned)
+        h, _ = program.balance(u, steps.plant)
+    states, covariances, learned = (np.stack(column) for column in zip(*kept, strict=True))
+    flying, before = slice(TAKE_OFF, TICKS), learned[TAKE_OFF - 1 : -1]  # what a tick works with was known before it
+    grows, Q = [*(1.0 - np.exp(-0.1 / np.array(TAU))), 0.05], np.zeros((TICKS - TAKE_OFF, THETA))
+    for a in range(4):
+        Q[:, a * PER_AXIS : a * PER_AXIS + 3] = before[:, 1:, a] * grows
+    x, P = balance_kalman(steps.plant, h[flying, :, :THETA], y[flying], valid[flying], Q, before[:, 0])
     assert learned[-1, 0].max() < 0.1 * learned[0, 0].min()  # the noise was learned: Q and R did change on the way
-    np.testing.assert_allclose(estimate.x[flying], x, rtol=1e-7, atol=1e-9)
-    np.testing.assert_allclose(estimate.x_cov[flying], P, rtol=1e-6, atol=1e-10)
+    np.testing.assert_allclose(states[flying, :THETA], x, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(covariances[flying, :THETA, :THETA], P, rtol=1e-6, atol=1e-10)

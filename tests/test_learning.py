@@ -7,16 +7,8 @@ import pytest
 
 from rotorwatch import airframes
 from rotorwatch.engine.default import learning
-from rotorwatch.engine.default.plant import (
-    AXIS_STATES,
-    DAMPING,
-    GAIN,
-    PER_AXIS,
-    SHARE_SD,
-    any_air,
-    any_curve,
-    any_multirotor,
-)
+from rotorwatch.engine.default.plant import AXIS_STATES, any_air, any_curve, any_multirotor
+from rotorwatch.engine.estimator.plant import DAMPING, GAIN, PER_AXIS, SHARE_SD
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN
 
 DT = 0.05

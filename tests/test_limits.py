@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.engine.default.plant import WrenchBalance
+from rotorwatch.engine.default import program
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.experiments import limits
 from rotorwatch.lab.experiments.limits import Rows
@@ -227,7 +227,7 @@ def test_the_drag_of_unequal_rotors_is_no_noise_on_ticks():
     u[:, n + 7 : n + 9] = 4.0, -3.0
     theta = np.zeros((T, n))
     theta[onset:, 1] = 0.3
-    drag = np.array([np.asarray(WrenchBalance(B).drag(row))[2] for row in u])
+    _, drag = program.balance(u, program.steps(0.1, B).plant)
     y = np.array([0.0, 0.0, 0.0, float(n)]) + (u[:, :n] * theta) @ B.T + sd * rng.standard_normal((T, 4))
     y[:, 2] -= (drag * (1.0 - theta)).sum(axis=1)
     ok = np.ones((T, 4), bool)

@@ -7,15 +7,20 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.plain import made, room
 
 from rotorwatch import airframes
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.base.compiling.run import run
-from rotorwatch.engine.default import events, hypotheses
+from rotorwatch.engine.default import events
+from rotorwatch.engine.default.hypotheses import list_hypotheses
+from rotorwatch.engine.estimator.bank import FIRST_LOSS, Window
+from rotorwatch.engine.estimator.hypotheses import Asked, Freed, Jump, disturbances, pair
+from rotorwatch.engine.estimator.plant import Plant
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN, Ticks
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.experiments.studies import compare_flights
+from rotorwatch.methods.compiling.run import run
 from rotorwatch.methods.estimators.ekf import EKF
 from rotorwatch.methods.published import decide, log_plant, published
 
@@ -158,7 +163,7 @@ def test_a_spread_loss_is_read_as_one_rotor(decided, rotor):
     theta = drifting(6)
     theta[200:, rotor] += 0.3
     out = decided(spread(theta, "ardupilot-hexa-x"))
-    hyp = hypotheses.make(6)
+    hyp = list_hypotheses(6)
     first = int(np.argmax(out.alarm))
     assert not out.alarm[:200].any() and 200 < first < 215
     assert hyp.rotors[out.best[first]] == (rotor,) and abs(first - out.onset[first] - 200) <= 2
@@ -176,7 +181,7 @@ def test_opposite_pairs_stay_ambiguous(decided):
     theta = drifting(6)
     theta[200:, [0, 1]] += 0.4
     out = decided(spread(theta, "ardupilot-hexa-x"))
-    hyp = hypotheses.make(6)
+    hyp = list_hypotheses(6)
     odds = [out.log_odds[-1, hyp.rotors.index(pair)] for pair in ((0, 1), (2, 3), (4, 5))]
     assert np.ptp(odds) < 1.0
 
@@ -198,7 +203,7 @@ evidence = jax.jit(decide.Threshold(geometry()).evidence)
 def test_evidence_is_finite_and_losses_are_shares(away, scatter):
     log_odds, loss = evidence(np.array(away), np.full(4, scatter))
     assert np.isfinite(log_odds).all()
-    hyp = hypotheses.make(4)
+    hyp = list_hypotheses(4)
     single = np.array([kind in ("single", "pair") for kind in hyp.kinds])[: loss.shape[0]]
     assert (np.asarray(loss)[single] >= 0).all() and (np.asarray(loss)[single] <= 1).all()
 
@@ -291,9 +296,41 @@ def test_tuning_reaches_the_method(quad):
         published.judge("crystal ball", *quad)
 
 
+@pytest.mark.parametrize("frame", ["ardupilot-quad-x", "ardupilot-hexa-x"])
+def test_a_published_methods_wrench_is_weighed_as_the_default_estimator_weighs_a_window(frame):
+    """One sample with exact geometry, in still air: the same Bayes factors and losses of one rotor, of two, of disturbances."""
+    B = geometry(frame)
+    n, rng, rule = B.shape[1], np.random.default_rng(0), decide.Threshold(B)
+    hyp = list_hypotheses(n)
+    p, ask = made(Plant, rotors=n, effect=B), made(Asked, hi=np.ones(n), full=2.0)
+    for _ in range(5):
+        away, scatter = (
+            B @ (0.4 * rng.random(n) * (rng.random(n) < 0.4)) + 0.05 * rng.standard_normal(4),
+            np.full(4, 0.02**2),
+        )
+        factors, sizes = map(np.asarray, rule.evidence(away, scatter))
+        common = np.array([0.0, 0.0, 0.0, (n * decide.COMMON_SD) ** 2])
+        w = 1.0 / (scatter + common + decide.TURNED**2 * (away @ away) / 4.0)
+        Phi, place = np.concatenate([B, np.eye(4)], axis=1), [*range(FIRST_LOSS, FIRST_LOSS + n), *range(4)]
+        C, z = np.zeros((FIRST_LOSS + n,) * 2), np.zeros(FIRST_LOSS + n)
+        C[np.ix_(place, place)], z[place] = Phi.T @ (w[:, None] * Phi), Phi.T @ (w * away)
+        window, free, jump, steps = made(Window, C=C, z=z), Freed(), Jump(), room(len(hyp.blocks))
+        free.free(p, window, ask)
+        for h, (kind, who) in enumerate(zip(hyp.kinds, hyp.rotors)):
+            if kind in ("single", "pair"):
+                if kind == "single":
+                    free.loss(ask, *who, jump)
+                else:
+                    pair(window, ask, *who, jump)
+                assert factors[h] == pytest.approx(jump.factor, rel=1e-6, abs=1e-6), hyp.names[h]
+                assert sizes[h] == pytest.approx([jump.size, jump.other_size], abs=1e-6), hyp.names[h]
+        disturbances(window, [1.0] * 4, 1.0, steps)
+        assert factors[-len(steps) :] == pytest.approx(steps, rel=1e-9)
+
+
 def test_an_end_is_written_down_and_another_set_takes_over():
     """What `_follow` makes of evidence over time: announced, replaced by a better set, over when nothing is left."""
-    hyp = hypotheses.make(4)
+    hyp = list_hypotheses(4)
     T, dt = 300, 0.05
     odds = np.full((T, len(hyp.names)), -5.0)
     odds[100:150, hyp.rotors.index((1,))] = 30.0

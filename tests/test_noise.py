@@ -1,15 +1,18 @@
 """The noise model finds what a signal was made of, on every time scale, and is not fooled by a step."""
 
-from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from tests.plain import made
 
-from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.engine.default import noise
-from rotorwatch.engine.default.plant import PER_AXIS, TAU
+from rotorwatch.engine.default import program
+from rotorwatch.engine.estimator import noise
+from rotorwatch.engine.estimator.noise import Noise
+from rotorwatch.engine.estimator.plant import TAU, Plant
 
 DT = 0.05
+KEPT = "v", "safety", "weight", "total"
 
 
 def signal(variances, count, seed=0):
@@ -26,30 +29,30 @@ def signal(variances, count, seed=0):
     return out + np.cumsum(walk * np.sqrt(DT) * rng.standard_normal((count, 4)), axis=0)
 
 
-@cache
-def program():
-    jax = load_jax()
-
-    def tick(state, row):
-        state = noise.step(state, *row, np.ones(4), DT)
-        return state, state
-
-    return jax.jit(lambda start, e, ok: jax.lax.scan(tick, start, (e, ok))[1])
+def begun(prior=None, weight=noise.GENERIC_WEIGHT):
+    """(plant, noise model) before the first residual."""
+    known = np.tile(np.array(noise.GENERIC)[:, None], (1, 4)) if prior is None else prior
+    p, one = made(Plant, rotors=4, dt=DT, noise=known, noise_weight=weight), Noise()
+    one.begin(p)
+    return p, one
 
 
 def learn(e, ok=None, **prior):
-    """All states after each residual, stacked."""
-    count = len(e)
-    ok = np.ones(e.shape, bool) if ok is None else ok
-    padding = -count % 1200  # one program for most lengths
-    e, ok = (np.concatenate([a, np.zeros((padding, 4), a.dtype)]) for a in (e, ok))
-    states = program()(noise.init(DT, **prior), e, ok)
-    return load_jax().tree.map(lambda leaf: np.asarray(leaf)[:count], states)
+    """What the noise model holds after each residual, stacked."""
+    p, one = begun(**prior)
+    kept = {name: [] for name in KEPT}
+    for row, counts in zip(e, np.ones(e.shape, bool) if ok is None else ok, strict=True):
+        one.step(p, row.tolist(), counts.tolist(), [1.0] * 4)
+        for name, column in kept.items():
+            column.append(np.array(getattr(one, name)))
+    return SimpleNamespace(**{name: np.array(column) for name, column in kept.items()})
 
 
 def structure(variances):
     """Model variance of differences at each lag (7, 4): what a detector of jumps lives on."""
-    return noise.basis(DT) @ variances
+    lag = np.array(noise.LAGS) * DT
+    basis = np.stack([np.ones(len(lag)), *(1.0 - np.exp(-lag / t) for t in TAU), lag / 2.0], axis=1)
+    return basis @ variances
 
 
 @pytest.mark.parametrize(
@@ -65,7 +68,7 @@ def structure(variances):
 )
 def test_the_noise_of_a_flight_is_found_on_every_scale(made_of):
     made = np.tile(np.array(made_of)[:, None], (1, 4))
-    found = learn(signal(made, 2400)).variances[-1]
+    found = learn(signal(made, 2400)).v[-1]
     ratio = structure(found) / structure(made)
     assert np.all(ratio > 0.5) and np.all(ratio < 2.5), ratio
     assert np.all(ratio[:4] > 0.7) and np.all(ratio[:4] < 1.8), ratio  # up to half a second: many samples
@@ -74,7 +77,7 @@ def test_the_noise_of_a_flight_is_found_on_every_scale(made_of):
 def test_axes_are_learned_apart():
     made = np.full((4, 4), 1e-10)
     made[0] = np.array([0.005, 0.02, 0.08, 0.3]) ** 2
-    found = learn(signal(made, 1200)).variances[-1, 0]
+    found = learn(signal(made, 1200)).v[-1, 0]
     np.testing.assert_allclose(np.sqrt(found), np.sqrt(made[0]), rtol=0.25)
 
 
@@ -86,16 +89,16 @@ def test_a_step_does_not_poison_it(step):
     e = signal(made, 1200)
     e[900:] += step
     states = learn(e)
-    before, after = structure(states.variances[899])[0], structure(states.variances[-1])[0]
+    before, after = structure(states.v[899])[0], structure(states.v[-1])[0]
     assert np.all(after < 2.0 * before)  # what tick-to-tick noise is thought to be
-    assert np.all(np.sqrt(structure(states.variances[-1])) < 0.3 * step)  # a step of this size still stands out
+    assert np.all(np.sqrt(structure(states.v[-1])) < 0.3 * step)  # a step of this size still stands out
 
 
 def test_it_learns_within_seconds():
     made = np.full((4, 4), 1e-10)
     made[0] = 0.004**2
-    start = structure(noise.GENERIC)[0, 0]
-    found = structure(learn(signal(made, 100)).variances[-1])[0]
+    start = structure(np.array(noise.GENERIC)[:, None])[0, 0]
+    found = structure(learn(signal(made, 100)).v[-1])[0]
     assert start > 100 * made[0, 0]
     assert np.all(found < 4 * made[0]) and np.all(found > 0.3 * made[0])
 
@@ -109,9 +112,9 @@ def test_gaps_and_masked_axes_teach_nothing():
     ok[:, 3] = False
     spoilt = np.where(ok, e, 1e3)
     one, two = learn(e, ok), learn(spoilt, ok)
-    np.testing.assert_array_equal(one.variances, two.variances)
+    np.testing.assert_array_equal(one.v, two.v)
     np.testing.assert_array_equal(one.total[:, :, 3], np.broadcast_to(one.total[0, :, 3], one.total[:, :, 3].shape))
-    assert np.all(np.isfinite(two.variances)) and np.all(two.variances > 0)
+    assert np.all(np.isfinite(two.v)) and np.all(two.v > 0)
 
 
 def test_healthy_flights_known_before_are_believed_at_first():
@@ -120,20 +123,9 @@ def test_healthy_flights_known_before_are_believed_at_first():
     made = np.full((4, 4), 1e-10)
     made[0] = 0.005**2
     e = signal(made, 20)
-    firm = learn(e, prior_variances=known, prior_weight=500.0).variances[-1, 0]
-    weak = learn(e, prior_variances=known, prior_weight=0.02).variances[-1, 0]
+    firm = learn(e, prior=known, weight=500.0).v[-1, 0]
+    weak = learn(e, prior=known, weight=0.02).v[-1, 0]
     assert np.all(firm > 0.8 * known[0]) and np.all(weak < 0.1 * known[0])
-
-
-def test_process_noise_keeps_the_disturbances_as_large_as_they_are():
-    variances = np.tile(np.array([[1.0], [0.04], [0.09], [0.01]]), (1, 4)) * np.array([1.0, 2.0, 3.0, 4.0])
-    load_jax()
-    q = np.asarray(noise.process_variance(variances, DT)).reshape(4, PER_AXIS)
-    for component, tau in ((0, TAU[0]), (1, TAU[1])):
-        keep = np.exp(-2 * DT / tau)
-        np.testing.assert_allclose(q[:, component] / (1 - keep), variances[1 + component], rtol=1e-9)
-    np.testing.assert_allclose(q[:, 2], variances[3] * DT, rtol=1e-12)
-    assert np.all(q[:, 3:] == 0.0)  # gains and damping do not walk
 
 
 def test_sums_of_squared_differences_forget_over_a_minute():
@@ -142,9 +134,9 @@ def test_sums_of_squared_differences_forget_over_a_minute():
     e[250:] += 0.5
     ok = np.ones(e.shape, bool)
     ok[100:120, 1] = False
-    states = learn(e, ok, prior_weight=3.0)
-    start = noise.init(DT, prior_weight=3.0)
-    weight, total, fade = start.weight.copy(), start.total.copy(), np.exp(-DT / noise.MEMORY_S)
+    states = learn(e, ok, weight=3.0)
+    _, start = begun(weight=3.0)
+    weight, total, fade = np.array(start.weight), np.array(start.total), np.exp(-DT / noise.MEMORY_S)
     for k in range(300):
         for row, lag in enumerate(noise.LAGS):
             if k < lag:
@@ -156,3 +148,8 @@ def test_sums_of_squared_differences_forget_over_a_minute():
     np.testing.assert_allclose(states.weight[-1], weight, rtol=1e-9)
     np.testing.assert_allclose(states.total[-1], total, rtol=1e-9)
     assert noise.MEMORY_S == 60.0 and 1.0 / (1.0 - fade) == pytest.approx(noise.MEMORY_S / DT, rel=1e-3)
+
+
+def test_how_large_disturbances_are_is_said_alike_tick_by_tick_and_afterwards():
+    v = np.random.default_rng(0).uniform(0.0, 1.0, (4, 4))
+    assert program.Learned(None, None, v).spread == pytest.approx([made(Noise, v=v).spread(a) for a in range(4)])

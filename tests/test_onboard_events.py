@@ -8,9 +8,10 @@ import pytest
 from onboard_c import doubles, library
 from rotorwatch import airframes
 from rotorwatch.base.compiling.structs import LASTS
-from rotorwatch.engine.default import events, hypotheses
+from rotorwatch.engine.default import events
+from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.default.plant import lower_rotors
-from rotorwatch.engine.default.posterior import PLACES
+from rotorwatch.engine.estimator.posterior import PLACES
 from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LEARN
 
 # A row of numbers per event: onset, detected, end, probability, rotors, loss, lower and upper (4 each), alternatives (30).
@@ -38,9 +39,6 @@ int told(int count, const double *effectiveness, int coaxial, const double *rows
         rw_found found;
         rows += 4;
         found.announced = *rows++ > 0.5;
-        found.opposite = (int32_t)*rows++;
-        found.opposite_onset = (rw_real)*rows++;
-        for (int i = 0; i < 2; i++) found.opposite_loss[i] = (rw_real)*rows++;
         for (int i = 0; i < RW_ROTORS; i++) found.theta[i] = (rw_real)*rows++;
         for (int i = 0; i < RW_ROTORS; i++) found.theta_sd[i] = (rw_real)*rows++;
         for (int i = 0; i < RW_ROTORS; i++) found.gives[i] = (rw_real)*rows++;
@@ -48,7 +46,6 @@ int told(int count, const double *effectiveness, int coaxial, const double *rows
         for (int i = 0; i < RW_PLACES; i++) found.onsets[i] = (rw_real)*rows++;
         for (int i = 0; i < RW_PLACES * RW_ROTORS; i++) found.active[i / RW_ROTORS][i % RW_ROTORS] = *rows++ > 0.5;
         for (int i = 0; i < RW_HYPOTHESES; i++) found.probability[i] = (rw_real)*rows++;
-        for (int i = 0; i < RW_HYPOTHESES; i++) found.log_odds[i] = (rw_real)*rows++;
         rw_losses_on(&s, &v, row[0], row[1], (int32_t)row[2], row[3] > 0.5, &found);
     }
     events = rw_losses_losses(&s, &v, false, &room, list);
@@ -91,8 +88,8 @@ def built(tmp_path_factory):
 def columns(out, ticks):
     """(T, width) rows that the driver reads."""
     T = len(ticks.time)
-    flat = [ticks.time, ticks.command_time, ticks.mode, ticks.restart, out.announced, out.opposite, out.opposite_onset, out.opposite_loss,
-            out.theta, out.theta_sd, out.gives, out.share, out.onsets, out.active, out.probability, out.log_odds]  # fmt: skip
+    flat = [ticks.time, ticks.command_time, ticks.mode, ticks.restart, out.announced,
+            out.theta, out.theta_sd, out.gives, out.share, out.onsets, out.active, out.probability]  # fmt: skip
     return np.ascontiguousarray(np.column_stack([np.asarray(c, float).reshape(T, -1) for c in flat]))
 
 
@@ -128,9 +125,9 @@ def in_python(out, ticks, B, count):
 
 
 def flight(B, seed, count=420, dt=0.05):
-    """What an estimator might say in a flight of one to three hops: announcements, explanations that overtake, recoveries, suspicions."""
+    """What an estimator might say in a flight of one to three hops: announcements, explanations that overtake, recoveries."""
     rng, n = np.random.default_rng(seed), B.shape[1]
-    hyp = hypotheses.make(n)
+    hyp = list_hypotheses(n)
     time = 3.0 + dt * np.arange(count)
     ticks = SimpleNamespace(
         time=time,
@@ -148,12 +145,7 @@ def flight(B, seed, count=420, dt=0.05):
         share=np.tile(np.eye(PLACES)[0], (count, 1)),
         onsets=np.zeros((count, PLACES)),
         probability=rng.dirichlet(np.full(len(hyp.names), 0.05), count),
-        log_odds=3.0 * rng.standard_normal((count, len(hyp.names))),
-        opposite=np.full(count, -1),
-        opposite_onset=np.zeros(count),
-        opposite_loss=np.zeros((count, 2)),
     )
-    pairs = [h for h, w in enumerate(hyp.rotors) if hyp.kinds[h] == "pair" and w[1] in events.opposites(B)[w[0]]]
     starts = sorted({10, *(rng.integers(60, count - 40, rng.integers(0, 3)).tolist())})
     active, share = np.zeros((PLACES, n), bool), np.eye(PLACES)[0].copy()
     began = np.zeros(PLACES, int)
@@ -185,9 +177,6 @@ def flight(B, seed, count=420, dt=0.05):
             share[0] += rng.choice([0.0, 5.0])
             share /= share.sum()
             out.announced[k] = True
-        elif judged and n >= 6 and not active[0].any() and rng.random() < 0.02:
-            out.opposite[k], out.opposite_onset[k] = rng.choice(pairs), rng.integers(1, 65)
-            out.opposite_loss[k] = rng.random(2) * 0.3
         out.active[k], out.share[k], out.onsets[k] = active, share, k - began
     return out, ticks
 
@@ -236,7 +225,7 @@ def test_of_more_losses_than_there_is_room_for_the_last_are_kept(built):
     """Forty losses that end and come again, of which twelve are kept: the last ones, as they are."""
     B, count = FRAMES["quad-x"], 900
     out, ticks = flight(B, 3, count)
-    out.announced[:], out.active[:], out.opposite[:] = False, False, -1
+    out.announced[:], out.active[:] = False, False
     ticks.mode[:], ticks.restart[:] = JUDGE, np.arange(count) == 0
     for k in range(20, count, 10):
         out.announced[k] = True

@@ -4,30 +4,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from tests.plain import array, measured
+from tests.plain import plant as plant_of
 
 from rotorwatch import airframes
-from rotorwatch.engine.default import plant
-from rotorwatch.engine.default.plant import (
-    AXIS_STATES,
-    B3,
-    DAMPING,
-    GAIN,
-    PER_AXIS,
-    SHARE_SD,
-    SIDEWAYS,
-    TAU,
-    WrenchBalance,
-)
+from rotorwatch.engine.default import plant, program
+from rotorwatch.engine.default.plant import AXIS_STATES
+from rotorwatch.engine.estimator import plant as definition
+from rotorwatch.engine.estimator.plant import AIR, B3, DAMPING, GAIN, PER_AXIS, SHARE, SHARE_SD, SIDEWAYS, TAU, THETA
 
 QUAD, Y6 = (airframes.named(f"ardupilot-{name}").effectiveness() for name in ("quad-x", "y6"))
 RNG = np.random.default_rng(5)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def float64():
-    from rotorwatch.base.backend import jax
-
-    jax()
 
 
 def table(n, count=3, side=True):
@@ -42,10 +29,10 @@ def table(n, count=3, side=True):
 def yaw_of_drag(B, thrust, forward, right, arm=0.2):
     """(n,) yaw, over hover thrust times drag ratio, of the drag of rotors that takes all of a side force: r x H, rotor by rotor.
 
-    arm [m]: one unit of B; the drag ratio is such that arms over drag ratios times the gap between rotors are plant.DRAG."""
+    arm [m]: one unit of B; the drag ratio is such that arms over drag ratios times the gap between rotors are definition.DRAG."""
     places = [(b[1] / b[3], -b[0] / b[3]) for b in np.transpose(B)]  # forward, right
     gap = min(d for a in places for b in places if (d := np.hypot(a[0] - b[0], a[1] - b[1])) > 0.1)
-    drag_ratio, mass = arm * gap / plant.DRAG, 1.3
+    drag_ratio, mass = arm * gap / definition.DRAG, 1.3
     moments = []
     for (x, y), share in zip(places, np.sqrt(thrust) / len(thrust)):
         H_x, H_y = mass * forward * share, mass * right * share
@@ -56,10 +43,12 @@ def yaw_of_drag(B, thrust, forward, right, arm=0.2):
 @pytest.mark.parametrize("side", [True, False])
 def test_the_commanded_wrench_is_what_the_motion_needs_and_what_is_lost(side):
     """y_a = G_a m_a + c_a r_a + l f_a + n k v + b1_a + b2_a + b3_a + sum_i B_ai T_i theta_i, written out."""
-    ticks, system = table(4, side=side), WrenchBalance(QUAD)
-    u, x, theta = system.pack(ticks), np.append(RNG.normal(0, 1, 20), [0.0, 0.07]), RNG.uniform(0, 0.5, 4)
-    assert u.shape == (3, system.n_u)
-    state = x[:20].reshape(4, PER_AXIS)
+    ticks, known = table(4, side=side), program.steps(0.05, QUAD).plant
+    u, x, theta = plant.packed(ticks, 4), np.zeros(THETA), RNG.uniform(0, 0.5, 4)
+    x[:AXIS_STATES], x[AIR] = RNG.normal(0, 1, AXIS_STATES), 0.07
+    assert u.shape == (3, 17)
+    h, drag = program.balance(u, known)
+    state = x[:AXIS_STATES].reshape(4, PER_AXIS)
     for k in range(3):
         motion = [*ticks.rate_dot[k], 4 * ticks.load[k]]
         forward, right = ticks.side[k] if side else (0.0, 0.0)
@@ -72,58 +61,43 @@ def test_the_commanded_wrench_is_what_the_motion_needs_and_what_is_lost(side):
                 wanted += 0.07 * 4 * ticks.axial[k]
             if a == 2:  # what is left of the rotors' drag turns it without a command
                 wanted -= yaw_of_drag(QUAD, ticks.thrust[k], forward, right) @ (1.0 - theta)
-            assert np.asarray(system.h(x, u[k], theta))[a] == pytest.approx(wanted)
+            said = h[k, a] @ np.append(x, theta) - (drag[k].sum() if a == 2 else 0.0)
+            assert said == pytest.approx(wanted)
         assert u[k, -4:-1] == pytest.approx([1.0 / ticks.hover[k], *ticks.curve])
 
 
 def test_lower_rotors_give_more_and_all_give_less():
     """The share is one more state; the hover command, all rotors at 1, carries the same weight whatever it is."""
-    lower = plant.lower_rotors(Y6)
-    system = WrenchBalance(Y6, lower=lower)
-    u, share = system.pack(table(6))[0], 0.1
-    x = np.append(np.zeros(AXIS_STATES + 2), share)
+    lower, share, s = plant.lower_rotors(Y6), 0.1, np.zeros(THETA + 6)
+    p, u = plant_of(Y6), plant.packed(table(6), 6)[0]
+    s[SHARE] = share
     more = lower - (Y6[3] * lower).mean()
     still = np.concatenate([u[:13], [0.0, 0.0], u[15:]])  # no air from the side
-    assert np.asarray(system.h(x, still, np.zeros(6))) == pytest.approx(-share * Y6 @ (more * u[:6]))
+    h, _ = measured(p, still, s)
+    assert share * h[:, SHARE] == pytest.approx(-share * Y6 @ (more * u[:6]))
     assert Y6[3] @ more == pytest.approx(0.0, abs=1e-9)
-    assert np.asarray(system.H(still, x)) == pytest.approx(Y6 * u[:6] * (1.0 + share * more))
-    assert np.asarray(system.H(still)) == pytest.approx(Y6 * u[:6])
-    across = np.asarray(system.H(u)) - Y6 * u[:6]  # rotors of one arm have no gap
+    assert h[:, THETA:] == pytest.approx(Y6 * u[:6] * (1.0 + share * more))
+    assert measured(p, still)[0][:, THETA:] == pytest.approx(Y6 * u[:6])
+    across = measured(p, u)[0][:, THETA:] - Y6 * u[:6]  # rotors of one arm have no gap
     assert across[2] == pytest.approx(yaw_of_drag(Y6, u[:6], *u[13:15])) and not across[[0, 1, 3]].any()
-    assert system.n_x == 23 == len(system.x_names) == len(system.x0) and WrenchBalance(QUAD).n_x == 22 == len(
-        WrenchBalance(QUAD).x_names
-    )
-    assert system.x_names[-1] == "lower rotors' share" and system.x_names[SIDEWAYS] == "side force"
-    assert (
-        (system.x0[-1], system.P0[-1, -1]) == (0.0, SHARE_SD**2)
-        and not system.P0[-1, :-1].any()
-        and not system.P0[:-1, -1].any()
-    )
-    known = WrenchBalance(Y6, lower=lower, share=np.array([0.05, 0.001]))
-    assert (known.x0[-1], known.P0[-1, -1]) == (0.05, 0.001)
+    prior = array(p.variance)
+    assert (p.mean[SHARE], prior[SHARE, SHARE]) == (0.0, SHARE_SD**2)
+    assert not prior[SHARE, :SHARE].any() and not prior[:SHARE, SHARE].any()
+    assert plant_of(QUAD).variance[SHARE][SHARE] == 0.0  # no other frame has it
+    mean, P = plant.any_multirotor(6)
+    taught = {"x0": mean, "P0": P, "noise": np.ones((4, 4)), "noise_weight": 2.0, "share": [0.05, 0.001]}
+    known = program.steps(0.05, Y6, taught).plant
+    assert (known["mean"][0, SHARE], known["variance"][0, SHARE, SHARE]) == (0.05, 0.001)
 
 
-def test_a_traced_prior_is_widened_as_one_in_numpy_is():
-    import jax.numpy as jnp
-
-    (mean, P), share = plant.any_multirotor(6), np.array([0.05, 0.001])
-    for one, other in zip(plant._widened(mean, P, share), plant._widened(*map(jnp.asarray, (mean, P, share)))):
-        np.testing.assert_array_equal(one, np.asarray(other))
-
-
-@pytest.mark.parametrize("B, prior", [(QUAD, None), (Y6, plant.lower_rotors(Y6))])
-def test_disturbances_fade_and_the_rest_stays(B, prior):
-    """b1 and b2 with their time constants; a dt that is traced gives the same."""
-    import jax.numpy as jnp
-
-    system = WrenchBalance(B, lower=prior)
-    left = system.decay(0.3)
+@pytest.mark.parametrize("B", [QUAD, Y6])
+def test_disturbances_fade_and_the_rest_stays(B):
+    """b1 and b2 with their time constants."""
+    left = array(plant_of(B, 0.2).decay, THETA + B.shape[1])
     assert left[:AXIS_STATES].reshape(4, PER_AXIS) == pytest.approx(
-        np.tile([np.exp(-0.3 / TAU[0]), np.exp(-0.3 / TAU[1]), 1, 1, 1], (4, 1))
+        np.tile([np.exp(-0.2 / TAU[0]), np.exp(-0.2 / TAU[1]), 1, 1, 1], (4, 1))
     )
-    assert (left[AXIS_STATES:] == 1.0).all() and left.size == system.n_x
-    assert np.asarray(system.decay(jnp.asarray(0.3))) == pytest.approx(left)
-    assert np.asarray(system.f(np.full(system.n_x, 2.0), None, None, 0.3)) == pytest.approx(2.0 * left)
+    assert (left[AXIS_STATES:] == 1.0).all()
 
 
 def test_what_any_multirotor_is_like():
@@ -132,17 +106,19 @@ def test_what_any_multirotor_is_like():
     mean, P = plant.any_multirotor(n)
     rng = np.random.default_rng(0)
     for axis in range(3):
-        gain = rng.normal(n * plant.GAIN_MEAN[axis], n * plant.GAIN_SD[axis], draws)
-        both = np.stack([gain, gain * rng.normal(plant.DAMPING_RATE, plant.DAMPING_RATE_SD, draws)])
+        gain = rng.normal(n * definition.GAIN_MEAN[axis], n * definition.GAIN_SD[axis], draws)
+        both = np.stack([gain, gain * rng.normal(definition.DAMPING_RATE, definition.DAMPING_RATE_SD, draws)])
         rows = axis * PER_AXIS + np.array([GAIN, DAMPING])
         assert mean[rows] == pytest.approx(both.mean(axis=1), rel=0.02)
         assert P[np.ix_(rows, rows)] == pytest.approx(np.cov(both), rel=0.03)
-        assert P[axis * PER_AXIS + B3, axis * PER_AXIS + B3] == plant.BIAS_SD[axis] ** 2
+        assert P[axis * PER_AXIS + B3, axis * PER_AXIS + B3] == definition.BIAS_SD[axis] ** 2
     thrust = 3 * PER_AXIS + GAIN
-    assert (mean[thrust], P[thrust, thrust]) == (1.0, plant.GAIN_SD[3] ** 2)
-    assert (mean[SIDEWAYS], P[SIDEWAYS, SIDEWAYS]) == pytest.approx((n * plant.SIDE, (n * plant.SIDE_SD) ** 2))
+    assert (mean[thrust], P[thrust, thrust]) == (1.0, definition.GAIN_SD[3] ** 2)
+    assert (mean[SIDEWAYS], P[SIDEWAYS, SIDEWAYS]) == pytest.approx(
+        (n * definition.SIDE, (n * definition.SIDE_SD) ** 2)
+    )
     assert np.linalg.eigvalsh(P).min() >= -1e-12 and (P == P.T).all()
-    assert plant.usual_gains(n) == pytest.approx([*(n * plant.GAIN_MEAN[:3]), 1.0])
+    assert plant.usual_gains(n) == pytest.approx([*(n * np.array(definition.GAIN_MEAN[:3])), 1.0])
     assert np.count_nonzero(P - np.diag(np.diag(P))) == 6  # each angular gain with its damping, nothing else
 
 

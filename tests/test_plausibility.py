@@ -4,65 +4,55 @@ from functools import partial
 
 import numpy as np
 import pytest
+from tests.plain import array, copied, filled, made, plant
 
 from rotorwatch import airframes
 from rotorwatch.diagnose import diagnose
-from rotorwatch.engine.default import plausibility
-from rotorwatch.engine.default.evidence import Jump
-from rotorwatch.engine.default.hypotheses import NONE
-from rotorwatch.engine.default.model_error import AT_LIMIT, BELOW_LIMIT
-from rotorwatch.engine.default.plant import ANSWER_S, USUAL_S
-from rotorwatch.engine.default.plausibility import (
+from rotorwatch.engine.estimator.bank import Slot
+from rotorwatch.engine.estimator.evidence import Best
+from rotorwatch.engine.estimator.hypotheses import NONE
+from rotorwatch.engine.estimator.kalman import Branch
+from rotorwatch.engine.estimator.model_error import AT_LIMIT, BELOW_LIMIT, Seen
+from rotorwatch.engine.estimator.noise import FAST, Noise
+from rotorwatch.engine.estimator.plant import ANSWER_S, USUAL_S, Inputs
+from rotorwatch.engine.estimator.plausibility import (
     CUT_SHARE,
     DEMAND_SHARE,
     DEMAND_SLACK,
     LIMIT_S,
     MISSING_SLACK,
+    Coupling,
     Missing,
+    Plausible,
 )
 from rotorwatch.lab.simulation import scenario, simulate
 
 N, DT = 4, 0.1
 NOTHING = np.zeros(N)
+P = plant(airframes.named("ardupilot-quad-x").effectiveness(), DT)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def float64():
-    from rotorwatch.base.backend import jax
-
-    jax()
-
-
-def missing(fast=1.0, slow=0.0, limit=NOTHING, climb=0.0):
-    numbers = (np.float64(v) for v in (fast, slow, 0.0, 0.0, climb))
-    return Missing(*numbers, np.asarray(limit, float))
+def missing(fast=1.0, slow=0.0, limit=NOTHING, climb=0.0, usual=0.0):
+    return made(Missing, fast=fast, slow=slow, usual=usual, climb=climb, limit=np.asarray(limit, float))
 
 
 def jump(*rotors, gives=0.0):
     """Rotor (1-based) and size of one or two; gives: the thrust that it gives, whatever it is commanded."""
-    out = np.zeros((2, N))
-    for place, (rotor, size) in enumerate(rotors):
-        out[place, rotor - 1] = size
-    return Jump(*[None] * 2, out.any(axis=0), *[None] * 2, out, np.float64(gives))
+    (one, size), (other, second) = (*rotors, (0, 0.0))[:2]
+    best = made(Best, rotor=one - 1, other=other - 1)
+    filled(best.jump, size=size, other_size=second, gives=gives)
+    return best
 
 
-def possible(
-    what,
-    rise=1.0,
-    now=None,
-    before=None,
-    measured=True,
-    active=(),
-    rough=(0.0, 0.0, 0.0, 0.0),
-    smooth=1.0,
-    since=60.0,
-):
-    known = np.isin(np.arange(1, N + 1), active)
-    may = plausibility.plausible(
-        what, since, smooth * np.ones(N), (rise * np.ones(N),) * 2, now or missing(), before or missing(), measured, known,
-        np.asarray(rough, float), np.eye(N),
-    )  # fmt: skip
-    return bool(may.asked and may.missing)
+def possible(what, rise=1.0, now=None, measured=True, active=(), rough=(0.0, 0.0, 0.0, 0.0), smooth=1.0, since=60.0):
+    seen = made(Seen, thrust=smooth * np.ones(N), part=rise * np.ones(N))
+    v, may, coupling = np.zeros((4, 4)), Plausible(), made(Coupling, raises=np.eye(N))
+    v[FAST] = rough
+    leader = made(Branch, active=np.isin(np.arange(1, N + 1), active))
+    tick = made(Inputs, valid=np.array([True, True, True, measured]))
+    what.since = since / DT
+    may.judge(P, what, Slot(), tick, seen, now or missing(), leader, made(Noise, v=v), coupling)
+    return may.asked and may.missing
 
 
 def test_a_loss_that_is_asked_for_and_missing_is_possible():
@@ -117,13 +107,10 @@ def test_thrust_that_rotors_no_longer_give_is_missing(rough, slack):
     least = DEMAND_SHARE * 0.9 * 2.0 - slack
     for before in (0.0, 0.3):
         for more, answer in ((1e-6, True), (-1e-6, False)):
-            now = missing(fast=before + least + more, slow=9.0)
+            now = missing(fast=before + least + more, slow=9.0, usual=before)
             one = jump((2, 0.9))
-            assert (
-                possible(one, now=now, before=missing(slow=before), rough=(0, 0, 0, rough), smooth=2.0, rise=9.0)
-                is answer
-            )
-            assert possible(one, now=now, before=missing(slow=before), measured=False, rise=9.0, smooth=2.0)
+            assert possible(one, now=now, rough=(0, 0, 0, rough), smooth=2.0, rise=9.0) is answer
+            assert possible(one, now=now, measured=False, rise=9.0, smooth=2.0)
     assert possible(jump((2, -0.3)), now=missing(fast=-9.0), active=(2,))  # what gives more again lacks nothing
 
 
@@ -175,9 +162,10 @@ def test_what_a_limit_explains_is_no_loss():
 
 def followed(rows, start=None):
     """(missing, load, share, valid, restart) tick by tick."""
-    state = start or plausibility.init(N)
+    state = copied(start or Missing())
     for what, load, share, valid, restart in rows:
-        state = plausibility.follow(state, what, load, np.full(N, share), valid, restart, DT)
+        now = made(Inputs, thrust=np.full(N, share), full=1.0, load=load * N, restart=restart, valid=np.full(4, valid))
+        state.follow(P, now, what)
     return state
 
 
@@ -192,7 +180,7 @@ def test_what_is_missing_is_averaged_over_half_a_second_and_six():
     assert float(blind.slow) == pytest.approx(0.4) and float(blind.fast) == pytest.approx(0.4, abs=0.03)
     anew = followed([(3.0, 1.4, 0.95, True, True)], missing(fast=1.0, slow=0.4, limit=np.ones(N)))
     assert float(anew.fast) == float(anew.slow) == 3.0 and float(anew.heave) == pytest.approx(0.4)
-    assert anew.limit == pytest.approx(1.0 - BELOW_LIMIT / 0.95)
+    assert array(anew.limit, N) == pytest.approx(1.0 - BELOW_LIMIT / 0.95)
 
 
 @pytest.mark.parametrize("load", [0.5, 1.5])
@@ -214,17 +202,19 @@ def test_a_rotor_near_its_limit_may_lack_what_it_is_commanded_beyond_what_is_bel
         (1.0, 1.0),
         (0.2, 0.0),
     ):
-        found = followed([(0.0, 1.0, share, True, False)]).limit
+        found = array(followed([(0.0, 1.0, share, True, False)]).limit, N)
         assert found == pytest.approx(near * max(0.0, 1.0 - BELOW_LIMIT / share))
     quiet = [(0.0, 1.0, 0.3, True, False)] * round(LIMIT_S / DT)
-    after = followed([(0.0, 1.0, 1.0, True, False), *quiet]).limit
+    after = array(followed([(0.0, 1.0, 1.0, True, False), *quiet]).limit, N)
     assert after == pytest.approx((1.0 - BELOW_LIMIT) * np.exp(-1.0))
 
 
 def test_what_is_asked_of_two_rotors_follows_from_geometry():
     """A rotor alone: its own loss; of a neighbour what the least change of thrusts gives; of opposite ones each its own."""
     hexa = airframes.named("ardupilot-hexa-x").effectiveness()
-    coupling, answer = np.asarray(plausibility.demand_coupling(hexa)), np.linalg.pinv(hexa) @ hexa - 1 / 6
+    known, answer = Coupling(), np.linalg.pinv(hexa) @ hexa - 1 / 6
+    known.begin(plant(hexa))
+    coupling = array(known.raises, 6, 6)
     assert np.diagonal(coupling) == pytest.approx(np.ones(6))
     assert coupling @ [0.3, 0.3, 0, 0, 0, 0] == pytest.approx([0.3, 0.3, *(coupling[2:, :2].sum(axis=1) * 0.3)])
     assert (coupling @ [0.3, 0, 0.3, 0, 0, 0])[0] == pytest.approx((answer @ [0.3, 0, 0.3, 0, 0, 0])[0] / answer[0, 0])

@@ -224,7 +224,7 @@ def test_page_without_trace_events_or_rotors():
         hexa_diagnosis(events=(), doubts=("Nothing moved.",)), rotors=(), trace=None, comparison=(), common_mode={}
     )
     page = html.page(bare)
-    assert "This log cannot say." in page and len(page) < 30_000
+    assert "Not judged: Nothing moved." in page and len(page) < 30_000
 
 
 def test_page_of_an_odd_trace(fault):

@@ -7,10 +7,11 @@ import pytest
 
 from conftest import hexa_event
 from rotorwatch import airframes
-from rotorwatch.engine.default import events, hypotheses, residual_evidence
+from rotorwatch.engine.default import events, residual_evidence
+from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN
 
-HYP = hypotheses.make(4)
+HYP = list_hypotheses(4)
 B = airframes.named("ardupilot-quad-x").effectiveness()
 TIME = np.arange(0.0, 60.0, 0.1)
 LIMIT = 12.0

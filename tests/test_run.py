@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rotorwatch.base.compiling.run import CHUNK, run_built
+from rotorwatch.methods.compiling.run import CHUNK, run_built
 
 
 class Counter:
@@ -79,51 +79,3 @@ def test_progress_grows_to_one():
     t = table(2 * CHUNK + 10)
     run_built(build, {"gain": 1.0}, t.u, t.y, t.valid, progress=told.append)
     assert told == sorted(told) and len(told) == 3 and told[-1] == 1.0
-
-
-@pytest.mark.thorough
-def test_the_default_estimator_is_run_the_same_in_any_chunks(monkeypatch):
-    """The real thing: a made-up hover in chunks of 64 and of 1024 steps gives the same losses and announcements."""
-    import rotorwatch.base.compiling.run as module
-    from rotorwatch import airframes
-    from rotorwatch.engine.default import noise
-    from rotorwatch.engine.default.estimator import JumpBank
-    from rotorwatch.engine.default.plant import WrenchBalance
-
-    B = airframes.named("ardupilot-quad-x").effectiveness()
-    rng = np.random.default_rng(0)
-    count = 150
-    thrust = 1.0 + 0.004 * rng.standard_normal((count, 4))
-    thrust[100:, 2] /= 0.7
-    flat = np.zeros((count, 3))
-    u = np.column_stack(
-        [
-            thrust,
-            flat,
-            np.full(count, 4.0),
-            flat,
-            flat[:, :2],
-            np.full(count, 2.5),
-            np.where(np.arange(count) < 60, 1, 2),
-            flat[:, 0],
-        ]
-    )
-    u[0, -1] = 1.0
-    valid = np.ones((count, 4), bool)
-
-    def bank(p):
-        return JumpBank(WrenchBalance(p["B"]), 0.05, (p["noise"], p["weight"]))
-
-    def selected(out):
-        return out.theta, out.decision.statistic, out.announced
-
-    parameters = {"B": B, "noise": noise.GENERIC, "weight": np.array(noise.GENERIC_WEIGHT)}
-    results = []
-    for chunk in (64, CHUNK):
-        monkeypatch.setattr(module, "CHUNK", chunk)
-        results.append(run_built(bank, parameters, u, thrust @ B.T, valid, selected)[1])
-    for a, b in zip(*results, strict=True):
-        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
-    theta, _, announced = results[0]
-    assert announced[100:].any() and not announced[:100].any()
-    assert theta[-1].argmax() == 2 and abs(theta[-1, 2] - 0.3) < 0.03

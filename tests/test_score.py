@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.engine.default.announcement import TICKS
+from rotorwatch.engine.estimator.announcement import TICKS
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.lab.campaign import score

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from conftest import hexa_event
-from rotorwatch.answer import slow
+from rotorwatch.answer import slow, trim
 from rotorwatch.answer.conclusion import Evidence, conclude
 from rotorwatch.engine.default.residual_evidence import ResidualEvidence
 from rotorwatch.engine.motion.ticks import JUDGE
@@ -47,7 +47,7 @@ def flight(
 
 def found(B=QUAD, **how) -> Any:
     out, ticks = flight(B, **how)
-    return slow.find(out, ticks, B)
+    return slow.find(trim.explain(out, ticks, B), B)
 
 
 @pytest.mark.parametrize("B", [QUAD, HEXA])
@@ -82,7 +82,7 @@ def test_what_wind_may_have_done_as_well_is_not_certain():
 def test_growth_is_looked_for_since_the_last_take_off_or_knock():
     out, ticks = flight(loss=0.35)
     ticks.mode[(ticks.time > 60.0) & (ticks.time < 62.0)] = JUDGE - 1
-    assert slow.find(out, ticks, QUAD) is None
+    assert slow.find(trim.explain(out, ticks, QUAD), QUAD) is None
 
 
 def test_a_step_announced_within_a_ramp_is_its_beginning():
@@ -142,3 +142,16 @@ def test_growth_that_is_not_certain_makes_its_rotor_a_suspect():
     end = conclude(Evidence((), 4, hidden=np.full(4, 0.02), judged_s=80.0, residual_evidence=(spell,)))
     assert end.verdict == "ambiguous" and [r.status for r in end.rotors] == ["suspect", "healthy", "healthy", "healthy"]
     assert slow.suspected(grown, (hexa_event(),)) == () == slow.suspected(None, ())
+
+
+def test_a_flight_in_pieces_has_the_trim_of_the_whole():
+    out, ticks = flight(loss=0.4)
+    pieces = trim.Trims(QUAD)
+    for a in range(0, ticks.time.size, 3):
+        part = slice(a, a + 3)
+        some = SimpleNamespace(**{k: v[part] if isinstance(v, np.ndarray) else v for k, v in vars(ticks).items()})
+        pieces.add(SimpleNamespace(theta=out.theta[part], biases=out.biases[part]), some)
+    whole, found_ = slow.find(trim.explain(out, ticks, QUAD), QUAD), slow.find(pieces.explain(), QUAD)
+    assert found_ is not None and whole is not None
+    assert found_.rotors == whole.rotors and found_.loss == pytest.approx(whole.loss, rel=1e-3)
+    assert found_.start_s == pytest.approx(whole.start_s, abs=0.01)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import diagnose
-from rotorwatch.engine.default import announcement
+from rotorwatch.engine.estimator import announcement
 from rotorwatch.engine.motion import ticks
 from rotorwatch.lab.simulation import scenario, simulate
 from rotorwatch.live.replay import Replay

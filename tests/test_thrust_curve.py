@@ -4,9 +4,13 @@ from functools import cache
 
 import numpy as np
 import pytest
+from tests.plain import filled, made, room, tick
+from tests.plain import plant as plant_of
 
-from rotorwatch.engine.default import kalman, model_error, plant
-from rotorwatch.engine.default.plant import AIR, CURVE, GAIN, PER_AXIS, WrenchBalance
+from rotorwatch.engine.estimator import plant
+from rotorwatch.engine.estimator.model_error import Memory, Seen
+from rotorwatch.engine.estimator.noise import Noise
+from rotorwatch.engine.estimator.plant import CURVE, GAIN, PER_AXIS, THETA
 from rotorwatch.engine.front.ticks import JUDGE, LEARN
 from rotorwatch.flight.vehicle import ThrustCurve
 from test_default_estimator import DT, KNOWN_NOISE, make
@@ -30,8 +34,8 @@ def test_a_bent_curve_is_the_derivative_of_the_thrust(expo, usual):
     commands, step = np.array([0.1, 0.3, HOVER, 0.8]), 1e-5
     unit = float(ThrustCurve(0.0, 1.0, expo)(np.array(HOVER)))
     thrust = ThrustCurve(0.0, 1.0, expo)(commands) / unit
-    system = WrenchBalance(QUAD)
-    found = np.asarray(system.bend(row(thrust, expo, 0.2), usual))
+    found = room(N)
+    plant.bend(plant_of(QUAD), tick(row(thrust, expo, 0.2), N), thrust.tolist(), usual, found)
     drive = np.interp(usual * unit, *(lambda a: (ThrustCurve(0.0, 1.0, expo)(a), a))(np.linspace(0.0, 1.0, 200_001)))
 
     def given(e):
@@ -49,7 +53,7 @@ def flown(sd, loss=0.0, turn=1.2, seed=0, turns=150, fails=300, ready=READY, rot
     `turn` rad/s^2 and back, and from tick `fails` on rotors without so much of their thrust, made up for at once. Judged from `ready`
     on."""
     quad, rng = make("ardupilot-quad-x"), np.random.default_rng(seed)
-    B, gain = QUAD, N * plant.GAIN_MEAN[:3]
+    B, gain = QUAD, N * np.array(plant.GAIN_MEAN[:3])
     when = np.arange(TICKS)
     yaw = turn * np.where((when >= turns) & (when < turns + 120), np.sign(np.sin((when - turns) * np.pi / 30.0)), 0.0)
     yaw = np.convolve(yaw, np.ones(8) / 8.0, "same")
@@ -78,8 +82,8 @@ def test_a_turn_by_another_curve_teaches_the_curve_and_accuses_nobody():
     """Taken as known, the same turn is a loss of two rotors."""
     out, carries = flown(0.35)
     assert not out.announced.any()
-    expo = ASSUMED + 0.35 * carries.branches.s[-1, 0, CURVE]
-    assert LINEAR <= expo < 0.25 and carries.branches.P[-1, 0, CURVE, CURVE] < 0.1
+    expo = ASSUMED + 0.35 * carries.s[-1, 0, CURVE]
+    assert LINEAR <= expo < 0.25 and carries.P[-1, 0, CURVE, CURVE] < 0.1
     known, _ = flown(0.0)
     assert known.announced.any()
 
@@ -87,7 +91,7 @@ def test_a_turn_by_another_curve_teaches_the_curve_and_accuses_nobody():
 def test_what_no_curve_explains_is_a_loss():
     """Two rotors that make yaw lose as much as a curve could hide in part: its expo stays within 0 and 1."""
     out, carries = flown(0.35, loss=0.4, turn=0.0)
-    bent = ASSUMED + 0.35 * carries.branches.s[:, 0, CURVE]
+    bent = ASSUMED + 0.35 * carries.s[:, 0, CURVE]
     assert bent.min() > -0.01 and bent.max() < 1.01
     assert out.announced.any() and (out.theta[-1, :2] > 0.2).all() and (out.theta[-1, 2:] < 0.15).all()
 
@@ -95,12 +99,12 @@ def test_what_no_curve_explains_is_a_loss():
 def test_hover_teaches_no_curve():
     """Where commands do not stand out nothing is learned, and nothing is less certain."""
     _, carries = flown(0.35, turn=0.0)
-    assert abs(carries.branches.s[-1, 0, CURVE]) < 0.2 and carries.branches.P[-1, 0, CURVE, CURVE] > 0.9
+    assert abs(carries.s[-1, 0, CURVE]) < 0.2 and carries.P[-1, 0, CURVE, CURVE] > 0.9
 
 
 def curve_of(carries, k=-1):
     """(mean, variance) of the state after tick k."""
-    return carries.branches.s[k, 0, CURVE], carries.branches.P[k, 0, CURVE, CURVE]
+    return carries.s[k, 0, CURVE], carries.P[k, 0, CURVE, CURVE]
 
 
 def test_the_ground_and_a_weak_rotor_teach_no_curve():
@@ -109,7 +113,7 @@ def test_the_ground_and_a_weak_rotor_teach_no_curve():
     assert mean == 0.0 and variance == pytest.approx(1.0)
     out, carries = flown(0.35, loss=0.4, fails=100, turns=200, rotors=(0,))
     known = int(np.flatnonzero(out.announced)[0])
-    assert 100 < known < 150 and carries.branches.active[199:, 0, 0].all()
+    assert 100 < known < 150 and carries.active[199:, 0, 0].all()
     assert curve_of(carries) == pytest.approx(curve_of(carries, 199), abs=1e-6)
 
 
@@ -125,35 +129,15 @@ def test_what_is_open_of_the_curve_is_open_of_a_loss_as_far_as_the_rotor_still_g
     assert none < part * (1.0 - loss) / 0.5 + 1e-3
 
 
-@pytest.mark.parametrize("bound", [0.001, 50.0])
-@pytest.mark.parametrize("state", [CURVE, AIR])
-def test_an_update_keeps_a_state_within_its_bounds_and_the_covariance_is_of_that_gain(state, bound):
-    rng = np.random.default_rng(3)
-    root = rng.standard_normal((25, 25))
-    s, P, h = np.zeros(25), root @ root.T, rng.standard_normal(25)
-    rows, only = np.stack([h, *np.zeros((3, 25))]), np.array([True, False, False, False])
-    most = np.where(np.array([CURVE, AIR]) == state, bound, np.inf)
-    new, cov, gains, nu, S = map(
-        np.asarray, kalman.update(s, P, rows, np.full(4, 9.0), only, np.full(4, 0.5), np.ones(25), -most, most)
-    )
-    K = P @ h / S[0]
-    free = abs(K[state] * nu[0]) <= bound
-    assert free == (bound > 1.0) and abs(new[state]) <= bound + 1e-12
-    K[state] = K[state] if free else np.sign(K[state] * nu[0]) * bound / nu[0]
-    left = np.eye(25) - np.outer(K, h)
-    assert gains[0] == pytest.approx(K) and cov == pytest.approx(left @ P @ left.T + 0.5 * np.outer(K, K))
-
-
 @pytest.mark.parametrize(
-    "made, load, teaches", [(1.0, 1.0, True), (0.0, 1.0, False), (-1.0, 1.0, False), (1.0, 1.7, False)]
+    "share, load, teaches", [(1.0, 1.0, True), (0.0, 1.0, False), (-1.0, 1.0, False), (1.0, 1.7, False)]
 )
-def test_the_curve_shows_near_hover_in_what_moves_the_vehicle(made, load, teaches):
-    """made: how much of the turn its yaw has been commanded for, less what moves nothing."""
-    x, gain = np.zeros(21), N * plant.GAIN_MEAN[2]
+def test_the_curve_shows_near_hover_in_what_moves_the_vehicle(share, load, teaches):
+    """share: how much of the turn its yaw has been commanded for, less what moves nothing."""
+    x, gain, p, memory, seen = np.zeros(THETA + N), N * plant.GAIN_MEAN[2], plant_of(QUAD, DT), Memory(), Seen()
     x[2 * PER_AXIS + GAIN] = gain
-    u = np.concatenate([np.ones(N), [0.0, 0.0, 4.0 * made, load * N], np.zeros(5), [2.5, ASSUMED, 0.35]])
-    y = np.array([0.0, 0.0, 4.0 * gain, N])
-    seen = model_error.look(
-        model_error.init(N), u, y, np.zeros(4), np.ones(4, bool), True, False, x, KNOWN_NOISE, N, DT, np.full(4, 0.5)
-    )[1]
+    u = np.concatenate([np.ones(N), [0.0, 0.0, 4.0 * share, load * N], np.zeros(5), [2.5, ASSUMED, 0.35, 0.0]])
+    now = filled(tick(u, N), wrench=np.array([0.0, 0.0, 4.0 * gain, N]))
+    memory.begin(p)
+    memory.weigh_inputs(p, now, x.tolist(), room(4), [0.5] * 4, made(Noise, v=KNOWN_NOISE), True, seen)
     assert (seen.curve > 0.5) if teaches else (seen.curve == 0.0)

@@ -9,7 +9,7 @@ import pytest
 
 from rotorwatch import airframes
 from rotorwatch.base.compiling.structs import LASTS
-from rotorwatch.engine.default import announcement
+from rotorwatch.engine.estimator import announcement
 from rotorwatch.engine.front import sense
 from rotorwatch.engine.front import ticks as definition
 from rotorwatch.engine.front.vehicle import Vehicle
@@ -38,7 +38,7 @@ def log(rate=200.0, gyro_rate=400.0, start=0.0, seed=0):
 
 
 def make(flight, thrust, **options):
-    return ticks.make(flight, thrust, B, AIR, 3.0, **options)
+    return ticks.cut_ticks(flight, thrust, B, AIR, 3.0, **options)
 
 
 LENGTHS = [(400.0, 0.05), (50.0, 0.05), (20.0, 0.05), (19.0, 0.05), (10.0, 0.1), (8.5, 0.1), (5.0, 0.2), (0.0, 1.0)]
@@ -139,7 +139,7 @@ def test_the_first_second_of_flight_ends_where_a_tick_ends():
     flight, thrust = log()
     times = make(flight, thrust).time
     k = next(k for k in range(60, len(times)) if times[k] - 1.0 + ticks.HOVER_LEARN_S == times[k])
-    table = ticks.make(flight, thrust, B, ((times[k] - 1.0, 11.0),), 3.0)
+    table = ticks.cut_ticks(flight, thrust, B, ((times[k] - 1.0, 11.0),), 3.0)
     assert table.mode[k - 1 : k + 1].tolist() == [ticks.GROUND, ticks.LEARN]
 
 
@@ -424,7 +424,7 @@ def test_who_has_tumbled_for_long_does_not_hover_again_in_this_hop(lasts, gone):
 def test_rotors_without_yaw_torque_are_not_judged_by_yaw():
     flight, thrust = log()
     flat = B * [[1.0], [1.0], [0.0], [1.0]]
-    valid = ticks.make(flight, thrust, flat, AIR, 3.0).valid
+    valid = ticks.cut_ticks(flight, thrust, flat, AIR, 3.0).valid
     both = make(flight, thrust).valid
     assert not valid[:, 2].any() and both[:, 2].any()
     np.testing.assert_array_equal(valid[:, [0, 1, 3]], both[:, [0, 1, 3]])

@@ -90,7 +90,7 @@ def test_yaw_is_no_measurement_of_rotors_that_make_none():
     flight = flown().flight
     vehicle = replace(airframes.named("ardupilot-tri"), curve=airframes.identify(flight).curve)
     thrust = replace(flight["motors"], values=vehicle.curve(flight["motors"].values), unit="1")
-    table = ticks.make(flight, thrust, vehicle.effectiveness(), airborne(flight), 8.0)
+    table = ticks.cut_ticks(flight, thrust, vehicle.effectiveness(), airborne(flight), 8.0)
     assert not table.valid[:, 2].any() and table.valid[:, [0, 1, 3]].any(axis=0).all()
 
 

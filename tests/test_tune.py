@@ -82,7 +82,7 @@ def test_a_loss_is_estimated_better(found):
     faulty = flight(6, loss=0.3)
     error = []
     for tuning in (None, found.tuning):
-        from rotorwatch.base.compiling.run import run
+        from rotorwatch.methods.compiling.run import run
 
         estimator = published.method("ekf", WRONG, DT, tuning)
         _, theta = run(estimator, faulty.u, faulty.y, faulty.valid, select=lambda out: out.theta)

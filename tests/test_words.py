@@ -35,7 +35,7 @@ def test_what_is_known_of_the_frame(fault):
         (RotorState(1, 0.0, (0.0, 1.0), "unobservable"), "?", ""),
         (RotorState(1, 0.0, (0.0, 0.5), "suspect"), "?", "0–50 %"),
         (RotorState(1, 0.2, (0.0, 0.5), "suspect"), "20.0 %", "0–50 %"),
-        (RotorState(1, 0.0, (0.0, 1.0), "healthy", "", (-0.01, 0.04)), "none seen", "changed by at most 4 %"),
+        (RotorState(1, 0.0, (0.0, 1.0), "healthy", "", (-0.01, 0.04)), "none seen", "at most 4 % in flight"),
         (RotorState(1, 0.01, (0.0, 0.03), "healthy", "", (-0.01, 0.04), "healthy"), "1.0 %", "0–3 %"),
     ],
 )

@@ -30,7 +30,7 @@ _VERBS = {
     "info": "report.info",
     "inject": "lab.experiments.inject",
     "observability": "methods.published.observability",
-    "run": "base.compiling.run",
+    "run": "methods.compiling.run",
     "survive": "lab.planning.survive",
     "tune": "witnesses.healthy.tune",
 }
@@ -74,7 +74,6 @@ __all__ = ["__version__", "read", *_VERBS, *(n for n in _HOMES if n != "read")]
 
 if TYPE_CHECKING:
     from rotorwatch.assistants.server import mcp as mcp
-    from rotorwatch.base.compiling.run import run as run
     from rotorwatch.diagnose import diagnose as diagnose
     from rotorwatch.diagnose_many import diagnose_many as diagnose_many
     from rotorwatch.engine.motion.airborne import airborne as airborne
@@ -101,6 +100,7 @@ if TYPE_CHECKING:
     from rotorwatch.lab.simulation import simulate as simulate
     from rotorwatch.lab.simulation.any_system import simulate_system as simulate_system
     from rotorwatch.logs import read as read
+    from rotorwatch.methods.compiling.run import run as run
     from rotorwatch.methods.published.observability import observability as observability
     from rotorwatch.report.info import info as info
     from rotorwatch.serve.server import serve as serve

@@ -11,12 +11,26 @@ from typing import Any, cast
 
 import numpy as np
 
-from rotorwatch.answer import common_mode, conclusion, health, ledger, picture, places, slow, traces, unseen, wording
+from rotorwatch.answer import (
+    common_mode,
+    conclusion,
+    health,
+    ledger,
+    mounts,
+    picture,
+    places,
+    slow,
+    traces,
+    trim,
+    unjudged,
+    unseen,
+    wording,
+)
 from rotorwatch.answer.ledger import Merged
 from rotorwatch.base import discovery
-from rotorwatch.engine.default import events, hypotheses, residual_evidence
-from rotorwatch.engine.default.announcement import threshold
-from rotorwatch.engine.default.program import TickOutput, estimate
+from rotorwatch.engine.default import events, residual_evidence
+from rotorwatch.engine.default.hypotheses import list_hypotheses
+from rotorwatch.engine.default.program import TickOutput, estimate, threshold
 from rotorwatch.engine.motion import ticks, trust
 from rotorwatch.engine.motion.airborne import Gap, airborne, gaps
 from rotorwatch.engine.motion.allocation import Spans
@@ -55,7 +69,7 @@ class Prepared:
     known: the vehicle brings what healthy flights of it say, from `source`; dynamics: of them, None where they do not fit this log.
     air: its flights ((start, end), ...) s, up to an impact; table: its ticks, None without a flight; ready_s: after take-off, in which
     trim and noise are learned; hovers: False where the default method judges angular motion alone. assumptions, warnings: grow as the
-    flight is judged. missing: commands that the log lacks in the air.
+    flight is judged. missing: commands that the log lacks in the air. matters: loss of one rotor that a healthy flight must have shown.
     """
 
     flight: Flight
@@ -71,6 +85,7 @@ class Prepared:
     assumptions: list[str]
     warnings: list[str]
     missing: tuple[Gap, ...] = ()
+    matters: float = conclusion.MATTERS
 
 
 @dataclass(frozen=True)
@@ -88,7 +103,7 @@ class Estimated:
         """The statistic's, from which on a loss is announced."""
         if not self.own:
             return 0.5 * decide.SIGMAS**2
-        return float(threshold(hypotheses.make(self.out.theta.shape[1]), self.table.dt))
+        return threshold(self.out.theta.shape[1], self.table.dt)
 
 
 class _Clock:
@@ -112,6 +127,7 @@ def diagnose(
     estimator: Any = "default",
     progress: Callable | None = None,
     tuning: Tuning | None = None,
+    matters: float = conclusion.MATTERS,
 ) -> Diagnosis:
     """Which rotor lost effectiveness, how much, since when and how sure.
 
@@ -120,6 +136,7 @@ def diagnose(
     Those that are not healthy or not of this build are set aside, and `warnings` say so (witnesses/healthy/baselines.py).
     estimator: the default method, or another one by name, as a class, or as an instance, whose keywords are kept (`discovery.estimator`);
     tuning: of a published one (`rotorwatch.tune`).
+    matters: a loss of one rotor, 0 to 1; where a larger one could have gone unseen, the verdict is `inconclusive`, not `healthy`.
     progress: called as progress(share, text). Raises LogError, VehicleError or ConfigError with one sentence.
     """
     clock, tell = _Clock(), progress or (lambda share, text="": None)
@@ -138,7 +155,9 @@ def diagnose(
     clock.lap("read_s")
     if estimator != "default":
         aerobatic.decline(flight, "the published methods model hover; leave out the estimator.")
-    ready = prepare(flight, vehicle, baseline, clock)
+    if not 0.0 < matters <= 1.0:
+        raise ConfigError(f"A loss that matters is a share above 0 and up to 1, not {matters:g}.")
+    ready = replace(prepare(flight, vehicle, baseline, clock), matters=matters)
     if ready.table is None:
         return _no_flight(ready, clock)
     tell(0.3, "preparing the estimator (built the first time)")
@@ -198,16 +217,14 @@ def prepare(
 
 
 def _no_flight(ready: Prepared, clock: _Clock) -> Diagnosis:
-    n = len(ready.vehicle.rotors)
-    never = sorted({rotor for gap in ready.missing for rotor in gap.rotors})
-    why = "no motor outputs" if not ready.flight.has("motors") else "no flight: the vehicle never took off"
+    n, never = len(ready.vehicle.rotors), sorted({rotor for gap in ready.missing for rotor in gap.rotors})
+    why = unjudged.NEVER if ready.flight.has("motors") else unjudged.SILENT
     if ready.air:
-        why = f"no command for {wording.rotors(never)}" if never else "too few motor outputs"
-    doubts = (f"the log shows {why}; nothing can be judged.",)
+        why = unjudged.silent(f"no command for {wording.rotors(never)}" if never else "too few motor outputs")
     found = ledger.merge((), events.Report(ready.vehicle.effectiveness()), ready.upsets, n).events
     names = places.names(ready.vehicle.rotors)
-    end = conclusion.conclude(conclusion.Evidence(found, n, places=names, hops=ready.air), () if found else doubts)
-    return _answer(end, ready, {}, clock, doubts=doubts)
+    end = conclusion.conclude(conclusion.Evidence(found, n, places=names, hops=ready.air, unjudged=why))
+    return _answer(end, ready, {}, clock, doubts=() if found else (why.why,))
 
 
 def estimated(
@@ -236,7 +253,9 @@ def _find(ready: Prepared, done: Estimated) -> Merged:
     if done.last is not None and not ready.known:  # healthy flights would have told what happened in the blind time
         claims = (*claims, *hindsight.find(done.last, table, B))
     claims = (*claims, *events.claimed(flight, craft, air))
-    grown = slow.find(done.out, table, B) if done.own and ready.hovers else None
+    shown = trim.explain(done.out, table, B) if done.own and ready.hovers else None
+    grown = slow.find(shown, B)
+    claims = (*claims, *mounts.claims(shown))
     merged = ledger.merge(claims, events.Report(B).add(table, air).finish(air), ready.upsets, B.shape[1], grown)
     ready.warnings += [text for text, lasts in wording.together(merged.shared) if not lasts]
     found, notes = consistency.check(flight, craft, air, table, merged.events)
@@ -260,7 +279,7 @@ def judge(ready: Prepared, done: Estimated) -> Judgement:
     """The answer to a flight that an estimator has seen. `diagnose` shows it, and campaigns count it."""
     flight, craft, air, found = ready.flight, ready.vehicle, ready.air, _find(ready, done)
     table, out, B = done.table, done.out, ready.vehicle.effectiveness()
-    n, hyp = B.shape[1], hypotheses.make(B.shape[1])
+    n, hyp = B.shape[1], list_hypotheses(B.shape[1])
     doubts = trust.contradictions(flight, craft, air, cast(Ticks, ready.table))
     doubts += tuple(text for text, lasts in wording.together(found.shared) if lasts)
     doubts += () if ready.hovers else aerobatic.lacks(flight)
@@ -277,12 +296,18 @@ def judge(ready: Prepared, done: Estimated) -> Judgement:
     steps, seen_events = unseen.bounds(out, table, B), found.events
     if done.own and ready.hovers:
         seen_events, spells = ledger.weighed(found.events, steps, spells, float(table.time[-1]), found.grown)
-    hidden, hidden_pair = _hidden(out, table, steps, B)
+    hidden, hidden_pair = _hidden(out, table, steps, B, ready.hovers)
+    judged_s = float(judged.sum() * table.dt)
     seen = conclusion.Evidence(
-        seen_events, n, whole, hidden, hidden_pair, float(judged.sum() * table.dt), spells, places.names(craft.rotors), air,
+        seen_events, n, whole, hidden, hidden_pair, judged_s, spells, places.names(craft.rotors), air,
         health.trends(out, table, B, found.events) if trusted else (), other, ready.hovers,
-        tuple(g for g in ready.missing if g.lasts and g.start >= air[-1][0]),
+        tuple(g for g in ready.missing if g.lasts and g.start >= air[-1][0]), ready.matters,
     )  # fmt: skip
+    if not doubts and (judged_s < conclusion.LEAST_S or seen.vague):
+        needed = (ready.ready_s if ready.hovers else aerobatic.READY_S) + conclusion.LEAST_S
+        stepped = bool(np.max(steps.losses()) >= np.max(hidden))
+        why = unjudged.find(flight, air, table, judged_s, needed, ready.hovers, conclusion.LEAST_S, stepped)
+        seen = replace(seen, unjudged=why)
     return Judgement(conclusion.conclude(seen, doubts), doubts, spells, whole)
 
 
@@ -295,7 +320,7 @@ def _conclude(ready: Prepared, done: Estimated, last: Judgement, title: str, clo
     clock.lap("comparison_s")
     judged = (table.mode == JUDGE) & table.valid.any(axis=1)
     common = common_mode.thrust_shift(out.biases[judged, 3]) if not doubts and ready.hovers else {}
-    hyp = hypotheses.make(B.shape[1])
+    hyp = list_hypotheses(B.shape[1])
     trace = traces.compose(
         flight, out, table, hyp, B, air, ready.ready_s, done.limit, end.events, last.spells, end.rotors
     )
@@ -358,12 +383,14 @@ def _undisturbed(table: Ticks, found) -> float:
     return min([np.inf, *(e.onset_s for e in found), *table.time[table.upset & (table.mode > ticks.GROUND)][:1]])
 
 
-def _hidden(out, table: Ticks, seen: unseen.Unseen, B: np.ndarray) -> tuple[np.ndarray, float]:
+def _hidden(out, table: Ticks, seen: unseen.Unseen, B: np.ndarray, hovers: bool) -> tuple[np.ndarray, float]:
     """(n,) largest loss of each rotor that could have gone unseen in flight: too small to be measured, or taken for a disturbance; and the
     same of two opposite rotors."""
     judged = table.mode == JUDGE
     if not judged.any():
         return np.ones(out.theta.shape[1]), 1.0
+    if not hovers:  # its bound is of all blocks so far; two opposite rotors at once are not looked for
+        return np.minimum(1.0, 1.96 * out.detectable[judged][-1]), 0.0
     measured = 1.96 * np.median(out.detectable[judged], axis=0)
     single = np.minimum(1.0, np.maximum(measured, seen.losses()))
     return single, min(1.0, seen.pair(events.opposites(B)))

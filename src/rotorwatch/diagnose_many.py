@@ -11,6 +11,7 @@ from os import PathLike
 from typing import Any
 
 from rotorwatch import gathering, logs
+from rotorwatch.answer.conclusion import MATTERS
 from rotorwatch.base.many.done import Done
 from rotorwatch.base.many.spread import run, useful_jobs
 from rotorwatch.errors import ConfigError, RotorwatchError
@@ -51,7 +52,7 @@ class Answer:
 
     @property
     def exit_code(self) -> int:
-        """As of `rotorwatch diagnose`: 0 healthy, 1 fault, 3 inconclusive or ambiguous, 2 error."""
+        """As of `rotorwatch diagnose`: 0 healthy, 1 fault or crashed, 3 inconclusive or ambiguous, 2 error."""
         return ERROR if self.diagnosis is None else self.diagnosis.exit_code
 
     def to_dict(self) -> dict[str, Any]:
@@ -75,16 +76,17 @@ def diagnose_many(
     hashed: bool = False,
     known: Mapping[str, Known] | None = None,
     pictures: bool = False,
+    matters: float = MATTERS,
 ) -> Iterator[Answer]:
     """`diagnose` of every log: an `Answer` for each as soon as it is there, in any order; an error of one stops no other.
 
-    paths: logs, folders with all that is in them, quoted patterns, and addresses (s3://, http://, file:// ..), where fsspec is
-    installed. They may come from a generator: no more logs are taken than are worked on. vehicle, baseline, estimator, tuning: as for
-    `diagnose`, for all logs. jobs, scheduler: as for `many.run`; by default a process per processor, fewer for few logs. The workers of
-    a cluster have to find the same paths. pages: make HTML reports, too; recordings: MCAP files; pictures: PNGs, where there is
-    something to draw. hashed: size and SHA-256 of each log's content. known: full path -> what it was when it had its answer; those
-    that did not change are not judged again. Raises ConfigError, VehicleError or LogError where no log can be judged: a folder without
-    logs, a wrong vehicle or baseline, a scheduler that does not answer.
+    paths: logs, folders with all that is in them, quoted patterns, and addresses (s3://, http://, file:// ..), where fsspec is installed.
+    They may come from a generator: no more logs are taken than are worked on. vehicle, baseline, estimator, tuning, matters: as for
+    `diagnose`, for all logs. jobs, scheduler: as for `many.run`; by default a process per processor, fewer for few logs. The workers of a
+    cluster have to find the same paths. pages: make HTML reports, too; recordings: MCAP files; pictures: PNGs, where there is something
+    to draw. hashed: size and SHA-256 of each log's content. known: full path -> what it was when it had its answer; those that did not
+    change are not judged again. Raises ConfigError, VehicleError or LogError where no log can be judged: a folder without logs, a wrong
+    vehicle or baseline, a scheduler that does not answer.
     """
     from rotorwatch.witnesses.healthy.baselines import vehicle_of
 
@@ -94,7 +96,7 @@ def diagnose_many(
         if not isinstance(source, Flight):
             read(source)  # an error in it would be every log's
     healthy = tuple(source if isinstance(source, Flight) else _named(source, scheduler) for source in baseline)
-    judge = _Judge(craft, healthy, estimator, tuning, pages, recordings, pictures, hashed)
+    judge = _Judge(craft, healthy, estimator, tuning, pages, recordings, pictures, hashed, matters)
     if isinstance(paths, Sequence):
         paths = list(gathering.Gathered(paths))
         if jobs is None and scheduler is None:
@@ -145,6 +147,7 @@ class _Judge:
     recordings: bool
     pictures: bool
     hashed: bool
+    matters: float = MATTERS
 
     @cached_property
     def healthy(self) -> tuple[Any, ...]:
@@ -163,7 +166,9 @@ class _Judge:
                     size, sha256 = logs.fingerprint(here)
                     if before == Known(size, sha256):
                         return Answer(0, path, size=size, sha256=sha256, unchanged=True)
-                found = timed(partial(logs.read, here), self.vehicle, self.healthy, self.estimator, self.tuning)
+                found = timed(
+                    partial(logs.read, here), self.vehicle, self.healthy, self.estimator, self.tuning, self.matters
+                )
         except RotorwatchError as why:
             if gathering.is_address(path) and here is not None:
                 why = type(why)(str(why).replace(str(here), path))  # nobody knows the copy's name
@@ -194,6 +199,7 @@ def timed(
     baseline: Sequence[Any],
     estimator: str,
     tuning: Any,
+    matters: float = MATTERS,
     progress: Callable | None = None,
 ) -> Diagnosis:
     """`diagnose` of what `reading` returns; `timing` holds the reading, too."""
@@ -202,7 +208,13 @@ def timed(
     began = time.perf_counter()
     flight = reading()
     read_s = time.perf_counter() - began
-    how: dict[str, Any] = {"vehicle": vehicle, "baseline": baseline, "estimator": estimator, "tuning": tuning}
+    how: dict[str, Any] = {
+        "vehicle": vehicle,
+        "baseline": baseline,
+        "estimator": estimator,
+        "tuning": tuning,
+        "matters": matters,
+    }
     found = diagnose(flight, progress=progress, **how)
     timing = {**found.timing, "read_s": read_s, "total_s": found.timing.get("total_s", 0.0) + read_s}
     return replace(found, timing=timing)

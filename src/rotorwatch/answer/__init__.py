@@ -4,7 +4,9 @@ wording.py      the words for numbers, rotors and events
 places.py       where a rotor sits, in words
 health.py       grade of every rotor's loss, and its trend
 unseen.py       how large a loss can be that has not been announced, and whether one has stayed that wind hides
-slow.py         losses that grew slowly, in the trim of a whole flight
+trim.py         what explains the trim of a whole flight
+slow.py         losses that grew slowly, in that trim
+mounts.py       mounts and arms that turned, in that trim
 story.py        what happened when control was lost, in four sentences
 ledger.py       all that is claimed of a flight, and the one rule that makes events of the claims
 falls.py        the events with those of a loss of control

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from rotorwatch.answer.unjudged import OUTPUTS
 from rotorwatch.answer.wording import BASELINE, listed, rotors, said, seconds, sentence
-from rotorwatch.engine.default.hypotheses import TOTAL_LOSS
+from rotorwatch.engine.estimator.hypotheses import TOTAL_LOSS
 from rotorwatch.flight.diagnosis import Event, RotorState
 from rotorwatch.flight.kinds import DESYNC, LOST, Weight
 
@@ -14,6 +15,8 @@ PARTS = {
     "motor_or_esc": "its motor, ESC, connectors and supply wires first; it turns slower than commanded",
     "bearing": "its motor's bearings first; it draws more current than its speed needs",
 }
+
+SENSORS = "Judge another log of this vehicle; `rotorwatch info LOG` lists what this one holds, from where, and how much of it is valid."
 
 
 def advise(
@@ -26,20 +29,20 @@ def advise(
     doubts: Sequence[str],
     stays: bool = True,
     missing: bool = False,
+    shows_more: str = "",
 ) -> tuple[str, ...]:
     """Sentences, the most urgent first. compared: with healthy flights, or it cannot
-    be. stays: the main event was not over before the landing. missing: commands, up to the end of the flight."""
+    be. stays: the main event was not over before the landing. missing: commands, up to the end of the flight. shows_more: what to do for
+    the next log to show what this one did not."""
     out: list[str] = []
     event = None if main is None else events[main]
     broken = [s.rotor for s in states if s.status in ("degraded", "failed")]
     suspects = [s.rotor for s in states if s.status == "suspect"]
     if doubts or missing:
         out += [sentence(d) for d in doubts[1:]]
-        out.append("Log the outputs that reach the motors; `rotorwatch info LOG` lists what a log holds and lacks.")
-    elif verdict == "inconclusive" and (event is None or event.kind != LOST):
-        out.append(
-            "Fly at least 20 s in the air; `rotorwatch info LOG` lists what this log holds and what to log next time."
-        )
+        out.append(OUTPUTS if missing or "output" in doubts[0] else SENSORS)
+    elif shows_more:
+        out.append(shows_more)
     first = "" if event is None else _first(event, places, stays)
     if first:
         out.append(first)
@@ -63,7 +66,7 @@ def advise(
         own = [e for e in outside if e.kind == kind]
         when = listed([seconds(e.onset_s) for e in own[:5]])
         out.append(said(own[0].means.advice, own[0], places, all_times=when))
-    if verdict != "inconclusive" and not compared:
+    if verdict not in ("inconclusive", "crashed") and not compared:
         out.append(BASELINE)
     return tuple(out)
 

@@ -5,6 +5,7 @@ Every view - terminal, page, JSON - shows this answer and adds nothing, so that 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,6 +14,7 @@ import numpy as np
 
 from rotorwatch.answer import advice, health, ledger, story
 from rotorwatch.answer.ledger import main_event
+from rotorwatch.answer.unjudged import UNKNOWN, Unjudged
 from rotorwatch.answer.wording import (
     SCALE,
     candidates,
@@ -24,9 +26,10 @@ from rotorwatch.answer.wording import (
     said,
     seconds,
     sentence,
+    up_to,
 )
-from rotorwatch.engine.default.hypotheses import TOTAL_LOSS
 from rotorwatch.engine.default.residual_evidence import ResidualEvidence
+from rotorwatch.engine.estimator.hypotheses import TOTAL_LOSS
 from rotorwatch.engine.motion.airborne import Gap
 from rotorwatch.flight.diagnosis import Event, RotorState, StoryLine, Trend
 from rotorwatch.flight.kinds import CONTACT, LOST, Weight
@@ -40,10 +43,14 @@ NOT_A_ROTOR = {
     "power": "the power failed",
 }
 LEAST_S = 3.0  # of judged flight, below which no rotor is called healthy
+MATTERS = 0.2  # loss of one rotor up to which `healthy` is a claim: from there on a rotor is degraded (wording.SCALE)
 CREDIBLE = 0.05  # causes of a whole flight's difference that are less probable accuse nobody
+ALIKE = 0.05  # bounds of rotors that differ by less accuse none
 LANDED_S = 1.5
 UNJUDGED = "Damage from take-off was not judged."
 INVISIBLE = (0.0, 1.0)
+OFF_MIDDLE = "the centre of mass is off the middle"
+UNKNOWING = ("inconclusive", "crashed")  # verdicts that say nothing of the rotors at the end
 LOPSIDED = (
     "may have been weak from take-off on"  # compared with any build's vehicles: nothing else is known of the rotor
 )
@@ -73,6 +80,7 @@ class Evidence:
     flights, or None; population: `population.judge` against healthy vehicles of any build. residual_evidence: against rotors, that no
     event explains. hops: ((take-off, landing), ...) s. trends: `health.trends`, of each rotor, shown of rotors that are no suspects, or
     empty. comparable: flights of this kind can be compared with healthy ones. missing: commands that the log lacks up to the end.
+    matters: loss of one rotor that a healthy flight must be able to show. unjudged: why no more could be judged.
     """
 
     events: Sequence[Event]
@@ -88,6 +96,13 @@ class Evidence:
     population: Mapping[str, Any] | None = None
     comparable: bool = True
     missing: Sequence[Gap] = ()
+    matters: float = MATTERS
+    unjudged: Unjudged = UNKNOWN
+
+    @property
+    def vague(self) -> bool:
+        """A loss that matters could have gone unseen."""
+        return _unseen(self) > self.matters
 
     @property
     def missing_s(self) -> float:
@@ -127,7 +142,7 @@ def conclude(seen: Evidence, doubts: Sequence[str] = ()) -> Conclusion:
         seen = Evidence(
             ledger.believed(seen.events), seen.n, judged_s=seen.judged_s, places=seen.places, hops=seen.hops
         )
-        return _concluded(seen, "inconclusive", doubts[0], "This log cannot say.", None, doubts)
+        return _concluded(seen, "inconclusive", doubts[0], _not_judged(doubts[0]), None, doubts)
     seen = replace(seen, events=tuple(seen.events), hidden=seen.hidden if seen.judged_s >= LEAST_S else None)
     main = main_event(seen.events)
     verdict, reason = _verdict(seen, main)
@@ -147,6 +162,7 @@ def _concluded(seen: Evidence, verdict, reason, headline, main, doubts) -> Concl
         doubts,
         stays,
         bool(seen.missing),
+        _shows_more(seen, main, verdict),
     )
     story_lines = story.narrate(seen.events, main, seen.n, seen.places, seen.hops, not doubts)
     return Conclusion(verdict, reason, headline, main, states, next_steps, tuple(seen.events), story_lines)
@@ -155,11 +171,35 @@ def _concluded(seen: Evidence, verdict, reason, headline, main, doubts) -> Concl
 # Verdict and words
 
 
+def _not_judged(why: str) -> str:
+    """The headline of a log of which nothing could be judged: the reason, without what follows from it."""
+    return sentence(f"not judged: {re.split('[:;] ', why)[0].rstrip('.')}.")
+
+
+def _shows_more(seen: Evidence, main: int | None, verdict: str) -> str:
+    """What to do so that the next log shows what this one did not; empty where it showed enough."""
+    if verdict != "inconclusive" or main is not None or seen.missing:
+        return ""
+    return seen.unjudged.advice
+
+
+def _bounded(seen: Evidence) -> bool:
+    """Nothing is wrong as far as the flight shows, and how far that is is known of each rotor."""
+    return seen.hidden is not None and seen.lost is None and not seen.missing
+
+
+def _crashed(lost: Event) -> bool:
+    """Control was lost for good by what is known, and no rotor."""
+    known = lost.kind == LOST and lost.extra.get("cause") in NOT_A_ROTOR and not lost.alternatives
+    return known and (lost.end_s is None or lost.extra.get("impact_s") is not None)
+
+
 def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
     event = None if main is None else seen.events[main]
     whole = seen.compared
     if event is not None and not event.means.accuses:
-        return "ambiguous" if event.alternatives else "inconclusive", f"{event.reason}. {_cleared(seen, event)}".strip()
+        verdict = "ambiguous" if event.alternatives else "crashed" if _crashed(event) else "inconclusive"
+        return verdict, f"{event.reason}. {_cleared(seen, event)}".strip()
     if event is not None and not event.alternatives:
         return "fault", _what_happened(seen, event) + _and_more(seen, event) + _open(seen) + "."
     if whole and whole["verdict"] == "fault":
@@ -169,8 +209,9 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
     if whole and whole["verdict"] == "ambiguous":
         return "ambiguous", whole["reason"]
     if seen.hidden is None:
-        why = _missing(seen) or "the vehicle was hardly in the air, or its motion is not logged"
-        return "inconclusive", f"only {seen.judged_s:.1f} s of flight could be judged: {why}."
+        why = _missing(seen) or seen.unjudged.why
+        some = f"; {seen.judged_s:.1f} s of flight could be judged" if seen.judged_s >= 0.1 else ""
+        return "inconclusive", f"{why}{some}."
     if (spell := _lasting(seen)) is not None:
         return "ambiguous", f"{_as_if(spell, ())}: a loss that wind hides, or wind that turned then."
     if seen.residual_evidence:
@@ -178,15 +219,17 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
         return "ambiguous", f"there is evidence against {listed(spells)} that no event explains."
     scope = "and none from take-off on, compared with its healthy flights" if whole else "after take-off"
     if seen.bound is not None:
-        scope = (
-            f"and none more than {percent(seen.bound)} from take-off on, compared with healthy vehicles of any build"
-        )
+        scope = f"and none more than {up_to(seen.bound)} from take-off on, compared with healthy vehicles of any build"
     slow = "".join(f"; but slowly {rotors([k])} {grows(t)}" for k, t in _growing(seen))
     unseen = f"a loss of up to {_bound(seen)} could have gone unseen"
-    healthy = f"no rotor lost effectiveness in {seen.judged_s:.0f} s of judged flight, {scope}{slow}; {unseen}."
+    flown = sum(b - a for a, b in seen.hops)
+    of = f", of {flown:.0f} s in the air" if flown > 2.0 * seen.judged_s else ""
+    healthy = f"no rotor lost effectiveness in {seen.judged_s:.0f} s of judged flight{of}, {scope}{slow}; {unseen}"
     if seen.missing:
-        return "inconclusive", f"{_missing(seen)}, without which nothing can be judged; until then {healthy}"
-    return "healthy", healthy
+        return "inconclusive", f"{_missing(seen)}, without which nothing can be judged; until then {healthy}."
+    if seen.vague:
+        return "inconclusive", f"{healthy}, and more than {percent(seen.matters)} would matter: {seen.unjudged.why}."
+    return "healthy", f"{healthy}."
 
 
 def _missing(seen: Evidence) -> str:
@@ -250,8 +293,10 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
         return sentence(f"{first} {_cleared(seen, event)}".strip())
     if verdict == "inconclusive" and seen.missing and seen.hidden is not None:
         return f"No rotor lost thrust until {seconds(seen.missing_s)}. What came then cannot be said: {_missing(seen)}."
+    if verdict == "inconclusive" and seen.hidden is None:
+        return _not_judged(_missing(seen) or seen.unjudged.why)
     if verdict == "inconclusive":
-        return "This log cannot say."
+        return f"No loss was seen, but up to {_bound(seen)} could be missing unseen: {seen.unjudged.why}."
     knocks = [seconds(e.onset_s) for e in seen.events if e.kind == CONTACT]
     first = _matter(seen, verdict, main) if verdict != "healthy" else "All rotors pull their weight."
     if verdict == "healthy" and (not seen.compared or seen.bound is not None):
@@ -269,7 +314,7 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
     if verdict == "healthy" and not seen.compared:
         parts.append(UNJUDGED)
     elif verdict == "healthy" and seen.bound is not None:
-        parts.append(f"Nothing beyond {percent(seen.bound)} was wrong from take-off on.")
+        parts.append(_lopsided(seen))
     if knocks:  # after each the trim is learned afresh, with whatever it broke
         when = f"the knock at {knocks[0]}" if len(knocks) == 1 else f"{len(knocks)} knocks, the first at {knocks[0]},"
         parts.append(f"What {when} broke was not judged.")
@@ -279,6 +324,7 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
         parts.append(
             sentence(f"{rotors([rotor], seen.places)} {notices}, since {seconds(min(e.onset_s for e in own))}.")
         )
+    parts += [said(e.means.headline, e) for e in _notices(seen) if not e.rotors]
     return " ".join(parts)
 
 
@@ -290,8 +336,20 @@ def _unseen(seen: Evidence) -> float:
 def _bound(seen: Evidence) -> str:
     """How much of one rotor, and of each of two opposite ones where that is more."""
     one = _unseen(seen)
-    pair = f", or {percent(seen.hidden_pair)} of each of two opposite rotors," if seen.hidden_pair > one else ""
-    return f"{percent(one)} of one rotor{pair}"
+    more = up_to(seen.hidden_pair) != up_to(one) and seen.hidden_pair > one
+    pair = f", or {up_to(seen.hidden_pair)} of each of two opposite rotors," if more else ""
+    return f"{up_to(one)} of one rotor{pair}"
+
+
+def _lopsided(seen: Evidence) -> str:
+    """How much may have been missing from take-off on, by healthy vehicles of any build, and in which rotor."""
+    assert seen.compared
+    bounds = [high for _, high in seen.compared["interval"]]
+    most = up_to(max(bounds))
+    if max(bounds) - min(bounds) < ALIKE:
+        return f"From take-off on no rotor lacked more than {most}."
+    who = rotors([int(np.argmax(bounds)) + 1], seen.places)
+    return sentence(f"{who} may have lacked up to {most} from take-off on, the others less.")
 
 
 def _growing(seen: Evidence) -> list[tuple[int, Trend]]:
@@ -314,9 +372,8 @@ def _matter(seen: Evidence, verdict: str, main: int | None) -> str:
         who = sentence(rotors(whole["rotors"], seen.places))
         than = "on healthy flights" if seen.whole else "a rotor of any healthy vehicle, from take-off on"
         return f"{who} pulled less than {than}: loss {', '.join(shares)}."
-    if event is None and whole and not seen.whole and whole["verdict"] == "ambiguous":
-        who = [rotors(c["rotors"], seen.places) for c in whole["causes"] if c["rotors"]]
-        return sentence(f"{' or '.join(who)} was weak from take-off on, or the centre of mass is off the middle.")
+    if event is None and whole and whole["verdict"] == "ambiguous":
+        return _from_the_start(seen, whole)
     if event is None and (spell := _lasting(seen)) is not None:
         return sentence(f"{_as_if(spell, seen.places)}, or the wind turned then.")
     if event is None:
@@ -326,6 +383,23 @@ def _matter(seen: Evidence, verdict: str, main: int | None) -> str:
     again = again or (f" (one of {more + 1} events)" if more else "")
     about = {"until": _until(seen, event, " until"), "again": again, "stopped": _stopped(seen, event)}
     return sentence(said(event.means.headline, event, seen.places, **about))
+
+
+def _from_the_start(seen: Evidence, whole: Mapping[str, Any]) -> str:
+    """What explains a whole flight's difference, the likeliest first."""
+    causes = sorted((c for c in whole["causes"] if c["probability"] > CREDIBLE), key=lambda c: -c["probability"])
+    if not any(c["rotors"] for c in causes):
+        causes = [{"rotors": whole["rotors"]}, *causes]
+    said = []
+    for c in causes:
+        who, lost = c["rotors"], [whole["loss"][r - 1] for r in c["rotors"]]
+        size = f" {percent(lost[0])}" if len(who) == 1 and lost[0] > 0.0 else ""
+        weak = f"{rotors(who, seen.places)} {'were' if len(who) > 1 else 'was'}{size} weak from take-off on"
+        said.append(weak if who else "the centre of mass has moved" if seen.whole else OFF_MIDDLE)
+    if len(said) == 1:
+        said.append("the centre of mass has moved" if seen.whole else OFF_MIDDLE)
+    first, *rest = said
+    return sentence(f"{first}, or {', or '.join(one.replace(' from take-off on', '') for one in rest)}.")
 
 
 # Rotors
@@ -348,7 +422,7 @@ def _state(seen: Evidence, rotor: int, verdict: str) -> RotorState:
         place = seen.places[rotor - 1] if rotor <= len(seen.places) else ""
         return RotorState(rotor, float(loss), (low, high), status, place, since, from_takeoff, note, grade, trend)
 
-    if verdict == "inconclusive":
+    if verdict in UNKNOWING and not _bounded(seen):
         return state(0.0, INVISIBLE, "unobservable", _worked(seen, rotor))
     claims = [e for e in seen.losses if rotor in e.suspects]
     lasting = [e for e in claims if e.end_s is None]
@@ -373,6 +447,8 @@ def _state(seen: Evidence, rotor: int, verdict: str) -> RotorState:
     if seen.hidden is None or seen.missing:
         return state(0.0, INVISIBLE, "unobservable", _worked(seen, rotor))
     since, note = (0.0, float(seen.hidden[rotor - 1])), _past(seen, rotor, claims)
+    if since[1] > seen.matters:
+        return state(0.0, INVISIBLE, "unobservable", note, since)
     if whole:
         bounds = 0.0, _together([since[1], float(whole["interval"][rotor - 1][1])])
         return state(whole["loss"][rotor - 1], bounds, "healthy", note, since)
@@ -381,12 +457,12 @@ def _state(seen: Evidence, rotor: int, verdict: str) -> RotorState:
 
 def _from_takeoff(whole: Mapping[str, Any] | None, rotor: int, verdict: str, seen: Evidence) -> str:
     """The state of a rotor from take-off on, by the comparison with healthy flights or vehicles."""
-    if not whole or verdict == "inconclusive":
+    if not whole or (verdict in UNKNOWING and not _bounded(seen)):
         return "not judged"
     likely = {r for c in whole.get("causes", ()) if c["probability"] > CREDIBLE for r in c["rotors"]}
-    if verdict != "healthy" and whole["verdict"] == "fault" and rotor in whole["rotors"]:
+    if whole["verdict"] == "fault" and rotor in whole["rotors"]:
         return "damaged"
-    if verdict != "healthy" and whole["verdict"] != "healthy" and rotor in {*whole["rotors"], *likely}:
+    if whole["verdict"] != "healthy" and rotor in {*whole["rotors"], *likely}:
         return "suspect"
     return "healthy" if seen.whole else "bounded"
 

@@ -26,7 +26,7 @@ def gather(flight: Flight, time: np.ndarray, air: tuple[tuple[float, float], ...
         "position": _position(flight, time, air),
         "ground_speed": _ground_speed(flight, time),
         "battery": _columns(flight, "battery", (0, 1), time),
-        "vibration": _vibration(flight, time),
+        "vibration": vibration(flight, time),
     }
 
 
@@ -87,7 +87,7 @@ def _between(when: np.ndarray, values: np.ndarray, time: np.ndarray) -> np.ndarr
     return np.where(known, np.interp(time, when, values), np.nan)
 
 
-def _vibration(flight: Flight, time: np.ndarray) -> np.ndarray | None:
+def vibration(flight: Flight, time: np.ndarray) -> np.ndarray | None:
     """(T, 3) standard deviation [m/s^2] of the accelerometer above the motion, body x, y, z; None where it is logged too slowly."""
     if not flight.has("accel") or flight["accel"].rate_hz < LEAST_HZ:
         return None

@@ -23,7 +23,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rotorwatch.answer.wording import SCALE
-from rotorwatch.engine.default.plant import USUAL_S
+from rotorwatch.engine.estimator.plant import USUAL_S
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event, Trend
 from rotorwatch.methods.maths import trend as line

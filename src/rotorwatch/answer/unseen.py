@@ -8,8 +8,9 @@ does not give. A loss L of rotor i is a step of
 b: biases [hover thrusts of one rotor]; T: thrusts commanded; dividing by the mean takes a sagging battery out. For every onset between
 two blocks of time L is weighted least squares on the difference of the means of z after and before it; the variance of z is enlarged by
 (1 + r) / (1 - r) for errors of an autoregression with correlation r from block to block. The bound is the largest upper end of the 95 %
-intervals over all onsets. Wind that turns, or a load that shifts, is such a step as well: the bound then says that
-a loss could look like this. Thrust itself, which battery and air move for all rotors alike, is left out for a single rotor.
+intervals over all onsets from 10 s after judging began to 10 s before its end (6 s in short flights). Wind that turns, or a load that
+shifts, is such a step as well: the bound then says that a loss could look like this. Thrust itself, which battery and air move for all
+rotors alike, is left out for a single rotor.
 
 Where such a step is certain, began with certain evidence for that rotor (`announcement.CERTAIN_NATS` each, against no change at all; the
 beginning of one tick), and has stayed since, the flight cannot be called healthy: a gust explains the beginning as well, and another
@@ -32,9 +33,12 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.answer.wording import SCALE
-from rotorwatch.engine.default import announcement, events, hypotheses, plant, residual_evidence
+from rotorwatch.engine.default import events, residual_evidence
+from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.default.residual_evidence import ResidualEvidence
+from rotorwatch.engine.estimator import announcement, hypotheses, plant
 from rotorwatch.engine.front.losses import WITHIN_95
+from rotorwatch.engine.front.vehicle import YAW
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import LOST
@@ -43,6 +47,7 @@ from rotorwatch.methods.maths.tails import student_quantile
 STEP_S = 2.0  # length of a block; a longer one hides the scatter of wind, a shorter one is as correlated as the wind is
 BLOCKS = 8, 200  # at least, so that short flights have shorter ones, and at most
 SPELL = 3  # blocks before and after an onset
+FIRM = 5  # the same for the bound, where the flight is long enough: means of fewer say nothing of a step
 CORRELATED = 0.9  # at most
 # Causes of a loss of control that rest on how rotors answer their commands.
 CLEARS = ("controller", "saturated", "unknown")
@@ -58,8 +63,8 @@ def bounds(out, table: Ticks, B: np.ndarray) -> Unseen:
 
 
 def usable(table: Ticks) -> np.ndarray:
-    """(T,) bool: the ticks whose biases count. Rotors that are commanded nothing cannot lack anything."""
-    return (table.mode == JUDGE) & table.valid[:, :3].all(axis=1) & ~table.upset & table.thrust.any(axis=1)
+    """(T,) bool: the ticks whose biases count. Rotors that are commanded nothing cannot lack anything; those of a tricopter make no yaw."""
+    return (table.mode == JUDGE) & table.valid[:, :YAW].all(axis=1) & ~table.upset & table.thrust.any(axis=1)
 
 
 class Rows(NamedTuple):
@@ -97,7 +102,7 @@ class Unseen:
     def __init__(self, B: np.ndarray, dt: float):
         self.B, self._dt, self._each = B, dt, 1
         n = B.shape[1]
-        self._disturbance, none = ~hypotheses.make(n).fault, np.empty((0, n))
+        self._disturbance, none = ~list_hypotheses(n).fault, np.empty((0, n))
         self._rows = Rows(np.empty((0, 4 + n)), none, none, none, none > 0.0, np.empty(0, bool))  # of `_each` ticks
         self._rest = self._rows  # ticks that are too few for a row
         self._new: list[tuple[np.ndarray, ...]] = []  # what is looked at once it is many, or asked for
@@ -238,11 +243,14 @@ class _Steps(NamedTuple):
         return student_quantile(0.975, self.N - 2) / np.sqrt(self.information)
 
     def upper(self, B: np.ndarray) -> np.ndarray:
-        """(m,): the largest upper end over all onsets, with what the model of a vehicle is uncertain of; 1 without any."""
+        """(m,): the largest upper end over all onsets but the first and the last, with what the model of a vehicle is uncertain of; 1
+        without any."""
         if not len(self.before):
             return np.ones(self.loss.shape[1])
         loss = np.maximum(self.loss, 0.0)
-        return np.minimum((loss + WITHIN_95 * events.sd_of(loss, self.half() / WITHIN_95, B)).max(axis=0), 1.0)
+        upper = loss + WITHIN_95 * events.sd_of(loss, self.half() / WITHIN_95, B)
+        edge = max(0, min(FIRM, self.N // 4) - SPELL)
+        return np.minimum(upper[edge : len(upper) - edge].max(axis=0), 1.0)
 
     def largest(self) -> Step:
         nats = 0.5 * np.maximum(self.loss, 0.0) ** 2 * self.information

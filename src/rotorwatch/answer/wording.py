@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 
-from rotorwatch.engine.default.hypotheses import TOTAL_LOSS
+from rotorwatch.engine.estimator.hypotheses import TOTAL_LOSS
 from rotorwatch.engine.motion.airborne import Gap
 from rotorwatch.flight.diagnosis import Event, Trend
 from rotorwatch.flight.kinds import Words
@@ -12,7 +13,10 @@ from rotorwatch.flight.kinds import Words
 CAUSES = {"propeller": "propeller", "motor_or_esc": "motor or ESC", "bearing": "bearing"}
 BASELINE = "To see smaller damage that was there from take-off, give a healthy flight of the same build: --baseline HEALTHY.LOG."
 NAMED = 5  # gaps that warnings name
-VERDICTS = {"healthy": "Healthy", "fault": "Fault found", "ambiguous": "Ambiguous", "inconclusive": "Inconclusive"}
+VERDICTS = {
+    "healthy": "Healthy", "fault": "Fault found", "crashed": "Crashed, not a rotor", "ambiguous": "Ambiguous",
+    "inconclusive": "Inconclusive",
+}  # fmt: skip
 
 # Grade of health, and the loss from which it holds. 5 %: propellers and motors of one build differ by as much. 20 %: the rotor turns 12 %
 # faster for the same thrust, which controllers hardly notice below. 50 %: of a vehicle with twice its weight in thrust, the rotor no
@@ -24,6 +28,11 @@ def percent(share: float, digits: int = 0) -> str:
     """0.374 -> '37 %'. Never '-0 %'."""
     text = f"{100 * share:.{digits}f}"
     return f"{text.lstrip('-') if float(text) == 0 else text} %"
+
+
+def up_to(share: float) -> str:
+    """An upper bound in whole percent, never less than it is: 0.004 -> '1 %', 0.214 -> '22 %'."""
+    return f"{min(100, max(1, math.ceil(round(100 * share, 6))))} %"
 
 
 def interval(low: float, high: float) -> str:

@@ -77,7 +77,7 @@ class Diagnosis(AnyAnswer):
     log: Quoted
     firmware: Quoted
     flight: Flight
-    verdict: Literal["healthy", "fault", "ambiguous", "inconclusive"]
+    verdict: Literal["healthy", "fault", "crashed", "ambiguous", "inconclusive"]
     exit_code: Literal[0, 1, 3]
     headline: str
     reason: str

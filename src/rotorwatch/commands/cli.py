@@ -1,7 +1,7 @@
 """The command line: arguments in, a table or JSON out. Each command is a function of the same name in the Python API.
 
 Standard output carries the answer and nothing else; progress, warnings and errors go to standard error.
-Exit codes: 0 healthy, 1 fault found, 3 inconclusive or ambiguous only, 2 error.
+Exit codes: 0 healthy, 1 fault found or crashed, 3 inconclusive or ambiguous only, 2 error.
 """
 
 from __future__ import annotations
@@ -173,6 +173,10 @@ def cli() -> None:
 @option("--vehicle", "Vehicle file (TOML), as `rotorwatch calibrate` writes it.", type=LOG, metavar="FILE")
 @option("--estimator", "Estimator to use.", "default", metavar="NAME")
 @option("--tuning", "Tuning of a published estimator (TOML), as `rotorwatch tune` writes it.", type=LOG, metavar="FILE")
+@option(
+    "--matters", "Loss of one rotor, 0 to 1, up to which `healthy` is a claim; where more could go unseen, it is inconclusive.",
+    0.2, type=click.FloatRange(0, 1, min_open=True), metavar="X",
+)  # fmt: skip
 @option("--report", "Write an HTML page; for several logs a folder or {name}.html.", type=OUT, metavar="OUT.html")
 @option("--html", "Write a page for each log, and one that lists them.", type=OUT, metavar="DIR")
 @option(
@@ -202,7 +206,7 @@ def diagnose(context, **options) -> None:
     standard input. A folder stands for all logs in it, a file for all flights in it; also quoted patterns, and addresses such as
     s3://BUCKET/FOLDER/ (docs/cluster.md).
 
-    Exit code: 0 healthy, 1 fault found, 3 inconclusive or ambiguous only, 2 error; of several logs the worst.
+    Exit code: 0 healthy, 1 fault found or crashed, 3 inconclusive or ambiguous only, 2 error; of several logs the worst.
     """
     from rotorwatch import gathering
     from rotorwatch.base import files
@@ -247,7 +251,13 @@ def _diagnose(request: several.Request) -> int:
         healthy = tuple(Candidate(_read(path, report), known) for path in request.baselines)
     with progress(request.quiet) as report:
         result = timed(
-            lambda: _read(request.logs[0], report), known, healthy, request.estimator, request.tuned, progress=report
+            lambda: _read(request.logs[0], report),
+            known,
+            healthy,
+            request.estimator,
+            request.tuned,
+            request.matters,
+            report,
         )
     if request.pages:
         result.to_html(request.pages[0])

@@ -12,7 +12,7 @@ from rotorwatch.errors import ConfigError
 
 
 @click.command("export-c", short_help="Write an estimator or the control allocation as C99.")
-@option("--estimator", "Estimator to export; `default-filter`: the default's filter.", metavar="NAME")
+@option("--estimator", "Estimator to export.", metavar="NAME")
 @option("--allocator", "Export the control allocation: estimate, bounds, posterior or pseudo-inverse.", metavar="WAY")
 @flag("--diagnoser", "Export the whole default diagnosis: samples in, events out.")
 @option("--vehicle", "Vehicle file (TOML) or an airframe's name; default: the method's paper's.", metavar="FILE|NAME")

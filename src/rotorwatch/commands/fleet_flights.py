@@ -15,7 +15,10 @@ from rotorwatch.errors import ConfigError
 @flag("--flights", "Flights instead of aircraft; so with any option of flights.")
 @option("--search", "Of flights: words that name, verdict, headline or aircraft hold.", "", metavar="WORDS")
 @option(
-    "--verdict", "Of flights: healthy, fault, ambiguous, inconclusive; several with commas.", "", metavar="VERDICT,..."
+    "--verdict",
+    "Of flights: healthy, fault, crashed, ambiguous, inconclusive; several with commas.",
+    "",
+    metavar="VERDICT,...",
 )
 @option("--aircraft", "Of flights: only of this aircraft.", metavar="NAME")
 @option("--since", "Of flights: begun on this day or later, in UTC.", "", metavar="TIME")

@@ -36,6 +36,7 @@ class Request:
     vehicle: Path | None
     estimator: str
     tuning: Path | None
+    matters: float
     report: Path | None
     html: Path | None
     mcap: Path | None
@@ -61,9 +62,9 @@ class Request:
         return str(self.markdown) == "-"
 
 
-def settings(estimator: str, *files: Path | None) -> str:
-    """A digest of everything but the logs that the answers depend on: this version, the estimator, and files."""
-    digest = hashlib.sha256(f"{__version__}\0{estimator}".encode())
+def settings(estimator: str, matters: float, *files: Path | None) -> str:
+    """A digest of everything but the logs that the answers depend on: this version, the estimator, what matters, and files."""
+    digest = hashlib.sha256(f"{__version__}\0{estimator}\0{matters!r}".encode())
     for path in files:
         digest.update(b"\0" + (path.read_bytes() if path and path.is_file() else b"-"))
     return digest.hexdigest()[:12]
@@ -80,7 +81,7 @@ def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
     rows, codes, listed = overview.Rows(), set(), {}
     together = markdown.Several(request.identify) if request.document else None
     pictures = bool(request.markdown) and not request.to_stdout and _drawable(request.quiet)
-    how = settings(request.estimator, request.vehicle, request.tuning, *request.baselines)
+    how = settings(request.estimator, request.matters, request.vehicle, request.tuning, *request.baselines)
     with _lines(request, how) as lines, counting(request.quiet, "logs") as counter:
         known = {path: line.known for path, line in lines.there.items() if line.known}
         began, total = time.monotonic(), len(request.logs)
@@ -118,7 +119,7 @@ def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
         answers = diagnose_many(
             request.logs, request.vehicle, request.baselines, request.estimator, request.tuned, request.jobs, request.scheduler,
             pages=bool(request.html or request.pages), recordings=bool(request.recordings), hashed=request.jsonl, known=known,
-            pictures=pictures,
+            pictures=pictures, matters=request.matters,
         )  # fmt: skip
         try:
             for done, answer in enumerate(answers, start=1):

@@ -24,6 +24,9 @@ from rotorwatch.engine.estimator import (
     plausibility,
     posterior,
 )
+from rotorwatch.engine.estimator import (
+    known as known_losses,
+)
 from rotorwatch.engine.estimator import sizes as estimator_sizes
 from rotorwatch.engine.estimator import whole as estimator_whole
 from rotorwatch.engine.front import (
@@ -52,7 +55,7 @@ ESTIMATOR = (
 SIZES = sizes, estimator_sizes
 ENGINE = Definition(
     "engine",
-    (*FRONT, *ESTIMATOR, engine, whole, estimator_whole, feed),
+    (*FRONT, *ESTIMATOR, engine, whole, estimator_whole, known_losses, feed),
     SIZES,
     [*files_in("engine/front"), *files_in("engine/estimator"), "engine/engine.py", "engine/feed.py"],
     vectors=True,

@@ -9,7 +9,7 @@ many samples in one call and keeps the ticks (`feed`). Both do the same in the s
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import LASTS, Reals, Small, Struct, Time, array, copy, embedded
+from rotorwatch.base.compiling.structs import LASTS, Reals, Small, Struct, Time, array, copy, embedded, isnan, real
 from rotorwatch.engine.estimator.estimator import Estimator, Result
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
 from rotorwatch.engine.estimator.plant import Inputs, Plant
@@ -100,7 +100,7 @@ class Engine(Struct):
         if tick.start <= self.fell < tick.when:
             tick.ground()
         now = Inputs()
-        now.take(v, tick)
+        _set_inputs(v, tick, now)
         self.estimator.step(e, now, self.out)
         self._write(v, tick)
         return True
@@ -126,7 +126,7 @@ class Engine(Struct):
     def _write(self, v: Vehicle, tick: Made) -> None:
         """Write a tick down, and what the estimator made of it."""
         found = Found()
-        _find(v, self.out, found)
+        _set_found(v, self.out, found)
         self.losses.on(v, tick.time, tick.when, tick.mode, tick.restart, found)
         self.report.tick(tick.time, tick.start, tick.upset)
         if tick.touch.is_new:
@@ -138,7 +138,29 @@ class Engine(Struct):
         self.landed = self.landed or (was < LASTS and (self.front.start < was or self.front.start > was))
 
 
-def _find(v: Vehicle, out: Result, found: Found) -> None:
+def _set_inputs(v: Vehicle, tick: Made, now: Inputs) -> None:
+    """A tick as the estimator takes it."""
+    for k in range(v.rotors):
+        now.thrust[k] = tick.thrust[k]
+    for a in range(3):
+        now.turn[a] = tick.rate_dot[a]
+        now.rate[a] = tick.rate[a]
+    for a in range(4):
+        now.wrench[a] = tick.wrench[a]
+        now.valid[a] = tick.valid[a]
+    now.load = tick.load * real(v.rotors)
+    now.forward = tick.side[0]
+    now.right = tick.side[1]
+    now.full = 1.0 / tick.hover
+    now.expo = v.expo
+    now.expo_sd = v.expo_sd
+    now.axial = 0.0 if isnan(tick.axial) else tick.axial
+    now.mode = tick.mode
+    now.restart = tick.restart or tick.touch.hit
+    now.hop = tick.restart and not tick.touch.hit
+
+
+def _set_found(v: Vehicle, out: Result, found: Found) -> None:
     """What the estimator made of a tick, as losses are written down from it."""
     for k in range(v.rotors):
         found.theta[k] = out.theta[k]
@@ -151,5 +173,4 @@ def _find(v: Vehicle, out: Result, found: Found) -> None:
             found.active[p][k] = out.active[p][k]
     for h in range(hypothesis_count(v.rotors)):
         found.probability[h] = out.probability[h]
-        found.log_odds[h] = out.log_odds[h]
     found.announced = out.announced

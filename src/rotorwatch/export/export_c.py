@@ -1,4 +1,5 @@
-"""Any estimator as a C99 project for a flight controller: header, source, example and CMakeLists, out of its traced step.
+"""Any estimator as a C99 project for a flight controller: header, source, example and CMakeLists, out of a published method's traced step
+or the default estimator's definition (export_default.py).
 
 rw.export_c("ukf", "out")                                  on the airframe of the method's paper
 rw.export_c("ekf", "out", vehicle=vehicle_file.read("mine.toml"))   # of rotorwatch.flight
@@ -16,18 +17,18 @@ from typing import Any
 import numpy as np
 
 from rotorwatch import airframes
-from rotorwatch.base import checks, discovery
+from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.base.compiling.c99.project import Field, Program, make
-from rotorwatch.engine.default import noise
-from rotorwatch.engine.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS, WrenchBalance, any_multirotor
+from rotorwatch.engine.default.plant import any_multirotor
 from rotorwatch.engine.default.program import parameters as balance_parameters
+from rotorwatch.engine.estimator.plant import DAMPING, GAIN, PER_AXIS
 from rotorwatch.errors import ConfigError
+from rotorwatch.export import export_default
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.methods.compiling.c99.project import Field, Program, emit_program
 from rotorwatch.methods.control import allocation
 from rotorwatch.methods.published import log_plant
 
-SINGLE = "default-filter"  # the default diagnoser's filter for one hypothesis
 # Plant, airframe and step (s) of each method's paper; others run on the first.
 USUAL = ("rate_dynamics", "niermeyer-hexa", 0.01)
 PAPERS = {
@@ -54,30 +55,6 @@ class Exported:
     digest: str
 
 
-class NoisyBalance(WrenchBalance):
-    """The default method's plant with the noise it has learned, or the usual one: what makes one Kalman filter of it.
-
-    variances (4, 4): white, two coloured disturbances, random walk [hover thrusts^2, the last per s]; a column per axis.
-    """
-
-    name = "noisy_balance"
-
-    def __init__(self, B, prior=None, variances=noise.GENERIC):
-        super().__init__(B, prior)
-        self.variances = checks.shape("variances", variances, 4, 4)
-
-    def Q(self, dt):
-        """(n_x, n_x): coloured disturbances stay as large as they are, the drift walks."""
-        from jax import numpy as jnp
-
-        walks = noise.process_variance(jnp.asarray(self.variances), dt)
-        return jnp.diag(jnp.concatenate([walks, jnp.zeros(self.n_x - AXIS_STATES)]))
-
-    def R(self, u):
-        """(4,) white variances."""
-        return np.asarray(self.variances)[0]
-
-
 def export_c(
     estimator: Any,
     out: str | Path,
@@ -89,33 +66,45 @@ def export_c(
 ) -> Exported:
     """Write a C99 project of an estimator into a folder.
 
-    estimator: a name (`discovery.estimators`, or "default-filter": the default diagnoser's filter without its bank of
-    hypotheses), or an estimator object. out: the folder, made where it is missing. vehicle: what `calibrate` learned, an airframe's or
-    a paper's name; None: the method's own paper's. dt: s, length of a step. variable_dt: the step takes dt as an argument. name: of
-    files and functions. Raises ConfigError for unknown names, and c99.lower.Refused, with the line it comes from, for what cannot be C.
+    estimator: a name (`discovery.estimators`), or an estimator object. out: the folder, made where it is missing. vehicle: what
+    `calibrate` learned, an airframe's or a paper's name; None: the method's own paper's. dt: s, length of a step. variable_dt: the step of
+    a published method takes dt as an argument. name: of files and functions. Raises ConfigError for unknown names, and
+    c99.lower.Refused, with the line it comes from, for what cannot be C.
     """
-    method = prepare(estimator, vehicle, dt) if isinstance(estimator, str) else estimator
-    called = name or (estimator if isinstance(estimator, str) else getattr(method, "name", "estimator"))
+    called = name or (estimator if isinstance(estimator, str) else getattr(estimator, "name", "estimator"))
     identifier = re.sub(r"\W", "_", called)
     if not re.match(r"[A-Za-z]", identifier):
         raise ConfigError(f"{called!r} cannot be the name of a C function: begin it with a letter.")
+    if estimator == "default":
+        return _default(identifier, Path(out), vehicle, dt, variable_dt)
+    method = prepare(estimator, vehicle, dt) if isinstance(estimator, str) else estimator
     program = program_of(method, identifier, variable_dt)
     return _written(program, Path(out), _example(program, method))
 
 
+def _default(name: str, folder: Path, vehicle: Vehicle | str | None, dt: float | None, variable_dt: bool) -> Exported:
+    if variable_dt:
+        raise ConfigError("The default estimator's ticks have one length, which --dt says: leave --variable-dt out.")
+    if isinstance(vehicle, str) and vehicle in airframes.papers():
+        raise ConfigError(f"default runs in hover thrusts of an autopilot's airframe; {vehicle} is a paper's.")
+    craft = airframes.named(vehicle or FRAME) if not isinstance(vehicle, Vehicle) else vehicle
+    made = export_default.compose_project(name, craft, dt or LOG_DT)
+    return Exported(name, folder, _saved(folder, name, made.texts), made.state_bytes, 0, made.digest)
+
+
 def _written(program: Program, folder: Path, example: str) -> Exported:
-    folder.mkdir(parents=True, exist_ok=True)
-    texts = {
-        f"{program.name}.h": program.header,
-        f"{program.name}.c": program.source,
-        "example.c": example,
-        "CMakeLists.txt": _cmake(program.name),
-    }
-    for file, text in texts.items():
-        (folder / file).write_text(text, encoding="utf-8")
+    texts = {f"{program.name}.h": program.header, f"{program.name}.c": program.source, "example.c": example}
+    files = _saved(folder, program.name, texts)
     bytes_ = sum(f.size * {"f": 8, "i": 4, "l": 8, "b": 1}[f.kind] for f in program.state)
-    files = tuple(folder / file for file in texts)
     return Exported(program.name, folder, files, bytes_, program.workspace_bytes, program.digest)
+
+
+def _saved(folder: Path, name: str, texts: dict[str, str]) -> tuple[Path, ...]:
+    """The files of a project, written."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for file, text in (texts := {**texts, "CMakeLists.txt": _cmake(name)}).items():
+        (folder / file).write_text(text, encoding="utf-8")
+    return tuple(folder / file for file in texts)
 
 
 def export_allocator(
@@ -171,7 +160,7 @@ def allocator_program(allocator: allocation.Allocator, identifier: str, candidat
         return allocator.step(carry, demand, allocation.Belief(mean, lower, upper, sets, weights))
 
     about = f"Control allocation for {n} rotors, {allocator.method}, driven by {allocator.by}."
-    return make(identifier, step, lambda _: allocator.init(), tuple(inputs), (), notes, about)
+    return emit_program(identifier, step, lambda _: allocator.init(), tuple(inputs), (), notes, about)
 
 
 def _allocator_example(program: Program, allocator: allocation.Allocator) -> str:
@@ -209,17 +198,15 @@ int main(void)
 
 
 def prepare(name: str, vehicle: Vehicle | str | None = None, dt: float | None = None) -> Any:
-    """The estimator of that name on the plant of a vehicle: see `export_c`."""
-    if name != SINGLE and name not in discovery.estimators():
+    """The published method of that name on the plant of a vehicle: see `export_c`."""
+    if name == "default-filter":
         raise ConfigError(
-            f"There is no estimator called {name!r}; known are {', '.join([*discovery.estimators(), SINGLE])}."
+            "default-filter is gone: give ekf with --vehicle, the filter alone, or default, which is all of it."
         )
+    if name not in discovery.estimators():
+        raise ConfigError(f"There is no estimator called {name!r}; known are {', '.join(discovery.estimators())}.")
     if isinstance(vehicle, str):
         vehicle = vehicle if vehicle in airframes.papers() else airframes.named(vehicle)
-    if name in ("default", SINGLE):
-        if isinstance(vehicle, str):
-            raise ConfigError(f"{name} runs in hover thrusts of an autopilot's airframe; {vehicle} is a paper's.")
-        return _balance(name, airframes.named(FRAME) if vehicle is None else vehicle, dt)
     if isinstance(vehicle, Vehicle):
         p, usual = _learned(vehicle), LOG_DT
         c, any_vehicle = (np.reshape(x, (4, PER_AXIS)) for x in (p["x0"], any_multirotor(p["B"].shape[1])[0]))
@@ -244,18 +231,10 @@ def _learned(vehicle: Vehicle) -> dict:
     return balance_parameters(vehicle.effectiveness(), LOG_DT, (vehicle.identified or {}).get("dynamics"))
 
 
-def _balance(name: str, vehicle: Vehicle, dt: float | None):
-    p = _learned(vehicle)
-    prior, step = (p["x0"], p["P0"]), dt or LOG_DT
-    if name == SINGLE:
-        return discovery.estimator("ekf")(NoisyBalance(p["B"], prior, p["noise"]), step)
-    return discovery.estimator("default")(WrenchBalance(p["B"], prior), step, (p["noise"], p["noise_weight"]))
-
-
 def program_of(method: Any, identifier: str, variable_dt: bool = False) -> Program:
     """The C of an estimator object, its fields described by the plant's names and units."""
     system = method.system
-    n_u = _width(method)
+    n_u = system.n_u
     inputs = [
         Field("u", "f", (n_u,), _named(system, "u", n_u)),
         Field("y", "f", (system.n_y,), _named(system, "y", system.n_y)),
@@ -274,28 +253,13 @@ def program_of(method: Any, identifier: str, variable_dt: bool = False) -> Progr
 
     about = f"{method.name} on the plant {getattr(system, 'name', type(system).__name__)}, a step of {method.dt:g} s"
     about += ", or as long as dt says." if variable_dt else "."
-    return make(identifier, step, lambda _: method.init(), tuple(inputs), (), notes, about)
-
-
-def _width(method) -> int:
-    """How many inputs the method takes: the plant's; the default's are followed by mode and restart."""
-    return method.system.n_u + (2 if method.name == "default" else 0)
+    return emit_program(identifier, step, lambda _: method.init(), tuple(inputs), (), notes, about)
 
 
 def _named(system, letter: str, count: int) -> str:
     """`p, q, r [rad/s]`: names and units of a variable, as far as the plant knows them."""
     names = list(getattr(system, f"{letter}_names", ()))
     units = list(getattr(system, f"{letter}_units", ("",) * len(names)))
-    if letter == "u" and isinstance(system, WrenchBalance):
-        n = system.n_theta
-        names = [*(f"thrust_{k + 1}" for k in range(n)), "p_dot", "q_dot", "r_dot", f"{n} x load factor", "p", "q", "r"]
-        units = ["hover thrust"] * n + ["rad/s^2"] * 3 + ["1"] + ["rad/s"] * 3
-        names = [*names, "side force forward", "right", "full thrust of a rotor", "expo", "its standard deviation"]
-        names = [*names, "speed along the thrust axis, NaN where it is not known"]
-        units = [*units, "m/s^2", "m/s^2", "hover thrust", "1", "1", "m/s"]
-        names, units = names + ["mode", "restart"][: count - len(names)], units + ["1"] * (count - len(units))
-    if letter == "y" and isinstance(system, WrenchBalance):
-        names, units = ["commanded roll", "pitch", "yaw torque", "thrust"], ["hover thrust"] * 4
     parts: list[str] = []
     for k, (n, unit) in enumerate(zip(names, units)):
         last = k + 1 == len(names) or units[k + 1] != unit
@@ -306,9 +270,9 @@ def _named(system, letter: str, count: int) -> str:
 def _example(program: Program, method: Any) -> str:
     """A main that steps on constant measurements, those of a healthy vehicle, and prints the losses."""
     jax = load_jax()
-    system, n_u, name = method.system, _width(method), program.name
+    system, n_u, name = method.system, method.system.n_u, program.name
     u = np.full(n_u, 0.5)
-    y = np.asarray(jax.jit(system.h)(np.asarray(system.x0, float), u[: system.n_u], np.zeros(system.n_theta)))
+    y = np.asarray(jax.jit(system.h)(np.asarray(system.x0, float), u, np.zeros(system.n_theta)))
     shown = next(f for f in program.out if f.name in ("theta", "estimate_theta"))
     status = next(f for f in program.out if f.name in ("status", "estimate_status"))
     has_dt = any(f.name == "dt" for f in program.inputs)

@@ -60,7 +60,7 @@ def settings(B: np.ndarray, dt: float) -> dict[str, Any]:
         "REACH": bank.GROUP * max(bank.LONG if dt >= bank.SLOW_S else bank.SHORT) + 16,
         "PLANT_STATES": engine_sizes.PLANT_STATES, "STATES": engine_sizes.PLANT_STATES + n, "DIRECTIONS": FIRST_LOSS + n,
         "SLOTS": engine_sizes.SLOTS, "RING": engine_sizes.RING,
-        "RECORDS": 2 * n + 4, "SETS": max(opposite, places), "TOGETHER": min(4, n), "ALTERNATIVES": places + 2 + opposite,
+        "RECORDS": 2 * n + 4, "TOGETHER": min(4, n), "ALTERNATIVES": places + 2 + opposite,
         "CONTACTS": 4, "FALLS": 4, "EVENTS": 12,
         "TICKS_BEFORE": look_back(dt), "SETTLING": 2 * look_back(dt) + 4, "QUEUE": round(QUEUE_S / dt), "WAITING": 8, "FLIGHTS": 4,
         "LEVELS": 8, "PENDING": 8, "OVERRIDES": 2 * n, "BURST": sizes.BURST,

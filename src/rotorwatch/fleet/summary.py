@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 # How grave a verdict is, in SQL: the column's name is put in.
-GRAVITY = "CASE {verdict} WHEN 'fault' THEN 3 WHEN 'ambiguous' THEN 2 WHEN 'inconclusive' THEN 1 ELSE 0 END"
+GRAVITY = "CASE {verdict} WHEN 'crashed' THEN 4 WHEN 'fault' THEN 3 WHEN 'ambiguous' THEN 2 WHEN 'inconclusive' THEN 1 ELSE 0 END"
 LOST = ("degraded", "failed", "suspect")  # states of a rotor that the answer does not call healthy
 
 

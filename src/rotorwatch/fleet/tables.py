@@ -141,6 +141,13 @@ def _add_losses(connection: Any) -> None:
         index.create(connection)
 
 
+def _rank_again(connection: Any) -> None:
+    """The index by gravity, whose expression ranks the verdicts: there are more of them."""
+    gravity = next(index for index in SORTED if index.name == "flights_by_gravity")
+    connection.exec_driver_sql(f"DROP INDEX IF EXISTS {gravity.name}")
+    gravity.create(connection)
+
+
 def _worked_out(text: str) -> dict[str, Any]:
     try:
         told = json.loads(text)
@@ -149,7 +156,12 @@ def _worked_out(text: str) -> dict[str, Any]:
         return {"loss": 0.0, "onset_s": None}
 
 
-STEPS = (_add(meta, aircraft, identities, flights, diagnoses, trims, services), _add(standings), _add_losses)
+STEPS = (
+    _add(meta, aircraft, identities, flights, diagnoses, trims, services),
+    _add(standings),
+    _add_losses,
+    _rank_again,
+)
 """Step k makes version k + 1 of version k. Steps are never changed once stores were made with them."""
 
 

@@ -15,7 +15,7 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.flight import kinds
 
 SCHEMA = 2
-EXIT_CODES = {"healthy": 0, "fault": 1, "ambiguous": 3, "inconclusive": 3}
+EXIT_CODES = {"healthy": 0, "fault": 1, "crashed": 1, "ambiguous": 3, "inconclusive": 3}
 # Fields of the JSON answer (docs/json.md) in their order; of an event, before what only its kind has; of a rotor.
 ANSWER = (
     "flight", "verdict", "headline", "reason", "story", "picture", "advice", "main_event", "rotors", "events", "common_mode",
@@ -69,9 +69,11 @@ class RotorState:
 
 class Source(Enum):
     """Who claims an event. EXCITATION: the answer to an excitation of the commands; ESC_STANDS: a rotor that its ESC reports to stand or to
-    turn without load; ESC_CHANGED: one whose speed or current has changed."""
+    turn without load; ESC_CHANGED: one whose speed or current has changed. TRIM: the trim of a whole flight."""
 
-    NOBODY, ESTIMATOR, EXCITATION, HINDSIGHT, OUTPUTS, CONTACTS, CONTROL, ESC_STANDS, ESC_CHANGED, DESYNC = range(10)
+    NOBODY, ESTIMATOR, EXCITATION, HINDSIGHT, OUTPUTS, CONTACTS, CONTROL, ESC_STANDS, ESC_CHANGED, DESYNC, TRIM = range(
+        11
+    )
 
 
 @dataclass(frozen=True)
@@ -192,7 +194,7 @@ class Trace:
 class Diagnosis:
     """Everything `rotorwatch diagnose` says.
 
-    verdict: healthy, fault, ambiguous or inconclusive. reason: why, one sentence.
+    verdict: healthy, fault, crashed (and no rotor did it), ambiguous or inconclusive. reason: why, one sentence.
     headline: the same for a pilot; main: index into events of the one that matters, or None; advice: what to do next. These, rotors and
     events are made in one place: conclusion.conclude.
     flight: what was judged (docs/json.md). rotors: the state of each at the end. events: in time order. common_mode: what all rotors
@@ -228,7 +230,7 @@ class Diagnosis:
 
     @property
     def exit_code(self) -> int:
-        """0 healthy, 1 fault found, 3 inconclusive or ambiguous only."""
+        """0 healthy, 1 fault found or crashed, 3 inconclusive or ambiguous only."""
         return EXIT_CODES[self.verdict]
 
     def important(self, most: int) -> list[int]:

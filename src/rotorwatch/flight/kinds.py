@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 LOSS, OVERRIDE, CONTACT, LOST = "loss_of_effectiveness", "output_override", "contact", "loss_of_control"
 ORDER, DESYNC = "motor_order", "desync"
 SLOW, HIGH, LOW = "slow_motor", "high_current", "low_current"
+TURNED = "turned_mount"
 
 
 class Weight(Enum):
@@ -194,6 +195,16 @@ ROWS = (
     _notice(
         LOW, "motor draws less current", "less current at the same speed than before: a propeller", "draws less current than before",
         "the propeller of",
+    ),
+    Kind(
+        TURNED, "turned motor mount", "the vehicle needs more yaw than before: a motor mount or an arm has turned", Weight.NOTICE,
+        brief="a mount turned",
+        headline=Words("sits on a mount that has turned", nameless="A motor mount or an arm seems to have turned: {why}."),
+        past=Words("its mount has turned at {at}"),
+        advice=Words(
+            "Look at the mount and the arm of {who} before the next flight.",
+            nameless="Look at every motor mount and arm before the next flight: one has turned, or a propeller's drag has changed.",
+        ),
     ),
 )  # fmt: skip
 TABLE = {row.name: row for row in ROWS}

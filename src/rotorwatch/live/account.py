@@ -41,7 +41,7 @@ class Account:
 
     def _mark(self) -> Mark:
         now = self._diagnoser
-        return Mark(now.losses.state.cut(1), now.report.state.cut(1), now.contacts)
+        return Mark(now.losses.state.copy(), now.report.state.copy(), now.contacts)
 
     def add(self, judged: Judged) -> None:
         """More ticks, which have been written down."""
@@ -65,7 +65,7 @@ class Account:
         whole = Judged.joined([*then.since, *self._newer.since])
         assert whole is not None
         B = self._diagnoser.vehicle.effectiveness()
-        losses, report = Losses(B, then.losses.cut(1)), Report(B, then.report.cut(1), then.contacts)
+        losses, report = Losses(B, then.losses.copy()), Report(B, then.report.copy(), then.contacts)
         announced = whole.out.announced & ~landed(whole.table, spans)
         losses.add(grounded(whole.table, spans), whole.out._replace(announced=announced))
         report.add(whole.table, spans).finish(spans)

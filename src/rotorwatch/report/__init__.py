@@ -23,6 +23,7 @@ from rotorwatch.answer.wording import (  # noqa: F401 - its words are the report
     rotors,
     seconds,
     sentence,
+    up_to,
 )
 from rotorwatch.flight.diagnosis import Diagnosis, Event, RotorState
 
@@ -76,10 +77,10 @@ def rotor_loss(state: RotorState) -> str:
 def rotor_interval(state: RotorState) -> str:
     """The 95 % interval in words: of the loss, or of the change since take-off where no more than that was judged."""
     if state.status == "unobservable":
-        return ""
+        return f"up to {up_to(state.since_takeoff[1])} could be missing unseen" if state.since_takeoff else ""
     if state.status == "healthy" and state.from_takeoff in ("not judged", "bounded") and state.since_takeoff:
-        in_all = f"; {percent(state.interval[1])} in all" if state.from_takeoff == "bounded" else ""
-        return f"changed by at most {percent(state.since_takeoff[1])}{in_all}"
+        in_all = f", with take-off {up_to(state.interval[1])}" if state.from_takeoff == "bounded" else ""
+        return f"at most {up_to(state.since_takeoff[1])} in flight{in_all}"
     return interval(*state.interval)
 
 

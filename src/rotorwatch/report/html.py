@@ -18,7 +18,7 @@ from rotorwatch.report import colours, drawing, figures, lanes, markdown, track,
 
 UNIT = re.compile(r"(\d) (%|s|Hz|ms|V|g)(?![\w])")
 RANGE = re.compile(r"(\d)(–)(?=\d)")
-SYMBOLS = {"healthy": "✓", "fault": "✕", "ambiguous": "?", "inconclusive": "?"}
+SYMBOLS = {"healthy": "✓", "fault": "✕", "crashed": "✕", "ambiguous": "?", "inconclusive": "?"}
 # A button; for it the page holds the post as `diagnose --markdown` writes it; where a browser lets nothing be copied, it is shown selected.
 COPY = (
     '<div class="copy"><button type="button" id="copy-markdown">Copy for a forum</button> <span role="status" id="copied"></span>'

@@ -23,7 +23,7 @@ LEAST = 1_500  # letters left, below which no further log gets a section of its 
 SECTIONS, ROWS, ROWS_MOST = 10, 25, 3_500  # of a post on several logs
 AROUND_S, MESSAGES = 10.0, 8  # messages of the autopilot around the main event
 ENDINGS = (".md", ".markdown", ".txt")
-SIGNS = {"healthy": "✓", "fault": "✕", "ambiguous": "?", "inconclusive": "?", "error": "!"}
+SIGNS = {"healthy": "✓", "fault": "✕", "crashed": "✕", "ambiguous": "?", "inconclusive": "?", "error": "!"}
 Message = tuple[float, str, str]
 
 

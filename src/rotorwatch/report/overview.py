@@ -12,9 +12,10 @@ from typing import Any
 from urllib.parse import quote
 
 from rotorwatch import __version__
+from rotorwatch.answer.wording import sentence
 from rotorwatch.base import files
 
-ORDER = ("error", "fault", "ambiguous", "inconclusive", "healthy")
+ORDER = ("error", "crashed", "fault", "ambiguous", "inconclusive", "healthy")
 """Worst first."""
 MOST = 10_000
 """Rows that are shown; more are only counted."""
@@ -44,7 +45,7 @@ box.addEventListener("input", () => {
 @dataclass(frozen=True)
 class Row:
     """One flight. path: full; when: UTC where the log has it, else on its own clock; loss: the largest of a rotor; page: its report's
-    file name, where there is one."""
+    file name, where there is one; reason: why, where the headline does not say so already."""
 
     verdict: str
     path: str
@@ -53,6 +54,7 @@ class Row:
     headline: str
     loss: float = 0.0
     page: str | None = None
+    reason: str = ""
 
     @property
     def rank(self) -> tuple[int, float, str]:
@@ -63,11 +65,13 @@ class Row:
 def row(path: str, answer: Mapping[str, Any], page: str | None = None) -> Row:
     """The row of an answer as `Diagnosis.to_dict` gives it, or of an error."""
     if "error" in answer:
-        sentence = answer["error"].removeprefix(f"{path}: ").removeprefix(f"{answer['flight']['name']}: ")
-        return Row("error", path, "", "", sentence, page=page)
+        why = answer["error"].removeprefix(f"{path}: ").removeprefix(f"{answer['flight']['name']}: ")
+        return Row("error", path, "", "", why, page=page)
     facts, losses = answer["flight"], [r["loss"] or 0.0 for r in answer["rotors"]]
     aircraft = facts.get("aircraft") or " · ".join(str(facts[k]) for k in ("frame", "firmware") if facts.get(k))
-    return Row(answer["verdict"], path, str(aircraft), when(answer), answer["headline"], max(losses, default=0.0), page)
+    what, why = str(answer["headline"]), sentence(str(answer["reason"]))
+    why = "" if why.rstrip(".").lower() in what.lower() else why
+    return Row(answer["verdict"], path, str(aircraft), when(answer), what, max(losses, default=0.0), page, why)
 
 
 def when(answer: Mapping[str, Any]) -> str:
@@ -119,6 +123,7 @@ def page(rows: Rows) -> str:
     """The page's HTML text."""
     style = (Path(__file__).parent / "page.css").read_text(encoding="utf-8")
     title = rows.title()
+    head = "".join(f"<th>{name}</th>" for name in ("verdict", "log", "aircraft", "when", "what", "why"))
     lines = "\n".join(_line(r) for r in rows.worst())
     worst = next((word for word in ORDER if rows.counts[word]), "healthy")
     return (
@@ -130,7 +135,7 @@ def page(rows: Rows) -> str:
         f'<main id="logs">\n<section class="verdict {worst}"><div class="word">Worst first</div><h1>{escape(title)}</h1></section>\n'
         '<div class="tools"><label>Find <input id="find" type="search" placeholder="words of a path, an aircraft, a verdict"></label> '
         '<span id="shown" class="small" role="status"></span></div>\n'
-        '<div class="scroll"><table><thead><tr><th>verdict</th><th>log</th><th>aircraft</th><th>when</th><th>what</th></tr></thead>\n'
+        f'<div class="scroll"><table><thead><tr>{head}</tr></thead>\n'
         f"<tbody>\n{lines}\n</tbody></table></div>\n</main>\n<script>{SCRIPT}</script>\n</body>\n</html>\n"
     )
 
@@ -140,7 +145,8 @@ def _line(row: Row) -> str:
     link = f'<a href="{escape(quote(row.page))}">{path}</a>' if row.page else path
     return (
         f'<tr class="{row.verdict}"><td class="word">{row.verdict}</td><td class="path">{link}</td><td>{escape(row.aircraft)}</td>'
-        f'<td class="when">{escape(row.when)}</td><td>{escape(_printable(row.headline))}</td></tr>'
+        f'<td class="when">{escape(row.when)}</td><td>{escape(_printable(row.headline))}</td>'
+        f"<td>{escape(_printable(row.reason))}</td></tr>"
     )
 
 

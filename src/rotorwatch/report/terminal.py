@@ -22,6 +22,7 @@ from rotorwatch.report.overview import Row
 STYLES = {
     "healthy": "bold green",
     "fault": "bold red",
+    "crashed": "bold red",
     "ambiguous": "bold yellow",
     "inconclusive": "bold yellow",
     "error": "bold red",
@@ -55,7 +56,7 @@ def diagnosis(result: Diagnosis) -> RenderableType:
 
 def line(name: str, result: Diagnosis) -> Text:
     """One flight of several on one line."""
-    text = Text(f"{report.VERDICTS[result.verdict].lower():<13}", style=STYLES[result.verdict])
+    text = Text(f"{report.VERDICTS[result.verdict].lower():<11}  ", style=STYLES[result.verdict])
     return text.append(f"{name}  {result.headline}", style="default not bold")
 
 
@@ -65,28 +66,44 @@ def overview(title: str, rows: Sequence[Row]) -> RenderableType:
 
 
 class _Overview:
-    """A table where there is room for paths as they are; else three lines for each flight, with the path on a line of its own."""
+    """A table: why, when and of which aircraft where there is room for that. Paths and sentences go on over lines, and the folder that all
+    logs are in is said once."""
 
     def __init__(self, title: str, rows: Sequence[Row]):
         self.title, self.rows = title, rows
 
     def __rich_console__(self, console: Console, options):
-        head = ("verdict", "log", "aircraft", "when", "what")
-        cells = [
-            [Text(row.verdict, style=STYLES[row.verdict]), *map(Text, (row.path, row.aircraft, row.when, row.headline))]
-            for row in self.rows
+        paths = [row.path for row in self.rows]
+        folder = paths[0].rpartition("/")[0] if paths else ""
+        while folder and not all(path.startswith(f"{folder}/") for path in paths):
+            folder = folder.rpartition("/")[0]
+        skip = len(folder) + 1 if folder else 0
+        facts = {
+            "verdict": [row.verdict for row in self.rows], "log": [path[skip:] for path in paths],
+            "what": [row.headline for row in self.rows], "why": [row.reason for row in self.rows],
+            "when": [row.when for row in self.rows], "aircraft": [row.aircraft for row in self.rows],
+        }  # fmt: skip
+        shown = ["verdict", "log", "what"]
+        shown += [
+            name
+            for width, names in ((130, ["why"]), (190, ["when", "aircraft"]))
+            if options.max_width >= width
+            for name in names
         ]
-        needed = 24 + sum(max((cell[k].cell_len for cell in cells), default=0) + 3 for k in range(4))
-        if needed <= options.max_width:
-            yield Fitted(self.title, head, cells, wide=(-1,))
-            return
         yield Text(self.title, style="bold")
-        for row in self.rows:
-            first = Text(f"{row.verdict:<13}", style=STYLES[row.verdict], no_wrap=True, overflow="ignore")
-            yield first.append(row.path, style="default not bold")
-            facts = " · ".join(text for text in (row.aircraft, row.when) if text)
-            for text in filter(None, (facts, row.headline)):
-                yield Padding(Text(text, style="dim" if text == facts else ""), (0, 0, 0, 13))
+        if folder:
+            yield Text(f"all in {folder}/", style="dim", overflow="fold")
+        table = listing("", *shown)
+        for name, column in zip(shown, table.columns):
+            column.no_wrap = name in ("verdict", "when")
+            column.overflow = "fold"
+            column.ratio = {"log": 2, "what": 3, "why": 4, "aircraft": 2}.get(name)
+        table.expand = True
+        for k, row in enumerate(self.rows):
+            cells = [Text(facts[name][k]) for name in shown]
+            cells[0].stylize(STYLES[row.verdict])
+            table.add_row(*cells)
+        yield table
 
 
 class Fitted:
@@ -164,7 +181,12 @@ def _story(result: Diagnosis) -> list[RenderableType]:
 def listing(title: str, *columns: str, right: Iterable[int] = ()) -> Table:
     """An empty table: a title and its columns; `right`: the places of those with numbers."""
     table = Table(
-        title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1)
+        title=title or None,
+        title_justify="left",
+        title_style="bold",
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+        padding=(0, 1),
     )
     for i, name in enumerate(columns):
         number = i in set(right)

@@ -29,14 +29,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch.engine.default import hypotheses
 from rotorwatch.engine.default.events import CREDIBLE, read, sd_of
-from rotorwatch.engine.default.model_error import AT_LIMIT
-from rotorwatch.engine.default.noise import spread
-from rotorwatch.engine.default.plant import AXIS_STATES, GAIN, PER_AXIS, TAU, lower_rotors
+from rotorwatch.engine.default.plant import AXIS_STATES, lower_rotors
 from rotorwatch.engine.default.program import estimate
 from rotorwatch.engine.default.residual_evidence import TRIM_S, TRIM_SD
-from rotorwatch.engine.estimator.plant import SHARE
+from rotorwatch.engine.estimator import hypotheses
+from rotorwatch.engine.estimator.model_error import AT_LIMIT
+from rotorwatch.engine.estimator.plant import GAIN, PER_AXIS, SHARE, TAU
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import LOSS
@@ -112,7 +111,7 @@ def trim(carry, out, table: Ticks, B: np.ndarray) -> ExcitationEvidence | None:
 
 def shift(carry, out, table: Ticks) -> tuple[np.ndarray | None, np.ndarray]:
     """By how much the commanded wrench of trim (4,) has grown since the hop was first judged, and its standard deviation (4,)."""
-    sd = np.sqrt(TRIM_SD**2 + np.asarray(spread(np.asarray(carry.variances))))
+    sd = np.sqrt(TRIM_SD**2 + carry.spread)
     starts = np.flatnonzero(table.restart)
     judged = (table.mode == JUDGE) & (np.arange(len(table.time)) >= (starts[-1] if starts.size else 0))
     time, biases = table.time[judged], np.asarray(out.biases)[judged]

@@ -90,6 +90,11 @@ class Rows:
             structs.copy(to, one)
         return Rows(self.kind, None, copies, many=True)
 
+    def copy(self) -> Rows:
+        """One of them, of its own."""
+        made = self.cut(1)
+        return Rows(self.kind, made.native, made.plain)
+
     @staticmethod
     def joined(parts: Sequence[Rows]) -> Rows:
         """Arrays one after the other."""

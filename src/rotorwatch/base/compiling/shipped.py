@@ -45,11 +45,6 @@ def levels() -> tuple[str, ...]:
     return tuple(name for name, needs in LEVELS.items() if flags.issuperset(needs))
 
 
-def templates() -> list[str]:
-    """Files of C that translated programs begin with."""
-    return sorted(path.relative_to(HOME).as_posix() for path in (HOME / "base" / "compiling" / "c99").glob("*.h*"))
-
-
 def files_in(room: str) -> list[str]:
     """Files of the package that the definitions of a room are translated from."""
     own = [path.relative_to(HOME).as_posix() for path in (HOME / room).glob("*.py")]

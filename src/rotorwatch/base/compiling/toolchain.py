@@ -1,4 +1,4 @@
-"""What makes native code on this computer: the C compiler, its flags, the processor, and the folder where results are kept.
+"""What makes native code on this computer: the C compiler, the processor, and the folder where results are kept.
 
 Python's own library is enough for this file: the build of the package asks it before anything is installed.
 """
@@ -12,27 +12,15 @@ import shlex
 import shutil
 import subprocess
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from rotorwatch.base import incoming
 from rotorwatch.base.backend import cache_folder, code_folder
 from rotorwatch.errors import BackendWarning, ConfigError
 
-# Vector code of this processor; errno and signals of floating point are nobody's business here, NaN and signed zeros are.
-FLAGS = ("-std=c99", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
-# With glibc this macro only declares that sin, cos, exp and their like come as vectors too, and gcc then calls those in loops.
-VECTORS = ("-D__FAST_MATH__", "-lmvec")
-QUICK = ("-O1", "-ftree-loop-vectorize")  # for large programs
-
 
 class Unavailable(ConfigError):
     """No native code on this computer; the sentence says why."""
-
-
-class Unmakeable(Unavailable):
-    """None came with the package, and JAX is not there to make any; the sentence says what to do."""
 
 
 def compiler() -> str:
@@ -77,19 +65,6 @@ def folder() -> Path:
     except OSError:
         reason = f"{cache_folder()} cannot be written"
     return _temporary(reason)
-
-
-@contextmanager
-def alone(goal: Path) -> Iterator[None]:
-    """No other process makes that file of the cache meanwhile; the lock goes with the process."""
-    with open(goal.with_suffix(".lock"), "w") as file:
-        try:
-            import fcntl
-
-            fcntl.flock(file, fcntl.LOCK_EX)
-        except (ImportError, OSError):  # no such locks here: it is made twice, which only takes longer
-            pass
-        yield
 
 
 @functools.cache

@@ -1,9 +1,5 @@
-"""The default diagnosis; docs/methods/default.md derives it from one model, and engine/estimator/ is its estimator,
-a file for each idea.
+"""Around the default estimator (engine/estimator/, derived in docs/methods/default.md): its definition run over ticks, and read.
 
-program: the estimator run over ticks; learning: from healthy flights; events, residual_evidence: its ticks put in words; shipping: machine
-code for the package.
-
-plant is also the plant of published methods. noise, model_error, kalman, bank, hypotheses, evidence, plausibility, announcement, opposite,
-posterior and estimator are the same method as a step that JAX traces, for accelerators and `export-c default`: tests hold the two together.
+plant, hypotheses: what goes in and what comes out, as arrays and in words; program: the estimator over ticks; learning: what healthy
+flights teach it; events, residual_evidence: what it has found; shipping: machine code for the package.
 """

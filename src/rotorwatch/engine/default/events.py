@@ -43,10 +43,6 @@ COLUMNS = (
     "gives",
     "onsets",
     "probability",
-    "log_odds",
-    "opposite",
-    "opposite_onset",
-    "opposite_loss",
     "announced",
 )
 ROOM = 512  # ticks in one call
@@ -74,7 +70,7 @@ class Losses:
 
     @property
     def announcements(self) -> int:
-        """How often something has been announced or suspected."""
+        """How often something has been announced."""
         return int(self.state["announcements"][0])
 
     def events(self, flies: bool = False) -> tuple[Event, ...]:
@@ -94,23 +90,19 @@ def vehicle(B: np.ndarray) -> Rows:
 
 def read(out, ticks: Ticks, B: np.ndarray) -> tuple[Event, ...]:
     """Losses of one flight of a vehicle with effectiveness B (4, n), from the estimator's stacked outputs (COLUMNS)."""
-    if not (np.asarray(out.announced).any() or (np.asarray(out.opposite) >= 0).any()):
+    if not np.asarray(out.announced).any():
         return ()
     state = Losses(B)
     state.add(ticks, out)
     judged = np.flatnonzero(ticks.mode == JUDGE)
     final = int(judged[-1]) if judged.size else len(ticks.time) - 1
 
-    def shown(event: Event, suspected: bool) -> list[float]:
+    def shown(event: Event) -> list[float]:
         k = min(int(np.searchsorted(ticks.time, event.detected_s)) + round(SHOWN_S / ticks.dt), final)
         # With the digits of the JSON: rounded again to per cent, page and JSON then show the same.
-        return [round(float(v), 4) for v in (event.loss if suspected else out.theta[k, [r - 1 for r in event.rotors]])]
+        return [round(float(v), 4) for v in out.theta[k, [r - 1 for r in event.rotors]]]
 
-    rows = state.rows()
-    suspected = rows["detail"] == definition.SUSPECTED
-    return tuple(
-        replace(e, extra={**e.extra, "loss_2s": shown(e, s)}) for e, s in zip(_in_words(rows), suspected.tolist())
-    )
+    return tuple(replace(e, extra={**e.extra, "loss_2s": shown(e)}) for e in state.events())
 
 
 def rotor_sets(hyp: Hypotheses, probability: np.ndarray) -> dict[tuple[int, ...], float]:
@@ -147,18 +139,18 @@ def unexplained(losses: Iterable[Event], overridden: Sequence[Event]) -> tuple[E
 
 
 class Report:
-    """Falls and contacts of one vehicle with effectiveness B (4, n), tick by tick, and all events together."""
+    """Falls and contacts of one vehicle with effectiveness B (4, n), tick by tick, and all events together. contacts: of what was added."""
 
     def __init__(self, B: np.ndarray, state: Rows | None = None, contacts: tuple[Contact, ...] = ()):
         """state: where they are written down; None: anew. contacts: of the ticks before."""
         self.craft = vehicle(B)
         self.state = ENGINE.new(definition.Report) if state is None else state
-        self._contacts = contacts
+        self.contacts = contacts
 
     def add(self, table: Ticks, air: Sequence[tuple[float, float]]) -> Report:
         """More ticks. air: all flights so far, (start, end) s, infinite where it lasts. This report."""
-        same = next((k for k, (a, b) in enumerate(zip(self._contacts, table.contacts)) if a != b), len(self._contacts))
-        fresh, self._contacts = table.contacts[same:], table.contacts
+        same = next((k for k, (a, b) in enumerate(zip(self.contacts, table.contacts)) if a != b), len(self.contacts))
+        fresh, self.contacts = table.contacts[same:], table.contacts
         hits = np.array([(c.time, c.push, c.size) for c in fresh], float).reshape(-1, 3).T
         self._follow(table.time, table.upset, table.dt, air, hits)
         return self

@@ -1,4 +1,4 @@
-"""The default estimator made runnable: its definition (engine/), built from arrays and run over ticks."""
+"""The default estimator made runnable: its definition (engine/estimator/), built from arrays and run over ticks."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch.base.compiling.running import Rows
+from rotorwatch.base.compiling import running
 from rotorwatch.core import Array
 from rotorwatch.engine.default.plant import any_air, any_curve, any_multirotor, lower_rotors, packed
 from rotorwatch.engine.definition import ENGINE
-from rotorwatch.engine.estimator import estimator, noise, sizes, whole
+from rotorwatch.engine.estimator import announcement, estimator, known, noise, plant, sizes, whole
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
-from rotorwatch.engine.estimator.plant import AIR, CURVE, SHARE, SHARE_SD, Plant
+from rotorwatch.engine.estimator.plant import AIR, CURVE, SHARE, THETA, Plant, Rows
 from rotorwatch.engine.motion.ticks import AGAIN, TICKS_S, Ticks
 from rotorwatch.errors import ConfigError
 
@@ -41,9 +41,6 @@ class TickOutput(NamedTuple):
     gives: Array
     detectable: Array
     biases: Array
-    opposite: Array
-    opposite_onset: Array
-    opposite_loss: Array
 
 
 class Learned(NamedTuple):
@@ -53,6 +50,11 @@ class Learned(NamedTuple):
     s: Array
     P: Array
     variances: Array
+
+    @property
+    def spread(self) -> np.ndarray:
+        """(4,) variance of everything but white noise over ten seconds: how large this aircraft's disturbances are (`Noise.spread`)."""
+        return self.variances[1] + self.variances[2] + 5.0 * self.variances[3]
 
 
 def inputs(table: Ticks, B: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -67,10 +69,10 @@ def parameters(B: np.ndarray, dt: float, dynamics=None) -> dict:
     like; on coaxial frames which rotors are the lower ones, and what is known of their share. Raises ConfigError for other ticks."""
     lower, coaxial = lower_rotors(B), {}
     if lower is not None:
-        coaxial = {"lower": lower, "share": np.array((dynamics or {}).get("share", [0.0, SHARE_SD**2]), float)}
+        coaxial = {"lower": lower, "share": np.array((dynamics or {}).get("share", [0.0, plant.SHARE_SD**2]), float)}
     if dt not in TICKS_S:
-        known = ", ".join(f"{t:g}" for t in TICKS_S)
-        raise ConfigError(f"The default estimator has no ticks of {dt:g} s; it has {known}.")
+        lengths = ", ".join(f"{t:g}" for t in TICKS_S)
+        raise ConfigError(f"The default estimator has no ticks of {dt:g} s; it has {lengths}.")
     curve = np.array((dynamics or {}).get("curve", any_curve()), float)
     air = np.array((dynamics or {}).get("air", any_air()), float)
     arrays = {"B": B, "dt": np.array(dt), "curve": curve, "air": air, **coaxial}
@@ -84,6 +86,30 @@ def parameters(B: np.ndarray, dt: float, dynamics=None) -> dict:
         "noise": np.tile(np.array(noise.GENERIC)[:, None], (1, 4)),
         "noise_weight": np.array(noise.GENERIC_WEIGHT),
     }
+
+
+def threshold(n: int, dt: float) -> float:
+    """Nats that the evidence of all faults of n rotors has to reach in ticks of dt seconds before one is announced."""
+    vehicle = Plant()
+    vehicle.rotors, vehicle.dt = n, dt
+    return announcement.threshold(vehicle, announcement.GATES * announcement.FALSE_ALARM_PERIOD_S)
+
+
+def balance(u: np.ndarray, vehicle: running.Rows) -> tuple[np.ndarray, np.ndarray]:
+    """h (T, 4, n_x + n) and drag (T, n): the wrench of a tick is h [x; theta], in yaw less the sum of drag, for a state without a bent
+    curve or another share. u (T, n + 13 or more): inputs, of which `packed` makes the first; vehicle: the plant of `Steps`."""
+    n, count = int(vehicle["rotors"][0]), len(u)
+    out, rows = ENGINE.array(Rows, count), np.ascontiguousarray(u[:, : n + 13], float)
+    ENGINE.call(known.measure, vehicle, count, rows, out)
+    return out["h"][:, :, : THETA + n], out["drag"][:, :n]
+
+
+def noise_of(u: np.ndarray, y: np.ndarray, valid: np.ndarray, flying: np.ndarray, vehicle: running.Rows) -> np.ndarray:
+    """Variances (4, 4) of the noise in ticks without losses: y (T, 4) is the wrench less what they take; flying (T,); else as `balance`."""
+    n, model = int(vehicle["rotors"][0]), ENGINE.new(noise.Noise)
+    tables = u[:, : n + 13].astype(float), y.astype(float), valid.astype(bool), flying.astype(bool)
+    ENGINE.call(known.learn, vehicle, len(u), *map(np.ascontiguousarray, tables), model)
+    return model["v"][0] / model["safety"][0]
 
 
 def estimate(table: Ticks, B: np.ndarray, dynamics=None, progress: Callable[[float], object] | None = None):
@@ -103,7 +129,7 @@ class Steps:
     fault may be true."""
 
     def __init__(self, parameters: dict):
-        self.plant, self.state = plant(parameters), ENGINE.new(estimator.Estimator)
+        self.plant, self.state = vehicle_plant(parameters), ENGINE.new(estimator.Estimator)
         self.rotors = np.shape(parameters["B"])[1]
         self.plausible = np.zeros(0, bool)
         self._room = ENGINE.array(estimator.Result, PIECE)
@@ -135,7 +161,7 @@ class Steps:
         return parts[0] if len(parts) == 1 else TickOutput(*map(np.concatenate, zip(*parts, strict=True)))
 
 
-def learned(state: Rows, rotors: int) -> Learned:
+def learned(state: running.Rows, rotors: int) -> Learned:
     """What the estimator has come to."""
     states = sizes.PLANT_STATES + rotors
     leader = state.part("branches").part("all")
@@ -143,12 +169,11 @@ def learned(state: Rows, rotors: int) -> Learned:
     return Learned(s.copy(), P.copy(), state.part("noise")["v"][0].copy())
 
 
-def outputs(results: Rows, count: int, rotors: int) -> TickOutput:
+def outputs(results: running.Rows, count: int, rotors: int) -> TickOutput:
     """The first of these results, of a vehicle with so many rotors."""
-    made = {name: results[name][:count][fitting].copy() for name, fitting in _outputs(rotors) if name != "plausible"}
-    # Opposite rotors are announced as any other fault.
-    none = np.full(count, -1, np.int32)
-    return TickOutput(**made, opposite=none, opposite_onset=np.zeros(count), opposite_loss=np.zeros((count, 2)))
+    return TickOutput(
+        **{name: results[name][:count][part].copy() for name, part in _outputs(rotors) if name != "plausible"}
+    )
 
 
 @functools.cache
@@ -162,17 +187,17 @@ def _outputs(rotors: int) -> list[tuple[str, tuple[slice, ...]]]:
     ]
 
 
-def plant(parameters: dict) -> Rows:
+def vehicle_plant(parameters: dict) -> running.Rows:
     """A Plant of `parameters`, not yet completed."""
     B, lower = np.asarray(parameters["B"], float), parameters.get("lower")
     mean, variance = np.zeros(sizes.PLANT_STATES), np.zeros((sizes.PLANT_STATES, sizes.PLANT_STATES))
     mean[:CURVE], variance[:CURVE, :CURVE] = parameters["x0"], parameters["P0"]
-    known = {
+    more = {
         CURVE: parameters["curve"],
         AIR: parameters["air"],
         **({} if lower is None else {SHARE: parameters["share"]}),
     }
-    for state, (m, v) in known.items():
+    for state, (m, v) in more.items():
         mean[state], variance[state, state] = m, v
     made = ENGINE.new(Plant)
     made.set(

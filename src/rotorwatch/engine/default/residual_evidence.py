@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorwatch.engine.default import hypotheses, plant
 from rotorwatch.engine.default.hypotheses import Hypotheses
+from rotorwatch.engine.estimator import hypotheses, plant
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import CONTACT

@@ -44,13 +44,11 @@ class Alarm(Struct):
         self.limit = threshold(p, GATES * FALSE_ALARM_PERIOD_S)
         self.suspicious = threshold(p, 1.0) + log(MEMORY_S)
 
-    def decide(self, p: Plant, found: Evidence, far: Real, best: Best, bank: Bank, may: Plausible, judge: bool) -> None:
-        """One tick. best: the likeliest fault; far: evidence of large disturbances, read where a rotor is weak; may: may it be true."""
-        # Beside a weak rotor the vehicle moves as it has not before, and one more rotor's direction may be met by chance. Of a first loss
-        # the flight's own disturbances alone are tested: with larger ones a rotor that is lost in wind went unannounced until the vehicle
-        # fell.
+    def decide(self, p: Plant, found: Evidence, best: Best, bank: Bank, may: Plausible, judge: bool) -> None:
+        """One tick. best: the likeliest fault; may: may it be true."""
+        # Something else may have happened as well. Of a pair, which is rare by its prior, that is not asked.
         weak = found.asked.weak
-        other = either(found.other, far) if weak and best.kind != PAIR else found.other
+        other = found.other if best.kind == PAIR else either(found.other, found.far)
         self.statistic = min(found.fault - self.limit, found.fault - other - CLEAR)
         # The most probable onset at the edge of the bank speaks of a drift that began before it, and a command that went the other way
         # against a rotor: neither where no disturbance comes near one rotor, for manoeuvres swing commands by more. Two rotors fit the

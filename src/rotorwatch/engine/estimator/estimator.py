@@ -142,8 +142,7 @@ class Estimator(Struct):
         found.pick(p, self.bank, found.first, self.best)
         slot = self.bank.slots[self.best.slot]
         self.may.judge(p, self.best, slot, now, self.seen, self.missing, leader, self.noise, self.coupling)
-        far = found.far(p, self.bank) if found.asked.weak else 0.0
-        self.alarm.decide(p, found, far, self.best, self.bank, self.may, judge)
+        self.alarm.decide(p, found, self.best, self.bank, self.may, judge)
         steady = judge and not self.alarm.alarm and abs(now.rate[YAW]) < TURNING and not found.asked.weak
         self.opposite.suspect(p, self.bank, found, self.missing, self.alarm, steady)
         shared = self.opposite.pair >= 0
@@ -152,8 +151,7 @@ class Estimator(Struct):
         for i in range(p.rotors):
             out.detectable[i] = found.detectable(i)
         if self.alarm.alarm or shared or self.alarm.absorbed:
-            far = found.far(p, self.bank)
-            self.branches.born(p, self.bank, found, out.best, far, self.alarm.alarm or shared, shared)
+            self.branches.born(p, self.bank, found, out.best, self.alarm.alarm or shared, shared)
             self.bank.forget()
         learns = local(FLAG, 4)
         quiet = self.alarm.quiet(p, found)
@@ -196,7 +194,7 @@ class Estimator(Struct):
             for i in range(n):
                 lost[a] += self.rows.h[a][THETA + i] * leader.s[THETA + i]
         seen = self.seen
-        self.memory.look(p, now, leader.s, lost, bent, self.noise, flying, seen)
+        self.memory.weigh_inputs(p, now, leader.s, lost, bent, self.noise, flying, seen)
         # What carries a vehicle that is not clear of the ground says nothing of the curve, and beside a weak rotor a curve looks like
         # its loss.
         if not judge or leader.weak(p):

@@ -27,6 +27,7 @@ from rotorwatch.base.compiling.structs import (
 from rotorwatch.engine.estimator import hypotheses
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Bank, Slot, Window
 from rotorwatch.engine.estimator.hypotheses import (
+    ALL_TORQUES,
     CLEAR,
     DISTURBANCE,
     DISTURBANCE_COUNT,
@@ -97,6 +98,8 @@ class Evidence(Struct):
     known = array(REAL, ROTORS)  # the most information on each rotor's jump alone
     fault: Real = 0.0  # log of the sum over all faults
     other: Real = 0.0  # ... over all disturbances
+    far: Real = 0.0  # ... over disturbances much larger than this flight's: something else
+    far_sum: Real = 0.0  # of which exp(far) is a factor, while it is gathered
     first: int = 0  # the likeliest fault
     live: int = 0  # the first slot in use, else 0
     window = embedded(Window)
@@ -140,6 +143,8 @@ class Evidence(Struct):
         count = hypothesis_count(n)
         top = local(REAL, HYPOTHESES)
         self.live = -1
+        self.far = NOTHING
+        self.far_sum = 1.0
         for i in range(n):
             self.known[i] = 0.0
         for h in range(count):
@@ -158,6 +163,7 @@ class Evidence(Struct):
                 row[h] += slot.log_stride
                 top[h] = max(top[h], row[h])
         self.live = max(self.live, 0)
+        self.far += log(self.far_sum * FAR_SHARE * DISTURBANCE_WEIGHT)
         for h in range(count):
             self.odds[h] = 0.0
         for k in range(SLOTS):
@@ -200,6 +206,15 @@ class Evidence(Struct):
         for b in range(DISTURBANCE_COUNT):
             out[h + n + b] = steps[b]
             most = max(most, steps[b])
+        # Without a weak rotor, of what moves all torques: a large step of one axis has no direction of a rotor.
+        hypotheses.disturbances(self.window, self.asked.width, FAR, steps)
+        first = 0 if self.asked.weak else ALL_TORQUES
+        for b in range(first, DISTURBANCE_COUNT):
+            one = steps[b] + slot.log_stride
+            if one > self.far:
+                self.far_sum *= exp(self.far - one)
+                self.far = one
+            self.far_sum += exp(one - self.far)
         return most
 
     def _target(self, p: Plant, slot: Slot, i: int) -> Real:
@@ -260,24 +275,6 @@ class Evidence(Struct):
         for h in range(faults, count):
             total += exp(self.odds[h] - least)
         self.other = least + log(total)
-
-    def far(self, p: Plant, bank: Bank) -> Real:
-        """Log evidence of disturbances much larger than this flight's."""
-        steps = local(REAL, DISTURBANCE_COUNT)
-        best = -1e30
-        total = 0.0
-        for k in range(SLOTS):
-            slot = bank.slots[k]
-            if slot.age >= 0:
-                self.window.reduce(p, slot, self.yaw_error, self.damping_error)
-                hypotheses.disturbances(self.window, self.asked.width, FAR, steps)
-            for b in range(DISTURBANCE_COUNT):
-                one = (steps[b] if slot.age >= 0 else NOTHING) + slot.log_stride
-                if one > best:
-                    total *= exp(best - one)
-                    best = one
-                total += exp(one - best)
-        return best + log(total * FAR_SHARE * DISTURBANCE_WEIGHT)
 
     def pick(self, p: Plant, bank: Bank, h: int, out: Best) -> None:
         """One hypothesis at its most probable onset."""

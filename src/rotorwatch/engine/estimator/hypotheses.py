@@ -30,7 +30,8 @@ AIR_SHARE = 0.05
 # Share by which what a loss does to roll, pitch, yaw and thrust may differ from geometry: inflow and battery change thrust, and
 # in moving air rotors that no longer match in speed drag the vehicle round.
 SLOP = (0.1, 0.1, 0.4, 0.3)
-# A flight does not show what a vehicle with a weak rotor will do: this share of disturbances is so many times their usual size then.
+# Something else: this share of disturbances is so many times their usual size. A flight does not show all that may push the vehicle, nor
+# what it will do with a weak rotor.
 FAR_SHARE, FAR = 0.2, 4.0
 # Prior weights: how often each kind of jump happens, relative to one particular rotor failing, or working again. Disturbances are common.
 # A rotor that follows no command any more but gives one thrust, whatever that is, is rarer than one that gives less.
@@ -42,6 +43,7 @@ MORE, NOTHING = 1.25, -50.0
 # Disturbances: which of roll (1), pitch (2), yaw (4), thrust (8) they touch.
 DISTURBANCES = (1, 2, 4, 8, 9, 10, 12, 7, 15)
 DISTURBANCE_COUNT = 9
+ALL_TORQUES = 7  # the first of those that touch all three
 
 SINGLE, PAIR, RECOVERY, ONE_THRUST, DISTURBANCE = 0, 1, 2, 3, 4  # kinds
 

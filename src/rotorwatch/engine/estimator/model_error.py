@@ -104,7 +104,7 @@ class Memory(Struct):
             self.lasting[a] = 1.0
         self.bent_level = CALM_THRUST
 
-    def look(
+    def weigh_inputs(
         self, p: Plant, now: Inputs, s: Reals, lost: Reals, bent: Reals, noise: Noise, flying: bool, seen: Seen
     ) -> None:
         """One tick's inputs, judged against what was usual. s: state; lost: what the known losses take of the wrench; bent: what a

@@ -16,11 +16,10 @@ The state x is (b1, b2, b3, G, c) of each axis, where thrust, which has no dampi
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import FLAG, REAL, Real, Reals, Struct, array, exp, isnan, local, real, sqrt
+from rotorwatch.base.compiling.structs import FLAG, REAL, Real, Reals, Struct, array, exp, local, real, sqrt
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.estimator.sizes import PLANT_STATES, ROTORS, STATES
-from rotorwatch.engine.front.ticks import Made
-from rotorwatch.engine.front.vehicle import PITCH, ROLL, THRUST, YAW, Vehicle
+from rotorwatch.engine.front.vehicle import PITCH, ROLL, THRUST, YAW
 
 PER_AXIS = 5
 B1, B2, B3, GAIN, DAMPING = 0, 1, 2, 3, 4
@@ -93,27 +92,6 @@ class Inputs(Struct):
     hop: bool = False
     wrench = array(REAL, 4)
     valid = array(FLAG, 4)
-
-    def take(self, v: Vehicle, made: Made) -> None:
-        """A tick as the front end has made it."""
-        for i in range(v.rotors):
-            self.thrust[i] = made.thrust[i]
-        for a in range(3):
-            self.turn[a] = made.rate_dot[a]
-            self.rate[a] = made.rate[a]
-        for a in range(4):
-            self.wrench[a] = made.wrench[a]
-            self.valid[a] = made.valid[a]
-        self.load = made.load * real(v.rotors)
-        self.forward = made.side[0]
-        self.right = made.side[1]
-        self.full = 1.0 / made.hover
-        self.expo = v.expo
-        self.expo_sd = v.expo_sd
-        self.axial = 0.0 if isnan(made.axial) else made.axial
-        self.mode = made.mode
-        self.restart = made.restart or made.touch.hit
-        self.hop = made.restart and not made.touch.hit
 
 
 class Rows(Struct):

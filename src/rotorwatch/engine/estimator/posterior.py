@@ -130,7 +130,7 @@ class Branches(Struct):
         for k in range(PLACES):
             out[k] /= total
 
-    def born(self, p: Plant, bank: Bank, found: Evidence, first: int, far: Real, alarm: bool, shared: bool) -> None:
+    def born(self, p: Plant, bank: Bank, found: Evidence, first: int, alarm: bool, shared: bool) -> None:
         """What may have happened becomes branches of the one that leads: the likeliest disturbance and the likeliest faults. Hypothesis
         `first` leads where it is announced (alarm), else the disturbance. shared: it is one of several pairs that look alike."""
         n = p.rotors
@@ -160,7 +160,7 @@ class Branches(Struct):
                         left[other] = NEVER * 1e3
             chosen = _most(left, faults)
         which[PLACES - 1] = none
-        weight[PLACES - 1] = either(found.other, far)
+        weight[PLACES - 1] = either(found.other, found.far)
         considered = alarm or found.asked.weak
         leading = weight[0] if alarm else weight[PLACES - 1]
         copy(self.parent, self.all[0])

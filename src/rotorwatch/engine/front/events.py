@@ -31,9 +31,8 @@ LOSS, OUTPUT_OVERRIDE, CONTACT = 0, 1, 2
 # The state at this moment: not in the air for long enough yet, or a rotor's commands are not known; healthy so far; something happened, and
 # to which rotor or output; something happened, and several sets of rotors explain it.
 NOT_JUDGED, HEALTHY, FAULT, AMBIGUOUS = 0, 1, 2, 3
-# Of a loss: opposite rotors may share it, and then so may the battery; the same, and that is all that is known; two rotors of one arm lack
-# about one whole rotor.
-PLAIN, SHARED, SUSPECTED, ONE_ARM = 0, 1, 2, 3
+# Of a loss: opposite rotors may share it, and then so may the battery; two rotors of one arm lack about one whole rotor.
+PLAIN, SHARED, ONE_ARM = 0, 1, 2
 
 TOUCH_DOWN_S = 1.0  # a contact so near the end of a flight is the landing, or the crash
 EXPLAINED_S = 1.0  # so near an override a loss is the override

@@ -24,15 +24,14 @@ from rotorwatch.base.compiling.structs import (
     array,
     copy,
     embedded,
-    exp,
     local,
     real,
     reset,
     sqrt,
 )
-from rotorwatch.engine.front.events import LOSS, PLAIN, SHARED, SUSPECTED, Event
+from rotorwatch.engine.front.events import LOSS, PLAIN, SHARED, Event
 from rotorwatch.engine.front.records import Course, ExplanationState, Found, Onset, Record, Records
-from rotorwatch.engine.front.sizes import ALTERNATIVES, PAIRS, PLACES, REACH, RECORDS, ROTORS, SETS, TOGETHER
+from rotorwatch.engine.front.sizes import ALTERNATIVES, PAIRS, PLACES, REACH, RECORDS, ROTORS, TOGETHER
 from rotorwatch.engine.front.ticks import JUDGE
 from rotorwatch.engine.front.vehicle import PITCH, ROLL, Vehicle
 
@@ -70,7 +69,7 @@ class Losses(Struct):
     hidden = array(FLAG, PAIRS)
     announced: bool = False  # something has been in this flight
     flown: bool = False  # a tick of this flight was judged
-    announcements: int = 0  # announcements and suspicions so far
+    announcements: int = 0  # so far
 
     def on(self, v: Vehicle, time: Time, when: Time, mode: int, restart: bool, found: Found) -> None:
         """One more tick, in their order, on the ground as well. time, when: of the tick and, in the mean, of its commands, s; restart: the
@@ -91,7 +90,6 @@ class Losses(Struct):
             for k in range(v.rotors):
                 copy(self.before_courses[k], self.courses[k])
             self._hide(v, found)
-            self.records.earlier = self.records.suspicion
             self.announced = True
             self.announcements += 1
         if self.announced:
@@ -111,9 +109,6 @@ class Losses(Struct):
                 for k in range(v.rotors):  # what is estimated of rotors that no final record holds begins here
                     if (self.before & (1 << k)) == 0:
                         reset(self.courses[k])
-        if v.rotors <= found.opposite < v.rotors + pairs(v):
-            self._suspect(v, found, time)
-            self.announcements += 1
         if mode != JUDGE:
             return
         copy(self.judged, self.latest)
@@ -131,8 +126,6 @@ class Losses(Struct):
         reset(records)
         order = local(INT, RECORDS)
         records.count = self.records.count
-        records.suspicion = self.records.suspicion
-        records.earlier = self.records.earlier
         for k in range(v.rotors):
             records.of[k] = self.records.of[k]
         for i in range(records.count):
@@ -235,20 +228,9 @@ class Losses(Struct):
                         to.of[j] = -1
         if fresh == 0:
             return
-        onset = began.time
-        detected = at.found
-        if to.earlier >= 0:  # what opposite rotors were suspected of is now known
-            suspect = to.all[to.earlier]
-            suspected = 0
-            for i in range(suspect.count):
-                suspected |= suspect.sets[i]
-            if (fresh & ~suspected) == 0:
-                onset = suspect.onset
-                detected = suspect.detected
-                to.remove(to.earlier)
         place = to.add()
-        to.all[place].onset = onset
-        to.all[place].detected = detected
+        to.all[place].onset = began.time
+        to.all[place].detected = at.found
         to.all[place].rotors = fresh
         to.all[place].hiding = self.hiding
         to.all[place].hider = self.hider
@@ -272,13 +254,11 @@ class Losses(Struct):
                     _usual(v, self.records.all[place], self.courses, self.tick)
         for k in range(v.rotors):
             self.records.of[k] = -1
-        self.records.suspicion = -1
-        self.records.earlier = -1
         self.announced = False
         self.flown = False
         self.before = 0
 
-    # What is written down when something is announced or suspected
+    # What is written down when something is announced
 
     def _hide(self, v: Vehicle, found: Found) -> None:
         """Pairs that only their rarity, not the data, rules out against the likeliest rotor. Losses on opposite rotors cancel in roll and
@@ -312,41 +292,6 @@ class Losses(Struct):
                     self.hiding |= 1 << i
                 pair += 1
 
-    def _suspect(self, v: Vehicle, found: Found, now: Time) -> None:
-        """A sudden shift of thrust that may be two opposite rotors."""
-        r = self.records.all[self.records.add()]
-        self.records.suspicion = self.records.count - 1
-        r.suspicion = True
-        r.onset = self._command_time(max(self._jumped(found.opposite_onset), self._earliest()))
-        r.detected = now
-        shared = 0.5 * (found.opposite_loss[0] + found.opposite_loss[1])  # only their sum shows
-        r.loss[0] = shared
-        r.loss[1] = shared
-        pair = 0
-        for i in range(v.rotors):
-            for j in range(i + 1, v.rotors):
-                rotors = (1 << i) | (1 << j)
-                if v.rotors + pair == found.opposite:
-                    r.rotors = rotors
-                if (opposite_of(v, i) & (1 << j)) != 0 and r.count < SETS:
-                    odds = found.log_odds[v.rotors + pair]
-                    place = int(r.count)
-                    while place > 0 and r.share[place - 1] < odds:
-                        r.share[place] = r.share[place - 1]
-                        r.sets[place] = r.sets[place - 1]
-                        place -= 1
-                    r.share[place] = odds
-                    r.sets[place] = rotors
-                    r.count += 1
-                pair += 1
-        most = r.share[0]
-        total: Real = 0.0
-        for i in range(r.count):
-            r.share[i] = exp(r.share[i] - most)
-            total += r.share[i]
-        for i in range(r.count):
-            r.share[i] = r.share[i] / total
-
     # What it comes to
 
     def _event(self, v: Vehicle, r: Record, flies: bool, e: Event) -> None:
@@ -366,10 +311,9 @@ class Losses(Struct):
         place = 0
         for k in range(n):
             if (r.rotors & (1 << k)) != 0 and place < TOGETHER:
-                loss = r.loss[place] if r.suspicion or r.end < LASTS else self.theta[k]
+                loss = r.loss[place] if r.end < LASTS else self.theta[k]
                 sd = r.sd[place] if r.end < LASTS else self.sd[k]
-                # Of a shared shift each rotor may hold anything from nothing to all.
-                sd = loss / WITHIN_95 if r.suspicion else sd_of(v, loss, sd)
+                sd = sd_of(v, loss, sd)
                 e.loss[place] = loss
                 e.lower[place] = max(loss - WITHIN_95 * sd, 0.0)
                 e.upper[place] = min(loss + WITHIN_95 * sd, 1.0)
@@ -389,21 +333,21 @@ class Losses(Struct):
         for i in range(n):
             for j in range(i + 1, n):
                 hides = r.hidden[pair] if young else _hides(r, i, j)
-                hidden = hidden or (hides and not r.suspicion and ((1 << i) | (1 << j)) != r.rotors)
+                hidden = hidden or (hides and ((1 << i) | (1 << j)) != r.rotors)
                 pair += 1
         # Only manoeuvres distinguish a pair of opposite rotors from the others: it has to be clear twice.
         odds = CLEAR * CLEAR if paired else CLEAR
-        if not r.suspicion and not hidden and e.probability >= odds / (1.0 + odds):
+        if not hidden and e.probability >= odds / (1.0 + odds):
             return
-        e.detail = SUSPECTED if r.suspicion else SHARED if paired else PLAIN
+        e.detail = SHARED if paired else PLAIN
         pair = 0
         for i in range(n):
             for j in range(i + 1, n):
-                if not r.suspicion and (r.hidden[pair] if young else _hides(r, i, j)):
+                if r.hidden[pair] if young else _hides(r, i, j):
                     _name(e, (1 << i) | (1 << j))
                 pair += 1
         for i in range(r.count):
-            if r.suspicion or r.share[i] >= CREDIBLE:
+            if r.share[i] >= CREDIBLE:
                 _name(e, r.sets[i])
         for i in range(n):  # all that only a manoeuvre could distinguish
             for j in range(i + 1, n):

@@ -19,7 +19,7 @@ from rotorwatch.base.compiling.structs import (
     local,
     reset,
 )
-from rotorwatch.engine.front.sizes import HYPOTHESES, PAIRS, PLACES, RECORDS, ROTORS, SETS, TOGETHER
+from rotorwatch.engine.front.sizes import HYPOTHESES, PAIRS, PLACES, RECORDS, ROTORS, TOGETHER
 
 ESTIMATES = 16  # evenly spaced, that say what a loss was that is over
 
@@ -35,10 +35,6 @@ class Found(Struct):
     gives = array(REAL, ROTORS)  # hover thrusts of the leader's rotors that follow no command, 0 of others
     onsets = array(REAL, PLACES)  # ticks since the last jump of a rotor in each
     probability = array(REAL, HYPOTHESES)  # read where something is announced
-    log_odds = array(REAL, HYPOTHESES)  # read where opposite rotors are suspected
-    opposite_onset: Real = 0.0  # ticks since the shift that may be opposite rotors
-    opposite_loss = array(REAL, 2)  # loss of these
-    opposite: int = -1  # hypothesis of them, -1 without
     announced: bool = False  # explanations were made at this tick
 
 
@@ -48,17 +44,16 @@ class Record(Struct):
     onset: Time = 0.0
     detected: Time = 0.0
     end: Time = LASTS  # LASTS while it lasts
-    loss = array(REAL, TOGETHER)  # of one that is over, and of a suspicion
+    loss = array(REAL, TOGETHER)  # of one that is over
     sd = array(REAL, TOGETHER)  # of one that is over
-    share = array(REAL, SETS)  # probability of each of `sets`
-    sets = array(MASK, SETS)  # that may have failed, the record's own among them
+    share = array(REAL, PLACES)  # probability of each of `sets`
+    sets = array(MASK, PLACES)  # that may have failed, the record's own among them
     count: Small = 0  # of `sets`
     rotors: Mask = 0
     hiding: Mask = 0  # each of these may have failed together with rotor `hider`: the data do not show which
     hider: Small = 0
     gives: Real = 0.0  # hover thrusts that its rotor gives whatever it is commanded, 0 where it follows
     hidden = array(FLAG, PAIRS)  # pairs that the data alone prefer to rotor `hider`
-    suspicion: bool = False  # a shift of thrust that opposite rotors share, or something else
     recovered: bool = False  # it ended in the air: its rotors work again
 
     def only(self, rotors: int) -> None:
@@ -77,20 +72,15 @@ class Records(Struct):
 
     all = array(Record, RECORDS)
     of = array(SMALL, ROTORS, fill=-1)  # record of each weak rotor, -1 without
-    suspicion: Small = -1  # the last record of a suspicion, -1 without
-    earlier: Small = -1  # the same when the last announcement was made
     count: Small = 0
     forgotten: int = 0  # records that found no room
 
     def add(self) -> int:
-        """Room for one more: where there is none, that of the loss that ended first, else of the oldest suspicion, else the oldest."""
+        """Room for one more: where there is none, that of the loss that ended first, else the oldest."""
         if self.count >= RECORDS:
             least = -1
             for i in range(self.count):
                 if self.all[i].end < LASTS and (least < 0 or self.all[i].end < self.all[least].end):
-                    least = i
-            for i in range(self.count):
-                if least < 0 and self.all[i].suspicion:
                     least = i
             self.remove(max(least, 0))
             self.forgotten += 1
@@ -105,8 +95,6 @@ class Records(Struct):
         self.count -= 1
         for k in range(ROTORS):
             self.of[k] = _after_removal(self.of[k], removed)
-        self.suspicion = _after_removal(self.suspicion, removed)
-        self.earlier = _after_removal(self.earlier, removed)
 
 
 class ExplanationState(Struct):

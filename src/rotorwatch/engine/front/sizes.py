@@ -19,7 +19,6 @@ PAIRS = 120  # of rotors
 HYPOTHESES = 177  # of the estimator: rotors, pairs, recoveries, rotors that follow no command, disturbances
 REACH = 2048  # ticks whose times are kept: as far as the estimator looks back, and some
 RECORDS = 64  # losses that are kept; of more, those that ended first are forgotten
-SETS = 24  # sets of rotors that one loss is weighed against: of the explanations, or of all opposite pairs
 TOGETHER = 8  # rotors that one announcement names at most
 ALTERNATIVES = 128  # sets of rotors that an event names beside its own
 CONTACTS = 64  # that are kept, the last ones

@@ -91,7 +91,7 @@ LENGTHS = ((0.05, 19.0), (0.1, 8.0), (0.2, 4.5), (0.5, 1.8), (1.0, 0.0))
 TICKS_S = tuple(length for length, _ in LENGTHS)
 # A snapshot of the commands is compared with motion over so long, or over a sample and a half of the gyro.
 SHORTEST_S = 0.2
-EARLIEST_TICKS = 2  # that an announcement takes: engine/default/announcement.py
+EARLIEST_TICKS = 2  # that an announcement takes: engine/estimator/announcement.py
 READY_TICKS = 30  # from which the noise is learned
 
 
@@ -255,7 +255,7 @@ def observe(flight: Flight, vehicle: Vehicle, air, ready_s: float) -> Ticks | No
     thrust = allocation.rotor_thrusts(flight, vehicle)
     if len(thrust) < 20 or not thrust.valid.all(axis=1).any():  # or one output is never a command
         return None
-    made = make(flight, thrust, vehicle.effectiveness(), air, ready_s, hover=known_hover(vehicle))
+    made = cut_ticks(flight, thrust, vehicle.effectiveness(), air, ready_s, hover=known_hover(vehicle))
     return replace(made, curve=vehicle.curve.believed)
 
 
@@ -264,7 +264,7 @@ def known_hover(vehicle: Vehicle) -> float | None:
     return (vehicle.identified or {}).get("hover")
 
 
-def make(
+def cut_ticks(
     flight: Flight,
     thrust: Signal,
     B: np.ndarray,

@@ -15,7 +15,7 @@ from __future__ import annotations
 import ast
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from os import PathLike
@@ -124,14 +124,7 @@ def changed(values: Mapping[str, Any]) -> Iterator[None]:
             others |= {"hypotheses.CLEAR": float(np.log(value)), "posterior.ALIKE": -float(np.log(value))}
         elif name in TAKEN:
             others[f"{TAKEN[name]}.{name}"] = value
-    with ENGINE.changed(losses | others), ExitStack() as stack:
-        for key, value in others.items():  # what else reads them
-            file, name = key.split(".")
-            module = import_module(f"rotorwatch.engine.default.{file}")
-            if hasattr(module, name):
-                before = getattr(module, name)
-                stack.callback(setattr, module, name, before)
-                setattr(module, name, np.array(value) if isinstance(before, np.ndarray) else value)
+    with ENGINE.changed(losses | others):
         yield
 
 

@@ -15,12 +15,13 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.base.compiling.run import engine, run, run_built
-from rotorwatch.engine.default import hypotheses, program
-from rotorwatch.engine.default.plant import PER_AXIS
+from rotorwatch.engine.default import program
+from rotorwatch.engine.default.hypotheses import list_hypotheses
+from rotorwatch.engine.estimator.plant import PER_AXIS
 from rotorwatch.engine.motion.ticks import LEARN, Ticks
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.experiments import tools
+from rotorwatch.methods.compiling.run import engine, run, run_built
 from rotorwatch.methods.published import log_plant, published
 from rotorwatch.methods.published.log_plant import LogPlant
 from rotorwatch.methods.published.published import Decisions
@@ -111,7 +112,7 @@ def judge(
     decisions: Decisions,
 ) -> list[list[program.TickOutput]]:
     """For each decision and each flight what `published.judge` leaves behind. hops: of each flight, by `learn`."""
-    hyp = hypotheses.make(B.shape[1])
+    hyp = list_hypotheses(B.shape[1])
     kept = [[published.blank(len(table.time), hyp) for table in tables] for _ in decisions]
     for turn in range(max(map(len, hops), default=0)):
         here = [k for k, found in enumerate(hops) if len(found) > turn]

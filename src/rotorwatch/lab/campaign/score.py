@@ -15,7 +15,7 @@ import numpy as np
 from rotorwatch.answer.conclusion import Conclusion
 from rotorwatch.base import files
 from rotorwatch.engine.default import events
-from rotorwatch.engine.default.announcement import TICKS
+from rotorwatch.engine.estimator.announcement import TICKS
 from rotorwatch.engine.motion.ticks import JUDGE
 from rotorwatch.lab.campaign.plan import Plan
 from rotorwatch.lab.experiments import counting, limits

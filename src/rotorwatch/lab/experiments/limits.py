@@ -25,7 +25,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.engine.default import noise
+from rotorwatch.engine.default import program
+from rotorwatch.engine.estimator.plant import PER_AXIS
+from rotorwatch.engine.estimator.sizes import PLANT_STATES
 from rotorwatch.errors import ConfigError
 
 Array = Any
@@ -127,64 +129,57 @@ def delay(time: Array, information: Array, theta: float, onset: float, false_ala
 
 
 class Bound(NamedTuple):
-    """Of one flight on its ticks: information (T,) on the loss, and the noise variances (4, 4) it holds for (engine/default/noise.py)."""
+    """Of one flight on its ticks: information (T,) on the loss, and the noise variances (4, 4) it holds for (engine/estimator/noise.py)."""
 
     information: Array
     variances: Array
 
 
-@functools.lru_cache(maxsize=16)
-def _program(n: int, dt: float, batch: bool):
+@functools.lru_cache(maxsize=4)
+def _program():
     jax = load_jax()
     jnp = jax.numpy
-    from rotorwatch.engine.default.plant import AXIS_STATES, WrenchBalance
 
-    def one(B, u, y, valid, flying, theta, rotor, onset) -> Bound:
-        system = WrenchBalance(B)
-        A = system.decay(dt)
-        x0, P0 = jnp.asarray(system.x0), jnp.asarray(system.P0)
-        clean = y + jax.vmap(lambda u, theta: system.drag(u).sum(axis=1) - system.H(u) @ theta)(u, theta)
-
-        def walks(variances):
-            return jnp.append(noise.process_variance(variances, dt), jnp.zeros(system.n_x - AXIS_STATES))
-
-        def learn(carry, row):
-            x, P, noises = carry
-            u, y, ok, fly = row
-            q = jnp.where(fly, walks(noises.variances), 0.0)
-            x, P = A * x, A[:, None] * P * A[None, :] + jnp.diag(q)
-            C = system.C(u)
-            gains = np.append(np.tile([0.0, 0.0, 0.0, 1.0, 1.0], 4), np.ones(system.n_x - AXIS_STATES))
-            left = y - C @ (gains * x)
-            for a in range(4):
-                Pc = P @ C[a]
-                K = Pc * jnp.where(ok[a], 1.0 / (C[a] @ Pc + noises.variances[0, a]), 0.0)
-                x = x + K * (y[a] - C[a] @ x)
-                P = P - K[:, None] * Pc[None, :]
-            return (x, 0.5 * (P + P.T), noise.step(noises, left, ok & fly, jnp.ones(4), dt)), None
-
-        start = jax.tree.map(jnp.asarray, noise.init(dt))
-        (_, _, noises), _ = jax.lax.scan(learn, (x0, P0, start), (u, clean, valid, flying))
-        variances = noises.variances / noises.safety
-        Q = walks(variances)
-
+    def one(decay, P0, C, H, Q, R, flying, valid, onset):
         def model(row) -> Rows:
-            u, fly = row
-            H = (system.H(u) * (jnp.arange(n) == rotor)).sum(axis=1)
-            return Rows(A, jnp.zeros(system.n_x), system.C(u), H, jnp.diag(jnp.where(fly, Q, 0.0)), variances[0])
+            C, H, fly = row
+            return Rows(decay, jnp.zeros(decay.size), C, H, jnp.diag(jnp.where(fly, Q, 0.0)), R)
 
-        return Bound(information(model, (u, flying), P0, valid, onset), variances)
+        return information(model, (C, H, flying), P0, valid, onset)
 
-    return jax.jit(jax.vmap(one, in_axes=(None, *[0] * 7)) if batch else one)
+    return jax.jit(jax.vmap(one, in_axes=(None, None, *[0] * 7)))
 
 
 def on_ticks(B, u, y, valid, flying, theta, rotor, onset, dt: float, batch: bool = False) -> Bound:
-    """The bound for a diagnoser that sees these ticks: plant and noise model are the default diagnoser's (engine/default/plant.py),
+    """The bound for a diagnoser that sees these ticks: plant and noise model are the default estimator's (engine/estimator/plant.py),
     its noise that of the whole flight with the true losses taken out, the rotor and the onset known.
 
     B (4, n), u (T, n + 13), y (T, 4), valid (T, 4), flying (T,) bool; theta (T, n) true losses; rotor (0-based), onset (first tick with
     the loss): integers. batch: all but B have a first axis of flights. Arrays of NumPy.
     """
-    program = _program(np.shape(B)[1], dt, batch)
-    found = program(B, u, np.where(valid, y, 0.0), valid, flying, theta, np.asarray(rotor), np.asarray(onset))
-    return Bound(*map(np.asarray, found))
+    rows = [np.asarray(a) for a in (u, y, valid, flying, theta, rotor, onset)]
+    u, y, valid, flying, theta, rotor, onset = rows if batch else (a[None] for a in rows)
+    known, states = program.steps(dt, B), PLANT_STATES
+    decay, P0 = known.plant["decay"][0, :states], known.plant["variance"][0]
+    C, H, Q, R, variances = [], [], [], [], []
+    for k in range(len(u)):
+        h, _ = program.balance(u[k], known.plant)
+        lost = np.einsum("tai,ti->ta", h[:, :, states:], theta[k])
+        learned = program.noise_of(u[k], np.where(valid[k], y[k], 0.0) - lost, valid[k], flying[k], known.plant)
+        C.append(h[:, :, :states])
+        H.append(h[:, :, states + rotor[k]])
+        Q.append(_walks(learned, known.plant["left"][0], dt))
+        R.append(learned[0])
+        variances.append(learned)
+    found = _program()(decay, P0, *map(np.stack, (C, H, Q, R)), flying, valid, onset)
+    told = Bound(np.asarray(found), np.stack(variances))
+    return told if batch else Bound(told.information[0], told.variances[0])
+
+
+def _walks(variances: np.ndarray, left: np.ndarray, dt: float) -> np.ndarray:
+    """(n_x,) process noise variances of a tick: coloured disturbances stay as large as they are, the drift walks."""
+    Q = np.zeros(PLANT_STATES)
+    grows = variances[1:] * np.append(1.0 - left**2, dt)[:, None]
+    for a in range(4):
+        Q[a * PER_AXIS : a * PER_AXIS + 3] = grows[:, a]
+    return Q

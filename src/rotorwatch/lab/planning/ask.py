@@ -23,8 +23,9 @@ from rotorwatch import airframes, logs
 from rotorwatch.base import checks, files, optional
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.default import events
-from rotorwatch.engine.default.plant import TAU, usual_gains
+from rotorwatch.engine.default.plant import usual_gains
 from rotorwatch.engine.default.program import estimate
+from rotorwatch.engine.estimator.plant import TAU
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import READY_S, observe
 from rotorwatch.errors import ConfigError

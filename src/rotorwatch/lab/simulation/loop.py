@@ -16,12 +16,12 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.base.compiling import run as compiled
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.simulation import wind
 from rotorwatch.lab.simulation.control import Loops, Target
 from rotorwatch.lab.simulation.rigid import Air, Body
 from rotorwatch.lab.simulation.trajectories import Reference
+from rotorwatch.methods.compiling import run as compiled
 
 Array = Any
 

@@ -62,7 +62,7 @@ class Signal(NamedTuple):
 class Noise(NamedTuple):
     """What the commanded thrust less the load factor varies by without any loss, in hover thrusts of one rotor. variances (4,): white from
     tick to tick; two disturbances of time constants tau (2,) [s]; a random walk, per second. As the default diagnosis learns them
-    (engine/default/noise.py)."""
+    (engine/estimator/noise.py)."""
 
     variances: Array
     tau: Array

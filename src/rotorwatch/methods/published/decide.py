@@ -18,7 +18,8 @@ import numpy as np
 
 from rotorwatch.base import checks
 from rotorwatch.core import Decision
-from rotorwatch.engine.default import hypotheses
+from rotorwatch.engine.default.hypotheses import list_hypotheses
+from rotorwatch.engine.estimator.hypotheses import LOSS_WIDTH, NONE, NOTHING, SMALL_WIDTH, TOTAL_SHARE
 
 LEVEL_S, SCATTER_S, WARM_UP_S = (
     20.0,
@@ -44,7 +45,7 @@ class Threshold:
     """Announces the best hypothesis once its loss is at least `least`, for `persist_s`, and far out of the scatter.
 
     B (4, n) in hover thrusts. least: smallest loss worth an event, 0..1. sigmas: how far out. persist_s [s].
-    Decision.log_odds and best count the hypotheses of `hypotheses.make(n)`.
+    Decision.log_odds and best count the hypotheses of `list_hypotheses(n)`.
     """
 
     name = "threshold"
@@ -54,7 +55,7 @@ class Threshold:
         self.B = checks.shape("B", B, 4, np.shape(B)[1])
         self.least = checks.between("least", least, 0.0, 1.0)
         self.sigmas, self.persist_s = checks.positive("sigmas", sigmas), checks.positive("persist_s", persist_s)
-        self.hyp = hypotheses.make(np.shape(B)[1])
+        self.hyp = list_hypotheses(np.shape(B)[1])
 
     def init(self) -> Carry:
         """Nothing seen yet."""
@@ -71,7 +72,8 @@ class Threshold:
         v = B @ estimate.theta[: hyp.n]
         away = v - carry.level
         logbf, jump = self.evidence(away, carry.scatter)
-        fault, weight = jnp.asarray(hyp.fault & ~hyp.well & ~hyp.stuck), jnp.log(jnp.asarray(hyp.weight))
+        asked = [kind in ("single", "pair") for kind in hyp.kinds]
+        fault, weight = jnp.asarray(asked), jnp.log(jnp.asarray(hyp.weight))
         log_odds = logbf + weight
         best = jnp.argmax(jnp.where(fault, log_odds, -jnp.inf)).astype(jnp.int32)
         pick = (jnp.arange(jump.shape[0]) == best).astype(float)
@@ -103,25 +105,64 @@ class Threshold:
         return Carry(level, scatter, seconds, held, run, best, since), out
 
     def evidence(self, away, scatter):
-        """Log Bayes factor (n_h,) of each hypothesis for the missing wrench `away` (4,), and its loss (n_fault, 2)."""
+        """Log Bayes factor (n_h,) of each hypothesis for the missing wrench `away` (4,), and its loss (n_fault, 2). Whether a rotor is well
+        again, or gives one thrust, is not asked."""
         import jax.numpy as jnp
 
-        n = self.hyp.n
+        n, hyp = self.hyp.n, self.hyp
         common = jnp.array([0.0, 0.0, 0.0, (n * COMMON_SD) ** 2])
         w = 1.0 / (scatter + common + TURNED**2 * (away @ away) / 4.0)
-        Phi = jnp.concatenate([jnp.asarray(self.B), jnp.eye(4)], axis=1)
-        C, z = Phi.T @ (w[:, None] * Phi), Phi.T @ (w * away)
-        logbf, jump, _, _ = hypotheses.log_bayes_factors(
-            self.hyp,
-            C[None],
-            z[None],
-            jnp.zeros(n),
-            jnp.ones(n),
-            jnp.ones(4),
-            jnp.zeros((1, n)),
-            jnp.full((1, 4), 1e-12),
-            0.0,
-            jnp.asarray(self.B),
-            2.0,  # hover thrusts: what gives one thrust is not asked for here
-        )
-        return logbf[0], jump[0]
+        B = jnp.asarray(self.B)
+        C, z = (B * w[:, None]).T @ B, B.T @ (w * away)
+        single, size = one_loss(jnp.diagonal(C), z)
+        both, sizes = two_losses(C, z, hyp.pairs)
+        moved = jnp.asarray([[float(a in block) for a in range(4)] for block in hyp.blocks])
+        steps = moved @ (0.5 * (w * away) ** 2 / (w + 1.0) - 0.5 * jnp.log(w + 1.0))  # of any sign, about 1 large
+        others = jnp.full(2 * n, NOTHING)
+        alone = jnp.stack([size, jnp.zeros(n)], axis=-1)
+        return jnp.concatenate([single, both, others, steps]), jnp.concatenate([alone, sizes, jnp.zeros((2 * n, 2))])
+
+
+def one_loss(c, z):
+    """Log Bayes factor (n,) and most probable size (n,) of a loss of one rotor, for information c (n,) and vector z (n,): small as often as
+    large, and now and then total (`engine.estimator.hypotheses.Freed.loss`)."""
+    import jax.numpy as jnp
+
+    partly = 0.5 * (1.0 - TOTAL_SHARE)
+    kinds = ((0.0, SMALL_WIDTH, partly), (0.0, LOSS_WIDTH, partly), (1.0, NONE, TOTAL_SHARE))
+    fits, sizes = [], []
+    for mean, width, share in kinds:
+        left = c + width**-2
+        size = jnp.clip((z + mean * width**-2) / left, 0.0, 1.0)
+        fit = z * size - 0.5 * c * size**2 - 0.5 * ((size - mean) / width) ** 2
+        fits.append(fit - 0.5 * jnp.log(left * width**2) + np.log(share))
+        sizes.append(size)
+    most = jnp.stack(fits).max(axis=0)
+    likely = jnp.exp(jnp.stack(fits) - most)
+    total = likely.sum(axis=0)
+    return most + jnp.log(total), (likely * jnp.stack(sizes)).sum(axis=0) / total
+
+
+def two_losses(C, z, pairs):
+    """Log Bayes factors (n_pairs,) and most probable sizes (n_pairs, 2), between 0 and 1, of losses of two rotors, for information C (n, n)
+    and vector z (n,) (`engine.estimator.hypotheses.pair`)."""
+    import jax.numpy as jnp
+
+    a, b = pairs.T
+    c11, c12, c22 = C[a, a] + LOSS_WIDTH**-2, C[a, b], C[b, b] + LOSS_WIDTH**-2
+    z1, z2 = z[a], z[b]
+    det = jnp.maximum(c11 * c22 - c12 * c12, 1e-12 * c11 * c22 + 1e-30)
+    first, second = (c22 * z1 - c12 * z2) / det, (c11 * z2 - c12 * z1) / det
+    one, two = jnp.clip(first, 0.0, 1.0), jnp.clip(second, 0.0, 1.0)
+
+    def score(x, y):
+        return z1 * x + z2 * y - 0.5 * (c11 * x * x + 2.0 * c12 * x * y + c22 * y * y)
+
+    # Inside the box, else on an edge that the best point lies beyond.
+    best_two = jnp.where(one != first, jnp.clip((z2 - c12 * one) / c22, 0.0, 1.0), two)
+    best = jnp.where((one != first) | (two == second), score(one, best_two), -jnp.inf)
+    edge = jnp.clip((z1 - c12 * two) / c11, 0.0, 1.0)
+    other = jnp.where(two != second, score(edge, two), -jnp.inf)
+    sizes = jnp.stack([jnp.where(other > best, edge, one), jnp.where(other > best, two, best_two)], axis=-1)
+    volume = jnp.maximum(c11 * c22 - c12 * c12, 1e-9) * LOSS_WIDTH**4
+    return jnp.maximum(best, other) - 0.5 * jnp.log(volume), sizes

@@ -18,9 +18,9 @@ import numpy as np
 from rotorwatch import airframes
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.base.compiling.run import run
 from rotorwatch.errors import ConfigError, LogError
 from rotorwatch.flight import Flight
+from rotorwatch.methods.compiling.run import run
 from rotorwatch.methods.maths.set_membership import SetMembership
 from rotorwatch.methods.maths.systems.helicopter import Helicopter
 

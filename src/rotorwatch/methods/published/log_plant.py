@@ -1,6 +1,6 @@
 """From a log's ticks to a plant and its table: what every published method needs to run on a real flight.
 
-The default diagnoser's balance  B T (1 - theta) = G m + c r + b  (engine/default/plant.py; G motion gains, c damping, b biases)
+The default diagnoser's balance  B T (1 - theta) = G m + c r + b  (engine/estimator/plant.py; G motion gains, c damping, b biases)
 is the rotational dynamics of methods/maths/systems/rate_dynamics.py in hover thrusts of one rotor:
 
     J = diag(G),   D = diag(c),   tau_0 = -b,   m = n G_T / g,   F_0 = -b_T
@@ -21,7 +21,8 @@ import numpy as np
 
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.default import program
-from rotorwatch.engine.default.plant import DAMPING, GAIN, PER_AXIS, TAU, usual_gains
+from rotorwatch.engine.default.plant import usual_gains
+from rotorwatch.engine.estimator.plant import DAMPING, GAIN, PER_AXIS, TAU
 from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LEARN, Ticks
 from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
 

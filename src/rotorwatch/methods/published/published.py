@@ -18,13 +18,13 @@ import numpy as np
 
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.base.compiling.run import chosen, run, run_built
-from rotorwatch.engine.default import hypotheses
 from rotorwatch.engine.default.events import rotor_sets
-from rotorwatch.engine.default.posterior import PLACES
+from rotorwatch.engine.default.hypotheses import Hypotheses, list_hypotheses
 from rotorwatch.engine.default.program import TickOutput
+from rotorwatch.engine.estimator.posterior import PLACES
 from rotorwatch.engine.motion.ticks import Ticks
 from rotorwatch.errors import ConfigError
+from rotorwatch.methods.compiling.run import chosen, run, run_built
 from rotorwatch.methods.published import decide, log_plant
 from rotorwatch.methods.published.log_plant import LogPlant
 
@@ -180,28 +180,27 @@ def judge(
     """The outputs of a published method on every tick of a flight, in the default estimator's form.
 
     hops: of `log_plant.hops`, when they are known already. Ticks outside the judged hops hold zeros. biases: the missing
-    wrench besides that of the losses shown. log_odds: of `hypotheses.make(n)`. Raises ConfigError for an unknown method and slow logs.
+    wrench besides that of the losses shown. log_odds: of `list_hypotheses(n)`. Raises ConfigError for an unknown method and slow logs.
     """
     discovery.estimator(name)
-    hyp = hypotheses.make(B.shape[1])
+    hyp = list_hypotheses(B.shape[1])
     out = blank(len(table.time), hyp)
     for hop in log_plant.hops(table, B, dynamics) if hops is None else hops:
         record(out, run_hop(name, hop, B, tuning, progress), hop, hyp, B)
     return out
 
 
-def blank(T: int, hyp: hypotheses.Hypotheses) -> TickOutput:
+def blank(T: int, hyp: Hypotheses) -> TickOutput:
     """T ticks on which nothing was seen; what only the default method looks at stays so."""
     n, n_h = hyp.n, len(hyp.names)
     numbers = {
         "theta": (n,), "theta_sd": (n,), "innovation": (4,), "biases": (4,), "onset": (), "onsets": (PLACES,),
-        "share": (PLACES,), "gives": (n,), "each": (PLACES, n), "opposite_onset": (), "opposite_loss": (2,),
+        "share": (PLACES,), "gives": (n,), "each": (PLACES, n),
     }  # fmt: skip
     flags = {"announced": (), "active": (PLACES, n)}
     filled = {k: np.zeros((T, *size)) for k, size in numbers.items()} | {
         "innovation_var": np.ones((T, 4)), "log_odds": np.full((T, n_h), -50.0), "statistic": np.full(T, -50.0),
         "best": np.zeros(T, int), "probability": np.full((T, n_h), 1.0 / n_h), "detectable": np.ones((T, n)),
-        "opposite": np.full(T, -1),
     } | {k: np.zeros((T, *size), bool) for k, size in flags.items()}  # fmt: skip
     return TickOutput(**{name: filled[name] for name in TickOutput._fields})
 
@@ -215,7 +214,7 @@ def notes(name: str) -> tuple[str, ...]:
     )
 
 
-def record(out: TickOutput, seen: Seen, hop: LogPlant, hyp: hypotheses.Hypotheses, B: np.ndarray) -> None:
+def record(out: TickOutput, seen: Seen, hop: LogPlant, hyp: Hypotheses, B: np.ndarray) -> None:
     """Fill the rows of one hop in what `blank` made."""
     rows, dt, n = hop.rows, hop.dt, B.shape[1]
     fault = np.asarray(hyp.fault)
@@ -245,7 +244,7 @@ def record(out: TickOutput, seen: Seen, hop: LogPlant, hyp: hypotheses.Hypothese
     out.biases[rows] = (hop.u * (seen.theta[:, :n] - shown)) @ B.T
 
 
-def _follow(seen: Seen, hyp: hypotheses.Hypotheses, dt: float):
+def _follow(seen: Seen, hyp: Hypotheses, dt: float):
     """Which rotors are announced at each step: announced (T,), active (T, n), best (T,), onset (T,) steps back.
 
     A set is replaced when another one explains OTHER_NATS more, grown when it holds the announced one, and over after decide.OVER_S
@@ -279,7 +278,7 @@ def _follow(seen: Seen, hyp: hypotheses.Hypotheses, dt: float):
     return announced, active, best, onset
 
 
-def _explanations(announced, active, onset, probability, hyp: hypotheses.Hypotheses):
+def _explanations(announced, active, onset, probability, hyp: Hypotheses):
     """Ticks since the onset (T, K), rotors (T, K, n) and probabilities (T, K) of what was announced last and of its alternatives."""
     T = len(announced)
     since, sets, share = np.zeros((T, PLACES)), np.zeros((T, PLACES, hyp.n), bool), np.zeros((T, PLACES))

@@ -1,5 +1,5 @@
 // Elements made of plain data: everything that comes from elsewhere goes in as text, never as HTML.
-export const SIGNS = { healthy: "✓ Healthy", fault: "✕ Fault found", ambiguous: "? Ambiguous", inconclusive: "? Inconclusive" };
+export const SIGNS = { healthy: "✓ Healthy", fault: "✕ Fault found", crashed: "✕ Crashed, not a rotor", ambiguous: "? Ambiguous", inconclusive: "? Inconclusive" };
 const SVG = "http://www.w3.org/2000/svg";
 
 function fill(element, attributes, children) {

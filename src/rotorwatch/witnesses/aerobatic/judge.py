@@ -6,7 +6,7 @@ Windows become blocks of BLOCK_S: missing torque z (3,), thrust T (n,). A loss t
 
 Noise: each axis as wide as the flight's own blocks scatter, blocks that follow each other alike (ALIKE). Against the losses stand steps of
 the trim in any direction, which air and payload make. Each onset of each rotor has its marginal likelihood ratio; their sum is held
-against the Shiryaev-Roberts threshold (engine/default/announcement.py), and must be CLEAR above that of the steps.
+against the Shiryaev-Roberts threshold (engine/estimator/announcement.py), and must be CLEAR above that of the steps.
 """
 
 from __future__ import annotations
@@ -15,10 +15,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorwatch.engine.default import hypotheses
-from rotorwatch.engine.default.announcement import FALSE_ALARM_PERIOD_S
-from rotorwatch.engine.default.posterior import PLACES
+from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.default.program import TickOutput
+from rotorwatch.engine.estimator import hypotheses
+from rotorwatch.engine.estimator.announcement import FALSE_ALARM_PERIOD_S
+from rotorwatch.engine.estimator.posterior import PLACES
+from rotorwatch.engine.front.losses import WITHIN_95
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.ticks import GROUND, JUDGE, Ticks
 from rotorwatch.engine.motion.ticks import LEARN as LEARNING
@@ -31,6 +33,8 @@ from rotorwatch.witnesses.aerobatic.response import EDGE_S, WINDOW_S, Response, 
 BLOCK_S = 1.0
 FIRMWARES = ("betaflight", "inav", "emuflight", "cleanflight", "baseflight", "butterflight")
 LEARN = 10  # blocks of a flight in which its trim and scatter are learned
+FIRM = 10  # blocks before and after an onset
+READY_S = LEARN * BLOCK_S + EDGE_S  # in the air, before anything is judged
 ALIKE = (
     0.35  # correlation of a block's noise with the next one's: 0.1 to 0.75 in roll, 0.0 to 0.3 else (docs/aerobatic.md)
 )
@@ -81,7 +85,7 @@ class Weak:
 @dataclass(frozen=True)
 class Look:
     """What the blocks up to one say: statistic (above 0: announced); rotor, onset (block) of the likeliest loss; share (n,) of each
-    rotor; loss, sd (n,) of the rotors that are known to be weak; least (n,): the loss of each that would be seen by now."""
+    rotor; loss, sd (n,) of the rotors that are known to be weak; most (n,): the largest loss of each that the blocks leave possible."""
 
     statistic: float
     rotor: int
@@ -89,7 +93,7 @@ class Look:
     share: np.ndarray
     loss: np.ndarray
     sd: np.ndarray
-    least: np.ndarray
+    most: np.ndarray
 
 
 def applies(flight: Flight) -> bool:
@@ -160,11 +164,17 @@ def examine(known: Blocks, B: np.ndarray, variance: np.ndarray, weak: list[Weak]
     for m, one in enumerate(weak):
         if one.end is None:
             loss[one.rotor], sd[one.rotor] = np.clip(fitted[6 + m], 0.0, 1.0), np.sqrt(Q[6 + m, 6 + m])
-    seen = np.sqrt(2.0 * (limit + 2.0) / np.maximum(information[first:last].max(axis=0), 1e-9))
     share = np.exp(each - each.max())
-    return Look(
-        statistic, rotor, first + int(np.argmax(ratio[:, rotor])), share / share.sum(), loss, sd, np.minimum(seen, 1.0)
-    )
+    onset = first + int(np.argmax(ratio[:, rotor]))
+    return Look(statistic, rotor, onset, share / share.sum(), loss, sd, _most(moment, information))
+
+
+def _most(moment: np.ndarray, information: np.ndarray) -> np.ndarray:
+    """(n,) upper end of 95 % intervals, the largest of all onsets with FIRM blocks before and after them, or a third of all blocks."""
+    edge = min(FIRM, len(moment) // 3)
+    known = np.maximum(information[edge : len(moment) - edge], 1e-9)
+    size = np.maximum(moment[edge : len(moment) - edge] / known, 0.0)
+    return np.minimum((size + WITHIN_95 / np.sqrt(known)).max(axis=0), 1.0)
 
 
 def scatter(known: Blocks) -> np.ndarray:
@@ -191,8 +201,8 @@ def estimate(flight: Flight, vehicle: Vehicle, air: Spans, table: Ticks) -> tupl
     """The ticks `table` as they count here, and what is left behind on them, in the default estimator's form. Where the flight is too
     short, or its motion does not answer its outputs, nothing is judged."""
     B = vehicle.effectiveness()
-    out, seen = blank(len(table.time), hypotheses.make(B.shape[1])), respond(flight, vehicle, air)
-    out.statistic[:], out.detectable[:] = NOTHING, 1.0 / 1.96
+    out, seen = blank(len(table.time), list_hypotheses(B.shape[1])), respond(flight, vehicle, air)
+    out.statistic[:], out.detectable[:] = NOTHING, 1.0 / WITHIN_95
     known = None if seen is None else blocks(seen, air)
     if known is None or len(known.end) <= LEARN:
         return _observed(table, air, np.inf), out
@@ -228,7 +238,7 @@ def _follow(out: TickOutput, known: Blocks, table: Ticks, B: np.ndarray) -> None
             age = np.searchsorted(table.command_time, (known.end[k], known.start[now.onset]))
             _announce(out, first, now, active, float(age[0] - age[1]))
             now = examine(so_far, B, variance, weak)
-        out.theta[first:], out.detectable[first:] = now.loss, now.least / 1.96
+        out.theta[first:], out.detectable[first:] = now.loss, now.most / WITHIN_95
         out.theta_sd[first:] = np.sqrt(now.sd**2 + (CURVE_SD * now.loss * (1.0 - now.loss)) ** 2)
     for k in np.flatnonzero(table.restart):  # what is still weak at a take-off is said again of that flight
         if out.active[k, 0].any():

@@ -85,12 +85,12 @@ class Candidate:
     @cached_property
     def gains(self) -> tuple[np.ndarray, np.ndarray]:
         """Commanded torque per angular acceleration (roll, pitch, yaw) as the default estimator learns it: (3,) and its sd (3,)."""
-        from rotorwatch.engine.default import plant
         from rotorwatch.engine.default.program import estimate
+        from rotorwatch.engine.estimator.plant import GAIN, PER_AXIS
 
         assert self.table is not None
         carry, _ = estimate(self.table, self.vehicle.effectiveness())
-        rows = np.arange(3) * plant.PER_AXIS + plant.GAIN
+        rows = np.arange(3) * PER_AXIS + GAIN
         return np.asarray(carry.s)[rows], np.sqrt(np.diag(np.asarray(carry.P))[rows])
 
     @cached_property

@@ -230,7 +230,7 @@ def _names(system, kind: str, count: int) -> list[str]:
 
 def log_likelihood(name: str, table: LogPlant | Table, tuning: Tuning | None = None) -> float:
     """Mean log-likelihood of a row of one flight under a tuning; the first rows do not count."""
-    from rotorwatch.base.compiling.run import run
+    from rotorwatch.methods.compiling.run import run
 
     estimator = published.method(name, table.system, table.dt, tuning)
     _, (e, S) = run(estimator, table.u, table.y, table.valid, _innovation)

@@ -20,13 +20,13 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.base import discovery
-from rotorwatch.base.compiling.run import chosen, run
 from rotorwatch.diagnose import Estimated, estimated, judge
 from rotorwatch.engine.default import program
 from rotorwatch.engine.motion.ticks import JUDGE
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.experiments import counting, tools
 from rotorwatch.lab.experiments.studies.compare_flights import Scene
+from rotorwatch.methods.compiling.run import chosen, run
 from rotorwatch.methods.published import published
 
 SETTLED_S = 2.0

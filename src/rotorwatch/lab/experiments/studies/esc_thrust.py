@@ -51,7 +51,7 @@ def judged(flight: Flight, view: str) -> tuple[Event, ...]:
     vehicle, _, _ = baselines.settle(flight, None, ())
     air, B = airborne(flight), vehicle.effectiveness()
     thrust = thrust_of_speed(flight, vehicle, air) if view == "speed" else allocation.rotor_thrusts(flight, vehicle)
-    table = ticks.make(flight, thrust, B, air, READY_S)
+    table = ticks.cut_ticks(flight, thrust, B, air, READY_S)
     _, out = estimate(table, B, None)
     return events.read(out, table, B)
 

@@ -28,8 +28,8 @@ import numpy as np
 
 from rotorwatch import airframes, logs
 from rotorwatch.base import many
-from rotorwatch.base.compiling.run import CHUNK
-from rotorwatch.engine.default import events, hypotheses, program
+from rotorwatch.engine.default import events, program
+from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.motion import allocation, ticks
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN, Ticks, observe
@@ -39,6 +39,7 @@ from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.lab.experiments import tools
 from rotorwatch.lab.experiments.inject import ready_s
+from rotorwatch.methods.compiling.run import CHUNK
 from rotorwatch.witnesses.aerobatic import judge as aerobatic
 
 PROMISED_PER_HOUR = 0.1
@@ -430,11 +431,9 @@ def _first_alarms(table: Ticks, vehicle: Vehicle, out) -> dict[float, float | No
 
 def _crossed(table: Ticks, out, shift: float) -> np.ndarray:
     """(T,) bool: the recorded evidence for a fault is above the shifted threshold."""
-    from rotorwatch.engine.default import announcement
-
-    hyp = hypotheses.make(out.theta.shape[1])
+    hyp = list_hypotheses(out.theta.shape[1])
     evidence = np.logaddexp.reduce(out.log_odds[:, hyp.fault], axis=1)
-    return (evidence > announcement.threshold(hyp, table.dt) + shift) & (table.mode == JUDGE)
+    return (evidence > program.threshold(hyp.n, table.dt) + shift) & (table.mode == JUDGE)
 
 
 def _announced(table: Ticks, vehicle: Vehicle, shift: float) -> np.ndarray:

@@ -16,11 +16,11 @@ import numpy as np
 import rotorwatch.witnesses.healthy.tune as tune
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.base.compiling.run import run
 from rotorwatch.base.physics import G0
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.experiments import tools
 from rotorwatch.lab.experiments.studies.runge_kutta import rk4
+from rotorwatch.methods.compiling.run import run
 from rotorwatch.methods.published import published
 from rotorwatch.witnesses.healthy.tune import Table
 

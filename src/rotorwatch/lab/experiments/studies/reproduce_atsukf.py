@@ -12,12 +12,12 @@ import numpy as np
 
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.base.compiling.run import run
 from rotorwatch.lab.experiments import tools
 from rotorwatch.lab.experiments.studies import reproduction
 from rotorwatch.lab.experiments.studies import two_stage_as_printed as printed
 from rotorwatch.lab.experiments.studies.reproduction import Claim, Reproduction, graded, panels, silent
 from rotorwatch.lab.experiments.studies.uaf_flight import DT, ONSET, STEP, fly, losses
+from rotorwatch.methods.compiling.run import run
 from rotorwatch.methods.estimators.atsukf import ATSUKF
 from rotorwatch.methods.estimators.tsukf import TSUKF
 from rotorwatch.methods.estimators.ukf import UKF

@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch.base.compiling.c99 import indices, selections, zeros
-from rotorwatch.base.compiling.c99.graph import Graph, Node, Region, uniform, value, values
-from rotorwatch.base.compiling.c99.operations import COMPARISONS, ELEMENTWISE, NUMPY, kind
 from rotorwatch.errors import ConfigError
+from rotorwatch.methods.compiling.c99 import indices, selections, zeros
+from rotorwatch.methods.compiling.c99.graph import Graph, Node, Region, uniform, value, values
+from rotorwatch.methods.compiling.c99.operations import COMPARISONS, ELEMENTWISE, NUMPY, kind
 
 CALLS = {
     "jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "custom_vjp_call_jaxpr", "remat", "remat2",

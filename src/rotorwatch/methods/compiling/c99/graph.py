@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch.base.compiling.c99.operations import ELEMENTWISE, NUMPY, kind
+from rotorwatch.methods.compiling.c99.operations import ELEMENTWISE, NUMPY, kind
 
 MOST_FOLDED = 200_000  # elements
 MANY = 8  # rows from which on a table is kept column by column

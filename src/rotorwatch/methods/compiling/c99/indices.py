@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch.base.compiling.c99.graph import Axis, Graph, Node, strides
+from rotorwatch.methods.compiling.c99.graph import Axis, Graph, Node, strides
 
 
 def filling(kind: str, params):

@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch.base.compiling.c99 import zeros
-from rotorwatch.base.compiling.c99.graph import Axis, Graph, Node, identity, value
-from rotorwatch.base.compiling.c99.indices import regular
+from rotorwatch.methods.compiling.c99 import zeros
+from rotorwatch.methods.compiling.c99.graph import Axis, Graph, Node, identity, value
+from rotorwatch.methods.compiling.c99.indices import regular
 
 
 class Selection(NamedTuple):

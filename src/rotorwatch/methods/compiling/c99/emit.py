@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.base.compiling.c99 import kernels
-from rotorwatch.base.compiling.c99.graph import Axis, Node, Region, composed, flat, identity, strides, uniform
-from rotorwatch.base.compiling.c99.indices import regular
-from rotorwatch.base.compiling.c99.lower import Branches, Loop
-from rotorwatch.base.compiling.c99.operations import ELEMENTWISE, TYPES
-from rotorwatch.base.compiling.c99.plan import Place, Plan
+from rotorwatch.methods.compiling.c99 import kernels
+from rotorwatch.methods.compiling.c99.graph import Axis, Node, Region, composed, flat, identity, strides, uniform
+from rotorwatch.methods.compiling.c99.indices import regular
+from rotorwatch.methods.compiling.c99.lower import Branches, Loop
+from rotorwatch.methods.compiling.c99.operations import ELEMENTWISE, TYPES
+from rotorwatch.methods.compiling.c99.plan import Place, Plan
 
 NAMES = "ijklmnpq"
 START = {

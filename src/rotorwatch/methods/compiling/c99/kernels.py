@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from rotorwatch.base.compiling.c99.graph import strides
+from rotorwatch.methods.compiling.c99.graph import strides
 
 ROWS = 4  # rows of a product computed side by side: more do not fit the registers
 PACKED = 512  # elements of the right factor that are copied when they do not lie in a row

@@ -20,11 +20,11 @@ import numpy as np
 
 from rotorwatch import __version__
 from rotorwatch.base.backend import jax
-from rotorwatch.base.compiling.c99.emit import Emitter, literal
-from rotorwatch.base.compiling.c99.graph import Graph, Node
-from rotorwatch.base.compiling.c99.lower import lower
-from rotorwatch.base.compiling.c99.operations import FUNCTIONS, HELPERS, NUMPY, TYPES, kind
-from rotorwatch.base.compiling.c99.plan import WORKSPACE, Place, Plan
+from rotorwatch.methods.compiling.c99.emit import Emitter, literal
+from rotorwatch.methods.compiling.c99.graph import Graph, Node
+from rotorwatch.methods.compiling.c99.lower import lower
+from rotorwatch.methods.compiling.c99.operations import FUNCTIONS, HELPERS, NUMPY, TYPES, kind
+from rotorwatch.methods.compiling.c99.plan import WORKSPACE, Place, Plan
 
 WIDTH = 120
 RESERVED = ("int", "double", "float", "short", "long", "register", "default")
@@ -87,7 +87,7 @@ def _key(part) -> str:
     return "".join(c if c.isalnum() else "_" for c in text)
 
 
-def make(
+def emit_program(
     name: str,
     step: Callable,
     init: Callable | None,

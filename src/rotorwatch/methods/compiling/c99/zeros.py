@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch.base.compiling.c99.graph import Graph, Node, taken, value
-from rotorwatch.base.compiling.c99.indices import regular
+from rotorwatch.methods.compiling.c99.graph import Graph, Node, taken, value
+from rotorwatch.methods.compiling.c99.indices import regular
 
 MOST = 4096  # elements of a value that is looked at
 SPARSE = 0.4  # share of elements that may be other than zero for a product to be written out term by term

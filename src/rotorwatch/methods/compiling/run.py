@@ -13,8 +13,9 @@ import numpy as np
 
 from rotorwatch.base import checks
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.base.compiling import native, toolchain
+from rotorwatch.base.compiling import toolchain
 from rotorwatch.errors import BackendWarning, ConfigError
+from rotorwatch.methods.compiling import native
 
 CHUNK = 1024
 BACKENDS = ("jax", "native", "auto")

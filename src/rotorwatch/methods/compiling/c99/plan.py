@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from rotorwatch.base.compiling.c99.graph import Node, Region
-from rotorwatch.base.compiling.c99.indices import regular
-from rotorwatch.base.compiling.c99.lower import Branches, Loop
-from rotorwatch.base.compiling.c99.operations import CHEAP, ELEMENTWISE
+from rotorwatch.methods.compiling.c99.graph import Node, Region
+from rotorwatch.methods.compiling.c99.indices import regular
+from rotorwatch.methods.compiling.c99.lower import Branches, Loop
+from rotorwatch.methods.compiling.c99.operations import CHEAP, ELEMENTWISE
 
 WORKSPACE = {"f": "w", "i": "wi", "l": "wl", "b": "wb"}  # its members by the kind of value
 ALIGNMENT = 4  # elements: vector loads of neighbours

@@ -17,6 +17,7 @@ import platform
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from importlib import import_module, metadata
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,13 +25,22 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch.base.compiling import shipped, toolchain
-from rotorwatch.base.compiling.toolchain import FLAGS, QUICK, VECTORS, Unavailable, Unmakeable
+from rotorwatch.base.compiling.toolchain import Unavailable
 
+# Vector code of this processor; errno and signals of floating point are nobody's business here, NaN and signed zeros are.
+FLAGS = ("-std=c99", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
+# With glibc this macro only declares that sin, cos, exp and their like come as vectors too, and gcc then calls those in loops.
+VECTORS = ("-D__FAST_MATH__", "-lmvec")
+QUICK = ("-O1", "-ftree-loop-vectorize")  # for large programs
 # Characters of source above which only what pays is optimised: the default diagnoser builds in 10 s instead of 50 s, and runs as fast.
 BIG = 80_000
 _SEALED: set[Path] = set()
 ROWS = 512  # run in one go, between two words on progress
 TYPES = {"f": np.float64, "i": np.int32, "l": np.int64, "b": np.bool_}
+
+
+class Unmakeable(Unavailable):
+    """None came with the package, and JAX is not there to make any; the sentence says what to do."""
 
 
 class Layout(NamedTuple):
@@ -46,6 +56,19 @@ class Layout(NamedTuple):
     out_like: Any
 
 
+@contextmanager
+def _alone(goal: Path) -> Iterator[None]:
+    """No other process makes that file of the cache meanwhile; the lock goes with the process."""
+    with open(goal.with_suffix(".lock"), "w") as file:
+        try:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX)
+        except (ImportError, OSError):  # no such locks here: it is made twice, which only takes longer
+            pass
+        yield
+
+
 def build(header: str, source: str, name: str) -> Path:
     """The shared library of a program for this processor, built unless it is there already. Raises Unavailable with what the compiler
     says."""
@@ -57,7 +80,7 @@ def build(header: str, source: str, name: str) -> Path:
     seal = goal.with_suffix(".sha256")
     if _sealed(goal):
         return goal
-    with toolchain.alone(goal), tempfile.TemporaryDirectory() as scratch:
+    with _alone(goal), tempfile.TemporaryDirectory() as scratch:
         if _sealed(goal):  # by another process meanwhile
             return goal
         for suffix, text in ((".h", header), (".c", source)):
@@ -234,7 +257,7 @@ def flattened(tree: Any) -> list:
 def _made(make_estimator: Callable, select: Callable, parameters, sizes: tuple[int, int], name: str):
     """(program, layout) of an estimator built from parameters: traced and exported."""
     from rotorwatch.base.backend import jax as load_jax
-    from rotorwatch.base.compiling.c99.project import Field, make
+    from rotorwatch.methods.compiling.c99.project import Field, emit_program
 
     jax = load_jax()
 
@@ -245,7 +268,7 @@ def _made(make_estimator: Callable, select: Callable, parameters, sizes: tuple[i
     carry = make_estimator(parameters).init()
     n_u, n_y = sizes
     inputs = (Field("u", "f", (n_u,)), Field("y", "f", (n_y,)), Field("valid", "b", (n_y,)))
-    program = make(name, step, None, inputs, parameters, carry=carry)
+    program = emit_program(name, step, None, inputs, parameters, carry=carry)
     out = jax.eval_shape(step, parameters, carry, *(jax.ShapeDtypeStruct(f.shape, TYPES[f.kind]) for f in inputs))[1]
     p, s, o = ([(f.name, f.kind, list(f.shape)) for f in g] for g in (program.parameters, program.state, program.out))
     return program, Layout(name, p, s, o, program.workspace_bytes, described(carry), described(out))
@@ -262,7 +285,8 @@ def traced(estimator, parameters, select: Callable | None = None, sizes: tuple[i
 def _package() -> str:
     """A hash of rotorwatch's own sources and of what traces them. Raises ConfigError without JAX."""
     home, digest = shipped.HOME, hashlib.sha256(_jax_version().encode())
-    for path in sorted([*home.rglob("*.py"), *(home / name for name in shipped.templates())]):
+    templates = (home / "methods" / "compiling" / "c99").glob("*.h*")
+    for path in sorted([*home.rglob("*.py"), *templates]):
         digest.update(str(path.relative_to(home)).encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()
 
@@ -306,7 +330,7 @@ def _shapes(parameters) -> list[tuple[tuple[int, ...], str]]:
 @functools.lru_cache(maxsize=32)
 def _nameless(build_estimator: Callable, select: Callable, example: _Example, sizes: tuple[int, int]):
     """The library of functions that are known in this process only, or why it cannot be C: traced once, whatever the parameters' values."""
-    from rotorwatch.base.compiling.c99.lower import Refused
+    from rotorwatch.methods.compiling.c99.lower import Refused
 
     try:
         program, layout = _made(build_estimator, select, example.values, sizes, "estimator")

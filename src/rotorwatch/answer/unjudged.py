@@ -1,0 +1,114 @@
+"""Why a flight could not be judged, or shows too little, and what would show more: the true reason, with its numbers."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rotorwatch.answer import context
+from rotorwatch.answer.wording import listed, seconds
+from rotorwatch.base.physics import G0
+from rotorwatch.engine.front.ticks import UPSET_LEVEL
+from rotorwatch.engine.motion.airborne import commands
+from rotorwatch.engine.motion.allocation import Spans
+from rotorwatch.engine.motion.ticks import GROUND, LEARN, SHORTEST_S, Ticks
+from rotorwatch.flight import Flight
+
+SHAKEN = G0  # m/s^2: vibration that is as large as what carries the vehicle; lift-off, landing and thrust cannot be told from it
+RUNNING = 0.1  # share of the outputs' range, from which motors run
+LOOKS = 2000  # moments at which vibration is looked at
+NAMED = 3  # knocks that are named
+FEW_S = 30.0  # of judged flight: below, more of it is what shows more
+MOST = 0.5  # of the time in the air
+OUTPUTS = "Log the outputs that reach the motors; `rotorwatch info LOG` lists what a log holds and lacks."
+LONGER = "Fly at least a minute in the air, most of it in steady hover."
+CALM = "Hover for a minute in calm air, with nothing that swings or shifts on board."
+
+
+class Unjudged(NamedTuple):
+    """why: a clause; advice: a sentence on what shows more."""
+
+    why: str
+    advice: str
+
+
+def silent(what: str) -> Unjudged:
+    """Of a log that holds this of the outputs."""
+    return Unjudged(f"the log holds {what}", OUTPUTS)
+
+
+UNKNOWN = Unjudged("hardly any of it was flight", "Fly at least 20 s in the air.")
+SILENT = silent("no motor outputs")
+NEVER = Unjudged(
+    "the vehicle never took off",
+    "Judge a log of a flight of 20 s or more; `rotorwatch info LOG` lists when this one was in the air, and what it holds.",
+)
+
+
+def find(
+    flight: Flight, air: Spans, table: Ticks, judged_s: float, needed_s: float, hovers: bool, enough_s: float, steps: bool
+) -> Unjudged:  # fmt: skip
+    """Why of a flight of these ticks only judged_s s were judged, or a loss that matters could have gone unseen in them. needed_s: of
+    flight in one piece, for enough_s judged; hovers: the balance of hover judges it, not its angular motion; steps: it is steps of its
+    trim that hide a loss."""
+    shaken = vibration(flight)
+    if shaken > SHAKEN:
+        return Unjudged(
+            f"vibration of {shaken:.0f} m/s2 hides it",
+            "Balance the propellers, look for what is loose, and mount the autopilot on dampers: judging needs less than "
+            f"{SHAKEN:.0f} m/s2 of vibration.",
+        )
+    return _shown_little(table, judged_s, hovers, steps) if judged_s >= enough_s else _too_little(air, table, needed_s)
+
+
+def vibration(flight: Flight) -> float:
+    """Usual size [m/s^2] of what an accelerometer shows above the motion while the motors run; 0 where it is not known."""
+    time, level = commands(flight)
+    running = time[level > RUNNING]
+    size = context.vibration(flight, running[:: 1 + len(running) // LOOKS])
+    known = np.zeros(0) if size is None else np.linalg.norm(size, axis=1)
+    known = known[np.isfinite(known)]
+    return float(np.median(known)) if known.size else 0.0
+
+
+def _too_little(air: Spans, table: Ticks, needed_s: float) -> Unjudged:
+    flown = max((end - start for start, end in air), default=0.0)
+    up = table.mode > GROUND
+    if flown < needed_s:
+        piece = " in one piece" if len(air) > 1 else ""
+        return Unjudged(
+            f"{needed_s:.0f} s of flight{piece} are needed, {flown:.{0 if flown < needed_s - 1.0 else 1}f} were flown",
+            f"Fly at least {needed_s:.0f} s{piece}; a minute shows more.",
+        )
+    if table.contacts and (table.mode == LEARN).sum() * table.dt > MOST * up.sum() * table.dt:
+        when = [seconds(c.time) for c in table.contacts]
+        times = listed(when) if len(when) <= NAMED else f"{when[0]} and {len(when) - 1} times more"
+        return Unjudged(f"it was knocked at {times}, and its trim is learned afresh after each knock", LONGER)
+    if table.upset[up].mean() > MOST:
+        tilt = np.degrees(np.arccos(UPSET_LEVEL))
+        return Unjudged(f"it tumbled, or flew at more than {tilt:.0f} degrees, most of the time", LONGER)
+    if not table.valid[up].any(axis=1).mean() > MOST:
+        return Unjudged(
+            "its motion or its commands are missing most of the time",
+            "Log gyro and motor outputs all the time; `rotorwatch info LOG` lists what a log holds and lacks.",
+        )
+    return Unjudged("too little of it was steady flight", LONGER)
+
+
+def _shown_little(table: Ticks, judged_s: float, hovers: bool, steps: bool) -> Unjudged:
+    if table.dt > SHORTEST_S:
+        return Unjudged(
+            f"motor outputs every {table.dt:g} s say little",
+            "Log motor outputs and gyro at 10 Hz or more; `rotorwatch info LOG` shows how.",
+        )
+    if judged_s < FEW_S:
+        return Unjudged(f"{judged_s:.0f} s of judged flight are too few", LONGER)
+    if not hovers:
+        return Unjudged(
+            "its angular motion shows no more",
+            "Fly a minute in steady hover, or longer; log gyro and motors at 500 Hz or more.",
+        )
+    if steps:
+        return Unjudged("wind that turned, or a load that moved, would look the same", CALM)
+    return Unjudged("the flight was too rough to show less", CALM)

@@ -1,0 +1,61 @@
+"""Ticks whose losses are known, for studies: what their wrench is made of, and the noise that is left. Not part of the method."""
+
+from __future__ import annotations
+
+from rotorwatch.base.compiling.structs import FLAG, REAL, Flags, Reals, local
+from rotorwatch.engine.estimator.kalman import Branch, Measured
+from rotorwatch.engine.estimator.noise import WHITE, Noise
+from rotorwatch.engine.estimator.plant import B1, B2, B3, PER_AXIS, THETA, YAW, Inputs, Plant, Rows, dot, rows
+from rotorwatch.engine.estimator.sizes import STATES
+from rotorwatch.engine.estimator.whole import take
+
+NO_BOUND = 1e30
+
+
+def measure(p: Plant, count: int, u: Reals, out: list[Rows]) -> None:
+    """What the wrench of so many ticks is made of, for a state of zeros and the mean thrust of hover. u: as in `whole.run`, less the last
+    two of each tick."""
+    now = Inputs()
+    none = local(REAL, STATES)
+    for t in range(count):
+        take(p, u, t * (p.rotors + 13), now)
+        rows(p, now, now.thrust, now.forward, now.right, none, 1.0, out[t])
+
+
+def learn(p: Plant, count: int, u: Reals, y: Reals, valid: Flags, flying: Flags, noise: Noise) -> None:
+    """The noise of so many ticks: what a filter leaves that takes all commands and motion for what they are. y: wrench, less what losses
+    take of it."""
+    now = Inputs()
+    m = Measured()
+    h = Rows()
+    b = Branch()
+    b.begin(p)
+    noise.begin(p)
+    m.least = -NO_BOUND
+    m.most = NO_BOUND
+    share = local(REAL, STATES)
+    left = local(REAL, 4)
+    trust = local(REAL, 4)
+    learns = local(FLAG, 4)
+    for r in range(STATES):
+        share[r] = 1.0
+    for i in range(p.rotors):
+        for j in range(p.rotors):
+            b.P[THETA + i][THETA + j] = 0.0
+    for t in range(count):
+        take(p, u, t * (p.rotors + 13), now)
+        b.predict(p, noise, 1.0, flying[t])
+        rows(p, now, now.thrust, now.forward, now.right, b.s, 1.0, h)
+        for a in range(4):
+            m.y[a] = y[4 * t + a]
+            m.counts[a] = valid[4 * t + a]
+            m.R[a] = noise.v[WHITE][a]
+        for i in range(p.rotors):
+            m.y[YAW] += h.drag[i]
+        for a in range(4):
+            x = a * PER_AXIS
+            left[a] = m.y[a] - dot(h.h[a], b.s, a, THETA + p.rotors) + b.s[x + B1] + b.s[x + B2] + b.s[x + B3]
+            trust[a] = 1.0
+            learns[a] = m.counts[a] and flying[t]
+        b.update(p, h, m, share)
+        noise.step(p, left, learns, trust)
