@@ -24,7 +24,7 @@ from collections import Counter, defaultdict
 from pathlib import Path
 
 from rotorwatch import logs
-from rotorwatch.answer.conclusion import CREDIBLE
+from rotorwatch.answer.conclusion import CAUSE_CREDIBLE
 from rotorwatch.diagnose import diagnose
 from rotorwatch.errors import VehicleError
 from rotorwatch.witnesses.healthy import whole_flight
@@ -64,7 +64,7 @@ def vehicles(folder: Path) -> dict[str, list[dict]]:
 def judged(flight: Candidate, baseline) -> whole_flight.WholeFlight | None:
     """As `diagnose` compares whole flights; None where it refuses the baseline."""
     try:
-        accepted, _ = healthy(baseline, None, flight)
+        accepted, _ = healthy(baseline, diagnose, None, flight)
     except VehicleError:
         return None
     return whole_flight.judge(flight.features, [one.features for one in accepted], flight.vehicle)
@@ -79,7 +79,7 @@ def outcome(found: whole_flight.WholeFlight | None, damaged: tuple[int, ...]) ->
         return "not announced"
     if verdict == "fault":
         return "right" if found.rotors == damaged else "part" if set(found.rotors) < set(damaged) else "wrong"
-    named = {r for c in found.causes if c.probability > CREDIBLE for r in c.rotors} | set(found.rotors)
+    named = {r for c in found.causes if c.probability > CAUSE_CREDIBLE for r in c.rotors} | set(found.rotors)
     return "among" if set(damaged) <= named else "not among"
 
 

@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from rotorwatch import logs
+from rotorwatch.diagnose import diagnose
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.allocation import motor_thrusts, within
 from rotorwatch.flight import Flight
@@ -98,7 +99,7 @@ def simulated(flights: int, hours: float) -> None:
 
 
 def _both(flight: Flight) -> list[tuple[str, list[Channel]]]:
-    vehicle, _, _ = baselines.settle(flight, None, ())
+    vehicle, _, _ = baselines.settle(flight, None, (), diagnose)
     seen = channels(flight, vehicle, ((fpv.GROUND_S + 0.5, flight.duration - fpv.GROUND_S),))
     return [("gyro", seen[:3]), ("gyro and speed", seen)]
 
@@ -136,7 +137,7 @@ def _bytes(path: Path) -> bytes:
 def real(folder: Path, hours: float) -> None:
     rng, score, known, seconds = np.random.default_rng(2), Score(), [], 0.0
     for name, flight in flown(folder):
-        vehicle, _, _ = baselines.settle(flight, None, ())
+        vehicle, _, _ = baselines.settle(flight, None, (), diagnose)
         air = airborne(flight)
         air = upset.until_impact(flight, air, upset.judged(flight, vehicle, air))
         seen = channels(flight, vehicle, air)

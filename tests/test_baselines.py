@@ -54,22 +54,22 @@ def test_a_frame_with_as_many_rotors_elsewhere_is_another_frame():
 
 def test_a_vehicle_of_another_frame_is_refused_and_one_that_differs_is_mentioned():
     with pytest.raises(VehicleError, match="commands 4 rotors but the frame ardupilot-hexa-x"):
-        settle(flown(), airframes.named("ardupilot-hexa-x"), ())
-    _, source, told = settle(flown(), airframes.named("ardupilot-quad-plus"), ())
+        settle(flown(), airframes.named("ardupilot-hexa-x"), (), diagnose)
+    _, source, told = settle(flown(), airframes.named("ardupilot-quad-plus"), (), diagnose)
     assert source == "none" and "the log says ardupilot-quad-x" in told[0] and "ardupilot-quad-plus" in told[0]
-    assert settle(flown(), QUAD, ())[2] == ()
+    assert settle(flown(), QUAD, (), diagnose)[2] == ()
 
 
 def test_a_flight_says_nothing_about_itself():
     with pytest.raises(VehicleError, match="says nothing about itself"):
         diagnose(flown(), baseline=flown())
-    kept, aside = healthy([flown(), flown(), flown("two.bin")])
+    kept, aside = healthy([flown(), flown(), flown("two.bin")], diagnose)
     assert names(kept) == ["one.bin", "two.bin"] and "same flight as one.bin" in aside[0]
 
 
 def test_a_faulty_flight_is_no_baseline():
     weak = replace(inject(flown("weak.bin"), QUAD, 2, 0.4, 25.0), name="weak.bin")
-    kept, aside = healthy([weak, flown("two.bin"), flown("three.bin")])
+    kept, aside = healthy([weak, flown("two.bin"), flown("three.bin")], diagnose)
     assert names(kept) == ["two.bin", "three.bin"]
     assert "weak.bin was set aside: judged by itself it is" in aside[0] and "rotor 2" in aside[0]
     with pytest.raises(VehicleError, match=r"No healthy flight is left.*weak.bin"):
@@ -79,7 +79,7 @@ def test_a_faulty_flight_is_no_baseline():
 def test_a_flight_too_short_to_be_judged_is_not_suspicious():
     short = flown("short.bin").until(12.0)
     assert diagnose(short).verdict == "inconclusive"
-    assert names(healthy([short])[0]) == ["short.bin"]
+    assert names(healthy([short], diagnose)[0]) == ["short.bin"]
 
 
 def slower(flight):
@@ -106,7 +106,7 @@ def faster(flight, times=2):
 def test_another_logging_rate_is_set_aside():
     fast = faster(flown("fast.bin"))
     assert "another rate: judged every 0.05 s, not every 0.10 s" in unlike(Candidate(fast), Candidate(flown()))
-    assert names(healthy([fast, flown("two.bin")], of=Candidate(flown()))[0]) == ["two.bin"]
+    assert names(healthy([fast, flown("two.bin")], diagnose, of=Candidate(flown()))[0]) == ["two.bin"]
 
 
 def set_to(flight, **parameters):
@@ -160,10 +160,10 @@ def test_motion_gains_that_one_aircraft_cannot_have(monkeypatch):
 
 
 def test_most_decide_what_the_build_is_and_a_draw_is_an_error():
-    kept, aside = healthy([flown("heavy.bin", hover=0.64), flown(), flown("two.bin")])
+    kept, aside = healthy([flown("heavy.bin", hover=0.64), flown(), flown("two.bin")], diagnose)
     assert names(kept) == ["one.bin", "two.bin"] and "heavy.bin was set aside" in aside[0]
     with pytest.raises(VehicleError, match=r"two.bin and heavy.bin are not of one build|heavy.bin .*one build only"):
-        healthy([flown("heavy.bin", hover=0.64), flown("two.bin")])
+        healthy([flown("heavy.bin", hover=0.64), flown("two.bin")], diagnose)
 
 
 DAMAGED = (0.1 + 0.35, 0.0, -0.1, 0.0)
@@ -171,14 +171,14 @@ DAMAGED = (0.1 + 0.35, 0.0, -0.1, 0.0)
 
 def test_the_one_that_hovers_otherwise_is_found_by_the_others():
     flights = [flown("a.bin"), flown("bent.bin", offset=DAMAGED), flown("b.bin"), flown("c.bin")]
-    kept, aside = healthy(flights)
+    kept, aside = healthy(flights, diagnose)
     assert names(kept) == ["a.bin", "b.bin", "c.bin"]
     assert aside == ("bent.bin was set aside: its rotors share the load otherwise than in the 3 other flights",)
 
 
 def test_of_two_that_differ_nobody_can_say_which_is_wrong():
     with pytest.raises(VehicleError, match=r"a.bin and bent.bin hover too differently.*add a third"):
-        healthy([flown("a.bin"), flown("bent.bin", offset=DAMAGED)])
+        healthy([flown("a.bin"), flown("bent.bin", offset=DAMAGED)], diagnose)
 
 
 def test_what_the_healthy_ones_of_a_set_cost():
@@ -196,11 +196,11 @@ def test_what_the_healthy_ones_of_a_set_cost():
 
 def test_unreadable_frames_and_flights_on_the_ground_are_named():
     nameless = replace(flown("nameless.bin"), autopilot="", parameters={})
-    kept, aside = healthy([nameless, flown("two.bin"), on_the_ground()])
+    kept, aside = healthy([nameless, flown("two.bin"), on_the_ground()], diagnose)
     assert names(kept) == ["two.bin"]
     assert "does not say which airframe flew" in aside[0] and "ground.bin was set aside: it shows no flight" in aside[1]
     with pytest.raises(ConfigError, match="at least one"):
-        healthy([])
+        healthy([], diagnose)
 
 
 @shared
@@ -208,11 +208,11 @@ def test_real_flights():
     """The healthy real flights pass, each against the others; a damaged one among them does not."""
     rrc = SHARED / "ardupilot-real-rrc"
     good = [logs.read(rrc / f"good_prop_{how}_2.bin.xz") for how in ("hover", "straight_line")]
-    assert healthy(good)[1] == ()
+    assert healthy(good, diagnose)[1] == ()
     normal = [logs.read(p) for p in sorted((SHARED / "crazypad").glob("normal_flight__E9*.xz"))]
-    assert len(healthy(normal)[0]) == len(normal) == 3
+    assert len(healthy(normal, diagnose)[0]) == len(normal) == 3
     cut = logs.read(next((SHARED / "crazypad").glob("cut_M2_3.5mm*E9*.xz")))
-    kept, aside = healthy([*normal, cut])
+    kept, aside = healthy([*normal, cut], diagnose)
     assert len(kept) == 3 and cut.name in aside[0]
     with pytest.raises(VehicleError, match="two cannot show"):
-        healthy([good[0], logs.read(rrc / "25_mm_cut_hover_2.bin.xz")])
+        healthy([good[0], logs.read(rrc / "25_mm_cut_hover_2.bin.xz")], diagnose)

@@ -1,16 +1,13 @@
 """The one place where events become verdict, headline, main event, rotor states and advice."""
 
-import sys
-from types import SimpleNamespace
-
 import pytest
 
-import rotorwatch.diagnose  # noqa: F401  the module: the package has a function of that name
 from conftest import hexa_diagnosis, hexa_event
 from rotorwatch.answer.conclusion import Evidence, conclude, main_event
 from rotorwatch.answer.wording import up_to
 from rotorwatch.engine.default.residual_evidence import ResidualEvidence
 from rotorwatch.engine.motion import trust
+from rotorwatch.flight import Flight
 from rotorwatch.witnesses.healthy.baselines import Candidate
 
 
@@ -135,10 +132,10 @@ def test_without_healthy_flights_damage_from_take_off_is_judged_by_healthy_vehic
 def test_a_healthy_flight_may_be_unlike_those_of_other_builds(monkeypatch, changes, taken):
     """A vehicle with a camera out in front needs its own healthy flights more than others do."""
     answer = hexa_diagnosis(**{"events": (), **changes})
-    monkeypatch.setattr(sys.modules["rotorwatch.diagnose"], "diagnose", lambda *_, **__: answer)
     monkeypatch.setattr(trust, "contradictions", lambda *_: ())
-    one = SimpleNamespace(table=True, flight=None, vehicle=None, air=())
-    assert (Candidate.flaw.func(one) == "") is taken  # pyright: ignore[reportArgumentType]
+    one = Candidate(Flight("none", "", {}, 0.0))
+    one.__dict__.update(table=True, vehicle=None, air=())
+    assert (one.flaw(lambda *_: answer) == "") is taken
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from rotorwatch.base.compiling.running import Rows
 from rotorwatch.engine.default import program
 from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.default.plant import any_multirotor
+from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.estimator import announcement, hypotheses, kalman, posterior
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, GROUP
 from rotorwatch.engine.estimator.estimator import Estimator, Result

@@ -55,7 +55,7 @@ def answer(name):
 @functools.cache
 def all_channels(name):
     flight = flights()[name]
-    vehicle, _, _ = baselines.settle(flight, None, ())
+    vehicle, _, _ = baselines.settle(flight, None, (), diagnose)
     return innovation.channels(flight, vehicle, ((2.5, LONG - 2.0),))
 
 
@@ -87,7 +87,7 @@ def test_desyncs_are_found_with_motor_time_and_length(name, rotor, lasting, rpm,
 def test_beginning_and_end_of_a_long_one_are_those_of_the_speed():
     """Where a speed falls the likelihood is a narrow ridge: steps of a fourth of the length went by it, and ended 120 ms too early."""
     flight = fpv.fly(4, 40.0, 6, tuple(Moment(j, 2, t, 0.5) for j in range(4) for t in (11.0, 27.0)), rpm=True)[0]
-    vehicle, _, _ = baselines.settle(flight, None, ())
+    vehicle, _, _ = baselines.settle(flight, None, (), diagnose)
     here = desync.search(innovation.channels(flight, vehicle, ((2.5, 38.0),)))
     assert [(d.rotor, d.start, d.end) for d in here] == [
         (2, pytest.approx(t, abs=0.02), pytest.approx(t + 0.5, abs=0.02)) for t in (11.0, 27.0)
@@ -152,7 +152,7 @@ def test_speed_of_another_motor_says_nothing():
 
 def test_a_short_or_slow_log_is_not_judged():
     flight = flights()["healthy"]
-    vehicle, _, _ = baselines.settle(flight, None, ())
+    vehicle, _, _ = baselines.settle(flight, None, (), diagnose)
     assert innovation.channels(flight, vehicle, ((10.0, 15.0),)) == []
     assert innovation.channels(flight, vehicle, ()) == []
     few = {name: s.part(slice(None, None, 20)) for name, s in flight.signals.items()}
@@ -199,7 +199,7 @@ def test_motors_that_nothing_tells_apart():
 
 def test_none_counts_once_control_is_lost_or_of_a_motor_that_is_gone():
     flight = flights()["long"]
-    vehicle, _, _ = baselines.settle(flight, None, ())
+    vehicle, _, _ = baselines.settle(flight, None, (), diagnose)
     air = ((2.5, LONG - 2.0),)
     lost = Event("loss_of_control", (), 20.0, 20.1, None, (), (), 1.0)
     (event,) = desync.find(flight, vehicle, air, (lost,))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import rotorwatch as rw
-from rotorwatch.diagnose import observe
+from rotorwatch.diagnose import diagnose, observe
 from rotorwatch.engine.motion import allocation
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.flight import Signal
@@ -244,7 +244,7 @@ def test_a_speed_that_the_motion_denies_is_wrong_telemetry():
 def test_a_large_loss_of_speed_that_the_motion_missed():
     """Where commands and motion were silent, a speed that falls and a current that falls with it are a loss."""
     whole = flight("half")
-    craft, _, _ = baselines.settle(whole, None, ())
+    craft, _, _ = baselines.settle(whole, None, (), diagnose)
     air = airborne(whole)
     events, warnings = consistency.check(whole, craft, air, observe(whole, craft, air, 8.0), ())
     (event,) = events
@@ -277,7 +277,7 @@ def test_frozen_needs_a_command_that_asks_for_a_change():
 def test_no_telemetry_no_words():
     whole = flight("healthy")
     bare = replace(whole, signals={k: v for k, v in whole.signals.items() if k != "esc"})
-    craft, _, _ = baselines.settle(bare, None, ())
+    craft, _, _ = baselines.settle(bare, None, (), diagnose)
     assert telemetry.read(bare, allocation.rotor_thrusts(bare, craft), airborne(bare)) == (None, [])
 
 

@@ -203,7 +203,8 @@ def test_a_list_goes_on_where_another_one_was_and_leaves_that_as_it_is(machine_c
         monkeypatch.setitem(ENGINE.__dict__, "library", None)
     air, late = ((2.0, 22.0),), [override(21.0)]
     first = flown(18.0, air)
-    on = flown(30.0, air, upset=[(20.0, 22.1)], report=events.Report(B, first.state.copy(), first.contacts), since=18.0).finish(air)
+    more = events.Report(B, first.state.copy())
+    on = flown(30.0, air, upset=[(20.0, 22.1)], report=more, since=18.0).finish(air)
     assert on.events((), late) == ()  # that is the fall
     assert first.finish(air).events((), late) == tuple(late)
     assert events.Losses(B, events.Losses(B).state.copy()).events() == ()

@@ -45,7 +45,7 @@ NAMES = (*kinds.TABLE, *(row.name for row in PLANTED), "of_another_version")
 # Where a kind's name may stand besides the table: what judges a loss of control names causes so, and ticks have a column.
 ELSEWHERE = {
     "engine/motion/ticks.py": {kinds.CONTACT},
-    "engine/estimator/definition.py": {kinds.CONTACT},
+    "engine/definition.py": {kinds.CONTACT},
 }  # a file of that name
 
 

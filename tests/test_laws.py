@@ -20,6 +20,7 @@ from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.core import Estimate
 from rotorwatch.engine.default import plant, program
 from rotorwatch.engine.default.estimator import Default
+from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.estimator.plant import PER_AXIS, TAU, THETA
 from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LEARN
 from rotorwatch.methods.estimators.adaptive_ekf import AdaptiveEKF

@@ -178,7 +178,7 @@ def prepare(
 ) -> Prepared:
     """The vehicle, what is known of it, when it flew, and the ticks to be judged. Arguments as of `diagnose`."""
     clock, hovers = clock or _Clock(), not aerobatic.applies(flight)
-    craft, source, notes = baselines.settle(flight, baselines.vehicle_of(vehicle), baseline)
+    craft, source, notes = baselines.settle(flight, baselines.vehicle_of(vehicle), baseline, diagnose)
     clock.lap("baseline_s")
     known, dynamics = bool(craft.identified), (craft.identified or {}).get("dynamics")
     # Without a gyro every take-off swing looks like a torque that is missing: no short blind time then.

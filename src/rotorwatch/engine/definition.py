@@ -24,9 +24,7 @@ from rotorwatch.engine.estimator import (
     plausibility,
     posterior,
 )
-from rotorwatch.engine.estimator import (
-    known as known_losses,
-)
+from rotorwatch.engine.estimator import known as estimator_known
 from rotorwatch.engine.estimator import sizes as estimator_sizes
 from rotorwatch.engine.estimator import whole as estimator_whole
 from rotorwatch.engine.front import (
@@ -55,7 +53,7 @@ ESTIMATOR = (
 SIZES = sizes, estimator_sizes
 ENGINE = Definition(
     "engine",
-    (*FRONT, *ESTIMATOR, engine, whole, estimator_whole, known_losses, feed),
+    (*FRONT, *ESTIMATOR, engine, whole, estimator_whole, estimator_known, feed),
     SIZES,
     [*files_in("engine/front"), *files_in("engine/estimator"), "engine/engine.py", "engine/feed.py"],
     vectors=True,

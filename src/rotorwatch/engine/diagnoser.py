@@ -52,7 +52,7 @@ class Diagnoser:
         self.vehicle, self._craft, self._mixing = vehicle, craft, mixing
         B = vehicle.effectiveness()
         craft.set(coaxial=bool(events.vehicle(B)["coaxial"][0]))
-        self._plant = program.vehicle_plant(program.parameters(B, plan.dt, dynamics))
+        self._plant = program.laid_out(program.parameters(B, plan.dt, dynamics))
         self._engine = ENGINE.new(engine.Engine)
         self._room = ENGINE.array(Made, ROOM), ENGINE.array(Result, ROOM)
         self._fed = ENGINE.new(feed.Fed)

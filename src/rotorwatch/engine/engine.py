@@ -100,7 +100,7 @@ class Engine(Struct):
         if tick.start <= self.fell < tick.when:
             tick.ground()
         now = Inputs()
-        _set_inputs(v, tick, now)
+        _tell(v, tick, now)
         self.estimator.step(e, now, self.out)
         self._write(v, tick)
         return True
@@ -138,29 +138,29 @@ class Engine(Struct):
         self.landed = self.landed or (was < LASTS and (self.front.start < was or self.front.start > was))
 
 
-def _set_inputs(v: Vehicle, tick: Made, now: Inputs) -> None:
+def _tell(v: Vehicle, made: Made, now: Inputs) -> None:
     """A tick as the estimator takes it."""
-    for k in range(v.rotors):
-        now.thrust[k] = tick.thrust[k]
+    for i in range(v.rotors):
+        now.thrust[i] = made.thrust[i]
     for a in range(3):
-        now.turn[a] = tick.rate_dot[a]
-        now.rate[a] = tick.rate[a]
+        now.turn[a] = made.rate_dot[a]
+        now.rate[a] = made.rate[a]
     for a in range(4):
-        now.wrench[a] = tick.wrench[a]
-        now.valid[a] = tick.valid[a]
-    now.load = tick.load * real(v.rotors)
-    now.forward = tick.side[0]
-    now.right = tick.side[1]
-    now.full = 1.0 / tick.hover
+        now.wrench[a] = made.wrench[a]
+        now.valid[a] = made.valid[a]
+    now.load = made.load * real(v.rotors)
+    now.forward = made.side[0]
+    now.right = made.side[1]
+    now.full = 1.0 / made.hover
     now.expo = v.expo
     now.expo_sd = v.expo_sd
-    now.axial = 0.0 if isnan(tick.axial) else tick.axial
-    now.mode = tick.mode
-    now.restart = tick.restart or tick.touch.hit
-    now.hop = tick.restart and not tick.touch.hit
+    now.axial = 0.0 if isnan(made.axial) else made.axial
+    now.mode = made.mode
+    now.restart = made.restart or made.touch.hit
+    now.hop = made.restart and not made.touch.hit
 
 
-def _set_found(v: Vehicle, out: Result, found: Found) -> None:
+def _find(v: Vehicle, out: Result, found: Found) -> None:
     """What the estimator made of a tick, as losses are written down from it."""
     for k in range(v.rotors):
         found.theta[k] = out.theta[k]

@@ -17,7 +17,7 @@ from rotorwatch.fleet import explain, false_discovery, listing, prognosis, scatt
 from rotorwatch.fleet.explain import CENTRE, STEP, WORN, Found, Series
 from rotorwatch.fleet.store import Store
 from rotorwatch.methods.maths import multivariate_t as student
-from rotorwatch.witnesses.healthy.whole_flight import LIMITED, SLOPE_BETWEEN_SD, of_wind
+from rotorwatch.witnesses.healthy.whole_flight import LIMITED, SLOPE_BETWEEN_SD, SURE, of_wind
 
 FELL = "control was lost in it"
 TAUGHT_BY = ("healthy", "inconclusive")
@@ -266,7 +266,7 @@ def _rotor(one: History, series: Series, found: Found, i: int, named: bool) -> d
     since = series.cuts(i)[-2]
     live = [k for k in mine if found.atoms[k].start >= since]
     e, sd = float(found.now[i]), float(found.now_sd[i])
-    unsure = [k for k in mine if found.candidates[k].get(i, 0.0) < explain.SURE]
+    unsure = [k for k in mine if found.candidates[k].get(i, 0.0) < SURE]
     sure = len(mine) > len(unsure)
     status = "healthy" if not mine else "restored" if sure and named else "suspect"
     if status == "restored" and live and e >= 1.96 * sd:

@@ -46,7 +46,6 @@ STEPS, WEAR, CENTRES = 0.3, 0.3, 0.3  # how many an aircraft's history has of ea
 ODDS = 20.0
 MOST = 10  # atoms
 LINES = 40  # beginnings of wear that are looked at
-SURE = 0.95
 SERVICE_SD = np.sqrt(2.0) * scatter.ROTOR_SD
 STEP, WORN, CENTRE = "step", "wear", "centre"
 

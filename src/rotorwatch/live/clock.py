@@ -7,7 +7,7 @@ import math
 WRAP_US = 2.0**32  # SERVO_OUTPUT_RAW's microseconds start again there
 BACK_US = 0.5e6  # messages of one moment come in any order; a longer step back is no matter of that
 AHEAD_US = 10e6  # a stamp so much ahead of what the time of arrival allows is damaged, unless others follow it
-SURE = 5  # stamps in a row that agree on another time are believed
+AGREEING = 5  # stamps in a row that agree on another time are believed
 
 
 class Clock:
@@ -45,8 +45,8 @@ class Clock:
         self.refused += 1
         if self._other and abs(stamp - self._other[-1]) > AHEAD_US:
             self._other.clear()
-        self._other = [*self._other[-SURE:], stamp]  # short ones alone decide nothing, however many come
-        if len(self._other) >= SURE and not short:
+        self._other = [*self._other[-AGREEING:], stamp]  # short ones alone decide nothing, however many come
+        if len(self._other) >= AGREEING and not short:
             raise Restarted(reboot=bool(stamp < self._last))
         return None
 

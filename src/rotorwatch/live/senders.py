@@ -6,7 +6,7 @@ NEAR = 24  # frames: what is lost or late within a row; a longer gap begins anot
 TREND = 0.02  # weight of a frame in its row's share
 # Share of the second row from which there are two senders; below which there is one again; below which a row is over.
 SECOND, SILENT, FORGOTTEN = 0.25, 0.05, 0.01
-SURE = 150  # frames for which that must hold: after a gap the old row fades within a third of it
+ALTERNATING = 150  # frames for which that must hold: after a gap the old row fades within a third of it
 # Share of frames that go on with the row that was left: two senders take turns, after a gap nobody goes back.
 RETURNS = 0.1
 
@@ -41,7 +41,7 @@ class Senders:
             row[1] += TREND * ((row is own) - row[1])
         second = sorted(row[1] for row in rows)[-2]
         self._spell = self._spell + 1 if second > SECOND else 0
-        self.several = second > SILENT if self.several else self._spell > SURE
+        self.several = second > SILENT if self.several else self._spell > ALTERNATING
         self.suspected = self._spell > 0 and self._returns > RETURNS
         self._rows = [row for row in rows if row is own or row[1] > FORGOTTEN]
 

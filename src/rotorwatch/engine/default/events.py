@@ -145,7 +145,7 @@ class Report:
         """state: where they are written down; None: anew. contacts: of the ticks before."""
         self.craft = vehicle(B)
         self.state = ENGINE.new(definition.Report) if state is None else state
-        self.contacts = contacts
+        self._contacts = contacts
 
     def add(self, table: Ticks, air: Sequence[tuple[float, float]]) -> Report:
         """More ticks. air: all flights so far, (start, end) s, infinite where it lasts. This report."""

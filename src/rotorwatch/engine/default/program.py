@@ -129,7 +129,7 @@ class Steps:
     fault may be true."""
 
     def __init__(self, parameters: dict):
-        self.plant, self.state = vehicle_plant(parameters), ENGINE.new(estimator.Estimator)
+        self.plant, self.state = laid_out(parameters), ENGINE.new(estimator.Estimator)
         self.rotors = np.shape(parameters["B"])[1]
         self.plausible = np.zeros(0, bool)
         self._room = ENGINE.array(estimator.Result, PIECE)
@@ -171,9 +171,8 @@ def learned(state: running.Rows, rotors: int) -> Learned:
 
 def outputs(results: running.Rows, count: int, rotors: int) -> TickOutput:
     """The first of these results, of a vehicle with so many rotors."""
-    return TickOutput(
-        **{name: results[name][:count][part].copy() for name, part in _outputs(rotors) if name != "plausible"}
-    )
+    made = {name: results[name][:count][fitting].copy() for name, fitting in _outputs(rotors) if name != "plausible"}
+    return TickOutput(**made)
 
 
 @functools.cache
@@ -187,7 +186,7 @@ def _outputs(rotors: int) -> list[tuple[str, tuple[slice, ...]]]:
     ]
 
 
-def vehicle_plant(parameters: dict) -> running.Rows:
+def laid_out(parameters: dict) -> running.Rows:
     """A Plant of `parameters`, not yet completed."""
     B, lower = np.asarray(parameters["B"], float), parameters.get("lower")
     mean, variance = np.zeros(sizes.PLANT_STATES), np.zeros((sizes.PLANT_STATES, sizes.PLANT_STATES))

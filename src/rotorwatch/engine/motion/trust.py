@@ -55,7 +55,7 @@ AXES = ("roll", "pitch", "yaw")
 WINDOW_S = 0.2  # s over which gyro and attitude are compared
 # Gyro and attitude up to so far apart, in such steps; in parts of so long, of which there are at least so many
 APART_S, LAG_S, PART_S, LEAST_PARTS = 5.0, 0.1, 10.0, 3
-SURE = 0.8  # correlation of two measurements at a lag, beyond which it is the one they have
+THE_SAME = 0.8  # correlation of two measurements at a lag, beyond which it is the one they have
 GYRO_UNITS = {"degrees/s": np.degrees(1.0), "mrad/s": 1e3, "turns/s": 0.5 / np.pi}
 GEOMETRY = ("FRAME_CLASS", "FRAME_TYPE", "CA_ROTOR_COUNT", "CA_AIRFRAME", "SYS_AUTOSTART", "MAV_TYPE")
 
@@ -187,7 +187,7 @@ def two_clocks(case: Case) -> str | None:
         return None
     lags = np.arange(-APART_S, APART_S + 0.5 * LAG_S, LAG_S)
     alike = _alike_at(case, lags)[1].max(axis=2)
-    found = differ & (alike.max(axis=0) > SURE)
+    found = differ & (alike.max(axis=0) > THE_SAME)
     when, apart = when[found], lags[alike.argmax(axis=0)][found]
     if found.sum() < LEAST_PARTS or found.mean() < 0.5:
         return None

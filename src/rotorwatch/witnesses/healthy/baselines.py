@@ -30,8 +30,10 @@ from rotorwatch.engine.motion.allocation import within
 from rotorwatch.engine.motion.ticks import Ticks
 from rotorwatch.errors import ConfigError, RotorwatchError, VehicleError
 from rotorwatch.flight import Flight
+from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.witnesses.healthy import whole_flight
+from rotorwatch.witnesses.healthy.learned import learned
 
 READY_S = 3.0  # after lift-off, before the dynamics of a flight are learned from
 
@@ -42,8 +44,9 @@ HOVER = 1.5
 """Ratio of the shares of full thrust in hover: half the weight again, which no battery and no air makes."""
 GAIN = 2.0
 """Ratio of the angular accelerations by one command: what is learned of it changes by up to 1.7 when a hexa loses a rotor (simulated)."""
-SURE = 3.0  # standard deviations by which gains must differ more than that
+APART_SD = 3.0  # standard deviations by which gains must differ more than that
 AXES = ("roll", "pitch", "yaw")
+Diagnose = Callable[[Flight, Vehicle], Diagnosis]
 
 
 @dataclass(frozen=True)
@@ -103,14 +106,17 @@ class Candidate:
         except RotorwatchError as why:
             return str(why).rstrip(".")
 
-    @cached_property
-    def flaw(self) -> str:
-        """What the default diagnosis finds in it alone, or makes its log doubtful; empty without such, and when it is too short to say."""
-        from rotorwatch.diagnose import diagnose
+    def flaw(self, diagnose: Diagnose) -> str:
+        """What the default diagnosis finds in it alone, or makes its log doubtful; empty without such, and when it is too short to say.
+        Asked once."""
+        if "found" not in self.__dict__:
+            self.__dict__["found"] = self._judged(diagnose)
+        return self.__dict__["found"]
 
+    def _judged(self, diagnose: Diagnose) -> str:
         try:
             assert self.table is not None
-            found = diagnose(self.flight, vehicle=self.vehicle)
+            found = diagnose(self.flight, self.vehicle)
             doubts = trust.contradictions(self.flight, self.vehicle, self.air, self.table)
         except RotorwatchError as why:
             return str(why).rstrip(".")
@@ -131,15 +137,16 @@ def several(flights: Given | Iterable[Given]) -> tuple[Given, ...]:
 
 def healthy(
     flights: Given | Iterable[Given],
+    diagnose: Diagnose,
     vehicle: Vehicle | None = None,
     of: Candidate | None = None,
     progress: Callable | None = None,
 ) -> tuple[tuple[Candidate, ...], tuple[str, ...]]:
     """The flights that can be learned from, and a sentence for each that was rejected.
 
-    vehicle: the airframe of all of them; None: as each log says. of: the flight that they are to judge. progress: called with the
-    finished share, 0..1. Raises ConfigError without a flight, LogError for a file that cannot be read, and VehicleError when no flight is
-    left or two that are left contradict one another.
+    diagnose: the default diagnosis, which is to find nothing in them. vehicle: the airframe of all of them; None: as each log says. of:
+    the flight that they are to judge. progress: called with the finished share, 0..1. Raises ConfigError without a flight, LogError for a
+    file that cannot be read, and VehicleError when no flight is left or two that are left contradict one another.
     """
     given = several(flights)
     tell = progress or (lambda share: None)
@@ -149,7 +156,7 @@ def healthy(
     rejected: list[tuple[str, str]] = []
     accepted: list[Candidate] = []
     for k, one in enumerate(found):
-        why = one.unusable or _again(one, accepted, of) or one.flaw
+        why = one.unusable or _again(one, accepted, of) or one.flaw(diagnose)
         if why:
             rejected.append((one.name, why))
         else:
@@ -166,11 +173,16 @@ def healthy(
 
 
 def settle(
-    flight: Flight, vehicle: Vehicle | None, baseline: Given | Iterable[Given], progress: Callable | None = None
+    flight: Flight,
+    vehicle: Vehicle | None,
+    baseline: Given | Iterable[Given],
+    diagnose: Diagnose,
+    progress: Callable | None = None,
 ) -> tuple[Vehicle, str, tuple[str, ...]]:
     """The vehicle that a flight is judged as, what was taken as healthy in words ("none" when nothing was), and warnings.
 
-    vehicle: asked for, or None: as the log says. baseline: healthy flights, whose `identified` the vehicle then carries. Raises
+    vehicle: asked for, or None: as the log says. baseline: healthy flights, whose `identified` the vehicle then carries; diagnose: as
+    for `healthy`. Raises
     as `healthy` does, and VehicleError when the vehicle has another number of rotors than the log.
     """
     craft = vehicle or airframes.identify(flight)
@@ -178,10 +190,8 @@ def settle(
     told = _other_frame(flight, vehicle)
     given = several(baseline)
     if given:
-        from rotorwatch.witnesses.healthy.calibrate import learned
-
         own = Candidate(flight, vehicle)
-        accepted, rejected = healthy(given, vehicle, None if own.unusable else own, progress)
+        accepted, rejected = healthy(given, diagnose, vehicle, None if own.unusable else own, progress)
         known = learned(accepted)
         craft = replace(craft, identified=known.identified, assumptions=(*craft.assumptions, *known.assumptions))
         source = f"{len(accepted)} healthy flight{'s' if len(accepted) > 1 else ''} of the same build"
@@ -309,7 +319,7 @@ def _other_gains(one: Candidate, other: Candidate) -> str:
     except RotorwatchError:  # commands too slow to learn from: said where the flight is judged
         return ""
     mine, theirs = np.maximum(mine, 1e-6), np.maximum(theirs, 1e-6)
-    apart = np.abs(np.log(mine / theirs)) - np.log(GAIN) - SURE * np.hypot(sd / mine, their_sd / theirs)
+    apart = np.abs(np.log(mine / theirs)) - np.log(GAIN) - APART_SD * np.hypot(sd / mine, their_sd / theirs)
     axis = int(np.argmax(apart))
     if apart[axis] <= 0:
         return ""

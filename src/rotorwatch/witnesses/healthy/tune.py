@@ -27,6 +27,7 @@ import numpy as np
 from rotorwatch.base import checks, discovery, files
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.base.optional import tomllib
+from rotorwatch.diagnose import diagnose
 from rotorwatch.errors import ConfigError
 from rotorwatch.methods.published import log_plant, published
 from rotorwatch.methods.published.log_plant import LogPlant
@@ -165,7 +166,7 @@ def tune(
     if estimator == "default":
         raise ConfigError("The default estimator learns its noise in flight; tune a published one, such as ekf.")
     discovery.estimator(estimator)
-    kept, aside = baselines.healthy(logs)
+    kept, aside = baselines.healthy(logs, diagnose)
     for one in kept:
         aerobatic.decline(one.flight, "the published methods model hover, so that there is nothing to tune to.")
     taught, held, held_name = _held_out([(one.name, _hops(one)) for one in kept])

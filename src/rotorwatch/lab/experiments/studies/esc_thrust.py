@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.diagnose import READY_S
+from rotorwatch.diagnose import READY_S, diagnose
 from rotorwatch.engine.default import events
 from rotorwatch.engine.default.program import estimate
 from rotorwatch.engine.motion import allocation, ticks
@@ -48,7 +48,7 @@ def thrust_of_speed(flight: Flight, vehicle: Vehicle, air) -> Signal:
 
 def judged(flight: Flight, view: str) -> tuple[Event, ...]:
     """The default method's losses in one view of a flight."""
-    vehicle, _, _ = baselines.settle(flight, None, ())
+    vehicle, _, _ = baselines.settle(flight, None, (), diagnose)
     air, B = airborne(flight), vehicle.effectiveness()
     thrust = thrust_of_speed(flight, vehicle, air) if view == "speed" else allocation.rotor_thrusts(flight, vehicle)
     table = ticks.cut_ticks(flight, thrust, B, air, READY_S)

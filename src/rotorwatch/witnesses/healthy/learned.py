@@ -1,0 +1,71 @@
+"""What healthy flights of one build say of it, as its description carries it: how each hovered, and what the default estimator learned."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rotorwatch.engine.default.learning import learn
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.witnesses.aerobatic import judge as aerobatic
+from rotorwatch.witnesses.healthy import whole_flight
+
+if TYPE_CHECKING:
+    from rotorwatch.witnesses.healthy.baselines import Candidate
+
+
+def learned(kept: Sequence[Candidate], dynamics: Callable | None = None) -> Vehicle:
+    """The vehicle of flights that `baselines.healthy` has let pass; as `calibrate` returns it."""
+    reference = kept[0].vehicle
+    identified = _identified(kept)
+    known = (dynamics or learn)([one.table for one in kept if one.table is not None], reference.effectiveness())
+    if known:
+        identified["dynamics"] = dict(known)
+    names = ", ".join(one.name for one in kept)
+    source = f"{reference.source}; calibrated on {names}" if reference.source else f"calibrated on {names}"
+    assumptions = (*reference.assumptions, *_assumptions(kept))
+    return replace(reference, identified=identified, source=source, assumptions=tuple(dict.fromkeys(assumptions)))
+
+
+def _identified(kept: Sequence[Candidate]) -> dict:
+    """Everything but the dynamics; plain floats and lists."""
+    tables = [one.features for one in kept]
+    found: dict = {
+        "flights": len(kept),
+        "airborne_s": float(sum(end - start for one in kept for start, end in one.air)),
+        "steady_s": float(sum(t.seconds for t in tables)),
+    }
+    usable = [t for t in tables if t.usable]
+    if usable:
+        share = np.average([t.share for t in usable], axis=0, weights=[t.seconds for t in usable])
+        found["hover"] = float(share.mean())
+        found["thrust_offset"] = [float(v) for v in share / share.mean() - 1.0]
+    found["whole_flight"] = [t.to_dict() for t in tables]
+    return found
+
+
+def _assumptions(kept: Sequence[Candidate]) -> list[str]:
+    """Sentences on what calibration takes for granted."""
+    count, tables = len(kept), [one.features for one in kept]
+    which = f"The {count} calibration flights were" if count > 1 else "The calibration flight was"
+    said = [
+        f"{which} healthy and of the same build, payload and battery type.",
+        "The hover command is the mean of these flights, at their battery voltages.",
+    ]
+    said += [
+        f"{one.name} is flown by commanded rates and does not hover: of it only the airframe is used."
+        for one in kept
+        if aerobatic.applies(one.flight)
+    ]
+    short = (t.name or "A calibration flight" for t in tables if not t.usable)
+    said += [f"{name} has too little steady hover to be compared with." for name in short]
+    if sum(t.usable for t in tables) < whole_flight.MANY_FLIGHTS:
+        said.append(
+            "With few calibration flights the spread between healthy flights is mostly assumed: "
+            f"{100 * whole_flight.CENTRE_SD:.1f} % of an arm length for the centre of mass, "
+            f"{100 * whole_flight.THRUST_SD:.0f} % for the thrust that all rotors need together."
+        )
+    return said
