@@ -10,7 +10,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numpy.lib.recfunctions import repack_fields
-from rotorwatch.engine.estimator.definition import ENGINE
 from scipy.optimize import lsq_linear
 from tests.loss_prior import beside_steps, moments, one_of
 from tests.plain import array, measured, tick, unpacked

@@ -12,7 +12,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from rotorwatch.engine.estimator.definition import ENGINE
 
 from rotorwatch import airframes
 from rotorwatch.base import discovery

@@ -126,7 +126,7 @@ class Engine(Struct):
     def _write(self, v: Vehicle, tick: Made) -> None:
         """Write a tick down, and what the estimator made of it."""
         found = Found()
-        _set_found(v, self.out, found)
+        _find(v, self.out, found)
         self.losses.on(v, tick.time, tick.when, tick.mode, tick.restart, found)
         self.report.tick(tick.time, tick.start, tick.upset)
         if tick.touch.is_new:

@@ -139,7 +139,7 @@ def unexplained(losses: Iterable[Event], overridden: Sequence[Event]) -> tuple[E
 
 
 class Report:
-    """Falls and contacts of one vehicle with effectiveness B (4, n), tick by tick, and all events together. contacts: of what was added."""
+    """Falls and contacts of one vehicle with effectiveness B (4, n), tick by tick, and all events together."""
 
     def __init__(self, B: np.ndarray, state: Rows | None = None, contacts: tuple[Contact, ...] = ()):
         """state: where they are written down; None: anew. contacts: of the ticks before."""
@@ -149,8 +149,8 @@ class Report:
 
     def add(self, table: Ticks, air: Sequence[tuple[float, float]]) -> Report:
         """More ticks. air: all flights so far, (start, end) s, infinite where it lasts. This report."""
-        same = next((k for k, (a, b) in enumerate(zip(self.contacts, table.contacts)) if a != b), len(self.contacts))
-        fresh, self.contacts = table.contacts[same:], table.contacts
+        same = next((k for k, (a, b) in enumerate(zip(self._contacts, table.contacts)) if a != b), len(self._contacts))
+        fresh, self._contacts = table.contacts[same:], table.contacts
         hits = np.array([(c.time, c.push, c.size) for c in fresh], float).reshape(-1, 3).T
         self._follow(table.time, table.upset, table.dt, air, hits)
         return self
