@@ -22,6 +22,7 @@ from rotorwatch.base.compiling.run import run
 from rotorwatch.commands.cli import cli
 from rotorwatch.errors import ConfigError
 from rotorwatch.export.export_c import export_c, prepare
+from rotorwatch.export.export_diagnoser import export_diagnoser
 from rotorwatch.methods.estimators.ekf import EKF
 from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
 
@@ -474,3 +475,14 @@ def test_the_default_filter_takes_a_step_of_any_length():
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-15)
     shorter = jax.jit(usual.step)(carry, u, y, valid, 0.05)[1]
     assert np.abs(np.asarray(shorter.x_cov) - np.asarray(known[1].x_cov)).max() > 1e-9
+
+
+@pytest.mark.thorough
+def test_the_example_of_the_diagnoser_names_its_rotor(tmp_path):
+    made = export_diagnoser(tmp_path, prefix="my")
+    sources = [path.name for path in made if path.suffix == ".c" and path.name != "example.c"]
+    text = (tmp_path / "CMakeLists.txt").read_text()
+    assert f"add_library(my_diagnoser STATIC {' '.join(sources)})" in text and "example.c" in text
+    subprocess.run(["gcc", *STRICT, "-O1", *sources, "example.c", "-o", "example", "-lm"], cwd=tmp_path, check=True)
+    said = subprocess.run([str(tmp_path / "example")], capture_output=True, text=True, check=True).stdout
+    assert "rotor 1 lost" in said and said.endswith("verdict: fault found\n")

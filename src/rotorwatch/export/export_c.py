@@ -23,6 +23,7 @@ from rotorwatch.engine.default import noise
 from rotorwatch.engine.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS, WrenchBalance, any_multirotor
 from rotorwatch.engine.default.program import parameters as balance_parameters
 from rotorwatch.errors import ConfigError
+from rotorwatch.export.projects import cmake
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.methods.control import allocation
 from rotorwatch.methods.published import log_plant
@@ -109,7 +110,7 @@ def _written(program: Program, folder: Path, example: str) -> Exported:
         f"{program.name}.h": program.header,
         f"{program.name}.c": program.source,
         "example.c": example,
-        "CMakeLists.txt": _cmake(program.name),
+        "CMakeLists.txt": cmake(program.name),
     }
     for file, text in texts.items():
         (folder / file).write_text(text, encoding="utf-8")
@@ -342,25 +343,4 @@ int main(void)
     printf("\\n");
     return 0;
 }}
-"""
-
-
-def _cmake(name: str) -> str:
-    return f"""cmake_minimum_required(VERSION 3.10)
-project({name} C)
-
-option(ROTORWATCH_FLOAT "single precision" OFF)
-
-add_library({name} STATIC {name}.c)
-target_include_directories({name} PUBLIC ${{CMAKE_CURRENT_SOURCE_DIR}})
-set_target_properties({name} PROPERTIES C_STANDARD 99 C_EXTENSIONS OFF)
-if(ROTORWATCH_FLOAT)
-  target_compile_definitions({name} PUBLIC ROTORWATCH_FLOAT)
-endif()
-if(UNIX)
-  target_link_libraries({name} PUBLIC m)
-endif()
-
-add_executable(example example.c)
-target_link_libraries(example PRIVATE {name})
 """

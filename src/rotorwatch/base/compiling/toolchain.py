@@ -12,7 +12,7 @@ import shlex
 import shutil
 import subprocess
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -33,6 +33,10 @@ class Unavailable(ConfigError):
 
 class Unmakeable(Unavailable):
     """None came with the package, and JAX is not there to make any; the sentence says what to do."""
+
+
+building: Callable[[str], None] = lambda what: None
+"""Called with what is about to be built, which takes seconds and is done once: a program with somebody who waits sets it."""
 
 
 def compiler() -> str:
