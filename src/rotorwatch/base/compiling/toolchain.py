@@ -35,8 +35,14 @@ class Unmakeable(Unavailable):
     """None came with the package, and JAX is not there to make any; the sentence says what to do."""
 
 
-building: Callable[[str], None] = lambda what: None
-"""Called with what is about to be built, which takes seconds and is done once: a program with somebody who waits sets it."""
+waiting: Callable[[str], None] | None = None
+"""Told what is about to be built, which takes seconds and is done once: a program with somebody who waits sets it."""
+
+
+def building(what: str) -> None:
+    """Tell who waits."""
+    if waiting is not None:
+        waiting(what)
 
 
 def compiler() -> str:
