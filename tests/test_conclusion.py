@@ -298,3 +298,20 @@ def test_whole_flight_that_cannot_tell_suspects_all_its_causes():
     assert diagnosis.verdict == "ambiguous"
     assert {k for k, s in statuses(diagnosis).items() if s == "suspect"} == {2, 3, 4}
     assert {r.rotor for r in diagnosis.rotors if r.from_takeoff == "suspect"} == {2, 3, 4}
+
+
+@pytest.mark.parametrize(("until", "verdict"), [(45.0, "healthy"), (28.0, "inconclusive")])
+def test_what_a_knock_broke_is_known_only_where_something_was_judged_after_it(until, verdict):
+    knock = hexa_event(
+        kind="contact",
+        rotors=(),
+        loss=(),
+        interval=(),
+        onset_s=28.5,
+        detected_s=28.5,
+        end_s=28.5,
+        extra={"size": 2.0, "unit": "g"},
+    )
+    end = conclude(Evidence((knock,), 6, hidden=[0.04] * 6, judged_s=20.0, judged_until=until))
+    assert end.verdict == verdict and "knock at 28.50 s" in end.headline
+    assert {r.status for r in end.rotors} == {"healthy" if verdict == "healthy" else "unobservable"}

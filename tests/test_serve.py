@@ -816,7 +816,7 @@ def test_a_flight_heard_over_a_link_is_listed_when_it_has_ended(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name, verdict, words", [("quad-off-1", "fault", "Rotor 2"), ("disarmed-1", "inconclusive", "Not a rotor")]
+    "name, verdict, words", [("quad-off-1", "fault", "Rotor 2"), ("disarmed-1", "crashed", "Not a rotor")]
 )
 def test_a_crash_that_was_watched_is_lost_on_the_page_and_listed_as_a_crash(tmp_path, name, verdict, words):
     crash = Path(__file__).parents[2] / "shared" / "flights" / "crash" / f"{name}.bin.xz"

@@ -305,6 +305,7 @@ def judge(ready: Prepared, done: Estimated) -> Judgement:
         seen_events, n, whole, hidden, hidden_pair, judged_s, spells, places.names(craft.rotors), air,
         health.trends(out, table, B, found.events) if trusted else (), other, ready.hovers,
         tuple(g for g in ready.missing if g.lasts and g.start >= air[-1][0]), ready.matters,
+        judged_until=float(table.time[judged][-1]) if judged.any() else np.inf,
     )  # fmt: skip
     if ready.hovers and (shaken := unjudged.shaken(flight, air)) is not None:
         seen = replace(seen, hidden=None, unjudged=shaken)

@@ -51,6 +51,7 @@ SHORT_S = 20.0  # of flight, below which tenths of a second are worth saying
 UNJUDGED = "Damage from take-off was not judged."
 INVISIBLE = (0.0, 1.0)
 OFF_MIDDLE = "the centre of mass is off the middle"
+AFTER_KNOCK = "Fly again, half a minute or more in the air, once it has been looked over."
 UNKNOWING = ("inconclusive", "crashed")  # verdicts that say nothing of the rotors at the end
 LOPSIDED = (
     "may have been weak from take-off on"  # compared with any build's vehicles: nothing else is known of the rotor
@@ -81,7 +82,8 @@ class Evidence:
     flights, or None; population: `population.judge` against healthy vehicles of any build. residual_evidence: against rotors, that no
     event explains. hops: ((take-off, landing), ...) s. trends: `health.trends`, of each rotor, shown of rotors that are no suspects, or
     empty. comparable: flights of this kind can be compared with healthy ones. missing: commands that the log lacks up to the end.
-    matters: loss of one rotor that a healthy flight must be able to show. unjudged: why no more could be judged.
+    matters: loss of one rotor that a healthy flight must be able to show. unjudged: why no more could be judged. judged_until: time of the
+    last judged moment [s].
     """
 
     events: Sequence[Event]
@@ -99,11 +101,18 @@ class Evidence:
     missing: Sequence[Gap] = ()
     matters: float = MATTERS
     unjudged: Unjudged = UNKNOWN
+    judged_until: float = np.inf
 
     @property
     def vague(self) -> bool:
         """A loss that matters could have gone unseen."""
         return _unseen(self) > self.matters
+
+    @property
+    def knocked_s(self) -> float | None:
+        """The last knock, where nothing was judged after it [s]."""
+        last = max((e.onset_s for e in self.events if e.kind == CONTACT), default=-np.inf)
+        return last if last >= self.judged_until else None
 
     @property
     def missing_s(self) -> float:
@@ -181,7 +190,8 @@ def _shows_more(seen: Evidence, main: int | None, verdict: str) -> str:
     """What to do so that the next log shows what this one did not; empty where it showed enough."""
     if verdict != "inconclusive" or main is not None or seen.missing:
         return ""
-    return seen.unjudged.advice
+    known = seen.hidden is not None and not seen.vague
+    return AFTER_KNOCK if known else seen.unjudged.advice
 
 
 def _bounded(seen: Evidence) -> bool:
@@ -230,6 +240,8 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
         return "inconclusive", f"{_missing(seen)}, without which nothing can be judged; until then {healthy}."
     if seen.vague:
         return "inconclusive", f"{healthy}, and more than {percent(seen.matters)} would matter: {seen.unjudged.why}."
+    if seen.knocked_s is not None:
+        return "inconclusive", f"{healthy}; and what the knock at {seconds(seen.knocked_s)} broke could not be judged."
     return "healthy", f"{healthy}."
 
 
@@ -296,6 +308,8 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
         return f"No rotor lost thrust until {seconds(seen.missing_s)}. What came then cannot be said: {_missing(seen)}."
     if verdict == "inconclusive" and seen.hidden is None:
         return _not_judged(_missing(seen) or seen.unjudged.why)
+    if verdict == "inconclusive" and not seen.vague and seen.knocked_s is not None:
+        return f"No loss was seen until the knock at {seconds(seen.knocked_s)}. What that broke could not be judged."
     if verdict == "inconclusive":
         return f"No loss was seen, but up to {_bound(seen)} could be missing unseen: {seen.unjudged.why}."
     knocks = [seconds(e.onset_s) for e in seen.events if e.kind == CONTACT]
@@ -448,6 +462,8 @@ def _state(seen: Evidence, rotor: int, verdict: str) -> RotorState:
     if seen.hidden is None or seen.missing:
         return state(0.0, INVISIBLE, "unobservable", _worked(seen, rotor))
     since, note = (0.0, float(seen.hidden[rotor - 1])), _past(seen, rotor, claims)
+    if seen.knocked_s is not None and verdict in UNKNOWING:
+        return state(0.0, INVISIBLE, "unobservable", note)
     if since[1] > seen.matters:
         return state(0.0, INVISIBLE, "unobservable", note, since)
     if whole:

@@ -252,14 +252,14 @@ def progress(quiet: bool) -> Iterator[Callable | None]:
     from rotorwatch.base.compiling import toolchain
 
     if quiet or not live():
-        toolchain.building = lambda what: None if quiet else _say_once(BUILDING)
+        toolchain.waiting = None if quiet else lambda what: _say_once(BUILDING)
         yield None
         return
     from rich.progress import TaskProgressColumn, TimeElapsedColumn
 
     with _bar(TaskProgressColumn(), TimeElapsedColumn()) as bar:
         task = bar.add_task("reading", total=1.0)
-        toolchain.building = lambda what: bar.update(task, description="building for this computer, once")
+        toolchain.waiting = lambda what: bar.update(task, description="building for this computer, once")
 
         def report(share: float, text: str = "") -> None:
             bar.update(task, completed=min(max(float(share), 0.0), 1.0), description=text or None)

@@ -296,7 +296,7 @@ def _jax_version() -> str:
     try:
         return metadata.version("jax")
     except metadata.PackageNotFoundError:
-        raise Unmakeable("This needs JAX, which is not installed: pip install 'rotorwatch[research]'.") from None
+        raise Unmakeable("This needs JAX, which is not installed: pip install jax.") from None
 
 
 def _named(function: Callable) -> str | None:
