@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from rotorwatch import airframes, logs
 from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.engine import diagnoser as driver
-from rotorwatch.engine.definition import ENGINE, Samples
-from rotorwatch.engine.diagnoser import Diagnoser, Judged
+from rotorwatch.engine.default import program
+from rotorwatch.engine.definition import ENGINE
+from rotorwatch.engine.diagnoser import Diagnoser, Judged, fly
 from rotorwatch.engine.motion import allocation, ticks
 from rotorwatch.engine.motion.samples import samples
 from rotorwatch.live import account
@@ -38,10 +39,6 @@ def short():
     return vehicle, flight, plan, mixing, samples(flight.signals, flight.messages, vehicle, plan.gyro, False)
 
 
-def part(whole: Samples, first: int, last: int) -> Samples:
-    return Samples(whole.kind[first:last], whole.time[first:last], whole.at[first:last], whole.values)
-
-
 def told(flown, cuts=(), room=driver.ROOM):
     """All ticks with the estimator's outputs, and what is written down at the end, of a flight fed in pieces."""
     vehicle, flight, plan, mixing, whole = flown
@@ -49,7 +46,7 @@ def told(flown, cuts=(), room=driver.ROOM):
         one = Diagnoser(vehicle, allocation.laid_out(vehicle, flight), plan, mixing)
         edges, judged = [0, *cuts, len(whole)], []
         for first, last in itertools.pairwise(edges):
-            judged += one.feed(part(whole, first, last))
+            judged += one.feed(whole.part(first, last))
         judged += one.finish(flight.duration)
     every = Judged.joined(judged)
     assert every is not None
@@ -96,6 +93,36 @@ def test_however_it_is_cut_it_is_the_same(flown, at_once, cuts, room):
     same(told(flown, sorted(int(cut * len(flown[4])) for cut in cuts), room), at_once)
 
 
+@pytest.mark.parametrize("fell_s", [None, 35.0])
+def test_a_log_is_a_link_that_is_over(flown, at_once, fell_s):
+    """A whole flight through the driver has the ticks that the parts make of all of it at once, also where it is known to have fallen."""
+    vehicle, flight, *_ = flown
+    (start, end), *_ = at_once[4]
+    air = ((start, fell_s or end),)
+    one, judged = fly(flight, vehicle, air, ticks.READY_S)
+    table = ticks.observe(flight, vehicle, air, ticks.READY_S)
+    assert table is not None
+    for name in (
+        "time",
+        "command_time",
+        "thrust",
+        "wrench",
+        "rate",
+        "load",
+        "valid",
+        "mode",
+        "restart",
+        "upset",
+        "contact",
+        "axial",
+    ):
+        np.testing.assert_array_equal(getattr(judged.table, name), getattr(table, name), err_msg=name)
+    assert one.losses.events() == (() if fell_s else at_once[1])
+    last, out = program.estimate(table, vehicle.effectiveness())
+    np.testing.assert_array_equal(judged.out.theta, out.theta)
+    np.testing.assert_array_equal(one.learned.s, last.s)
+
+
 def test_the_way_back_leads_to_the_same_books(flown, at_once, monkeypatch):
     """A flight that turns out to have ended and then not to have: gone through again, whatever had been kept."""
     vehicle, flight, plan, mixing, whole = flown
@@ -103,7 +130,7 @@ def test_the_way_back_leads_to_the_same_books(flown, at_once, monkeypatch):
     one = Diagnoser(vehicle, allocation.laid_out(vehicle, flight), plan, mixing)
     back = account.Account(one)
     for first, last in itertools.pairwise([*range(0, len(whole), 400), len(whole)]):
-        judged = Judged.joined(one.feed(part(whole, first, last)))
+        judged = Judged.joined(one.feed(whole.part(first, last)))
         if judged is not None:
             back.add(judged)
     back.at(one.spans)
@@ -123,7 +150,7 @@ def test_what_comes_after_a_fall_lies_on_the_ground(flown, at_once):
     (event,) = at_once[1]
     one = Diagnoser(vehicle, allocation.laid_out(vehicle, flight), plan, mixing)
     until = int(np.searchsorted(whole.time, event.onset_s - 5.0))
-    one.feed(part(whole, 0, until))
+    one.feed(whole.part(0, until))
     one.fell(event.onset_s - 6.0)
-    after = Judged.joined([*one.feed(part(whole, until, len(whole))), *one.finish(flight.duration)])
+    after = Judged.joined([*one.feed(whole.part(until, len(whole))), *one.finish(flight.duration)])
     assert after is not None and not after.out.announced.any() and one.losses.events() == ()

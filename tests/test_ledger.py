@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -13,7 +12,6 @@ from rotorwatch.answer import ledger
 from rotorwatch.engine.default import events
 from rotorwatch.engine.default.events import Report
 from rotorwatch.engine.motion.deviations import Override
-from rotorwatch.engine.motion.ticks import Ticks
 from rotorwatch.flight.diagnosis import Source
 from rotorwatch.flight.kinds import CONTACT, DESYNC, LOSS, LOST, OVERRIDE, SLOW
 
@@ -118,12 +116,8 @@ def test_who_testifies_first_does_not_matter_and_nothing_is_said_twice(claims, r
         assert id(claim) in said or (claim.kind == LOSS and (any(outputs) or any(early)))
 
 
-def test_outputs_that_left_together_are_the_logs_and_explain_losses_in_campaigns_too(monkeypatch):
+def test_outputs_that_left_together_are_the_logs_and_explain_losses():
     together = [Override(r, "overridden", 20.0, 20.3, 40.0, "it left the mixer", shared=True) for r in (2, 5)]
-    monkeypatch.setattr(events, "deviating", lambda *_: together)
-    ticks = Ticks(
-        *[np.empty(0)] * 2, np.empty((0, 6)), *[np.empty((0, 4))] * 3, *[np.empty(0)] * 5, 0.05, np.empty(0, bool)
-    )
-    claims = events.overrides(None, airframes.named("ardupilot-hexa-x"), (), ticks)
+    claims = tuple(map(events.overridden, together))
     assert [c.rotors for c in claims] == [(2,), (5,)] and all(map(events.shared, claims))
     assert merged(*claims, loss(20.5)).events == () and merged(loss(20.5)).events == (loss(20.5),)

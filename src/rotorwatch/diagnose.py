@@ -30,8 +30,9 @@ from rotorwatch.answer.ledger import Merged
 from rotorwatch.base import discovery
 from rotorwatch.engine.default import events, residual_evidence
 from rotorwatch.engine.default.hypotheses import list_hypotheses
-from rotorwatch.engine.default.program import TickOutput, estimate, threshold
-from rotorwatch.engine.motion import ticks, trust
+from rotorwatch.engine.default.program import TickOutput, threshold
+from rotorwatch.engine.diagnoser import Diagnoser, fly
+from rotorwatch.engine.motion import deviations, ticks, trust
 from rotorwatch.engine.motion.airborne import Gap, airborne, gaps
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.missed import without_missed
@@ -91,12 +92,13 @@ class Prepared:
 @dataclass(frozen=True)
 class Estimated:
     """What an estimator left behind. table: the ticks as they count for it; last: the default estimator's state, for hindsight; own: it is
-    the default one."""
+    the default one; diagnoser: which the flight went through, None where it did not."""
 
     table: Ticks
     out: TickOutput
     last: Any = None
     own: bool = True
+    diagnoser: Diagnoser | None = None
 
     @functools.cached_property
     def limit(self) -> float:
@@ -239,8 +241,8 @@ def estimated(
     if not ready.hovers:
         return Estimated(*aerobatic.estimate(ready.flight, ready.vehicle, ready.air, table))
     if estimator == "default":
-        last, out = estimate(table, B, ready.dynamics, progress)
-        return Estimated(table, out, last)
+        one, judged = fly(ready.flight, ready.vehicle, ready.air, ready.ready_s, ready.dynamics, progress)
+        return Estimated(judged.table, judged.out, one.learned, diagnoser=one)
     out = published.judge(estimator, table, B, ready.dynamics, tuning, progress)
     ready.assumptions += published.notes(discovery.title(estimator))
     return Estimated(table, out, own=False)
@@ -249,17 +251,20 @@ def estimated(
 def _find(ready: Prepared, done: Estimated) -> Merged:
     """The events of a flight: losses, overridden outputs, contacts, control that was lost, desyncs; with what ESCs say of them."""
     flight, craft, air, table, B = ready.flight, ready.vehicle, ready.air, done.table, ready.vehicle.effectiveness()
-    claims = events.read(done.out, table, B)
+    one = done.diagnoser
+    claims = events.read(done.out, table, B, one and one.losses)
     if done.own and ready.hovers:
         claims, excitation_notes = excitation_response.resolve(claims, table, B, ready.dynamics)
         ready.assumptions += excitation_notes
     if done.last is not None and not ready.known:  # healthy flights would have told what happened in the blind time
         claims = (*claims, *hindsight.find(done.last, table, B))
-    claims = (*claims, *events.claimed(flight, craft, air))
+    overridden = deviations.overrides(flight, craft, air) if one is None else deviations.in_flight(one.overrides, air)
+    claims = (*claims, *map(events.overridden, overridden))
     shown = trim.explain(done.out, table, B) if done.own and ready.hovers else None
     grown = slow.find(shown, B)
     claims = (*claims, *mounts.claims(shown))
-    merged = ledger.merge(claims, events.Report(B).add(table, air).finish(air), ready.upsets, B.shape[1], grown)
+    report = events.Report(B).add(table, air).finish(air) if one is None else one.report
+    merged = ledger.merge(claims, report, ready.upsets, B.shape[1], grown)
     ready.warnings += [text for text, lasts in wording.together(merged.shared) if not lasts]
     found, notes = consistency.check(flight, craft, air, table, merged.events)
     ready.warnings += notes

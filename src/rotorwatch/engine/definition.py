@@ -76,6 +76,10 @@ class Samples:
     def __len__(self):
         return len(self.time)
 
+    def part(self, first: int, last: int) -> Samples:
+        """Those from `first` to `last`, less that."""
+        return Samples(self.kind[first:last], self.time[first:last], self.at[first:last], self.values)
+
 
 def merged(parts: Iterable[tuple[str, np.ndarray, np.ndarray]]) -> Samples:
     """Samples of several signals in one order: (name, time (n,), values (n, columns))."""

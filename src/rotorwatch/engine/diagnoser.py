@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import itertools
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,15 +16,18 @@ from rotorwatch.engine.default.program import Learned, TickOutput
 from rotorwatch.engine.definition import ENGINE, Samples
 from rotorwatch.engine.estimator.estimator import Result
 from rotorwatch.engine.front.ticks import Made
-from rotorwatch.engine.motion import deviations
+from rotorwatch.engine.motion import allocation, deviations
 from rotorwatch.engine.motion.airborne import Gap
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.contact import Contact
 from rotorwatch.engine.motion.deviations import Override
-from rotorwatch.engine.motion.ticks import Plan, Ticks, columns, joined, known_hover, laid_out
+from rotorwatch.engine.motion.samples import samples
+from rotorwatch.engine.motion.ticks import Plan, Ticks, columns, grounded, joined, known_hover, laid_out, plan
+from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 
 ROOM = 512  # ticks in one call
+PIECE = 1 << 15  # samples of a log between two words of progress
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,10 @@ class Judged:
 
     table: Ticks
     out: TickOutput
+
+    def part(self, keep: np.ndarray) -> Judged:
+        """The ticks `keep` (T,) bool."""
+        return Judged(self.table.part(keep), TickOutput(*(column[keep] for column in self.out)))
 
     @staticmethod
     def joined(parts: Iterable[Judged]) -> Judged | None:
@@ -156,3 +164,37 @@ class Diagnoser:
                 replace(table, curve=self.vehicle.curve.believed), program.outputs(out, count, len(self.vehicle.rotors))
             )
         ]
+
+
+def fly(
+    flight: Flight,
+    vehicle: Vehicle,
+    air: Spans,
+    ready_s: float,
+    dynamics: dict | None = None,
+    progress: Callable[[float], object] | None = None,
+) -> tuple[Diagnoser, Judged]:
+    """A whole flight: a link that is over. Its diagnoser, and its ticks up to the last command.
+
+    air: its flights ((start, end), ...) s; an end before the one that samples show is an impact. ready_s: blind time after lift-off;
+    dynamics: what healthy flights have shown; progress: called with the finished share, 0..1. The flight needs motor outputs.
+    """
+    mixing = allocation.faster_control(flight)
+    how = plan(flight, flight["control" if mixing else "motors"], ready_s)
+    diagnoser = Diagnoser(vehicle, allocation.laid_out(vehicle, flight), how, mixing, dynamics)
+    every = samples(flight.signals, flight.messages, vehicle, how.gyro, "battery" in flight.signals)
+    lifted = {int(np.searchsorted(every.time, start)): end for start, end in air}
+    edges = sorted({0, *range(0, len(every), PIECE), *lifted, len(every)})
+    parts: list[Judged] = []
+    for first, last in itertools.pairwise(edges):
+        if first in lifted:
+            diagnoser.fell(lifted[first])
+        parts += diagnoser.feed(every.part(first, last))
+        if progress:
+            progress(last / len(every))
+    parts += diagnoser.finish(max(flight.duration, float(flight["motors"].time[-1])))
+    judged = Judged.joined(parts)
+    assert judged is not None and judged.table.seen is not None
+    commanded = np.flatnonzero(judged.table.seen)
+    judged = judged.part(np.arange(len(judged.table.time)) <= commanded[-1])
+    return diagnoser, replace(judged, table=grounded(judged.table, air))

@@ -50,9 +50,8 @@ class Engine(Struct):
     withdrawn = array(Event, EVENTS)  # since the poll before
     fresh = array(Change, 2 * EVENTS)
     room = embedded(Room)
-    fell: Time = (
-        LASTS  # the flight that goes on, or was the last, ended then, as only what comes after it shows; LASTS: not so
-    )
+    # The flight that goes on, or was the last, ended at this time, as only what comes after it shows; LASTS: nothing shows that.
+    fell: Time = LASTS
     count: Small = 0  # of events
     landed: bool = False  # the flight is over, and its last ticks wait
     judged: bool = False  # a tick has been judged

@@ -6,7 +6,7 @@ ago is kept, and the ticks since: these are gone through again, with the flight'
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from rotorwatch.engine.default.events import Losses, Report
 from rotorwatch.engine.diagnoser import Diagnoser, Judged
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.contact import Contact
-from rotorwatch.engine.motion.ticks import GROUND, Ticks
+from rotorwatch.engine.motion.ticks import grounded, landed
 
 REPLAY_S = 120.0  # of ticks, at least, that can be gone through again
 
@@ -71,21 +71,3 @@ class Account:
         report.add(whole.table, spans).finish(spans)
         self._diagnoser.restore(losses.state, report.state)
         then.since, self._newer = [whole], self._mark()
-
-
-def landed(table: Ticks, spans: Spans) -> np.ndarray:
-    """(T,) bool: ticks after the end of the flight that they come after the start of."""
-    after = np.zeros(len(table.time), bool)
-    for k, (start, end) in enumerate(spans):
-        following = spans[k + 1][0] if k + 1 < len(spans) else np.inf
-        after |= (table.command_time > end) & (table.time >= start) & (table.time < following)
-    return after
-
-
-def grounded(table: Ticks, spans: Spans) -> Ticks:
-    """The ticks, with those after the end of their flight on the ground: where it was cut by an impact."""
-    after = landed(table, spans)
-    if not (after & (table.mode != GROUND)).any():
-        return table
-    mode, valid, upset = np.where(after, GROUND, table.mode), table.valid & ~after[:, None], table.upset & ~after
-    return replace(table, mode=mode.astype(np.int32), valid=valid, upset=upset)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,12 +11,11 @@ from rotorwatch.answer.trim import Trims
 from rotorwatch.answer.unseen import Unseen
 from rotorwatch.engine.default import events
 from rotorwatch.engine.diagnoser import Diagnoser, Judged
-from rotorwatch.engine.motion.airborne import CONFIRM_S
 from rotorwatch.engine.motion.allocation import Spans
-from rotorwatch.engine.motion.deviations import Override
-from rotorwatch.engine.motion.ticks import JUDGE, Plan, Ticks
+from rotorwatch.engine.motion.deviations import Override, in_flight
+from rotorwatch.engine.motion.ticks import JUDGE, Plan, Ticks, grounded
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.live.account import Account, grounded
+from rotorwatch.live.account import Account
 from rotorwatch.live.beginnings import Beginnings
 from rotorwatch.live.stream import Piece
 
@@ -86,7 +84,7 @@ class Judge:
         """All that is claimed, as it looks now."""
         losses = self._diagnoser.losses.events(flies=not self._over)
         early = () if self._beginnings is None else self._beginnings.found
-        return (*losses, *early, *self._turned, *map(events.overridden, _in_flight(self._overrides, self._spans)))
+        return (*losses, *early, *self._turned, *map(events.overridden, in_flight(self._overrides, self._spans)))
 
     def _look(self, judged: Judged) -> None:
         table, out = grounded(judged.table, self._spans), judged.out
@@ -109,13 +107,3 @@ def _earlier(old: Spans, new: Spans) -> float | None:
     """End of the last flight, if it has ended earlier than was known."""
     before = dict(old[-1:])
     return next((end for start, end in new[-2:] if end < before.get(start, -np.inf)), None)
-
-
-def _in_flight(found: tuple[Override, ...], spans: Spans) -> list[Override]:
-    """Overrides that were noticed in flight, each ended with its flight at the latest."""
-    inside = []
-    for one in found:
-        for start, end in spans:
-            if start <= one.onset < end and one.detected <= end + CONFIRM_S:
-                inside.append(one if (one.end or np.inf) <= end else replace(one, end=end))
-    return inside

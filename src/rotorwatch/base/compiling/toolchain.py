@@ -24,12 +24,14 @@ class Unavailable(ConfigError):
     """No native code on this computer; the sentence says why."""
 
 
-def _silent(what: str) -> None:
-    """Nobody waits."""
+waiting: Callable[[str], None] | None = None
+"""Told what is about to be built, which takes seconds and is done once: a program with somebody who waits sets it."""
 
 
-building: Callable[[str], None] = _silent
-"""Called with what is about to be built, which takes seconds and is done once: a program with somebody who waits sets it."""
+def building(what: str) -> None:
+    """Tell who waits."""
+    if waiting is not None:
+        waiting(what)
 
 
 def compiler() -> str:

@@ -24,12 +24,9 @@ from rotorwatch.engine.front.records import Found
 from rotorwatch.engine.front.sizes import EVENTS, RECORDS, TOGETHER
 from rotorwatch.engine.motion.contact import Contact
 from rotorwatch.engine.motion.deviations import Override
-from rotorwatch.engine.motion.deviations import overrides as deviating
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks
-from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import CONTACT, LOSS, OVERRIDE, TABLE, number
-from rotorwatch.flight.vehicle import Vehicle
 
 __all__ = ["CREDIBLE", "CURVE_SHARE"]
 
@@ -88,12 +85,14 @@ def vehicle(B: np.ndarray) -> Rows:
     return craft(B.shape[1], effectiveness=B, coaxial=lower_rotors(B) is not None)
 
 
-def read(out, ticks: Ticks, B: np.ndarray) -> tuple[Event, ...]:
-    """Losses of one flight of a vehicle with effectiveness B (4, n), from the estimator's stacked outputs (COLUMNS)."""
+def read(out, ticks: Ticks, B: np.ndarray, state: Losses | None = None) -> tuple[Event, ...]:
+    """Losses of one flight of a vehicle with effectiveness B (4, n), from the estimator's stacked outputs (COLUMNS). state: where they are
+    written down already."""
     if not np.asarray(out.announced).any():
         return ()
-    state = Losses(B)
-    state.add(ticks, out)
+    if state is None:
+        state = Losses(B)
+        state.add(ticks, out)
     judged = np.flatnonzero(ticks.mode == JUDGE)
     final = int(judged[-1]) if judged.size else len(ticks.time) - 1
 
@@ -201,22 +200,9 @@ class Report:
         return tuple(found)
 
 
-def overrides(flight: Flight, vehicle: Vehicle, air, table: Ticks) -> tuple[Event, ...]:
-    """Outputs that do not follow the mixer, those that the log has wrong (`shared`) at the end; none that leaves it only once the vehicle
-    tumbles: by then mixers, failsafes and pilots do what they can."""
-    found = claimed(flight, vehicle, air)
-    known = Report(vehicle.effectiveness()).add(table, air).finish(air).events((), found)
-    return tuple(e for e in (*known, *filter(shared, found)) if e.kind == OVERRIDE)
-
-
 def shared(event: Event) -> bool:
     """Did several outputs leave the mixer together? Then the log is wrong, and no rotor: that is no event, and explains losses."""
     return bool(event.extra.get("shared"))
-
-
-def claimed(flight: Flight, vehicle: Vehicle, air) -> tuple[Event, ...]:
-    """Outputs that do not follow the mixer."""
-    return tuple(map(overridden, deviating(flight, vehicle, air)))
 
 
 def overridden(one: Override) -> Event:

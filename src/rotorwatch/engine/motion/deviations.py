@@ -5,7 +5,8 @@ Loss of effectiveness never shows here: the commands are what is compared.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from rotorwatch.base.compiling.running import Rows
 from rotorwatch.base.compiling.structs import LASTS
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.front import deviations, mixer, whole
+from rotorwatch.engine.front.airborne import CONFIRM_S
 from rotorwatch.engine.front.sizes import OVERRIDES
 from rotorwatch.engine.motion import allocation
 from rotorwatch.engine.motion.allocation import Spans, within
@@ -66,6 +68,16 @@ def overrides(flight: Flight, vehicle: Vehicle, airborne: Spans) -> tuple[Overri
     outputs = len(motors), motors.time, logged, thrust, known, within(motors.time, airborne)
     ENGINE.call(whole.deviate, state, craft, *compared, *outputs)
     return found(state, craft)
+
+
+def in_flight(found: Iterable[Override], spans: Spans) -> list[Override]:
+    """Overrides that were noticed in flight, each ended with its flight at the latest."""
+    inside = []
+    for one in found:
+        for start, end in spans:
+            if start <= one.onset < end and one.detected <= end + CONFIRM_S:
+                inside.append(one if (one.end or np.inf) <= end else replace(one, end=end))
+    return inside
 
 
 def found(state: Rows, craft: Rows) -> tuple[Override, ...]:

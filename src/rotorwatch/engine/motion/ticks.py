@@ -314,3 +314,22 @@ def columns(made: Rows, plan: Plan, n: int, before: tuple[Contact, ...] = ()) ->
         made["mode"], made["restart"], made["hover"], plan.dt, made["upset"], plan.notes, made["side"] if plan.accel else None,
         touch["hit"], contacts(touch, before), made["some"], axial=made["axial"],
     )  # fmt: skip
+
+
+def landed(table: Ticks, spans: allocation.Spans) -> np.ndarray:
+    """(T,) bool: ticks after the end of the flight that they come after the start of."""
+    after = np.zeros(len(table.time), bool)
+    for k, (start, end) in enumerate(spans):
+        following = spans[k + 1][0] if k + 1 < len(spans) else np.inf
+        after |= (table.command_time > end) & (table.time >= start) & (table.time < following)
+    return after
+
+
+def grounded(table: Ticks, spans: allocation.Spans) -> Ticks:
+    """The ticks, with those after the end of their flight on the ground: where it was cut by an impact."""
+    after = landed(table, spans)
+    if not (after & (table.mode != GROUND)).any():
+        return table
+    mode, valid, upset = np.where(after, GROUND, table.mode), table.valid & ~after[:, None], table.upset & ~after
+    contact = None if table.contact is None else table.contact & ~after
+    return replace(table, mode=mode.astype(np.int32), valid=valid, upset=upset, contact=contact)
