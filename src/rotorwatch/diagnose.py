@@ -44,7 +44,7 @@ from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.logs import plausible
 from rotorwatch.methods.published import decide, detectors, published
 from rotorwatch.methods.published.published import Tuning
-from rotorwatch.witnesses import excitation_response, hindsight
+from rotorwatch.witnesses import excitation_response, hindsight, reports
 from rotorwatch.witnesses.aerobatic import desync
 from rotorwatch.witnesses.aerobatic import judge as aerobatic
 from rotorwatch.witnesses.esc import consistency
@@ -262,7 +262,7 @@ def _find(ready: Prepared, done: Estimated) -> Merged:
     claims = (*claims, *map(events.overridden, overridden))
     shown = trim.explain(done.out, table, B) if done.own and ready.hovers else None
     grown = slow.find(shown, B)
-    claims = (*claims, *mounts.claims(shown))
+    claims = (*claims, *mounts.claims(shown), *reports.claims(flight, air))
     report = events.Report(B).add(table, air).finish(air) if one is None else one.report
     merged = ledger.merge(claims, report, ready.upsets, B.shape[1], grown)
     ready.warnings += [text for text, lasts in wording.together(merged.shared) if not lasts]

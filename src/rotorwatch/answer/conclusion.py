@@ -44,6 +44,7 @@ NOT_A_ROTOR = {
 }
 LEAST_S = 3.0  # of judged flight, below which no rotor is called healthy
 MATTERS = 0.2  # loss of one rotor up to which `healthy` is a claim: from there on a rotor is degraded (wording.SCALE)
+MOST_NOTICES = 3  # of no rotor, in a headline: the first
 ALIKE = 0.05  # bounds of rotors that differ by less accuse none
 CAUSE_CREDIBLE = 0.05  # causes of a whole flight's difference that are less probable accuse nobody
 LANDED_S = 1.5
@@ -339,7 +340,8 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
         parts.append(
             sentence(f"{rotors([rotor], seen.places)} {notices}, since {seconds(min(e.onset_s for e in own))}.")
         )
-    parts += [said(e.means.headline, e) for e in _notices(seen) if not e.rotors]
+    nameless = [said(e.means.headline, e) for e in _notices(seen) if not e.rotors]
+    parts += nameless[:MOST_NOTICES]
     return " ".join(parts)
 
 

@@ -1,5 +1,6 @@
-"""The story of a loss of control in four sentences in the order of time: the last good moment, the initiating event, the loss of control,
-and how it ended. It is of the first loss of control of a flight; a flight without one has no story.
+"""The story of a loss of control in the order of time: the last good moment, the initiating event, the loss of control, how it ended, and
+what else is to be told, as what the autopilot itself reported. It is of the first loss of control of a flight; a flight without one has no
+story.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from collections.abc import Sequence
 
 from rotorwatch.answer.wording import candidates, rotors, said, seconds, sentence
 from rotorwatch.flight.diagnosis import Event, StoryLine
-from rotorwatch.flight.kinds import LOST, Span
+from rotorwatch.flight.kinds import LOST, Span, Weight
 
 FIRST_S = 3.0  # after lift-off: the vehicle never flew well, and the last good moment is that it stood
 SOON_S = 0.1  # a tick of slow logs: moments closer than this count as one
@@ -56,7 +57,13 @@ def narrate(
         out.append(StoryLine(lost.onset_s, _no_rotor(lost, n, places)))
     end = _end(lost, upsets[1:], hops)
     when = lost.detected_s if lost.detected_s <= end.time_s else max(lost.onset_s, out[-1].time_s)
-    return (*out, StoryLine(when, _lost(lost, when, first, n)), end)
+    beside = [StoryLine(e.onset_s, sentence(said(e.means.headline, e))) for e in events if _told_beside(e)]
+    lines = (*out, StoryLine(when, _lost(lost, when, first, n)), end, *beside)
+    return tuple(sorted(lines, key=lambda line: line.time_s))
+
+
+def _told_beside(event: Event) -> bool:
+    return event.means.weight is Weight.NOTICE and not event.rotors
 
 
 def initiating_event(events: Sequence[Event], main: int | None) -> Event | None:

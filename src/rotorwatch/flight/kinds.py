@@ -15,6 +15,7 @@ LOSS, OVERRIDE, CONTACT, LOST = "loss_of_effectiveness", "output_override", "con
 ORDER, DESYNC = "motor_order", "desync"
 SLOW, HIGH, LOW = "slow_motor", "high_current", "low_current"
 TURNED = "turned_mount"
+REPORTED, ENDS = "autopilot_report", "ends_in_the_air"
 
 
 class Weight(Enum):
@@ -204,6 +205,20 @@ ROWS = (
         advice=Words(
             "Look at the mount and the arm of {who} before the next flight.",
             nameless="Look at every motor mount and arm before the next flight: one has turned, or a propeller's drag has changed.",
+        ),
+    ),
+    Kind(
+        REPORTED, "report of the autopilot", "what the autopilot itself reported in flight: battery, radio, position, estimator, ...",
+        Weight.NOTICE, brief="reported trouble",
+        headline=Words("", nameless="At {at} {why}."),
+        advice=Words("", nameless="At {at} {why}: find out why before the next flight."),
+    ),
+    Kind(
+        ENDS, "end of the log in the air", "the log ends while the vehicle flies", Weight.NOTICE, brief="log ends in the air",
+        headline=Words("", nameless="The log ends in the air at {at}."),
+        advice=Words(
+            "", nameless="Find out why the log ends in the air at {at}: what happened then is not in it. Look at the battery, its "
+            "connectors and the power module, and for a second log.",
         ),
     ),
 )  # fmt: skip
