@@ -84,7 +84,7 @@ class Views:
                 width=width, color_system=None, highlight=False, emoji=False, markup=False, file=io.StringIO()
             )
             with screen.capture() as out:
-                screen.print(terminal.diagnosis(diagnosis))
+                screen.print(terminal.diagnosis(diagnosis, verbose=True))
             self.screens[width] = flat(out.get())
             longest = max(len(line.rstrip()) for line in out.get().splitlines())
             self.expect(longest <= width, f"a line of {longest} columns on a terminal of {width}")
@@ -242,18 +242,27 @@ def health(views):
     judged = any(r["status"] != "unobservable" for r in states_) and not views.json["story"]
     for r in states_ if judged else ():
         me = f"rotor {r['rotor']}"
-        views.shown(r["grade"], f"the grade of {me}")
+        state = views.diagnosis.rotors[r["rotor"] - 1]
+        views.shown(report.grade(state), f"the grade of {me}")
         views.expect(r["status"] != "failed" or "healthy" not in r["grade"], f"{me} failed and is graded {r['grade']}")
         trend = r["trend"]
         if trend is None:
             continue
-        views.shown(trend["word"], f"the trend of {me}")
+        shown = next(row[3] for row in report.health(views.diagnosis) if row[0] == str(r["rotor"]))
+        known = shown.startswith(trend["word"])
         low, high = trend["interval"]
         views.expect(low <= trend["per_minute"] <= high, f"the trend of {me} lies outside its interval")
         sign = {"growing": low > 0, "shrinking": high < 0}.get(trend["word"])
         views.expect(sign is not False, f"the trend of {me} is {trend['word']} with {low} to {high}")
-        for end in (trend["interval"][0], trend["interval"][1]):
-            views.shown(report.rate(end).split()[0], f"the trend's interval of {me}", screen=False)
+        sure = trend["word"] in ("growing", "shrinking")
+        views.expect(
+            known or (not sure and max(map(abs, trend["interval"])) > report.VAGUE), f"the trend of {me} is left out"
+        )
+        if not known:
+            continue
+        views.shown(trend["word"], f"the trend of {me}")
+        for end in trend["interval"] if sure else [max(trend["interval"], key=abs)]:
+            views.shown(report.rate(abs(end)).split()[0], f"the trend's interval of {me}", screen=False)
         for at in (trend["start_s"], trend["end_s"]):
             views.shown(report.seconds(at), f"the span of the trend of {me}", screen=False)
 

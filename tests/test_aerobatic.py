@@ -10,7 +10,7 @@ from rotorwatch import airframes, diagnose
 from rotorwatch.engine.default import events
 from rotorwatch.engine.motion.ticks import JUDGE, READY_S, observe
 from rotorwatch.flight import Flight, Signal
-from rotorwatch.lab.simulation import fpv
+from rotorwatch.lab.simulation import fpv, scenario, simulate
 from rotorwatch.witnesses.aerobatic import judge
 from rotorwatch.witnesses.aerobatic.response import respond
 from rotorwatch.witnesses.healthy.calibrate import calibrate
@@ -147,7 +147,7 @@ def test_a_step_of_the_trim_is_no_loss(healthy):
 
 def test_it_is_what_diagnose_does_with_logs_of_such_firmware(healthy):
     answer = diagnose(healthy, vehicle=CRAFT)
-    assert answer.verdict == "healthy" and any("commanded rates" in a for a in answer.assumptions)
+    assert answer.verdict == "healthy" and any("does not hover" in a for a in answer.assumptions)
     assert not any(e.kind == "contact" for e in answer.events)  # turning at 15 rad/s^2 is no knock
     weak = diagnose(flights()["weak"], vehicle=CRAFT)
     assert weak.verdict == "fault" and weak.rotors[0].loss > 0.2
@@ -183,3 +183,17 @@ def test_without_a_gyro_the_rates_of_the_controller_tell_the_same():
     flight = flights()["weak"]
     rates = {"motors": flight["motors"], "rates": flight["gyro"]}
     assert diagnose(replace(flight, signals=rates), CRAFT).events == diagnose(flight, CRAFT).events
+
+
+def test_the_motion_decides_which_way_judges_and_not_the_firmware(healthy):
+    """One that hovers is judged by its balance, one that rolls and flips by its angular motion, whoever wrote the log."""
+    table = {"duration_s": 40.0, "autopilot": "px4", "airframe": {"frame": "quad-x"}, "logging": {"profile": "full"}}
+    calm = replace(simulate(scenario.from_table(table)).flight, autopilot="INAV")
+    answers = (
+        diagnose(calm, vehicle=airframes.named("px4-quad-x")),
+        diagnose(replace(healthy, autopilot="PX4"), vehicle=CRAFT),
+    )
+    assert [any("does not hover" in a for a in answer.assumptions) for answer in answers] == [False, True]
+    assert max(r.since_takeoff[1] for r in answers[0].rotors) < 0.1
+    mute = replace(calm, signals={k: v for k, v in calm.signals.items() if k not in ("gyro", "rates")})
+    assert judge.applies(mute, None) and not judge.applies(replace(mute, autopilot="PX4"), None)

@@ -61,7 +61,7 @@ def test_simulated_flights(frame):
     flights = simulated(frame)
     answers = [rw.diagnose(f) for f in flights]
     answers += [rw.diagnose(f, baseline=[flights[0]]) for f in flights[1:6]]
-    answers.append(rw.diagnose(flights[1].until(12.0)))  # hardly judged
+    answers.append(rw.diagnose(flights[1].until(7.0)))  # hardly judged
     assert {a.verdict for a in answers} >= {"healthy", "fault", "inconclusive"}
     plotted = [
         a if k in (1, 5) else replace(a, trace=None) for k, a in enumerate(answers)

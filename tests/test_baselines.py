@@ -77,7 +77,7 @@ def test_a_faulty_flight_is_no_baseline():
 
 
 def test_a_flight_too_short_to_be_judged_is_not_suspicious():
-    short = flown("short.bin").until(12.0)
+    short = flown("short.bin").until(7.0)
     assert diagnose(short).verdict == "inconclusive"
     assert names(healthy([short], diagnose)[0]) == ["short.bin"]
 

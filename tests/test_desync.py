@@ -229,7 +229,7 @@ def test_a_blackbox_log_from_the_command_line(tmp_path, capsys):
 def test_the_terminal_counts_them():
     screen = Console(width=150, file=io.StringIO())
     with screen.capture() as out:
-        screen.print(terminal.diagnosis(answer("long")))
+        screen.print(terminal.diagnosis(answer("long"), verbose=True))
     text = " ".join(out.get().split())
     assert f"Motor 3 (rear left) desynced {answer('long').events[0].extra['count']} times, first at" in text
     assert "motor lost step" in text and "motor timing, demag compensation" in text

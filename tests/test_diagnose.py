@@ -239,8 +239,9 @@ def test_a_flight_that_never_took_off_is_inconclusive():
 def test_a_flight_of_a_few_seconds_is_inconclusive():
     healthy = flight(sample(HEALTHY))
     lift_off = judged(sample(HEALTHY)).flight["airborne_s"][0]
-    diagnosis = diagnose(healthy.until(lift_off + 6.0))
+    diagnosis = diagnose(healthy.until(lift_off + 5.0))
     assert diagnosis.verdict == "inconclusive" and losses(diagnosis) == []
+    assert diagnosis.headline.startswith("Not judged: 6 s of flight are needed, 5")
 
 
 def test_an_unknown_estimator_is_refused_with_the_known_ones():

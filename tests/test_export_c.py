@@ -19,6 +19,7 @@ from rotorwatch.base.compiling import toolchain
 from rotorwatch.commands.cli import cli
 from rotorwatch.errors import ConfigError
 from rotorwatch.export.export_c import export_c
+from rotorwatch.export.export_diagnoser import export_diagnoser
 from rotorwatch.methods.compiling import native
 from rotorwatch.methods.compiling.c99.lower import Refused
 from rotorwatch.methods.compiling.c99.project import Field, emit_program
@@ -461,3 +462,14 @@ def test_what_is_known_is_run_without_jax(tmp_path):
     for note in Path(tmp_path, "native").glob("known-*.json"):
         note.write_text("{damaged")
     assert process(1.0)[0] == 5.0
+
+
+@pytest.mark.thorough
+def test_the_example_of_the_diagnoser_names_its_rotor(tmp_path):
+    made = export_diagnoser(tmp_path, prefix="my")
+    sources = [path.name for path in made if path.suffix == ".c" and path.name != "example.c"]
+    text = (tmp_path / "CMakeLists.txt").read_text()
+    assert f"add_library(my_diagnoser STATIC {' '.join(sources)})" in text and "example.c" in text
+    subprocess.run(["gcc", *STRICT, "-O1", *sources, "example.c", "-o", "example", "-lm"], cwd=tmp_path, check=True)
+    said = subprocess.run([str(tmp_path / "example")], capture_output=True, text=True, check=True).stdout
+    assert "rotor 1 lost" in said and said.endswith("verdict: fault found\n")

@@ -81,7 +81,7 @@ EVENTS = [
 
 def shown(answer: Diagnosis) -> dict[str, str]:
     written = io.StringIO()
-    Console(file=written, width=400, no_color=True).print(terminal.diagnosis(answer))
+    Console(file=written, width=400, no_color=True).print(terminal.diagnosis(answer, verbose=True))
     return {
         "terminal": written.getvalue(), "page": re.sub("<[^>]*>", " ", html._events(answer)), "markdown": answer.to_markdown(),
     }  # fmt: skip

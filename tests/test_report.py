@@ -21,7 +21,7 @@ from rotorwatch.report.info import info
 def text_of(diagnosis):
     screen = terminal.console()
     with screen.capture() as out:
-        screen.print(terminal.diagnosis(diagnosis))
+        screen.print(terminal.diagnosis(diagnosis, verbose=True))
     return out.get()
 
 
@@ -307,7 +307,7 @@ def test_nothing_is_cut_at_any_width(changes, width):
 def text_at(diagnosis, width, console):
     screen = console(width=width, color_system=None, highlight=False, emoji=False, markup=False)
     with screen.capture() as out:
-        screen.print(terminal.diagnosis(diagnosis))
+        screen.print(terminal.diagnosis(diagnosis, verbose=True))
     return out.get()
 
 
@@ -319,7 +319,7 @@ def test_without_colours_there_are_none(environment, monkeypatch, fault):
         monkeypatch.setenv(name, value)
     screen = Console(force_terminal=True, width=80)
     with screen.capture() as out:
-        screen.print(terminal.diagnosis(fault))
+        screen.print(terminal.diagnosis(fault, verbose=True))
     assert not re.search(r"\x1b\[[0-9;]*3[0-9]", out.get())
 
 

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from rotorwatch.answer import slow, trim
 from rotorwatch.answer.conclusion import Evidence, conclude
 from rotorwatch.engine.default.residual_evidence import ResidualEvidence
 from rotorwatch.engine.motion.ticks import JUDGE
+from rotorwatch.live.judge import Judge
 
 QUAD = np.array([[-1.0, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1], [1, 1, 1, 1]])
 HEXA = np.array(
@@ -155,3 +156,29 @@ def test_a_flight_in_pieces_has_the_trim_of_the_whole():
     assert found_ is not None and whole is not None
     assert found_.rotors == whole.rotors and found_.loss == pytest.approx(whole.loss, rel=1e-3)
     assert found_.start_s == pytest.approx(whole.start_s, abs=0.01)
+
+
+def test_a_link_says_it_while_the_vehicle_flies_and_keeps_it_when_it_flies_again():
+    """Looked at again and again; a second flight that is too short to show anything takes nothing back."""
+    out, ticks = flight(loss=0.4)
+    losses = SimpleNamespace(announcements=0, events=lambda flies: ())
+    vehicle = SimpleNamespace(effectiveness=lambda: QUAD, identified={"flights": 1})
+    diagnoser: Any = SimpleNamespace(
+        vehicle=vehicle, plan=SimpleNamespace(ready_s=8.0, dt=DT), losses=losses, contacts=()
+    )
+    judge = Judge(diagnoser, cast(Any, SimpleNamespace(at=lambda spans: None)))
+    judge.unseen = cast(Any, SimpleNamespace(add=lambda out, table: None))
+    seen = []
+    for a in range(0, ticks.time.size, 50):
+        part = slice(a, a + 50)
+        some = {k: v[part] if isinstance(v, np.ndarray) else v for k, v in vars(ticks).items()}
+        table: Any = SimpleNamespace(**some, command_time=some["time"])
+        one: Any = SimpleNamespace(table=table, out=SimpleNamespace(theta=out.theta[part], biases=out.biases[part]))
+        judge.on(cast(Any, SimpleNamespace(spans=((0.0, np.inf),), overrides=(), judged=one)))
+        seen.append(judge.grown is not None and judge.grown.certain)
+    assert not seen[0] and seen[-1] and judge.grown is not None and judge.grown.rotors == (1,) and judge.revision == 1
+    again = cast(Any, SimpleNamespace(spans=((0.0, 90.0), (91.0, np.inf)), overrides=(), judged=one))
+    for mode in (JUDGE - 1, JUDGE):
+        table.mode[:] = mode
+        judge.on(again, final=mode == JUDGE)
+    assert judge.grown.certain and judge.grown.rotors == (1,)

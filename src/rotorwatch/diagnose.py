@@ -53,8 +53,8 @@ from rotorwatch.witnesses.healthy.baselines import Given
 from rotorwatch.witnesses.upset import find as upset
 
 AEROBATIC = (
-    "the vehicle is flown by commanded rates and does not hover: it is judged by its angular motion over seconds, so that a loss is seen "
-    "later than in hover (docs/aerobatic.md)"
+    "the vehicle does not hover in this flight: it is judged by its angular motion over seconds, so that a loss is seen later than in "
+    "hover (docs/aerobatic.md)"
 )
 NOT_COMPARED = (
     "flights of a vehicle that does not hover are not compared with healthy ones: the balance of its rotors follows what it flies, "
@@ -179,17 +179,20 @@ def prepare(
     clock: _Clock | None = None,
 ) -> Prepared:
     """The vehicle, what is known of it, when it flew, and the ticks to be judged. Arguments as of `diagnose`."""
-    clock, hovers = clock or _Clock(), not aerobatic.applies(flight)
+    clock = clock or _Clock()
     craft, source, notes = baselines.settle(flight, baselines.vehicle_of(vehicle), baseline, diagnose)
     clock.lap("baseline_s")
     known, dynamics = bool(craft.identified), (craft.identified or {}).get("dynamics")
     # Without a gyro every take-off swing looks like a torque that is missing: no short blind time then.
-    ready_s = READY_KNOWN_S if dynamics and flight.has("gyro") else READY_S
+    turns = flight.has("gyro")
+    ready_s = READY_KNOWN_S if dynamics and turns else READY_S
     air = airborne(flight) if flight.has("motors") else ()
     flight = without_missed(flight, air)
     upsets = upset.judged(flight, craft, air)
     air = upset.until_impact(flight, air, upsets)
+    ready_s = ticks.ready_of(ready_s, air) if turns else ready_s
     table = observe(flight, craft, air, ready_s)
+    hovers = not aerobatic.applies(flight, table)
     warnings = [*flight.warnings, *notes]
     missing = gaps(flight, air) if air else ()
     warnings += wording.not_commanded(missing, len(craft.rotors))
@@ -199,7 +202,7 @@ def prepare(
             f"the healthy flights were logged at another rate (judged every {dynamics.get('dt', 0):.2f} s): their noise is not "
             "this flight's, which therefore learns its own for as long as without them"
         )
-        dynamics, ready_s = None, READY_S
+        dynamics, ready_s = None, ticks.ready_of(READY_S, air) if turns else READY_S
         table = observe(flight, craft, air, ready_s)
     ready_s = ticks.ready_after(ready_s, table.dt if table is not None else 0.0)
     if not known:
@@ -265,7 +268,7 @@ def _find(ready: Prepared, done: Estimated) -> Merged:
     ready.warnings += [text for text, lasts in wording.together(merged.shared) if not lasts]
     found, notes = consistency.check(flight, craft, air, table, merged.events)
     ready.warnings += notes
-    if not ready.hovers:
+    if not ready.hovers or aerobatic.flown_by_rates(flight):
         found = tuple(sorted((*found, *desync.find(flight, craft, air, found)), key=lambda e: e.detected_s))
     return replace(merged, events=found)
 
@@ -308,10 +311,12 @@ def judge(ready: Prepared, done: Estimated) -> Judgement:
         health.trends(out, table, B, found.events) if trusted else (), other, ready.hovers,
         tuple(g for g in ready.missing if g.lasts and g.start >= air[-1][0]), ready.matters,
     )  # fmt: skip
-    if not doubts and (judged_s < conclusion.LEAST_S or seen.vague):
+    if ready.hovers and (shaken := unjudged.shaken(flight, air)) is not None:
+        seen = replace(seen, hidden=None, unjudged=shaken)
+    elif not doubts and (judged_s < conclusion.LEAST_S or seen.vague):
         needed = (ready.ready_s if ready.hovers else aerobatic.READY_S) + conclusion.LEAST_S
         stepped = bool(np.max(steps.losses()) >= np.max(hidden))
-        why = unjudged.find(flight, air, table, judged_s, needed, ready.hovers, conclusion.LEAST_S, stepped)
+        why = unjudged.find(air, table, judged_s, needed, ready.hovers, conclusion.LEAST_S, stepped)
         seen = replace(seen, unjudged=why)
     return Judgement(conclusion.conclude(seen, doubts), doubts, spells, whole)
 

@@ -3,6 +3,7 @@
 wording.py      the words for numbers, rotors and events
 places.py       where a rotor sits, in words
 health.py       grade of every rotor's loss, and its trend
+unjudged.py     why a flight could not be judged, or shows too little, and what would show more
 unseen.py       how large a loss can be that has not been announced, and whether one has stayed that wind hides
 trim.py         what explains the trim of a whole flight
 slow.py         losses that grew slowly, in that trim

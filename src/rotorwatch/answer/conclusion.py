@@ -47,6 +47,7 @@ MATTERS = 0.2  # loss of one rotor up to which `healthy` is a claim: from there 
 ALIKE = 0.05  # bounds of rotors that differ by less accuse none
 CAUSE_CREDIBLE = 0.05  # causes of a whole flight's difference that are less probable accuse nobody
 LANDED_S = 1.5
+SHORT_S = 20.0  # of flight, below which tenths of a second are worth saying
 UNJUDGED = "Damage from take-off was not judged."
 INVISIBLE = (0.0, 1.0)
 OFF_MIDDLE = "the centre of mass is off the middle"
@@ -223,7 +224,7 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
     slow = "".join(f"; but slowly {rotors([k])} {grows(t)}" for k, t in _growing(seen))
     unseen = f"a loss of up to {_bound(seen)} could have gone unseen"
     flown = sum(b - a for a, b in seen.hops)
-    of = f", of {flown:.0f} s in the air" if flown > 2.0 * seen.judged_s else ""
+    of = f", of {flown:.{0 if flown > SHORT_S else 1}f} s in the air" if flown > 1.5 * seen.judged_s else ""
     healthy = f"no rotor lost effectiveness in {seen.judged_s:.0f} s of judged flight{of}, {scope}{slow}; {unseen}"
     if seen.missing:
         return "inconclusive", f"{_missing(seen)}, without which nothing can be judged; until then {healthy}."

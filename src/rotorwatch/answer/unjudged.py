@@ -11,11 +11,12 @@ from rotorwatch.answer.wording import listed, seconds
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.front.ticks import UPSET_LEVEL
 from rotorwatch.engine.motion.airborne import commands
-from rotorwatch.engine.motion.allocation import Spans
+from rotorwatch.engine.motion.allocation import Spans, within
 from rotorwatch.engine.motion.ticks import GROUND, LEARN, SHORTEST_S, Ticks
 from rotorwatch.flight import Flight
 
 SHAKEN = G0  # m/s^2: vibration that is as large as what carries the vehicle; lift-off, landing and thrust cannot be told from it
+CARRIED = 0.8  # of the usual command in the air: it carries the vehicle
 RUNNING = 0.1  # share of the outputs' range, from which motors run
 LOOKS = 2000  # moments at which vibration is looked at
 NAMED = 3  # knocks that are named
@@ -46,20 +47,33 @@ NEVER = Unjudged(
 )
 
 
+def shaken(flight: Flight, air: Spans) -> Unjudged | None:
+    """Why a flight was taken for over while its rotors carried it on: vibration that is as large as its weight; None where it was not."""
+    time, level = commands(flight)
+    up = within(time, air)
+    if not up.any() or (level[~up] > CARRIED * np.median(level[up])).sum() < up.sum():
+        return None
+    size = vibration(flight)
+    if size < SHAKEN:
+        return None
+    return Unjudged(
+        f"vibration of {size:.0f} m/s2 hides it",
+        "Balance the propellers, look for what is loose, and mount the autopilot on dampers: judging needs less than "
+        f"{SHAKEN:.0f} m/s2 of vibration.",
+    )
+
+
 def find(
-    flight: Flight, air: Spans, table: Ticks, judged_s: float, needed_s: float, hovers: bool, enough_s: float, steps: bool
+    air: Spans, table: Ticks, judged_s: float, needed_s: float, hovers: bool, enough_s: float, steps: bool
 ) -> Unjudged:  # fmt: skip
     """Why of a flight of these ticks only judged_s s were judged, or a loss that matters could have gone unseen in them. needed_s: of
     flight in one piece, for enough_s judged; hovers: the balance of hover judges it, not its angular motion; steps: it is steps of its
     trim that hide a loss."""
-    shaken = vibration(flight)
-    if shaken > SHAKEN:
-        return Unjudged(
-            f"vibration of {shaken:.0f} m/s2 hides it",
-            "Balance the propellers, look for what is loose, and mount the autopilot on dampers: judging needs less than "
-            f"{SHAKEN:.0f} m/s2 of vibration.",
-        )
-    return _shown_little(table, judged_s, hovers, steps) if judged_s >= enough_s else _too_little(air, table, needed_s)
+    return (
+        _shown_little(table, judged_s, hovers, steps)
+        if judged_s >= enough_s
+        else _too_little(air, table, needed_s, hovers)
+    )
 
 
 def vibration(flight: Flight) -> float:
@@ -72,7 +86,7 @@ def vibration(flight: Flight) -> float:
     return float(np.median(known)) if known.size else 0.0
 
 
-def _too_little(air: Spans, table: Ticks, needed_s: float) -> Unjudged:
+def _too_little(air: Spans, table: Ticks, needed_s: float, hovers: bool) -> Unjudged:
     flown = max((end - start for start, end in air), default=0.0)
     up = table.mode > GROUND
     if flown < needed_s:
@@ -93,6 +107,8 @@ def _too_little(air: Spans, table: Ticks, needed_s: float) -> Unjudged:
             "its motion or its commands are missing most of the time",
             "Log gyro and motor outputs all the time; `rotorwatch info LOG` lists what a log holds and lacks.",
         )
+    if not hovers:
+        return Unjudged("it does not turn as its outputs would turn it, or turns too little to say", LONGER)
     return Unjudged("too little of it was steady flight", LONGER)
 
 

@@ -42,7 +42,7 @@ def set_up() -> None:
     try:
         import jax
     except ModuleNotFoundError:
-        raise ConfigError("This needs JAX, which is not installed: pip install jax.") from None
+        raise ConfigError("This needs JAX, which is not installed: pip install 'rotorwatch[research]'.") from None
 
     if not jax.config.read("jax_enable_x64"):
         jax.config.update("jax_enable_x64", True)

@@ -194,6 +194,7 @@ def cli() -> None:
     metavar="[FILE.md]",
 )
 @flag("--identify", "With --markdown: also the serial number, the time of day, and texts as they are in the log.")
+@flag("--verbose", "Print all that the answer rests on: events, other checks, assumptions, blind times.")
 @flag("--json as_json", "Print JSON (docs/json.md): an object, or a list for several logs.")
 @flag("--jsonl", "Print JSON lines: one for each log, as soon as it is judged.")
 @option("-o --out", "With --jsonl: the file that lines are added to.", type=OUT, metavar="FILE")
@@ -275,7 +276,7 @@ def _diagnose(request: several.Request) -> int:
     elif request.to_stdout:
         click.echo(result.to_markdown(identify=request.identify), nl=False)
     else:
-        show(lambda terminal: terminal.diagnosis(result))
+        show(lambda terminal: terminal.diagnosis(result, request.verbose))
         files = (next(iter(paths), None) for paths in (request.pages, request.recordings))
         written(request.quiet, **dict(zip(("report", "MCAP_file"), files)), post=post)
     return result.exit_code

@@ -321,7 +321,7 @@ def export(store, out, quiet) -> None:
 def simulate(out, aircraft, flights, seed, logs, url, as_json, quiet) -> None:
     """Fly and judge a fleet in which rotors wear, are damaged and exchanged, and compare what its store says with the truth.
 
-    About 0.2 s a flight on one processor; broken off, it goes on when called again.
+    Needs what "rotorwatch[fleet,research]" installs. About 0.2 s a flight on one processor; broken off, it goes on when called again.
     """
     from rotorwatch.fleet import score, synthetic
     from rotorwatch.fleet.store import Store

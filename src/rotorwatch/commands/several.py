@@ -42,6 +42,7 @@ class Request:
     mcap: Path | None
     markdown: Path | None
     identify: bool
+    verbose: bool
     as_json: bool
     jsonl: bool
     out: Path | None

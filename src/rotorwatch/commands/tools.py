@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import re
@@ -22,6 +23,7 @@ from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, Worker
 
 PICTURES = (".svg", ".png", ".pdf")
 ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
+BUILDING = "building native code for this computer; it is done once, and takes some seconds."
 LINE_S, FEW = 2.0, 10  # s between two lines of progress; no lines for fewer items
 
 
@@ -239,16 +241,25 @@ def _bar(*columns: Any) -> Iterator[Any]:
         yield bar
 
 
+@functools.cache
+def _say_once(text: str) -> None:
+    say(text)
+
+
 @contextmanager
 def progress(quiet: bool) -> Iterator[Callable | None]:
     """A progress bar on standard error when that is a terminal, else nothing. Yields report(share 0..1, text)."""
+    from rotorwatch.base.compiling import toolchain
+
     if quiet or not live():
+        toolchain.building = lambda what: None if quiet else _say_once(BUILDING)
         yield None
         return
     from rich.progress import TaskProgressColumn, TimeElapsedColumn
 
     with _bar(TaskProgressColumn(), TimeElapsedColumn()) as bar:
         task = bar.add_task("reading", total=1.0)
+        toolchain.building = lambda what: bar.update(task, description="building for this computer, once")
 
         def report(share: float, text: str = "") -> None:
             bar.update(task, completed=min(max(float(share), 0.0), 1.0), description=text or None)

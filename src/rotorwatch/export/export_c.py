@@ -24,6 +24,7 @@ from rotorwatch.engine.default.program import parameters as balance_parameters
 from rotorwatch.engine.estimator.plant import DAMPING, GAIN, PER_AXIS
 from rotorwatch.errors import ConfigError
 from rotorwatch.export import export_default
+from rotorwatch.export.projects import cmake
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.methods.compiling.c99.project import Field, Program, emit_program
 from rotorwatch.methods.control import allocation
@@ -102,7 +103,7 @@ def _written(program: Program, folder: Path, example: str) -> Exported:
 def _saved(folder: Path, name: str, texts: dict[str, str]) -> tuple[Path, ...]:
     """The files of a project, written."""
     folder.mkdir(parents=True, exist_ok=True)
-    for file, text in (texts := {**texts, "CMakeLists.txt": _cmake(name)}).items():
+    for file, text in (texts := {**texts, "CMakeLists.txt": cmake(name)}).items():
         (folder / file).write_text(text, encoding="utf-8")
     return tuple(folder / file for file in texts)
 
@@ -306,25 +307,4 @@ int main(void)
     printf("\\n");
     return 0;
 }}
-"""
-
-
-def _cmake(name: str) -> str:
-    return f"""cmake_minimum_required(VERSION 3.10)
-project({name} C)
-
-option(ROTORWATCH_FLOAT "single precision" OFF)
-
-add_library({name} STATIC {name}.c)
-target_include_directories({name} PUBLIC ${{CMAKE_CURRENT_SOURCE_DIR}})
-set_target_properties({name} PROPERTIES C_STANDARD 99 C_EXTENSIONS OFF)
-if(ROTORWATCH_FLOAT)
-  target_compile_definitions({name} PUBLIC ROTORWATCH_FLOAT)
-endif()
-if(UNIX)
-  target_link_libraries({name} PUBLIC m)
-endif()
-
-add_executable(example example.c)
-target_link_libraries(example PRIVATE {name})
 """

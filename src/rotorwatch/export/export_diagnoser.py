@@ -30,6 +30,7 @@ from rotorwatch.engine.front import sizes
 from rotorwatch.engine.motion import allocation, ticks
 from rotorwatch.engine.motion.contact import look_back
 from rotorwatch.errors import ConfigError
+from rotorwatch.export import projects
 from rotorwatch.flight.vehicle import Vehicle
 
 SOURCES = Path(__file__).parent / "embedded_c"
@@ -188,6 +189,9 @@ def export_diagnoser(
     unit = (1000.0, 2000.0) if craft.curve.u_max > 2.0 else (0.0, 1.0)
     tables = vehicle_table(craft, unit), ticks.table(plan, known.get("hover"), control_hz >= 1.5 * rate_hz)
     texts = files(craft, plan, (rate_hz, gyro_hz, accel_hz), tables)
+    sources = [name for name in texts if name.endswith(".c")]
+    texts["example.c"] = projects.diagnoser_example(rate_hz, gyro_hz)
+    texts["CMakeLists.txt"] = projects.cmake("rw_diagnoser", sources)
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     written = []

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from rotorwatch.answer import mounts, slow
+from rotorwatch.answer.trim import Trims
 from rotorwatch.answer.unseen import Unseen
 from rotorwatch.engine.default import events
 from rotorwatch.engine.diagnoser import Diagnoser, Judged
@@ -17,9 +19,12 @@ from rotorwatch.live.account import Account
 from rotorwatch.live.beginnings import Beginnings
 from rotorwatch.live.stream import Piece
 
+TRIM_S = 30.0  # between two looks at the trim of the flight that goes on
+
 
 class Judge:
-    """One vehicle, piece by piece. now: the last ticks, and the estimator's outputs of these rows; None before there are any."""
+    """One vehicle, piece by piece. now: the last ticks, and the estimator's outputs of these rows; None before there are any. grown: what
+    the trim of the flight shows of a loss, as it was looked at last."""
 
     def __init__(self, diagnoser: Diagnoser, account: Account):
         """account: its way back."""
@@ -33,6 +38,8 @@ class Judge:
         self._overrides: tuple[Override, ...] = ()
         self.now: tuple[Ticks, Any] | None = None
         self.unseen = Unseen(self.B, plan.dt)
+        self.grown: slow.Growth | None = None
+        self._trims, self._trim_due, self._turned = Trims(self.B), -np.inf, tuple[Event, ...]()
         self.ticks = 0  # that were judged
 
     def on(self, piece: Piece, final: bool = False) -> None:
@@ -43,6 +50,8 @@ class Judge:
         self._spans, self._over, self._overrides = piece.spans, final, piece.overrides
         if piece.judged is not None:
             self._look(piece.judged)
+        if final or self._time >= self._trim_due:
+            self._look_at_trim()
         early = self._beginnings
         if early is not None and (final or early.due(self._spans, self._time)):
             early.look(self._diagnoser.learned, self._spans, self._time, final)
@@ -56,7 +65,10 @@ class Judge:
     def revision(self) -> int:
         """Grows, or shrinks, when there may be other events."""
         early = 0 if self._beginnings is None else len(self._beginnings.found)
-        return self._diagnoser.losses.announcements + len(self._overrides) + len(self._diagnoser.contacts) + early
+        slowly = len(self._turned) + int(self.grown is not None and self.grown.certain)
+        return (
+            self._diagnoser.losses.announcements + len(self._overrides) + len(self._diagnoser.contacts) + early + slowly
+        )
 
     @property
     def contact_s(self) -> float:
@@ -72,7 +84,7 @@ class Judge:
         """All that is claimed, as it looks now."""
         losses = self._diagnoser.losses.events(flies=not self._over)
         early = () if self._beginnings is None else self._beginnings.found
-        return (*losses, *early, *map(events.overridden, in_flight(self._overrides, self._spans)))
+        return (*losses, *early, *self._turned, *map(events.overridden, in_flight(self._overrides, self._spans)))
 
     def _look(self, judged: Judged) -> None:
         table, out = grounded(judged.table, self._spans), judged.out
@@ -80,7 +92,15 @@ class Judge:
             self._beginnings.add(table, self._spans)
         self._time, self.now = float(table.time[-1]), (table, out)
         self.unseen.add(out, table)
+        self._trims.add(out, table)
         self.ticks += int(np.count_nonzero(table.mode == JUDGE))
+
+    def _look_at_trim(self) -> None:
+        """What has changed slowly; what a flight that is over has shown stays until the next one shows enough."""
+        self._trim_due = self._time + TRIM_S
+        shown = self._trims.explain()
+        if shown is not None:
+            self.grown, self._turned = slow.find(shown, self.B), mounts.claims(shown)
 
 
 def _earlier(old: Spans, new: Spans) -> float | None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
 from rotorwatch.live.watched import Watched
 from rotorwatch.witnesses.aerobatic import judge as aerobatic
@@ -18,7 +19,10 @@ class Replay:
     """One log. speed: times as fast as it was flown; infinite: as fast as possible. Raises ConfigError for a vehicle that never hovers."""
 
     def __init__(self, flight: Flight, watched: Watched, speed: float = np.inf):
-        aerobatic.decline(flight, "it is judged as a whole, once it has landed, by `rotorwatch diagnose`.")
+        if aerobatic.flown_by_rates(flight):
+            raise ConfigError(
+                f"{flight.name or 'The log'} is of firmware that no link shows: judge it as a whole by `rotorwatch diagnose`."
+            )
         times = [s.time for s in flight.signals.values() if len(s)]
         self._now = min((float(t[0]) for t in times), default=0.0)
         self._end = max((float(t[-1]) for t in times), default=0.0)

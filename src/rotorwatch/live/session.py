@@ -146,8 +146,11 @@ class Session:
         if self._control is None or self._trust is None or self.vehicle is None:
             return ()
         B = self.vehicle.effectiveness()
-        claims, report = ((), events.Report(B)) if self._judge is None else (self._judge.claims(), self._judge.report)
-        merged = ledger.merge(claims, report, self._control.found, B.shape[1])
+        if self._judge is None:
+            claims, report, grown = (), events.Report(B), None
+        else:
+            claims, report, grown = self._judge.claims(), self._judge.report, self._judge.grown
+        merged = ledger.merge(claims, report, self._control.found, B.shape[1], grown)
         return ledger.believed(merged.events, self._trust.until)
 
     @property
@@ -219,7 +222,9 @@ class Session:
         """The events `found` and the evidence that none of them explains, with what all of the flight says of both."""
         if self._judge is None or self._judge.now is None:
             return tuple(found), ()
-        seen, spells = ledger.weighed(found, self._judge.unseen, (), float(self._judge.now[0].time[-1]))
+        seen, spells = ledger.weighed(
+            found, self._judge.unseen, (), float(self._judge.now[0].time[-1]), self._judge.grown
+        )
         return seen, () if self.doubt else spells
 
     def blind(self) -> str:

@@ -77,10 +77,10 @@ def rotor_loss(state: RotorState) -> str:
 def rotor_interval(state: RotorState) -> str:
     """The 95 % interval in words: of the loss, or of the change since take-off where no more than that was judged."""
     if state.status == "unobservable":
-        return f"up to {up_to(state.since_takeoff[1])} could be missing unseen" if state.since_takeoff else ""
+        return f"up to {up_to(state.since_takeoff[1])} unseen" if state.since_takeoff else ""
     if state.status == "healthy" and state.from_takeoff in ("not judged", "bounded") and state.since_takeoff:
-        in_all = f", with take-off {up_to(state.interval[1])}" if state.from_takeoff == "bounded" else ""
-        return f"at most {up_to(state.since_takeoff[1])} in flight{in_all}"
+        at_all = f" (take-off {up_to(state.interval[1])})" if state.from_takeoff == "bounded" else " in flight"
+        return f"at most {up_to(state.since_takeoff[1])}{at_all}"
     return interval(*state.interval)
 
 
@@ -117,15 +117,35 @@ def health(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
     was lost."""
     if all(r.status == "unobservable" for r in diagnosis.rotors) or diagnosis.story:
         return []  # grades and trends of a flight that ended out of control would be of the time before
-    return [(str(r.rotor), r.place, r.grade, _trend(r)) for r in diagnosis.rotors]
+    rows = [(str(r.rotor), r.place, grade(r), _trend(r)) for r in diagnosis.rotors]
+    return rows if any(grade or trend for _, _, grade, trend in rows) else []
+
+
+def grade(state: RotorState) -> str:
+    """A rotor's grade in words: 'worn', 'at most worn', 'degraded or critical'; empty where it may be anything."""
+    least, _, most = state.grade.partition(" to ")
+    if least == "not judged":
+        return ""
+    return least if not most else f"at most {most}" if least == SCALE[0][0] else f"{least} or {most}"
+
+
+def health_line(diagnosis: Diagnosis) -> str:
+    """The rotors whose loss grows or shrinks, a sentence; empty where none does."""
+    return " ".join(
+        f"Rotor {r.rotor}: {_trend(r)}."
+        for r in diagnosis.rotors
+        if r.trend and r.trend.word in ("growing", "shrinking")
+    )
 
 
 def _trend(state: RotorState) -> str:
+    """Empty where nothing is known: a trend that may be anything within VAGUE says nothing."""
     t = state.trend
-    if t is None:
-        return "not judged"
-    size = f": {rate(t.per_minute)} a minute" if t.word in ("growing", "shrinking") else ""
-    return f"{t.word}{size} ({rate(t.interval[0])[:-2]} to {rate(t.interval[1])} a minute)"
+    if t is None or (t.word in ("no trend", "unclear") and max(abs(t.interval[0]), abs(t.interval[1])) > VAGUE):
+        return ""
+    if t.word in ("growing", "shrinking"):
+        return f"{t.word}: {rate(t.per_minute)} a minute ({rate(t.interval[0])[:-2]} to {rate(t.interval[1])})"
+    return f"{t.word} (within {rate(max(abs(t.interval[0]), abs(t.interval[1])))} a minute)"
 
 
 def health_scale(diagnosis: Diagnosis) -> str:
@@ -187,6 +207,7 @@ def common_mode(diagnosis: Diagnosis) -> str:
 
 
 SMALL_SHIFT = 0.02
+VAGUE = 0.1  # a minute: a loss that may grow by more is not known to stay
 VARIED = 0.2  # share of the thrust from which "the same" would mean nothing
 
 

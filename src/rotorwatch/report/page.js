@@ -18,7 +18,7 @@
       }
       for (const drawn of f.renderers) if (drawn.name === "mode names") drawn.glyph.text_color = isDark ? "#e8ebee" : "#1b2127";
       for (const thing of f.center) {
-        if (thing.type === "Legend") thing.label_text_color = ink;
+        if (thing.type === "Legend") thing.label_text_color = isDark ? "#e8ebee" : "#1b2127";
         if (thing.type === "Label") thing.text_color = ink;
       }
     }

@@ -5,6 +5,7 @@ Where a table does not fit, its rows become lines: no word and no number is cut.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -15,7 +16,8 @@ from rich.table import Table
 from rich.text import Text
 
 from rotorwatch import report
-from rotorwatch.flight.diagnosis import Diagnosis
+from rotorwatch.flight.diagnosis import Diagnosis, RotorState
+from rotorwatch.flight.kinds import LOST
 from rotorwatch.report import plain, words
 from rotorwatch.report.overview import Row
 
@@ -31,6 +33,8 @@ STYLES = {
     "suspect": "yellow",
     "unobservable": "dim",
 }
+OTHERS = 5  # events that are named besides the main one
+ROUTINE = ("ignored", "was dropped", "were dropped", "was scaled", "taken as full output", "it is not used")
 BARS_FROM = 110  # columns from which a table has room for bars
 
 
@@ -42,9 +46,11 @@ def console(stderr: bool = False) -> Console:
     return out
 
 
-def diagnosis(result: Diagnosis) -> RenderableType:
-    """The whole answer for one flight."""
-    parts: list[RenderableType] = [_heading(result), Text(), _rotors(result), *_health(result)]
+def diagnosis(result: Diagnosis, verbose: bool = False) -> RenderableType:
+    """The answer for one flight: verdict, story, reason, the rotors, what to do; verbose: with all that it rests on."""
+    if not verbose:
+        return Group(*_heading(result, brief=True), *_table(result), *_besides(result))
+    parts: list[RenderableType] = [*_heading(result), *_steps(result), Text(), _rotors(result), *_health(result)]
     parts += [Text(), _events(result)] if result.events else []
     parts += _mentions(result)
     rows = report.comparison(result)
@@ -52,6 +58,33 @@ def diagnosis(result: Diagnosis) -> RenderableType:
         head = ("check", "found", "at", "why")
         parts += [Text(), Fitted("Who found what, when", head, [[Text(cell) for cell in row] for row in rows], (2,))]
     return Group(*parts, Text(), _small_print(result))
+
+
+def _table(result: Diagnosis) -> list[RenderableType]:
+    """The rotors, where anything is known of one."""
+    known = (r for r in result.rotors if report.rotor_loss(r) != "?" or report.rotor_interval(r) or _noted(r, result))
+    return [Text(), _rotors(result, brief=True)] if any(True for _ in known) else []
+
+
+def _besides(result: Diagnosis) -> list[RenderableType]:
+    """What else happened, what to do, and how to see the rest."""
+    others = [e for k, e in enumerate(result.events) if k != result.main and not (result.story and e.kind == LOST)]
+    out: list[RenderableType] = []
+    for e in others[:OTHERS]:
+        who = f" of {report.candidates(e)}" if e.rotors else ""
+        out.append(_aside(f"{report.seconds(e.onset_s)}: {e.means.noun}{who}"))
+    if len(others) > OTHERS:
+        out.append(_aside(f"and {len(others) - OTHERS} more events"))
+    out += [_aside(f"{sentence}", "! ") for sentence in result.warnings if not _routine(sentence)]
+    out += _steps(result)
+    left = {"warning": len(result.warnings), "assumption": len(result.assumptions), "event": len(result.events)}
+    said = ", ".join(f"{n} {word}{'s' if n > 1 else ''}" for word, n in left.items() if n)
+    return [*out, Text(f"What this rests on{f' ({said})' if said else ''}: --verbose", style="dim")]
+
+
+def _routine(warning: str) -> bool:
+    """Of a log as most are: single values that were left out, and how its firmware writes what it measures."""
+    return any(words in warning for words in ROUTINE)
 
 
 def line(name: str, result: Diagnosis) -> Text:
@@ -156,20 +189,31 @@ def _longest_line(text: Text) -> int:
     return max((piece.cell_len for piece in text.split()), default=0)
 
 
-def _heading(result: Diagnosis) -> RenderableType:
+def _heading(result: Diagnosis, brief: bool = False) -> list[RenderableType]:
     facts = result.flight
     text = Text(report.VERDICTS[result.verdict].upper(), style=STYLES[result.verdict])
     text.append("  ").append(result.headline, style="default bold")
     what = [str(facts["name"])] if facts.get("name") else []
-    what += [report.frame(result), *(str(facts[k]) for k in ("autopilot", "profile") if facts.get(k))]
+    what += [report.frame(result), *(str(facts[k]) for k in ("autopilot",) if facts.get(k))]
+    what += [] if brief else [str(facts[k]) for k in ("profile",) if facts.get(k)]
     what += [f"{float(facts.get('duration_s') or 0):.0f} s", *filter(None, [report.day(result)])]
-    steps = (_aside(f"→ {step}") for step in result.advice)
-    parts = text, *_story(result), Text(report.sentence(result.reason)), *steps
-    return Group(Text(" · ".join(what), style="dim"), Text(), *parts)
+    reason = report.sentence(result.reason)
+    known = brief and (bool(result.story) or _said(reason, result.headline))
+    return [Text(" · ".join(what), style="dim"), Text(), text, *_story(result), *([] if known else [Text(reason)])]
 
 
-def _aside(text: str) -> Padding:
-    return Padding(Text(text), (0, 0, 0, 1))
+def _said(reason: str, headline: str) -> bool:
+    """Whether a headline says all of a reason."""
+    plain_ = [re.sub(r"[^a-z0-9]+", " ", text.lower()).strip() for text in (reason, headline)]
+    return plain_[0] in plain_[1]
+
+
+def _steps(result: Diagnosis) -> list[RenderableType]:
+    return [_aside(step, "→ ") for step in result.advice]
+
+
+def _aside(text: str, mark: str = "") -> Padding:
+    return Padding(Text(f"{mark}{text}"), (0, 0, 0, 1))
 
 
 def _story(result: Diagnosis) -> list[RenderableType]:
@@ -194,7 +238,7 @@ def listing(title: str, *columns: str, right: Iterable[int] = ()) -> Table:
     return table
 
 
-def _rotors(result: Diagnosis) -> RenderableType:
+def _rotors(result: Diagnosis, brief: bool = False) -> RenderableType:
     if not result.rotors:
         return Text("The log shows no rotors.")
     rows = []
@@ -209,8 +253,15 @@ def _rotors(result: Diagnosis) -> RenderableType:
         )
     head = ("rotor", "where", "status", "loss", "95 % interval", "")
     table = Fitted(report.rotors_title(result), head, rows, right=(0, 3), wide=(4,), bars=(5,), short=(0, 3))
-    notes = [f"Rotor {r.rotor}: {r.note}." for r in result.rotors if r.note] + [report.scope(result)]
+    notes = [f"Rotor {r.rotor}: {r.note}." for r in result.rotors if (_noted(r, result) if brief else r.note)]
+    notes += [report.health_line(result)] if brief else [report.scope(result)]
     return Group(table, *(_aside(note) for note in notes if note))
+
+
+def _noted(state: RotorState, result: Diagnosis) -> bool:
+    """Whether a rotor's note says more than the story: that the rotor worked until control was lost."""
+    told = bool(result.story) and state.note.startswith("seen to work until") and " and " not in state.note
+    return bool(state.note) and not told
 
 
 def _health(result: Diagnosis) -> list[RenderableType]:

@@ -255,6 +255,7 @@ class Definition:
         seal = goal.with_suffix(".sha256")
         if goal.exists() and seal.exists() and seal.read_text() == shipped.digest_of(goal):
             return goal
+        toolchain.building(self.name)
         with tempfile.TemporaryDirectory() as scratch:
             place = Path(scratch)
             for name, text in zip(("rw_config.h", f"rw_{self.name}.h", f"rw_{self.name}.c"), self.translated()):

@@ -12,6 +12,7 @@ import shlex
 import shutil
 import subprocess
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 from rotorwatch.base import incoming
@@ -21,6 +22,14 @@ from rotorwatch.errors import BackendWarning, ConfigError
 
 class Unavailable(ConfigError):
     """No native code on this computer; the sentence says why."""
+
+
+def _silent(what: str) -> None:
+    """Nobody waits."""
+
+
+building: Callable[[str], None] = _silent
+"""Called with what is about to be built, which takes seconds and is done once: a program with somebody who waits sets it."""
 
 
 def compiler() -> str:

@@ -115,6 +115,13 @@ def ready_after(ready_s: float, dt: float) -> float:
     return max(ready_s, READY_TICKS * dt)
 
 
+def ready_of(ready_s: float, air: Sequence[tuple[float, float]]) -> float:
+    """Blind time in s after lift-off of a whole log that was in the air at these times ((start, end), ...) s: half of its longest flight
+    at most, so that a short one is judged as well, but time enough to learn the noise."""
+    longest = max((end - start for start, end in air), default=np.inf)
+    return min(ready_s, max(0.5 * longest, READY_KNOWN_S))
+
+
 def _period(signal: Signal) -> float:
     """Usual time between two samples that are known, s; NaN with fewer than two."""
     time = signal.time[signal.valid.all(axis=1)]

@@ -83,6 +83,7 @@ def build(header: str, source: str, name: str) -> Path:
     with _alone(goal), tempfile.TemporaryDirectory() as scratch:
         if _sealed(goal):  # by another process meanwhile
             return goal
+        toolchain.building(name)
         for suffix, text in ((".h", header), (".c", source)):
             (Path(scratch) / f"{name}{suffix}").write_text(text, encoding="utf-8")
         made = Path(scratch) / "made.so"
@@ -295,7 +296,7 @@ def _jax_version() -> str:
     try:
         return metadata.version("jax")
     except metadata.PackageNotFoundError:
-        raise Unmakeable("This needs JAX, which is not installed: pip install jax.") from None
+        raise Unmakeable("This needs JAX, which is not installed: pip install 'rotorwatch[research]'.") from None
 
 
 def _named(function: Callable) -> str | None:

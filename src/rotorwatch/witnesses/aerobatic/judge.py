@@ -15,14 +15,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rotorwatch import airframes
 from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.default.program import TickOutput
 from rotorwatch.engine.estimator import hypotheses
 from rotorwatch.engine.estimator.announcement import FALSE_ALARM_PERIOD_S
 from rotorwatch.engine.estimator.posterior import PLACES
 from rotorwatch.engine.front.losses import WITHIN_95
+from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.allocation import Spans
-from rotorwatch.engine.motion.ticks import GROUND, JUDGE, Ticks
+from rotorwatch.engine.motion.ticks import GROUND, JUDGE, READY_KNOWN_S, Ticks, observe
 from rotorwatch.engine.motion.ticks import LEARN as LEARNING
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
@@ -31,10 +33,16 @@ from rotorwatch.methods.published.published import blank
 from rotorwatch.witnesses.aerobatic.response import EDGE_S, WINDOW_S, Response, respond
 
 BLOCK_S = 1.0
+LEAST_HZ = 100.0  # of motors and gyro, for two samples in a window
+CARRIES = (0.5, 2.0)  # times the thrust of hover
+HOVERING = 0.8  # share of the ticks in the air in which a flight that hovers is carried by it, and does not tumble
 FIRMWARES = ("betaflight", "inav", "emuflight", "cleanflight", "baseflight", "butterflight")
-LEARN = 10  # blocks of a flight in which its trim and scatter are learned
+LEARN, LEARN_LEAST = (
+    10,
+    4,
+)  # blocks of a flight in which its trim and scatter are learned; of a short one half of them, but so many
 FIRM = 10  # blocks before and after an onset
-READY_S = LEARN * BLOCK_S + EDGE_S  # in the air, before anything is judged
+READY_S = LEARN_LEAST * BLOCK_S + 2.0 * EDGE_S  # in the air, of which nothing is judged
 ALIKE = (
     0.35  # correlation of a block's noise with the next one's: 0.1 to 0.75 in roll, 0.0 to 0.3 else (docs/aerobatic.md)
 )
@@ -96,15 +104,35 @@ class Look:
     most: np.ndarray
 
 
-def applies(flight: Flight) -> bool:
-    """Whether a flight is of a vehicle that does not hover: of firmware for pilots who command rates."""
+def flown_by_rates(flight: Flight) -> bool:
+    """Whether a flight is of firmware for pilots who command rates."""
     return flight.autopilot.lower() in FIRMWARES
+
+
+def applies(flight: Flight, table: Ticks | None) -> bool:
+    """Whether a flight of these ticks does not hover, so that it is judged here: its rotors hardly ever carry its weight, or it tumbles,
+    and its log is fast enough to show how it turns. One of which no motion is known is taken to be flown as is usual for its firmware."""
+    if not flight.has("gyro") or table is None:
+        return flown_by_rates(flight)
+    fast = min(flight[name].rate_hz for name in ("motors", "gyro")) >= LEAST_HZ
+    up = table.mode > GROUND
+    if not up.any() or not (fast or flown_by_rates(flight)):
+        return False
+    carried = table.thrust[up].mean(axis=1)
+    hovers = (carried > CARRIES[0]) & (carried < CARRIES[1]) & ~table.upset[up]
+    return float(hovers.mean()) < HOVERING
 
 
 def decline(flight: Flight, why: str) -> None:
     """Raise ConfigError where a way that is made for hover is asked to judge a flight that is judged here. why: the sentence goes on."""
-    if applies(flight):
-        raise ConfigError(f"{flight.name or 'The log'} is flown by commanded rates and does not hover: {why}")
+    if (
+        flown_by_rates(flight)
+        or min((flight[n].rate_hz for n in ("motors", "gyro") if flight.has(n)), default=0.0) >= LEAST_HZ
+    ):
+        vehicle = airframes.identify(flight)
+        table = observe(flight, vehicle, airborne(flight), READY_KNOWN_S) if vehicle is not None else None
+        if applies(flight, table):
+            raise ConfigError(f"{flight.name or 'The log'} does not hover: {why}")
 
 
 def lacks(flight: Flight) -> tuple[str, ...]:
@@ -117,8 +145,13 @@ def lacks(flight: Flight) -> tuple[str, ...]:
     )
 
 
-def examine(known: Blocks, B: np.ndarray, variance: np.ndarray, weak: list[Weak]) -> Look:
-    """The blocks of a flight so far, of a vehicle with effectiveness B (4, n). variance (3,): of `scatter`."""
+def learning(known: Blocks) -> int:
+    """How many of the blocks of a whole flight are learned from."""
+    return min(LEARN, max(LEARN_LEAST, len(known.end) // 2))
+
+
+def examine(known: Blocks, B: np.ndarray, variance: np.ndarray, weak: list[Weak], learn: int = LEARN) -> Look:
+    """The blocks of a flight so far, of a vehicle with effectiveness B (4, n). variance (3,): of `scatter`; learn: as of `learning`."""
     z, T = known.missing, known.thrust
     K, n = T.shape
     precision = _precision(z, variance)
@@ -153,7 +186,7 @@ def examine(known: Blocks, B: np.ndarray, variance: np.ndarray, weak: list[Weak]
     crossed = since(precision[:, :, None] * X)
     steps -= np.einsum("kaq,qp,kap->ka", crossed, Q, crossed)
     other = _ratio(since(precision * left), steps, STEP_SD)[0].sum(axis=1)
-    first, last = max(LEARN // 2, K - LOOK_BACK), K - 1
+    first, last = max(learn // 2, K - LOOK_BACK), K - 1
     ratio, other = ratio[first:last], other[first:last]
     each = np.logaddexp.reduce(ratio, axis=0)
     limit = np.log(FALSE_ALARM_PERIOD_S / BLOCK_S * n)
@@ -204,10 +237,11 @@ def estimate(flight: Flight, vehicle: Vehicle, air: Spans, table: Ticks) -> tupl
     out, seen = blank(len(table.time), list_hypotheses(B.shape[1])), respond(flight, vehicle, air)
     out.statistic[:], out.detectable[:] = NOTHING, 1.0 / WITHIN_95
     known = None if seen is None else blocks(seen, air)
-    if known is None or len(known.end) <= LEARN:
+    if known is None or len(known.end) <= LEARN_LEAST:
         return _observed(table, air, np.inf), out
-    _follow(out, known, table, B)
-    return _observed(table, air, known.end[LEARN]), out
+    learn = learning(known)
+    _follow(out, known, table, B, learn)
+    return _observed(table, air, known.end[learn]), out
 
 
 def _observed(table: Ticks, air: Spans, since: float) -> Ticks:
@@ -221,14 +255,14 @@ def _observed(table: Ticks, air: Spans, since: float) -> Ticks:
     return replace(table, mode=mode, upset=nothing, contact=None, contacts=(), valid=valid)
 
 
-def _follow(out: TickOutput, known: Blocks, table: Ticks, B: np.ndarray) -> None:
+def _follow(out: TickOutput, known: Blocks, table: Ticks, B: np.ndarray, learn: int) -> None:
     """Block by block; what is known goes on over landings."""
     weak: list[Weak] = []
     variance = scatter(known)
-    for k in range(LEARN, len(known.end)):
+    for k in range(learn, len(known.end)):
         first = int(np.searchsorted(table.time, known.end[k]))
         so_far = Blocks(*(x[: k + 1] for x in vars(known).values()))
-        now = examine(so_far, B, variance, weak)
+        now = examine(so_far, B, variance, weak, learn)
         out.statistic[first:] = now.statistic
         if now.statistic > 0.0 and first < len(table.time):
             active = {one.rotor for one in weak if one.end is None}
@@ -237,7 +271,7 @@ def _follow(out: TickOutput, known: Blocks, table: Ticks, B: np.ndarray) -> None
             weak += [replace(one, end=now.onset) for one in over] or [Weak(now.rotor, now.onset)]
             age = np.searchsorted(table.command_time, (known.end[k], known.start[now.onset]))
             _announce(out, first, now, active, float(age[0] - age[1]))
-            now = examine(so_far, B, variance, weak)
+            now = examine(so_far, B, variance, weak, learn)
         out.theta[first:], out.detectable[first:] = now.loss, now.most / WITHIN_95
         out.theta_sd[first:] = np.sqrt(now.sd**2 + (CURVE_SD * now.loss * (1.0 - now.loss)) ** 2)
     for k in np.flatnonzero(table.restart):  # what is still weak at a take-off is said again of that flight
