@@ -559,6 +559,12 @@ FIELDS = {
     "events[].size": SHOWN,
     "events[].gives": HIDDEN,  # in words in the event's reason, to one digit
     "events[].grew_until_s": HIDDEN,  # in the headline
+    "events[].yaw": HIDDEN,  # of a mount that turned: in the event's reason, to one digit
+    "events[].yaw_interval": HIDDEN,
+    "events[].trouble": HIDDEN,  # of a report of the autopilot: in words in its reason
+    "events[].texts": HIDDEN,  # the first in its reason
+    "events[].least_v": HIDDEN,  # in its reason, to one digit
+    "events[].limit_v": HIDDEN,
     "events[].shared": HIDDEN,
     "events[].unit": word("the unit of a contact"),
     "events[].times": HIDDEN,  # the first in the headline, all in the report's JSON

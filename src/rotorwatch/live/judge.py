@@ -39,6 +39,7 @@ class Judge:
         self.now: tuple[Ticks, Any] | None = None
         self.unseen = Unseen(self.B, plan.dt)
         self.grown: slow.Growth | None = None
+        self._added = 0  # 1 where that changes the losses that were told
         self._trims, self._trim_due, self._turned = Trims(self.B), -np.inf, tuple[Event, ...]()
         self.ticks = 0  # that were judged
 
@@ -65,10 +66,8 @@ class Judge:
     def revision(self) -> int:
         """Grows, or shrinks, when there may be other events."""
         early = 0 if self._beginnings is None else len(self._beginnings.found)
-        slowly = len(self._turned) + int(self.grown is not None and self.grown.certain)
-        return (
-            self._diagnoser.losses.announcements + len(self._overrides) + len(self._diagnoser.contacts) + early + slowly
-        )
+        told = self._diagnoser.losses.announcements + len(self._overrides) + len(self._diagnoser.contacts)
+        return told + early + len(self._turned) + self._added
 
     @property
     def contact_s(self) -> float:
@@ -101,6 +100,8 @@ class Judge:
         shown = self._trims.explain()
         if shown is not None:
             self.grown, self._turned = slow.find(shown, self.B), mounts.claims(shown)
+            losses = self._diagnoser.losses.events(flies=not self._over)
+            self._added = int(slow.join(losses, self.grown) != losses)
 
 
 def _earlier(old: Spans, new: Spans) -> float | None:

@@ -16,7 +16,7 @@ from rotorwatch.report.thinning import Screen, airborne, windows, within
 CHANNELS = ("roll", "pitch", "yaw", "thrust")
 ANGLES = ("roll", "pitch", "yaw")
 HYPOTHESES = 8
-COLUMNS = 4  # of a legend
+COLUMNS = 1  # of a legend: a telephone is not wide enough for two
 
 
 def plots(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -164,7 +164,7 @@ def _evidence(trace: Trace, source, x_range, shown: list[str], looks) -> Any:
     seen = np.nan_to_num(np.stack([trace.evidence[name] for name in shown])[:, airborne(trace)])
     top = 1.08 * max(float(seen.max(initial=0.0)), 1.5 * abs(float(trace.threshold)), 1.0)
     low = max(1.05 * float(seen.min(initial=0.0)), -top)  # how unlikely the wrong ones are is of no interest
-    p = blank(x_range, 320, "log10 odds against healthy", tips, y_range=Range1d(start=low, end=top))
+    p = blank(x_range, 400, "log10 odds against healthy", tips, y_range=Range1d(start=low, end=top))
     p.name = "evidence"
     lines = []
     for i, name in reversed(list(enumerate(shown))):  # the likeliest on top
@@ -175,9 +175,7 @@ def _evidence(trace: Trace, source, x_range, shown: list[str], looks) -> Any:
     p.add_layout(Span(location=float(trace.threshold), dimension="width", line_color=INK, line_width=2.2))
     legend = Legend(items=items, location="left", orientation="horizontal", ncols=COLUMNS, click_policy="hide")
     legend.update(background_fill_alpha=0.0, border_line_color=None)
-    legend.update(
-        label_text_color=INK, label_text_font_size="13px", label_text_font="system-ui, sans-serif", spacing=12
-    )
+    legend.update(label_text_color=INK, label_text_font_size="12px", label_text_font="system-ui, sans-serif", spacing=0)
     legend.update(padding=4, label_height=16, glyph_height=16)
     p.add_layout(legend, "above")  # over the lines it would hide them
     return p
