@@ -375,7 +375,8 @@ def test_one_value_that_cannot_be_changes_no_answer_of_a_flight_in_memory(name, 
     damaged = replace(flight, signals={**flight.signals, name: replace(flight[name], values=values)})
     answer, clean = diagnose(damaged, QUAD), diagnose(flight, QUAD)
     assert (answer.verdict, answer.events) == (clean.verdict, clean.events) == ("healthy", ())
-    assert bool(answer.warnings) == np.isfinite(wrong)
+    said = [text for text in answer.warnings if "ends in the air" not in text]
+    assert bool(said) == np.isfinite(wrong)
 
 
 @pytest.mark.parametrize("wrong", [1e300, -1e300, np.inf, np.nan, 0.0])

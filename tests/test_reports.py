@@ -8,7 +8,7 @@ import pytest
 from conftest import hexa_event
 from rotorwatch.answer import story
 from rotorwatch.flight import Flight, Message, Signal
-from rotorwatch.flight.kinds import ENDS, LOST, REPORTED
+from rotorwatch.flight.kinds import LOST, REPORTED
 from rotorwatch.witnesses import reports
 
 AIR = ((5.0, 60.0),)
@@ -52,10 +52,10 @@ def test_what_is_no_trouble_or_not_of_the_flight_is_not_told(time, text):
 
 
 def test_a_log_ends_in_the_air_where_nothing_comes_after_its_flight():
-    (event,) = reports.claims(flight(duration=60.3), AIR)
-    assert event.kind == ENDS and event.onset_s == 60.0
-    assert reports.claims(flight(LANDED, duration=60.3), AIR) == () == reports.claims(flight(), AIR)
-    assert reports.claims(flight(duration=60.3), ()) == ()
+    (said,) = reports.end(flight(duration=60.3), AIR)
+    assert "ends in the air at 60.0 s" in said
+    assert reports.end(flight(LANDED, duration=60.3), AIR) == () == reports.end(flight(), AIR)
+    assert reports.end(flight(duration=60.3), ()) == ()
 
 
 def sagging(least, **limits):

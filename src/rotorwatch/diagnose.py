@@ -260,6 +260,7 @@ def _find(ready: Prepared, done: Estimated) -> Merged:
         claims = (*claims, *hindsight.find(done.last, table, B))
     overridden = deviations.overrides(flight, craft, air) if one is None else deviations.in_flight(one.overrides, air)
     claims = (*claims, *map(events.overridden, overridden))
+    ready.warnings += reports.end(flight, air)
     shown = trim.explain(done.out, table, B) if done.own and ready.hovers else None
     grown = slow.find(shown, B)
     claims = (*claims, *mounts.claims(shown), *reports.claims(flight, air))

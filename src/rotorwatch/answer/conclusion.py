@@ -366,7 +366,7 @@ def _lopsided(seen: Evidence) -> str:
     if max(bounds) - min(bounds) < ALIKE:
         return f"From take-off on no rotor lacked more than {most}."
     who = rotors([int(np.argmax(bounds)) + 1], seen.places)
-    return sentence(f"{who} may have lacked up to {most} from take-off on, the others less.")
+    return f"From take-off on no rotor lacked more than {most}, and only {who} perhaps so much."
 
 
 def _growing(seen: Evidence) -> list[tuple[int, Trend]]:

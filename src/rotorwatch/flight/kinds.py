@@ -15,7 +15,7 @@ LOSS, OVERRIDE, CONTACT, LOST = "loss_of_effectiveness", "output_override", "con
 ORDER, DESYNC = "motor_order", "desync"
 SLOW, HIGH, LOW = "slow_motor", "high_current", "low_current"
 TURNED = "turned_mount"
-REPORTED, ENDS = "autopilot_report", "ends_in_the_air"
+REPORTED = "autopilot_report"
 
 
 class Weight(Enum):
@@ -212,14 +212,6 @@ ROWS = (
         Weight.NOTICE, brief="reported trouble",
         headline=Words("", nameless="At {at} {why}."),
         advice=Words("", nameless="At {at} {why}: find out why before the next flight."),
-    ),
-    Kind(
-        ENDS, "end of the log in the air", "the log ends while the vehicle flies", Weight.NOTICE, brief="log ends in the air",
-        headline=Words("", nameless="The log ends in the air at {at}."),
-        advice=Words(
-            "", nameless="Find out why the log ends in the air at {at}: what happened then is not in it. Look at the battery, its "
-            "connectors and the power module, and for a second log.",
-        ),
     ),
 )  # fmt: skip
 TABLE = {row.name: row for row in ROWS}

@@ -15,7 +15,7 @@ import numpy as np
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.flight import Flight, Message
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.flight.kinds import ENDS, REPORTED
+from rotorwatch.flight.kinds import REPORTED
 
 LATE_S = 1.0  # after a flight: what ended it is written down a moment later
 LOW_S = 3.0  # for which a voltage is low before it is told
@@ -60,11 +60,11 @@ TROUBLES = (
 
 
 def claims(flight: Flight, air: Spans) -> tuple[Event, ...]:
-    """The reports in the flights `air` ((start, end), ...) s, and the end of a log that is none of a flight."""
+    """The reports in the flights `air` ((start, end), ...) s."""
     told = _reports(flight.messages, air)
     if not any(e.extra["trouble"] == "battery" for e in told):
         told += _low_voltage(flight, air)
-    return (*sorted(told, key=lambda e: e.onset_s), *_ends(flight, air))
+    return tuple(sorted(told, key=lambda e: e.onset_s))
 
 
 def _reports(messages: tuple[Message, ...], air: Spans) -> list[Event]:
@@ -93,8 +93,10 @@ def _low_voltage(flight: Flight, air: Spans) -> list[Event]:
     name, limit = next(((k, set_[k] * n) for k, n in limits.items() if set_.get(k, 0.0) * n > 0.0), ("", 0.0))
     if battery is None or not limit or not air:
         return []
-    start, end = air[0][0], air[-1][1]
-    inside = battery.valid[:, 0] & (battery.time >= start) & (battery.time <= end)
+    aloft = np.zeros(len(battery), bool)
+    for start, end in air:
+        aloft |= (battery.time >= start) & (battery.time <= end)
+    inside = aloft & battery.valid[:, 0]
     time, volts = battery.time[inside], battery.values[inside, 0]
     low = (volts > 0.0) & (volts < limit)
     since = time[np.maximum.accumulate(np.where(low, 0, np.arange(time.size)))] if time.size else time
@@ -111,12 +113,12 @@ def _event(time: float, reason: str, extra: dict) -> Event:
     return Event(REPORTED, (), time, time, None, (), (), 1.0, (), reason, extra)
 
 
-def _ends(flight: Flight, air: Spans) -> list[Event]:
-    """The log ends in the air: nothing after its last flight, neither a landing nor disarmed motors."""
+def end(flight: Flight, air: Spans) -> tuple[str, ...]:
+    """A sentence where the log ends in the air: nothing comes after its last flight, neither a landing nor disarmed motors."""
     if not air or air[-1][1] < flight.duration - LATE_S:
-        return []
-    end = air[-1][1]
-    if any(m.kind in ("landed", "armed") and m.time > end - LATE_S for m in flight.messages):
-        return []
-    reason = "the log ends while the vehicle flies: the power or the logging failed, or somebody stopped it"
-    return [Event(ENDS, (), end, end, None, (), (), 1.0, (), reason)]
+        return ()
+    last = air[-1][1]
+    if any(m.kind in ("landed", "armed") and m.time > last - LATE_S for m in flight.messages):
+        return ()
+    why = "the power or the logging failed, or somebody stopped it"
+    return (f"The log ends in the air at {last:.1f} s: {why}. What happened then is not in it.",)
