@@ -22,7 +22,7 @@ def claims(found: Explained | None) -> tuple[Event, ...]:
     half = WITHIN_95 * float(np.sqrt(of @ (AMOUNTS - yaw) ** 2 / of.sum() + (0.5 * step) ** 2))
     side = "right" if yaw > 0.0 else "left"
     reason = (
-        f"since {onset:.1f} s the rotors have had to turn the vehicle to the {side} by {abs(yaw):.1f} times what one rotor's drag does in "
+        f"since {onset:.1f} s the rotors have had to yaw the vehicle to the {side} by {abs(yaw):.1f} times what one rotor's drag does in "
         "hover, and the motion does not show it: more than wind or a load do. No thrust is missing"
     )
     extra = {"yaw": round(yaw, 3), "yaw_interval": [round(yaw - half, 3), round(yaw + half, 3)]}
