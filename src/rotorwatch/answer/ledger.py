@@ -13,7 +13,7 @@ ESC telemetry and desyncs are heard last, and know the events by then. A link an
     ESC: a rotor stands   a lasting fault names the rotor since, or soon after
     ESC: its speed fell   a loss names the rotor
     desync                control is lost by then, or the rotor had lost most of its thrust
-    trim                  a fault lasts beside it: what a weak rotor does to yaw is not known well
+    trim                  a fault is told beside it: what a weak rotor does to yaw is not known well
     all that rests on     the log, or the link, contradicts itself
     outputs
 """
@@ -106,7 +106,7 @@ def _falls(claim: Event, known: Event) -> bool:
     return gone and known.onset_s - CRASH_S < claim.onset_s < (known.end_s or np.inf)
 
 
-def _lasts_beside(claim: Event, known: Event) -> bool:
+def _accuses(claim: Event, known: Event) -> bool:
     return known.means.accuses
 
 
@@ -116,7 +116,7 @@ _EXPLAINS: dict[Source, Callable[[Event, Event], bool]] = {
     Source.ESC_STANDS: _named_as_it_stands,
     Source.ESC_CHANGED: _weak,
     Source.DESYNC: _falls,
-    Source.TRIM: _lasts_beside,
+    Source.TRIM: _accuses,
 }
 
 

@@ -12,8 +12,7 @@ from rotorwatch.flight.kinds import TURNED
 
 def claims(found: Explained | None) -> tuple[Event, ...]:
     """The claim of a flight, if there is one."""
-    odds = 0.0 if found is None else float(np.exp(min(found.against(found.turned), 50.0)))
-    if found is None or odds < CLEAR:
+    if found is None or (odds := found.odds(found.turned)) < CLEAR:
         return ()
     weight = np.exp(found.turned - found.turned.max())
     course, of = weight.sum(axis=1), weight.sum(axis=0)

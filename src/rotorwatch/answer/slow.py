@@ -63,8 +63,8 @@ def find(found: Explained | None, B: np.ndarray) -> Growth | None:
     seen, starts, rises, logs = found.trim, found.starts, found.rises, found.losses
     rotor = np.logaddexp.reduce(logs, (0, 2))  # (n,), with the prior
     best = int(rotor.argmax())
-    nats = found.against(logs[:, best])
-    if nats < 0.0:
+    odds = found.odds(logs[:, best])
+    if odds < 1.0:
         return None
     grows = rises * seen.length >= GROWS_S
     grew = bool(
@@ -82,7 +82,6 @@ def find(found: Explained | None, B: np.ndarray) -> Growth | None:
         found.since(_quantile(of[grows], weight, share)) for of, share in ((starts, BEGUN), (starts + rises, 0.5))
     )
     shows = start + (end - start) * min(dict(SCALE)["worn"] / each[0][0], 1.0)
-    odds = float(np.exp(min(nats, 50.0)))
     before = seen.z[: max(1, int(np.searchsorted(seen.time, start)))].mean(axis=0)
     course = (seen.z - before) @ B[:3, best] / ((B[:3, best] ** 2).sum() * np.maximum(seen.share[:, best], LEAST_SHARE))
     return Growth(

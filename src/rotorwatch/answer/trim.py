@@ -59,8 +59,8 @@ class Trim(NamedTuple):
 
 class Explained(NamedTuple):
     """A trim with what explains it. starts, rises (C,): courses, t0 and t1 - t0 in blocks. Log-odds to `nothing`, with their priors: losses
-    (C, n, S): a rotor, for each course and size of SIZES; turned (C, A): a mount that turns the
-    vehicle by each of AMOUNTS, none below TURNED; other: everything else together."""
+    (C, n, S): a rotor, for each course and size of SIZES; turned (C, A): a mount that turns the vehicle by each of AMOUNTS, none below
+    TURNED; other: everything else together."""
 
     trim: Trim
     starts: np.ndarray
@@ -69,11 +69,10 @@ class Explained(NamedTuple):
     turned: np.ndarray
     other: float
 
-    def against(self, *mine: np.ndarray) -> float:
-        """Log-odds of one explanation or several, parts of these arrays, to all others."""
-        everything = np.logaddexp.reduce([*(_total(x) for x in (self.losses, self.turned)), self.other])
-        own = np.logaddexp.reduce([_total(x) for x in mine])
-        return float(own - everything - np.log1p(-np.exp(min(own - everything, -1e-12))))
+    def odds(self, mine: np.ndarray) -> float:
+        """Odds of an explanation, a part of these arrays, to all others together."""
+        share = _total(mine) - np.logaddexp.reduce([_total(self.losses), _total(self.turned), self.other])
+        return float(np.exp(share - np.log1p(-np.exp(min(share, -1e-12)))))
 
     def since(self, start: float) -> float:
         """The time of a place among the blocks, s."""
