@@ -17,9 +17,10 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.answer import places
+from rotorwatch.answer import from_takeoff, places
 from rotorwatch.answer.conclusion import Evidence, conclude
-from rotorwatch.flight.diagnosis import Diagnosis, Event, Trace
+from rotorwatch.answer.ledger import open_claims
+from rotorwatch.flight.diagnosis import Diagnosis, Event, Source, Trace
 
 # Tests run as users run them, and so do the commands that they start: PYTHONUNBUFFERED or COLUMNS of a developer's shell can hide a fault.
 # Besides what everyone has, there stays where Python, compilers and temporary files are, and what says how the tests themselves are run.
@@ -264,13 +265,16 @@ def hexa_event(**changes):
     return replace(event, **changes)
 
 
-def hexa_diagnosis(
-    events=None, whole_flight=None, doubts=(), residual_evidence=(), judged_s=46.0, population=None, **changes
-):
+def hexa_diagnosis(events=None, whole_flight=None, doubts=(), evidence=(), judged_s=46.0, population=None, **changes):
     """The answer to these events of a hexa X in 60 s; by default to one, the loss of rotor 3. changes: of the Diagnosis made of it."""
+    events, air = (hexa_event(),) if events is None else events, ((4.0, 58.0),)
+    compared = (
+        *from_takeoff.claims(whole_flight, Source.FLIGHTS, air),
+        *from_takeoff.claims(population, Source.VEHICLES, air),
+    )
     seen = Evidence(
-        (hexa_event(),) if events is None else events, 6, whole_flight, hidden=np.full(6, 0.04), judged_s=judged_s,
-        residual_evidence=residual_evidence, places=places.names(HEXA), hops=((4.0, 58.0),), population=population,
+        events, 6, hidden=np.full(6, 0.04), judged_s=judged_s, claims=open_claims((*compared, *evidence), events),
+        places=places.names(HEXA), hops=air, comparable=whole_flight is None,
     )  # fmt: skip
     end = conclude(seen, doubts)
     whole = Diagnosis(
@@ -309,10 +313,10 @@ def against_healthy(**more):
     facts = {
         "verdict": "fault", "reason": "rotor 3 lost thrust", "flights": 3, "loss": [0.0, 0.02, 0.3, 0.0, 0.0, 0.05],
         "interval": [(0.0, 0.05)] * 2 + [(0.2, 0.4)] + [(0.0, 0.1)] * 3, "shift": [0.1, -0.02, 0.0], "shift_sd": [0.02, 0.02, 0.01],
-        "causes": [{"rotors": [3], "probability": 0.9}, {"kind": "centre_of_mass", "probability": 0.06},
+        "causes": [{"rotors": [3], "probability": 0.9}, {"kind": "centre_of_mass", "rotors": [], "probability": 0.06},
                    {"rotors": [1], "probability": 0.04}], "common": 0.1,
     }  # fmt: skip
-    return hexa_diagnosis(whole_flight=facts | more)
+    return hexa_diagnosis(whole_flight={"rotors": [3]} | facts | more)
 
 
 @pytest.fixture

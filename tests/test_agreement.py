@@ -10,7 +10,7 @@ import pytest
 import rotorwatch as rw
 from agreement import walk
 from conftest import hexa_diagnosis, hexa_event, hexa_trace
-from rotorwatch.engine.default.residual_evidence import ResidualEvidence
+from rotorwatch.engine.default import residual_evidence
 from test_conclusion import whole
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"
@@ -154,12 +154,12 @@ def random_answer(seed):
         named = suspects[:1] if verdict in ("fault", "ambiguous") else ()
         causes = {"fault": (named,), "ambiguous": (named, suspects, ())}.get(verdict, ())
         compared = whole(verdict, named, float(rng.uniform(0.1, 0.6)), causes) | {"flights": 2, "common": 0.05}
-    spells = (ResidualEvidence((int(rng.integers(1, 7)),), 40.0, 44.0),) if events and rng.random() < 0.2 else ()
+    spells = (residual_evidence.claim((int(rng.integers(1, 7)),), 40.0, 44.0),) if events and rng.random() < 0.2 else ()
     return hexa_diagnosis(
         events=tuple(events),
         whole_flight=compared,
         doubts=doubts if rng.random() < 0.2 else (),
-        residual_evidence=spells,
+        evidence=spells,
         judged_s=1.0 if rng.random() < 0.1 else 46.0,
     )
 

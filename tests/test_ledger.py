@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from conftest import hexa_event, trials
 from rotorwatch import airframes
 from rotorwatch.answer import ledger
-from rotorwatch.engine.default import events
+from rotorwatch.engine.default import events, residual_evidence
 from rotorwatch.engine.default.events import Report
 from rotorwatch.engine.motion.deviations import Override
 from rotorwatch.flight.diagnosis import Source
-from rotorwatch.flight.kinds import CONTACT, DESYNC, LOSS, LOST, OVERRIDE, SLOW
+from rotorwatch.flight.kinds import CONTACT, DESYNC, FROM_TAKEOFF, LOSS, LOST, OVERRIDE, SLOW
 
 B = airframes.named("ardupilot-hexa-x").effectiveness()
 
@@ -121,3 +121,24 @@ def test_outputs_that_left_together_are_the_logs_and_explain_losses():
     claims = tuple(map(events.overridden, together))
     assert [c.rotors for c in claims] == [(2,), (5,)] and all(map(events.shared, claims))
     assert merged(*claims, loss(20.5)).events == () and merged(loss(20.5)).events == (loss(20.5),)
+
+
+EVIDENCE = [residual_evidence.claim((5,), 40.0, 44.0, source=s) for s in (Source.TRIM, Source.STEPS, Source.RESIDUAL)]
+COMPARED = [hexa_event(kind=FROM_TAKEOFF, source=source) for source in (Source.FLIGHTS, Source.VEHICLES)]
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_claims_that_are_no_events_are_told_where_nothing_explains_them(order):
+    """The trim of a whole flight says more than its steps, and these more than what the estimator leaves."""
+    unsure, knock = loss(20.0, rotor=1), other(CONTACT, 20.0, rotors=())
+    unsure = replace(unsure, alternatives=((2,),))
+    trim, steps, residual = EVIDENCE
+    for harmless in ((), (knock,)):
+        assert ledger.open_claims(EVIDENCE[::order], harmless) == (trim,)
+    for wrong in (loss(20.0), unsure, other(LOST, 20.0, rotors=())):
+        assert ledger.open_claims(EVIDENCE[::order], (wrong,)) == (residual,)
+    assert ledger.open_claims((residual, steps), ()) == (steps,)
+    flights, vehicles = COMPARED
+    assert ledger.open_claims(COMPARED[::order], (unsure, knock)) == (flights,)
+    assert ledger.open_claims((vehicles,), ()) == (vehicles,)
+    assert ledger.open_claims(COMPARED, (loss(20.0),)) == ()

@@ -35,7 +35,7 @@ def flight(odds=(), trim=(), mode=()):
 
 def found(*events, **given):
     return [
-        (s.rotors, round(s.start_s), round(s.end_s))
+        (s.rotors, round(s.onset_s), round(s.end_s))
         for s in residual_evidence.find(*flight(**given), HYP, LIMIT, events, B)
     ]
 
@@ -89,6 +89,6 @@ def test_a_loss_that_may_be_nothing_accuses_nobody_and_is_said():
     )
     assert events.accuses(some) and not events.accuses(none)
     assert events.accuses(hexa_event(interval=((0.0, 0.1),), alternatives=((4,),)))  # accuses nobody alone
-    assert residual_evidence.faint((none,), (), 60.0) == (residual_evidence.ResidualEvidence((3,), 20.0, 60.0),)
+    assert residual_evidence.faint((none,), (), 60.0) == (residual_evidence.claim((3,), 20.0, 60.0),)
     knock = hexa_event(kind="contact", rotors=(), onset_s=18.0, detected_s=18.0, end_s=18.0)
     assert residual_evidence.faint((none,), (knock,), 60.0) == ()  # what a knock leaves behind speaks of the knock

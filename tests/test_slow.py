@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from conftest import hexa_event
-from rotorwatch.answer import slow, trim
+from rotorwatch.answer import ledger, slow, trim
 from rotorwatch.answer.conclusion import Evidence, conclude
-from rotorwatch.engine.default.residual_evidence import ResidualEvidence
 from rotorwatch.engine.motion.ticks import JUDGE
 from rotorwatch.live.judge import Judge
 
@@ -138,11 +137,12 @@ def test_the_answer_says_that_it_grew_and_how_much_it_is_now():
 
 def test_growth_that_is_not_certain_makes_its_rotor_a_suspect():
     grown = found(loss=0.4)._replace(odds=5.0)
-    (spell,) = slow.suspected(grown, ())
-    assert spell == ResidualEvidence((1,), grown.start_s, grown.looked_s, grown.interval)
-    end = conclude(Evidence((), 4, hidden=np.full(4, 0.02), judged_s=80.0, residual_evidence=(spell,)))
+    (spell,) = slow.suspected(grown)
+    assert (spell.rotors, spell.onset_s, spell.end_s) == ((1,), grown.start_s, grown.looked_s)
+    assert spell.interval == grown.interval and spell.log_odds == pytest.approx(np.log(5.0))
+    end = conclude(Evidence((), 4, hidden=np.full(4, 0.02), judged_s=80.0, claims=ledger.open_claims((spell,), ())))
     assert end.verdict == "ambiguous" and [r.status for r in end.rotors] == ["suspect", "healthy", "healthy", "healthy"]
-    assert slow.suspected(grown, (hexa_event(),)) == () == slow.suspected(None, ())
+    assert ledger.open_claims((spell,), (hexa_event(),)) == () == slow.suspected(None)
 
 
 def test_a_flight_in_pieces_has_the_trim_of_the_whole():

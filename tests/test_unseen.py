@@ -159,7 +159,7 @@ def test_a_step_that_began_with_evidence_accuses_its_rotor_since_then():
     biases, table = flown(loss=0.2, noise=0.03)
     (spell,) = accused(evidence(table), table, biases)
     assert spell.rotors == (1,) and spell.end_s == table.time[-1]
-    assert spell.start_s == pytest.approx(30.0)
+    assert spell.onset_s == pytest.approx(30.0)
     ((low, high),) = spell.interval
     assert 0.1 < low < 0.2 < high < 0.3 and spell.most(1) == high
 
@@ -295,7 +295,7 @@ def test_pieces_give_the_bounds_of_the_whole(step):
             seen.losses()  # asking changes nothing
     np.testing.assert_allclose(seen.losses(), losses(biases, table), rtol=1e-12)
     (spell,), (same,) = seen.suspected((), table.time[-1]), accused(out, table, biases)
-    assert (spell.rotors, spell.start_s) == (same.rotors, same.start_s) == ((1,), pytest.approx(30.0))
+    assert (spell.rotors, spell.onset_s) == (same.rotors, same.onset_s) == ((1,), pytest.approx(30.0))
 
 
 @pytest.mark.parametrize("step", [1, 7, 600])
@@ -316,7 +316,7 @@ def test_long_flights_keep_the_evidence_of_every_row(at, rotors):
     biases, table = flown(seconds=1200.0, loss=0.2, onset_s=600.0, noise=0.03)
     found = accused(evidence(table, at=at), table, biases)
     assert [spell.rotors for spell in found] == ([rotors] if rotors else [])
-    assert not found or found[0].start_s == pytest.approx(600.0)
+    assert not found or found[0].onset_s == pytest.approx(600.0)
 
 
 def test_a_day_of_flight_takes_no_more_room_than_minutes():

@@ -14,6 +14,7 @@ import numpy as np
 from rotorwatch.answer import (
     common_mode,
     conclusion,
+    from_takeoff,
     health,
     ledger,
     mounts,
@@ -39,7 +40,7 @@ from rotorwatch.engine.motion.missed import without_missed
 from rotorwatch.engine.motion.ticks import JUDGE, READY_KNOWN_S, READY_S, Ticks, observe
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, identity
-from rotorwatch.flight.diagnosis import Diagnosis
+from rotorwatch.flight.diagnosis import Diagnosis, Event, Source
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.logs import plausible
 from rotorwatch.methods.published import decide, detectors, published
@@ -248,8 +249,9 @@ def estimated(
     return Estimated(table, out, own=False)
 
 
-def _find(ready: Prepared, done: Estimated) -> Merged:
-    """The events of a flight: losses, overridden outputs, contacts, control that was lost, desyncs; with what ESCs say of them."""
+def _find(ready: Prepared, done: Estimated) -> tuple[Merged, tuple[Event, ...]]:
+    """The events of a flight: losses, overridden outputs, contacts, control that was lost, desyncs; with what ESCs say of them. And what
+    its trim claims that is no event."""
     flight, craft, air, table, B = ready.flight, ready.vehicle, ready.air, done.table, ready.vehicle.effectiveness()
     one = done.diagnoser
     claims = events.read(done.out, table, B, one and one.losses)
@@ -271,22 +273,23 @@ def _find(ready: Prepared, done: Estimated) -> Merged:
     ready.warnings += notes
     if not ready.hovers or aerobatic.flown_by_rates(flight):
         found = tuple(sorted((*found, *desync.find(flight, craft, air, found)), key=lambda e: e.detected_s))
-    return replace(merged, events=found)
+    return replace(merged, events=found), slow.suspected(grown)
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """The answer, and what it rests on. spells: evidence that no event explains; whole: the comparison with healthy flights, or None."""
+    """The answer, and what it rests on. evidence: what no event explains; whole: the comparison with healthy flights, or None."""
 
     end: conclusion.Conclusion
     doubts: tuple[str, ...]
-    spells: tuple[residual_evidence.ResidualEvidence, ...]
+    evidence: tuple[Event, ...]
     whole: dict | None
 
 
 def judge(ready: Prepared, done: Estimated) -> Judgement:
     """The answer to a flight that an estimator has seen. `diagnose` shows it, and campaigns count it."""
-    flight, craft, air, found = ready.flight, ready.vehicle, ready.air, _find(ready, done)
+    flight, craft, air = ready.flight, ready.vehicle, ready.air
+    found, claims = _find(ready, done)
     table, out, B = done.table, done.out, ready.vehicle.effectiveness()
     n, hyp = B.shape[1], list_hypotheses(B.shape[1])
     doubts = trust.contradictions(flight, craft, air, cast(Ticks, ready.table))
@@ -294,22 +297,22 @@ def judge(ready: Prepared, done: Estimated) -> Judgement:
     doubts += () if ready.hovers else aerobatic.lacks(flight)
     trusted = not doubts and ready.hovers
     whole = _whole_flight(flight, craft, air) if trusted else None
-    other = None
+    claims += from_takeoff.claims(whole, Source.FLIGHTS, air)
     if trusted and not ready.known:
         other = population.judge(flight, craft, air, _undisturbed(table, found.events))
+        claims += from_takeoff.claims(other, Source.VEHICLES, air)
     judged = (table.mode == JUDGE) & table.valid.any(axis=1)
-    spells = (
-        *residual_evidence.find(out, table, hyp, done.limit, found.events, B),
-        *residual_evidence.faint(found.faint, found.events, float(table.time[-1])),
-    )
+    claims += residual_evidence.find(out, table, hyp, done.limit, found.events, B)
+    claims += residual_evidence.faint(found.faint, found.events, float(table.time[-1]))
     steps, seen_events = unseen.bounds(out, table, B), found.events
     if done.own and ready.hovers:
-        seen_events, spells = ledger.weighed(found.events, steps, spells, float(table.time[-1]), found.grown)
+        seen_events, claims = steps.doubted(found.events), claims + steps.suspected(found.events, float(table.time[-1]))
+    claims = ledger.open_claims(claims, seen_events)
     hidden, hidden_pair = _hidden(out, table, steps, B, ready.hovers)
     judged_s = float(judged.sum() * table.dt)
     seen = conclusion.Evidence(
-        seen_events, n, whole, hidden, hidden_pair, judged_s, spells, places.names(craft.rotors), air,
-        health.trends(out, table, B, found.events) if trusted else (), other, ready.hovers,
+        seen_events, n, hidden, hidden_pair, judged_s, claims, places.names(craft.rotors), air,
+        health.trends(out, table, B, found.events) if trusted else (), ready.hovers and whole is None,
         tuple(g for g in ready.missing if g.lasts and g.start >= air[-1][0]), ready.matters,
         judged_until=float(table.time[judged][-1]) if judged.any() else np.inf,
     )  # fmt: skip
@@ -320,7 +323,7 @@ def judge(ready: Prepared, done: Estimated) -> Judgement:
         stepped = bool(np.max(steps.losses()) >= np.max(hidden))
         why = unjudged.find(air, table, judged_s, needed, ready.hovers, conclusion.LEAST_S, stepped)
         seen = replace(seen, unjudged=why)
-    return Judgement(conclusion.conclude(seen, doubts), doubts, spells, whole)
+    return Judgement(conclusion.conclude(seen, doubts), doubts, tuple(seen.residual_evidence), whole)
 
 
 def _conclude(ready: Prepared, done: Estimated, last: Judgement, title: str, clock: _Clock) -> Diagnosis:
@@ -334,7 +337,7 @@ def _conclude(ready: Prepared, done: Estimated, last: Judgement, title: str, clo
     common = common_mode.thrust_shift(out.biases[judged, 3]) if not doubts and ready.hovers else {}
     hyp = list_hypotheses(B.shape[1])
     trace = traces.compose(
-        flight, out, table, hyp, B, air, ready.ready_s, done.limit, end.events, last.spells, end.rotors
+        flight, out, table, hyp, B, air, ready.ready_s, done.limit, end.events, last.evidence, end.rotors
     )
     return _answer(
         end,

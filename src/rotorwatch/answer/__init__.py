@@ -8,6 +8,7 @@ unseen.py       how large a loss can be that has not been announced, and whether
 trim.py         what explains the trim of a whole flight
 slow.py         losses that grew slowly, in that trim
 mounts.py       mounts and arms that turned, in that trim
+from_takeoff.py damage from take-off, as healthy flights or vehicles show it
 story.py        what happened when control was lost, in the order of time
 ledger.py       all that is claimed of a flight, and the one rule that makes events of the claims
 falls.py        the events with those of a loss of control

@@ -28,11 +28,10 @@ from rotorwatch.answer.wording import (
     sentence,
     up_to,
 )
-from rotorwatch.engine.default.residual_evidence import ResidualEvidence
 from rotorwatch.engine.estimator.hypotheses import TOTAL_LOSS
 from rotorwatch.engine.motion.airborne import Gap
-from rotorwatch.flight.diagnosis import Event, RotorState, StoryLine, Trend
-from rotorwatch.flight.kinds import CONTACT, LOST, Weight
+from rotorwatch.flight.diagnosis import Event, RotorState, Source, StoryLine, Trend
+from rotorwatch.flight.kinds import CONTACT, EVIDENCE, FROM_TAKEOFF, LOST, Weight
 
 # Causes of a loss of control that clear the rotors, in words that follow "when".
 NOT_A_ROTOR = {
@@ -79,25 +78,22 @@ class Evidence:
     """What the conclusion is drawn from.
 
     n: rotors; places: `places.names`. hidden (n,): loss of each rotor that could have gone unseen in flight, None when nothing was judged;
-    hidden_pair: the same of two opposite rotors. judged_s: seconds of flight judged. whole: `WholeFlight.to_dict()` against healthy
-    flights, or None; population: `population.judge` against healthy vehicles of any build. residual_evidence: against rotors, that no
-    event explains. hops: ((take-off, landing), ...) s. trends: `health.trends`, of each rotor, shown of rotors that are no suspects, or
-    empty. comparable: flights of this kind can be compared with healthy ones. missing: commands that the log lacks up to the end.
+    hidden_pair: the same of two opposite rotors. judged_s: seconds of flight judged. claims: those that count, though they are no events
+    (`ledger.open_claims`). hops: ((take-off, landing), ...) s. trends: `health.trends`, of each rotor, shown of those that are no suspects,
+    or empty. comparable: healthy flights of the vehicle would show more. missing: commands that the log lacks up to the end.
     matters: loss of one rotor that a healthy flight must be able to show. unjudged: why no more could be judged. judged_until: time of the
     last judged moment [s].
     """
 
     events: Sequence[Event]
     n: int
-    whole: Mapping[str, Any] | None = None
     hidden: np.ndarray | None = None
     hidden_pair: float = 0.0
     judged_s: float = 0.0
-    residual_evidence: Sequence[ResidualEvidence] = ()
+    claims: Sequence[Event] = ()
     places: Sequence[str] = ()
     hops: Sequence[tuple[float, float]] = ()
     trends: Sequence[Trend | None] = ()
-    population: Mapping[str, Any] | None = None
     comparable: bool = True
     missing: Sequence[Gap] = ()
     matters: float = MATTERS
@@ -136,10 +132,18 @@ class Evidence:
 
     @property
     def compared(self) -> Mapping[str, Any] | None:
-        """The comparison with healthy flights, or else with healthy vehicles, unless inconclusive: it takes the mean of a whole
-        flight, so that with a certain loss or override in flight it cannot show what was there from take-off."""
-        whole = self.whole or self.population
-        return whole if whole and whole["verdict"] != "inconclusive" and not self.sure else None
+        """What the comparison with healthy flights, or else with healthy vehicles, found."""
+        return next((c.extra for c in self.claims if c.kind == FROM_TAKEOFF), None)
+
+    @property
+    def whole(self) -> bool:
+        """It was compared with healthy flights."""
+        return any(c.source is Source.FLIGHTS for c in self.claims)
+
+    @property
+    def residual_evidence(self) -> list[Event]:
+        """Evidence against rotors that no event explains."""
+        return [c for c in self.claims if c.kind == EVIDENCE]
 
     @property
     def bound(self) -> float | None:
@@ -168,7 +172,7 @@ def _concluded(seen: Evidence, verdict, reason, headline, main, doubts) -> Concl
         seen.events,
         main,
         states,
-        bool(seen.whole) or not seen.comparable,
+        not seen.comparable,
         seen.places,
         doubts,
         stays,
@@ -227,7 +231,7 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
     if (spell := _lasting(seen)) is not None:
         return "ambiguous", f"{_as_if(spell, ())}: a loss that wind hides, or wind that turned then."
     if seen.residual_evidence:
-        spells = [f"{rotors(s.rotors)} from {seconds(s.start_s)} to {seconds(s.end_s)}" for s in seen.residual_evidence]
+        spells = [f"{rotors(s.rotors)} from {seconds(s.onset_s)} to {seconds(s.end_s)}" for s in seen.residual_evidence]
         return "ambiguous", f"there is evidence against {listed(spells)} that no event explains."
     scope = "and none from take-off on, compared with its healthy flights" if whole else "after take-off"
     if seen.bound is not None:
@@ -254,14 +258,14 @@ def _missing(seen: Evidence) -> str:
     return f"the log holds no command for {rotors(who)} from {seconds(seen.missing_s)} on"
 
 
-def _lasting(seen: Evidence) -> ResidualEvidence | None:
+def _lasting(seen: Evidence) -> Event | None:
     """A step that has stayed, of the size of a loss (`unseen.suspected`)."""
     return next((s for s in seen.residual_evidence if s.interval), None)
 
 
-def _as_if(spell: ResidualEvidence, places: Sequence[str]) -> str:
+def _as_if(spell: Event, places: Sequence[str]) -> str:
     lost = [f"{rotors([r], places)} had lost {interval(*i)}" for r, i in zip(spell.rotors, spell.interval, strict=True)]
-    return f"since {seconds(spell.start_s)} the vehicle has flown as if {listed(lost, 'or')} of thrust"
+    return f"since {seconds(spell.onset_s)} the vehicle has flown as if {listed(lost, 'or')} of thrust"
 
 
 def _what_happened(seen: Evidence, event: Event) -> str:
@@ -448,7 +452,7 @@ def _state(seen: Evidence, rotor: int, verdict: str) -> RotorState:
     if len(maybe) < len(lasting):
         e = [e for e in lasting if not e.alternatives][-1]
         loss, (low, high) = e.loss[e.rotors.index(rotor)], e.interval[e.rotors.index(rotor)]
-        bounds = low, _together([high, *(most(m, rotor) for m in maybe)])
+        bounds = low, _together([high, *(m.most(rotor) for m in maybe)])
         return state(loss, bounds, _broken(loss), f"weak since {seconds(e.onset_s)}", bounds)
     if whole and from_takeoff == "damaged":
         loss, than = whole["loss"][rotor - 1], "on healthy flights" if seen.whole else "in any healthy vehicle"
@@ -491,7 +495,7 @@ def _suspicions(seen: Evidence, rotor: int, maybe, landed, claims) -> list[tuple
     found = []
     for e in (*maybe, *landed):
         later = ", not judged again after landing" if e in landed else ""
-        found.append((f"{said(e.means.now, e)}{later}", most(e, rotor)))
+        found.append((f"{said(e.means.now, e)}{later}", e.most(rotor)))
     for e in _other_faults(seen):
         who = e.rotors if e.means.now.unsure is None else e.suspects
         if rotor in who and e.means.ongoing(None if _landed(seen, e.end_s) else e.end_s):
@@ -499,9 +503,9 @@ def _suspicions(seen: Evidence, rotor: int, maybe, landed, claims) -> list[tuple
     for s in seen.residual_evidence:
         if rotor in s.rotors and s.interval:
             lost = interval(*s.interval[s.rotors.index(rotor)])
-            found.append((f"may have lost {lost} since {seconds(s.start_s)}, or the wind turned then", s.most(rotor)))
+            found.append((f"may have lost {lost} since {seconds(s.onset_s)}, or the wind turned then", s.most(rotor)))
         elif rotor in s.rotors:
-            span = f"from {seconds(s.start_s)} to {seconds(s.end_s)}"
+            span = f"from {seconds(s.onset_s)} to {seconds(s.end_s)}"
             found.append((f"evidence against it {span} that no event explains", 1.0))
     if seen.lost is not None and not claims and any(rotor in who for who in seen.lost.alternatives):
         found.append((said(seen.lost.means.now, seen.lost), 1.0))
@@ -549,14 +553,6 @@ def _worked(seen: Evidence, rotor: int) -> str:
     if seen.missing_s < own:
         notes.append(f"not judged since {seconds(seen.missing_s)}")
     return listed(notes)
-
-
-def most(event: Event, rotor: int) -> float:
-    """Upper bound of a rotor's loss over all explanations: its own share where the event says so; in another set it makes at most the
-    torque and thrust that all of the event's rotors lack together."""
-    own = event.interval[event.rotors.index(rotor)][1] if rotor in event.rotors else 0.0
-    other = min(1.0, sum(high for _, high in event.interval))
-    return max(own, other) if any(rotor in a for a in event.alternatives) else own
 
 
 def _landed(seen: Evidence, end_s: float | None) -> bool:

@@ -16,6 +16,15 @@ ESC telemetry and desyncs are heard last, and know the events by then. A link an
     trim                  a fault is told beside it: what a weak rotor does to yaw is not known well
     all that rests on     the log, or the link, contradicts itself
     outputs
+
+Claims that are no events of their own (kinds of weight OPEN) are heard after all events:
+
+    evidence of           is not told where
+    the trim              something wrong is an event
+    its steps             the same, or the trim's evidence is told
+    the estimator         the trim's evidence, or its steps', is told: they are of all of the flight
+    healthy flights       a fault in flight is certain: the mean of a whole flight cannot show what was there before
+    healthy vehicles      the same, or there are healthy flights of this one
 """
 
 from __future__ import annotations
@@ -27,13 +36,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rotorwatch.answer import falls, slow
-from rotorwatch.answer.unseen import Unseen
 from rotorwatch.engine.default.events import Report, accuses, packed, shared, unexplained
-from rotorwatch.engine.default.residual_evidence import ResidualEvidence
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.front import whole
 from rotorwatch.flight.diagnosis import Event, Source
-from rotorwatch.flight.kinds import LOSS, LOST, ORDER, OVERRIDE, Weight
+from rotorwatch.flight.kinds import EVIDENCE, LOSS, LOST, ORDER, OVERRIDE, Weight
 
 if TYPE_CHECKING:
     from rotorwatch.witnesses.upset.find import Judged
@@ -45,13 +52,11 @@ MOST = 0.5  # of a rotor's thrust
 
 @dataclass(frozen=True)
 class Merged:
-    """events: what is said; faint: losses that accuse no rotor, which are evidence; shared: outputs that left the mixer together; grown: a
-    loss that grew slowly, or None."""
+    """events: what is said; faint: losses that accuse no rotor, which are evidence; shared: outputs that left the mixer together."""
 
     events: tuple[Event, ...]
     faint: tuple[Event, ...]
     shared: tuple[Event, ...] = ()
-    grown: slow.Growth | None = None
 
 
 def merge(
@@ -71,7 +76,7 @@ def merge(
     open_ = unexplained(losses, [*(e for e in known if e.kind == OVERRIDE), *together])
     others = [c for c in claims if not c.means.weakens and c.kind != OVERRIDE]
     found = falls.events(upsets, joined(known, others), n)
-    return Merged(found, tuple(e for e in open_ if not accuses(e)), together, grown)
+    return Merged(found, tuple(e for e in open_ if not accuses(e)), together)
 
 
 def joined(known: Iterable[Event], claims: Iterable[Event]) -> tuple[Event, ...]:
@@ -106,8 +111,24 @@ def _falls(claim: Event, known: Event) -> bool:
     return gone and known.onset_s - CRASH_S < claim.onset_s < (known.end_s or np.inf)
 
 
-def _accuses(claim: Event, known: Event) -> bool:
-    return known.means.accuses
+def _told_of_trim(claim: Event, known: Event) -> bool:
+    return known.means.wrong if claim.kind == EVIDENCE else known.means.accuses
+
+
+def _told_of_step(claim: Event, known: Event) -> bool:
+    return known.means.wrong or known.source is Source.TRIM
+
+
+def _told_of_all(claim: Event, known: Event) -> bool:
+    return known.kind == EVIDENCE and known.source is not Source.RESIDUAL
+
+
+def _certain(claim: Event, known: Event) -> bool:
+    return known.means.accuses and not known.alternatives
+
+
+def _certain_or_known(claim: Event, known: Event) -> bool:
+    return known.source is Source.FLIGHTS or _certain(claim, known)
 
 
 _EXPLAINS: dict[Source, Callable[[Event, Event], bool]] = {
@@ -116,7 +137,11 @@ _EXPLAINS: dict[Source, Callable[[Event, Event], bool]] = {
     Source.ESC_STANDS: _named_as_it_stands,
     Source.ESC_CHANGED: _weak,
     Source.DESYNC: _falls,
-    Source.TRIM: _accuses,
+    Source.TRIM: _told_of_trim,
+    Source.STEPS: _told_of_step,
+    Source.RESIDUAL: _told_of_all,
+    Source.FLIGHTS: _certain,
+    Source.VEHICLES: _certain_or_known,
 }
 
 
@@ -125,19 +150,13 @@ def believed(events: Iterable[Event], until: float = np.inf) -> tuple[Event, ...
     return tuple(e for e in events if e.onset_s > until or not e.means.by_outputs)
 
 
-def weighed(
-    events: Sequence[Event],
-    steps: Unseen,
-    spells: Sequence[ResidualEvidence],
-    end_s: float,
-    grown: slow.Growth | None = None,
-) -> tuple[tuple[Event, ...], tuple[ResidualEvidence, ...]]:
-    """The events and the evidence that none of them explains (`spells`, until `end_s`), with what the whole flight's trim and steps say of
-    both."""
-    suspected: tuple[ResidualEvidence, ...] = ()
-    if main_event(events) is None:
-        suspected = slow.suspected(grown, events) or steps.suspected(events, end_s)
-    return steps.doubted(events), suspected or tuple(spells)
+def open_claims(claims: Iterable[Event], events: Sequence[Event]) -> tuple[Event, ...]:
+    """Of claims of weight OPEN those that neither events nor a claim before them explains."""
+    told: list[Event] = []
+    for claim in sorted(claims, key=lambda c: c.source.value):
+        if not explained(claim, (*events, *told)):
+            told.append(claim)
+    return tuple(sorted(told, key=lambda c: c.onset_s))
 
 
 def main_event(events: Sequence[Event]) -> int | None:

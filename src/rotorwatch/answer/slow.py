@@ -13,11 +13,10 @@ import numpy as np
 
 from rotorwatch.answer.trim import SIZES, Explained
 from rotorwatch.answer.wording import SCALE
-from rotorwatch.engine.default import events
-from rotorwatch.engine.default.residual_evidence import ResidualEvidence
+from rotorwatch.engine.default import events, residual_evidence
 from rotorwatch.engine.estimator.plant import USUAL_S
 from rotorwatch.engine.front.losses import CLEAR, CREDIBLE, CURVE_SHARE, WITHIN_95
-from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import LOSS
 
 GROWS_S = 8.0  # less is a step, after which the biases take a while to settle
@@ -138,8 +137,10 @@ def join(losses: Sequence[Event], grown: Growth | None) -> tuple[Event, ...]:
     return tuple(sorted((*rest, event), key=lambda e: e.detected_s))
 
 
-def suspected(grown: Growth | None, found: Sequence[Event]) -> tuple[ResidualEvidence, ...]:
-    """The rotors of a loss that seems to have grown, of a flight whose events tell of no loss."""
-    if grown is None or not grown.grew or any(e.kind == LOSS for e in found):
+def suspected(grown: Growth | None) -> tuple[Event, ...]:
+    """Evidence against the rotors of a loss that seems to have grown."""
+    if grown is None or not grown.grew:
         return ()
-    return (ResidualEvidence(grown.rotors, grown.start_s, grown.looked_s, grown.interval),)
+    share = grown.odds / (1.0 + grown.odds)
+    who = grown.rotors, grown.start_s, grown.looked_s, grown.interval
+    return (residual_evidence.claim(*who, probability=share, source=Source.TRIM),)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch.answer import context
-from rotorwatch.answer.conclusion import most
 from rotorwatch.answer.wording import rotors
 from rotorwatch.engine.default import events
 from rotorwatch.engine.default.hypotheses import Hypotheses
@@ -43,7 +42,7 @@ def compose(
     for start, end in _spans(table.time, table.upset & (table.mode > 0)):
         blind.append((start, end, "upset: hover physics does not hold"))
     for spell in spells:
-        blind.append((spell.start_s, spell.end_s, f"evidence against {rotors(spell.rotors)} that no event explains"))
+        blind.append((spell.onset_s, spell.end_s, f"evidence against {rotors(spell.rotors)} that no event explains"))
     lower, upper = np.clip(out.theta - spread, 0, 1), np.clip(out.theta + spread, 0, 1)
     _open(lower, upper, table.time, found, spells)
     for k, state in enumerate(states):  # the loss that can have gone unseen, as in the rotor table
@@ -68,11 +67,11 @@ def _open(lower: np.ndarray, upper: np.ndarray, time: np.ndarray, found, spells)
         inside = (time >= e.detected_s) & (time <= (np.inf if e.end_s is None else e.end_s))
         for rotor in e.suspects if e.alternatives and e.interval else ():
             lower[inside, rotor - 1] = 0.0
-            upper[inside, rotor - 1] = np.maximum(upper[inside, rotor - 1], most(e, rotor))
+            upper[inside, rotor - 1] = np.maximum(upper[inside, rotor - 1], e.most(rotor))
     for spell in spells:
         for rotor in spell.rotors:
-            lower[time >= spell.start_s, rotor - 1] = 0.0
-            upper[time >= spell.start_s, rotor - 1] = spell.most(rotor)
+            lower[time >= spell.onset_s, rotor - 1] = 0.0
+            upper[time >= spell.onset_s, rotor - 1] = spell.most(rotor)
 
 
 def _bridged(time: np.ndarray, values: np.ndarray) -> np.ndarray:

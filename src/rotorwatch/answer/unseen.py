@@ -35,12 +35,11 @@ import numpy as np
 from rotorwatch.answer.wording import SCALE
 from rotorwatch.engine.default import events, residual_evidence
 from rotorwatch.engine.default.hypotheses import list_hypotheses
-from rotorwatch.engine.default.residual_evidence import ResidualEvidence
 from rotorwatch.engine.estimator import announcement, hypotheses, plant
 from rotorwatch.engine.front.losses import WITHIN_95
 from rotorwatch.engine.front.vehicle import YAW
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks
-from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import LOST
 from rotorwatch.methods.maths.tails import student_quantile
 
@@ -141,7 +140,7 @@ class Unseen:
         sums = np.concatenate([biases[use], thrust[use]], axis=1)
         return Rows(sums, odds, when, since, odds >= others[:, None], np.diff(count, prepend=0) > 0)
 
-    def suspected(self, found: Sequence[Event], end_s: float) -> tuple[ResidualEvidence, ...]:
+    def suspected(self, found: Sequence[Event], end_s: float) -> tuple[Event, ...]:
         """The rotors that a step accuses which has stayed until end_s and began with certain evidence. found: events, for the knocks, whose
         evidence speaks of themselves."""
         step = self.step()
@@ -162,7 +161,8 @@ class Unseen:
         half = WITHIN_95 * events.sd_of(step.loss, step.half / WITHIN_95, self.B)
         low, high = np.clip([step.loss - half, step.loss + half], 0.0, 1.0)
         interval = tuple((float(low[i - 1]), float(high[i - 1])) for i in rotors)
-        return (ResidualEvidence(rotors, float(here.onset[sure, who[rotor]]), end_s, interval),)
+        since = float(here.onset[sure, who[rotor]])
+        return (residual_evidence.claim(rotors, since, end_s, interval, source=Source.STEPS),)
 
     def doubted(self, found: Sequence[Event]) -> tuple[Event, ...]:
         """The events, but a loss of control that no rotor is blamed for has those as alternatives against which evidence was certain

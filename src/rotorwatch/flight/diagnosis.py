@@ -15,6 +15,7 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.flight import kinds
 
 SCHEMA = 2
+TINY = 1e-12  # probabilities are rounded to less
 EXIT_CODES = {"healthy": 0, "fault": 1, "crashed": 1, "ambiguous": 3, "inconclusive": 3}
 # Fields of the JSON answer (docs/json.md) in their order; of an event, before what only its kind has; of a rotor.
 ANSWER = (
@@ -69,11 +70,12 @@ class RotorState:
 
 class Source(Enum):
     """Who claims an event. EXCITATION: the answer to an excitation of the commands; ESC_STANDS: a rotor that its ESC reports to stand or to
-    turn without load; ESC_CHANGED: one whose speed or current has changed. TRIM: the trim of a whole flight."""
+    turn without load; ESC_CHANGED: one whose speed or current has changed. TRIM: the trim of a whole flight; STEPS: its steps; RESIDUAL:
+    the estimator's evidence that no event explains. FLIGHTS, VEHICLES: the comparison with healthy flights of this vehicle, with healthy
+    vehicles of any build."""
 
-    NOBODY, ESTIMATOR, EXCITATION, HINDSIGHT, OUTPUTS, CONTACTS, CONTROL, ESC_STANDS, ESC_CHANGED, DESYNC, TRIM = range(
-        11
-    )
+    NOBODY, ESTIMATOR, EXCITATION, HINDSIGHT, OUTPUTS, CONTACTS, CONTROL, ESC_STANDS, ESC_CHANGED, DESYNC = range(10)
+    TRIM, STEPS, RESIDUAL, FLIGHTS, VEHICLES = range(10, 15)
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,21 @@ class Event:
         """All rotor sets that explain it, its own first; none of an event that is of no rotor."""
         own = tuple(self.rotors)
         return (own, *(tuple(a) for a in self.alternatives if tuple(a) != own)) if own else ()
+
+    @property
+    def log_odds(self) -> float:
+        """Of its rotors to everything else, in nats."""
+        p = min(max(self.probability, TINY), 1.0 - TINY)
+        return float(np.log(p / (1.0 - p)))
+
+    def most(self, rotor: int) -> float:
+        """Upper bound of a rotor's loss over all explanations: its own share where the event says so; in another set it makes at most the
+        torque and thrust that all of the event's rotors lack together; 1 where nothing is known."""
+        if not self.interval:
+            return 1.0
+        own = self.interval[self.rotors.index(rotor)][1] if rotor in self.rotors else 0.0
+        other = min(1.0, sum(high for _, high in self.interval))
+        return max(own, other) if any(rotor in a for a in self.alternatives) else own
 
     @property
     def suspects(self) -> frozenset[int]:

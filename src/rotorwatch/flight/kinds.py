@@ -16,13 +16,15 @@ ORDER, DESYNC = "motor_order", "desync"
 SLOW, HIGH, LOW = "slow_motor", "high_current", "low_current"
 TURNED = "turned_mount"
 REPORTED = "autopilot_report"
+EVIDENCE, FROM_TAKEOFF = "unexplained_evidence", "damage_from_takeoff"
 
 
 class Weight(Enum):
     """How grave. FAULT: a rotor, its motor or its output is not well, and the verdict rests on it. UPSET: the vehicle is not well, and the
-    answer is about that where no fault is found. NOTICE: of a motor that still gives its thrust. OUTSIDE: nothing of the vehicle."""
+    answer is about that where no fault is found. NOTICE: of a motor that still gives its thrust. OUTSIDE: nothing of the vehicle.
+    OPEN: it counts for the verdict, but happened at no moment that is known; answers have it in their words, not in their events."""
 
-    FAULT, UPSET, NOTICE, OUTSIDE = range(4)
+    FAULT, UPSET, NOTICE, OUTSIDE, OPEN = range(5)
 
 
 class Span(Enum):
@@ -212,6 +214,11 @@ ROWS = (
         Weight.NOTICE, brief="reported trouble",
         headline=Words("", nameless="At {at} {why}."),
         advice=Words("", nameless="At {at} {why}: find out why before the next flight."),
+    ),
+    Kind(EVIDENCE, "unexplained evidence", "evidence against rotors that no event explains", Weight.OPEN, Span.SPELLS),
+    Kind(
+        FROM_TAKEOFF, "damage from take-off", "the balance of commands is unlike that of healthy flights or vehicles",
+        Weight.OPEN, Span.STAYS,
     ),
 )  # fmt: skip
 TABLE = {row.name: row for row in ROWS}

@@ -10,10 +10,9 @@ from dataclasses import replace
 import numpy as np
 
 from rotorwatch import airframes
-from rotorwatch.answer import ledger
+from rotorwatch.answer import ledger, slow
 from rotorwatch.answer.wording import rotors
 from rotorwatch.engine.default import events
-from rotorwatch.engine.default.residual_evidence import ResidualEvidence
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.motion.airborne import Gap
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN
@@ -218,14 +217,13 @@ class Session:
         spread = np.where(loss > 0, 1.96 * sd, unseen)
         return loss, np.clip(loss - spread, 0.0, 1.0), np.clip(loss + spread, 0.0, 1.0)
 
-    def weighed(self, found: Sequence[Event]) -> tuple[tuple[Event, ...], tuple[ResidualEvidence, ...]]:
-        """The events `found` and the evidence that none of them explains, with what all of the flight says of both."""
+    def weighed(self, found: Sequence[Event]) -> tuple[tuple[Event, ...], tuple[Event, ...]]:
+        """The events `found` and the open claims that none of them explains, with what all of the flight says of both."""
         if self._judge is None or self._judge.now is None:
             return tuple(found), ()
-        seen, spells = ledger.weighed(
-            found, self._judge.unseen, (), float(self._judge.now[0].time[-1]), self._judge.grown
-        )
-        return seen, () if self.doubt else spells
+        steps, now = self._judge.unseen, float(self._judge.now[0].time[-1])
+        claims = () if self.doubt else (*slow.suspected(self._judge.grown), *steps.suspected(found, now))
+        return steps.doubted(found), ledger.open_claims(claims, found)
 
     def blind(self) -> str:
         """Why nothing can be judged right now, in a few words; empty when it is judged."""

@@ -51,16 +51,15 @@ def answer(name: str, session: Session, rows: Sequence[tuple], hop: tuple[float,
     hidden = np.ones(len(vehicle.rotors))
     for row in judged:  # the bound of a healthy rotor is of all that was flown until then
         hidden = np.where(np.asarray(row[1]) > 0.0, hidden, row[3])
-    events, spells = session.weighed([e for e in session.events() if start <= e.detected_s <= end + FINAL_S])
+    events, claims = session.weighed([e for e in session.events() if start <= e.detected_s <= end + FINAL_S])
     names = places.names(vehicle.rotors)
     judged_s = float(steps[steps < GAP_S].sum())
-    spells = [spell for spell in spells if start <= spell.start_s <= end]
     seen = conclusion.Evidence(
         events,
         len(vehicle.rotors),
         hidden=hidden,
         judged_s=judged_s,
-        residual_evidence=spells,
+        claims=[claim for claim in claims if start <= claim.onset_s <= end],
         places=names,
         hops=(hop,),
         missing=[gap for gap in session.missing if start <= gap.start <= end],

@@ -9,15 +9,14 @@ and comes out changed as by a rotor's loss. Such a spell is not an event - which
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from rotorwatch.engine.default.hypotheses import Hypotheses
 from rotorwatch.engine.estimator import hypotheses, plant
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks
-from rotorwatch.flight.diagnosis import Event
-from rotorwatch.flight.kinds import CONTACT
+from rotorwatch.flight.diagnosis import Event, Source
+from rotorwatch.flight.kinds import CONTACT, EVIDENCE
 
 LASTS_S = 1.0
 TRIM_S = 2.0  # over which the trim before and after it was learned afresh is averaged
@@ -26,24 +25,22 @@ TRIM_SD = np.array([0.05, 0.05, 0.15, 0.2])
 LEAST_TRIM, UNEXPLAINED = 0.2, 0.52
 
 
-@dataclass(frozen=True)
-class ResidualEvidence:
-    """A spell of unexplained evidence: rotors (1-based) it points to, start and end [s]; interval: of what each would have lost, 95 %,
-    where that is known."""
-
-    rotors: tuple[int, ...]
-    start_s: float
-    end_s: float
-    interval: tuple[tuple[float, float], ...] = ()
-
-    def most(self, rotor: int) -> float:
-        """Upper bound of what a rotor of it has lost."""
-        return self.interval[self.rotors.index(rotor)][1] if self.interval else 1.0
+def claim(
+    rotors: tuple[int, ...],
+    start_s: float,
+    end_s: float,
+    interval: tuple[tuple[float, float], ...] = (),
+    probability: float = 0.5,
+    source: Source = Source.RESIDUAL,
+) -> Event:
+    """Evidence against each of these rotors (1-based), from start to end [s]; interval: of what each would have lost, 95 %, where that is
+    known."""
+    return Event(EVIDENCE, rotors, start_s, end_s, end_s, (), interval, probability, source=source)
 
 
 def find(
     out, table: Ticks, hyp: Hypotheses, limit: float, events: Sequence[Event], B: np.ndarray | None = None
-) -> tuple[ResidualEvidence, ...]:
+) -> tuple[Event, ...]:
     """Spells of at least LASTS_S, after the first event, in which faults of other rotors than the known ones have more evidence than
     `limit` [nats] and no disturbance explains them clearly better; and, with B (4, n), trims that were learned afresh and changed as a
     rotor's loss would change them. None in flights without an event: what they hide is `answer.unseen`'s. out: the estimator's stacked
@@ -77,10 +74,10 @@ def find(
                 own[[r - 1 for r in e.rotors]] = True
         mine = np.flatnonzero((weight > 0.5 * (b - a)) & ~own)
         if mine.size:
-            found.append(ResidualEvidence(tuple(int(i) + 1 for i in mine), float(time[a]), float(time[b - 1])))
+            found.append(claim(tuple(int(i) + 1 for i in mine), float(time[a]), float(time[b - 1])))
     if B is not None:
         found += _trims(np.asarray(out.biases), table, known, B)
-    return tuple(sorted(found, key=lambda spell: spell.start_s))
+    return tuple(sorted(found, key=lambda spell: spell.onset_s))
 
 
 def knocked(time: np.ndarray, events: Sequence[Event]) -> np.ndarray:
@@ -92,17 +89,17 @@ def knocked(time: np.ndarray, events: Sequence[Event]) -> np.ndarray:
     return near
 
 
-def faint(losses: Sequence[Event], found: Sequence[Event], end_s: float) -> tuple[ResidualEvidence, ...]:
+def faint(losses: Sequence[Event], found: Sequence[Event], end_s: float) -> tuple[Event, ...]:
     """Spells of `losses` that accuse nobody (`events.accuses`), but for those that a knock among the events explains."""
     knocks = [e.onset_s for e in found if e.kind == CONTACT]
     return tuple(
-        ResidualEvidence(e.rotors, e.onset_s, end_s if e.end_s is None else e.end_s)
+        claim(e.rotors, e.onset_s, end_s if e.end_s is None else e.end_s)
         for e in losses
         if not any(t - 0.5 <= e.onset_s <= t + plant.USUAL_S for t in knocks)
     )
 
 
-def _trims(biases: np.ndarray, table: Ticks, known: Sequence[Event], B: np.ndarray) -> list[ResidualEvidence]:
+def _trims(biases: np.ndarray, table: Ticks, known: Sequence[Event], B: np.ndarray) -> list[Event]:
     """Times after an event when the vehicle flew on but was not judged, and the commanded wrench of trim, biases (T, 4), came out changed
     along the direction of rotors, columns of B (4, n)."""
     time, judging = table.time, table.mode == JUDGE
@@ -121,5 +118,5 @@ def _trims(biases: np.ndarray, table: Ticks, known: Sequence[Event], B: np.ndarr
         left = np.linalg.norm(weighted[:, None] - columns * size, axis=0)
         mine = np.flatnonzero((size > LEAST_TRIM) & (left < UNEXPLAINED * np.linalg.norm(weighted)))
         if mine.size:
-            found.append(ResidualEvidence(tuple(int(i) + 1 for i in mine), float(time[a]), float(time[b])))
+            found.append(claim(tuple(int(i) + 1 for i in mine), float(time[a]), float(time[b])))
     return found

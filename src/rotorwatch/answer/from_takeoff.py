@@ -1,0 +1,25 @@
+"""Damage from take-off as a claim: what the comparison with healthy flights, or with healthy vehicles, says of a whole flight."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rotorwatch.engine.motion.allocation import Spans
+from rotorwatch.flight.diagnosis import Event, Source
+from rotorwatch.flight.kinds import FROM_TAKEOFF
+
+
+def claims(found: Mapping[str, Any] | None, source: Source, air: Spans) -> tuple[Event, ...]:
+    """What was found (`WholeFlight.to_dict`, `population.judge`), all of it in `extra`, as a claim; none where nothing could be
+    compared. air: the flights."""
+    if found is None or found["verdict"] == "inconclusive":
+        return ()
+    who = tuple(found["rotors"])
+    shares = {tuple(c["rotors"]): c["probability"] for c in found.get("causes", ())}
+    others = tuple(rotors for rotors in shares if rotors and rotors != who) if found["verdict"] == "ambiguous" else ()
+    size, interval = tuple(found["loss"][r - 1] for r in who), tuple(tuple(found["interval"][r - 1]) for r in who)
+    span = air[0][0], air[-1][1], None
+    return (
+        Event(FROM_TAKEOFF, who, *span, size, interval, shares.get(who, 0.0), others, found["reason"], found, source),
+    )
