@@ -24,8 +24,8 @@ from collections import Counter, defaultdict
 from pathlib import Path
 
 from rotorwatch import logs
-from rotorwatch.answer.conclusion import CAUSE_CREDIBLE
 from rotorwatch.diagnose import diagnose
+from rotorwatch.engine.front.decisions import MENTIONED
 from rotorwatch.errors import VehicleError
 from rotorwatch.witnesses.healthy import whole_flight
 from rotorwatch.witnesses.healthy.baselines import Candidate, healthy
@@ -79,7 +79,7 @@ def outcome(found: whole_flight.WholeFlight | None, damaged: tuple[int, ...]) ->
         return "not announced"
     if verdict == "fault":
         return "right" if found.rotors == damaged else "part" if set(found.rotors) < set(damaged) else "wrong"
-    named = {r for c in found.causes if c.probability > CAUSE_CREDIBLE for r in c.rotors} | set(found.rotors)
+    named = {r for c in found.causes if c.probability > MENTIONED for r in c.rotors} | set(found.rotors)
     return "among" if set(damaged) <= named else "not among"
 
 

@@ -7,7 +7,7 @@ from rotorwatch.commands import cli
 from rotorwatch.engine.default import program
 from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.estimator import hypotheses, kalman, model_error, posterior
-from rotorwatch.engine.front import losses
+from rotorwatch.engine.front import decisions, losses
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN, Ticks
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.campaign import ablation
@@ -63,8 +63,8 @@ def test_constants_are_changed_only_for_a_while():
 
 def test_what_follows_from_a_constant_follows_and_is_none():
     nats, weight = hypotheses.CLEAR, hypotheses.PAIR_WEIGHT
-    assert nats == pytest.approx(np.log(losses.CLEAR)) and "hypotheses.CLEAR" not in ablation.constants()
-    with ablation.changed({"losses.CLEAR": 20.0, "losses.PAIR_WEIGHT": 0.5}):
+    assert nats == pytest.approx(np.log(decisions.CLEAR)) and "hypotheses.CLEAR" not in ablation.constants()
+    with ablation.changed({"decisions.CLEAR": 20.0, "losses.PAIR_WEIGHT": 0.5}):
         assert hypotheses.CLEAR == pytest.approx(np.log(20.0)) == -posterior.ALIKE
         assert hypotheses.PAIR_WEIGHT == 0.5
     assert nats == hypotheses.CLEAR == -posterior.ALIKE and weight == hypotheses.PAIR_WEIGHT

@@ -8,10 +8,11 @@ from tests.plain import filled, made
 
 from rotorwatch.engine.default import program
 from rotorwatch.engine.estimator import announcement
-from rotorwatch.engine.estimator.announcement import ABSORB_S, CERTAIN_NATS, EDGE, TICKS, Alarm
+from rotorwatch.engine.estimator.announcement import ABSORB_S, EDGE, TICKS, Alarm
 from rotorwatch.engine.estimator.hypotheses import CLEAR, PAIR, PAIR_WEIGHT, SINGLE, STUCK_WEIGHT
 from rotorwatch.engine.estimator.noise import MEMORY_S
 from rotorwatch.engine.estimator.plant import USUAL_S, Plant
+from rotorwatch.engine.front.decisions import CERTAIN_NATS, FALSE_ALARM_PERIOD_S
 
 N, DT, LIMIT, REACH = 4, 0.05, 14.0, 64.0
 MUCH = UNDECIDED = CLEAR
@@ -139,7 +140,7 @@ def test_the_threshold_is_the_promised_time_in_ticks_over_the_weights_of_new_fau
     """Pollak: at least threshold / sum of weights ticks to a false alarm. A rotor that is well again is no new fault."""
     weight, p = 4 + 6 * PAIR_WEIGHT + 4 * STUCK_WEIGHT, made(Plant, rotors=N, dt=DT)
     assert np.exp(announcement.threshold(p, 600.0)) == pytest.approx(600.0 / DT * weight)
-    promised, alarm = announcement.GATES * announcement.FALSE_ALARM_PERIOD_S, Alarm()
+    promised, alarm = announcement.GATES * FALSE_ALARM_PERIOD_S, Alarm()
     alarm.begin(p)
     assert alarm.limit == program.threshold(N, DT) == pytest.approx(np.log(promised / DT * weight))
-    assert announcement.FALSE_ALARM_PERIOD_S == 36_000.0 and 0.0 < announcement.GATES < 1.0
+    assert FALSE_ALARM_PERIOD_S == 36_000.0 and 0.0 < announcement.GATES < 1.0

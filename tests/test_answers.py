@@ -7,7 +7,7 @@ import pytest
 
 import rotorwatch as rw
 from rotorwatch import report
-from rotorwatch.answer.conclusion import MATTERS
+from rotorwatch.engine.front.decisions import MATTERS
 from rotorwatch.report import terminal
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "flights"

@@ -38,6 +38,7 @@ from rotorwatch.engine.estimator.plant import (
     YAW_GAIN,
 )
 from rotorwatch.engine.estimator.plausibility import torque_free
+from rotorwatch.engine.front.decisions import FALSE_ALARM_PERIOD_S
 from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LEARN
 
 DT = 0.05
@@ -413,7 +414,7 @@ def test_a_rotor_that_a_turn_commands_less_is_announced_all_the_same():
     turn = -swing[:, None] * np.sign(B[2] * B[2, 1])
     u[:, :4] += turn
     y += (turn * lost) @ B.T
-    with ENGINE.changed({"announcement.CERTAIN_NATS": 1e9}):  # evidence this large asks nothing of the command
+    with ENGINE.changed({"decisions.CERTAIN_NATS": 1e9}):  # evidence this large asks nothing of the command
         out = method.told(u, y, valid)
     (announced,) = np.flatnonzero(out.announced)
     assert announced - ONSET < 12
@@ -591,7 +592,7 @@ def test_false_alarms_are_as_rare_as_the_threshold_says(amount):
 
 def test_the_threshold_follows_from_a_false_alarm_rate():
     hyp = list_hypotheses(4)
-    hours = announcement.FALSE_ALARM_PERIOD_S / 3600.0
+    hours = FALSE_ALARM_PERIOD_S / 3600.0
     assert hours >= 10.0  # what is promised: at most one in ten flight hours
     weight = hyp.weight[hyp.fault & (np.array(hyp.kinds) != "recovery")].sum()
     assert np.exp(program.threshold(4, DT)) * DT / 3600.0 / weight == pytest.approx(hours * announcement.GATES)

@@ -23,12 +23,12 @@ from rotorwatch.engine.estimator.hypotheses import (
     NOTHING,
     PAIR_WEIGHT,
     RECOVERY_SHARE,
-    TOTAL_LOSS,
 )
 from rotorwatch.engine.estimator.kalman import Branch
 from rotorwatch.engine.estimator.noise import Noise
 from rotorwatch.engine.estimator.plant import ANSWER_S, THETA
 from rotorwatch.engine.estimator.sizes import SLOTS
+from rotorwatch.engine.front.decisions import TOTAL_LOSS
 
 N, DT = 4, 0.05
 HYP = list_hypotheses(N)

@@ -33,6 +33,7 @@ from rotorwatch.engine.default import events, residual_evidence
 from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.default.program import TickOutput, threshold
 from rotorwatch.engine.diagnoser import Diagnoser, fly
+from rotorwatch.engine.front.decisions import MATTERS
 from rotorwatch.engine.motion import deviations, ticks, trust
 from rotorwatch.engine.motion.airborne import Gap, airborne, gaps
 from rotorwatch.engine.motion.allocation import Spans
@@ -87,7 +88,7 @@ class Prepared:
     assumptions: list[str]
     warnings: list[str]
     missing: tuple[Gap, ...] = ()
-    matters: float = conclusion.MATTERS
+    matters: float = MATTERS
 
 
 @dataclass(frozen=True)
@@ -130,7 +131,7 @@ def diagnose(
     estimator: Any = "default",
     progress: Callable | None = None,
     tuning: Tuning | None = None,
-    matters: float = conclusion.MATTERS,
+    matters: float = MATTERS,
 ) -> Diagnosis:
     """Which rotor lost effectiveness, how much, since when and how sure.
 

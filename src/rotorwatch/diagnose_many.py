@@ -11,9 +11,9 @@ from os import PathLike
 from typing import Any
 
 from rotorwatch import gathering, logs
-from rotorwatch.answer.conclusion import MATTERS
 from rotorwatch.base.many.done import Done
 from rotorwatch.base.many.spread import run, useful_jobs
+from rotorwatch.engine.front.decisions import MATTERS
 from rotorwatch.errors import ConfigError, RotorwatchError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import SCHEMA, Diagnosis

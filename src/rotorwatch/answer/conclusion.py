@@ -28,7 +28,7 @@ from rotorwatch.answer.wording import (
     sentence,
     up_to,
 )
-from rotorwatch.engine.estimator.hypotheses import TOTAL_LOSS
+from rotorwatch.engine.front.decisions import MATTERS, MENTIONED, TOTAL_LOSS
 from rotorwatch.engine.motion.airborne import Gap
 from rotorwatch.flight.diagnosis import Event, RotorState, Source, StoryLine, Trend
 from rotorwatch.flight.kinds import CONTACT, EVIDENCE, FROM_TAKEOFF, LOST, Weight
@@ -42,10 +42,8 @@ NOT_A_ROTOR = {
     "power": "the power failed",
 }
 LEAST_S = 3.0  # of judged flight, below which no rotor is called healthy
-MATTERS = 0.2  # loss of one rotor up to which `healthy` is a claim: from there on a rotor is degraded (wording.SCALE)
 MOST_NOTICES = 3  # of no rotor, in a headline: the first
 ALIKE = 0.05  # bounds of rotors that differ by less accuse none
-CAUSE_CREDIBLE = 0.05  # causes of a whole flight's difference that are less probable accuse nobody
 LANDED_S = 1.5
 SHORT_S = 20.0  # of flight, below which tenths of a second are worth saying
 UNJUDGED = "Damage from take-off was not judged."
@@ -408,7 +406,7 @@ def _matter(seen: Evidence, verdict: str, main: int | None) -> str:
 
 def _from_the_start(seen: Evidence, whole: Mapping[str, Any]) -> str:
     """What explains a whole flight's difference, the likeliest first."""
-    causes = sorted((c for c in whole["causes"] if c["probability"] > CAUSE_CREDIBLE), key=lambda c: -c["probability"])
+    causes = sorted((c for c in whole["causes"] if c["probability"] > MENTIONED), key=lambda c: -c["probability"])
     if not any(c["rotors"] for c in causes):
         causes = [{"rotors": whole["rotors"]}, *causes]
     said = []
@@ -482,7 +480,7 @@ def _from_takeoff(whole: Mapping[str, Any] | None, rotor: int, verdict: str, see
     """The state of a rotor from take-off on, by the comparison with healthy flights or vehicles."""
     if not whole or (verdict in UNKNOWING and not _bounded(seen)):
         return "not judged"
-    likely = {r for c in whole.get("causes", ()) if c["probability"] > CAUSE_CREDIBLE for r in c["rotors"]}
+    likely = {r for c in whole.get("causes", ()) if c["probability"] > MENTIONED for r in c["rotors"]}
     if whole["verdict"] == "fault" and rotor in whole["rotors"]:
         return "damaged"
     if whole["verdict"] != "healthy" and rotor in {*whole["rotors"], *likely}:

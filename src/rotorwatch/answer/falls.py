@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rotorwatch.engine.front.losses import CREDIBLE
+from rotorwatch.engine.front.decisions import CREDIBLE, SAME_S, SURE
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import CONTACT, LOSS, LOST, ORDER, OVERRIDE
 
@@ -17,9 +17,7 @@ if TYPE_CHECKING:
     from rotorwatch.witnesses.upset.find import Judged
     from rotorwatch.witnesses.upset.loss_of_control import LossOfControl
 
-SURE = 0.9  # probability of a cause that is named alone
 TOUCHED_S = 1.0  # from a blow in flight to the loss of control that follows from it
-SAME_S = 1.5  # a loss announced in flight so near to the onset is the one that is judged here
 
 
 def events(found: Sequence[Judged], known: Sequence[Event], n: int) -> tuple[Event, ...]:

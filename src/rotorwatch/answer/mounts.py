@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch.answer.trim import AMOUNTS, Explained
-from rotorwatch.engine.front.losses import CLEAR, WITHIN_95
+from rotorwatch.engine.front.decisions import CLEAR
+from rotorwatch.engine.front.losses import WITHIN_95
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import TURNED
 

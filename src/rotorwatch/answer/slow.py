@@ -15,7 +15,8 @@ from rotorwatch.answer.trim import SIZES, Explained
 from rotorwatch.answer.wording import SCALE
 from rotorwatch.engine.default import events, residual_evidence
 from rotorwatch.engine.estimator.plant import USUAL_S
-from rotorwatch.engine.front.losses import CLEAR, CREDIBLE, CURVE_SHARE, WITHIN_95
+from rotorwatch.engine.front.decisions import CLEAR, CREDIBLE
+from rotorwatch.engine.front.losses import CURVE_SHARE, WITHIN_95
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import LOSS
 

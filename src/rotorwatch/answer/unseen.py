@@ -12,7 +12,7 @@ intervals over all onsets from 10 s after judging began to 10 s before its end (
 shifts, is such a step as well: the bound then says that a loss could look like this. Thrust itself, which battery and air move for all
 rotors alike, is left out for a single rotor.
 
-Where such a step is certain, began with certain evidence for that rotor (`announcement.CERTAIN_NATS` each, against no change at all; the
+Where such a step is certain, began with certain evidence for that rotor (`CERTAIN_NATS` each, against no change at all; the
 beginning of one tick), and has stayed since, the flight cannot be called healthy: a gust explains the beginning as well, and another
 wind the rest, but a loss explains both.
 
@@ -35,7 +35,8 @@ import numpy as np
 from rotorwatch.answer.wording import SCALE
 from rotorwatch.engine.default import events, residual_evidence
 from rotorwatch.engine.default.hypotheses import list_hypotheses
-from rotorwatch.engine.estimator import announcement, hypotheses, plant
+from rotorwatch.engine.estimator import hypotheses, plant
+from rotorwatch.engine.front.decisions import CERTAIN_NATS
 from rotorwatch.engine.front.losses import WITHIN_95
 from rotorwatch.engine.front.vehicle import YAW
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks
@@ -144,7 +145,7 @@ class Unseen:
         """The rotors that a step accuses which has stayed until end_s and began with certain evidence. found: events, for the knocks, whose
         evidence speaks of themselves."""
         step = self.step()
-        if step is None or step.nats.max() < announcement.CERTAIN_NATS:
+        if step is None or step.nats.max() < CERTAIN_NATS:
             return ()
         if (step.loss - step.half)[step.nats.argmax()] < dict(SCALE)["worn"]:
             return ()
@@ -154,7 +155,7 @@ class Unseen:
         first, last = np.clip(about, 0, last_row).astype(int)
         here = self._rows.part(slice(first, last + 1))
         odds = np.where(residual_evidence.knocked(here.when, found), -np.inf, here.odds)[:, who]
-        if odds.max() < announcement.CERTAIN_NATS or here.began[1:].any():
+        if odds.max() < CERTAIN_NATS or here.began[1:].any():
             return ()  # between two flights battery and payload change as well
         sure, rotor = np.unravel_index(odds.argmax(), odds.shape)
         rotors = tuple(int(i) + 1 for i in who[step.nats[who].argsort()[::-1]])
@@ -177,7 +178,7 @@ class Unseen:
         shortly = (rows.when >= lost.onset_s - plant.USUAL_S) & (rows.when < lost.detected_s)
         odds = np.where(shortly & rows.leads & ~residual_evidence.knocked(rows.when, found), rows.odds, -np.inf)
         most, since = odds.max(axis=0), np.take_along_axis(rows.onset, odds.argmax(axis=0)[None], axis=0)[0]
-        if most.max() < announcement.CERTAIN_NATS:
+        if most.max() < CERTAIN_NATS:
             return lost
         who = np.flatnonzero(most > most.max() - hypotheses.CLEAR).tolist()
         names = " and ".join(f"rotor {i + 1} (since {since[i]:.1f} s)" for i in who)

@@ -31,6 +31,7 @@ from rotorwatch.engine.front import (
     airborne,
     changes,
     contact,
+    decisions,
     deviations,
     events,
     front,
@@ -46,7 +47,22 @@ from rotorwatch.engine.front import (
 )
 from rotorwatch.flight import Flight, Message
 
-FRONT = vehicle, airborne, mixer, deviations, contact, sense, ticks, front, events, records, losses, changes, words
+FRONT = (
+    decisions,
+    vehicle,
+    airborne,
+    mixer,
+    deviations,
+    contact,
+    sense,
+    ticks,
+    front,
+    events,
+    records,
+    losses,
+    changes,
+    words,
+)
 ESTIMATOR = (
     plant, noise, model_error, kalman, bank, hypotheses, evidence, plausibility, announcement, opposite, posterior, estimator,
 )  # fmt: skip

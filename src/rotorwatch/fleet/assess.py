@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from rotorwatch.engine.front.decisions import DAMAGED, MENTIONED
 from rotorwatch.fleet import explain, false_discovery, listing, prognosis, scatter
 from rotorwatch.fleet.explain import CENTRE, STEP, WORN, Found, Series
 from rotorwatch.fleet.store import Store
 from rotorwatch.methods.maths import multivariate_t as student
-from rotorwatch.witnesses.healthy.whole_flight import LIMITED, SLOPE_BETWEEN_SD, SURE, of_wind
+from rotorwatch.witnesses.healthy.whole_flight import LIMITED, SLOPE_BETWEEN_SD, of_wind
 
 FELL = "control was lost in it"
 TAUGHT_BY = ("healthy", "inconclusive")
@@ -26,7 +27,6 @@ BETWEEN = 2.0  # aircraft of a build differ by so many times what flights of one
 LAGS = 3  # flights, over which what is left may hang together
 # Of Student's t: how much less a flight says than its scale suggests.
 INFLATION = (scatter.NU + 5.0) / (scatter.NU + 3.0)
-TELLS = 0.05  # probability from which another explanation is worth a word
 
 
 URGENT = {"damaged": 0, "worn": 1, "suspect": 2}
@@ -266,7 +266,7 @@ def _rotor(one: History, series: Series, found: Found, i: int, named: bool) -> d
     since = series.cuts(i)[-2]
     live = [k for k in mine if found.atoms[k].start >= since]
     e, sd = float(found.now[i]), float(found.now_sd[i])
-    unsure = [k for k in mine if found.candidates[k].get(i, 0.0) < SURE]
+    unsure = [k for k in mine if found.candidates[k].get(i, 0.0) < DAMAGED]
     sure = len(mine) > len(unsure)
     status = "healthy" if not mine else "restored" if sure and named else "suspect"
     if status == "restored" and live and e >= 1.96 * sd:
@@ -284,8 +284,10 @@ def _rotor(one: History, series: Series, found: Found, i: int, named: bool) -> d
         "loss": _round(explain.loss(max(e, 0.0), n)),
         "interval": [_round(explain.loss(max(v, 0.0), n)) for v in (low, high)],
         "evidence": _round(float(found.evidence[i])),
-        "candidates": sorted({c + 1 for k in unsure for c, p in found.candidates[k].items() if p > TELLS and c >= 0}),
-        "or_centre_of_mass": any(found.candidates[k].get(-1, 0.0) > TELLS for k in unsure),
+        "candidates": sorted(
+            {c + 1 for k in unsure for c, p in found.candidates[k].items() if p > MENTIONED and c >= 0}
+        ),
+        "or_centre_of_mass": any(found.candidates[k].get(-1, 0.0) > MENTIONED for k in unsure),
         "prognosis": _prognosis(one, series, found, i),
     }
 

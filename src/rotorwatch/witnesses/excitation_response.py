@@ -29,13 +29,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch.engine.default.events import CREDIBLE, read, sd_of
+from rotorwatch.engine.default.events import read, sd_of
 from rotorwatch.engine.default.plant import AXIS_STATES, lower_rotors
 from rotorwatch.engine.default.program import estimate
 from rotorwatch.engine.default.residual_evidence import TRIM_S, TRIM_SD
 from rotorwatch.engine.estimator import hypotheses
 from rotorwatch.engine.estimator.model_error import AT_LIMIT
 from rotorwatch.engine.estimator.plant import GAIN, PER_AXIS, SHARE, TAU
+from rotorwatch.engine.front.decisions import CERTAIN, CREDIBLE
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import LOSS
@@ -47,7 +48,6 @@ LEAST = 0.05  # hover thrusts of one rotor, off the mixer's own way of making a 
 SHORTEST_S, GAP_S, ASIDE_S = 0.5, 1.0, 1.0  # of an excitation; between two; of flight looked at before and after
 HOVER_S = 3.0  # over which hover's commands are averaged
 LONGEST = 400  # ticks looked at together
-CERTAIN = 0.99  # probability from which on a set is named
 UNLIKE = 0.03  # by what share healthy rotors differ in what a command changes
 LOSS_SD = 0.05  # of what hover says of a loss, besides RECOVERY_SHARE of it
 EXPLAINED = 4.0  # standard deviations of trim that a set of rotors may leave unexplained to be suspected

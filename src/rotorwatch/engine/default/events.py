@@ -19,7 +19,6 @@ from rotorwatch.engine.default.plant import lower_rotors
 from rotorwatch.engine.definition import ENGINE, craft
 from rotorwatch.engine.front import deviations, losses, whole
 from rotorwatch.engine.front import events as definition
-from rotorwatch.engine.front.losses import CREDIBLE, CURVE_SHARE
 from rotorwatch.engine.front.records import Found
 from rotorwatch.engine.front.sizes import EVENTS, RECORDS, TOGETHER
 from rotorwatch.engine.motion.contact import Contact
@@ -27,8 +26,6 @@ from rotorwatch.engine.motion.deviations import Override
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import CONTACT, LOSS, OVERRIDE, TABLE, number
-
-__all__ = ["CREDIBLE", "CURVE_SHARE"]
 
 # Numbers, of 16 bits, that stand for unknown kinds, for what became of an output and for causes: each its own, while the process lasts.
 _NUMBERS: dict[Any, int] = defaultdict(iter(range(1 << 8, 1 << 15)).__next__)

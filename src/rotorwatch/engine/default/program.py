@@ -15,6 +15,7 @@ from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.estimator import announcement, estimator, known, noise, plant, sizes, whole
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
 from rotorwatch.engine.estimator.plant import AIR, CURVE, SHARE, THETA, Plant, Rows
+from rotorwatch.engine.front.decisions import FALSE_ALARM_PERIOD_S
 from rotorwatch.engine.motion.ticks import AGAIN, TICKS_S, Ticks
 from rotorwatch.errors import ConfigError
 
@@ -92,7 +93,7 @@ def threshold(n: int, dt: float) -> float:
     """Nats that the evidence of all faults of n rotors has to reach in ticks of dt seconds before one is announced."""
     vehicle = Plant()
     vehicle.rotors, vehicle.dt = n, dt
-    return announcement.threshold(vehicle, announcement.GATES * announcement.FALSE_ALARM_PERIOD_S)
+    return announcement.threshold(vehicle, announcement.GATES * FALSE_ALARM_PERIOD_S)
 
 
 def balance(u: np.ndarray, vehicle: running.Rows) -> tuple[np.ndarray, np.ndarray]:

@@ -16,14 +16,14 @@ from rotorwatch.engine.estimator.hypotheses import CLEAR, ONE_THRUST, PAIR, pair
 from rotorwatch.engine.estimator.noise import MEMORY_S
 from rotorwatch.engine.estimator.plant import USUAL_S, Plant
 from rotorwatch.engine.estimator.plausibility import Plausible
+from rotorwatch.engine.front.decisions import CERTAIN_NATS, FALSE_ALARM_PERIOD_S
 
-FALSE_ALARM_PERIOD_S = 10 * 3600.0  # promised: no more than one in so long
 # Of the statistic's own false alarms - as rare, on surrogates of real noise, as its threshold says - odds and plausibility
 # let pass at most this share: none of 6 there, and 1 of 81 with a threshold 4 nats lower.
 GATES = 0.15
 TICKS = 2  # in a row for which all conditions hold
 EDGE = 0.9  # of the bank's reach
-ABSORB_S, CERTAIN_NATS = 1.0, 16.0
+ABSORB_S = 1.0
 
 
 class Alarm(Struct):

@@ -42,7 +42,6 @@ from rotorwatch.engine.estimator.hypotheses import (
     PAIR,
     RECOVERY,
     SINGLE,
-    TOTAL_LOSS,
     Asked,
     Freed,
     Jump,
@@ -57,6 +56,7 @@ from rotorwatch.engine.estimator.kalman import Branch
 from rotorwatch.engine.estimator.noise import Noise
 from rotorwatch.engine.estimator.plant import ANSWER_S, THETA, THRUST, Plant
 from rotorwatch.engine.estimator.sizes import DIRECTIONS, HYPOTHESES, ROTORS, SLOTS
+from rotorwatch.engine.front.decisions import TOTAL_LOSS
 
 DISTURBANCE_SCALE, DISTURBANCE_LEAST, DISTURBANCE_MOST = 3.0, 0.03, 1.0
 

@@ -15,13 +15,12 @@ from rotorwatch.base.compiling.structs import FLAG, REAL, Real, Reals, Struct, a
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Window
 from rotorwatch.engine.estimator.plant import THRUST, YAW, Plant
 from rotorwatch.engine.estimator.sizes import ROTORS
-from rotorwatch.engine.front import losses
+from rotorwatch.engine.front import decisions
 from rotorwatch.engine.front.losses import PAIR_WEIGHT
 
 # Nats by which one explanation has to be better than another before that counts.
-CLEAR = log(losses.CLEAR)
-# Losses: so large that the rotor is lost altogether; so small that it is none.
-TOTAL_LOSS, NONE = 0.8, 0.015
+CLEAR = log(decisions.CLEAR)
+NONE = 0.015  # a loss so small that it is none
 LOSS_WIDTH, SMALL_WIDTH = 0.3, 0.06
 # Motors stop and propellers come off: this share of losses takes all thrust that a rotor has left.
 TOTAL_SHARE = 0.1

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from rotorwatch.base.compiling.structs import INT, LASTS, Real, Small, Struct, Time, array, copy, embedded, local
+from rotorwatch.engine.front.decisions import SAME_S
 from rotorwatch.engine.front.events import LOSS, Event
 from rotorwatch.engine.front.sizes import EVENTS, TOGETHER
 
 ANNOUNCED, CHANGED, WITHDRAWN = 0, 1, 2
 
 LOSS_STEP = 0.02  # by which a loss or a bound of it must move to be a change
-SAME_S = 1.0  # two onsets so close are of one event
 
 
 class Known(Struct):

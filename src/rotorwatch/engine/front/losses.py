@@ -29,14 +29,13 @@ from rotorwatch.base.compiling.structs import (
     reset,
     sqrt,
 )
+from rotorwatch.engine.front.decisions import CLEAR, CREDIBLE
 from rotorwatch.engine.front.events import LOSS, PLAIN, SHARED, Event
 from rotorwatch.engine.front.records import Course, ExplanationState, Found, Onset, Record, Records
 from rotorwatch.engine.front.sizes import ALTERNATIVES, PAIRS, PLACES, REACH, RECORDS, ROTORS, TOGETHER
 from rotorwatch.engine.front.ticks import JUDGE
 from rotorwatch.engine.front.vehicle import PITCH, ROLL, Vehicle
 
-CREDIBLE = 0.03  # a set of rotors with less probability than this is not named
-CLEAR = 10.0  # times as likely as all others: from that on an explanation stands alone
 # By what share the thrust curve may be steeper or flatter in hover than the log says: an expo of 0.65 that is 0.12 off.
 CURVE_SHARE = 0.08
 COAXIAL_SHARE = 0.1  # with how the thrust of a coaxial arm divides: half of what the lower rotors' share may be off by

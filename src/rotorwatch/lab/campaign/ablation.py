@@ -46,7 +46,7 @@ FILES = {
         "plant", "noise", "model_error", "kalman", "bank", "hypotheses", "evidence", "announcement", "plausibility", "opposite",
         "posterior",
     )
-} | {"losses": "rotorwatch.engine.front.losses"}  # fmt: skip
+} | {file: f"rotorwatch.engine.front.{file}" for file in ("decisions", "losses")}  # fmt: skip
 # Names, counts and what follows from others: nothing to be chosen.
 NOT_CHOSEN = {
     *(f"plant.{name}" for name in ("PER_AXIS", "B1", "B2", "B3", "GAIN", "DAMPING", "SIDEWAYS", "CURVE")),
@@ -55,9 +55,23 @@ NOT_CHOSEN = {
     *(f"bank.{name}" for name in ("GROUP", "GROUPS", "SHORT", "LONG", "SLOW_S", "YAW_ERROR", "DAMPING_ERROR", "FIRST_LOSS")),
     *(f"hypotheses.{name}" for name in ("SINGLE", "PAIR", "RECOVERY", "ONE_THRUST", "DISTURBANCE", "DISTURBANCES", "DISTURBANCE_COUNT")),
     "hypotheses.ALL_TORQUES", "hypotheses.NOTHING", "opposite.LEAST_ROTORS", "plausibility.CANCELS",
-    "announcement.FALSE_ALARM_PERIOD_S", "posterior.NEVER",
+    "decisions.FALSE_ALARM_PERIOD_S", "posterior.NEVER",
     "posterior.OLD_S", "losses.WITHIN_95", "losses.CANCELS",
 }  # fmt: skip
+# Thresholds of decisions that are not the estimator's.
+OTHERS = (
+    "SURE",
+    "CERTAIN",
+    "LIKELY",
+    "SAME_S",
+    "FALSE_ALARM",
+    "FALSE_FAULT",
+    "FALSE_FAULT_OF_ANY",
+    "DAMAGED",
+    "MENTIONED",
+    "MATTERS",
+)
+NOT_CHOSEN |= {f"decisions.{name}" for name in OTHERS}
 # Constants of `losses` that the estimator takes from there: where it does.
 TAKEN = {"PAIR_WEIGHT": "hypotheses", "YOUNG_S": "posterior"}
 WORDS = ("off", "half", "double")
@@ -117,22 +131,21 @@ def variants(only: Sequence[str] = (), words: Sequence[str] = WORDS) -> dict[str
 @contextmanager
 def changed(values: Mapping[str, Any]) -> Iterator[None]:
     """The method with other constants, and those that follow from them, while this lasts."""
-    losses = {key: value for key, value in values.items() if key.startswith("losses.")}
-    others = {key: value for key, value in values.items() if key not in losses}
-    for key, value in losses.items():
-        name = key.partition(".")[2]
-        if name == "CLEAR":
+    others = {}
+    for key, value in values.items():
+        file, _, name = key.partition(".")
+        if key == "decisions.CLEAR":
             others |= {"hypotheses.CLEAR": float(np.log(value)), "posterior.ALIKE": -float(np.log(value))}
-        elif name in TAKEN:
+        elif file == "losses" and name in TAKEN:
             others[f"{TAKEN[name]}.{name}"] = value
-    with ENGINE.changed(losses | others):
+    with ENGINE.changed({**values, **others}):
         yield
 
 
 def _read_only(key: str) -> bool:
     """Whether a constant is read after the estimator alone."""
     file, _, name = key.partition(".")
-    return file == "losses" and name not in TAKEN and name != "CLEAR"
+    return key == "decisions.CREDIBLE" or (file == "losses" and name not in TAKEN)
 
 
 def judge(table: Ticks, B: np.ndarray, values: Mapping[str, Any]) -> program.TickOutput:

@@ -19,8 +19,8 @@ from rotorwatch import airframes
 from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.default.program import TickOutput
 from rotorwatch.engine.estimator import hypotheses
-from rotorwatch.engine.estimator.announcement import FALSE_ALARM_PERIOD_S
 from rotorwatch.engine.estimator.posterior import PLACES
+from rotorwatch.engine.front.decisions import FALSE_ALARM_PERIOD_S
 from rotorwatch.engine.front.losses import WITHIN_95
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.allocation import Spans

@@ -13,6 +13,7 @@ import numpy as np
 
 from rotorwatch.answer.ledger import joined
 from rotorwatch.answer.wording import CAUSES, listed, percent, probability, rotors
+from rotorwatch.engine.front.decisions import LIKELY
 from rotorwatch.engine.motion import allocation
 from rotorwatch.engine.motion.ticks import Ticks
 from rotorwatch.flight import Flight
@@ -27,7 +28,6 @@ USED_S = 10.0  # how much of a loss is heard, its last
 LEARNED_S = 60.0  # of healthy flight, the last before the onset
 TAKE_OFF_S = 2.0  # spool-up and ground effect are no usual flight
 DOWN_S = 1.0  # nor is the last second before the ground
-LEAST_PROBABILITY = 0.5  # probability from which on a cause is named
 NOTABLE_V = 0.3
 LOADED = 0.1  # of its usual current: a rotor that needs less tells nothing by what it draws
 
@@ -132,7 +132,7 @@ def _entry(rotor: int, loss: float, interval: tuple[float, float], seen: ratios.
     share = ratios.causes(seen, loss, sd)
     best = max(share, key=lambda cause: share[cause])
     current = None if seen.current_change is None or seen.load < LOADED else 1.0 + seen.current_change[0] / seen.load
-    cause = best if share[best] >= LEAST_PROBABILITY else ratios.UNKNOWN
+    cause = best if share[best] >= LIKELY else ratios.UNKNOWN
     parts, drop = ratios.parts(seen, loss, sd), None if seen.volts is None else seen.volts[0]
     return evidence.entry(rotor, cause, share, parts, seen.speed_ratio[0], current, drop)
 
@@ -156,7 +156,7 @@ def in_words(entry: dict) -> str:
         phrases.append(f"its supply fell {drop:.1f} V below the others'")
     cause = entry["cause"]
     if cause == ratios.UNKNOWN:
-        none_fits = entry["causes"][ratios.UNKNOWN] >= LEAST_PROBABILITY
+        none_fits = entry["causes"][ratios.UNKNOWN] >= LIKELY
         so = "which fits no single cause" if none_fits else "which leaves the cause open"
     else:
         so = f"so the cause is the {CAUSES[cause]} ({probability(entry['causes'][cause])})"

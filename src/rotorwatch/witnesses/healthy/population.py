@@ -26,6 +26,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from rotorwatch.engine.front.decisions import CERTAIN, FALSE_ALARM, FALSE_FAULT_OF_ANY, MENTIONED
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.methods.maths import multivariate_t as student
@@ -35,8 +36,6 @@ CENTRE, TILT, FREEDOM = 0.04, 0.2, 6.0
 SHIFT_SD = 0.15  # arm lengths: a camera or a battery that hangs out in front
 HEALTHY, ROTOR, SHIFTED = 0.9, 0.05, 0.05  # before anything is seen
 MOST = 0.9
-FALSE_ALARM, FALSE_FAULT = 0.05, 0.001  # share of healthy vehicles that differ as much, for a word and for a fault
-SURE, OTHER = 0.99, 0.05  # probability of being weak: for a fault, more than elsewhere, of so few vehicles; for a word
 
 
 def judge(flight: Flight, vehicle: Vehicle, air: Sequence[tuple[float, float]], until: float = np.inf) -> dict | None:
@@ -70,11 +69,11 @@ def weigh(found: Features, B: np.ndarray) -> dict:
     means, intervals = zip(*(student.mean_and_interval(theta, one) for one in likelihood))
     loss, (low, high) = np.array(means), np.array(intervals).T
     best = int(np.argmax(probability))
-    named = [i for i in np.argsort(-probability) if probability[i] > OTHER * probability.sum()]
+    named = [i for i in np.argsort(-probability) if probability[i] > MENTIONED * probability.sum()]
     causes = [{"kind": "rotors", "rotors": [int(i) + 1], "probability": float(probability[i])} for i in named]
     causes.append({"kind": "centre_of_mass", "rotors": [], "probability": float(weight[1] / total)})
-    rare, sure = p_value < FALSE_ALARM and probability.sum() > 0.5, probability[best] > SURE
-    verdict = "fault" if rare and sure and p_value < FALSE_FAULT else "ambiguous" if rare else "healthy"
+    rare, sure = p_value < FALSE_ALARM and probability.sum() > 0.5, probability[best] > CERTAIN
+    verdict = "fault" if rare and sure and p_value < FALSE_FAULT_OF_ANY else "ambiguous" if rare else "healthy"
     if verdict == "healthy":
         return {"verdict": verdict, "reason": "", "rotors": [], "causes": [], "p_value": p_value, "loss": [0.0] * n,
                 "interval": [[0.0, float(v)] for v in high]}  # fmt: skip

@@ -28,7 +28,7 @@ with any one vehicle left out 0.008 to 0.011, 0.016 to 0.025 and 4 to 10. The me
 are none; the scaling of yaw is assumed, as in population.py.
 Hotelling's test rejects the healthy hypothesis at FALSE_ALARM per flight, shared by two tests: of the mean, and of its change between the
 halves of the flight, as damage at take-off stays and a swinging load does not. Only then explanations are weighed, one of them that nothing
-but scatter is there. The verdict fault needs a rarer flight (FALSE_FAULT) and a rotor that is SURE to be damaged.
+but scatter is there. The verdict fault needs a rarer flight (FALSE_FAULT) and a rotor that is DAMAGED for sure.
 """
 
 from __future__ import annotations
@@ -43,6 +43,7 @@ import numpy as np
 
 from rotorwatch import airframes
 from rotorwatch.base.physics import G0
+from rotorwatch.engine.front.decisions import DAMAGED, FALSE_ALARM, FALSE_FAULT, MENTIONED
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle
@@ -63,13 +64,7 @@ PRIOR_FLIGHTS, MANY_FLIGHTS = 6, 10  # many: from which on a baseline can begin 
 SLOPE_SD, SLOPE_BETWEEN_SD = 2.0, 0.4  # of w per g: any build; flights of one build
 HALVES_SD = 0.01  # change of w between the halves of a healthy flight: motors and batteries warm up
 
-FALSE_ALARM = 0.05
-"""Share of healthy flights that are called ambiguous or worse, under the model above."""
-FALSE_FAULT = 0.01
-"""Share of healthy flights that may be called a fault at most."""
 OF_MEAN = 0.8  # of the false alarms are the mean's; the rest the change's between halves
-SURE = 0.95  # probability of being damaged that a rotor needs for the verdict fault
-OTHER = 0.05  # probability from which another explanation is worth a word
 
 SINGLE, PAIR, CENTRE = 0.45, 0.1, 0.45  # prior of what it is when something is wrong
 LOSS_MEAN = 0.25  # of the extra command theta / (1 - theta), exponential
@@ -356,7 +351,7 @@ def judge(flight: Features, baseline: Sequence[Features], vehicle: Vehicle) -> W
     verdict, reason = "healthy", f"the rotors shared the load as in {usual}."
     if different:
         damaged = {r: (1.0 - scatter) * sum(c.probability for c in causes if r in c.rotors) for r in range(1, n + 1)}
-        sure = tuple(r for r in damaged if damaged[r] >= SURE)
+        sure = tuple(r for r in damaged if damaged[r] >= DAMAGED)
         suspects = sure or next(c.rotors for c in causes if c.kind == "rotors")
         verdict, reason = _explain(causes, suspects, bool(sure), p_mean, p_change, p_value, flight, loss, healthy)
     return WholeFlight(
@@ -408,11 +403,11 @@ def _explain(causes, suspects, sure, p_mean, p_change, p_value, flight, loss, he
         return "ambiguous", f"{rotors} or a shifted centre of mass: {why}, too much to tell them apart."
     if sure and p_value < FALSE_FAULT:
         return "fault", f"{rotors} had to work harder from take-off on, and roll, pitch and yaw agree; {seldom}."
-    if any(c.kind == "centre_of_mass" and c.probability > OTHER for c in causes):
+    if any(c.kind == "centre_of_mass" and c.probability > MENTIONED for c in causes):
         both = (rotors, "a shifted centre of mass")
         either = " or ".join(both[::-1] if causes[0].kind == "centre_of_mass" else both)
         return "ambiguous", f"{either}: yaw and thrust do not tell them apart; {seldom}."
-    sets = [c.rotors for c in causes if c.rotors and (c.probability > OTHER or c is causes[0])]
+    sets = [c.rotors for c in causes if c.rotors and (c.probability > MENTIONED or c is causes[0])]
     either = " or ".join("+".join(map(str, r)) for r in sets)
     which = "but not beyond doubt" if len(sets) < 2 else f"and it is not certain which ({either})"
     return "ambiguous", f"{rotors} had to work harder from take-off on, {which}; {seldom}."

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorwatch.answer.falls import SURE
-from rotorwatch.engine.front.losses import CREDIBLE
+from rotorwatch.engine.front.decisions import CREDIBLE, SURE
 from rotorwatch.engine.motion import allocation, ticks
 from rotorwatch.engine.motion.contact import LEAST_GAIN
 from rotorwatch.engine.motion.ticks import Sensed
