@@ -301,6 +301,5 @@ def test_a_light_coaxial_octa_that_flies_off_is_not_accused():
     """0.9 kg on arms of 0.55 m: rotation dies out at 9 a second, and the first eight looked like a rotor at the end of one arm."""
     flights = plan.read(Path(__file__).parents[1] / "plans" / "default.toml")
     (flown,) = batch.fly(flights, [3599], 1)
-    B = flown.vehicle.effectiveness()
-    ((judged, _),) = batch.by_default([flown], B)
-    assert events.read(judged.kept, flown.ticks, B) == ()
+    (done,) = batch.by_default([flown])
+    assert events.read(done.out, done.table, flown.vehicle.effectiveness()) == ()

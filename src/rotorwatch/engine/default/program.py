@@ -42,6 +42,7 @@ class TickOutput(NamedTuple):
     gives: Array
     detectable: Array
     biases: Array
+    plausible: Array
 
 
 class Learned(NamedTuple):
@@ -126,13 +127,11 @@ def steps(dt: float, B: np.ndarray, dynamics=None) -> Steps:
 
 
 class Steps:
-    """The default estimator of one vehicle, stepped as ticks come. plausible (T,): of the rows that were run last, whether the likeliest
-    fault may be true."""
+    """The default estimator of one vehicle, stepped as ticks come."""
 
     def __init__(self, parameters: dict):
         self.plant, self.state = laid_out(parameters), ENGINE.new(estimator.Estimator)
         self.rotors = np.shape(parameters["B"])[1]
-        self.plausible = np.zeros(0, bool)
         self._room = ENGINE.array(estimator.Result, PIECE)
         ENGINE.call(whole.begin, self.plant, self.state)
 
@@ -149,16 +148,14 @@ class Steps:
     def run(self, u: np.ndarray, y: np.ndarray, valid: np.ndarray, progress=None) -> TickOutput:
         """Step over the rows u (T, n + 15), y and valid (T, 4); the stacked outputs. progress: called with the finished share, 0..1."""
         tables = [np.ascontiguousarray(u, float), np.ascontiguousarray(y, float), np.ascontiguousarray(valid, bool)]
-        parts, plausible = [], []
+        parts = []
         for first in range(0, max(len(u), 1), PIECE):
             rows = [table[first : first + PIECE] for table in tables]
             count = len(rows[0])
             ENGINE.call(whole.run, self.plant, self.state, count, *rows, self._room)
             parts.append(outputs(self._room, count, self.rotors))
-            plausible.append(self._room["plausible"][:count].copy())
             if progress and len(u):
                 progress(min(1.0, (first + PIECE) / len(u)))
-        self.plausible = np.concatenate(plausible)
         return parts[0] if len(parts) == 1 else TickOutput(*map(np.concatenate, zip(*parts, strict=True)))
 
 
@@ -172,8 +169,7 @@ def learned(state: running.Rows, rotors: int) -> Learned:
 
 def outputs(results: running.Rows, count: int, rotors: int) -> TickOutput:
     """The first of these results, of a vehicle with so many rotors."""
-    made = {name: results[name][:count][fitting].copy() for name, fitting in _outputs(rotors) if name != "plausible"}
-    return TickOutput(**made)
+    return TickOutput(**{name: results[name][:count][fitting].copy() for name, fitting in _outputs(rotors)})
 
 
 @functools.cache

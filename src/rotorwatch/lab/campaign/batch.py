@@ -1,6 +1,7 @@
 """One batch of a campaign: flights of one cell flown, logged, turned into ticks and judged, side by side where that is possible.
 
-The simulator's log, in memory, goes through `diagnose` (`prepare`, `judge`); only the estimators run over all flights of a batch at once.
+The simulator's log, in memory, goes through `diagnose` (`prepare`, `estimated`, `judge`); only published methods run over all flights of a
+batch at once.
 """
 
 from __future__ import annotations
@@ -8,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, cast
+from typing import Any, Protocol, cast
 
 import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.diagnose import Estimated, Prepared, prepare
+from rotorwatch.diagnose import Estimated, Prepared, estimated, prepare
 from rotorwatch.diagnose import judge as conclude
 from rotorwatch.engine.default import program
 from rotorwatch.engine.motion.ticks import GROUND, LAG_S, Ticks
@@ -74,13 +75,6 @@ class Flown:
         return cast(Ticks, self.ready.table)
 
 
-class Judged(NamedTuple):
-    """What is kept of every tick: the default estimator's outputs, and whether its best hypothesis was plausible."""
-
-    kept: program.TickOutput
-    plausible: Any
-
-
 def judge(plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
     """Rows of results (score.py), one per flight and method. All flights must be of one cell; `size`: width that the batch is
     filled up to, always the same, so that a flight's result does not depend on who it flew with."""
@@ -107,9 +101,9 @@ def rows(
         return found | (score.answer(end) if done.own else {})
 
     if "default" in plan.estimators:
-        for f, bound, (out, last) in zip(flown, bounds, by_default(flown, B), strict=True):
-            statistic = np.where(out.plausible, out.kept.statistic, score.NOTHING)
-            found.append(row("default", f, Estimated(f.ticks, out.kept, last), statistic, bound))
+        for f, bound, done in zip(flown, bounds, by_default(flown), strict=True):
+            statistic = np.where(done.out.plausible, done.out.statistic, score.NOTHING)
+            found.append(row("default", f, done, statistic, bound))
     if published:
         tables = [f.ticks for f in flown]
         hops = methods.learn(tables, B, learned_states(flown, B))
@@ -189,13 +183,9 @@ def _table(table: Ticks, B: np.ndarray, rows: slice = slice(None)) -> tuple[np.n
     return u[rows], y[rows], valid[rows]
 
 
-def by_default(flown: Sequence[Flown], B: np.ndarray) -> list[tuple[Judged, program.Learned]]:
-    """The default estimator over every flight: what is kept, and what it has come to."""
-    found = []
-    for f in flown:
-        steps = program.steps(f.ticks.dt, B)
-        found.append((Judged(steps.run(*_table(f.ticks, B)), steps.plausible), steps.learned))
-    return found
+def by_default(flown: Sequence[Flown]) -> list[Estimated]:
+    """Every flight through the default estimator, as `diagnose` does it."""
+    return [estimated(f.ready) for f in flown]
 
 
 def learned_states(flown: Sequence[Flown], B: np.ndarray) -> list[tuple | None]:

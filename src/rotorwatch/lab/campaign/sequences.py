@@ -22,7 +22,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from rotorwatch.base import files
-from rotorwatch.diagnose import Estimated, judge
+from rotorwatch.diagnose import judge
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Event
@@ -209,10 +209,9 @@ def judged(plan: Sequences, flown: Sequence[batch.Flown]) -> list[dict[str, Any]
     """A row for every state of these flights, all of one cell."""
     if not flown:
         return []
-    B = flown[0].vehicle.effectiveness()
     rows = []
-    for f, (out, last) in zip(flown, batch.by_default(flown, B)):
-        end = judge(f.ready, Estimated(f.ticks, out.kept, last)).end
+    for f, done in zip(flown, batch.by_default(flown)):
+        end = judge(f.ready, done).end
         accusing = [e for e in end.events if e.means.weakens]
         induced = induced_velocity(f.scenario)
         for s in states(f, accusing):
