@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rotorwatch.answer import falls, slow
+from rotorwatch.answer.trim import Growth
 from rotorwatch.answer.unseen import Unseen
 from rotorwatch.engine.default.events import Report, accuses, packed, shared, unexplained
 from rotorwatch.engine.default.residual_evidence import ResidualEvidence
@@ -51,7 +52,7 @@ class Merged:
     events: tuple[Event, ...]
     faint: tuple[Event, ...]
     shared: tuple[Event, ...] = ()
-    grown: slow.Growth | None = None
+    grown: Growth | None = None
 
 
 def merge(
@@ -59,7 +60,7 @@ def merge(
     report: Report,
     upsets: Sequence[Judged],
     n: int,
-    grown: slow.Growth | None = None,
+    grown: Growth | None = None,
 ) -> Merged:
     """The events of a flight of n rotors, in the order in which they were detected. claims: of any kind; report: its falls and contacts;
     upsets: its losses of control; grown: what the trim of the whole flight shows."""
@@ -130,7 +131,7 @@ def weighed(
     steps: Unseen,
     spells: Sequence[ResidualEvidence],
     end_s: float,
-    grown: slow.Growth | None = None,
+    grown: Growth | None = None,
 ) -> tuple[tuple[Event, ...], tuple[ResidualEvidence, ...]]:
     """The events and the evidence that none of them explains (`spells`, until `end_s`), with what the whole flight's trim and steps say of
     both."""

@@ -7,7 +7,7 @@ from rotorwatch.engine.front.sizes import ROTORS
 from rotorwatch.engine.front.vehicle import Vehicle
 from rotorwatch.engine.trim.sizes import BLOCKS
 
-BLOCK_S = 1.875  # length of a block at least
+BLOCK_S = 2.0  # length of a block at least
 
 
 class Block(Struct):

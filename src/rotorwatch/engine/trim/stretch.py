@@ -25,6 +25,7 @@ class Stretch(Struct):
     white = array(REAL, BLOCKS)
     steady = array(REAL, STEADY, BLOCKS)
     start: Time = 0.0  # of the block 0, s
+    last: Time = 0.0  # of the last tick
     length: Time = 1.0  # of a block, s
     count: Small = 0
 
@@ -40,6 +41,7 @@ class Stretch(Struct):
         if some < LEAST or blocks.last - blocks.start < LEAST_S:
             return False
         self.start = blocks.start
+        self.last = blocks.last
         self.length = blocks.length
         self.count = 0
         for i in range(BLOCKS):

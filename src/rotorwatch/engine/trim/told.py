@@ -97,7 +97,7 @@ class Growth(Struct):
             return
         start = stretch.time(_quantile(stretch, w, best, grows, False))
         end = stretch.time(_quantile(stretch, w, best, grows, True))
-        self.looked = stretch.time(real(stretch.at[stretch.count - 1]))
+        self.looked = stretch.last
         self.start = start + (end - start) * min(WORN / self.loss[0], 1.0)
         self.end = min(end, self.looked)
         self._follow(v, stretch, best, start)
@@ -274,7 +274,7 @@ class Mount(Struct):
         near = exp(beside.log() - most)
         when = (sole * _mean(w.onset_sole, w.turns[1]) + near * _mean(w.onset_beside, beside)) / (sole + near)
         self.onset = stretch.time(when)
-        self.detected = stretch.time(real(stretch.at[stretch.count - 1]))
+        self.detected = stretch.last
         return turned
 
     def put(self, events: list[Event], count: int, room: int) -> int:

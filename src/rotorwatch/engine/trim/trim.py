@@ -85,7 +85,7 @@ class Trim(Struct):
             self._look(v)
 
     def _look(self, v: Vehicle) -> None:
-        self.looked = self.blocks.last
         if self.stretch.take(v, self.blocks):
+            self.looked = self.blocks.last
             self.weighing.begin(self.stretch)
             self.busy = True
