@@ -47,8 +47,8 @@ int main(void)
 """
 
 
-# Ticks of a hover that is judged, with all onsets in use; then, of a flight that fills all blocks, the longest slice of the look at its trim,
-# and the last one, which concludes.
+# Ticks of a hover that is judged, with all onsets in use; then, of a flight that fills all blocks, the longest slice of the look at its
+# trim, and the last one, which concludes.
 DIAGNOSER = """
 #include "rw_diagnoser.h"
 #include <stdio.h>
@@ -140,7 +140,7 @@ def filters() -> None:
 def diagnoser() -> None:
     """A row for each vehicle and precision."""
     print(
-        "| vehicle | precision | million instructions a tick | ... of the longest slice of a look at the trim | ... of its last one | code kB "
+        "| vehicle | precision | million instructions a tick | of the longest slice of a look at the trim | of its last one | code kB "
         "| memory kB | estimator's state kB | trim's kB | workspace kB |"
     )
     print("|---" * 10 + "|")

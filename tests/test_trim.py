@@ -10,7 +10,7 @@ from rotorwatch.engine.definition import ENGINE, craft
 from rotorwatch.engine.front.losses import CLEAR
 from rotorwatch.engine.trim import many, weighing
 from rotorwatch.engine.trim.fit import DOUBT, GAIN, WHITE
-from rotorwatch.engine.trim.sizes import BLOCKS, TURNS
+from rotorwatch.engine.trim.sizes import AMOUNTS_TURNED, BLOCKS
 from rotorwatch.engine.trim.stretch import SMOOTH
 from rotorwatch.engine.trim.trim import LOOK_S, Trim
 from rotorwatch.engine.trim.weighing import DRIFT, RARE, TURNED
@@ -137,7 +137,7 @@ def test_each_explanation_has_the_odds_that_matrices_give_it(B, how):
 
 
 def test_amounts_of_a_mount_are_those_beyond_what_air_turns():
-    assert 2 * sum(amount >= TURNED for amount in weighing.AMOUNTS) == TURNS
+    assert 2 * sum(amount >= TURNED for amount in weighing.AMOUNTS) == AMOUNTS_TURNED
 
 
 @pytest.mark.parametrize("seconds", [40.0, 119.0, 1000.0])
@@ -176,7 +176,7 @@ def test_pieces_make_no_difference_and_looks_before_the_end_neither():
         np.testing.assert_array_equal(state.part("growth")[name], whole[name])
 
 
-def test_a_look_is_worked_off_within_ten_seconds_of_flight_and_what_comes_meanwhile_is_not_in_it():
+def test_a_look_is_worked_off_before_the_next_and_what_comes_meanwhile_is_not_in_it():
     out, ticks = flight(QUAD, loss=0.4)
     state, done = None, []
     for first in range(ticks.time.size):
@@ -185,7 +185,7 @@ def test_a_look_is_worked_off_within_ten_seconds_of_flight_and_what_comes_meanwh
     began = [k for k in range(1, len(done)) if done[k][0] and not done[k - 1][0]]
     ended = [k for k in range(1, len(done)) if done[k][1] > done[k - 1][1]]
     assert [ticks.time[k] for k in began] == pytest.approx([37.0, 67.0], abs=0.2)
-    assert all(7.0 < ticks.time[b] - ticks.time[a] < 9.0 for a, b in zip(began, ended, strict=True))
+    assert all(5.0 < ticks.time[b] - ticks.time[a] < LOOK_S for a, b in zip(began, ended, strict=True))
     assert state is not None and state.part("growth")["looked"][0] <= ticks.time[began[-1]]
 
 

@@ -89,13 +89,8 @@ def config(vehicle: Vehicle, dt: float, output_hz: float, gyro_hz: float, accel_
     values = settings(vehicle.effectiveness(), dt) | rates(output_hz, gyro_hz, accel_hz)
     lines = [f"#define RW_{name} {value}" for name, value in values.items() if name not in ROOMS]
     lines += [f"#ifndef RW_{name}\n#define RW_{name} {values[name]}\n#endif" for name in ROOMS]
-    lines.append(f"/* What an event that is no loss is called. */\n#define RW_NAMES {{{', '.join(map(_quoted, kinds.ROWS))}}}")
     head = "/* Vehicle and rates of this library. Made by `rotorwatch export-c --diagnoser`; not to be edited. */"
     return "\n".join([head, "#ifndef RW_CONFIG_H", "#define RW_CONFIG_H", *lines, "#endif", ""])
-
-
-def _quoted(row: kinds.Kind) -> str:
-    return f'"{row.brief or row.noun}"'
 
 
 def vehicle_table(
@@ -137,6 +132,7 @@ def definitions() -> dict[str, str]:
     front = Translation(definition.FRONT, *definition.SIZES)
     estimator = Translation(definition.ESTIMATOR, *definition.SIZES, given=[front])
     trim = Translation(definition.TRIM, *definition.SIZES, given=[front, estimator])
+    names = ", ".join(f'"{row.brief or row.noun}"' for row in kinds.ROWS)
     joined = Translation([engine], *definition.SIZES, given=[front, estimator, trim])
     return {
         "rw_front.h": front.header(f"The front end: samples in, ticks out. {MADE}"),
@@ -147,6 +143,7 @@ def definitions() -> dict[str, str]:
         "rw_trim.c": trim.source("rw_trim.h"),
         "rw_engine.h": joined.header(f"All joined: samples in, events out. {MADE}", ["rw_trim.h"], "engine"),
         "rw_engine.c": joined.source("rw_engine.h"),
+        "rw_names.h": f"/* What events are called, by their kind. {MADE} */\n#define RW_NAMES {{{names}}}\n",
     }
 
 

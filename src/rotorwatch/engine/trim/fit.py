@@ -22,7 +22,7 @@ from rotorwatch.base.compiling.structs import (
     real,
     sqrt,
 )
-from rotorwatch.engine.trim.sizes import BLOCKS, STEADY
+from rotorwatch.engine.trim.sizes import BLOCKS, ROWS, STEADY
 from rotorwatch.engine.trim.stretch import LEVEL, Stretch
 
 # Variance of the white noise to that of a step of the walk, and its prior: what wanders is believed to unless the data say otherwise, as a
@@ -39,10 +39,8 @@ class Fit(Struct):
 
     gain = array(REAL, BLOCKS)  # of the filter
     root = array(REAL, BLOCKS)  # one over the standard deviation of each innovation
-    steady = array(REAL, STEADY, BLOCKS)  # whitened
-    z = array(REAL, 3, BLOCKS)  # whitened
-    column = array(REAL, BLOCKS)  # the same, of the last one
-    products = array(TIME, STEADY, STEADY)  # of `steady`
+    rows = array(REAL, BLOCKS, ROWS)  # of each block: `steady`, and z of each axis, whitened
+    products = array(TIME, ROWS, ROWS)  # of these columns
     scale = array(TIME, 3)  # by how much manoeuvres may show, of the noise
     factor = array(TIME, 3, STEADY, STEADY)  # of each axis: Cholesky factor of what the columns of `steady` weigh
     own = array(TIME, 3, STEADY)  # how much of each is in z
@@ -62,12 +60,11 @@ class Fit(Struct):
             if k + 1 < stretch.count:
                 variance += real(stretch.at[k + 1] - stretch.at[k])
         for j in range(STEADY):
-            self._whiten(stretch.steady[j], 0, stretch.count, self.steady[j])
-            for i in range(j + 1):
-                self.products[j][i] = _product(self.steady[j], self.steady[i], 0, stretch.count)
-                self.products[i][j] = self.products[j][i]
+            self._whiten(stretch.steady[j], stretch.count, j)
         for a in range(3):
-            self._whiten(stretch.z[a], 0, stretch.count, self.z[a])
+            self._whiten(stretch.z[a], stretch.count, STEADY + a)
+        self._multiply(stretch.count)
+        for a in range(3):
             self._weigh(a, stretch.count)
             self.fit[a] = noise - real(log(self.factor[a][LEVEL][LEVEL]))
             for j in range(LEVEL):
@@ -75,36 +72,51 @@ class Fit(Struct):
 
     def look(self, x: Reals, first: int, count: int, xy: Reals, xx: Reals) -> None:
         """A column that is 0 before `first`: its products with z and with itself on each axis, to `rest`."""
-        inside = local(TIME, STEADY)
+        inside = local(TIME, ROWS)
         own = local(TIME, STEADY)
-        self._whiten(x, first, count, self.column)
-        whole = _product(self.column, self.column, first, count)
-        for j in range(STEADY):
-            inside[j] = _product(self.column, self.steady[j], first, count)
+        whole: Time = 0.0
+        mean: Real = 0.0
+        for k in range(first, count):
+            off = x[k] - mean
+            mean += self.gain[k] * off
+            off *= self.root[k]
+            whole += off * off
+            row = self.rows[k]
+            for j in range(ROWS):
+                inside[j] += off * row[j]
         for a in range(3):
             self._solve(a, inside, own)
-            square: Time = whole
-            cross: Time = _product(self.column, self.z[a], first, count)
+            square = whole
+            cross = inside[STEADY + a]
             for j in range(STEADY):
                 square -= own[j] * own[j]
                 cross -= own[j] * self.own[a][j]
             xx[a] = real(max(square, 0.0) / self.rest[a])
             xy[a] = real(cross / self.rest[a])
 
-    def _whiten(self, x: Reals, first: int, count: int, out: Reals) -> None:
+    def _whiten(self, x: Reals, count: int, column: int) -> None:
         mean: Real = 0.0
-        for k in range(first, count):
+        for k in range(count):
             off = x[k] - mean
-            out[k] = off * self.root[k]
+            self.rows[k][column] = off * self.root[k]
             mean += self.gain[k] * off
+
+    def _multiply(self, count: int) -> None:
+        """All products of what has been whitened."""
+        for j in range(ROWS):
+            for i in range(ROWS):
+                self.products[j][i] = 0.0
+        for k in range(count):
+            row = self.rows[k]
+            for j in range(ROWS):
+                to = self.products[j]
+                for i in range(j + 1):
+                    to[i] += row[j] * row[i]
 
     def _weigh(self, axis: int, count: int) -> None:
         """What `steady` explains of z, and what that costs."""
-        inside = local(TIME, STEADY)
-        for j in range(STEADY):
-            inside[j] = _product(self.z[axis], self.steady[j], 0, count)
-        square = _product(self.z[axis], self.z[axis], 0, count)
-        left = max(square - self._explained(inside), 1e-12)
+        squares = self.products[STEADY + axis][STEADY + axis]
+        left = max(squares - self._explained(axis), 1e-12)
         self.scale[axis] = GAIN * sqrt(real(count) / left)
         for j in range(STEADY):
             for i in range(j + 1):
@@ -114,11 +126,11 @@ class Fit(Struct):
                 for k in range(i):
                     entry -= self.factor[axis][j][k] * self.factor[axis][i][k]
                 self.factor[axis][j][i] = sqrt(max(entry, 1e-12)) if i == j else entry / self.factor[axis][i][i]
-        self._solve(axis, inside, self.own[axis])
-        self.rest[axis] = square
+        self._solve(axis, self.products[STEADY + axis], self.own[axis])
+        self.rest[axis] = squares
         for j in range(STEADY):
             self.rest[axis] -= self.own[axis][j] * self.own[axis][j]
-        self.rest[axis] = max(self.rest[axis], 1e-12 * square + 1e-18)
+        self.rest[axis] = max(self.rest[axis], 1e-12 * squares + 1e-18)
 
     def _scale(self, axis: int, j: int) -> Time:
         return 1.0 if j == LEVEL else self.scale[axis]
@@ -131,8 +143,8 @@ class Fit(Struct):
                 out[j] -= self.factor[axis][j][k] * out[k]
             out[j] /= self.factor[axis][j][j]
 
-    def _explained(self, inside: Times) -> Time:
-        """The squares of a column that manoeuvres of any size explain."""
+    def _explained(self, axis: int) -> Time:
+        """The squares of z that manoeuvres of any size explain."""
         factor = local(TIME, STEADY, STEADY)
         own = local(TIME, STEADY)
         found: Time = 0.0
@@ -143,7 +155,7 @@ class Fit(Struct):
                     entry -= factor[j][k] * factor[i][k]
                 factor[j][i] = entry / factor[i][i] if factor[i][i] > 0.0 else 0.0
             entry = self.products[j][j]
-            own[j] = inside[j]
+            own[j] = self.products[STEADY + axis][j]
             for k in range(j):
                 entry -= factor[j][k] * factor[j][k]
                 own[j] -= factor[j][k] * own[k]
@@ -154,10 +166,3 @@ class Fit(Struct):
                 own[j] = 0.0
             found += own[j] * own[j]
         return found
-
-
-def _product(x: Reals, y: Reals, first: int, count: int) -> Time:
-    total: Time = 0.0
-    for k in range(first, count):
-        total += x[k] * y[k]
-    return total

@@ -28,7 +28,7 @@ from rotorwatch.engine.front.events import GREW, LOSS, STAYS, TURNED_MOUNT, Even
 from rotorwatch.engine.front.losses import CLEAR, CREDIBLE, CURVE_SHARE, WITHIN_95, sd_of
 from rotorwatch.engine.front.sizes import ROTORS
 from rotorwatch.engine.front.vehicle import Vehicle
-from rotorwatch.engine.trim.sizes import AMOUNTS_EACH, BLOCKS, LOSSES_EACH, TURNS
+from rotorwatch.engine.trim.sizes import AMOUNTS_EACH, AMOUNTS_TURNED, BLOCKS, LOSSES_EACH
 from rotorwatch.engine.trim.stretch import Stretch
 from rotorwatch.engine.trim.weighing import AMOUNTS, GROWS_S, NEVER, RATIO, SIZES, Sum, Weighing
 
@@ -236,10 +236,10 @@ class Mount(Struct):
     def find(self, v: Vehicle, stretch: Stretch, w: Weighing) -> Real:
         """Of a trim that has been weighed; its log-odds."""
         alone = w.alone()
-        weight = local(REAL, TURNS)
+        weight = local(REAL, AMOUNTS_TURNED)
         top: Real = NEVER
         every = Sum()
-        for k in range(TURNS):
+        for k in range(AMOUNTS_TURNED):
             both = Sum()
             both.add(alone + w.sole[k].log(), 1.0)
             both.add(w.beside[k].log(), 1.0)
@@ -255,19 +255,19 @@ class Mount(Struct):
         total: Real = 0.0
         mean: Real = 0.0
         square: Real = 0.0
-        for k in range(TURNS):
+        for k in range(AMOUNTS_TURNED):
             weight[k] = exp(weight[k] - top)
             total += weight[k]
             mean += weight[k] * _turn(k)
         mean /= total
-        for k in range(TURNS):
+        for k in range(AMOUNTS_TURNED):
             square += weight[k] / total * (_turn(k) - mean) * (_turn(k) - mean)
         step = 0.25 * abs(mean) * (RATIO - 1.0 / RATIO)
         self.yaw = mean
         self.half = WITHIN_95 * sqrt(square + step * step)
         sole = alone + w.turns[1].log()
         beside = Sum()
-        for k in range(TURNS):
+        for k in range(AMOUNTS_TURNED):
             beside.add(w.beside[k].log(), 1.0)
         most = max(sole, beside.log())
         sole = exp(sole - most)
@@ -302,7 +302,7 @@ def _mean(weighted: Sum, weights: Sum) -> Real:
 
 def _turn(k: int) -> Real:
     """Yaw of one of the amounts of a turned mount."""
-    each = TURNS // 2
+    each = AMOUNTS_TURNED // 2
     return -AMOUNTS[AMOUNTS_EACH - each + k] if k < each else AMOUNTS[AMOUNTS_EACH - 2 * each + k]
 
 

@@ -17,7 +17,7 @@ from rotorwatch.engine.trim.told import Growth, Mount
 from rotorwatch.engine.trim.weighing import Weighing
 
 LOOK_S = 30.0  # between two looks
-SLICES_HZ = 20.0  # slices in a second of flight: a look takes 8 s
+SLICES_HZ = 20.0  # slices in a second of flight: a look takes 16 s
 
 
 class Trim(Struct):

@@ -19,7 +19,7 @@ scatters more within a block of time. Manoeuvres show in z where gains are off: 
 SMOOTH blocks. Thrust, which battery and air move for all rotors alike, is left out. So a drift is a rotor's where it has the direction of
 that rotor, and is larger than drifts are.
 
-A slice of the work is one course: one t0 and t1. Everything is told by its log-odds to `nothing`.
+A slice of the work is half of what one course takes: one t0 and t1. Everything is told by its log-odds to `nothing`.
 """
 
 from __future__ import annotations
@@ -43,6 +43,7 @@ from rotorwatch.engine.front.vehicle import PITCH, ROLL, YAW, Vehicle
 from rotorwatch.engine.trim.fit import DOUBT, WHITE, Fit
 from rotorwatch.engine.trim.sizes import (
     AMOUNTS_EACH,
+    AMOUNTS_TURNED,
     BLOCKS,
     COLUMNS,
     COURSES,
@@ -50,7 +51,6 @@ from rotorwatch.engine.trim.sizes import (
     ONSETS,
     RATIOS,
     RISE_KINDS,
-    TURNS,
 )
 from rotorwatch.engine.trim.stretch import Stretch
 
@@ -64,7 +64,8 @@ AMOUNTS = tuple(0.01 * RATIO**k for k in range(AMOUNTS_EACH))  # hover thrusts, 
 SIZES = tuple(0.03 + 0.03 * k for k in range(LOSSES_EACH))
 PI = 3.141592653589793
 NEVER = -1e9  # log-odds of what cannot be
-FAINT = 40.0  # nats, below the most of a sum, that add nothing
+FAINT = 30.0  # nats, below the most of a sum, that add nothing
+MOST = 60.0  # of an exponent
 
 
 class Sum(Struct):
@@ -90,7 +91,7 @@ class Weighing(Struct):
     """What explains a trim. Sums over the courses so far; those of a turned mount are in two parts, of which one awaits `alone`."""
 
     fit = embedded(Fit)
-    base = array(REAL, RATIOS, 3)  # log-odds of each ratio of the noises with no explanation, to all of them
+    base = array(REAL, RATIOS, 3)  # odds of each ratio to all without explanation, to the power of -1 / freedom
     xy = array(REAL, RATIOS, COLUMNS, 3)  # of the columns of this course
     xx = array(REAL, RATIOS, COLUMNS, 3)
     x = array(REAL, BLOCKS)
@@ -101,14 +102,16 @@ class Weighing(Struct):
     drifts = array(Sum, 2)  # roll, pitch: any drift of the axis
     turns = array(Sum, 2)  # yaw: of less than TURNED, and more
     together = embedded(Sum)  # all axes drift at the same time
-    sole = array(Sum, TURNS)  # yaw by each amount of a turned mount, alone
-    beside = array(Sum, TURNS)  # the same with little of the others at the same time
+    sole = array(Sum, AMOUNTS_TURNED)  # yaw by each amount of a turned mount, alone
+    beside = array(Sum, AMOUNTS_TURNED)  # the same with little of the others at the same time
     onset_sole = embedded(Sum)  # t0 of these
     onset_beside = embedded(Sum)
     freedom: Real = 1.0  # half of the degrees of freedom
+    near: Real = 1.0  # by what a rest may be larger than another one and count beside it
     kind: Small = 0  # place among RISES
     place: Small = 0  # of the onset that is next, among ONSETS
     courses: Small = 0  # so far
+    measured: bool = False  # the next one
 
     def begin(self, stretch: Stretch) -> None:
         """Begin with a trim."""
@@ -120,12 +123,13 @@ class Weighing(Struct):
         for k in range(2):
             reset(self.drifts[k])
             reset(self.turns[k])
-        for k in range(TURNS):
+        for k in range(AMOUNTS_TURNED):
             reset(self.sole[k])
             reset(self.beside[k])
         self.kind = 0
         self.place = 0
         self.courses = 0
+        self.measured = False
         self.freedom = 0.5 * (real(stretch.count) - 1.0)
         for q in range(RATIOS):
             self.fit.begin(stretch, WHITE[q], real(q) * log(real(DOUBT)))
@@ -137,20 +141,26 @@ class Weighing(Struct):
                 every.add(self.base[q][a], 1.0)
             none = every.log()
             for q in range(RATIOS):
-                self.base[q][a] -= none
+                self.base[q][a] = exp(min((none - self.base[q][a]) / self.freedom, MOST))
+        self.near = exp(FAINT / self.freedom)
 
     def step(self, v: Vehicle, stretch: Stretch) -> bool:
-        """The next course; False where there is none left."""
+        """Half of a course: how it fits, or what that makes likely. False where there is none left."""
         if self.kind >= RISE_KINDS:
             return False
         start = self._onset(stretch, self.place)
-        if self.place == 0 or start > self._onset(stretch, self.place - 1):
+        rise = RISES[self.kind]
+        if not self.measured and (self.place == 0 or start > self._onset(stretch, self.place - 1)):
+            self._measure(v, stretch, start, rise)
+            self.measured = True
+            return True
+        if self.measured:
             self.start[self.courses] = start
-            self.rise[self.courses] = int(RISES[self.kind])
-            self._measure(v, stretch, start, RISES[self.kind])
+            self.rise[self.courses] = int(rise)
             self._drifts(real(start))
-            self._losses(v, 1 if RISES[self.kind] * stretch.length >= GROWS_S else 0)
+            self._losses(v, 1 if rise * stretch.length >= GROWS_S else 0)
             self.courses += 1
+            self.measured = False
         self.place += 1
         if self.place == ONSETS:
             self.place = 0
@@ -202,7 +212,7 @@ class Weighing(Struct):
         """Of each axis by each amount."""
         small = local(REAL, 3)
         whole = local(REAL, 3)
-        large = local(REAL, TURNS)
+        large = local(REAL, AMOUNTS_TURNED)
         more = Sum()
         for a in range(3):
             less = Sum()
@@ -231,7 +241,7 @@ class Weighing(Struct):
             self.drifts[a].add(whole[a], 1.0)
         self.turns[0].add(small[YAW], 1.0)
         self.turns[1].add(more.log(), 1.0)
-        for k in range(TURNS):
+        for k in range(AMOUNTS_TURNED):
             self.sole[k].add(large[k], 1.0)
             self.beside[k].add(large[k] + still, 1.0)
         self.onset_sole.add(more.log(), start)
@@ -251,11 +261,20 @@ class Weighing(Struct):
 
     def _odds(self, column: int, axis: int, amount: Real) -> Real:
         """Of so much of a column of this course on one axis."""
-        every = Sum()
+        rest = local(REAL, RATIOS)
+        least: Real = MOST
         for q in range(RATIOS):
-            left = 1.0 - 2.0 * amount * self.xy[q][column][axis] + amount * amount * self.xx[q][column][axis]
-            every.add(self.base[q][axis] - self.freedom * log(max(left, 1e-12)), 1.0)
-        return every.log()
+            left = 1.0 + amount * (amount * self.xx[q][column][axis] - 2.0 * self.xy[q][column][axis])
+            rest[q] = self.base[q][axis] * max(left, 1e-12)
+            if q == 0 or rest[q] < least:
+                least = rest[q]
+        every: Real = 0.0
+        for q in range(RATIOS):
+            if rest[q] <= least:
+                every += 1.0
+            elif rest[q] < least * self.near:
+                every += exp(-self.freedom * log(rest[q] / least))
+        return log(every) - self.freedom * log(least)
 
 
 def _gap(k: int) -> Real:

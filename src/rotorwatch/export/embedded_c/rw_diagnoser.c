@@ -1,4 +1,5 @@
 #include "rw_diagnoser.h"
+#include "rw_names.h"
 
 #include <math.h>
 #include <string.h>
