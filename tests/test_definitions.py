@@ -463,6 +463,13 @@ def test_what_is_not_c_is_refused_with_file_and_line(tmp_path, line):
     assert at <= number <= at + line.count("\n")
 
 
+def test_a_constant_is_not_taken_for_a_size_of_its_name(tmp_path):
+    """Of all definitions: C has the sizes as macros."""
+    text = f"{IMPORTS}ROTORS = 5.0\ndef f(x: Real) -> Real:\n    return ROTORS * x\n"
+    with pytest.raises(ConfigError, match="ROTORS is the name of a size, and another number here"):
+        Translation([module(tmp_path, "made_taken", text)], sizes)
+
+
 @pytest.mark.parametrize("what", ["class A(Struct):\n    x = 1.0\n", "def f(x: bytes) -> None:\n    pass\n"])
 def test_types_that_are_not_known_are_refused(tmp_path, what):
     with pytest.raises(ConfigError, match="made_wrong, line "):

@@ -148,6 +148,29 @@ def test_a_loss_may_turn_out_to_be_of_another_rotor_an_override_may_not():
     ]  # fmt: skip
 
 
+def test_a_loss_that_lasts_is_the_same_one_when_it_is_looked_at_again():
+    """What grows is told anew at each look at the trim, with another onset and another detection: that is a change, no withdrawal."""
+    changes, mount = Changes(), Event("turned_mount", (), 30.0, 60.0, None, (), (), 0.99, (), "")
+    said(changes, [loss(20.0, detected=60.0), mount])
+    later, turned = loss(24.0, detected=90.0, size=0.4), replace(mount, onset_s=33.0, detected_s=90.0)
+    assert said(changes, [later, turned]) == [(1, "changed", later), (2, "changed", turned)]
+    moved = loss(26.0, detected=120.0, size=0.4)
+    assert said(changes, [moved, turned]) == [(1, "changed", moved)]
+    other = loss(26.0, detected=120.0, rotors=(2,))
+    again = replace(other, onset_s=60.0, detected_s=150.0)
+    assert said(changes, [other, turned])[0][:2] == (1, "changed") and said(changes, [again])[1] == (
+        1,
+        "changed",
+        again,
+    )
+    ended = replace(again, end_s=155.0)
+    assert said(changes, [ended]) == [(1, "changed", ended)]
+    assert [what for _, what, _ in said(changes, [loss(170.0, rotors=(2,), detected=171.0)])] == [
+        "withdrawn",
+        "announced",
+    ]
+
+
 def test_in_the_end_any_difference_is_told():
     changes = Changes()
     said(changes, [loss(10.0), loss(20.0)])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from conftest import hexa_event
-from rotorwatch.answer import ledger, mounts, trim
+from rotorwatch.answer import ledger, trim
 from rotorwatch.answer.conclusion import Evidence, conclude
 from rotorwatch.engine.default.events import Report
 from rotorwatch.flight.kinds import TURNED
@@ -13,7 +13,7 @@ from test_slow import HEXA, QUAD, flight
 
 def claimed(B=QUAD, **how):
     out, ticks = flight(B, **how)
-    return mounts.claims(trim.explain(out, ticks, B))
+    return trim.mounts(trim.look(out, ticks, B))
 
 
 @pytest.mark.parametrize("B", [QUAD, HEXA])

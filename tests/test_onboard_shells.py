@@ -74,7 +74,7 @@ def test_shells_compile(autopilot, rotors, tmp_path):
     ("prefix", "names"),
     [
         ("VERDICT_", ("NOT_JUDGED", "HEALTHY", "FAULT", "AMBIGUOUS")),
-        ("KIND_", ("LOSS", "OUTPUT_OVERRIDE", "CONTACT")),
+        ("KIND_", ("LOSS", "OUTPUT_OVERRIDE", "CONTACT", "TURNED_MOUNT")),
         ("NEWS_", ("ANNOUNCED", "CHANGED", "WITHDRAWN")),
     ],
 )

@@ -10,7 +10,11 @@ import pytest
 from conftest import hexa_event
 from rotorwatch.answer import ledger, slow, trim
 from rotorwatch.answer.conclusion import Evidence, conclude
+from rotorwatch.engine.default import events
+from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.motion.ticks import JUDGE
+from rotorwatch.engine.trim import many
+from rotorwatch.engine.trim.trim import Trim
 from rotorwatch.live.judge import Judge
 
 QUAD = np.array([[-1.0, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1], [1, 1, 1, 1]])
@@ -47,7 +51,14 @@ def flight(
 
 def found(B=QUAD, **how) -> Any:
     out, ticks = flight(B, **how)
-    return slow.find(trim.explain(out, ticks, B), B)
+    return trim.growth(trim.look(out, ticks, B))
+
+
+def but(grown, **facts) -> Any:
+    """The same growth, but for this."""
+    rows = grown.rows.copy()
+    rows.set(**facts)
+    return replace(grown, rows=rows, **{name: value for name, value in facts.items() if hasattr(grown, name)})
 
 
 @pytest.mark.parametrize("B", [QUAD, HEXA])
@@ -79,10 +90,11 @@ def test_what_wind_may_have_done_as_well_is_not_certain():
     assert grown is None or not grown.certain
 
 
-def test_growth_is_looked_for_since_the_last_take_off_or_knock():
-    out, ticks = flight(loss=0.35)
-    ticks.mode[(ticks.time > 60.0) & (ticks.time < 62.0)] = JUDGE - 1
-    assert slow.find(trim.explain(out, ticks, QUAD), QUAD) is None
+def test_growth_is_looked_for_between_take_offs_and_knocks():
+    """What comes with a knock is part of the trim that is learned after it."""
+    out, ticks = flight(loss=0.35, begins=42.0, rise=2.0)
+    ticks.mode[(ticks.time > 41.0) & (ticks.time < 45.0)] = JUDGE - 1
+    assert trim.growth(trim.look(out, ticks, QUAD)) is None
 
 
 def test_a_step_announced_within_a_ramp_is_its_beginning():
@@ -103,7 +115,7 @@ def test_growth_leaves_alone_what_is_known_better():
         hexa_event(rotors=(2,), loss=(0.2,), interval=((0.15, 0.25),)),
     ):
         assert slow.join((event,), grown) == (event,)
-    assert slow.join((), None) == () == slow.join((), grown._replace(odds=5.0))
+    assert slow.join((), None) == () == slow.join((), but(grown, odds=5.0))
     faint = hexa_event(rotors=(1,), loss=(0.1,), interval=((0.0, 0.2),))
     (event,) = slow.join((faint,), grown)
     assert event.rotors == (1,) and event.extra == {
@@ -123,7 +135,7 @@ def test_a_loss_is_over_where_its_trim_is():
     assert joined.interval[0][0] < 0.3 < joined.interval[0][1] and "grew_until_s" not in joined.extra
     late = [*spells[:2], replace(spells[2], end_s=84.0)]
     assert slow.join(late, lasts) == tuple(late)  # too little is left of the flight to tell
-    ended = lasts._replace(course=tuple((t, loss if t < 62.0 else 0.02) for t, loss in lasts.course))
+    ended = but(lasts, lost=np.where(lasts.rows["time"][0] < 62.0, lasts.rows["lost"][0], 0.02))
     assert slow.join(spells, ended) == tuple(spells)
 
 
@@ -136,7 +148,7 @@ def test_the_answer_says_that_it_grew_and_how_much_it_is_now():
 
 
 def test_growth_that_is_not_certain_makes_its_rotor_a_suspect():
-    grown = found(loss=0.4)._replace(odds=5.0)
+    grown = but(found(loss=0.4), odds=5.0)
     (spell,) = slow.suspected(grown)
     assert (spell.rotors, spell.onset_s, spell.end_s) == ((1,), grown.start_s, grown.looked_s)
     assert spell.interval == grown.interval and spell.log_odds == pytest.approx(np.log(5.0))
@@ -145,40 +157,26 @@ def test_growth_that_is_not_certain_makes_its_rotor_a_suspect():
     assert ledger.open_claims((spell,), (hexa_event(),)) == () == slow.suspected(None)
 
 
-def test_a_flight_in_pieces_has_the_trim_of_the_whole():
-    out, ticks = flight(loss=0.4)
-    pieces = trim.Trims(QUAD)
-    for a in range(0, ticks.time.size, 3):
-        part = slice(a, a + 3)
-        some = SimpleNamespace(**{k: v[part] if isinstance(v, np.ndarray) else v for k, v in vars(ticks).items()})
-        pieces.add(SimpleNamespace(theta=out.theta[part], biases=out.biases[part]), some)
-    whole, found_ = slow.find(trim.explain(out, ticks, QUAD), QUAD), slow.find(pieces.explain(), QUAD)
-    assert found_ is not None and whole is not None
-    assert found_.rotors == whole.rotors and found_.loss == pytest.approx(whole.loss, rel=1e-3)
-    assert found_.start_s == pytest.approx(whole.start_s, abs=0.01)
-
-
-def test_a_link_says_it_while_the_vehicle_flies_and_keeps_it_when_it_flies_again():
-    """Looked at again and again; a second flight that is too short to show anything takes nothing back."""
+def test_a_link_says_it_while_the_vehicle_flies():
+    """Looked at again and again."""
     out, ticks = flight(loss=0.4)
     losses = SimpleNamespace(announcements=0, events=lambda flies: ())
     vehicle = SimpleNamespace(effectiveness=lambda: QUAD, identified={"flights": 1})
-    diagnoser: Any = SimpleNamespace(
-        vehicle=vehicle, plan=SimpleNamespace(ready_s=8.0, dt=DT), losses=losses, contacts=()
-    )
+    state, craft = ENGINE.new(Trim), events.vehicle(QUAD)
+    plan = SimpleNamespace(ready_s=8.0, dt=DT)
+    diagnoser: Any = SimpleNamespace(vehicle=vehicle, plan=plan, losses=losses, contacts=(), trim=state)
     judge = Judge(diagnoser, cast(Any, SimpleNamespace(at=lambda spans: None)))
-    judge.unseen = cast(Any, SimpleNamespace(add=lambda out, table: None))
     seen = []
     for a in range(0, ticks.time.size, 50):
         part = slice(a, a + 50)
-        some = {k: v[part] if isinstance(v, np.ndarray) else v for k, v in vars(ticks).items()}
-        table: Any = SimpleNamespace(**some, command_time=some["time"])
-        one: Any = SimpleNamespace(table=table, out=SimpleNamespace(theta=out.theta[part], biases=out.biases[part]))
-        judge.on(cast(Any, SimpleNamespace(spans=((0.0, np.inf),), overrides=(), judged=one)))
+        rows = (
+            ticks.time[part],
+            np.full(50, JUDGE, np.int32),
+            np.ones(50, bool),
+            out.biases[part, :3],
+            ticks.thrust[part],
+        )
+        ENGINE.call(many.pass_on, state, craft, DT, 50, *map(np.ascontiguousarray, rows))
+        judge.on(cast(Any, SimpleNamespace(spans=((0.0, np.inf),), overrides=(), judged=None)))
         seen.append(judge.grown is not None and judge.grown.certain)
     assert not seen[0] and seen[-1] and judge.grown is not None and judge.grown.rotors == (1,) and judge.revision == 1
-    again = cast(Any, SimpleNamespace(spans=((0.0, 90.0), (91.0, np.inf)), overrides=(), judged=one))
-    for mode in (JUDGE - 1, JUDGE):
-        table.mode[:] = mode
-        judge.on(again, final=mode == JUDGE)
-    assert judge.grown.certain and judge.grown.rotors == (1,)

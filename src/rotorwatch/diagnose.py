@@ -17,7 +17,6 @@ from rotorwatch.answer import (
     from_takeoff,
     health,
     ledger,
-    mounts,
     picture,
     places,
     slow,
@@ -264,9 +263,11 @@ def _find(ready: Prepared, done: Estimated) -> tuple[Merged, tuple[Event, ...]]:
     overridden = deviations.overrides(flight, craft, air) if one is None else deviations.in_flight(one.overrides, air)
     claims = (*claims, *map(events.overridden, overridden))
     ready.warnings += reports.end(flight, air)
-    shown = trim.explain(done.out, table, B) if done.own and ready.hovers else None
-    grown = slow.find(shown, B)
-    claims = (*claims, *mounts.claims(shown), *reports.claims(flight, air))
+    grown = None
+    if done.own and ready.hovers:
+        shown = trim.look(done.out, table, B) if one is None else one.trim
+        grown, claims = trim.growth(shown), (*claims, *trim.mounts(shown))
+    claims = (*claims, *reports.claims(flight, air))
     report = events.Report(B).add(table, air).finish(air) if one is None else one.report
     merged = ledger.merge(claims, report, ready.upsets, B.shape[1], grown)
     ready.warnings += [text for text, lasts in wording.together(merged.shared) if not lasts]

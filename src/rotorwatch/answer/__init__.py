@@ -5,9 +5,8 @@ places.py       where a rotor sits, in words
 health.py       grade of every rotor's loss, and its trend
 unjudged.py     why a flight could not be judged, or shows too little, and what would show more
 unseen.py       how large a loss can be that has not been announced, and whether one has stayed that wind hides
-trim.py         what explains the trim of a whole flight
-slow.py         losses that grew slowly, in that trim
-mounts.py       mounts and arms that turned, in that trim
+trim.py         what the trim of a whole flight shows: losses that grew, mounts and arms that turned
+slow.py         losses that grew slowly or only seemed to end, with the others
 from_takeoff.py damage from take-off, as healthy flights or vehicles show it
 story.py        what happened when control was lost, in the order of time
 ledger.py       all that is claimed of a flight, and the one rule that makes events of the claims

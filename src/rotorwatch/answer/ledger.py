@@ -36,6 +36,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rotorwatch.answer import falls, slow
+from rotorwatch.answer.trim import Growth
 from rotorwatch.engine.default.events import Report, accuses, packed, shared, unexplained
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.front import whole
@@ -64,7 +65,7 @@ def merge(
     report: Report,
     upsets: Sequence[Judged],
     n: int,
-    grown: slow.Growth | None = None,
+    grown: Growth | None = None,
 ) -> Merged:
     """The events of a flight of n rotors, in the order in which they were detected. claims: of any kind; report: its falls and contacts;
     upsets: its losses of control; grown: what the trim of the whole flight shows."""

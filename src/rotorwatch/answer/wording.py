@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 
 from rotorwatch.engine.front.decisions import MATTERS, TOTAL_LOSS
 from rotorwatch.engine.motion.airborne import Gap
+from rotorwatch.engine.trim.told import WORN
 from rotorwatch.flight.diagnosis import Event, Trend
 from rotorwatch.flight.kinds import Words
 
@@ -21,7 +22,7 @@ VERDICTS = {
 # Grade of health, and the loss from which it holds. 5 %: propellers and motors of one build differ by as much. 20 %: the rotor turns 12 %
 # faster for the same thrust, which controllers hardly notice below. 50 %: of a vehicle with twice its weight in thrust, the rotor no
 # longer carries its own share at full command. Above TOTAL_LOSS it carries next to nothing: the status "failed" as well.
-SCALE = (("healthy", 0.0), ("worn", 0.05), ("degraded", MATTERS), ("critical", 0.50), ("failed", TOTAL_LOSS))
+SCALE = (("healthy", 0.0), ("worn", WORN), ("degraded", MATTERS), ("critical", 0.50), ("failed", TOTAL_LOSS))
 
 
 def percent(share: float, digits: int = 0) -> str:

@@ -45,6 +45,8 @@ from rotorwatch.engine.front import (
     whole,
     words,
 )
+from rotorwatch.engine.trim import blocks, fit, many, stretch, told, trim, weighing
+from rotorwatch.engine.trim import sizes as trim_sizes
 from rotorwatch.flight import Flight, Message
 
 FRONT = (
@@ -66,12 +68,17 @@ FRONT = (
 ESTIMATOR = (
     plant, noise, model_error, kalman, bank, hypotheses, evidence, plausibility, announcement, opposite, posterior, estimator,
 )  # fmt: skip
-SIZES = sizes, estimator_sizes
+TRIM = blocks, stretch, fit, weighing, told, trim
+SIZES = sizes, estimator_sizes, trim_sizes
 ENGINE = Definition(
     "engine",
-    (*FRONT, *ESTIMATOR, engine, whole, estimator_whole, estimator_known, feed),
+    (*FRONT, *ESTIMATOR, *TRIM, engine, whole, estimator_whole, estimator_known, many, feed),
     SIZES,
-    [*files_in("engine/front"), *files_in("engine/estimator"), "engine/engine.py", "engine/feed.py"],
+    [
+        *(file for room in ("front", "estimator", "trim") for file in files_in(f"engine/{room}")),
+        "engine/engine.py",
+        "engine/feed.py",
+    ],
     vectors=True,
 )
 KINDS = {

@@ -52,7 +52,7 @@ class Judged:
 
 
 class Diagnoser:
-    """One vehicle, from its samples on. losses, report: what is written down so far; contacts: of all ticks so far."""
+    """One vehicle, from its samples on. losses, report, trim: what is written down so far; contacts: of all ticks so far."""
 
     def __init__(self, vehicle: Vehicle, craft: Rows, plan: Plan, mixing: bool, dynamics: dict | None = None):
         """craft: the vehicle as the definitions take it (`allocation.laid_out`); mixing: thrusts come from the rate controller's output;
@@ -69,6 +69,7 @@ class Diagnoser:
         self.contacts: tuple[Contact, ...] = ()
         self.losses = events.Losses(B, self._engine.part("losses"))
         self.report = events.Report(B, self._engine.part("report"))
+        self.trim = self._engine.part("trim")
         self.planned(plan)
         ENGINE.call(feed.begin, self._engine, self._plant)
 
@@ -182,6 +183,7 @@ def fly(
     mixing = allocation.faster_control(flight)
     how = plan(flight, flight["control" if mixing else "motors"], ready_s)
     diagnoser = Diagnoser(vehicle, allocation.laid_out(vehicle, flight), how, mixing, dynamics)
+    diagnoser.trim.set(every=LASTS)  # nobody asks before the end
     every = samples(flight.signals, flight.messages, vehicle, how.gyro, "battery" in flight.signals)
     lifted = {int(np.searchsorted(every.time, start)): end for start, end in air}
     edges = sorted({0, *range(0, len(every), PIECE), *lifted, len(every)})

@@ -1,6 +1,6 @@
 """One vehicle, from its samples to its events: the front end, the estimator, and what is written down of them, joined.
 
-    sample -> front end -> tick -> estimator -> losses, falls, contacts -> events -> what is new about them
+    sample -> front end -> tick -> estimator -> losses, falls, contacts, trim -> events -> what is new about them
 
 Feed every sample in the order of time, of all kinds together; feeding one of time t says that all older ones have come. `step` then goes
 on by a tick as long as there is one that is certain. A flight controller calls `sample` and `poll`, which is all of it; a computer feeds
@@ -9,7 +9,20 @@ many samples in one call and keeps the ticks (`feed`). Both do the same in the s
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import LASTS, Reals, Small, Struct, Time, array, copy, embedded, isnan, real
+from rotorwatch.base.compiling.structs import (
+    LASTS,
+    REAL,
+    Reals,
+    Small,
+    Struct,
+    Time,
+    array,
+    copy,
+    embedded,
+    isnan,
+    local,
+    real,
+)
 from rotorwatch.engine.estimator.estimator import Estimator, Result
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
 from rotorwatch.engine.estimator.plant import Inputs, Plant
@@ -22,7 +35,8 @@ from rotorwatch.engine.front.records import Found, Records
 from rotorwatch.engine.front.sense import Plan
 from rotorwatch.engine.front.sizes import BURST, EVENTS, OVERRIDES, PLACES, RECORDS
 from rotorwatch.engine.front.ticks import JUDGE, Made
-from rotorwatch.engine.front.vehicle import Vehicle
+from rotorwatch.engine.front.vehicle import PITCH, ROLL, Vehicle
+from rotorwatch.engine.trim.trim import Trim
 
 FINAL_S = 60.0  # what ended so long ago is not withdrawn any more
 
@@ -43,6 +57,7 @@ class Engine(Struct):
     estimator = embedded(Estimator)
     losses = embedded(Losses)
     report = embedded(Report)
+    trim = embedded(Trim)
     changes = embedded(Changes)
     made = embedded(Made)  # the last tick, as it was measured
     out = embedded(Result)  # what the estimator made of it
@@ -73,6 +88,7 @@ class Engine(Struct):
         self.end(v, p, time)
         while self.step(v, p, e):
             pass
+        self.trim.finish(v)
 
     def take(self, v: Vehicle, p: Plan, kind: int, time: Time, x: Reals) -> None:
         """One sample of a kind (`Front`); x: its numbers, NaN where they are not known."""
@@ -101,7 +117,7 @@ class Engine(Struct):
         now = Inputs()
         _tell(v, tick, now)
         self.estimator.step(e, now, self.out)
-        self._write(v, tick)
+        self._write(v, p, tick)
         return True
 
     def poll(self, v: Vehicle) -> int:
@@ -109,8 +125,12 @@ class Engine(Struct):
         flies = self.front.start < LASTS
         room = self.room
         lost = self.losses.losses(v, flies, room.records, room.losses)
+        for i in range(lost):
+            room.losses[i].source = i
+        lost = self.trim.growth.join(room.losses, lost, RECORDS)
         overridden = self.front.deviations.found(v, room.overrides)
-        self.count = self.report.events(v, room.losses, lost, room.overrides, overridden, self.events)
+        count = self.report.events(v, room.losses, lost, room.overrides, overridden, self.events)
+        self.count = self.trim.mount.put(self.events, count, EVENTS)
         final = self.front.newest - FINAL_S
         return self.changes.look(self.events, self.count, final, -1, False, self.withdrawn, self.fresh)
 
@@ -122,7 +142,7 @@ class Engine(Struct):
         """NOT_JUDGED, HEALTHY, FAULT or AMBIGUOUS, by the events at the last poll. What is not seen is not healthy."""
         return verdict(self.events, self.count, self.judged and self.front.air.unseen == 0)
 
-    def _write(self, v: Vehicle, tick: Made) -> None:
+    def _write(self, v: Vehicle, p: Plan, tick: Made) -> None:
         """Write a tick down, and what the estimator made of it."""
         found = Found()
         _find(v, self.out, found)
@@ -131,6 +151,13 @@ class Engine(Struct):
         if tick.touch.is_new:
             self.report.contact(tick.touch.time, tick.touch.push, tick.touch.size)
         self.judged = self.judged or tick.mode == JUDGE
+        lacking = local(REAL, 3)
+        for a in range(3):
+            lacking[a] = self.out.biases[a]
+            for k in range(v.rotors):
+                lacking[a] += v.effectiveness[a][k] * tick.thrust[k] * self.out.theta[k]
+        usable = tick.valid[ROLL] and tick.valid[PITCH] and not tick.upset
+        self.trim.tick(v, p.dt, tick.time, tick.mode, usable, lacking, tick.thrust)
 
     def _look(self, was: Time) -> None:
         """Whether the flight that had begun at `was` is over."""

@@ -68,6 +68,8 @@ def finish(
     if time < LASTS:
         g.end(v, p, time)
     _go_on(g, v, p, e, made, out, room, fed)
+    if fed.ticks < room:
+        g.trim.finish(v)
 
 
 def _go_on(g: Engine, v: Vehicle, p: Plan, e: Plant, made: list[Made], out: list[Result], room: int, fed: Fed) -> None:

@@ -29,13 +29,16 @@ from rotorwatch.engine.estimator.plant import Plant
 from rotorwatch.engine.front import sizes
 from rotorwatch.engine.motion import allocation, ticks
 from rotorwatch.engine.motion.contact import look_back
+from rotorwatch.engine.trim import sizes as trim_sizes
 from rotorwatch.errors import ConfigError
 from rotorwatch.export import projects
+from rotorwatch.flight import kinds
 from rotorwatch.flight.vehicle import Vehicle
 
 SOURCES = Path(__file__).parent / "embedded_c"
 MADE = "Made of the definitions in rotorwatch/engine; not to be edited."
 ROOMS = ("RECORDS", "CONTACTS", "FALLS", "EVENTS", "BURST")  # sizes of buffers, which a compiler's -D may override
+TRIM = {name: size for name, size in vars(trim_sizes).items() if name.isupper()}
 QUEUE_S = 6.0  # ticks that wait: airborne.CONFIRM_S, and room
 
 
@@ -60,7 +63,7 @@ def settings(B: np.ndarray, dt: float) -> dict[str, Any]:
         "ROTORS": n, "PLACES": places, "PAIRS": pairs, "HYPOTHESES": hypothesis_count(n), "TICK_S": dt,
         "REACH": bank.GROUP * max(bank.LONG if dt >= bank.SLOW_S else bank.SHORT) + 16,
         "PLANT_STATES": engine_sizes.PLANT_STATES, "STATES": engine_sizes.PLANT_STATES + n, "DIRECTIONS": FIRST_LOSS + n,
-        "SLOTS": engine_sizes.SLOTS, "RING": engine_sizes.RING,
+        "SLOTS": engine_sizes.SLOTS, "RING": engine_sizes.RING, **TRIM, "COLUMNS": 1 + n,
         "RECORDS": 2 * n + 4, "TOGETHER": min(4, n), "ALTERNATIVES": places + 2 + opposite,
         "CONTACTS": 4, "FALLS": 4, "EVENTS": 12,
         "TICKS_BEFORE": look_back(dt), "SETTLING": 2 * look_back(dt) + 4, "QUEUE": round(QUEUE_S / dt), "WAITING": 8, "FLIGHTS": 4,
@@ -128,14 +131,19 @@ def definitions() -> dict[str, str]:
     """File name -> text of what is made of definitions, the same for all vehicles."""
     front = Translation(definition.FRONT, *definition.SIZES)
     estimator = Translation(definition.ESTIMATOR, *definition.SIZES, given=[front])
-    joined = Translation([engine], *definition.SIZES, given=[front, estimator])
+    trim = Translation(definition.TRIM, *definition.SIZES, given=[front, estimator])
+    names = ", ".join(f'"{row.brief or row.noun}"' for row in kinds.ROWS)
+    joined = Translation([engine], *definition.SIZES, given=[front, estimator, trim])
     return {
         "rw_front.h": front.header(f"The front end: samples in, ticks out. {MADE}"),
         "rw_front.c": front.source("rw_front.h"),
         "rw_estimator.h": estimator.header(f"The estimator: ticks in, losses out. {MADE}", ["rw_front.h"], "estimator"),
         "rw_estimator.c": estimator.source("rw_estimator.h"),
-        "rw_engine.h": joined.header(f"The two joined: samples in, events out. {MADE}", ["rw_estimator.h"], "engine"),
+        "rw_trim.h": trim.header(f"The trim of a whole flight. {MADE}", ["rw_estimator.h"], "trim"),
+        "rw_trim.c": trim.source("rw_trim.h"),
+        "rw_engine.h": joined.header(f"All joined: samples in, events out. {MADE}", ["rw_trim.h"], "engine"),
         "rw_engine.c": joined.source("rw_engine.h"),
+        "rw_names.h": f"/* What events are called, by their kind. {MADE} */\n#define RW_NAMES {{{names}}}\n",
     }
 
 

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.answer import mounts, slow
-from rotorwatch.answer.trim import Trims
+from rotorwatch.answer import slow, trim
 from rotorwatch.answer.unseen import Unseen
 from rotorwatch.engine.default import events
 from rotorwatch.engine.diagnoser import Diagnoser, Judged
@@ -18,8 +17,6 @@ from rotorwatch.flight.diagnosis import Event
 from rotorwatch.live.account import Account
 from rotorwatch.live.beginnings import Beginnings
 from rotorwatch.live.stream import Piece
-
-TRIM_S = 30.0  # between two looks at the trim of the flight that goes on
 
 
 class Judge:
@@ -38,9 +35,9 @@ class Judge:
         self._overrides: tuple[Override, ...] = ()
         self.now: tuple[Ticks, Any] | None = None
         self.unseen = Unseen(self.B, plan.dt)
-        self.grown: slow.Growth | None = None
+        self.grown: trim.Growth | None = None
         self._added = 0  # 1 where that changes the losses that were told
-        self._trims, self._trim_due, self._turned = Trims(self.B), -np.inf, tuple[Event, ...]()
+        self._looks, self._turned = 0, tuple[Event, ...]()
         self.ticks = 0  # that were judged
 
     def on(self, piece: Piece, final: bool = False) -> None:
@@ -51,7 +48,8 @@ class Judge:
         self._spans, self._over, self._overrides = piece.spans, final, piece.overrides
         if piece.judged is not None:
             self._look(piece.judged)
-        if final or self._time >= self._trim_due:
+        if (looks := int(self._diagnoser.trim["looks"][0])) != self._looks:
+            self._looks = looks
             self._look_at_trim()
         early = self._beginnings
         if early is not None and (final or early.due(self._spans, self._time)):
@@ -91,17 +89,13 @@ class Judge:
             self._beginnings.add(table, self._spans)
         self._time, self.now = float(table.time[-1]), (table, out)
         self.unseen.add(out, table)
-        self._trims.add(out, table)
         self.ticks += int(np.count_nonzero(table.mode == JUDGE))
 
     def _look_at_trim(self) -> None:
-        """What has changed slowly; what a flight that is over has shown stays until the next one shows enough."""
-        self._trim_due = self._time + TRIM_S
-        shown = self._trims.explain()
-        if shown is not None:
-            self.grown, self._turned = slow.find(shown, self.B), mounts.claims(shown)
-            losses = self._diagnoser.losses.events(flies=not self._over)
-            self._added = int(slow.join(losses, self.grown) != losses)
+        """What has changed slowly."""
+        self.grown, self._turned = trim.growth(self._diagnoser.trim), trim.mounts(self._diagnoser.trim)
+        losses = self._diagnoser.losses.events(flies=not self._over)
+        self._added = int(slow.join(losses, self.grown) != losses)
 
 
 def _earlier(old: Spans, new: Spans) -> float | None:

@@ -385,6 +385,8 @@ class Body:
             what = self.types[name]
             return Code(name, what, 20, what.struct and not what.dims and name in self.pointers, name)
         if name in self.all.sizes:
+            if getattr(self.module, name, None) != self.all.sizes[name]:
+                raise self.wrong(node, f"{name} is the name of a size, and another number here")
             return Code(f"RW_{name}", Type("int"))
         value = getattr(self.module, name, None)
         if isinstance(value, bool):

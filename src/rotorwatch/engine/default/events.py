@@ -223,9 +223,10 @@ def _one_arm(event: Event) -> Event:
     return replace(event, alternatives=tuple((r,) for r in event.rotors), reason=reason)
 
 
-def packed(events: Sequence[Event]) -> Rows:
-    """Events as the definitions take them; detail: a number for what became of an output, or for a cause."""
-    rows = ENGINE.array(definition.Event, max(1, len(events)))
+def packed(events: Sequence[Event], room: int = 1) -> Rows:
+    """Events as the definitions take them, in `room` rows at least; detail: a number for what became of an output, or for a cause; source:
+    the place of each."""
+    rows = ENGINE.array(definition.Event, max(room, len(events)))
     if not events:
         return rows
 
@@ -244,7 +245,7 @@ def packed(events: Sequence[Event]) -> Rows:
         onset=np.array([e.onset_s for e in events]), detected=np.array([e.detected_s for e in events]),
         end=np.array([_end(e) for e in events]), probability=np.array([e.probability for e in events]),
         rotors=np.array([_mask(e.rotors) for e in events]), kind=np.array([kind(e) for e in events]),
-        size=np.array([e.extra.get("gives", 0.0) for e in events]),
+        size=np.array([e.extra.get("gives", 0.0) for e in events]), source=np.arange(len(events)),
         alternative_count=np.array([len(e.alternatives) for e in events]), detail=np.array([detail(e) for e in events]),
         loss=lists("loss", [list(e.loss[:TOGETHER]) for e in events]),
         lower=lists("lower", [[low for low, _ in e.interval[:TOGETHER]] for e in events]),

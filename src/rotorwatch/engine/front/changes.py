@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rotorwatch.base.compiling.structs import INT, LASTS, Real, Small, Struct, Time, array, copy, embedded, local
 from rotorwatch.engine.front.decisions import SAME_S
-from rotorwatch.engine.front.events import LOSS, Event
+from rotorwatch.engine.front.events import LOSS, TURNED_MOUNT, Event
 from rotorwatch.engine.front.sizes import EVENTS, TOGETHER
 
 ANNOUNCED, CHANGED, WITHDRAWN = 0, 1, 2
@@ -59,12 +59,18 @@ class Changes(Struct):
         for i in range(EVENTS):
             known_of[i] = -1
             event_of[i] = -1
-        for way in range(2):
+        for way in range(3):
             for i in range(count):
                 for j in range(self.count):
                     if known_of[i] < 0 and event_of[j] < 0:
                         old = self.known[j].event
-                        if _alike(old, events[i], refined) if way == 1 else _equal(old, events[i]):
+                        if way == 0:
+                            same = _equal(old, events[i])
+                        elif way == 1:
+                            same = _alike(old, events[i], refined)
+                        else:
+                            same = _goes_on(old, events[i])
+                        if same:
                             known_of[i] = j
                             event_of[j] = i
         for j in range(self.count):
@@ -113,6 +119,14 @@ def _alike(old: Event, new: Event, refined: int) -> bool:
     return abs(old.onset - new.onset) < SAME_S or _same_time(old.detected, new.detected)
 
 
+def _goes_on(old: Event, new: Event) -> bool:
+    """One that lasts, of which there can be no second: what the trim shows begins at another time when it is looked at again."""
+    lasts = old.end >= LASTS and new.end >= LASTS
+    return (
+        lasts and old.kind == new.kind and old.rotors == new.rotors and (old.kind == LOSS or old.kind == TURNED_MOUNT)
+    )
+
+
 def _moved(old: Real, new: Real) -> bool:
     return abs(new - old) >= LOSS_STEP
 
@@ -120,7 +134,7 @@ def _moved(old: Real, new: Real) -> bool:
 def _differs(old: Event, new: Event) -> bool:
     if old.rotors != new.rotors or old.alternative_count != new.alternative_count or old.detail != new.detail:
         return True
-    if (old.end < LASTS) != (new.end < LASTS):
+    if (old.end < LASTS) != (new.end < LASTS) or abs(old.onset - new.onset) >= SAME_S:
         return True
     for i in range(new.alternative_count):
         if old.alternatives[i] != new.alternatives[i]:

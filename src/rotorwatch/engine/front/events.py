@@ -25,14 +25,15 @@ from rotorwatch.engine.front.deviations import Override
 from rotorwatch.engine.front.sizes import ALTERNATIVES, CONTACTS, EVENTS, FALLS, TOGETHER
 from rotorwatch.engine.front.vehicle import PITCH, ROLL, THRUST, Vehicle
 
-# What happened: a rotor makes less thrust than its command asks for; an output does not follow the mixer, and nothing is wrong with the
-# rotor; something outside the vehicle pushed it.
-LOSS, OUTPUT_OVERRIDE, CONTACT = 0, 1, 2
+# What happened, by its number in the table of kinds: a rotor makes less thrust than its command asks for; an output does not follow the
+# mixer, and nothing is wrong with the rotor; something outside the vehicle pushed it; a motor mount or an arm turned.
+LOSS, OUTPUT_OVERRIDE, CONTACT, TURNED_MOUNT = 0, 1, 2, 9
 # The state at this moment: not in the air for long enough yet, or a rotor's commands are not known; healthy so far; something happened, and
 # to which rotor or output; something happened, and several sets of rotors explain it.
 NOT_JUDGED, HEALTHY, FAULT, AMBIGUOUS = 0, 1, 2, 3
-# Of a loss: opposite rotors may share it, and then so may the battery; two rotors of one arm lack about one whole rotor.
-PLAIN, SHARED, ONE_ARM = 0, 1, 2
+# Of a loss: opposite rotors may share it, and then so may the battery; two rotors of one arm lack about one whole rotor; it grew little by
+# little; what looked like its end left the trim as it was.
+PLAIN, SHARED, ONE_ARM, GREW, STAYS = 0, 1, 2, 3, 4
 
 TOUCH_DOWN_S = 1.0  # a contact so near the end of a flight is the landing, or the crash
 EXPLAINED_S = 1.0  # so near an override a loss is the override
@@ -52,25 +53,37 @@ class Event(Struct):
     upper = array(REAL, TOGETHER)
     probability: Real = 0.0  # of this set of rotors
     # Of a contact: g, or hover thrusts of one rotor where it turned the vehicle. Of a loss: hover thrusts that the rotor gives whatever it
-    # is commanded, 0 where it follows its command.
+    # is commanded, 0 where it follows its command. Of a mount: hover thrusts of one rotor that it yaws, to the right above 0.
     size: Real = 0.0
-    rotors: Mask = 0  # bit k: rotor k, from 0; of a contact 0
+    rotors: Mask = 0  # bit k: rotor k, from 0; of a contact and a mount 0
     alternatives = array(MASK, ALTERNATIVES)  # sets that would look the same, the likeliest first
     alternative_count: Small = 0
-    kind: Small = LOSS  # LOSS, OUTPUT_OVERRIDE, CONTACT
+    kind: Small = LOSS  # LOSS, OUTPUT_OVERRIDE, CONTACT, TURNED_MOUNT
     detail: Small = (
         PLAIN  # of a loss PLAIN, SHARED and so on; of an override STUCK, OFF, OVERRIDDEN; of a contact TURNED and so on
     )
     source: Small = 0  # place among the losses or overrides that it came from
 
     def accuses(self) -> bool:
-        """Whether it says that something is wrong: no contact, and no loss that may be nothing and is said of one set of rotors alone."""
+        """Whether it says that a rotor or its output is not well: no contact, no mount, and no loss that may be nothing and is said of one
+        set of rotors alone."""
         if self.kind == LOSS and self.alternative_count == 0:
             for i in range(TOGETHER):
                 if self.lower[i] > 0.0:
                     return True
             return False
-        return self.kind != CONTACT
+        return self.is_fault()
+
+    def is_fault(self) -> bool:
+        """Whether it is of a kind that says that a rotor or its output is not well."""
+        return self.kind != CONTACT and self.kind != TURNED_MOUNT
+
+    def may_be(self, rotors: int) -> bool:
+        """Whether it is of this set of rotors, or may be."""
+        for i in range(self.alternative_count):
+            if self.alternatives[i] == rotors:
+                return True
+        return self.rotors == rotors
 
     def largest(self) -> Real:
         """The largest loss of its rotors."""
@@ -204,7 +217,7 @@ class Report(Struct):
                 copy(one, losses[i])
                 one.source = i
                 one.share_arm(v)
-                count = _put(out, count, one)
+                count = put(out, count, EVENTS, one)
         for j in range(override_count):
             o = overrides[j]
             if not self._falls(o.onset) and not o.shared:
@@ -217,7 +230,7 @@ class Report(Struct):
                 one.kind = OUTPUT_OVERRIDE
                 one.detail = o.kind
                 one.source = j
-                count = _put(out, count, one)
+                count = put(out, count, EVENTS, one)
         for i in range(self.count):
             if self.start >= LASTS or abs(self.knocks[i].time - self.now) >= TOUCH_DOWN_S:  # else it may be the landing
                 reset(one)
@@ -228,7 +241,7 @@ class Report(Struct):
                 one.size = self.knocks[i].size
                 one.kind = CONTACT
                 one.detail = self.knocks[i].push
-                count = _put(out, count, one)
+                count = put(out, count, EVENTS, one)
         return count
 
     def _falls(self, onset: Time) -> bool:
@@ -244,13 +257,13 @@ def explains(start: Time, end: Time, onset: Time) -> bool:
     return start - EXPLAINED_S <= onset <= end + EXPLAINED_S
 
 
-def _put(out: list[Event], count: int, one: Event) -> int:
-    """One event more, sorted by when it was detected; of too many the first goes. How many there are."""
+def put(out: list[Event], count: int, room: int, one: Event) -> int:
+    """One event more, sorted by when it was detected; of more than there is room for the first goes. How many there are."""
     n = count
-    if n == EVENTS:
+    if n == room:
         if one.detected < out[0].detected:
             return n
-        for i in range(EVENTS - 1):
+        for i in range(room - 1):
             copy(out[i], out[i + 1])
         n -= 1
     at = n
@@ -265,9 +278,9 @@ def verdict(events: list[Event], count: int, judged: bool) -> int:
     """The state by the events alone; judged: at least one tick has been judged."""
     unsure = False
     for i in range(count):
-        if events[i].kind != CONTACT and events[i].alternative_count == 0:
+        if events[i].is_fault() and events[i].alternative_count == 0:
             return FAULT
-        unsure = unsure or events[i].kind != CONTACT
+        unsure = unsure or events[i].is_fault()
     if unsure:
         return AMBIGUOUS
     return HEALTHY if judged else NOT_JUDGED
@@ -283,7 +296,7 @@ def main_event(events: list[Event], count: int) -> int:
     loss = -1
     override = -1
     for i in range(count):
-        sure = sure or (events[i].kind != CONTACT and events[i].alternative_count == 0)
+        sure = sure or (events[i].is_fault() and events[i].alternative_count == 0)
     for i in range(count):
         if _counts(events[i], LOSS, sure):
             most = max(most, events[i].largest())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rotorwatch.base.compiling.structs import LASTS, LETTER, Real, Small, Struct, array
-from rotorwatch.engine.front.events import CONTACT, LOSS, Event
+from rotorwatch.engine.front.events import CONTACT, LOSS, TURNED_MOUNT, Event
 from rotorwatch.engine.front.sizes import ROTORS, TOGETHER
 
 CRITICAL, WARNING, NOTICE = 2, 4, 5  # MAV_SEVERITY
@@ -97,10 +97,10 @@ class Words(Struct):
 
 
 def severity(e: Event, withdrawn: bool) -> int:
-    """A lasting fault is critical, one of several explanations a warning, what is over or withdrawn a notice."""
+    """A lasting fault is critical, one of several explanations and a mount a warning, what is over or withdrawn a notice."""
     if withdrawn or e.kind == CONTACT or e.end < LASTS:
         return NOTICE
-    return WARNING if e.alternative_count > 0 else CRITICAL
+    return WARNING if e.alternative_count > 0 or e.kind == TURNED_MOUNT else CRITICAL
 
 
 def _several(rotors: int) -> bool:

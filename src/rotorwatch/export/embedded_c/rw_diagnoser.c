@@ -1,4 +1,5 @@
 #include "rw_diagnoser.h"
+#include "rw_names.h"
 
 #include <math.h>
 #include <string.h>
@@ -100,10 +101,11 @@ const char *rw_diagnoser_verdict_text(const rw_diagnoser *d)
 
 int rw_diagnoser_words(const rw_notification *notification, char *text)
 {
+    static const char *const names[] = RW_NAMES;
     const bool withdrawn = notification->kind == RW_WITHDRAWN;
     rw_words words;
     rw_words_init(&words);
-    rw_words_event(&words, notification->event, withdrawn, notification->event->kind == RW_CONTACT ? "knock or contact" : "output overridden");
+    rw_words_event(&words, notification->event, withdrawn, names[notification->event->kind]);
     memcpy(text, words.at, RW_TEXT);
     return (int)rw_words_severity(notification->event, withdrawn);
 }

@@ -10,7 +10,8 @@
      int n = rw_diagnoser_poll(&d, notifications);
 
    Nothing is allocated and nothing global changes: any number of them can run at once. The work is done where samples are fed, not in the
-   poll: in steady flight one call of each tick's length takes a step of the estimator, the others none. When ticks have waited, a call
+   poll: in steady flight one call of each tick's length takes a step of the estimator and a slice of the look at the trim, the others
+   none. When ticks have waited, a call
    takes at most RW_BURST steps as long as the vehicle flies; the call that learns of the landing takes all that wait, at most RW_QUEUE. */
 #ifndef RW_DIAGNOSER_H
 #define RW_DIAGNOSER_H

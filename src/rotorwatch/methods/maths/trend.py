@@ -1,6 +1,6 @@
 """The slope of a straight line under errors that wander by an unknown amount, with its interval.
 
-    y_k = a + b t_k + w_k + v_k,      w: a random walk with steps of variance s2,      v: white, of variance q s2
+    y_k = a + b t_k + w_k + v_k,      w: a random walk with steps of variance s2,      v: white, of variance q s2 (`engine/trim/fit.py`)
 
 the local-level model with a drift. For each q of a grid the slope is that of generalised least squares, Student's t with N - 2 degrees of
 freedom, and the likelihood of q is the restricted one: a, b and log s2 integrated out with flat priors. The interval is that of the
@@ -17,13 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.engine.trim.fit import DOUBT, WHITE
+from rotorwatch.engine.trim.stretch import LEAST
 from rotorwatch.errors import ConfigError
 from rotorwatch.methods.maths.tails import student_cdf, student_density
 
-# q, and its prior: what wanders is believed to unless the data say otherwise, as a walk taken for white noise makes false trends.
-WHITE = (0.0, 0.25, 1.0, 4.0, 16.0, 64.0, 256.0, 1024.0)
-DOUBT = 0.2  # prior of each q relative to the one before it
-LEAST = 16  # values; with fewer, how much they wander cannot be estimated
 COVERED = 0.95
 
 

@@ -1,0 +1,91 @@
+"""The trim of a flight that goes on, tick by tick, since its last take-off or knock; and what is told of it.
+
+It is looked at every LOOK_S while the vehicle is judged, and where judging ends: on the ground, after a knock, at the end of a log. A
+look is worked off in slices, a few after each tick, so that no tick keeps the processor for all of it. What a look has shown holds until
+the next one shows enough.
+"""
+
+from __future__ import annotations
+
+from rotorwatch.base.compiling.structs import LASTS, REAL, Reals, Struct, Time, embedded, local, reset
+from rotorwatch.engine.estimator.plant import USUAL_S
+from rotorwatch.engine.front.ticks import JUDGE
+from rotorwatch.engine.front.vehicle import Vehicle
+from rotorwatch.engine.trim.blocks import Blocks
+from rotorwatch.engine.trim.stretch import Stretch
+from rotorwatch.engine.trim.told import Growth, Mount
+from rotorwatch.engine.trim.weighing import Weighing
+
+LOOK_S = 30.0  # between two looks
+SLICES_HZ = 20.0  # slices in a second of flight: a look takes 16 s
+
+
+class Trim(Struct):
+    """One vehicle. every: s between two looks; LASTS where nobody asks before judging ends. looks: so many have been worked off."""
+
+    blocks = embedded(Blocks)
+    stretch = embedded(Stretch)
+    weighing = embedded(Weighing)
+    growth = embedded(Growth)
+    mount = embedded(Mount)
+    every: Time = LOOK_S
+    begin: Time = LASTS  # since when the vehicle has been judged, s; LASTS where it is not
+    looked: Time = -LASTS  # last tick of the last look
+    due: Time = 0.0  # work that is due, slices
+    looks: int = 0
+    busy: bool = False  # a look is worked off
+
+    def tick(self, v: Vehicle, dt: Time, time: Time, mode: int, usable: bool, lacking: Reals, thrust: Reals) -> None:
+        """One more tick of dt s, in their order, on the ground as well. usable: what it lacks counts; lacking: b + B T theta on roll, pitch
+        and yaw; thrust: T."""
+        if mode != JUDGE:
+            self.close(v)
+            self.begin = LASTS
+        elif self.begin >= LASTS:
+            self.begin = time
+            reset(self.blocks)
+        if usable and mode == JUDGE and time >= self.begin + USUAL_S:
+            self._add(v, time, lacking, thrust)
+        self.due += SLICES_HZ * dt
+        while self.due >= 1.0:
+            self.due -= 1.0
+            self.step(v)
+
+    def step(self, v: Vehicle) -> bool:
+        """A slice of the work; whether there is more."""
+        if self.busy and not self.weighing.step(v, self.stretch):
+            turned = self.mount.find(v, self.stretch, self.weighing)
+            self.growth.find(v, self.stretch, self.weighing, turned)
+            self.busy = False
+            self.looks += 1
+        return self.busy
+
+    def close(self, v: Vehicle) -> None:
+        """Judging ends, for now: look at all of it."""
+        if self.begin < LASTS and self.blocks.start < LASTS and self.blocks.last > self.looked:
+            self._look(v)
+
+    def finish(self, v: Vehicle) -> None:
+        """All that is left to look at, at once."""
+        self.close(v)
+        while self.step(v):
+            pass
+
+    def _add(self, v: Vehicle, time: Time, lacking: Reals, thrust: Reals) -> None:
+        z = local(REAL, 3)
+        mean = 0.0
+        for k in range(v.rotors):
+            mean += thrust[k] / v.rotors
+        if not mean > 0.0:
+            return
+        for a in range(3):
+            z[a] = lacking[a] / mean
+        self.blocks.add(v, time, z, thrust)
+        if not self.busy and time - max(self.looked, self.blocks.start) >= self.every:
+            self._look(v)
+
+    def _look(self, v: Vehicle) -> None:
+        if self.stretch.take(v, self.blocks):
+            self.looked = self.blocks.last
+            self.weighing.begin(self.stretch)
+            self.busy = True
