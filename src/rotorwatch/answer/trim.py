@@ -105,7 +105,7 @@ class Trims:
         if begins.size:
             self._ticks, self._begin = [], float(table.time[begins[-1]])
         self._judging, self._curve_sd, self._dt = bool(judging[-1]), table.curve[1], table.dt
-        use = np.flatnonzero(unseen.usable(table) & (table.time >= self._begin + USUAL_S))
+        use = np.flatnonzero(unseen.usable(out, table) & (table.time >= self._begin + USUAL_S))
         T = table.thrust[use]
         lacking = (out.biases[use] + (T * out.theta[use]) @ self._B.T)[:, :3]
         self._ticks.append(np.column_stack([table.time[use], lacking, T]))
