@@ -200,9 +200,12 @@ def test_sinking_on_little_command_is_no_landing():
     assert len(airborne(replace(flight, signals=signals))) == 2  # the same without sinking: it stood on the ground
 
 
-def pushes_on(seconds, speed=0.0) -> Flight:
-    """A landing at 30 s whose rotors push nearly as in hover for so long on the ground; speed: over it, m/s."""
+def pushes_on(seconds, speed=0.0, hover=1.0) -> Flight:
+    """A landing at 30 s whose rotors push nearly as in hover for so long on the ground, or by this part of it; speed: over it, m/s."""
     flight = made_up([(10, 30 + seconds)])
+    motors = flight["motors"]
+    less = np.where((motors.time > 30) & (motors.time < 30 + seconds), hover, 1.0)[:, None]
+    flight = replace(flight, signals={**flight.signals, "motors": replace(motors, values=motors.values * less)})
     velocity = flight["velocity"]
     values = velocity.values.copy()
     t = velocity.time
@@ -212,15 +215,17 @@ def pushes_on(seconds, speed=0.0) -> Flight:
 
 
 @pytest.mark.parametrize(
-    ("seconds", "speed", "ends_s"),
+    ("seconds", "speed", "hover", "ends_s"),
     [
-        (2.0, 0.0, 30.0),
-        (4.5, 0.0, 34.5),  # longer than a landing takes: it hovered after it had sunk
-        (2.0, 1.0, 32.0),  # it moves: it flies on, level
+        (2.0, 0.0, 1.0, 30.0),
+        (4.5, 0.0, 1.0, 34.5),  # longer than a landing takes: it hovered after it had sunk
+        (15.0, 0.0, 0.75, 30.0),  # ... but not on so much less
+        (15.0, 1.0, 0.75, 45.0),  # a lighter vehicle that moves
+        (2.0, 1.0, 1.0, 32.0),  # it moves: it flies on, level
     ],
 )
-def test_rotors_that_push_on_after_the_touch_down_do_not_make_it_fly(seconds, speed, ends_s):
-    ((_, end),) = airborne(pushes_on(seconds, speed))
+def test_rotors_that_push_on_after_the_touch_down_do_not_make_it_fly(seconds, speed, hover, ends_s):
+    ((_, end),) = airborne(pushes_on(seconds, speed, hover))
     assert end == pytest.approx(ends_s, abs=0.3)
 
 

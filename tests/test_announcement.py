@@ -31,13 +31,14 @@ def decide(
     judge=True,
     dt=DT,
     gives=0.0,
+    pushed=False,
 ):
     """One tick more."""
     alarm = alarm or made(Alarm, limit=LIMIT)
     found = SimpleNamespace(fault=fault, other=other, far=far, asked=SimpleNamespace(weak=weak))
     best = SimpleNamespace(kind=PAIR if pair else SINGLE, since=since, jump=SimpleNamespace(gives=gives))
     may = SimpleNamespace(asked=asked, missing=missing)
-    alarm.decide(made(Plant, rotors=N, dt=dt), found, best, SimpleNamespace(reach=REACH), may, judge)
+    alarm.decide(made(Plant, rotors=N, dt=dt), found, best, SimpleNamespace(reach=REACH), may, judge, pushed)
     return alarm
 
 
@@ -66,6 +67,10 @@ def test_it_has_to_be_ten_times_likelier_than_any_disturbance(name, weak):
     assert ticks_until_alarm(fault=30.0, weak=weak, **{name: 30.0 - MUCH + 0.1}) is None
     both = decide(fault=30.0, other=25.0, far=25.0, weak=weak).statistic
     assert both == pytest.approx(min(30.0 - LIMIT, 5.0 - np.log(2.0) - MUCH))
+
+
+def test_nothing_is_announced_while_something_pushes_the_vehicle_sideways():
+    assert ticks_until_alarm(fault=LIMIT + CERTAIN_NATS + 10.0, pushed=True) is None
 
 
 def test_pairs_which_are_rare_by_their_prior_are_not_held_against_something_else():

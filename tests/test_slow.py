@@ -46,7 +46,7 @@ def flight(
         time=time, thrust=thrust, mode=np.full(time.size, JUDGE), valid=np.ones((time.size, 4), bool),
         upset=np.zeros(time.size, bool), dt=DT, curve=(0.5, 0.1),
     )  # fmt: skip
-    return SimpleNamespace(theta=known, biases=biases), ticks
+    return SimpleNamespace(theta=known, biases=biases, pushed=np.zeros(time.size, bool)), ticks
 
 
 def found(B=QUAD, **how) -> Any:

@@ -26,7 +26,9 @@ DT = 0.1
 def outputs(biases, odds=-5.0, onset=0.0, rotors=4):
     """Outputs of the estimator: biases (T, 4), and no evidence against any rotor."""
     T, kinds = len(biases), len(list_hypotheses(rotors).fault)
-    return SimpleNamespace(biases=biases, log_odds=np.full((T, kinds), odds), onset=np.full(T, onset))
+    return SimpleNamespace(
+        biases=biases, log_odds=np.full((T, kinds), odds), onset=np.full(T, onset), pushed=np.zeros(T, bool)
+    )
 
 
 def losses(biases, table, effectiveness=B):
@@ -273,6 +275,17 @@ def test_ticks_without_thrust_say_nothing():
 def test_a_flight_of_seconds_accuses_nobody():
     biases, table = flown(seconds=1.0, loss=0.9, onset_s=0.5)
     assert accused(evidence(table, at=0.5), table, biases) == ()
+
+
+def test_evidence_as_something_begins_to_push_the_vehicle_accuses_nobody():
+    """Nor a step between the times before and after that."""
+    biases, table = flown(loss=0.2, noise=0.03)
+    out = evidence(table)
+    for start, end in ((31.4, 33.0), (32.5, 34.0)):
+        out.pushed = (table.time > start) & (table.time < end)
+        assert accused(out, table, biases) == ()
+    out.pushed[:] = False
+    assert accused(out, table, biases)
 
 
 def part(table, rows):

@@ -51,6 +51,7 @@ FIRM = 5  # the same for the bound, where the flight is long enough: means of fe
 CORRELATED = 0.9  # at most
 # Causes of a loss of control that rest on how rotors answer their commands.
 CLEARS = ("controller", "saturated", "unknown")
+PUSH_S = 1.0  # before the force of a push is that large
 TOGETHER = 256  # pieces of a flight that are looked at together: one by one they cost more than the estimator
 ROWS = 2048  # that are stored of a flight; of longer ones a row is the sum of several ticks
 
@@ -62,9 +63,11 @@ def bounds(out, table: Ticks, B: np.ndarray) -> Unseen:
     return seen
 
 
-def usable(table: Ticks) -> np.ndarray:
-    """(T,) bool: the ticks whose biases count. Rotors that are commanded nothing cannot lack anything; those of a tricopter make no yaw."""
-    return (table.mode == JUDGE) & table.valid[:, :YAW].all(axis=1) & ~table.upset & table.thrust.any(axis=1)
+def usable(out, table: Ticks) -> np.ndarray:
+    """(T,) bool: the ticks whose biases count. Rotors that are commanded nothing cannot lack anything; those of a tricopter make no yaw;
+    and what pushes a vehicle sideways turns it as well. out: the estimator's outputs at the ticks."""
+    judged = (table.mode == JUDGE) & table.valid[:, :YAW].all(axis=1) & ~table.upset
+    return judged & ~out.pushed & table.thrust.any(axis=1)
 
 
 class Rows(NamedTuple):
@@ -107,10 +110,24 @@ class Unseen:
         self._rest = self._rows  # ticks that are too few for a row
         self._new: list[tuple[np.ndarray, ...]] = []  # what is looked at once it is many, or asked for
         self._began = False  # a flight has begun since the last tick in a row or the rest
+        self._pushed = False  # something outside pushes it at the last tick
+        self._pushes: list[float] = []  # when something outside began to push the vehicle [s]
 
     def add(self, out, table: Ticks) -> None:
         """More ticks, with the estimator's outputs at them."""
-        arrays = usable(table), table.restart, table.time, table.thrust, out.biases, out.log_odds, out.onset
+        starts = np.flatnonzero(out.pushed & ~np.concatenate([[self._pushed], out.pushed[:-1]]))
+        self._pushes += table.time[starts].tolist()
+        self._pushed = bool(out.pushed[-1])
+        # What pushes may leave the vehicle otherwise trimmed than it was.
+        arrays = (
+            usable(out, table),
+            table.restart | out.pushed,
+            table.time,
+            table.thrust,
+            out.biases,
+            out.log_odds,
+            out.onset,
+        )
         self._new.append(arrays)
         if len(self._new) > TOGETHER:
             self._join()
@@ -154,7 +171,7 @@ class Unseen:
         about = (step.before + step.block * SPELL * np.array([-1.0, 1.0])) * last_row
         first, last = np.clip(about, 0, last_row).astype(int)
         here = self._rows.part(slice(first, last + 1))
-        odds = np.where(residual_evidence.knocked(here.when, found), -np.inf, here.odds)[:, who]
+        odds = np.where(self._disturbed(here.when, found), -np.inf, here.odds)[:, who]
         if odds.max() < CERTAIN_NATS or here.began[1:].any():
             return ()  # between two flights battery and payload change as well
         sure, rotor = np.unravel_index(odds.argmax(), odds.shape)
@@ -164,6 +181,13 @@ class Unseen:
         interval = tuple((float(low[i - 1]), float(high[i - 1])) for i in rotors)
         since = float(here.onset[sure, who[rotor]])
         return (residual_evidence.claim(rotors, since, end_s, interval, source=Source.STEPS),)
+
+    def _disturbed(self, when: np.ndarray, found: Sequence[Event]) -> np.ndarray:
+        """Whether the evidence at these times [s] speaks of a knock among the events, or of what then pushes the vehicle."""
+        pushed = np.zeros(np.shape(when), bool)
+        for start in self._pushes:
+            pushed |= (when > start - PUSH_S) & (when <= start)
+        return pushed | residual_evidence.knocked(when, found)
 
     def doubted(self, found: Sequence[Event]) -> tuple[Event, ...]:
         """The events, but a loss of control that no rotor is blamed for has those as alternatives against which evidence was certain
@@ -176,7 +200,7 @@ class Unseen:
         if lost.rotors or lost.alternatives or lost.extra.get("cause") not in CLEARS or not len(rows.sums):
             return lost
         shortly = (rows.when >= lost.onset_s - plant.USUAL_S) & (rows.when < lost.detected_s)
-        odds = np.where(shortly & rows.leads & ~residual_evidence.knocked(rows.when, found), rows.odds, -np.inf)
+        odds = np.where(shortly & rows.leads & ~self._disturbed(rows.when, found), rows.odds, -np.inf)
         most, since = odds.max(axis=0), np.take_along_axis(rows.onset, odds.argmax(axis=0)[None], axis=0)[0]
         if most.max() < CERTAIN_NATS:
             return lost

@@ -43,6 +43,7 @@ class TickOutput(NamedTuple):
     detectable: Array
     biases: Array
     plausible: Array
+    pushed: Array
 
 
 class Learned(NamedTuple):

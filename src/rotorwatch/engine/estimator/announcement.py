@@ -44,8 +44,10 @@ class Alarm(Struct):
         self.limit = threshold(p, GATES * FALSE_ALARM_PERIOD_S)
         self.suspicious = threshold(p, 1.0) + log(MEMORY_S)
 
-    def decide(self, p: Plant, found: Evidence, best: Best, bank: Bank, may: Plausible, judge: bool) -> None:
-        """One tick. best: the likeliest fault; may: may it be true."""
+    def decide(
+        self, p: Plant, found: Evidence, best: Best, bank: Bank, may: Plausible, judge: bool, pushed: bool
+    ) -> None:
+        """One tick. best: the likeliest fault; may: may it be true; pushed: something outside pushes the vehicle sideways."""
         # Something else may have happened as well. Of a pair, which is rare by its prior, that is not asked.
         weak = found.asked.weak
         other = found.other if best.kind == PAIR else either(found.other, found.far)
@@ -55,7 +57,7 @@ class Alarm(Struct):
         # drift of thrust of a vehicle that begins to sink. However strong evidence is, thrust has to be missing: the ground and a hand are
         # in no model.
         sure = self.statistic > CERTAIN_NATS and best.kind != PAIR and best.jump.gives <= 0.0
-        self.possible = may.missing and ((may.asked and best.since < EDGE * bank.reach) or sure)
+        self.possible = may.missing and not pushed and ((may.asked and best.since < EDGE * bank.reach) or sure)
         self.above = self.above + 1 if judge and self.statistic > 0.0 and self.possible else 0
         self.alarm = self.above >= TICKS
         # What certainly happened is explained, whatever it was; where nothing is known to be wrong, only what is no fault.

@@ -61,6 +61,7 @@ class Result(Struct):
     onset: Real = 0.0  # ticks since then
     announced: bool = False  # explanations were made at this tick
     plausible: bool = False  # the likeliest fault may be true
+    pushed: bool = False  # something outside pushes the vehicle sideways
     onsets = array(REAL, PLACES)  # ticks since the last jump of a rotor in each
     active = array(FLAG, PLACES, ROTORS)  # weak rotors of each
     each = array(REAL, PLACES, ROTORS)  # their losses
@@ -142,9 +143,10 @@ class Estimator(Struct):
         found.pick(p, self.bank, found.first, self.best)
         slot = self.bank.slots[self.best.slot]
         self.may.judge(p, self.best, slot, now, self.seen, self.missing, leader, self.noise, self.coupling)
-        self.alarm.decide(p, found, self.best, self.bank, self.may, judge)
-        steady = judge and not self.alarm.alarm and abs(now.rate[YAW]) < TURNING and not found.asked.weak
-        self.opposite.suspect(p, self.bank, found, self.missing, self.alarm, steady)
+        out.pushed = self.memory.outside(p) > 0.0
+        self.alarm.decide(p, found, self.best, self.bank, self.may, judge, out.pushed)
+        steady = judge and not out.pushed and not self.alarm.alarm and abs(now.rate[YAW]) < TURNING
+        self.opposite.suspect(p, self.bank, found, self.missing, self.alarm, steady and not found.asked.weak)
         shared = self.opposite.pair >= 0
         out.best = self.opposite.pair if shared else found.first
         out.announced = self.alarm.alarm or shared or (self.alarm.absorbed and found.asked.weak)

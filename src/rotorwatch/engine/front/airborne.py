@@ -51,6 +51,7 @@ _SINKING = 1.0  # m/s down: the ground is not there yet, however little the roto
 _HEIGHT = 0.2  # m gained since the command became high
 _LOW = 0.65  # part of the way from idle to hover below which the rotors do not carry the vehicle
 _LOW_S = 1.5
+_CARRIED = 0.9  # the same: a vehicle that rests on less than that stands on the ground
 _SETTLING, _RESTING = 0.25, 0.15  # m/s: down at the end of a landing, more or less on the ground
 _REST_S = 3.0  # s that a vehicle may rest after it sank before it hovers
 _FALLING = 0.75 * G0  # specific force below which a vehicle with idle motors falls and has not landed
@@ -319,7 +320,9 @@ class Airborne(Struct):
             return False
         if climb > _CLIMB or self.height > _HEIGHT or now.speed > _SPEED + 2.0 * abs(self.drift):
             return True
-        return high_for >= (_HIGH_BLIND_S if isnan(now.climb) else _HIGH_S)
+        if isnan(now.climb):
+            return high_for >= _HIGH_BLIND_S
+        return high_for >= _HIGH_S and not self._less(now.command, _CARRIED)
 
     def _climbs_away(self) -> bool:
         """However little is commanded; farther where the autopilot does not say that it is in the air."""
@@ -327,12 +330,12 @@ class Airborne(Struct):
         return self.lying_since >= LASTS and self.climbed > (_HEIGHT if said else 5.0 * _HEIGHT)
 
     def _in_the_air(self, time: Time, now: Senses) -> None:
-        low = self._little(now.command)
+        low = self._less(now.command, _LOW)
         end = LASTS
         # Pilots fly rolls and dives with idle motors.
         grounded = low and not now.climb < -_SINKING and not now.turning > _STILL
         self.low_since = _lasting(self.low_since, grounded, time)
-        if not low:
+        if not low and self.rest_since >= LASTS:
             self.hover = _blend(self.hover, now.command, _HOVER_S)
         self._rests(time, now)
         if now.struck:
@@ -345,6 +348,8 @@ class Airborne(Struct):
             end = self.low_since
         elif self.lying_since < LASTS and time - self.lying_since >= _LYING_S:
             end = self.lying_since - _WINDOW_S
+        elif self.rest_since < LASTS and time - self.rest_since >= _REST_S and self._less(now.command, _CARRIED):
+            end = self.rest_since
         if end >= LASTS:
             return
         end = min(end, self.rest_since)
@@ -365,12 +370,12 @@ class Airborne(Struct):
             self.rest_since = LASTS
         elif self.rest_since >= LASTS and time - self.sank <= _WINDOW_S:
             self.rest_since = time
-        elif self.low_since >= LASTS and time - self.rest_since > _REST_S:
+        elif not self._less(now.command, _CARRIED) and time - self.rest_since > _REST_S:
             self.rest_since = LASTS
 
-    def _little(self, command: Real) -> bool:
-        """Is it too little to carry a vehicle that flies?"""
-        return command < self.floor + _LOW * (self.hover - self.floor)
+    def _less(self, command: Real, share: Real) -> bool:
+        """Is it less than this part of the way from idle to hover?"""
+        return command < self.floor + share * (self.hover - self.floor)
 
     def _continues(self, time: Time) -> bool:
         """Does the vehicle still fly after a gap, by the first command after it? What lasted before the gap begins anew."""
@@ -379,7 +384,7 @@ class Airborne(Struct):
         self.lying_since = LASTS
         if time - self.last > MOST_GAP_S or self.down:
             return False
-        return self.flying and not self._little(self.command)
+        return self.flying and not self._less(self.command, _LOW)
 
     def _store(self, end: Time) -> None:
         """A flight is over."""

@@ -201,7 +201,7 @@ def blank(T: int, hyp: Hypotheses) -> TickOutput:
     filled = {k: np.zeros((T, *size)) for k, size in numbers.items()} | {
         "innovation_var": np.ones((T, 4)), "log_odds": np.full((T, n_h), -50.0), "statistic": np.full(T, -50.0),
         "best": np.zeros(T, int), "probability": np.full((T, n_h), 1.0 / n_h), "detectable": np.ones((T, n)),
-        "plausible": np.ones(T, bool),
+        "plausible": np.ones(T, bool), "pushed": np.zeros(T, bool),
     } | {k: np.zeros((T, *size), bool) for k, size in flags.items()}  # fmt: skip
     return TickOutput(**{name: filled[name] for name in TickOutput._fields})
 
