@@ -39,9 +39,13 @@ def test_a_trouble_is_told_once_at_its_first_report(kind, text, trouble):
     assert text in event.reason and "1 more" in event.reason
 
 
-def test_what_ended_a_flight_is_written_down_a_moment_later():
-    assert len(reports.claims(flight(Message(60.0 + 0.9 * reports.LATE_S, "error", "crash check: error 1")), AIR)) == 1
-    assert reports.claims(flight(Message(60.0 + 1.1 * reports.LATE_S, "error", "crash check: error 1")), AIR) == ()
+@pytest.mark.parametrize(
+    ("text", "late_s"), [("battery failsafe: error 1", reports.LATE_S), ("crash check: error 1", reports.CRASHED_S)]
+)
+def test_what_ended_a_flight_is_written_down_a_moment_later(text, late_s):
+    """A crash check looks for seconds whether the vehicle lies on its side."""
+    assert len(reports.claims(flight(Message(60.0 + 0.9 * late_s, "error", text)), AIR)) == 1
+    assert reports.claims(flight(Message(60.0 + 1.1 * late_s, "error", text)), AIR) == ()
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ TEXT_COLUMNS = ("Name", "Message", "FWS")
 SAME_EVENT_S = 1.0  # an arming logged by ARM and again by EV
 
 ARMED, DISARMED, LANDED, NOT_LANDED = 10, 11, 18, 28  # EV.Id
+CORE = 24  # ERR.Subsys whose code is the number of the estimator's core that is used from then on
 
 
 def parameters(log, clock) -> tuple[dict[str, float], tuple[tuple[float, str, float], ...]]:
@@ -63,8 +64,9 @@ def messages(log, clock) -> tuple[Message, ...]:
     for time, source, code in _rows(log, clock, "ERR", "Subsys", "ECode"):
         if np.isfinite([source, code]).all():
             name = ERRORS.get(int(source), f"part {int(source)}")
+            over = code == 0 and source != CORE
             found.append(
-                Message(time, "error", f"{name}: {'resolved' if code == 0 else f'error {int(code)}'}", float(source))
+                Message(time, "error", f"{name}: {'resolved' if over else f'error {int(code)}'}", float(source))
             )
     number = "ModeNum" if "ModeNum" in log.columns("MODE") else "Mode"
     for time, mode in _rows(log, clock, "MODE", number):

@@ -227,7 +227,7 @@ def _one_arm(event: Event) -> Event:
 
 
 def packed(events: Sequence[Event]) -> Rows:
-    """Events as the definitions take them; detail: a number for what became of an output, or for a cause."""
+    """Events as the definitions take them; detail: a number for what became of an output, for a cause or a trouble."""
     rows = ENGINE.array(definition.Event, max(1, len(events)))
     if not events:
         return rows
@@ -240,7 +240,7 @@ def packed(events: Sequence[Event]) -> Rows:
         return number(event.kind) if event.kind in TABLE else _NUMBERS[event.kind]
 
     def detail(event: Event) -> int:
-        what = event.extra.get("override", ""), event.extra.get("cause", "")
+        what = event.extra.get("override", ""), event.extra.get("cause", event.extra.get("trouble", ""))
         return _NUMBERS[what] if any(what) else definition.PLAIN
 
     rows.fill(
