@@ -256,3 +256,12 @@ def test_a_log_that_contradicts_itself_tells_what_was_reported_all_the_same():
 
 def test_every_fault_and_every_notice_of_a_rotor_rests_on_outputs():
     assert {row.name for row in kinds.ROWS if not row.by_outputs} == {kinds.CONTACT, LOST, REPORTED}
+
+
+def test_what_ends_a_flight_leads_where_no_fault_is_found():
+    """Power that fails as the log ends is what the pilot asks about, not that no rotor lost thrust until then."""
+    amps = 20.0 + 5.0 * np.sin(TIME)
+    sound = 16.0 - 0.02 * TIME - 0.05 * amps
+    told = discharged(np.where(TIME > 55.0, sound - 5.0, sound), amps)
+    assert hexa_diagnosis(events=told).headline.startswith("At 55.20 s the battery's voltage fell by 5.")
+    assert hexa_diagnosis(events=(hexa_event(), *told)).headline.startswith("Rotor 3 (front left) lost 37 %")

@@ -45,6 +45,7 @@ NOT_A_ROTOR = {
 LEAST_S = 3.0  # of judged flight, below which no rotor is called healthy
 MATTERS = 0.2  # loss of one rotor up to which `healthy` is a claim: from there on a rotor is degraded (wording.SCALE)
 MOST_NOTICES = 3  # of no rotor, in a headline: the first
+GRAVE = ("power", "crash", "stopped")  # troubles that end a flight: they lead where no fault is found
 AFTER_S = 5.0  # after a flight in which control was lost, for which what is reported came of that
 ALIKE = 0.05  # bounds of rotors that differ by less accuse none
 CAUSE_CREDIBLE = 0.05  # causes of a whole flight's difference that are less probable accuse nobody
@@ -154,7 +155,7 @@ def conclude(seen: Evidence, doubts: Sequence[str] = ()) -> Conclusion:
         seen = Evidence(
             ledger.believed(seen.events), seen.n, judged_s=seen.judged_s, places=seen.places, hops=seen.hops
         )
-        headline = " ".join([_not_judged(doubts[0]), *_told_beside(seen, None)])
+        headline = _with_reports(seen, None, [_not_judged(doubts[0])])
         return _concluded(seen, "inconclusive", doubts[0], headline, None, doubts)
     seen = replace(seen, events=tuple(seen.events), hidden=seen.hidden if seen.judged_s >= LEAST_S else None)
     main = main_event(seen.events)
@@ -306,9 +307,10 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
     event = None if main is None else seen.events[main]
     if event is not None and not event.means.accuses:
         first = said(event.means.headline, event, seen.places, until=_until(seen, event, " until"), again="")
-        return " ".join([*_told_beside(seen, event), sentence(f"{first} {_cleared(seen, event)}".strip())])
+        before = [said(e.means.headline, e) for e in _told_beside(seen, event)]
+        return " ".join([*before, sentence(f"{first} {_cleared(seen, event)}".strip())])
     if verdict == "inconclusive":
-        return " ".join([_inconclusive(seen), *_told_beside(seen, event)])
+        return _with_reports(seen, event, [_inconclusive(seen)])
     knocks = [seconds(e.onset_s) for e in seen.events if e.kind == CONTACT]
     first = _matter(seen, verdict, main) if verdict != "healthy" else "All rotors pull their weight."
     if verdict == "healthy" and (not seen.compared or seen.bound is not None):
@@ -336,7 +338,15 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
         parts.append(
             sentence(f"{rotors([rotor], seen.places)} {notices}, since {seconds(min(e.onset_s for e in own))}.")
         )
-    return " ".join([*parts, *_told_beside(seen, event)])
+    return _with_reports(seen, event, parts)
+
+
+def _with_reports(seen: Evidence, main: Event | None, parts: Sequence[str]) -> str:
+    """The sentences of a headline with those of notices of no rotor."""
+    told = _told_beside(seen, main)
+    leads = [e for e in told if main is None and e.extra.get("trouble") in GRAVE]
+    rest = [e for e in told if e not in leads]
+    return " ".join([*(said(e.means.headline, e) for e in leads), *parts, *(said(e.means.headline, e) for e in rest)])
 
 
 def _inconclusive(seen: Evidence) -> str:
@@ -350,9 +360,9 @@ def _inconclusive(seen: Evidence) -> str:
     return f"No loss was seen, but up to {_bound(seen)} could be missing unseen: {seen.unjudged.why}."
 
 
-def _told_beside(seen: Evidence, main: Event | None) -> list[str]:
-    """Sentences on notices of no rotor, in the order of time. Beside a loss of control that no rotor explains, only those that compete with
-    what does; what was reported after one is what came of it, as is that a motor fails which is accused."""
+def _told_beside(seen: Evidence, main: Event | None) -> list[Event]:
+    """Notices of no rotor that a headline tells, in the order of time. Beside a loss of control that no rotor explains, only those that
+    compete with what does; what was reported after one is what came of it, as is that a motor fails which is accused."""
     told, lost = [e for e in _notices(seen) if not e.rotors], seen.lost
     if main is not None and main.means.accuses:
         told = [e for e in told if e.extra.get("trouble") != "motor"]
@@ -362,7 +372,7 @@ def _told_beside(seen: Evidence, main: Event | None) -> list[str]:
     if main is not None and main.kind == LOST:
         before = {cause["time_s"] for cause in main.extra.get("before", ())}
         told = [e for e in _notices(seen) if e.kind == REPORTED and e.onset_s in before]
-    return [said(e.means.headline, e) for e in told[:MOST_NOTICES]]
+    return told[:MOST_NOTICES]
 
 
 def _unseen(seen: Evidence) -> float:
