@@ -58,7 +58,7 @@ TROUBLES = (
     _of("crash", "took the vehicle for crashed", r"^crash check: error", r"^crash: disarming", late_s=CRASHED_S),
     _of(
         "stopped", "had the motors stopped",
-        r"^disarmed: (failsafe|crash protection|runaway take-off|gps rescue|navigation|kill switch|lockdown|failure detector|shutdown)",
+        r"^disarmed: (failsafe|crash protection|runaway take-off|gps rescue|kill switch|lockdown|failure detector|shutdown)",
         r"\bdisarmed by (kill-switch|lockdown|failure detector)", r"\bkill-switch engaged", r"^emergency stop of the motors$",
         r"\bflight termination\b",
     ),
