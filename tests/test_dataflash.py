@@ -337,6 +337,18 @@ def test_what_stops_motors_and_which_core_of_the_estimator_is_used():
     ]  # fmt: skip
 
 
+def test_what_disarmed_is_told():
+    log = Writer()
+    log.define("ARM", "QBIBB", "TimeUS,ArmState,ArmChecks,Forced,Method")
+    log.define(*RCOU)
+    for k in range(3):
+        log.add("RCOU", 1000 * k, *pwm(o1=1500, o2=1500 + k))
+    for k, (state, method) in enumerate(((1, 2), (0, 16), (0, 13), (0, 99))):
+        log.add("ARM", 1_000_000 * (k + 1), state, 0, 0, method)
+    events = [(m.time, m.text) for m in dataflash.read(log.data, "made.bin").messages if m.kind == "event"]
+    assert events == [(2.0, "disarmed: radio failsafe"), (3.0, "disarmed: landing")]
+
+
 def test_what_is_compared_with_limits_is_of_the_first_imu_and_core_and_warns_of_nothing():
     log = Writer()
     log.define("VIBE", "QBfffI", "TimeUS,IMU,VibeX,VibeY,VibeZ,Clip")

@@ -34,7 +34,8 @@ def flight(*messages, duration=70.0, signals=None, parameters=None):
         ("text", "Potential Thrust Loss (3)", "motor"), ("error", "failure detector: motor", "motor"),
         ("text", "[health_and_arming_checks] Preflight Fail: Attitude failure (roll)", "attitude"),
         ("error", "battery warning: critical", "battery"), ("text", "Radio Failsafe", "radio"), ("error", "failsafe: landing", "radio"),
-        ("event", "disarmed: crash protection", "stopped"), ("event", "emergency stop of the motors", "stopped"),
+        ("event", "disarmed: crash protection", "stopped"), ("event", "disarmed: radio failsafe", "stopped"),
+        ("event", "emergency stop of the motors", "stopped"),
         ("text", "[commander] Kill-switch engaged", "stopped"), ("error", "local position invalid", "position"),
         ("error", "ground station failsafe: error 1", "link"), ("text", "Accel 0 clipping, not safe to fly!", "vibration"),
         ("text", "Yaw Imbalance 38%", "yaw"), ("event", "failsafe begins", "failsafe"), ("error", "internal: error 1", "internal"),
@@ -62,6 +63,7 @@ def test_what_ended_a_flight_is_written_down_a_moment_later(text, late_s):
         (20.0, "GPS Glitch cleared"), (20.0, "EKF Failsafe Cleared"), (20.0, "GPS 1: detected as u-blox at 230400 baud"),
         (20.0, "battery failsafe: resolved"), (20.0, "PreArm: Compass calibrated requires reboot"),
         (20.0, "Radio Failsafe - Cleared"), (20.0, "failsafe: over"), (20.0, "failsafe: signal back"), (60.0, "disarmed: switch"),
+        (60.0, "disarmed: disarm delay"),
         (60.0, "disarmed: sticks"), (60.0, "disarmed: landing"), (20.0, "rotorwatch: rotor 3 lost 35 % (19-52)"),
     ],
 )  # fmt: skip

@@ -7,7 +7,7 @@ import re
 import numpy as np
 
 from rotorwatch.flight import Message
-from rotorwatch.logs.dataflash_text import ERRORS, EVENTS, MODES
+from rotorwatch.logs.dataflash_text import ERRORS, EVENTS, METHODS, MODES
 
 PARAMETER_NAME = re.compile(r"[A-Z][A-Z0-9_]{1,15}")
 FIRMWARE = re.compile(r"\b(APM:\w+|APMrover2?|Ardu\w+|Blimp|AntennaTracker)\s+[Vv]\d\S*(\s+\([0-9a-f]+\))?")
@@ -74,6 +74,9 @@ def messages(log, clock) -> tuple[Message, ...]:
             found.append(Message(time, "mode", MODES.get(int(mode), f"mode {int(mode)}"), float(mode)))
     arming = [(time, float(state != 0)) for time, state in _rows(log, clock, "ARM", "ArmState")]
     known = len(arming)
+    for time, state, method in _rows(log, clock, "ARM", "ArmState", "Method"):
+        if state == 0 and np.isfinite(method) and int(method) in METHODS:
+            found.append(Message(time, "event", f"disarmed: {METHODS[int(method)]}", float(method)))
     for time, event in _rows(log, clock, "EV", "Id"):
         if not np.isfinite(event):
             continue

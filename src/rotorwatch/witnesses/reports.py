@@ -58,7 +58,8 @@ TROUBLES = (
     _of("crash", "took the vehicle for crashed", r"^crash check: error", r"^crash: disarming", late_s=CRASHED_S),
     _of(
         "stopped", "had the motors stopped",
-        r"^disarmed: (failsafe|crash protection|runaway take-off|gps rescue|kill switch|lockdown|failure detector|shutdown)",
+        r"^disarmed: ([\w ]*failsafe|crash protection|runaway take-off|gps rescue|kill switch|lockdown|failure detector|shutdown)",
+        r"^disarmed: (termination|avoidance|parachute|fence breach|software error)",
         r"\bdisarmed by (kill-switch|lockdown|failure detector)", r"\bkill-switch engaged", r"^emergency stop of the motors$",
         r"\bflight termination\b",
     ),

@@ -115,9 +115,10 @@ def _cause(
         disarmed = any(
             m.kind == "armed" and not m.value and abs(m.time - left.onset) < DISARMED_S for m in flight.messages
         )
-        return "disarmed", (
-            "all outputs went to rest in the air" + (", and the autopilot says disarmed" if disarmed else ""),
-        )
+        near = (m.text for m in flight.messages if abs(m.time - left.onset) < DISARMED_S)
+        by = next((text.partition(": ")[2] for text in near if text.startswith("disarmed: ")), "")
+        says = f", and the autopilot says disarmed{f' ({by})' if by else ''}" if disarmed else ""
+        return "disarmed", (f"all outputs went to rest in the air{says}",)
     best, p = found[0], float(probability[0])
     rms = np.sqrt((best.residual[:, :3] ** 2).mean(axis=0))
     fits = bool((rms < FITS).all())
