@@ -318,6 +318,54 @@ def test_esc_telemetry_in_rotor_order():
     assert not esc.valid[-1, 1] and esc.valid[-1, [0, 2, 3]].all()
 
 
+def test_what_stops_motors_and_which_core_of_the_estimator_is_used():
+    """LogEvent and LogErrorSubsystem of AP_Logger.h: core 0 is one to change to, not the end of an error."""
+    log = Writer()
+    log.define("ERR", "QBB", "TimeUS,Subsys,ECode")
+    log.define("EV", "QB", "TimeUS,Id")
+    log.define(*RCOU)
+    for k in range(3):
+        log.add("RCOU", 1000 * k, *pwm(o1=1500, o2=1500 + k))
+    for k, number in enumerate((54, 56, 51, 19)):
+        log.add("EV", 1_000_000 + k, number)
+    log.add("ERR", 2_000_000, 24, 0)
+    log.add("ERR", 3_000_000, 6, 0)
+    texts = [m.text for m in dataflash.read(log.data, "made.bin").messages]
+    assert texts == [
+        "emergency stop of the motors", "motors interlocked", "parachute released", "lost GPS", "estimator core: error 0",
+        "battery failsafe: resolved",
+    ]  # fmt: skip
+
+
+def test_what_disarmed_is_told():
+    log = Writer()
+    log.define("ARM", "QBIBB", "TimeUS,ArmState,ArmChecks,Forced,Method")
+    log.define(*RCOU)
+    for k in range(3):
+        log.add("RCOU", 1000 * k, *pwm(o1=1500, o2=1500 + k))
+    for k, (state, method) in enumerate(((1, 2), (0, 16), (0, 13), (0, 99))):
+        log.add("ARM", 1_000_000 * (k + 1), state, 0, 0, method)
+    events = [(m.time, m.text) for m in dataflash.read(log.data, "made.bin").messages if m.kind == "event"]
+    assert events == [(2.0, "disarmed: radio failsafe"), (3.0, "disarmed: landing")]
+
+
+def test_what_is_compared_with_limits_is_of_the_first_imu_and_core_and_warns_of_nothing():
+    log = Writer()
+    log.define("VIBE", "QBfffI", "TimeUS,IMU,VibeX,VibeY,VibeZ,Clip")
+    log.define("XKF4", "QBcccc", "TimeUS,C,SV,SP,SH,SM")
+    log.define(*RCOU)
+    for k in range(20):
+        log.add("RCOU", 100_000 * k, *pwm(o1=1500, o2=1500 + k))
+        for core in (0, 1):
+            log.add("VIBE", 100_000 * k, core, 3.0 + core, 9.0 + core, np.inf if k == 5 else 4.0, 7 * k * (1 - core))
+            log.add("XKF4", 100_000 * k, core, 10 + core, 20, 30, 240)
+    flight = dataflash.read(log.data, "made.bin")
+    assert flight["vibration"].values[0, 0] == 9.0 and not flight["vibration"].valid[5, 0]
+    assert flight["clipping"].values[-1, 0] == 7 * 19
+    assert flight["innovations"].values[0] == pytest.approx([0.1, 0.2, 0.3, 2.4])
+    assert not any("VIBE" in text or "XKF4" in text for text in flight.warnings)
+
+
 def test_messages_and_states():
     log = Writer()
     log.define("MODE", "QMBB", "TimeUS,Mode,ModeNum,Rsn")

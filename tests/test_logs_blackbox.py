@@ -657,6 +657,22 @@ def test_attitude_velocity_and_position_of_inav(file):
     assert "control" not in flight.signals and airframes.identify(flight).curve.u_min == 1050
 
 
+@pytest.mark.parametrize(
+    ("firmware", "number", "why"),
+    [
+        ("Betaflight 4.5.1", 5, "crash protection"), ("Betaflight 4.5.1", 6, "runaway take-off"), ("Betaflight 4.5.1", 9, "landing"),
+        ("INAV 7.1.2", 5, "kill switch"), ("INAV 7.1.2", 6, "failsafe"), ("INAV 7.1.2", 8, "landing"), ("INAV 7.1.2", 40, "reason 40"),
+    ],
+)  # fmt: skip
+def test_why_the_motors_were_stopped_by_the_numbers_of_the_firmware(file, firmware, number, why):
+    log = small(
+        writer.betaflight(**{"Firmware type": firmware.split()[0], "Firmware revision": f"{firmware} (abc) BOARD"})
+    )
+    log.event(15, number)
+    flight = logs.read(file("x.bbl", log.bytes()))
+    assert [m.text for m in flight.messages if m.text.startswith("disarmed:")] == [f"disarmed: {why}"]
+
+
 def test_the_quaternion_of_betaflight(file):
     """Turned 40 degrees to the left and 20 nose down: in our axes to -40 and -20."""
     half = np.radians([0.0, 20.0, 40.0]) / 2

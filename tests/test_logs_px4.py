@@ -10,7 +10,7 @@ import pytest
 from rotorwatch import logs
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight
-from rotorwatch.logs import px4_outputs, px4_topics, series, ulog
+from rotorwatch.logs import px4_outputs, px4_reports, px4_topics, series, ulog
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"
 pytestmark = pytest.mark.skipif(
@@ -67,7 +67,9 @@ def test_the_fault_topic_and_ground_truth_are_never_decoded(monkeypatch):
     monkeypatch.setattr(pyulog, "ULog", spy)
     flight = logs.read(FLIGHTS / "px4-rflymad" / "TestCase_4_1000000003.ulg.xz")
     names = [n for o in asked for n in o.get("message_name_filter_list", [])]
-    assert len(names) == len(px4_topics.TOPICS) and all(o.get("parse_header_only") or names for o in asked)
+    assert set(names) == {*px4_topics.TOPICS, px4_reports.EVENTS} and all(
+        o.get("parse_header_only") or names for o in asked
+    )
     assert "rfly_ctrl_lxl" not in names and not [n for n in names if "groundtruth" in n]
     assert flight.vehicle_type == "quadrotor" and flight.parameter_changes[0][1] == "COM_RCL_EXCEPT"
 
@@ -450,3 +452,46 @@ def test_the_publisher_of_the_first_sample_is_known_from_where_both_have_been_se
     values[resting] = 1000.0
     flying, rest = px4_outputs.tracks(values, 10.0)
     assert rest.tolist() == resting.tolist() and flying.tolist() == sorted({*range(100)} - {*resting.tolist()})
+
+
+def reported(**tables):
+    """What PX4 reports, of topics {name: {field: values}} with a sample each second."""
+    made = {}
+    for name, fields in tables.items():
+        n = len(next(iter(fields.values())))
+        made[name, 0] = {"timestamp": np.arange(n) * 1_000_000, **{k: np.asarray(v) for k, v in fields.items()}}
+    return px4_topics.messages(px4_topics.Topics(made, 0))
+
+
+def test_flags_count_where_they_rise_in_flight():
+    flags = {
+        "manual_control_signal_lost": [1, 1, 0, 1],
+        "local_position_invalid": [1, 1, 1, 1],
+        "fd_motor_failure": [0, 0, 1, 1],
+    }
+    told = [(m.time, m.text) for m in reported(failsafe_flags=flags)]
+    assert sorted(told) == [(2.0, "failure detector: motor"), (3.0, "manual control lost")]
+
+
+def test_the_failure_detector_speaks_once_though_two_topics_hold_it():
+    own, status = {"fd_roll": [0, 0, 1]}, {"failure_detector_status": [0, 1, 1]}
+    assert [(m.time, m.text) for m in reported(vehicle_status=status)] == [(1.0, "failure detector: attitude (roll)")]
+    both = reported(vehicle_status=status, failure_detector_status=own)
+    assert [(m.time, m.text) for m in both] == [(2.0, "failure detector: attitude (roll)")]
+
+
+def test_batteries_failsafes_and_who_disarmed():
+    battery = {"warning": [0, 1, 2, 0], "voltage_v": [16.0] * 4, "current_a": [9.0] * 4}
+    assert [m.text for m in reported(battery_status=battery)] == ["battery warning: low", "battery warning: critical"]
+    status = {"failsafe": [0, 1, 1, 0], "arming_state": [2, 2, 1, 1], "latest_disarming_reason": [0, 0, 9, 9]}
+    told = [(m.time, m.text) for m in reported(vehicle_status=status) if m.kind == "event"]
+    assert told == [(1.0, "failsafe begins"), (2.0, "disarmed: kill switch")]
+    landed = {**status, "latest_disarming_reason": [0, 0, 7, 7]}
+    assert not [m for m in reported(vehicle_status=landed) if m.text.startswith("disarmed:")]
+
+
+def test_events_are_told_in_the_words_that_the_log_carries():
+    flight = logs.read(FLIGHTS / "wild" / "healthy-real-4.ulg.xz")
+    assert any(m.text == "Failsafe warning:" and abs(m.time - 68.15) < 0.1 for m in flight.messages)
+    without = logs.read(FLIGHTS / "open" / "px4_q28_esc_m3_dead.ulg.xz")
+    assert any(m.text == "failure detector: motor" for m in without.messages)

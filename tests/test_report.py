@@ -65,7 +65,7 @@ def test_comparison_is_in_time_order_and_says_when_nobody_else_found_anything(fa
     ]
     assert report.comparison(replace(fault, comparison=()))[1][:2] == ("ardupilot-thrust-loss", "nothing")
     px4 = replace(fault, comparison=(), flight={**fault.flight, "autopilot": "PX4"})
-    assert report.comparison(px4)[1][:2] == ("px4-esc-current", "nothing")
+    assert report.comparison(px4)[1][:2] == ("px4-current-residual, px4-esc-current", "nothing")
     other = replace(fault, comparison=(), flight={**fault.flight, "autopilot": "Crazyflie"})
     assert report.comparison(other)[1][:2] == ("other checks", "none made")
     assert "no check of Crazyflie itself" in report.comparison(other)[1][3]

@@ -16,6 +16,7 @@ from rotorwatch.flight.diagnosis import Event
 from rotorwatch.lab import campaign
 from rotorwatch.lab.campaign import batch, benchmark_plan
 from rotorwatch.lab.simulation import simulate
+from rotorwatch.witnesses import battery as voltages
 from rotorwatch.witnesses.upset import find, loss_of_control
 from rotorwatch.witnesses.upset.balance import INERTIA, Offset, Window, fit
 from rotorwatch.witnesses.upset.explain import Explanation, explain
@@ -216,7 +217,7 @@ def test_a_voltage_that_sags_under_its_current_is_no_failure_of_power(logged, ca
     both = np.column_stack([volts, load])[:, : 1 if logged == "none" else 2]
     battery = Signal(time, both, ("voltage", "current")[: both.shape[1]], "V,A")
     flight = Flight("model", "ArduPilot", {"battery": battery}, 22.0)
-    assert find._fell(flight, 20.0) and find._sagged(flight, 20.0) is (True if cause == "power" else cause)
+    assert voltages.fell(flight, 20.0) and voltages.sagged(flight, 20.0) is (True if cause == "power" else cause)
 
 
 def fallen(speed: float) -> Flight:

@@ -14,7 +14,6 @@ from rotorwatch.commands import cli
 from rotorwatch.engine.motion import allocation, ticks
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import READY_S
-from rotorwatch.flight.kinds import REPORTED
 from rotorwatch.lab.simulation import scenario, simulate
 from rotorwatch.live import view
 from rotorwatch.live.changes import Changes
@@ -90,9 +89,7 @@ def last_words(alerts):
 @pytest.mark.parametrize("name", LOGS)
 def test_a_log_replayed_gives_the_events_of_diagnose(name):
     flight = flight_of(name)
-    wanted = [
-        e for e in diagnose(flight).to_dict()["events"] if e["kind"] != REPORTED
-    ]  # who watches hears the autopilot
+    wanted = diagnose(flight).to_dict()["events"]
     alerts, watched = replayed(flight)
     found = last_words(alerts)
     assert watched.trouble == ""

@@ -227,10 +227,16 @@ def _no_flight(ready: Prepared, clock: _Clock) -> Diagnosis:
     why = unjudged.NEVER if ready.flight.has("motors") else unjudged.SILENT
     if ready.air:
         why = unjudged.silent(f"no command for {wording.rotors(never)}" if never else "too few motor outputs")
-    found = ledger.merge((), events.Report(ready.vehicle.effectiveness()), ready.upsets, n).events
+    told = reports.claims(ready.flight, ready.air, _left(ready))
+    found = ledger.merge(told, events.Report(ready.vehicle.effectiveness()), ready.upsets, n).events
     names = places.names(ready.vehicle.rotors)
     end = conclusion.conclude(conclusion.Evidence(found, n, places=names, hops=ready.air, unjudged=why))
-    return _answer(end, ready, {}, clock, doubts=() if found else (why.why,))
+    return _answer(end, ready, {}, clock, doubts=() if any(e.means.wrong for e in found) else (why.why,))
+
+
+def _left(ready: Prepared) -> tuple[float, ...]:
+    """When control was lost [s]."""
+    return tuple(judged.onset for judged in ready.upsets)
 
 
 def estimated(
@@ -267,7 +273,7 @@ def _find(ready: Prepared, done: Estimated) -> tuple[Merged, tuple[Event, ...]]:
     if done.own and ready.hovers:
         shown = trim.look(done.out, table, B) if one is None else one.trim
         grown, claims = trim.growth(shown), (*claims, *trim.mounts(shown))
-    claims = (*claims, *reports.claims(flight, air))
+    claims = (*claims, *reports.claims(flight, air, _left(ready)))
     report = events.Report(B).add(table, air).finish(air) if one is None else one.report
     merged = ledger.merge(claims, report, ready.upsets, B.shape[1], grown)
     ready.warnings += [text for text, lasts in wording.together(merged.shared) if not lasts]

@@ -31,7 +31,7 @@ from rotorwatch.answer.wording import (
 from rotorwatch.engine.front.decisions import MATTERS, MENTIONED, TOTAL_LOSS
 from rotorwatch.engine.motion.airborne import Gap
 from rotorwatch.flight.diagnosis import Event, RotorState, Source, StoryLine, Trend
-from rotorwatch.flight.kinds import CONTACT, EVIDENCE, FROM_TAKEOFF, LOST, Weight
+from rotorwatch.flight.kinds import CONTACT, EVIDENCE, FROM_TAKEOFF, LOST, REPORTED, Weight
 
 # Causes of a loss of control that clear the rotors, in words that follow "when".
 NOT_A_ROTOR = {
@@ -43,6 +43,8 @@ NOT_A_ROTOR = {
 }
 LEAST_S = 3.0  # of judged flight, below which no rotor is called healthy
 MOST_NOTICES = 3  # of no rotor, in a headline: the first
+GRAVE = ("power", "crash", "stopped")  # troubles that end a flight: they lead where no fault is found
+AFTER_S = 5.0  # after a flight in which control was lost, for which what is reported came of that
 ALIKE = 0.05  # bounds of rotors that differ by less accuse none
 LANDED_S = 1.5
 SHORT_S = 20.0  # of flight, below which tenths of a second are worth saying
@@ -155,7 +157,8 @@ def conclude(seen: Evidence, doubts: Sequence[str] = ()) -> Conclusion:
         seen = Evidence(
             ledger.believed(seen.events), seen.n, judged_s=seen.judged_s, places=seen.places, hops=seen.hops
         )
-        return _concluded(seen, "inconclusive", doubts[0], _not_judged(doubts[0]), None, doubts)
+        headline = _with_reports(seen, None, [_not_judged(doubts[0])])
+        return _concluded(seen, "inconclusive", doubts[0], headline, None, doubts)
     seen = replace(seen, events=tuple(seen.events), hidden=seen.hidden if seen.judged_s >= LEAST_S else None)
     main = main_event(seen.events)
     verdict, reason = _verdict(seen, main)
@@ -306,15 +309,10 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
     event = None if main is None else seen.events[main]
     if event is not None and not event.means.accuses:
         first = said(event.means.headline, event, seen.places, until=_until(seen, event, " until"), again="")
-        return sentence(f"{first} {_cleared(seen, event)}".strip())
-    if verdict == "inconclusive" and seen.missing and seen.hidden is not None:
-        return f"No rotor lost thrust until {seconds(seen.missing_s)}. What came then cannot be said: {_missing(seen)}."
-    if verdict == "inconclusive" and seen.hidden is None:
-        return _not_judged(_missing(seen) or seen.unjudged.why)
-    if verdict == "inconclusive" and not seen.vague and seen.knocked_s is not None:
-        return f"No loss was seen until the knock at {seconds(seen.knocked_s)}. What that broke could not be judged."
+        before = [said(e.means.headline, e) for e in _told_beside(seen, event)]
+        return " ".join([*before, sentence(f"{first} {_cleared(seen, event)}".strip())])
     if verdict == "inconclusive":
-        return f"No loss was seen, but up to {_bound(seen)} could be missing unseen: {seen.unjudged.why}."
+        return _with_reports(seen, event, [_inconclusive(seen)])
     knocks = [seconds(e.onset_s) for e in seen.events if e.kind == CONTACT]
     first = _matter(seen, verdict, main) if verdict != "healthy" else "All rotors pull their weight."
     if verdict == "healthy" and (not seen.compared or seen.bound is not None):
@@ -342,9 +340,41 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
         parts.append(
             sentence(f"{rotors([rotor], seen.places)} {notices}, since {seconds(min(e.onset_s for e in own))}.")
         )
-    nameless = [said(e.means.headline, e) for e in _notices(seen) if not e.rotors]
-    parts += nameless[:MOST_NOTICES]
-    return " ".join(parts)
+    return _with_reports(seen, event, parts)
+
+
+def _with_reports(seen: Evidence, main: Event | None, parts: Sequence[str]) -> str:
+    """The sentences of a headline with those of notices of no rotor."""
+    told = _told_beside(seen, main)
+    leads = [e for e in told if main is None and e.extra.get("trouble") in GRAVE]
+    rest = [e for e in told if e not in leads]
+    return " ".join([*(said(e.means.headline, e) for e in leads), *parts, *(said(e.means.headline, e) for e in rest)])
+
+
+def _inconclusive(seen: Evidence) -> str:
+    """Why a flight without an event that matters says too little."""
+    if seen.missing and seen.hidden is not None:
+        return f"No rotor lost thrust until {seconds(seen.missing_s)}. What came then cannot be said: {_missing(seen)}."
+    if seen.hidden is None:
+        return _not_judged(_missing(seen) or seen.unjudged.why)
+    if not seen.vague and seen.knocked_s is not None:
+        return f"No loss was seen until the knock at {seconds(seen.knocked_s)}. What that broke could not be judged."
+    return f"No loss was seen, but up to {_bound(seen)} could be missing unseen: {seen.unjudged.why}."
+
+
+def _told_beside(seen: Evidence, main: Event | None) -> list[Event]:
+    """Notices of no rotor that a headline tells, in the order of time. Beside a loss of control that no rotor explains, only those that
+    compete with what does; what was reported after one is what came of it, as is that a motor fails which is accused."""
+    told, lost = [e for e in _notices(seen) if not e.rotors], seen.lost
+    if main is not None and main.means.accuses:
+        told = [e for e in told if e.extra.get("trouble") != "motor"]
+    if lost is not None:
+        over = next((b for a, b in seen.hops if a <= lost.onset_s <= b), np.inf) + AFTER_S
+        told = [e for e in told if e.kind != REPORTED or not lost.onset_s <= e.onset_s <= over]
+    if main is not None and main.kind == LOST:
+        before = {cause["time_s"] for cause in main.extra.get("before", ())}
+        told = [e for e in _notices(seen) if e.kind == REPORTED and e.onset_s in before]
+    return told[:MOST_NOTICES]
 
 
 def _unseen(seen: Evidence) -> float:

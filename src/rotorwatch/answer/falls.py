@@ -10,7 +10,7 @@ import numpy as np
 
 from rotorwatch.engine.front.decisions import CREDIBLE, SAME_S, SURE
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.flight.kinds import CONTACT, LOSS, LOST, ORDER, OVERRIDE
+from rotorwatch.flight.kinds import CONTACT, LOSS, LOST, ORDER, OVERRIDE, REPORTED
 
 if TYPE_CHECKING:
     from rotorwatch.witnesses.upset.explain import Explanation
@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from rotorwatch.witnesses.upset.loss_of_control import LossOfControl
 
 TOUCHED_S = 1.0  # from a blow in flight to the loss of control that follows from it
+# Before control is lost, within which what the autopilot reported competes as the cause; a battery that is low goes on to be.
+REPORTED_S, LOW_S = 30.0, 300.0
+STOPPED_S = 1.0  # after that, within which it is written down that the motors were stopped
 
 
 def events(found: Sequence[Judged], known: Sequence[Event], n: int) -> tuple[Event, ...]:
@@ -28,7 +31,27 @@ def events(found: Sequence[Judged], known: Sequence[Event], n: int) -> tuple[Eve
     out = list(known)
     for one in found:
         out = _merged(out, one, n)
+    out = [_with_reports(e, out) if e.kind == LOST else e for e in out]
     return tuple(sorted(out, key=lambda e: e.detected_s))
+
+
+def _with_reports(lost: Event, events_: Sequence[Event]) -> Event:
+    """A loss of control with what the autopilot reported before it. Whether a rotor is to blame rests on other evidence; what a knock
+    explains needs no report."""
+    cause = lost.extra["cause"]
+    before = [] if cause == "knock" else [e for e in events_ if e.kind == REPORTED and _competes(e, lost)]
+    if not before:
+        return lost
+    told = [f"before that, at {e.onset_s:.1f} s, {e.reason}" for e in before]
+    causes = [{"trouble": e.extra["trouble"], "time_s": e.onset_s} for e in before]
+    return replace(lost, reason="; ".join((lost.reason, *told)), extra={**lost.extra, "before": causes})
+
+
+def _competes(report: Event, lost: Event) -> bool:
+    ahead, trouble = lost.onset_s - report.onset_s, report.extra["trouble"]
+    if trouble == "stopped":
+        return -STOPPED_S <= ahead <= STOPPED_S and lost.extra["cause"] == "disarmed"
+    return 0.0 < ahead <= (LOW_S if trouble in ("battery", "power") else REPORTED_S)
 
 
 def _weak(events_, left: LossOfControl) -> Event | None:

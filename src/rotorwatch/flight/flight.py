@@ -22,6 +22,10 @@ battery    voltage current                 V, A     (unit "V,A")
 gps        n e d speed                     m, m/s   world NED, from the first fix; speed over ground. Only shown
 baro       up                              m        barometric altitude. Only shown
 lift       lift_max voltage_ratio limit    1        ArduPilot's battery compensation (MOTB)
+vibration  level                           m/s^2    deviation of the accelerometer, as the autopilot computes it. Only compared with limits
+clipping   count                           1        samples at the end of the accelerometer's range since boot. Likewise
+innovat-   velocity position height        1        innovations of the autopilot's estimator, of its limit: at 1 a measurement is rejected
+ions       compass                                  (name: innovations). Likewise
 esc        speed1 .. current1 ..           rad/s,A, ESC telemetry where logged, rotor order: speed of the rotor, current and
            voltage1 .. temperature1 ..     V,degC   voltage at the ESC's input, temperature of the ESC
 ========== =============================== ======== ==================================================================
@@ -117,8 +121,8 @@ class Signal:
 class Message:
     """A text or state change the autopilot logged.
 
-    time: s from the first record. kind: 'text', 'error', 'event', 'mode', 'armed', 'landed' or 'dropout'. text: as logged, or in words.
-    value: the number behind it, where there is one.
+    time: s from the first record. kind: 'text', 'error', 'event', 'mode', 'armed', 'landed', 'health' or 'dropout'. text: as logged, or in
+    words; of 'health' its first word is the part, and value 1 says that it is not well. value: the number behind it, where there is one.
     """
 
     time: float

@@ -64,7 +64,8 @@ _WATCH = Words("{noun} of {who} at {ago}{over}", nameless="{noun} at {ago}{over}
 @dataclass(frozen=True)
 class Kind:
     """name: in JSON. noun: in tables and titles. meaning: in a few words (docs/json.md). weight, span: see there. weakens: its rotors lack
-    a share of their thrust, its `loss`. brief: follows its rotors on a ground station's screen, in 30 letters. headline: for a pilot.
+    a share of their thrust, its `loss`. by_outputs: it rests on outputs being what drives the motors, so that it is not said where they may
+    not be. brief: follows its rotors on a ground station's screen, in 30 letters. headline: for a pilot.
     reason: of the verdict. began: how a loss of control began. now, past: what a rotor's note says while it holds, and after it; of an
     event with several explanations, where `now` has no words for that, only its own rotors are suspects.
     advice: what to do. watch: a line on the screen while the vehicle flies."""
@@ -75,6 +76,7 @@ class Kind:
     weight: Weight = Weight.OUTSIDE
     span: Span = Span.STAYS
     weakens: bool = False
+    by_outputs: bool = True
     brief: str = ""
     headline: Words = _HEADLINE
     reason: str = "{why}"
@@ -93,11 +95,6 @@ class Kind:
     def wrong(self) -> bool:
         """Whether something is wrong with the vehicle's flight: what is shown first, and in the colour of what is broken."""
         return self.weight in (Weight.FAULT, Weight.UPSET)
-
-    @property
-    def by_outputs(self) -> bool:
-        """Whether it rests on outputs being what drives the motors, so that it is not said where they may not be."""
-        return self.weight in (Weight.FAULT, Weight.NOTICE)
 
     @property
     def lasts(self) -> bool:
@@ -147,12 +144,12 @@ ROWS = (
         ),
     ),
     Kind(
-        CONTACT, "knock or contact", "a knock, a collision, contact with the ground", Weight.OUTSIDE, Span.MOMENT,
+        CONTACT, "knock or contact", "a knock, a collision, contact with the ground", Weight.OUTSIDE, Span.MOMENT, by_outputs=False,
         advice=Words("Look the vehicle over for damage: it was knocked at {all_times}."),
     ),
     Kind(
         LOST, "loss of control", "the vehicle left what was wanted and did not come back", Weight.UPSET, Span.STAYS,
-        brief="LOSS OF CONTROL",
+        by_outputs=False, brief="LOSS OF CONTROL",
         headline=Words("The vehicle left control at {at}."),
         now=Words("may be why control was lost at {at}"),
         watch=Words("{noun} at {ago}, {who}{others}: {lost_why}", nameless="{noun} at {ago}{others}: {lost_why}"),
@@ -211,8 +208,8 @@ ROWS = (
     ),
     Kind(
         REPORTED, "report of the autopilot", "what the autopilot itself reported in flight: battery, radio, position, estimator, ...",
-        Weight.NOTICE, brief="reported trouble",
-        headline=Words("", nameless="At {at} {why}."),
+        Weight.NOTICE, by_outputs=False, brief="reported trouble",
+        headline=Words("", nameless="At {at} {why}."), watch=Words("{noun} of {who} at {ago}", nameless="{noun} at {ago}: {why}"),
         advice=Words("", nameless="At {at} {why}: find out why before the next flight."),
     ),
     Kind(EVIDENCE, "unexplained evidence", "evidence against rotors that no event explains", Weight.OPEN, Span.SPELLS),

@@ -13,6 +13,7 @@ stream.py     samples to the diagnoser of `diagnose`, piece by piece
 account.py    the way back, from an impact that is found later
 beginnings.py losses in the blind time, looked for again
 control.py    loss of control: samples of ten minutes to losses of control and their causes
+reported.py   what the autopilot reports, and measures beyond limits
 trust.py      whether what comes can be what flies
 judge.py      what the diagnoser has written down to claims
 session.py    one vehicle's stream, judge and loss of control

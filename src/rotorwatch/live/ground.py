@@ -118,6 +118,8 @@ def _over(event: dict) -> bool:
 
 def worth_sending(reported: tuple | None, alert: dict) -> bool:
     """Whether it is worth a text: something new, or a loss that has moved by STEP since it was sent."""
+    if "texts" in alert.get("event", ()):
+        return False  # the ground stations have heard it from the autopilot itself
     new = gist(alert)
     if reported is None:
         return not new[3]  # taken back before it was said
@@ -136,6 +138,8 @@ def text_of(alert: dict) -> tuple[str, int]:
     withdrawn = alert["state"] == WITHDRAWN
     kind = kind_of(event.kind)
     what, upset = kind.brief or kind.noun, kind.weight is Weight.UPSET
+    if "trouble" in alert["event"]:
+        what += f": {alert['event']['trouble']}"
     if upset:
         numbers = "+".join(map(str, event.rotors))
         who = (

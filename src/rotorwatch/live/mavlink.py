@@ -20,7 +20,9 @@ UNKNOWN_S = 2.0  # a message that tells of a signal and falls silent for so long
 RATE_S = 3.0  # over which rates are counted
 MOST_ROWS = 5000  # of a message, before its vehicle is known well enough to judge it
 MOST_PARAMETERS = 4096  # by name; autopilots have less than half of that
-SIGNALS = ("motors", "gyro", "accel", "attitude", "attitude_wanted", "velocity", "position", "battery")
+SIGNALS = (
+    "motors", "gyro", "accel", "attitude", "attitude_wanted", "velocity", "position", "battery", "vibration", "clipping", "innovations",
+)  # fmt: skip
 TICK = ("motors", "gyro", "accel")
 ESC = {mavlink_esc.STATUS, *mavlink_esc.TELEMETRY}
 WAIT_S = 0.1  # for what a tick is made of, before it is looked whether it can be made without
@@ -114,7 +116,7 @@ class Messages:
         self._counts: dict[str, deque[float]] = {}
         self._source: dict[str, str] = {}
         self._usable_at: dict[str, float] = {}  # when the source of a signal last told something usable
-        self._states: dict[str, float] = {}
+        self._states: dict[tuple[str, str], float] = {}
         self._seen: dict[str, deque[float]] = {}  # when the last messages arrived
 
     def inherit(self, earlier: Messages) -> None:
@@ -278,8 +280,9 @@ class Messages:
         """States are sent again and again; only what is new counts."""
         if message.kind in ("text", "error"):
             return True
-        changed = self._states.get(message.kind) != message.value
-        self._states[message.kind] = message.value
+        part = message.text.partition(" ")[0] if message.kind == "health" else ""
+        changed = self._states.get((message.kind, part)) != message.value
+        self._states[message.kind, part] = message.value
         return changed
 
 

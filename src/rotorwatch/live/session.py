@@ -21,6 +21,7 @@ from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.live.control import Control
 from rotorwatch.live.judge import Judge
+from rotorwatch.live.reported import ALONE, Reported
 from rotorwatch.live.stream import Piece, Stream
 from rotorwatch.live.trust import MEMORY_S, Trust
 
@@ -50,6 +51,7 @@ class Session:
         self.about, self.vehicle = about, vehicle
         self._judge: Judge | None = None
         self._control: Control | None = None
+        self._reported = Reported(about)
         self._trust: Trust | None = None
         self._stream: Stream | None = None
         self._early: list[tuple[Mapping[str, Signal], tuple[Message, ...]]] = []
@@ -58,12 +60,14 @@ class Session:
 
     def add(self, signals: Mapping[str, Signal], messages: Iterable[Message] = ()) -> None:
         """More of the flight, in time order. Raises VehicleError when the airframe cannot be identified."""
+        self._reported.add(signals, messages := tuple(messages))
+        signals = {name: signal for name, signal in signals.items() if name not in ALONE}
         self.now = max([self.now, *(float(s.time[-1]) for s in signals.values() if len(s))])
         if self._stream is not None and self._control is not None:
             self._stream.add(signals, messages)
             self._control.add(signals, messages)
             return
-        self._early.append((signals, tuple(messages)))
+        self._early.append((signals, messages))
         motors = next((s["motors"] for s, _ in self._early if "motors" in s), None)
         if motors is None:
             del self._early[:-500]
@@ -115,6 +119,7 @@ class Session:
         )
         piece = replace(piece, spans=self._control.on(piece.spans, final))
         self._spans = piece.spans
+        self._reported.on(piece.spans, tuple(j.onset for j in self._control.found), self.now, final)
         if self._judge is None:
             self._judge = Judge(stream.diagnoser, stream.account)
         self._judge.on(piece, final)
@@ -149,6 +154,7 @@ class Session:
             claims, report, grown = (), events.Report(B), None
         else:
             claims, report, grown = self._judge.claims(), self._judge.report, self._judge.grown
+        claims = (*claims, *self._reported.found)
         merged = ledger.merge(claims, report, self._control.found, B.shape[1], grown)
         return ledger.believed(merged.events, self._trust.until)
 
@@ -202,7 +208,7 @@ class Session:
     def revision(self) -> int:
         """Grows when there may be other events."""
         known = 0 if self._judge is None else self._judge.revision
-        return known + (0 if self._control is None else self._control.revision)
+        return known + self._reported.revision + (0 if self._control is None else self._control.revision)
 
     def losses(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
         """(loss, lower, upper), each (n,): of every rotor at the last tick; None before there is one."""

@@ -10,7 +10,7 @@ import numpy as np
 from rotorwatch.flight import Flight, Message, Signal
 
 WINDOW_S = 8.0  # the longest look back is two seconds; what is late or waited for comes on top
-STATES = ("landed", "armed")
+STATES, DISARMED = ("landed", "armed"), "disarmed: "  # and the event that says why
 
 
 class Growing:
@@ -98,7 +98,7 @@ class Window:
                     growing = self._signals[name] = Growing(signal)
                 growing.add(signal)
                 self.now = max(self.now, growing.newest)
-        self._messages += [m for m in messages if m.kind in STATES]
+        self._messages += [m for m in messages if m.kind in STATES or m.text.startswith(DISARMED)]
 
     def newest(self, name: str) -> float:
         """Time of the newest sample of a signal; minus infinity without one."""

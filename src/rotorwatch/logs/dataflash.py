@@ -9,6 +9,7 @@ What is read from which message (instance 0 where sensors come in several):
     velocity, position   XKF1, NKF1 or EKF1  gps, baro  GPS; BARO where no EKF is logged
     throttle  CTUN ThO or ThrOut               battery   BAT or CURR
     lift      MOTB                             esc       ESC, ESC1.., CESC: see dataflash_esc
+    vibration, clipping  VIBE                  innovations  XKF4, NKF4 or EKF4, of the first core
 
 Times count from the smallest time stamp of any record; 3.0 and 3.1 have none: see dataflash_clock.
 Simulation parameters and messages (SIM*) are never read.
@@ -56,6 +57,9 @@ LIMITS = {
     "battery": ((0.0, 120.0), (-100.0, 2000.0)),
     "baro": ((-1e4, 2e4),),
     "lift": ((0.0, 2.0), (0.0, 2.0), (0.0, 1.5)),
+    "vibration": ((0.0, np.inf),),
+    "clipping": ((0.0, np.inf),),
+    "innovations": ((0.0, np.inf),) * 4,
 }
 RAW_TORQUE = 4500.0  # APM:Copter 3.3: full roll, pitch or yaw output
 RAW_THROTTLE = 1000.0  # ... and full throttle
@@ -101,6 +105,7 @@ def read(data, name: str, progress=None) -> Flight:
         reader.place,
         reader.power,
         reader.esc,
+        reader.limited,
     )
     for done, step in enumerate(steps, 1):
         step()
@@ -390,6 +395,21 @@ class _Signals:
                 self.utc_start = wall_clock.start(time[fixed], wall_clock.of_gps(week[fixed], milliseconds[fixed]))
         if "position" not in self.signals and (rows := self.instance("BARO", ("Alt",))) is not None:
             self.add("baro", *rows[:2], "BARO")
+        self.warnings = said
+
+    def limited(self) -> None:
+        """What is compared with the autopilot's limits alone; nothing warns of damage in it."""
+        said = list(self.warnings)
+        rows = self.instance("VIBE", ("VibeX", "VibeY", "VibeZ"))
+        if rows is not None:
+            self.add("vibration", rows[0], rows[1].max(axis=1, keepdims=True), "VIBE")
+        rows = self.instance("VIBE", ("Clip",) if "Clip" in self.log.columns("VIBE") else ("Clip0",))
+        if rows is not None:
+            self.add("clipping", *rows[:2], "VIBE")
+        if message := self.first_of("XKF4", "NKF4", "EKF4"):
+            rows = self.instance(message, ("SV", "SP", "SH", "SM"))
+            if rows is not None:
+                self.add("innovations", *rows[:2], message)
         self.warnings = said
 
     def collective(self):

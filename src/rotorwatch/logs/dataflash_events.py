@@ -7,7 +7,7 @@ import re
 import numpy as np
 
 from rotorwatch.flight import Message
-from rotorwatch.logs.dataflash_text import ERRORS, EVENTS, MODES
+from rotorwatch.logs.dataflash_text import ERRORS, EVENTS, METHODS, MODES
 
 PARAMETER_NAME = re.compile(r"[A-Z][A-Z0-9_]{1,15}")
 FIRMWARE = re.compile(r"\b(APM:\w+|APMrover2?|Ardu\w+|Blimp|AntennaTracker)\s+[Vv]\d\S*(\s+\([0-9a-f]+\))?")
@@ -17,6 +17,7 @@ TEXT_COLUMNS = ("Name", "Message", "FWS")
 SAME_EVENT_S = 1.0  # an arming logged by ARM and again by EV
 
 ARMED, DISARMED, LANDED, NOT_LANDED = 10, 11, 18, 28  # EV.Id
+CORE = 24  # ERR.Subsys whose code is the number of the estimator's core that is used from then on
 
 
 def parameters(log, clock) -> tuple[dict[str, float], tuple[tuple[float, str, float], ...]]:
@@ -63,8 +64,9 @@ def messages(log, clock) -> tuple[Message, ...]:
     for time, source, code in _rows(log, clock, "ERR", "Subsys", "ECode"):
         if np.isfinite([source, code]).all():
             name = ERRORS.get(int(source), f"part {int(source)}")
+            over = code == 0 and source != CORE
             found.append(
-                Message(time, "error", f"{name}: {'resolved' if code == 0 else f'error {int(code)}'}", float(source))
+                Message(time, "error", f"{name}: {'resolved' if over else f'error {int(code)}'}", float(source))
             )
     number = "ModeNum" if "ModeNum" in log.columns("MODE") else "Mode"
     for time, mode in _rows(log, clock, "MODE", number):
@@ -72,6 +74,9 @@ def messages(log, clock) -> tuple[Message, ...]:
             found.append(Message(time, "mode", MODES.get(int(mode), f"mode {int(mode)}"), float(mode)))
     arming = [(time, float(state != 0)) for time, state in _rows(log, clock, "ARM", "ArmState")]
     known = len(arming)
+    for time, state, method in _rows(log, clock, "ARM", "ArmState", "Method"):
+        if state == 0 and np.isfinite(method) and int(method) in METHODS:
+            found.append(Message(time, "event", f"disarmed: {METHODS[int(method)]}", float(method)))
     for time, event in _rows(log, clock, "EV", "Id"):
         if not np.isfinite(event):
             continue

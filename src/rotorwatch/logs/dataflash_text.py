@@ -22,8 +22,8 @@ TEXT_CODES = "nNZ"
 FIRST_LINE = re.compile(rb"^[ \t]*FMT[ \t]*,[ \t]*128[ \t]*,[ \t]*89[ \t]*,", re.MULTILINE)
 
 # What numbers stand for: Copter's flight modes, whose names ground stations write into text logs; AP_Logger's event numbers (EV.Id) and
-# error sources (ERR.Subsys) that matter for what a rotor did.
-MODES, EVENTS, ERRORS = (
+# error sources (ERR.Subsys) that matter for what a rotor did; what disarmed (ARM.Method, AP_Arming::Method).
+MODES, EVENTS, ERRORS, METHODS = (
     {int(number): name for number, name in table.items()}
     for table in json.loads(Path(__file__).with_name("dataflash_numbers.json").read_text("utf-8")).values()
 )

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch.flight import Message, vehicle_kind
-from rotorwatch.logs import px4_outputs, series, wall_clock
+from rotorwatch.logs import px4_outputs, px4_reports, series, wall_clock
 
 TOPICS = (
     *"actuator_armed actuator_controls_0 actuator_motors actuator_outputs battery_status esc_status sensor_combined sensor_gps".split(),
@@ -18,6 +18,7 @@ TOPICS = (
         for name in "acceleration angular_velocity attitude attitude_setpoint gps_position land_detected".split()
     ),
     *(f"vehicle_{name}" for name in "local_position rates_setpoint status thrust_setpoint torque_setpoint".split()),
+    *px4_reports.TOPICS,
 )
 """The topics that are read; all others, simulator truth among them, never are."""
 
@@ -120,6 +121,7 @@ def signals(topics: Topics, parameters) -> tuple[dict, dict]:
         "battery": battery,
         "gps": _gps(topics),
         "esc": _esc(topics, parameters),
+        **px4_reports.limited(topics),
     }
     motors, facts = _motors(topics, parameters)
     found["motors"] = motors
@@ -270,8 +272,8 @@ def custom_mode(number: int) -> str:
 
 
 def messages(topics: Topics) -> list[Message]:
-    """State changes: landed, armed, flight mode."""
-    out = []
+    """State changes: landed, armed, flight mode; and what the autopilot itself reports."""
+    out = px4_reports.messages(topics)
     found = topics.table("vehicle_land_detected", "landed", early=True)
     if found is not None:
         out += series.states("landed", found[0], found[1]["landed"])

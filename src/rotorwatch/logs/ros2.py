@@ -14,7 +14,17 @@ import numpy as np
 
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight
-from rotorwatch.logs import bag_storage, cdr, container, mavros, px4_topics, ros2_definitions, series, wall_clock
+from rotorwatch.logs import (
+    bag_storage,
+    cdr,
+    container,
+    mavros,
+    px4_reports,
+    px4_topics,
+    ros2_definitions,
+    series,
+    wall_clock,
+)
 from rotorwatch.logs.container import open_log
 
 FORMAT = "ROS 2 bag"
@@ -133,7 +143,8 @@ def tables(bag: bag_storage.Bag) -> dict[str, tuple[np.ndarray, dict[str, np.nda
                 if topic.definition
                 else "the bag does not carry its definition"
             )
-            bag.notes.append(f"{topic.name} was left out: {what}")
+            if topic.definition or (at := place(topic.name)) is None or at[1] not in px4_reports.TOPICS:
+                bag.notes.append(f"{topic.name} was left out: {what}")
             continue
         if lost:
             bag.notes.append(f"{topic.name}: {lost} of {len(topic.payloads)} messages are damaged and were left out")

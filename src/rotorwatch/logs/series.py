@@ -6,6 +6,7 @@ Shared by the readers; knows nothing about any file format.
 from __future__ import annotations
 
 from bisect import bisect_right
+from itertools import pairwise
 
 import numpy as np
 
@@ -56,6 +57,9 @@ SHAPES = {
     "gps": (("n", "e", "d", "speed"), "m,m,m,m/s", "NED", 1e6),
     "baro": (("up",), "m", "", 1e5),
     "lift": (("lift_max", "voltage_ratio", "limit"), "1", "", 100.0),
+    "vibration": (("level",), "m/s^2", "", np.inf),
+    "clipping": (("count",), "1", "", np.inf),
+    "innovations": (("velocity", "position", "height", "compass"), "1", "", np.inf),
 }
 MOTORS = {"us": 3000.0, "1": 1.5}
 """The same of motor commands, by their unit."""
@@ -214,6 +218,12 @@ def states(kind: str, time, state) -> list[Message]:
     return [Message(t, kind, WORDS[kind][int(v)], v) for t, v in changes(time, np.asarray(state) != 0)]
 
 
+def rises(time, state) -> list[tuple[float, float]]:
+    """(time, value) of each sample at which a state that was 0 is not 0 any more; one that never was 0 tells of nothing that happened."""
+    told = changes(time, state)
+    return [after for before, after in pairwise(told) if before[1] == 0.0 and np.isfinite(after[1])]
+
+
 def stacked(table, fields) -> np.ndarray:
     """(n, k) floats: the given fields of a table, NaN for those that it lacks."""
     none = np.full(len(next(iter(table.values()))), np.nan)
@@ -255,8 +265,8 @@ def fastest(*candidates: Signal | None) -> Signal | None:
     return best
 
 
-SHOWN = ("gps", "baro")
-"""Signals that are shown and nothing else: a log of them alone holds no flight, and they do not prolong one."""
+SHOWN = ("gps", "baro", "vibration", "clipping", "innovations")
+"""Signals that no rotor is judged by: a log of them alone holds no flight, and they do not prolong one."""
 
 
 def end_of(signals) -> float:

@@ -36,7 +36,16 @@ _NO_AUTOPILOT = 8
 _ARMED = 0x80  # HEARTBEAT.base_mode
 _SIMULATOR = {"SIMSTATE", "SIM_STATE", "HIL_STATE", "HIL_STATE_QUATERNION"}  # hold the simulator's truth: never decoded
 UNTIMED = {
-    *{"HEARTBEAT", "SYS_STATUS", "BATTERY_STATUS", "VFR_HUD", "STATUSTEXT", "PARAM_VALUE", "EXTENDED_SYS_STATE"},
+    *{
+        "HEARTBEAT",
+        "SYS_STATUS",
+        "BATTERY_STATUS",
+        "VFR_HUD",
+        "STATUSTEXT",
+        "PARAM_VALUE",
+        "EXTENDED_SYS_STATE",
+        "EKF_STATUS_REPORT",
+    },
     *mavlink_esc.TELEMETRY,
 }
 _UNIX_US = 1e14  # larger time stamps count from 1970, smaller ones from the autopilot's start
@@ -206,6 +215,20 @@ BANK = 16  # outputs of each of its ports
 AXES, TURNS, PUSH = ("xgyro", "ygyro", "zgyro"), ("rollspeed", "pitchspeed", "yawspeed"), ("xacc", "yacc", "zacc")
 IMUS = ("SCALED_IMU", "RAW_IMU", "SCALED_IMU2", "SCALED_IMU3")
 ATTITUDES = ("ATTITUDE", "ATTITUDE_QUATERNION")
+PARTS = {
+    0x1: "gyro",
+    0x2: "accelerometer",
+    0x4: "compass",
+    0x20: "GPS",
+    0x10000: "radio",
+    0x200000: "estimate",
+    0x2000000: "battery",
+}
+"""Bits of MAV_SYS_STATUS_SENSOR that are read."""
+CRITICAL = 5  # MAV_STATE: a failsafe goes on
+VIBES = ("vibration_x", "vibration_y", "vibration_z")
+VARIANCES = ("velocity_variance", "pos_horiz_variance", "pos_vert_variance", "compass_variance")
+RATIOS = ("vel_ratio", "pos_horiz_ratio", "pos_vert_ratio", "mag_ratio")
 
 
 class Messages(Protocol):
@@ -291,6 +314,13 @@ def readings(outputs: Outputs) -> dict[str, tuple[Reading, ...]]:
         ),
         "throttle": (of("throttle", "VFR_HUD", ("throttle",), 0.01),),
         "battery": (by("battery", "SYS_STATUS", _battery), by("battery", "BATTERY_STATUS", _cells, _first_battery)),
+        # PX4 sends coning and the gyro's vibration in the fields of x and y, which are below 1.
+        "vibration": (by("vibration", "VIBRATION", lambda table: _columns(table, VIBES).max(axis=1)),),
+        "clipping": (of("clipping", "VIBRATION", ("clipping_0",)),),
+        "innovations": (
+            of("innovations", "EKF_STATUS_REPORT", VARIANCES),
+            of("innovations", "ESTIMATOR_STATUS", RATIOS),
+        ),
     }
 
 
@@ -527,11 +557,29 @@ def messages_of(log: Messages) -> list[Message]:
     if states is not None:
         known = states[1]["landed_state"] > 0
         out += series.states("landed", states[0][known], states[1]["landed_state"][known] == 1)
+    out += _health(log)
     texts = log.get("STATUSTEXT")
     if texts is not None:
         for time, row in zip(texts[0], texts[1]):
             text = row["text"].decode("utf-8", "replace").strip()
             out.append(Message(float(time), "error" if row["severity"] <= 3 else "text", text))
+    return out
+
+
+def _health(log: Messages) -> list[Message]:
+    """Changes of the health of each part, value 1 where it is not well, and its first state; and whether a failsafe goes on."""
+    out, status, beats = [], log.get("SYS_STATUS"), log.get("HEARTBEAT")
+    if status is not None:
+        time, table = status
+        watched = table["onboard_control_sensors_present"] & table["onboard_control_sensors_enabled"]
+        ill = watched & ~table["onboard_control_sensors_health"]
+        for bit, part in PARTS.items():
+            there = (watched & bit) != 0
+            for when, value in series.changes(time[there], (ill[there] & bit) != 0):
+                out.append(Message(when, "health", f"{part} {'un' * int(value)}healthy", value))
+    if beats is not None:
+        for when, value in series.changes(beats[0], beats[1]["system_status"] == CRITICAL):
+            out.append(Message(when, "health", f"failsafe {'begins' if value else 'over'}", value))
     return out
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message
-from rotorwatch.logs import parameter_ranges, px4_topics, series
+from rotorwatch.logs import parameter_ranges, px4_reports, px4_topics, series
 
 FORMAT = "PX4 ULog"
 ENDINGS = (".ulg",)
@@ -37,7 +37,7 @@ def read(data, name: str, progress=None) -> Flight:
 
     _check_definitions(_pyulog(ULog, _File(data), parse_header_only=True)[0])
     file = _File(data, progress)
-    log, damaged = _pyulog(ULog, file, message_name_filter_list=list(px4_topics.TOPICS))
+    log, damaged = _pyulog(ULog, file, message_name_filter_list=[*px4_topics.TOPICS, px4_reports.EVENTS])
     tables = {(d.name, d.multi_id): d.data for d in log.data_list if d.name in px4_topics.TOPICS}
     start, notes = _start(log, tables)
     topics = px4_topics.Topics(tables, start)
@@ -50,7 +50,7 @@ def read(data, name: str, progress=None) -> Flight:
         warnings.insert(0, "parts of the log are damaged; what is intact was read")
     elif file.cut:
         warnings.insert(0, "the log ends in the middle of a record; everything before it was read")
-    messages = px4_topics.messages(topics) + _log_messages(log, start)
+    messages = px4_topics.messages(topics) + px4_reports.events(log, start) + _log_messages(log, start)
     end = series.end_of(signals)
     kind = px4_topics.MAV_TYPES.get(int(parameters.get("MAV_TYPE", 0)), ("", 0))[0]
     changed = ((t, k, v) for t, k, v in log.changed_parameters if _is_parameter(k, v))

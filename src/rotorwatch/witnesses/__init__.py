@@ -3,7 +3,8 @@ say.
 
 hindsight.py             losses in the blind time, once the flight's gains and noise are known
 excitation_response.py   what the response to an excitation of the commands says
-reports.py               what the autopilot itself reported
+reports.py               what the autopilot itself reported, and five limits that are its own
+battery.py               whether the battery's voltage fell by more than its current explains
 upset/                   vehicles that left control, and why
 esc/                     ESC telemetry: the cause of a loss, stopped rotors, slow motors
 aerobatic/               vehicles that never hover

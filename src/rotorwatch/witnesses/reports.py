@@ -1,116 +1,256 @@
-"""What the autopilot itself wrote while it flew: failsafes, and what its own checks found; and a log that ends in the air.
+"""What the autopilot itself wrote while it flew: failsafes, and what its own checks found; what it measured beyond limits; and a log that
+ends in the air.
 
 Each trouble is one claim, at its first report. It accuses no rotor and clears none: it is told beside what rotors did, in the order of
-time. The texts and numbers are those of ArduPilot (subsystems and codes of ERR, texts of MSG), PX4 (its log messages) and Betaflight
-(phases of its failsafe).
+time, and where control was lost those before it compete as causes (answer/falls.py). The texts and numbers are those of ArduPilot
+(subsystems and codes of ERR, events, texts of MSG), PX4 (its log messages, events and flags), Betaflight and INAV (phases of the failsafe,
+reasons of disarming), and MAVLink (texts, health of sensors, state of the system).
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch.engine.motion.allocation import Spans
+from rotorwatch.engine.motion.allocation import Spans, within
 from rotorwatch.flight import Flight, Message
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import REPORTED
+from rotorwatch.witnesses import battery
 
 LATE_S = 1.0  # after a flight: what ended it is written down a moment later
-LOW_S = 3.0  # for which a voltage is low before it is told
-WRITES = ("error", "text", "event")
+CRASHED_S = 5.0  # the same, of a check that looks for seconds whether the vehicle lies on its side (ArduPilot's: 2)
+LASTS_S = 3.0  # for which something is beyond its limit before it is told: a knock shakes for a second or two
+SAME_S = 1.0  # reports so near to each other are of one moment
+WRITES = ("error", "text", "event", "health")
+
+# Limits, each of the autopilot whose measure it is.
+# ArduPilot, https://ardupilot.org/copter/docs/common-measuring-vibration.html: vibration "below 30m/s/s" is "normally acceptable"; of
+# samples that clip "low numbers (<100) are likely ok".
+# PX4: red in Flight Review's plot of vehicle_imu_status.accel_vibration_metric; 1000 samples more are what VehicleIMU.cpp calls
+# "clipping, not safe to fly".
+VIBRATION = {"ArduPilot": 30.0, "PX4": 9.81}  # m/s^2
+CLIPPING = {"ArduPilot": 100.0, "PX4": 1000.0}  # samples in a flight
+# https://mavlink.io/en/messages/common.html#ESTIMATOR_STATUS: "greater than 1.0 should be rare under normal operation and indicate that
+# a measurement has been rejected by the filter. The user should be notified".
+INNOVATIONS = 1.0
 
 
 class Trouble(NamedTuple):
-    """name: in `extra.trouble`. words: a clause that follows "the autopilot". says: its reports."""
+    """name: in `extra.trouble`. words: a clause that follows "the autopilot". says: its reports. late_s: after a flight that may still be
+    of it."""
 
     name: str
     words: str
     says: re.Pattern[str]
+    late_s: float = LATE_S
 
 
-def _of(name: str, words: str, *says: str) -> Trouble:
-    return Trouble(name, words, re.compile("|".join(says), re.IGNORECASE))
+def _of(name: str, words: str, *says: str, late_s: float = LATE_S) -> Trouble:
+    return Trouble(name, words, re.compile("|".join(says), re.IGNORECASE), late_s)
 
 
 # A report is of the first that it matches.
 TROUBLES = (
-    _of("crash", "took the vehicle for crashed", r"^crash check: error", r"^crash: disarming"),
+    _of("crash", "took the vehicle for crashed", r"^crash check: error", r"^crash: disarming", late_s=CRASHED_S),
+    _of(
+        "stopped", "had the motors stopped",
+        r"^disarmed: ([\w ]*failsafe|crash protection|runaway take-off|gps rescue|kill switch|lockdown|failure detector|shutdown)",
+        r"^disarmed: (termination|avoidance|parachute|fence breach|software error)",
+        r"\bdisarmed by (kill-switch|lockdown|failure detector)", r"\bkill-switch engaged", r"^emergency stop of the motors$",
+        r"\bflight termination\b",
+    ),
+    _of(
+        "motor", "found a motor that does not give what it should", r"^thrust loss check: error", r"\bpotential thrust loss",
+        r"^failure detector: (motor|esc)", r"\bmotor failure", r"\bmotor \d+ (under|over)current", r"\besc ?\d+ offline",
+    ),
+    _of(
+        "attitude", "found the vehicle beyond its limits", r"^failure detector: (attitude|height|external)", r"\battitude failure",
+        r"\battitude limit exceeded",
+    ),
     _of(
         "battery", "found the battery low", r"^battery failsafe: error", r"\b(low|critical|dangerous|emergency) battery",
-        r"\bbattery\b(?!.*resolved).*\b(low|critical|dangerous|emergency|failsafe)\b",
+        r"\bbattery\b(?!.*resolved).*\b(low|critical|dangerous|emergency|failsafe)\b", r"^battery (warning: failed|unhealthy)",
+        r"^failure detector: battery",
     ),
     _of(
         "radio", "lost the radio", r"^radio( failsafe)?: error", r"\b(rc|manual control)( signal)? lost",
-        r"^failsafe: .*(rx|signal|radio)",
+        r"^radio (unhealthy|failsafe)(?!.*(cleared|:))", r"^failsafe: (?!over|signal back)",
     ),
-    _of("vibration", "found too much vibration", r"^vibration: error", r"^vibration compensation on", r"\bhigh vibration"),
+    _of("link", "lost the ground station", r"^ground station failsafe: error", r"\bgcs failsafe(?!.*cleared)"),
     _of(
-        "position", "lost its position", r"^gps: error", r"\bgps glitch(?! cleared)", r"\b(global|local) position (lost|invalid)",
-        r"\bnavigation failure",
+        "vibration", "found too much vibration", r"^vibration: error", r"^vibration compensation on", r"\bhigh vibration",
+        r"\bclipping, not safe to fly", r"\bimbalanced propeller",
     ),
     _of(
-        "estimator", "doubted its own estimate", r"^estimator (check|failsafe): error", r"\bekf\d? (variance|lane switch|primary changed)",
-        r"\bekf failsafe(?!.*cleared)", r"\bemergency yaw reset",
+        "position", "lost its position", r"^gps: error", r"\bgps glitch(?! cleared)",
+        r"\b(global|local) (position|velocity) (lost|invalid)", r"\bnavigation failure", r"^dead reckoning failsafe: error",
+        r"^(lost gps|gnss lost|gps unhealthy)", r"\bstopped aiding",
     ),
-    _of("compass", "found the compass wrong", r"^compass: error", r"\bcompass(es)? (error|failure|inconsistent)"),
-    _of("imu", "found an IMU wrong", r"^imu failure", r"\b(accel|gyro)\w*\b.*\b(failure|inconsistent|timeout)"),
+    _of(
+        "estimator", "doubted its own estimate", r"^estimator (check|failsafe|core): error",
+        r"\bekf\d? (variance|lane switch|primary changed)", r"\bprimary ekf changed", r"\bekf failsafe(?!.*cleared)",
+        r"\bemergency yaw reset", r"^(attitude|angular velocity) invalid", r"^estimate unhealthy",
+    ),
+    _of("compass", "found the compass wrong", r"^compass: error", r"\bcompass(es)? (error|failure|inconsistent|unhealthy)"),
+    _of(
+        "imu", "found an IMU wrong", r"^imu failure", r"^sensor failsafe: error", r"^(accelerometer|gyro) unhealthy",
+        r"\b(accel|gyro)\w*\b.*\b(failure|inconsistent|timeout)",
+    ),
+    _of("yaw", "found yaw out of balance", r"\byaw imbalance"),
+    _of("internal", "had an internal error", r"^internal: error", r"\binternal error"),
+    _of("failsafe", "began a failsafe", r"^failsafe begins", r"\bfailsafe (mode )?activated"),
 )  # fmt: skip
 
 
-def claims(flight: Flight, air: Spans) -> tuple[Event, ...]:
-    """The reports in the flights `air` ((start, end), ...) s."""
+def claims(flight: Flight, air: Spans, lost: Sequence[float] = ()) -> tuple[Event, ...]:
+    """The reports in the flights `air` ((start, end), ...) s, and what was beyond limits in them until control was lost (`lost` [s])."""
     told = _reports(flight.messages, air)
-    if not any(e.extra["trouble"] == "battery" for e in told):
-        told += _low_voltage(flight, air)
-    return tuple(sorted(told, key=lambda e: e.onset_s))
+    until = {event.extra["trouble"]: event.onset_s for event in told}
+    held = tuple((start, min([end, *(t for t in lost if start <= t <= end)])) for start, end in air)
+    known = (e for e in _limits(flight, held) if e.detected_s < until.get(e.extra["trouble"], np.inf))
+    return tuple(sorted((*told, *known), key=lambda e: e.onset_s))
 
 
-def _reports(messages: tuple[Message, ...], air: Spans) -> list[Event]:
+def trouble(message: Message) -> Trouble | None:
+    """Which a message reports."""
+    return next((t for t in TROUBLES if t.says.search(message.text)), None)
+
+
+def _reports(messages: Iterable[Message], air: Spans) -> list[Event]:
     found: dict[str, list[Message]] = {}
-    words = {t.name: t.words for t in TROUBLES}
-    for m in messages:
-        if m.kind in WRITES and any(start <= m.time <= end + LATE_S for start, end in air):
-            trouble = next((t.name for t in TROUBLES if t.says.search(m.text)), None)
-            if trouble is not None:
-                found.setdefault(trouble, []).append(m)
-    made = []
+    for m in _happened(messages):
+        own = trouble(m)
+        if own is not None and any(start <= m.time <= end + own.late_s for start, end in air):
+            found.setdefault(own.name, []).append(m)
+    made, words = [], {t.name: t.words for t in TROUBLES}
     for name, all_ in found.items():
         first = all_[0]
+        said = next((m for m in all_ if m.kind == "text" and m.time < first.time + SAME_S), first)
         again = f", and {len(all_) - 1} more" if len(all_) > 1 else ""
-        reason = f'the autopilot {words[name]} ("{first.text}"{again})'
-        made.append(
-            _event(first.time, reason, {"trouble": name, "texts": list(dict.fromkeys(m.text for m in all_))[:5]})
-        )
+        reason = f'the autopilot {words[name]} ("{said.text}"{again})'
+        texts = list(dict.fromkeys(m.text for m in (said, *all_)))[:5]
+        made.append(_event(first.time, first.time, reason, {"trouble": name, "texts": texts}))
     return made
 
 
-def _low_voltage(flight: Flight, air: Spans) -> list[Event]:
-    """The battery's voltage was below the autopilot's own limit in flight, for LOW_S."""
-    set_, battery = flight.parameters, flight.signals.get("battery")
+def _happened(messages: Iterable[Message]) -> Iterable[Message]:
+    """What was written. Of the health of a part only that it was lost: one that is not there was not well from the start."""
+    well: dict[str, bool] = {}
+    for m in messages:
+        if m.kind == "health":
+            part = m.text.partition(" ")[0]
+            was, well[part] = well.get(part, False), not m.value
+            if not (was and m.value):
+                continue
+        if m.kind in WRITES:
+            yield m
+
+
+def _limits(flight: Flight, air: Spans) -> list[Event]:
+    """What was beyond a limit, at the first time of each."""
+    found = (_low_voltage(flight, air), _collapse(flight, air), _vibration(flight, air), _clipping(flight, air))
+    return [event for event in (*found, *_innovations(flight, air)) if event is not None]
+
+
+def _low_voltage(flight: Flight, air: Spans) -> Event | None:
+    """The battery's voltage was below the autopilot's own limit in flight, for LASTS_S."""
+    set_ = flight.parameters
     limits = {"BATT_LOW_VOLT": 1.0, "BATT_CRT_VOLT": 1.0, "BAT1_V_EMPTY": set_.get("BAT1_N_CELLS", 0.0)}
     name, limit = next(((k, set_[k] * n) for k, n in limits.items() if set_.get(k, 0.0) * n > 0.0), ("", 0.0))
-    if battery is None or not limit or not air:
-        return []
-    aloft = np.zeros(len(battery), bool)
-    for start, end in air:
-        aloft |= (battery.time >= start) & (battery.time <= end)
-    inside = aloft & battery.valid[:, 0]
-    time, volts = battery.time[inside], battery.values[inside, 0]
+    if not limit or (found := _aloft(flight, "battery", air)) is None:
+        return None
+    time, volts = found[0], found[1][:, 0]
     low = (volts > 0.0) & (volts < limit)
-    since = time[np.maximum.accumulate(np.where(low, 0, np.arange(time.size)))] if time.size else time
-    lasted = np.flatnonzero(low & (time - since >= LOW_S))
-    if not lasted.size:
-        return []
+    since = _lasts(time, low)
+    if since is None:
+        return None
     least = float(volts[low].min())
     reason = f"the battery had {least:.1f} V under load, less than {name} allows ({limit:.1f} V)"
     extra = {"trouble": "battery", "least_v": round(least, 2), "limit_v": round(limit, 2)}
-    return [_event(float(since[lasted[0]]), reason, extra)]
+    return _event(since, since + LASTS_S, reason, extra)
 
 
-def _event(time: float, reason: str, extra: dict) -> Event:
-    return Event(REPORTED, (), time, time, None, (), (), 1.0, (), reason, extra)
+def _collapse(flight: Flight, air: Spans) -> Event | None:
+    """The battery's voltage fell by more than its current explains."""
+    found = battery.collapse(flight, air)
+    if found is None:
+        return None
+    time, least, usual = found
+    reason = f"the battery's voltage fell by {usual - least:.1f} V to {least:.1f} V, more than its current explains"
+    return _event(time, time, reason, {"trouble": "power", "least_v": round(least, 2), "usual_v": round(usual, 2)})
+
+
+def _vibration(flight: Flight, air: Spans) -> Event | None:
+    found, limit = _aloft(flight, "vibration", air), VIBRATION.get(flight.autopilot)
+    if found is None or limit is None:
+        return None
+    time, level = found[0], found[1][:, 0]
+    since = _lasts(time, level > limit)
+    if since is None:
+        return None
+    most = float(level[level > limit].max())
+    reason = f"vibration was up to {most:.0f} m/s², and more than {limit:.3g} m/s² for {LASTS_S:.0f} s and longer"
+    return _event(since, since + LASTS_S, reason, {"trouble": "vibration", "most": round(most, 2), "limit": limit})
+
+
+def _clipping(flight: Flight, air: Spans) -> Event | None:
+    limit = CLIPPING.get(flight.autopilot)
+    for span in air if limit is not None else ():
+        found = _aloft(flight, "clipping", (span,))
+        if found is None:
+            continue
+        counts = np.minimum.accumulate(found[1][::-1, 0])[::-1]  # no count falls: what is above a later one is damage
+        more = counts - counts[0]
+        if more[-1] > limit:
+            at = float(found[0][int(np.argmax(more > limit))])
+            reason = f"the accelerometer was at the end of its range in {more[-1]:.0f} samples, more than {limit:.0f}"
+            return _event(at, at, reason, {"trouble": "clipping", "most": float(more[-1]), "limit": limit})
+    return None
+
+
+def _innovations(flight: Flight, air: Spans) -> list[Event]:
+    """Measurements that the autopilot's estimator rejected."""
+    found = _aloft(flight, "innovations", air)
+    made: dict[str, Event] = {}
+    for k, column in enumerate(flight["innovations"].columns if found is not None else ()):
+        assert found is not None
+        ratio = found[1][:, k]
+        since = _lasts(found[0], ratio > INNOVATIONS)
+        if since is None:
+            continue
+        name = "compass" if column == "compass" else "estimator"
+        most = float(ratio[ratio > INNOVATIONS].max())
+        reason = f"the autopilot's estimator rejected its {column}: it was up to {most:.1f} times as far off as allowed"
+        event = _event(since, since + LASTS_S, reason, {"trouble": name, "most": round(most, 2), "limit": INNOVATIONS})
+        if name not in made or since < made[name].onset_s:
+            made[name] = event
+    return list(made.values())
+
+
+def _aloft(flight: Flight, name: str, air: Spans) -> tuple[np.ndarray, np.ndarray] | None:
+    """(time (n,) s, values (n, k)) of the samples of a signal in the flights `air` that are known in its first column; None without any."""
+    if not air or not flight.has(name):
+        return None
+    signal = flight[name]
+    inside = within(signal.time, air) & signal.valid[:, 0]
+    return (signal.time[inside], np.where(signal.valid, signal.values, 0.0)[inside]) if inside.any() else None
+
+
+def _lasts(time: np.ndarray, over: np.ndarray) -> float | None:
+    """Since when (n,) samples were `over` for LASTS_S, the first time; None where they never were."""
+    gap = np.diff(time, prepend=time[:1]) > LASTS_S
+    begins = over & (gap | ~np.append(False, over[:-1]))
+    since = np.maximum.accumulate(np.where(begins, time, -np.inf))
+    lasted = np.flatnonzero(over & (time - since >= LASTS_S))
+    return float(since[lasted[0]]) if lasted.size else None
+
+
+def _event(time: float, certain: float, reason: str, extra: dict) -> Event:
+    return Event(REPORTED, (), time, certain, None, (), (), 1.0, (), reason, extra)
 
 
 def end(flight: Flight, air: Spans) -> tuple[str, ...]:

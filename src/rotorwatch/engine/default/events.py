@@ -224,8 +224,8 @@ def _one_arm(event: Event) -> Event:
 
 
 def packed(events: Sequence[Event], room: int = 1) -> Rows:
-    """Events as the definitions take them, in `room` rows at least; detail: a number for what became of an output, or for a cause; source:
-    the place of each."""
+    """Events as the definitions take them, in `room` rows at least; detail: a number for what became of an output, for a cause or a
+    trouble; source: the place of each."""
     rows = ENGINE.array(definition.Event, max(room, len(events)))
     if not events:
         return rows
@@ -238,7 +238,7 @@ def packed(events: Sequence[Event], room: int = 1) -> Rows:
         return number(event.kind) if event.kind in TABLE else _NUMBERS[event.kind]
 
     def detail(event: Event) -> int:
-        what = event.extra.get("override", ""), event.extra.get("cause", "")
+        what = event.extra.get("override", ""), event.extra.get("cause", event.extra.get("trouble", ""))
         return _NUMBERS[what] if any(what) else definition.PLAIN
 
     rows.fill(

@@ -29,17 +29,20 @@ ENDINGS = (".bbl", ".bfl")
 VELOCITY, PLACE = tuple(f"GPS_velned[{k}]" for k in range(3)), ("GPS_coord[0]", "GPS_coord[1]")
 LEAST_SATELLITES = 4
 NAMED = 5  # sessions that a warning names
-FAILSAFE = ("", "signal lost", "landing", "landed", "signal looked for", "signal back")
-REASONS = (
-    "arming disabled",
-    "failsafe",
-    "throttle timeout",
-    "sticks",
-    "switch",
-    "crash protection",
-    "runaway take-off",
-    "GPS rescue",
-)
+# Phases of the failsafe (failsafe.h) and why it disarmed (core.h, INAV: fc_core.h), by firmware; others number them as Betaflight does.
+FAILSAFE = {
+    "": ("", "signal lost", "landing", "landed", "signal looked for", "signal back", "GPS rescue", "mission goes on without signal"),
+    "INAV": (
+        "", "signal lost", "waiting for the signal", "return home", "landing", "landed", "signal looked for", "signal back",
+    ),
+}  # fmt: skip
+REASONS = {
+    "": (
+        "arming disabled", "failsafe", "throttle timeout", "sticks", "switch", "crash protection", "runaway take-off", "GPS rescue",
+        "serial command", "landing", "crash flip",
+    ),
+    "INAV": ("no reason", "timeout", "sticks", "switch", "switch", "kill switch", "failsafe", "navigation", "landing"),
+}  # fmt: skip
 
 
 def sniff(head: bytes, name: str) -> bool:
@@ -158,12 +161,14 @@ def _gps(session: decoder.Session, first: int, notes: list[str]) -> dict[str, Si
 def _messages(session: decoder.Session, first: int) -> tuple[Message, ...]:
     """Events, and changes of the failsafe's phase, in order of time."""
     found: list[Message] = []
+    firmware = flight.autopilot(session.header)
+    reasons, phases = (table.get(firmware, table[""]) for table in (REASONS, FAILSAFE))
     named = modes.messages(session, first)
     before, kinds, stamps = session.events[:, 0], session.events[:, 1], session.events[:, 2]
     times = (session.clock(stamps, before) - first) * 1e-6 if len(session.events) else np.zeros(0)
     for time, kind, (a, b) in zip(times.tolist(), kinds.tolist(), session.events[:, 3:].tolist()):
         if kind == frames.DISARM:
-            reason = REASONS[a] if 0 <= a < len(REASONS) else f"reason {a}"
+            reason = reasons[a] if 0 <= a < len(reasons) else f"reason {a}"
             found += [
                 Message(0.0, "armed", "armed", 1.0),
                 Message(time, "armed", "disarmed", 0.0),
@@ -186,7 +191,7 @@ def _messages(session: decoder.Session, first: int) -> tuple[Message, ...]:
         when = (session.time[at] - first) * 1e-6
         for time, value in series.changes(when, phase):
             if value or time > when[0]:
-                known = int(value) if 0 < value < len(FAILSAFE) else 0
-                text = FAILSAFE[known] if known else f"phase {int(value)}" if value else "over"
+                known = int(value) if 0 < value < len(phases) else 0
+                text = phases[known] if known else f"phase {int(value)}" if value else "over"
                 found.append(Message(time, "error" if value else "event", f"failsafe: {text}", value))
     return tuple(sorted((*found, *named), key=lambda m: m.time))

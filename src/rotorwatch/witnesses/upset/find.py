@@ -14,6 +14,7 @@ from rotorwatch.engine.motion.ticks import Sensed
 from rotorwatch.flight import Flight
 from rotorwatch.flight.kinds import ORDER
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.witnesses import battery
 from rotorwatch.witnesses.upset import loss_of_control
 from rotorwatch.witnesses.upset.balance import INERTIA, Offset, Window
 from rotorwatch.witnesses.upset.explain import Explanation, explain
@@ -41,10 +42,7 @@ STRAYS, STRAYS_THRUST = 3.0, 1.5  # standard deviations of torque and of thrust:
 JOINS_S = 0.5  # a departure that began earlier in the residuals is the same
 KNOCK_S = 0.3
 DISARMED_S = 1.0
-SAG = 0.85  # share of the usual voltage below which the power fails
-BATTERY_S = 60.0  # of flight before, from which it is learned how the voltage follows the current
 UNSAID = "the battery's voltage fell, and no current is logged that would tell whether that was cause or effect"
-RESISTANCE = 0.05, 0.05  # share of the voltage that the usual current costs, and by how much batteries differ
 LIMIT, LIMIT_SHARE = 0.97, 0.5  # of full thrust; of the last second before the onset in which an output was there
 LEVEL_DEG = 40.0
 TRIM = 0.1  # arm lengths: healthy vehicles are commanded less of roll and pitch in calm flight (witnesses/healthy/population.py, 95 %)
@@ -96,7 +94,7 @@ def judge(flight: Flight, vehicle: Vehicle, air, left: LossOfControl) -> Judged:
         return Judged(left, "disarmed" if left.falls else "unknown", (), np.empty(0), None, left.onset, ())
     window, offset, onsets, at_take_off, ground = got
     found, probability = explain(
-        window, vehicle.effectiveness(), offset, onsets, at_take_off, _sagged(flight, left.onset)
+        window, vehicle.effectiveness(), offset, onsets, at_take_off, battery.sagged(flight, left.onset)
     )
     healthy = next(e for e in found if e.kind == "healthy")
     onset = left.onset if left.falls else _strays(window, healthy.residual, left.onset)
@@ -116,9 +114,10 @@ def _cause(
         disarmed = any(
             m.kind == "armed" and not m.value and abs(m.time - left.onset) < DISARMED_S for m in flight.messages
         )
-        return "disarmed", (
-            "all outputs went to rest in the air" + (", and the autopilot says disarmed" if disarmed else ""),
-        )
+        near = (m.text for m in flight.messages if abs(m.time - left.onset) < DISARMED_S)
+        by = next((text.partition(": ")[2] for text in near if text.startswith("disarmed: ")), "")
+        says = f", and the autopilot says disarmed{f' ({by})' if by else ''}" if disarmed else ""
+        return "disarmed", (f"all outputs went to rest in the air{says}",)
     best, p = found[0], float(probability[0])
     rms = np.sqrt((best.residual[:, :3] ** 2).mean(axis=0))
     fits = bool((rms < FITS).all())
@@ -137,7 +136,7 @@ def _cause(
     blow = left.impact is not None and left.impact - onset <= HIT_S and not loss_of_control.low(flight, onset, start)
     if struck or blow:
         return "knock", ("something outside pushed the vehicle harder than its rotors can",)
-    sagged = _sagged(flight, onset)
+    sagged = battery.sagged(flight, onset)
     if sagged:
         return "power", ("the battery's voltage collapsed, by more than its current explains",)
     early = (window.time > onset - 1.0) & (window.time <= onset)
@@ -155,7 +154,7 @@ def _cause(
         return "controller", (
             "all rotors turned the vehicle as commanded, so the commands were wrong: from a sensor, an estimate or the pilot",
         )
-    unsaid = sagged is None and _fell(flight, onset)
+    unsaid = sagged is None and battery.fell(flight, onset)
     return "unknown", (UNSAID,) if unsaid else ()
 
 
@@ -172,49 +171,6 @@ def _struck(window: Window, B: np.ndarray, onset: float) -> bool:
 def _names(found, probability) -> str:
     who = [e.rotors[0] + 1 for e, p in zip(found, probability) if e.kind == "rotor" and p >= CREDIBLE]
     return "rotor " + " or ".join(str(r) for r in who)
-
-
-def _fell(flight: Flight, onset: float) -> bool | None:
-    """Did the battery's voltage fall far as control was lost? None where it is not known."""
-    if not flight.has("battery"):
-        return None
-    battery = flight["battery"]
-    volts = np.where(battery.valid[:, 0], battery.values[:, 0], np.nan)
-    usual, now = volts[battery.time < onset - 1.0], volts[np.abs(battery.time - onset) < 1.5]
-    if np.isfinite(usual).sum() < 3 or not np.isfinite(now).any() or np.nanmedian(usual) <= 0.0:
-        return None
-    return float(np.nanmin(now)) < SAG * float(np.nanmedian(usual))
-
-
-def _sagged(flight: Flight, onset: float) -> bool | None:
-    """Did it fall by more than its current explains? None where that is not known.
-
-    Before, the voltage is E + D t - R I: a controller that fights for a dead rotor draws twice the current, and the voltage sags by that.
-    """
-    fell = _fell(flight, onset)
-    if not fell:
-        return fell
-    battery = flight["battery"]
-    time, volts = battery.time, np.where(battery.valid[:, 0], battery.values[:, 0], np.nan)
-    before, now = time < onset - 1.0, np.abs(time - onset) < 1.5
-    usual = float(np.nanmedian(volts[before]))
-    logged = battery.values.shape[1] > 1 and battery.valid[:, 1]
-    amps = np.where(logged, battery.values[:, -1], np.nan)
-    known = np.isfinite(volts) & np.isfinite(amps)
-    if (known & before).sum() < 3 or not (known & now).any() or not np.nanmedian(amps[before]) > 0.0:
-        return None
-    load = amps / np.nanmedian(amps[before])
-    X = np.column_stack([np.ones(time.size), (time - onset) / BATTERY_S, -load])
-    lately = known & before & (time > onset - BATTERY_S)
-    lately = lately if lately.sum() > 2 else known & before
-    noise = max(float(np.diff(volts[lately]).std()), 0.002 * usual)
-    # How much the voltage falls with the current is open where the current has hardly changed: by RESISTANCE of the usual, or so.
-    mean, sd = np.array([usual, 0.0, RESISTANCE[0] * usual]), np.array([usual, usual, RESISTANCE[1] * usual])
-    P = np.linalg.inv(X[lately].T @ X[lately] / noise**2 + np.diag(sd**-2.0))
-    fit = P @ (X[lately].T @ volts[lately] / noise**2 + mean / sd**2)
-    x = X[known & now]
-    beyond = volts[known & now] - x @ fit + 2.0 * np.sqrt(np.einsum("ij,jk,ik->i", x, P, x) + noise**2)
-    return bool(beyond.min() < (SAG - 1.0) * usual)
 
 
 def _level(flight: Flight, left: LossOfControl, onset: float) -> bool:
