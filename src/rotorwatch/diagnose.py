@@ -48,7 +48,7 @@ from rotorwatch.witnesses import excitation_response, hindsight, reports
 from rotorwatch.witnesses.aerobatic import desync
 from rotorwatch.witnesses.aerobatic import judge as aerobatic
 from rotorwatch.witnesses.esc import consistency
-from rotorwatch.witnesses.healthy import baselines, population
+from rotorwatch.witnesses.healthy import baselines, outputs, population
 from rotorwatch.witnesses.healthy.baselines import Given
 from rotorwatch.witnesses.upset import find as upset
 
@@ -305,6 +305,11 @@ def judge(ready: Prepared, done: Estimated) -> Judgement:
     steps, seen_events = unseen.bounds(out, table, B), found.events
     if done.own and ready.hovers:
         seen_events, spells = ledger.weighed(found.events, steps, spells, float(table.time[-1]), found.grown)
+    if trusted:  # said last, for nothing that is judged rests on them
+        broken = any(compared and compared["verdict"] == "fault" for compared in (whole, other))  # from take-off on
+        until = 0.0 if broken else ledger.undisturbed(seen_events, spells)
+        setup = outputs.claims(flight, craft, table, air, until, seen_events)
+        seen_events = ledger.joined(seen_events, setup)
     hidden, hidden_pair = _hidden(out, table, steps, B, ready.hovers)
     judged_s = float(judged.sum() * table.dt)
     seen = conclusion.Evidence(

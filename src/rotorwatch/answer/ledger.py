@@ -14,6 +14,8 @@ ESC telemetry and desyncs are heard last, and know the events by then. A link an
     ESC: its speed fell   a loss names the rotor
     desync                control is lost by then, or the rotor had lost most of its thrust
     trim                  a fault is told beside it: what a weak rotor does to yaw is not known well
+    setup                 a fault, a turned mount, a loss of control or evidence against a rotor explains what outputs do from then on
+                          (`undisturbed`)
     all that rests on     the log, or the link, contradicts itself
     outputs
 """
@@ -33,7 +35,7 @@ from rotorwatch.engine.default.residual_evidence import ResidualEvidence
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.front import whole
 from rotorwatch.flight.diagnosis import Event, Source
-from rotorwatch.flight.kinds import LOSS, LOST, ORDER, OVERRIDE, Weight
+from rotorwatch.flight.kinds import LOSS, LOST, ORDER, OVERRIDE, TURNED, Weight
 
 if TYPE_CHECKING:
     from rotorwatch.witnesses.upset.find import Judged
@@ -118,6 +120,13 @@ _EXPLAINS: dict[Source, Callable[[Event, Event], bool]] = {
     Source.DESYNC: _falls,
     Source.TRIM: _accuses,
 }
+
+
+def undisturbed(known: Iterable[Event], spells: Iterable[ResidualEvidence] = ()) -> float:
+    """Until when nothing that is known, and no evidence against a rotor, explains what outputs do, so that they show how the vehicle is
+    set up [s]."""
+    explain = [e.onset_s for e in known if e.means.wrong or e.kind == TURNED]
+    return min([np.inf, *explain, *(spell.start_s for spell in spells)])
 
 
 def believed(events: Iterable[Event], until: float = np.inf) -> tuple[Event, ...]:

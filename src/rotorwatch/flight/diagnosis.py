@@ -69,11 +69,12 @@ class RotorState:
 
 class Source(Enum):
     """Who claims an event. EXCITATION: the answer to an excitation of the commands; ESC_STANDS: a rotor that its ESC reports to stand or to
-    turn without load; ESC_CHANGED: one whose speed or current has changed. TRIM: the trim of a whole flight."""
+    turn without load; ESC_CHANGED: one whose speed or current has changed. TRIM: the trim of a whole flight. SETUP: outputs, of how a
+    vehicle is built, loaded and set up."""
 
-    NOBODY, ESTIMATOR, EXCITATION, HINDSIGHT, OUTPUTS, CONTACTS, CONTROL, ESC_STANDS, ESC_CHANGED, DESYNC, TRIM = range(
-        11
-    )
+    (
+        NOBODY, ESTIMATOR, EXCITATION, HINDSIGHT, OUTPUTS, CONTACTS, CONTROL, ESC_STANDS, ESC_CHANGED, DESYNC, TRIM, SETUP,
+    ) = range(12)  # fmt: skip
 
 
 @dataclass(frozen=True)
