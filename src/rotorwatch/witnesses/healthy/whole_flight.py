@@ -216,9 +216,7 @@ def features(flight: Flight, vehicle: Vehicle, airborne: Sequence[tuple[float, f
     )
 
 
-def steady(
-    flight: Flight, vehicle: Vehicle, airborne: Sequence[tuple[float, float]]
-) -> tuple[np.ndarray, np.ndarray]:
+def steady(flight: Flight, vehicle: Vehicle, airborne: Sequence[tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
     """(k,) starts of the blocks of BLOCK_S in which it hovered, and (k, n) mean shares of full thrust. airborne: as of `features`."""
     from rotorwatch.engine.motion.allocation import motor_thrusts
 
