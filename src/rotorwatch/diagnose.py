@@ -49,7 +49,7 @@ from rotorwatch.witnesses import excitation_response, hindsight, reports
 from rotorwatch.witnesses.aerobatic import desync
 from rotorwatch.witnesses.aerobatic import judge as aerobatic
 from rotorwatch.witnesses.esc import consistency
-from rotorwatch.witnesses.healthy import baselines, population
+from rotorwatch.witnesses.healthy import baselines, outputs, population
 from rotorwatch.witnesses.healthy.baselines import Given
 from rotorwatch.witnesses.upset import find as upset
 
@@ -316,6 +316,9 @@ def judge(ready: Prepared, done: Estimated) -> Judgement:
     if done.own and ready.hovers:
         seen_events, claims = steps.doubted(found.events), claims + steps.suspected(found.events, float(table.time[-1]))
     claims = ledger.open_claims(claims, seen_events)
+    if trusted:  # said last, for nothing that is judged rests on them
+        setup = outputs.claims(flight, craft, table, air, ledger.undisturbed(seen_events, claims), seen_events)
+        seen_events = ledger.joined(seen_events, setup)
     hidden, hidden_pair = _hidden(out, table, steps, B, ready.hovers)
     judged_s = float(judged.sum() * table.dt)
     seen = conclusion.Evidence(

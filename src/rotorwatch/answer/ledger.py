@@ -14,6 +14,8 @@ ESC telemetry and desyncs are heard last, and know the events by then. A link an
     ESC: its speed fell   a loss names the rotor
     desync                control is lost by then, or the rotor had lost most of its thrust
     trim                  a fault is told beside it: what a weak rotor does to yaw is not known well
+    setup                 a fault, a turned mount, a loss of control or evidence against a rotor explains what outputs do from then on
+                          (`undisturbed`)
     all that rests on     the log, or the link, contradicts itself
     outputs
 
@@ -41,7 +43,7 @@ from rotorwatch.engine.default.events import Report, accuses, packed, shared, un
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.front import whole
 from rotorwatch.flight.diagnosis import Event, Source
-from rotorwatch.flight.kinds import EVIDENCE, LOSS, LOST, ORDER, OVERRIDE, Weight
+from rotorwatch.flight.kinds import EVIDENCE, LOSS, LOST, ORDER, OVERRIDE, TURNED, Weight
 
 if TYPE_CHECKING:
     from rotorwatch.witnesses.upset.find import Judged
@@ -144,6 +146,14 @@ _EXPLAINS: dict[Source, Callable[[Event, Event], bool]] = {
     Source.FLIGHTS: _certain,
     Source.VEHICLES: _certain_or_known,
 }
+
+
+def undisturbed(known: Iterable[Event], claims: Iterable[Event] = ()) -> float:
+    """Until when nothing that is known, no evidence against a rotor and no damage from take-off explains what outputs do, so that they show
+    how the vehicle is set up [s]. claims: those that are no events."""
+    explain = [e.onset_s for e in known if e.means.wrong or e.kind == TURNED]
+    explain += [c.onset_s for c in claims if c.kind == EVIDENCE or c.extra["verdict"] == "fault"]
+    return min(explain, default=np.inf)
 
 
 def believed(events: Iterable[Event], until: float = np.inf) -> tuple[Event, ...]:

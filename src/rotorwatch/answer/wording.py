@@ -160,6 +160,7 @@ def said(words: Words | str, event: Event, places: Sequence[str] = (), **more: s
         "when": when(event),
         "end": seconds(event.end_s),
         "why": event.reason.strip().removesuffix("."),
+        "Why": sentence(event.reason.strip().removesuffix(".")),
         "cause": cause(event),
         "times": "once," if count == 1 else f"{count} times, first",
         "in_all": f", {count} times in all" if count > 1 else "",

@@ -72,10 +72,10 @@ class Source(Enum):
     """Who claims an event. EXCITATION: the answer to an excitation of the commands; ESC_STANDS: a rotor that its ESC reports to stand or to
     turn without load; ESC_CHANGED: one whose speed or current has changed. TRIM: the trim of a whole flight; STEPS: its steps; RESIDUAL:
     the estimator's evidence that no event explains. FLIGHTS, VEHICLES: the comparison with healthy flights of this vehicle, with healthy
-    vehicles of any build."""
+    vehicles of any build. SETUP: outputs, of how a vehicle is built, loaded and set up."""
 
     NOBODY, ESTIMATOR, EXCITATION, HINDSIGHT, OUTPUTS, CONTACTS, CONTROL, ESC_STANDS, ESC_CHANGED, DESYNC = range(10)
-    TRIM, STEPS, RESIDUAL, FLIGHTS, VEHICLES = range(10, 15)
+    TRIM, STEPS, RESIDUAL, FLIGHTS, VEHICLES, SETUP = range(10, 16)
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,8 @@ SLOW, HIGH, LOW = "slow_motor", "high_current", "low_current"
 TURNED = "turned_mount"
 REPORTED = "autopilot_report"
 EVIDENCE, FROM_TAKEOFF = "unexplained_evidence", "damage_from_takeoff"
+AT_LIMIT, HEAVY, UNEVEN = "outputs_at_limit", "little_thrust_left", "yaw_imbalance"
+STANDS_APART, EXHAUSTED = "output_stands_apart", "too_little_without_rotor"
 
 
 class Weight(Enum):
@@ -121,6 +123,11 @@ def _notice(name: str, noun: str, meaning: str, verb: str, part: str) -> Kind:
     return Kind(name, noun, meaning, Weight.NOTICE, brief=verb, headline=Words(verb), past=past, advice=advice)
 
 
+def _setup(name: str, noun: str, meaning: str, brief: str, advice: str) -> Kind:
+    """A kind that outputs show of how a vehicle is built, loaded and set up: of no rotor, and its number is in its reason."""
+    return Kind(name, noun, meaning, Weight.NOTICE, brief=brief, headline=Words("{Why}."), advice=Words(advice))
+
+
 ROWS = (
     Kind(
         LOSS, "loss of effectiveness", "a rotor lost effectiveness", Weight.FAULT, Span.LASTS, weakens=True,
@@ -211,6 +218,29 @@ ROWS = (
         Weight.NOTICE, by_outputs=False, brief="reported trouble",
         headline=Words("", nameless="At {at} {why}."), watch=Words("{noun} of {who} at {ago}", nameless="{noun} at {ago}: {why}"),
         advice=Words("", nameless="At {at} {why}: find out why before the next flight."),
+    ),
+    _setup(
+        AT_LIMIT, "outputs at their limit", "outputs stood at their limit for long", "outputs at their limit",
+        "Give the vehicle more room: less weight, a fresh battery, less wind, gentler climbs. Where only some motors stand at their limit, "
+        "look for a load off the middle and for twisted mounts.",
+    ),
+    _setup(
+        HEAVY, "little thrust left", "hover takes nearly all of the thrust: too heavy, or a weak battery", "little thrust left",
+        "Take weight off, charge the battery, or fit stronger motors before the next flight: a vehicle should lift twice its weight.",
+    ),
+    _setup(
+        UNEVEN, "yaw imbalance", "rotors of one sense of rotation work harder since take-off: twisted mounts", "yaw imbalance",
+        "Set every motor upright, and look for twisted arms; then compare propellers and ESC end points of both senses of rotation.",
+    ),
+    _setup(
+        STANDS_APART, "output apart from the others", "an output stands off its place in the mixer since take-off: ESC end points",
+        "output apart",
+        "Calibrate the end points of all ESCs alike. If it stays, exchange this motor's propeller, and then the motor, with another one's, "
+        "and see whether it moves along.",
+    ),
+    _setup(
+        EXHAUSTED, "too little without a rotor", "a vehicle sank without a rotor, for the others did not carry it", "others at their limit",
+        "Fly this vehicle lighter if it is to stay up without a rotor: `rotorwatch survive` says how heavy it may be.",
     ),
     Kind(EVIDENCE, "unexplained evidence", "evidence against rotors that no event explains", Weight.OPEN, Span.SPELLS),
     Kind(

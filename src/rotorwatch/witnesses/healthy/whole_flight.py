@@ -171,17 +171,11 @@ def features(flight: Flight, vehicle: Vehicle, airborne: Sequence[tuple[float, f
 
     Raises VehicleError when the vehicle has another number of rotors than the log.
     """
-    from rotorwatch.engine.motion.allocation import motor_thrusts
-
     empty = _no_hover(flight.name, len(vehicle.rotors))
     if not flight.has("motors"):
         return empty
     airframes.check(vehicle, flight)
-    thrust = motor_thrusts(flight, vehicle)
-    time = np.concatenate([_block_starts(thrust.time, start, end) for start, end in airborne] or [np.zeros(0)])
-    share, some = _block_means(thrust, time)
-    keep = some & (share.sum(axis=1) > 1e-3) & _steady(flight, time)
-    time, share = time[keep], share[keep]
+    time, share = steady(flight, vehicle, airborne)
     if len(time) < LEAST_BLOCKS:
         return empty
     w = (share @ vehicle.effectiveness()[:3].T) / share.sum(axis=1, keepdims=True)
@@ -215,6 +209,17 @@ def features(flight: Flight, vehicle: Vehicle, airborne: Sequence[tuple[float, f
         blocks=worth,
         voltage=float(battery[logged, 0].mean()) if logged.any() else 0.0,
     )
+
+
+def steady(flight: Flight, vehicle: Vehicle, airborne: Sequence[tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
+    """(k,) starts of the blocks of BLOCK_S in which it hovered, and (k, n) mean shares of full thrust. airborne: as of `features`."""
+    from rotorwatch.engine.motion.allocation import motor_thrusts
+
+    thrust = motor_thrusts(flight, vehicle)
+    time = np.concatenate([_block_starts(thrust.time, start, end) for start, end in airborne] or [np.zeros(0)])
+    share, some = _block_means(thrust, time)
+    keep = some & (share.sum(axis=1) > 1e-3) & _steady(flight, time)
+    return time[keep], share[keep]
 
 
 def _no_hover(name: str, n: int) -> Features:
