@@ -71,6 +71,8 @@ NAMED: dict[str, tuple[str, ...]] = {
     "logs/tlog.py": ("logs_tlog", "esc_readers"),
     "logs/parameter_ranges.py": ("plausible", "damaged_logs"),
     "logs/px4_*.py": ("logs_px4",),
+    "witnesses/battery.py": ("reports", "upset"),
+    "live/reported.py": ("watch_reports", "watch"),
     "logs/ulog*.py": ("logs_px4",),
     "logs/series.py": ("logs_px4", "logs_table", "dataflash"),
     "logs/sdlog2.py": ("logs_sdlog2",),
