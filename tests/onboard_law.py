@@ -13,7 +13,7 @@ from rotorwatch.engine.motion.airborne import output_range
 from rotorwatch.export import export_diagnoser
 
 OUTPUTS, ACCEL, GYRO, VELOCITY, STATE, CONTROL, ATTITUDE, BATTERY = range(8)
-FIRST = {BATTERY: 0, STATE: 1, ATTITUDE: 2, VELOCITY: 3, GYRO: 4, ACCEL: 5, OUTPUTS: 6, CONTROL: 7}  # of the same time
+FIRST = {BATTERY: 0, OUTPUTS: 1, CONTROL: 2, GYRO: 3, ACCEL: 4, VELOCITY: 5, STATE: 6, ATTITUDE: 7}  # of the same time, as `front.py` has them
 WIDTH = 24
 DRIVER = """#include "rw_diagnoser.h"
 #define WIDTH 24
