@@ -219,8 +219,8 @@ def pushes_on(seconds, speed=0.0, hover=1.0) -> Flight:
     [
         (2.0, 0.0, 1.0, 30.0),
         (4.5, 0.0, 1.0, 34.5),  # longer than a landing takes: it hovered after it had sunk
-        (15.0, 0.0, 0.75, 30.0),  # ... but not on so much less
-        (15.0, 1.0, 0.75, 45.0),  # a lighter vehicle that moves
+        (15.0, 0.0, 0.8, 30.0),  # ... but not on so much less
+        (15.0, 1.0, 0.8, 45.0),  # a lighter vehicle that moves
         (2.0, 1.0, 1.0, 32.0),  # it moves: it flies on, level
     ],
 )

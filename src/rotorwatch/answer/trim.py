@@ -74,7 +74,7 @@ def look(out, table: Ticks, B: np.ndarray) -> Rows:
     state.set(every=LASTS)
     craft.set(expo_sd=table.curve[1])
     lacking = (out.biases + (table.thrust * out.theta) @ B.T)[:, :3]
-    rows = table.time, table.mode.astype(np.int32), unseen.usable(out, table), lacking, table.thrust
+    rows = table.time, table.mode.astype(np.int32), unseen.usable(table), lacking, table.thrust
     ENGINE.call(many.pass_on, state, craft, float(table.dt), len(table.time), *map(np.ascontiguousarray, rows))
     ENGINE.call(many.settle, state, craft)
     return state

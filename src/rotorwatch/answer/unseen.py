@@ -63,11 +63,9 @@ def bounds(out, table: Ticks, B: np.ndarray) -> Unseen:
     return seen
 
 
-def usable(out, table: Ticks) -> np.ndarray:
-    """(T,) bool: the ticks whose biases count. Rotors that are commanded nothing cannot lack anything; those of a tricopter make no yaw;
-    and what pushes a vehicle sideways turns it as well. out: the estimator's outputs at the ticks."""
-    judged = (table.mode == JUDGE) & table.valid[:, :YAW].all(axis=1) & ~table.upset
-    return judged & ~out.pushed & table.thrust.any(axis=1)
+def usable(table: Ticks) -> np.ndarray:
+    """(T,) bool: the ticks whose biases count. Rotors that are commanded nothing cannot lack anything; those of a tricopter make no yaw."""
+    return (table.mode == JUDGE) & table.valid[:, :YAW].all(axis=1) & ~table.upset & table.thrust.any(axis=1)
 
 
 class Rows(NamedTuple):
@@ -118,9 +116,9 @@ class Unseen:
         starts = np.flatnonzero(out.pushed & ~np.concatenate([[self._pushed], out.pushed[:-1]]))
         self._pushes += table.time[starts].tolist()
         self._pushed = bool(out.pushed[-1])
-        # What pushes may leave the vehicle otherwise trimmed than it was.
+        # What pushes sideways turns the vehicle as well, and may leave it otherwise trimmed than it was.
         arrays = (
-            usable(out, table),
+            usable(table) & ~out.pushed,
             table.restart | out.pushed,
             table.time,
             table.thrust,

@@ -156,7 +156,7 @@ class Engine(Struct):
             lacking[a] = self.out.biases[a]
             for k in range(v.rotors):
                 lacking[a] += v.effectiveness[a][k] * tick.thrust[k] * self.out.theta[k]
-        usable = tick.valid[ROLL] and tick.valid[PITCH] and not tick.upset and not self.out.pushed
+        usable = tick.valid[ROLL] and tick.valid[PITCH] and not tick.upset
         self.trim.tick(v, p.dt, tick.time, tick.mode, usable, lacking, tick.thrust)
 
     def _look(self, was: Time) -> None:

@@ -161,6 +161,7 @@ class Airborne(Struct):
     climbed: Real = 0.0  # m, of a climb that goes on, on more than that
     idle_known: bool = False
     flying: bool = False
+    stands: bool = False  # on the ground since the last flight, its rotors pushing
     start: Time = LASTS  # of the flight that goes on, LASTS on the ground
     flights = array(Span, FLIGHTS)  # that are over
     ended: int = 0  # how many these are
@@ -289,6 +290,8 @@ class Airborne(Struct):
         self.climbed = self.climbed + TICK_S * plain if above and plain > _CLIMB else 0.0
         if not above and not isnan(now.climb):
             self.drift_at_rest = _blend(self.drift_at_rest, now.climb, _IDLE_S)
+        rests = abs(now.climb) < _RESTING and not now.speed > _SETTLING
+        self.stands = self.stands and rests and not self._less(now.command, _LOW)
         lifted = self._lifted(time, now, climb)
         if lifted or self._climbs_away():
             self.flying = True
@@ -322,7 +325,7 @@ class Airborne(Struct):
             return True
         if isnan(now.climb):
             return high_for >= _HIGH_BLIND_S
-        return high_for >= _HIGH_S and not self._less(now.command, _CARRIED)
+        return high_for >= _HIGH_S and not self.stands
 
     def _climbs_away(self) -> bool:
         """However little is commanded; farther where the autopilot does not say that it is in the air."""
@@ -350,6 +353,7 @@ class Airborne(Struct):
             end = self.lying_since - _WINDOW_S
         elif self.rest_since < LASTS and time - self.rest_since >= _REST_S and self._less(now.command, _CARRIED):
             end = self.rest_since
+            self.stands = True
         if end >= LASTS:
             return
         end = min(end, self.rest_since)
@@ -420,6 +424,7 @@ class Airborne(Struct):
         self.climbed = 0.0
         self.idle_known = False
         self.flying = False
+        self.stands = False
 
 
 def _lasting(before: Time, holds: bool, time: Time) -> Time:
