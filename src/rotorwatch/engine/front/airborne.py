@@ -282,7 +282,9 @@ class Airborne(Struct):
         climb = 0.0 if isnan(now.climb) else now.climb - self.drift
         # Where nothing measures the climb, a vehicle that turns after its rotors pushed has left the ground, idle as they may be now.
         turns = self.high_since < LASTS and isnan(now.climb) and now.turning > _STILL
-        self.high_since = _lasting(self.high_since, high or turns, time)
+        rests = abs(now.climb) < _RESTING and not now.speed > _SETTLING
+        self.stands = self.stands and rests and not self._less(now.command, _LOW)
+        self.high_since = _lasting(self.high_since, (high or turns) and not self.stands, time)
         self.height = self.height + TICK_S * climb if high else 0.0
         self.rest = min(now.command, _blend(self.rest, now.command, _REST_S_UP)) if self.idle_known else now.command
         above = now.command > _ABOVE * self.rest + _LEAST
@@ -290,8 +292,6 @@ class Airborne(Struct):
         self.climbed = self.climbed + TICK_S * plain if above and plain > _CLIMB else 0.0
         if not above and not isnan(now.climb):
             self.drift_at_rest = _blend(self.drift_at_rest, now.climb, _IDLE_S)
-        rests = abs(now.climb) < _RESTING and not now.speed > _SETTLING
-        self.stands = self.stands and rests and not self._less(now.command, _LOW)
         lifted = self._lifted(time, now, climb)
         if lifted or self._climbs_away():
             self.flying = True
@@ -323,9 +323,7 @@ class Airborne(Struct):
             return False
         if climb > _CLIMB or self.height > _HEIGHT or now.speed > _SPEED + 2.0 * abs(self.drift):
             return True
-        if isnan(now.climb):
-            return high_for >= _HIGH_BLIND_S
-        return high_for >= _HIGH_S and not self.stands
+        return high_for >= (_HIGH_BLIND_S if isnan(now.climb) else _HIGH_S)
 
     def _climbs_away(self) -> bool:
         """However little is commanded; farther where the autopilot does not say that it is in the air."""
