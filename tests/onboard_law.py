@@ -13,7 +13,8 @@ from rotorwatch.engine.motion.airborne import output_range
 from rotorwatch.export import export_diagnoser
 
 OUTPUTS, ACCEL, GYRO, VELOCITY, STATE, CONTROL, ATTITUDE, BATTERY = range(8)
-FIRST = {BATTERY: 0, OUTPUTS: 1, CONTROL: 2, GYRO: 3, ACCEL: 4, VELOCITY: 5, STATE: 6, ATTITUDE: 7}  # of the same time, as `front.py` has them
+# Of the same time, in the order of engine/front/front.py.
+FIRST = {BATTERY: 0, OUTPUTS: 1, CONTROL: 2, GYRO: 3, ACCEL: 4, VELOCITY: 5, STATE: 6, ATTITUDE: 7}
 WIDTH = 24
 DRIVER = """#include "rw_diagnoser.h"
 #define WIDTH 24

@@ -30,6 +30,7 @@ int told(int count, const double *effectiveness, double expo_sd, double dt, cons
         for (int a = 0; a < 3; a++) lacking[a] = (rw_real)rows[1 + a];
         for (int i = 0; i < RW_ROTORS; i++) thrust[i] = (rw_real)rows[4 + i];
         rw_trim_tick(&t, &v, dt, rows[0], RW_JUDGE, true, lacking, thrust);
+        rw_trim_work(&t, &v, 2);
     }
     *looks = t.looks;
     rw_trim_finish(&t, &v);

@@ -77,11 +77,12 @@ class Engine(Struct):
 
     def sample(self, v: Vehicle, p: Plan, e: Plant, kind: int, time: Time, x: Reals) -> None:
         """One sample, and what it makes certain. What waited for a landing is worked off at once; else at most BURST ticks, so that no call
-        in flight keeps the processor for all that have waited."""
+        in flight keeps the processor for all that have waited; and of a look at the trim at most as many slices."""
         self.take(v, p, kind, time, x)
         left = BURST
         while left > 0 and self.step(v, p, e):
             left -= 0 if self.landed else 1
+        self.trim.work(v, BURST)
 
     def finish(self, v: Vehicle, p: Plan, e: Plant, time: Time) -> None:
         """The end: all samples up to `time` s have come, and no more will."""

@@ -13,6 +13,7 @@ from rotorwatch.engine.front.sense import Plan
 from rotorwatch.engine.front.sizes import ROTORS
 from rotorwatch.engine.front.ticks import Made
 from rotorwatch.engine.front.vehicle import Vehicle
+from rotorwatch.engine.trim.many import SLICES
 
 
 class Fed(Struct):
@@ -77,4 +78,5 @@ def _go_on(g: Engine, v: Vehicle, p: Plan, e: Plant, made: list[Made], out: list
     while fed.ticks < room and g.step(v, p, e):
         copy(made[fed.ticks], g.made)
         copy(out[fed.ticks], g.out)
+        g.trim.work(v, SLICES)
         fed.ticks += 1

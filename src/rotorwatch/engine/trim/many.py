@@ -9,6 +9,8 @@ from rotorwatch.engine.front.vehicle import Vehicle
 from rotorwatch.engine.trim.told import Growth
 from rotorwatch.engine.trim.trim import Trim
 
+SLICES = 1000  # after one tick: all that are due
+
 
 def pass_on(
     t: Trim, v: Vehicle, dt: Time, n: int, time: Times, mode: Ints, usable: Flags, lacking: Reals, thrust: Reals
@@ -22,6 +24,7 @@ def pass_on(
         for k in range(v.rotors):
             commanded[k] = thrust[v.rotors * i + k]
         t.tick(v, dt, time[i], mode[i], usable[i], lacks, commanded)
+        t.work(v, SLICES)
 
 
 def settle(t: Trim, v: Vehicle) -> None:

@@ -1,6 +1,6 @@
 """How much the look at the trim has room for, on board as well."""
 
-BLOCKS = 64  # of time; a flight that outgrows them has them joined in pairs
+BLOCKS = 80  # of time; a flight that outgrows them has them joined in pairs
 RISE_KINDS = 8  # that a course may take from its beginning to its end
 ONSETS = 20  # that are tried for each
 COURSES = 160

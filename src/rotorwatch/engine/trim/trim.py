@@ -1,8 +1,8 @@
 """The trim of a flight that goes on, tick by tick, since its last take-off or knock; and what is told of it.
 
 It is looked at every LOOK_S while the vehicle is judged, and where judging ends: on the ground, after a knock, at the end of a log. A
-look is worked off in slices, a few after each tick, so that no tick keeps the processor for all of it. What a look has shown holds until
-the next one shows enough.
+look is worked off in slices, one after each tick of 0.05 s, so that no tick keeps the processor for all of it. What a look has shown
+holds until the next one shows enough.
 """
 
 from __future__ import annotations
@@ -46,10 +46,14 @@ class Trim(Struct):
             reset(self.blocks)
         if usable and mode == JUDGE and time >= self.begin + USUAL_S:
             self._add(v, time, lacking, thrust)
-        self.due += SLICES_HZ * dt
-        while self.due >= 1.0:
+        self.due = self.due + SLICES_HZ * dt if self.busy else 0.0
+
+    def work(self, v: Vehicle, most: int) -> None:
+        """The slices that are due by the ticks so far, at most so many."""
+        left = most
+        while left > 0 and self.due >= 1.0 and self.step(v):
             self.due -= 1.0
-            self.step(v)
+            left -= 1
 
     def step(self, v: Vehicle) -> bool:
         """A slice of the work; whether there is more."""
@@ -86,6 +90,7 @@ class Trim(Struct):
 
     def _look(self, v: Vehicle) -> None:
         if self.stretch.take(v, self.blocks):
+            self.due = 0.0
             self.looked = self.blocks.last
             self.weighing.begin(self.stretch)
             self.busy = True
