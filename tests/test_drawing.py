@@ -1,6 +1,7 @@
 """The report's drawings: dots, bars and rotors stand where the numbers are."""
 
 import re
+from dataclasses import replace
 
 import pytest
 
@@ -31,7 +32,9 @@ def test_the_drawing_of_the_comparison_has_its_dots_where_the_numbers_are():
     "change", [{"verdict": "inconclusive"}, {"verdict": None}, {"loss": []}, {"interval": None}, {"loss": [0.1] * 4}]
 )
 def test_a_comparison_that_says_nothing_of_every_rotor_is_not_drawn(change):
-    assert drawing.baseline(against_healthy(**change)) == "" and drawing.baseline(hexa_diagnosis()) == ""
+    whole = against_healthy()
+    whole = replace(whole, whole_flight={**whole.whole_flight, **change})
+    assert drawing.baseline(whole) == "" and drawing.baseline(hexa_diagnosis()) == ""
 
 
 def test_the_airframe_fits_its_frame(fault):

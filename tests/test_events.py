@@ -10,6 +10,7 @@ from rotorwatch import airframes
 from rotorwatch.engine.default import events
 from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.estimator.posterior import PLACES
+from rotorwatch.engine.front.losses import CURVE_SHARE
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 
 DT, COUNT, N = 0.1, 300, 4
@@ -331,7 +332,7 @@ def test_an_announcement_at_the_very_end_is_kept():
 @pytest.mark.parametrize("theta", [0.0, 0.1, 0.4, 0.8, 0.97])
 def test_a_thrust_curve_that_is_off_is_within_the_interval(theta):
     """A rotor that lost theta and carries its share of the weight in hover, seen through a curve whose slope is off by k."""
-    k = events.CURVE_SHARE
+    k = CURVE_SHARE
     thrust = 1.0 / (1.0 - theta)  # what the log's curve makes of its command
     true = 1.0 - 1.0 / (thrust + k * thrust * (thrust - 1.0))
     assert float(events.sd_of(np.array(theta), np.array(0.0), QUAD)) == pytest.approx(abs(true - theta), rel=1e-9)

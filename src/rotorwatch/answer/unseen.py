@@ -51,7 +51,7 @@ FIRM = 5  # the same for the bound, where the flight is long enough: means of fe
 CORRELATED = 0.9  # at most
 # Causes of a loss of control that rest on how rotors answer their commands.
 CLEARS = ("controller", "saturated", "unknown")
-PUSH_S = 1.0  # before the force of a push is that large
+PUSH_S, LEANS_S = 1.0, 3.0  # before the force of a push is that large; wind that turns pushes for less than that
 TOGETHER = 256  # pieces of a flight that are looked at together: one by one they cost more than the estimator
 ROWS = 2048  # that are stored of a flight; of longer ones a row is the sum of several ticks
 
@@ -108,18 +108,25 @@ class Unseen:
         self._rest = self._rows  # ticks that are too few for a row
         self._new: list[tuple[np.ndarray, ...]] = []  # what is looked at once it is many, or asked for
         self._began = False  # a flight has begun since the last tick in a row or the rest
-        self._pushed = False  # something outside pushes it at the last tick
+        self._pushed, self._rested = (
+            False,
+            -np.inf,
+        )  # whether something outside pushes it at the last tick; when nothing did last [s]
         self._pushes: list[float] = []  # when something outside began to push the vehicle [s]
 
     def add(self, out, table: Ticks) -> None:
         """More ticks, with the estimator's outputs at them."""
+        if self._rested == -np.inf:
+            self._rested = float(table.time[0])
+        since = np.maximum.accumulate(np.where(out.pushed, self._rested, table.time))
+        leans = out.pushed & (table.time - since > LEANS_S)
         starts = np.flatnonzero(out.pushed & ~np.concatenate([[self._pushed], out.pushed[:-1]]))
         self._pushes += table.time[starts].tolist()
-        self._pushed = bool(out.pushed[-1])
-        # What pushes sideways turns the vehicle as well, and may leave it otherwise trimmed than it was.
+        self._pushed, self._rested = bool(out.pushed[-1]), float(since[-1])
+        # What pushes sideways turns the vehicle as well; what leans on it may leave it otherwise trimmed than it was.
         arrays = (
             usable(table) & ~out.pushed,
-            table.restart | out.pushed,
+            table.restart | leans,
             table.time,
             table.thrust,
             out.biases,
