@@ -94,7 +94,7 @@ def steps(table, B) -> dict[str, np.ndarray]:
         found.append({
             "y": y, "innovation": out.innovation[0], "variances": estimator.learned.variances,
             "calm": 1.0 / np.maximum(np.maximum(memory["burst"][0], memory["lasting"][0]), 1.0), "odds": out.log_odds[0],
-            "statistic": out.statistic[0], "plausible": estimator.plausible[0], "share": out.share[0], "theta": out.theta[0],
+            "statistic": out.statistic[0], "plausible": out.plausible[0], "share": out.share[0], "theta": out.theta[0],
             "theta_sd": out.theta_sd[0],
         })  # fmt: skip
     return {name: np.array([one[name] for one in found]) for name in found[0]}

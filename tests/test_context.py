@@ -91,10 +91,10 @@ def test_slow_signals_go_straight_on_and_gaps_stay():
 
 def test_the_map_has_one_scale_and_north_is_up():
     area = track.fitted(np.array([0.0, 20.0]), np.array([-30.0, 50.0]))
-    (x0, y0), (x1, y1), (x2, y2) = (area.at(*p) for p in ((0.0, 0.0), (10.0, 0.0), (0.0, 10.0)))
+    (x0, y0), (x1, y1), (x2, y2) = (area.place(*p) for p in ((0.0, 0.0), (10.0, 0.0), (0.0, 10.0)))
     assert (x1 - x0, y0 - y1) == (pytest.approx(0.0), pytest.approx(10 * area.scale))
     assert (x2 - x0, y2 - y0) == (pytest.approx(10 * area.scale), pytest.approx(0.0))
-    x, y = area.at([0.0, 20.0], [-30.0, 50.0])
+    x, y = area.place([0.0, 20.0], [-30.0, 50.0])
     assert x.min() >= track.MARGIN - 1e-6 and x.max() <= track.WIDTH - track.MARGIN + 1e-6
     assert 0 <= y.min() and y.max() <= area.height
     for size, least in ((0.001, 0.5), (1.0, 0.5), (3.0, 0.5), (80.0, 20.0), (1900.0, 200.0), (5e4, 1e4)):
@@ -123,7 +123,7 @@ def test_marks_stand_where_they_belong():
     area = track.fitted(north, east)
     assert time[0] >= 4.0 and time[-1] <= 58.0, "in the air"
     event = diagnosis.events[0]
-    x, y = (float(v) for v in area.at(np.interp(event.onset_s, time, north), np.interp(event.onset_s, time, east)))
+    x, y = (float(v) for v in area.place(np.interp(event.onset_s, time, north), np.interp(event.onset_s, time, east)))
     found = re.search(
         r'class="event" style="--tint:(#\w+)"><title>([^<]*)</title><circle cx="([\d.]+)" cy="([\d.]+)"', drawn
     )
@@ -132,7 +132,7 @@ def test_marks_stand_where_they_belong():
     bar = re.search(r'class="scale"><path d="M14 [\d.]+v5h([\d.]+)v-5"/><text[^>]*>(\d+) m<', drawn)
     assert float(bar[1]) == pytest.approx(area.scale * float(bar[2]), abs=0.1) and bar[2] == "10"
     start = re.search(r'class="start".*?cx="([\d.]+)" cy="([\d.]+)"', drawn)
-    assert (float(start[1]), float(start[2])) == tuple(pytest.approx(float(v), abs=0.1) for v in area.at(0.0, 0.0))
+    assert (float(start[1]), float(start[2])) == tuple(pytest.approx(float(v), abs=0.1) for v in area.place(0.0, 0.0))
     twice = replace(diagnosis, events=(event, replace(event, onset_s=event.onset_s + 0.01)))
     spots = [float(v) for v in re.findall(r'class="event".*?cx="([\d.]+)"', track.svg(twice))]
     assert len(spots) == 2 and abs(spots[0] - spots[1]) >= 17

@@ -133,12 +133,12 @@ def test_the_way_back_leads_to_the_same_books(flown, at_once, monkeypatch):
         judged = Judged.joined(one.feed(whole.part(first, last)))
         if judged is not None:
             back.add(judged)
-    back.at(one.spans)
+    back.keep(one.spans)
     (start, _), known = one.spans[0], one.losses.events(True)
     assert known
-    back.at(((start, known[0].onset_s - 1.0),))
+    back.keep(((start, known[0].onset_s - 1.0),))
     assert one.losses.events(True) == ()
-    back.at(((start, np.inf),))
+    back.keep(((start, np.inf),))
     assert one.losses.events(True) == known
     one.finish(flight.duration)
     assert one.losses.events() == at_once[1] and one.report.events(one.losses.events(), ()) == at_once[2]

@@ -125,7 +125,7 @@ def test_the_event_that_matters_most(found, place):
 
 
 def said(changes, found, final=False):
-    return [(c.number, c.what, c.event) for c in changes.of(found, final)]
+    return [(c.number, c.what, c.event) for c in changes.since_last(found, final)]
 
 
 def test_an_event_is_announced_once_and_told_again_when_it_has_changed():

@@ -35,7 +35,7 @@ def test_frames_come_out_of_pieces_of_any_length(second, signed):
     data, at = b"".join(wanted), 0
     while at < len(data):
         size = int(rng.integers(1, 90))
-        found += parser.on(data[at : at + size])
+        found += parser.take(data[at : at + size])
         at += size
     assert found == wanted and parser.damaged == 0
 
@@ -45,17 +45,17 @@ def test_no_sound_frame_is_lost_to_damage_before_it():
     rng = np.random.default_rng(2)
     parser, wanted, found = frames.Frames(), packed(300, rng), []
     for k, frame in enumerate(wanted):
-        found += parser.on(frame)
+        found += parser.take(frame)
         kind = k % 4
         if kind == 0:
-            found += parser.on(bytes((0xFD, 255, 0, 0)) + rng.bytes(3))
+            found += parser.take(bytes((0xFD, 255, 0, 0)) + rng.bytes(3))
         elif kind == 1:
-            found += parser.on(frame[: int(rng.integers(1, len(frame) - 1))])
+            found += parser.take(frame[: int(rng.integers(1, len(frame) - 1))])
         elif kind == 2:
             wrong = bytearray(frame)
             wrong[int(rng.integers(1, len(frame)))] ^= 1 << int(rng.integers(8))
-            found += parser.on(bytes(wrong))
-    found += parser.on(bytes(600))
+            found += parser.take(bytes(wrong))
+    found += parser.take(bytes(600))
     assert found == wanted and 100 < parser.damaged
 
 
@@ -68,14 +68,14 @@ def test_work_grows_with_the_bytes_whatever_they_are(stride, monkeypatch):
     summed, sums = [], frames.sums
     parser, wanted = frames.Frames(), packed(1, np.random.default_rng(6))
     data = stride * (200_000 // len(stride))
-    parser.on(data[:1400])
+    parser.take(data[:1400])
     monkeypatch.setattr(
         frames, "sums", lambda frame, extra: (summed.append(len(frame) + frames.ATTEMPT), sums(frame, extra))[1]
     )
     for at in range(0, len(data), 1400):
-        parser.on(data[at : at + 1400])
+        parser.take(data[at : at + 1400])
     assert sum(summed) < (frames.VAIN + 1) * len(data) + frames.SAVED
-    assert parser.on(bytes(600) + wanted[0]) == wanted, "what comes after is found"
+    assert parser.take(bytes(600) + wanted[0]) == wanted, "what comes after is found"
 
 
 def test_the_sums_are_those_of_pymavlink():
@@ -89,7 +89,7 @@ def test_the_sums_are_those_of_pymavlink():
 def test_whole_frames_of_unknown_messages_are_passed_over():
     parser, (frame, other) = frames.Frames(), packed(2, np.random.default_rng(4))
     strange = bytes((0xFD, 9, 0, 0, 0, 1, 1, 0xEE, 0xEE, 0xEE)) + bytes(11)
-    assert parser.on(frame + strange + other) == [frame, other]
+    assert parser.take(frame + strange + other) == [frame, other]
     assert (parser.unknown, parser.damaged) == (1, 0)
 
 
@@ -191,7 +191,7 @@ def numbered(senders, numbers, what="several"):
     """After how many of the frames with these running numbers there seemed to be several senders."""
     seen = 0
     for number in numbers:
-        senders.on(int(number) % 256)
+        senders.count(int(number) % 256)
         seen += getattr(senders, what)
     return seen
 
@@ -241,7 +241,7 @@ def test_a_rotor_that_stands_is_said_by_its_esc():
                 mavlink.MAVLink_esc_telemetry_1_to_4_message([30] * 4, [1600] * 4, [500] * 4, [0] * 4, rpm, [1] * 4)
             )
             taken = link.take()
-            said.extend(seen.on(taken.get("esc"), taken.get("motors"), flying))
+            said.extend(seen.examine(taken.get("esc"), taken.get("motors"), flying))
 
     fly(2.0, [0] * 4, flying=False)
     fly(10.0, [5000, 5100, 5200, 5300])

@@ -386,7 +386,7 @@ def test_long_gaps_cost_no_ticks_but_at_their_ends(seed):
     most = int(sense.GAP_S / plan.dt)
     for time in [*(0.5 * at + 0.125).tolist(), LASTS]:
         while state.ready(plan, time):
-            state.make(craft, plan, row)
+            state.assemble(craft, plan, row)
             numbers.append(row.number)
         if time < LASTS:
             state.thrust(craft, plan, time, [0.4] * 4, True)
@@ -475,7 +475,7 @@ def test_after_a_contact_the_trim_is_learned_from_controlled_flight_alone():
             row.share[2] = 0.92 if k in (14, 15) else 0.4
             row.rate[1] = 2.5 if k == 17 else 0.0
             row.rate_ok = k != 18
-            state.make(craft, plan, row, 5.0 if k < 40 else 6.0, made)
+            state.assemble(craft, plan, row, 5.0 if k < 40 else 6.0, made)
             assert made.touch.hit == (k in hits) and made.restart == (k in (0, 40))
             found.append(made.mode)
         return np.array(found)

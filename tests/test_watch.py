@@ -241,24 +241,24 @@ def test_what_cannot_be_watched_is_said_in_a_sentence(arguments, says, capsys):
 
 def test_changes_are_told_once():
     changes, event = Changes(), hexa_event()
-    (first,) = changes.of([event])
-    assert (first.what, first.number) == ("announced", 1) and changes.of([event]) == []
-    assert changes.of([hexa_event(loss=(0.38,))]) == []
-    (more,) = changes.of([hexa_event(loss=(0.45,), rotors=(3,))])
+    (first,) = changes.since_last([event])
+    assert (first.what, first.number) == ("announced", 1) and changes.since_last([event]) == []
+    assert changes.since_last([hexa_event(loss=(0.38,))]) == []
+    (more,) = changes.since_last([hexa_event(loss=(0.45,), rotors=(3,))])
     assert (more.what, more.number) == ("changed", 1)
-    (other,) = changes.of([hexa_event(loss=(0.45,), rotors=(4,))])
+    (other,) = changes.since_last([hexa_event(loss=(0.45,), rotors=(4,))])
     assert (other.what, other.number) == ("changed", 1)
-    (gone,) = changes.of([])
-    assert gone.what == "withdrawn" and changes.of([]) == []
-    (again,) = changes.of([event])
+    (gone,) = changes.since_last([])
+    assert gone.what == "withdrawn" and changes.since_last([]) == []
+    (again,) = changes.since_last([event])
     assert (again.what, again.number) == ("announced", 2)
-    (last,) = changes.of([hexa_event(loss=(0.371,))], final=True)
+    (last,) = changes.since_last([hexa_event(loss=(0.371,))], final=True)
     assert last.what == "final"
 
 
 def watched_with(events, **known):
     watched = Watched("udp:14550/1", lambda alert: None)
-    watched.changes.of(events)
+    watched.changes.since_last(events)
     for name, value in known.items():
         setattr(watched.health, name, value)
     return watched

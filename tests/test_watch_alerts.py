@@ -121,7 +121,7 @@ def flying(name="udp:14550/1", losses=(0.0, 0.0, 0.371, 0.0, 0.0, 0.0), events=(
         losses=lambda: (loss, np.clip(loss - 0.05, 0, 1), loss + 0.05), flying=True, ticks=123, blind=lambda: "", now=40.0
     )  # fmt: skip
     watched.health.taken, watched.health.lost = 95, 5
-    watched.changes.of(events)
+    watched.changes.since_last(events)
     return watched
 
 

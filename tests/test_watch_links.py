@@ -334,7 +334,7 @@ def test_parameters_kept_of_a_vehicle_are_used_until_its_own_have_come_and_nothi
 def test_what_was_told_of_another_vehicle_is_taken_back():
     alerts = []
     watched = Watched("udp:14550/1", alerts.append)
-    for change in watched.changes.of((hexa_event(),)):
+    for change in watched.changes.since_last((hexa_event(),)):
         watched._alert(change)
     watched.withdraw()
     assert [alert["state"] for alert in alerts] == ["announced", "withdrawn"] and watched.events == ()

@@ -166,7 +166,7 @@ def said(words: Words | str, event: Event, places: Sequence[str] = (), **more: s
         "in_all": f", {count} times in all" if count > 1 else "",
         "log_speed": "" if extra.get("rpm") else "; log its speed next time (bidirectional DShot, eRPM)",
     }
-    template = words if isinstance(words, str) else words.of(event)
+    template = words if isinstance(words, str) else words.template(event)
     return template.format_map(pieces | more)
 
 

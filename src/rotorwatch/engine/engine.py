@@ -147,7 +147,7 @@ class Engine(Struct):
         """Write a tick down, and what the estimator made of it."""
         found = Found()
         _find(v, self.out, found)
-        self.losses.on(v, tick.time, tick.when, tick.mode, tick.restart, found)
+        self.losses.write(v, tick.time, tick.when, tick.mode, tick.restart, found)
         self.report.tick(tick.time, tick.start, tick.upset)
         if tick.touch.is_new:
             self.report.contact(tick.touch.time, tick.touch.push, tick.touch.size)

@@ -43,7 +43,7 @@ class Words(NamedTuple):
     unsure: str | None = None
     nameless: str | None = None
 
-    def of(self, event: Any) -> str:
+    def template(self, event: Any) -> str:
         """The template for an event."""
         if event.alternatives and self.unsure is not None:
             return self.unsure

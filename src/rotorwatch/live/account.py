@@ -50,7 +50,7 @@ class Account:
         if self._time - self._newer.since[0].table.command_time[0] > REPLAY_S:
             self._older, self._newer = self._newer, self._mark()
 
-    def at(self, spans: Spans) -> None:
+    def keep(self, spans: Spans) -> None:
         """The flights are these, (start, end) s, infinite where it lasts. Where one now ends earlier than the diagnoser knows, or does so
         no longer, its ticks are gone through again."""
         known = dict(self._diagnoser.spans)

@@ -40,7 +40,7 @@ class Beginnings:
         ends = [min(start + self._length, end) for start, end in spans]
         return any(self._looked < end <= now for end in ends)
 
-    def look(self, carry, spans: Spans, now: float, final: bool = False) -> None:
+    def search(self, carry, spans: Spans, now: float, final: bool = False) -> None:
         """Look at the last flight, at `now` s; final: at all that are kept. carry: what the estimator has come to."""
         self._looked = now
         recent = [start for start, _ in spans[-HOPS:]] or [now]

@@ -35,7 +35,7 @@ class Changes:
         self._known = ENGINE.new(changes.Changes)
         self._room = ENGINE.array(listed.Event, EVENTS), ENGINE.array(changes.Change, 2 * EVENTS)
 
-    def of(self, events: Sequence[Event], final: bool = False) -> list[Change]:
+    def since_last(self, events: Sequence[Event], final: bool = False) -> list[Change]:
         """What is new about the events as they are now. final: nothing will come after, so that any difference is announced."""
         withdrawn, out = self._room
         refined, never = kinds.number(kinds.LOST), -listed.LASTS

@@ -38,7 +38,7 @@ class Control:
         """More of the flight, in time order."""
         self._window.add({name: s for name, s in signals.items() if name in NAMES}, messages)
 
-    def on(self, spans: Spans, final: bool = False) -> Spans:
+    def follow(self, spans: Spans, final: bool = False) -> Spans:
         """The intervals `spans` ((start, end), ...) s in the air, infinite where the vehicle flies, each cut where it fell to the ground.
         final: nothing will come after."""
         now = self._window.now

@@ -63,7 +63,7 @@ class Frames:
         self._may = SAVED
         self.damaged = self.unknown = 0
 
-    def on(self, data: bytes) -> list[bytes]:
+    def take(self, data: bytes) -> list[bytes]:
         """The sound frames that these bytes complete."""
         self._may = min(self._may + VAIN * len(data), max(SAVED, VAIN * len(data)))
         data, self._skipping = self._left + data if self._left else data, False

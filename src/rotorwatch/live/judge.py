@@ -40,9 +40,9 @@ class Judge:
         self._looks, self._turned = 0, tuple[Event, ...]()
         self.ticks = 0  # that were judged
 
-    def on(self, piece: Piece, final: bool = False) -> None:
+    def judge(self, piece: Piece, final: bool = False) -> None:
         """Go on with what has become certain. final: nothing will come after."""
-        self._account.at(piece.spans)
+        self._account.keep(piece.spans)
         if self._beginnings is not None and (end := _earlier(self._spans, piece.spans)) is not None:
             self._beginnings.cut(end)
         self._spans, self._over, self._overrides = piece.spans, final, piece.overrides
@@ -53,7 +53,7 @@ class Judge:
             self._look_at_trim()
         early = self._beginnings
         if early is not None and (final or early.due(self._spans, self._time)):
-            early.look(self._diagnoser.learned, self._spans, self._time, final)
+            early.search(self._diagnoser.learned, self._spans, self._time, final)
 
     @property
     def plan(self) -> Plan:

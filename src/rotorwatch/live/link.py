@@ -82,7 +82,7 @@ class LinkedVehicle:
         """Whether a frame with this running number is new."""
         health, last = self.watched.health, self._sequence
         step = 1 if last is None else (sequence - last) % 256
-        self._senders.on(sequence)
+        self._senders.count(sequence)
         if step == 0 or step > 128:
             health.twice += 1
             return step != 0
@@ -102,7 +102,7 @@ class LinkedVehicle:
         self._mixed = self._senders.several
         return not self._mixed
 
-    def on(self, identity: int, frame: bytes, arrival: float) -> None:
+    def take(self, identity: int, frame: bytes, arrival: float) -> None:
         """One frame of the autopilot. What goes wrong with it is this vehicle's alone."""
         try:
             self._on(identity, frame, arrival)
@@ -419,7 +419,7 @@ class Link:
             parser = self._parsers[peer] = Frames()
             if len(self._parsers) > PEERS:
                 self._damaged_before += self._parsers.pop(next(iter(self._parsers))).damaged
-        arrival, frames = self.clock(), parser.on(data)
+        arrival, frames = self.clock(), parser.take(data)
         if frames:
             self.endpoint.answers(peer)
         for frame in frames:
@@ -440,7 +440,7 @@ class Link:
             return
         self._fresh[vehicle] = None
         if vehicle.counted(sequence):
-            vehicle.on(identity, frame, arrival)
+            vehicle.take(identity, frame, arrival)
 
     def _followed(self, vehicle: LinkedVehicle, peer: Any, arrival: float) -> bool:
         """Whether a vehicle is now heard through another peer. While its own still sends, what the other one sends under its id is another

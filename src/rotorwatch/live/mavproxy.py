@@ -83,7 +83,7 @@ class Places:
     def __init__(self):
         self._tracks: dict[int, deque[tuple[int, float, float]]] = {}
 
-    def on(self, system: int, boot_ms: int, latitude: float, longitude: float) -> None:
+    def add(self, system: int, boot_ms: int, latitude: float, longitude: float) -> None:
         """One more place [deg]."""
         track = self._tracks.setdefault(system, deque(maxlen=PLACES))
         if track and boot_ms < track[-1][0]:
@@ -91,7 +91,7 @@ class Places:
         if (not track or boot_ms - track[-1][0] >= APART_MS) and (latitude or longitude):
             track.append((boot_ms, latitude, longitude))
 
-    def at(self, system: int, boot_ms: int) -> tuple[float, float] | None:
+    def find(self, system: int, boot_ms: int) -> tuple[float, float] | None:
         """Where it was nearest to that time; None where nothing is known."""
         track = list(self._tracks.get(system, ()))
         if not track:
@@ -206,7 +206,7 @@ class Watcher:
     def _place(self, name: str, time_s: float) -> tuple[float, float] | None:
         if self._link is None:
             return None
-        return self._places.at(int(_number(name).split(".")[0]), self._link.boot_ms(name, time_s))
+        return self._places.find(int(_number(name).split(".")[0]), self._link.boot_ms(name, time_s))
 
 
 def _number(name: str) -> str:
@@ -337,7 +337,7 @@ def _module(base: type) -> type:
                 return
             system = m.get_srcSystem()
             if kind == "GLOBAL_POSITION_INT":
-                self._places.on(system, m.time_boot_ms, m.lat * 1e-7, m.lon * 1e-7)
+                self._places.add(system, m.time_boot_ms, m.lat * 1e-7, m.lon * 1e-7)
             self._handed.put(self._link_of(m, kind, system), bytes(m.get_msgbuf()))
 
         def _link_of(self, m: Any, kind: str, system: int) -> int:

@@ -38,7 +38,7 @@ class Reported:
         self._messages += new
         self._fresh |= bool(new)
 
-    def on(self, spans: Spans, lost: tuple[float, ...], now: float, final: bool = False) -> None:
+    def follow(self, spans: Spans, lost: tuple[float, ...], now: float, final: bool = False) -> None:
         """Look again, where something has come. spans: the flights ((start, end), ...) s, infinite while it flies; lost: when control was
         lost [s]; final: nothing will come after."""
         if not (final or self._fresh or now - self._looked >= EVERY_S):

@@ -30,7 +30,7 @@ class Rotors:
         self._turned: dict[int, float] = {}  # rotor that stands, from 0 -> since when it turns again
         self._command: np.ndarray | None = None
 
-    def on(self, esc: Signal | None, motors: Signal | None, flying: bool) -> list[tuple[int, str]]:
+    def examine(self, esc: Signal | None, motors: Signal | None, flying: bool) -> list[tuple[int, str]]:
         """More telemetry, and the commands that came with it: (rotor, sentence) of what is new."""
         if motors is not None and len(motors):
             self._command = np.where(motors.valid[-1], motors.values[-1], 0.0)

@@ -20,7 +20,7 @@ class Senders:
         self._spell, self._returns = 0, 0.0
         self.several = self.suspected = False
 
-    def on(self, number: int) -> None:
+    def count(self, number: int) -> None:
         """One frame more, with its running number (0 to 255)."""
         rows = self._rows
         own = min(rows, key=lambda row: _apart(row[0], number)) if rows else None

@@ -117,16 +117,16 @@ class Session:
             and self._trust is not None
             and self._control is not None
         )
-        piece = replace(piece, spans=self._control.on(piece.spans, final))
+        piece = replace(piece, spans=self._control.follow(piece.spans, final))
         self._spans = piece.spans
-        self._reported.on(piece.spans, tuple(j.onset for j in self._control.found), self.now, final)
+        self._reported.follow(piece.spans, tuple(j.onset for j in self._control.found), self.now, final)
         if self._judge is None:
             self._judge = Judge(stream.diagnoser, stream.account)
-        self._judge.on(piece, final)
+        self._judge.judge(piece, final)
         if piece.judged is not None:
             self._trust.add(piece.judged.table)
         if final or self._trust.due(self.now, self._judge.revision):
-            self._trust.look(self._control.flight(self.now - MEMORY_S), self._spans, self.now, self._judge.revision)
+            self._trust.examine(self._control.flight(self.now - MEMORY_S), self._spans, self.now, self._judge.revision)
         return piece.judged is not None
 
     @property
@@ -143,7 +143,7 @@ class Session:
         if piece is not None:
             self._judged(piece, True)
         else:
-            self._control.on((), True)
+            self._control.follow((), True)
 
     def events(self) -> tuple[Event, ...]:
         """All that has happened, as it looks now."""

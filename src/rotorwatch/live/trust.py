@@ -36,7 +36,7 @@ class Trust:
         """Whether to look again at `now` s. revision: of the events; before something new is announced it is always due."""
         return bool(self._tables) and (revision != self._revision or now - self._asked >= EVERY_S)
 
-    def look(self, flight: Flight, spans: Spans, now: float, revision: int) -> None:
+    def examine(self, flight: Flight, spans: Spans, now: float, revision: int) -> None:
         """Hold the last minutes against each other. flight: their samples; spans: (start, end) s in the air, infinite while it flies."""
         self._asked, self._revision, since = now, revision, now - MEMORY_S
         self._tables = [table for table in self._tables if table.time[-1] >= since]

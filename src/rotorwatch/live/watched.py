@@ -67,7 +67,7 @@ class Watched:
         try:
             known = self.session.vehicle
             self.session.add(signals, messages)
-            for rotor, text in self.rotors.on(signals.get("esc"), signals.get("motors"), self.session.flying):
+            for rotor, text in self.rotors.examine(signals.get("esc"), signals.get("motors"), self.session.flying):
                 self.say(text, rotor=rotor)
             if known is None and self.session.vehicle is not None:
                 frame = self.session.vehicle
@@ -124,7 +124,7 @@ class Watched:
 
     def withdraw(self) -> None:
         """Withdraw all alerts of this flight: it was judged as another vehicle's."""
-        for change in self.changes.of(()):
+        for change in self.changes.since_last(()):
             self._alert(change)
 
     @property
@@ -135,7 +135,7 @@ class Watched:
     def _look(self, final: bool = False) -> None:
         assert self.session is not None
         self._revision, self._looked = self.session.revision, self.session.now
-        for change in self.changes.of(self.session.events(), final):
+        for change in self.changes.since_last(self.session.events(), final):
             self._alert(change)
         if self.session.doubt != self._doubt:
             self._doubt = self.session.doubt

@@ -33,7 +33,7 @@ class Map:
     north: float
     east: float
 
-    def at(self, north, east) -> tuple[np.ndarray, np.ndarray]:
+    def place(self, north, east) -> tuple[np.ndarray, np.ndarray]:
         """x to the right and y down, of places in metres."""
         x = WIDTH / 2 + self.scale * (np.asarray(east) - self.east)
         return x, self.height / 2 - self.scale * (np.asarray(north) - self.north)
@@ -96,7 +96,7 @@ def svg(diagnosis: Diagnosis) -> str:
     if trace is None or time.size < 2:
         return ""
     area = fitted(north, east)
-    x, y = area.at(north, east)
+    x, y = area.place(north, east)
     named = f"Track over ground, north up, within {metres(reach(north, east))} of the lift-off"
     parts = [
         f'<svg class="track" id="track" viewBox="0 0 {WIDTH:.0f} {area.height + FOOT:.0f}" role="img" aria-label="{escape(named)}">',
@@ -141,7 +141,7 @@ def _piece(time: np.ndarray, x: np.ndarray, y: np.ndarray) -> str:
 def _grid(area: Map) -> str:
     """Faint lines, as far apart as the scale bar is long; one of each direction goes through the lift-off."""
     step = area.scale * area.bar
-    x0, y0 = (float(v) for v in area.at(0.0, 0.0))
+    x0, y0 = (float(v) for v in area.place(0.0, 0.0))
     lines = [f"M{x:.1f} 0V{area.height:.0f}" for x in np.arange(x0 % step, WIDTH, step)]
     lines += [f"M0 {y:.1f}H{WIDTH:.0f}" for y in np.arange(y0 % step, area.height, step)]
     return f'<path class="grid" d="{"".join(lines)}"/>'

@@ -200,7 +200,7 @@ class Front(Struct):
         if self.count == 0 or not (self.certain > 0 or self.count == QUEUE or self._clear()):
             return False
         row = self.queue[self.first]
-        self.ticks.make(v, p, row, self._flight_of(row), out)
+        self.ticks.assemble(v, p, row, self._flight_of(row), out)
         self.first = (self.first + 1) % QUEUE
         self.count -= 1
         self.certain = max(0, self.certain - 1)
@@ -270,7 +270,7 @@ class Front(Struct):
         """Ticks that have become known, into the queue."""
         while self.count < QUEUE and self.sense.ready(p, self.now):
             row = self.queue[(self.first + self.count) % QUEUE]
-            self.sense.make(v, p, row)
+            self.sense.measure(v, p, row)
             self.count += 1
             self.newest = row.when
             if self.start < LASTS and self.start <= row.when < self.start + HOVER_LEARN_S:

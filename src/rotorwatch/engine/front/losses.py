@@ -70,7 +70,7 @@ class Losses(Struct):
     flown: bool = False  # a tick of this flight was judged
     announcements: int = 0  # so far
 
-    def on(self, v: Vehicle, time: Time, when: Time, mode: int, restart: bool, found: Found) -> None:
+    def write(self, v: Vehicle, time: Time, when: Time, mode: int, restart: bool, found: Found) -> None:
         """One more tick, in their order, on the ground as well. time, when: of the tick and, in the mean, of its commands, s; restart: the
         first one of a flight."""
         if restart and self.tick >= 0:

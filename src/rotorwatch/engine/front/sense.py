@@ -180,7 +180,7 @@ class Levels(Struct):
         self.axial[at] = axial
         self.count += 1
 
-    def at(self, time: Time) -> int:
+    def find(self, time: Time) -> int:
         """Place of the last one known at `time`, or of the first of all; -1 without any."""
         for k in range(self.count - 1, -1, -1):
             i = (self.first + k) % LEVELS
@@ -296,7 +296,7 @@ class Sense(Struct):
             return False
         return not p.accel or self.accels.newest() + SUM_S >= motion + max(p.accel_half, 0.5 * p.dt)
 
-    def make(self, v: Vehicle, p: Plan, out: Sensed) -> None:
+    def measure(self, v: Vehicle, p: Plan, out: Sensed) -> None:
         """The next tick."""
         end = self._end(p)
         half = 0.5 * p.dt
@@ -315,7 +315,7 @@ class Sense(Struct):
             self._turn(p, centre, out)
         if p.accel:
             self._push(p, centre, out)
-        k = self.levels.at(out.time)
+        k = self.levels.find(out.time)
         if k >= 0:
             out.level = self.levels.level[k]
             out.axial = self.levels.axial[k] if abs(out.time - self.levels.time[k]) <= FRESH_S else NAN

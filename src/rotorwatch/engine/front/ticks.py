@@ -90,7 +90,7 @@ class Ticks(Struct):
         self.hover_samples += 1
         _insert(self.settling, self.hover_samples, total / real(v.rotors) / load)
 
-    def make(self, v: Vehicle, p: Plan, row: Sensed, start: Time, out: Made) -> None:
+    def assemble(self, v: Vehicle, p: Plan, row: Sensed, start: Time, out: Made) -> None:
         """One row, in order, on the ground too. start: of the flight that it lies in (time >= start + 1 s and when <= its end), else
         LASTS."""
         begins = start < self.hop or start > self.hop

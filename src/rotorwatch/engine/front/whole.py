@@ -103,7 +103,7 @@ def cut(
             if done.rows == room:
                 done.samples = i
                 return
-            s.make(v, p, rows[done.rows])
+            s.measure(v, p, rows[done.rows])
             done.rows += 1
         x = values[at[i]]
         y = values[at[i] + 1]
@@ -130,7 +130,7 @@ def rest(s: Sense, v: Vehicle, p: Plan, rows: list[Sensed], room: int) -> int:
     """The ticks that still wait at the end of a log; how many."""
     count = 0
     while count < room and s.ready(p, LASTS):
-        s.make(v, p, rows[count])
+        s.measure(v, p, rows[count])
         count += 1
     return count
 
@@ -149,7 +149,7 @@ def assemble(
                 if rows[ahead].when >= flight:
                     t.learn_hover_thrust(v, rows[ahead], flight)
                 ahead += 1
-        t.make(v, p, rows[i], start[i], made[i])
+        t.assemble(v, p, rows[i], start[i], made[i])
 
 
 class Mixed(Struct):
@@ -229,7 +229,7 @@ def announce(
 ) -> None:
     """n ticks and what the estimator made of them."""
     for i in range(n):
-        s.on(v, time[i], when[i], mode[i], restart[i], found[i])
+        s.write(v, time[i], when[i], mode[i], restart[i], found[i])
 
 
 def losses(s: Losses, v: Vehicle, flies: bool, out: list[Event]) -> int:

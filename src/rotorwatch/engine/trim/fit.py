@@ -70,7 +70,7 @@ class Fit(Struct):
             for j in range(LEVEL):
                 self.fit[a] -= real(log(self.factor[a][j][j]))
 
-    def look(self, x: Reals, first: int, count: int, xy: Reals, xx: Reals) -> None:
+    def project(self, x: Reals, first: int, count: int, xy: Reals, xx: Reals) -> None:
         """A column that is 0 before `first`: its products with z and with itself on each axis, to `rest`."""
         inside = local(TIME, ROWS)
         own = local(TIME, STEADY)

@@ -206,7 +206,7 @@ class Weighing(Struct):
                     if rise > 0.0:
                         grown = min(real(stretch.at[k] - start) / rise, 1.0)
                     self.x[k] = grown if i == 0 else grown * stretch.share[i - 1][k]
-                self.fit.look(self.x, first, stretch.count, self.xy[q][i], self.xx[q][i])
+                self.fit.project(self.x, first, stretch.count, self.xy[q][i], self.xx[q][i])
 
     def _drifts(self, start: Real) -> None:
         """Of each axis by each amount."""

@@ -69,7 +69,7 @@ class Columns:
             found.append(f"{name}[{len(found)}]")
         return tuple(found)
 
-    def make(self, kind: str, values: np.ndarray | None, source: str, valid=None) -> Signal | None:
+    def signal(self, kind: str, values: np.ndarray | None, source: str, valid=None) -> Signal | None:
         return None if values is None else series.signal(kind, self.time, values, source, self.notes, valid)
 
 
@@ -98,12 +98,12 @@ def signals(columns: Columns) -> tuple[dict[str, Signal], dict[str, Any]]:
         columns.notes.append("The header has no scale of the gyro: taken as 1 deg/s a count, as Betaflight logs it.")
         scale = 1.0
     to_rad = np.radians(scale) / header.resolution * FLIP
-    rates = columns.make("rates", None if filtered is None else filtered * to_rad, "gyroADC")
-    gyro = columns.make(
+    rates = columns.signal("rates", None if filtered is None else filtered * to_rad, "gyroADC")
+    gyro = columns.signal(
         "gyro", None if raw is None else raw * to_rad, "gyroUnfilt" if "gyroUnfilt[0]" in columns.table else "gyroRaw"
     )
     if gyro is None and filtered is not None:
-        gyro = columns.make("gyro", filtered * to_rad, "gyroADC")
+        gyro = columns.signal("gyro", filtered * to_rad, "gyroADC")
     wanted, source = columns.three("setpoint"), "setpoint"
     if wanted is not None:
         wanted = np.radians(wanted / header.resolution) * FLIP
@@ -117,7 +117,7 @@ def signals(columns: Columns) -> tuple[dict[str, Signal], dict[str, Any]]:
         "control": _control(columns, demand),
         "gyro": gyro,
         "rates": rates,
-        "rates_wanted": columns.make("rates_wanted", wanted, source),
+        "rates_wanted": columns.signal("rates_wanted", wanted, source),
         "accel": _accel(columns),
         "attitude": _attitude(columns),
         "velocity": _nav(columns, "velocity", "navVel"),
@@ -174,7 +174,7 @@ def _control(columns: Columns, demand: np.ndarray | None) -> Signal | None:
     thrust = columns.get("setpoint[3]")
     if demand is None or thrust is None:
         return None
-    return columns.make(
+    return columns.signal(
         "control", np.column_stack([demand, thrust / 1000.0]), "axisP + axisI + axisD + axisF, setpoint[3]"
     )
 
@@ -203,7 +203,7 @@ def _accel(columns: Columns) -> Signal | None:
     if unit <= 0:
         columns.notes.append("The header does not say what 1 g is: the accelerometer is left out.")
         return None
-    return columns.make("accel", raw / unit * G0 * FLIP, "accSmooth")
+    return columns.signal("accel", raw / unit * G0 * FLIP, "accSmooth")
 
 
 def _attitude(columns: Columns) -> Signal | None:
@@ -212,16 +212,16 @@ def _attitude(columns: Columns) -> Signal | None:
         vector = turn / 32767.0 * FLIP  # both frames turned half round x
         square = np.square(vector).sum(axis=1)
         q = np.column_stack([np.sqrt(np.maximum(1.0 - square, 0.0)), vector])
-        return columns.make("attitude", q, "imuQuaternion", square < 1.01)
+        return columns.signal("attitude", q, "imuQuaternion", square < 1.01)
     angles = columns.three("attitude")
     if angles is None:
         return None
-    return columns.make("attitude", series.quaternion(*np.radians(angles / 10.0 * [1.0, -1.0, 1.0]).T), "attitude")
+    return columns.signal("attitude", series.quaternion(*np.radians(angles / 10.0 * [1.0, -1.0, 1.0]).T), "attitude")
 
 
 def _nav(columns: Columns, kind: str, name: str) -> Signal | None:
     raw = columns.three(name)
-    return columns.make(kind, None if raw is None or not np.any(raw) else raw / 100.0 * [1.0, 1.0, -1.0], name)
+    return columns.signal(kind, None if raw is None or not np.any(raw) else raw / 100.0 * [1.0, 1.0, -1.0], name)
 
 
 def _baro(columns: Columns) -> Signal | None:
@@ -236,10 +236,10 @@ def _baro(columns: Columns) -> Signal | None:
 def _throttle(columns: Columns) -> Signal | None:
     mixed, stick = columns.get("setpoint[3]"), columns.get("rcCommand[3]")
     if mixed is not None:
-        return columns.make("throttle", mixed / 1000.0, "setpoint[3]")
+        return columns.signal("throttle", mixed / 1000.0, "setpoint[3]")
     if stick is None:
         return None
-    return columns.make("throttle", (stick / columns.header.resolution - 1000.0) / 1000.0, "rcCommand[3]")
+    return columns.signal("throttle", (stick / columns.header.resolution - 1000.0) / 1000.0, "rcCommand[3]")
 
 
 def _battery(columns: Columns) -> Signal | None:
@@ -262,7 +262,7 @@ def _battery(columns: Columns) -> Signal | None:
     )
     amperes = current / 100.0 if measured and current is not None else np.full(volts.shape, np.nan)
     values = np.column_stack([volts * unit, amperes])
-    return columns.make(
+    return columns.signal(
         "battery", values, "vbatLatest" if "vbatLatest" in columns.table else "vbat", series.voltage_and_current(values)
     )
 

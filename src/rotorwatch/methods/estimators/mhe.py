@@ -127,7 +127,7 @@ class MHE:
         y = jnp.where(valid, y, 0.0)
         s, A = linearise.once(lambda s: self.move(s, u, dt), carry.s)
         P = symmetric(A @ carry.P @ A.T + self.Q(u, dt))
-        y_minus, H = linearise.once(lambda s: self.look(s, u), s)
+        y_minus, H = linearise.once(lambda s: self.predict(s, u), s)
         e, R = jnp.where(valid, y - y_minus, 0.0), self.system.R(u)
         S = symmetric(H @ P @ H.T + jnp.diag(R))
         s, P = absorb(s, P, H, e, R, valid)
@@ -236,7 +236,7 @@ class MHE:
         """One interval between its two nodes, linearised at both."""
         (F, inner), (A, E) = linearise.once(lambda s: self.through(s, samples), before)
         u = samples.u[-1]
-        y_last, C = linearise.once(lambda s: self.look(s, u), after)
+        y_last, C = linearise.once(lambda s: self.predict(s, u), after)
         weight = samples.valid / jax.vmap(self.system.R)(samples.u)
         e = jnp.where(samples.valid[:-1], samples.y[:-1] - inner, 0.0).reshape(-1)
         r = jnp.where(samples.valid[-1], samples.y[-1] - y_last, 0.0)
@@ -250,7 +250,7 @@ class MHE:
         seen = []
         for j in range(self.m):
             s = self.move(s, samples.u[j], samples.dt[j])
-            seen += [self.look(s, samples.u[j])] if j < self.m - 1 else []
+            seen += [self.predict(s, samples.u[j])] if j < self.m - 1 else []
         return s, jnp.stack(seen) if seen else jnp.zeros((0, self.system.n_y))
 
     def move(self, s, u, dt):
@@ -258,7 +258,7 @@ class MHE:
         k = self.system.n_x
         return jnp.concatenate([self.system.f(s[:k], u, s[k:], dt), s[k:]])
 
-    def look(self, s, u):
+    def predict(self, s, u):
         """Measurement at s."""
         return self.system.h(s[: self.system.n_x], u, s[self.system.n_x :])
 
