@@ -371,13 +371,13 @@ def test_frames_that_nobody_takes_have_an_end():
 
 def test_places_by_the_vehicles_own_clock():
     places = mavproxy.Places()
-    assert places.at(1, 0) is None
+    assert places.find(1, 0) is None
     for k in range(10):
-        places.on(1, k * 100, 47.0 + k, 8.0)
-    places.on(1, 5000, 0.0, 0.0)  # no position yet
-    assert places.at(1, 480) == (52.0, 8.0) and places.at(1, 10**6) == (52.0, 8.0) and places.at(2, 0) is None
-    places.on(1, 10, 1.0, 2.0)  # rebooted
-    assert places.at(1, 480) == (1.0, 2.0)
+        places.add(1, k * 100, 47.0 + k, 8.0)
+    places.add(1, 5000, 0.0, 0.0)  # no position yet
+    assert places.find(1, 480) == (52.0, 8.0) and places.find(1, 10**6) == (52.0, 8.0) and places.find(2, 0) is None
+    places.add(1, 10, 1.0, 2.0)  # rebooted
+    assert places.find(1, 480) == (1.0, 2.0)
 
 
 def test_a_marker_goes_when_its_event_is_withdrawn():

@@ -386,7 +386,7 @@ def test_long_gaps_cost_no_ticks_but_at_their_ends(seed):
     most = int(sense.GAP_S / plan.dt)
     for time in [*(0.5 * at + 0.125).tolist(), LASTS]:
         while state.ready(plan, time):
-            state.assemble(craft, plan, row)
+            state.measure(craft, plan, row)
             numbers.append(row.number)
         if time < LASTS:
             state.thrust(craft, plan, time, [0.4] * 4, True)
