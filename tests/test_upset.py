@@ -11,13 +11,14 @@ from tests import tumbling
 
 from rotorwatch import airframes, diagnose
 from rotorwatch.answer import falls
+from rotorwatch.base.physics import G0
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.lab import campaign
 from rotorwatch.lab.campaign import batch, benchmark_plan
 from rotorwatch.lab.simulation import simulate
 from rotorwatch.witnesses import battery as voltages
-from rotorwatch.witnesses.upset import find, loss_of_control
+from rotorwatch.witnesses.upset import balance, find, loss_of_control
 from rotorwatch.witnesses.upset.balance import INERTIA, Offset, Window, fit
 from rotorwatch.witnesses.upset.explain import Explanation, explain
 
@@ -403,3 +404,20 @@ def test_a_rotor_whose_output_is_not_known_clears_and_accuses_nobody(since_s):
     worked = lost.extra["worked_until_s"][other]
     assert worked is None or worked <= truth.begins_s - since_s
     assert not of(diagnosis, "loss_of_effectiveness")
+
+
+def test_the_air_carries_a_vehicle_that_falls_the_more_the_faster_it_falls():
+    """So that the load of a fall is no thrust of its rotors: none in hover and in a climb, half of the weight at most in the mean."""
+    time = np.arange(0.0, 8.0, 0.1)
+    none, ok = np.zeros((time.size, 4)), np.ones(time.size, bool)
+
+    def air(load):
+        window = Window(time, none, 2.0, none[:, :3], none[:, :3], load, ok[:, None] & ok[:3], ok, none, none, onset=2.0)
+        return balance._air(window)
+
+    assert not air(np.ones(time.size)).any() and not air(np.full(time.size, 1.2)).any()
+    falling = air(np.where(time > 2.0, 0.6, 1.0))
+    assert not falling[time <= 2.0].any() and (np.diff(falling) >= 0.0).all()
+    sinks = G0 * 0.4 * 1.0  # m/s, after a second
+    assert falling[np.searchsorted(time, 3.0)] == pytest.approx(0.5 * (sinks / balance.FALLS) ** 2, rel=0.25)
+    assert falling[-1] == 0.5

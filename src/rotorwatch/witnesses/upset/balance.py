@@ -21,6 +21,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotorwatch.base.physics import G0
+
 # For each rotor: inertia and its scatter in hover thrusts per rad/s^2, as in `default.plant`, but positive for certain.
 # Ratios scatter, not differences: half the usual inertia is as far off as twice of it.
 INERTIA, LIGHTER_SD, HEAVIER_SD, LEAST = (
@@ -44,6 +46,7 @@ STRANGE_S = 1.0  # after the onset: the longer a vehicle tumbles, the stranger i
 OUTLIERS, OUTLIER_SD = 0.05, 4.0
 ERROR_S = 0.15  # that errors of the model last: ticks that are closer count as so much less
 TURNS = 12  # of the coordinate descent
+FALLS = 14.0  # m/s: a vehicle that sinks so fast is carried by the air, up to about the whole of its weight
 
 
 @dataclass(frozen=True)
@@ -103,9 +106,16 @@ def noise_variance(window: Window, B: np.ndarray) -> np.ndarray:
     variance = FLOOR**2 + each @ (B**2).T
     variance[:, 2] += (SPIN_UP_S / _step(window) * change) ** 2 @ B[2] ** 2
     whole = T.sum(axis=1) + STEP_SHARE / LOAD_SHARE * change.sum(axis=1)
-    variance[:, 3] += (LOAD_SHARE * whole) ** 2 + (LOAD_FLOOR * B.shape[1]) ** 2
+    variance[:, 3] += (LOAD_SHARE * whole) ** 2 + (LOAD_FLOOR * B.shape[1]) ** 2 + (B.shape[1] * _air(window)) ** 2
     variance *= (1.0 + (np.maximum(window.time - window.onset, 0.0) / STRANGE_S) ** 2)[:, None]
     return variance
+
+
+def _air(window: Window) -> np.ndarray:
+    """(K,) load factor that the air carries of a vehicle that falls: as much more or less as this is not known."""
+    falls = np.where(window.load_ok & (window.time > window.onset), np.maximum(1.0 - window.load, 0.0), 0.0)
+    step = np.diff(window.time, prepend=window.time[0])
+    return 0.5 * np.minimum((G0 * np.cumsum(falls * step) / FALLS) ** 2, 1.0)
 
 
 def fit(window: Window, wrench: np.ndarray, B: np.ndarray, offset: Offset) -> Fit:
@@ -156,7 +166,7 @@ def fit(window: Window, wrench: np.ndarray, B: np.ndarray, offset: Offset) -> Fi
     weight_of = min(1.0, _step(window) / ERROR_S)
     total = weight_of * np.where(ok, torque, 0.0).sum(axis=(1, 2))
     total -= 0.5 * (((p - mean) / np.where(p < mean, *sides)) ** 2).sum(axis=(1, 2))
-    push = wrench[:, :, 3] - n * window.load[None]
+    push = wrench[:, :, 3] - n * (window.load - _air(window))[None]
     spread = np.broadcast_to(base[None, :, 3], (H, K))
     lift = np.logaddexp(
         np.log(1.0 - OUTLIERS) + _normal(push, spread), np.log(OUTLIERS) + _normal(push, (n * OUTLIER_SD) ** 2)
