@@ -10,7 +10,7 @@ import numpy as np
 
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message
-from rotorwatch.logs import parameter_ranges, px4_reports, px4_topics, series
+from rotorwatch.logs import parameter_ranges, px4_reports, px4_topics, series, ulog_data
 
 FORMAT = "PX4 ULog"
 ENDINGS = (".ulg",)
@@ -36,8 +36,7 @@ def read(data, name: str, progress=None) -> Flight:
     from pyulog import ULog
 
     _check_definitions(_pyulog(ULog, _File(data), parse_header_only=True)[0])
-    file = _File(data, progress)
-    log, damaged = _pyulog(ULog, file, message_name_filter_list=[*px4_topics.TOPICS, px4_reports.EVENTS])
+    log, damaged, cut = _whole(ULog, data, progress)
     tables = {(d.name, d.multi_id): d.data for d in log.data_list if d.name in px4_topics.TOPICS}
     start, notes = _start(log, tables)
     topics = px4_topics.Topics(tables, start)
@@ -48,7 +47,7 @@ def read(data, name: str, progress=None) -> Flight:
     warnings = [*notes, *impossible, *topics.notes]
     if damaged:
         warnings.insert(0, "parts of the log are damaged; what is intact was read")
-    elif file.cut:
+    elif cut:
         warnings.insert(0, "the log ends in the middle of a record; everything before it was read")
     messages = px4_topics.messages(topics) + px4_reports.events(log, start) + _log_messages(log, start)
     end = series.end_of(signals)
@@ -87,6 +86,18 @@ def _pyulog(ulog, file, **options):
         why = " ".join(str(error).split()) or type(error).__name__
         raise LogError(f"this {FORMAT} is too damaged to be read ({why})") from error
     return log, bool(log.file_corruption)
+
+
+def _whole(ulog, data, progress):
+    """(log, damaged, cut): all topics of interest. Of a sound log pyulog reads what is no data, and `ulog_data` that."""
+    topics = [*px4_topics.TOPICS, px4_reports.EVENTS]
+    found = ulog_data.messages(data, topics)
+    if found is not None:
+        log, damaged = _pyulog(ulog, _File(found.rest, progress), message_name_filter_list=topics)
+        if not damaged and found.fill(log):
+            return log, False, found.cut
+    file = _File(data, progress)
+    return *_pyulog(ulog, file, message_name_filter_list=topics), file.cut
 
 
 def _check_definitions(log) -> None:

@@ -1,7 +1,7 @@
 """Machine code built for whoever installs rotorwatch: `python -m rotorwatch.engine.default.shipping FOLDER`.
 
-The build of the package calls it (hatch_build.py). What is made of definitions (docs/one-definition.md): the front end, the estimator and
-the decoder of Blackbox logs, one library each for vehicles with any number of rotors.
+The build of the package calls it (hatch_build.py). What is made of definitions (docs/one-definition.md): the front end, the estimator, the
+decoder of Blackbox logs and the walk over ULogs, one library each.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from rotorwatch.base.compiling import shipped, toolchain
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.errors import RotorwatchError
 from rotorwatch.logs.blackbox.decoder import BLACKBOX
+from rotorwatch.logs.ulog_data import ULOG
 
-DEFINITIONS = (ENGINE, BLACKBOX)
+DEFINITIONS = (ENGINE, BLACKBOX, ULOG)
 
 
 def levels(portable: bool) -> tuple[str, ...]:
