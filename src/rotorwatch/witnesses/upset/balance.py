@@ -43,9 +43,11 @@ BELOW_LIMIT, AT_LIMIT = (
 LACKS, LACKS_SD = 0.15, 0.15  # at the limit so much less, hardly more than 40 %, and never the other way
 SPIN_UP_S = 0.05  # a rotor that speeds up turns the vehicle by the torque of its thrust's change in so many seconds
 STRANGE_S = 1.0  # after the onset: the longer a vehicle tumbles, the stranger is the air that its rotors meet
+FALLS_S = 0.4  # the same, of thrust: what falls, or climbs, off meets other air at once
 OUTLIERS, OUTLIER_SD = 0.05, 4.0
 ERROR_S = 0.15  # that errors of the model last: ticks that are closer count as so much less
 TURNS = 12  # of the coordinate descent
+LIFT_SD = 0.2  # load factor by which thrust differs from commands all the time: the thrust curve, air along the axis, the battery
 FALLS = 14.0  # m/s: a vehicle that sinks so fast is carried by the air, up to about the whole of its weight
 
 
@@ -107,7 +109,8 @@ def noise_variance(window: Window, B: np.ndarray) -> np.ndarray:
     variance[:, 2] += (SPIN_UP_S / _step(window) * change) ** 2 @ B[2] ** 2
     whole = T.sum(axis=1) + STEP_SHARE / LOAD_SHARE * change.sum(axis=1)
     variance[:, 3] += (LOAD_SHARE * whole) ** 2 + (LOAD_FLOOR * B.shape[1]) ** 2 + (B.shape[1] * _air(window)) ** 2
-    variance *= (1.0 + (np.maximum(window.time - window.onset, 0.0) / STRANGE_S) ** 2)[:, None]
+    late = np.maximum(window.time - window.onset, 0.0)[:, None] / [STRANGE_S, STRANGE_S, STRANGE_S, FALLS_S]
+    variance *= 1.0 + late**2
     return variance
 
 
@@ -168,10 +171,13 @@ def fit(window: Window, wrench: np.ndarray, B: np.ndarray, offset: Offset) -> Fi
     total -= 0.5 * (((p - mean) / np.where(p < mean, *sides)) ** 2).sum(axis=(1, 2))
     push = wrench[:, :, 3] - n * (window.load - _air(window))[None]
     spread = np.broadcast_to(base[None, :, 3], (H, K))
+    weight = np.where(window.load_ok[None], weight_of / spread, 0.0)
+    always = (weight * push).sum(axis=1) / (weight.sum(axis=1) + 1.0 / (n * LIFT_SD) ** 2)
+    push = push - always[:, None]
     lift = np.logaddexp(
         np.log(1.0 - OUTLIERS) + _normal(push, spread), np.log(OUTLIERS) + _normal(push, (n * OUTLIER_SD) ** 2)
     )
-    total += weight_of * np.where(window.load_ok[None], lift, 0.0).sum(axis=1)
+    total += weight_of * np.where(window.load_ok[None], lift, 0.0).sum(axis=1) - 0.5 * (always / (n * LIFT_SD)) ** 2
     residual = np.concatenate([e / np.sqrt(variance), (push / np.sqrt(spread))[:, :, None]], axis=2)
     return Fit(total, residual)
 

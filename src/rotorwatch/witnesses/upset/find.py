@@ -22,6 +22,7 @@ from rotorwatch.witnesses.upset.loss_of_control import HIT_S, LossOfControl, hel
 
 BEFORE_S, AFTER_S = 2.0, 3.0  # of the upset that are looked at, at most
 EARLIER_S, LATER_S = 0.7, 0.3  # of its onset at which a cause may have begun
+SHOWS_S = 0.5  # before control is lost: what begins later is no cause
 CALM_S = 0.4  # of flight under control before, from which the offset of the torques is known
 CALM_SD, UNKNOWN_SD = 0.1, 0.15
 FIRST_S = 3.0  # after lift-off: what is wrong now was wrong on the ground
@@ -247,7 +248,9 @@ def window_of(
         seen.rate_ok[inside, None] & ~_pinned(seen.rate[inside], seen.rate_dot[inside]), seen.load_ok[inside],
         T[np.maximum(inside - 1, 0)], T[np.minimum(inside + 1, len(seen) - 1)], left.onset,
     )  # fmt: skip
-    causes = np.flatnonzero((window.time >= left.onset - EARLIER_S) & (window.time <= left.onset + LATER_S))
+    causes = np.flatnonzero(
+        (window.time >= left.onset - EARLIER_S) & (window.time <= max(left.onset + LATER_S, left.lost - SHOWS_S))
+    )
     onsets = np.union1d([0], causes) if at_take_off or not causes.size else causes
     return (
         window,
