@@ -28,8 +28,8 @@ ONLY_BEFORE = frozenset(b"BF")  # what stands among the definitions alone
 
 @dataclass(frozen=True)
 class Messages:
-    """All messages, in their order: kinds, sizes, places (M,); ids (M,): of the topics of data messages, else -1; rest: the log without data
-    messages but the first of each topic; cut: it ends in the middle of a message."""
+    """All messages, in their order: kinds, sizes, places (M,); ids (M,): of the topics of data messages, else -1; rest: the log without
+    data messages but the first of each topic; cut: it ends in the middle of a message."""
 
     data: np.ndarray
     kinds: np.ndarray

@@ -12,6 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
+from rotorwatch.engine.estimator.hypotheses import STUCK_WEIGHT
 from rotorwatch.witnesses.upset.balance import Fit, Offset, Window, delivered, fit
 
 SIZES = np.array([0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
@@ -95,6 +96,7 @@ def explain(
         add("yaw", (), 0, 0.0, healthy * np.array([1.0, 1.0, -1.0, 1.0]))
     fits = [fit(window, np.stack(courses[c : c + CHUNK]), B, offset) for c in range(0, len(courses), CHUNK)]
     log = np.concatenate([f.log_evidence for f in fits])
+    log = log + np.log([STUCK_WEIGHT if gives else 1.0 for *_, gives in labels])
     found = [
         _summed(kind, rotors, prior, labels, log, fits, window) for kind, rotors in dict.fromkeys(x[:2] for x in labels)
     ]
