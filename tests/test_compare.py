@@ -1,6 +1,7 @@
 """One table for all estimators: what is counted, how flights are made, and the command."""
 
 import json
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -195,3 +196,23 @@ def test_diagnose_by_name_says_what_it_assumes():
     assert any("as published" in said for said in diagnosis.assumptions)
     with pytest.raises(ConfigError, match="learns its noise in flight"):
         diagnose(sample, tuning=published.Tuning())
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["compare", "--estimators", "own_of_{}:Half"],
+        ["tune", "--estimator", "own_of_{}:Half", str(cli.SAMPLES)],
+        ["estimate", "--airframe", "ruav-40kg", "--estimator", "own_of_{}:Half", "flight.csv"],
+        ["diagnose", "--estimator", "own_of_{}:Half", str(next(iter(sorted(cli.SAMPLES.glob("quadx_healthy*")))))],
+    ],
+    ids=lambda arguments: arguments[0],
+)
+def test_an_estimator_may_lie_in_the_current_folder(arguments, tmp_path, monkeypatch):
+    module = f"own_of_{arguments[0]}"  # a module is imported once in a process
+    (tmp_path / f"{module}.py").write_text("class Half:\n    name = 'half'\n    def init(self): ...\n")
+    (tmp_path / "flight.csv").write_text("time_s,motor_1\n0,0\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [place for place in sys.path if place])
+    done = CliRunner().invoke(cli.cli, [text.format(arguments[0]) for text in arguments])
+    assert isinstance(done.exception, ConfigError) and "step" in str(done.exception), done.exception

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from pathlib import Path
 
 import click
 
 from rotorwatch.commands.campaign import flying
-from rotorwatch.commands.tools import OUT, common, say, show
+from rotorwatch.commands.tools import OUT, common, findable, say, show
 from rotorwatch.errors import ConfigError
 
 
@@ -66,10 +64,8 @@ def benchmark(what, methods, more, data, jobs, out, rank, listing, as_json, quie
 
     if out.suffix.lower() != ".json":
         raise ConfigError(f"--out {out}: results are JSON, give a name that ends in .json.")
-    sys.path.append(
-        os.getcwd()
-    )  # a module in the current folder may hold the method; worker processes inherit the path
     names = [*(part.strip() for part in methods.split(",") if part.strip()), *more]
+    findable(*names)
     for spec in more:
         if ":" not in spec:
             raise ConfigError(

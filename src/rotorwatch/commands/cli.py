@@ -44,6 +44,7 @@ from rotorwatch.commands.tools import (
     OUT,
     answer,
     common,
+    findable,
     flag,
     option,
     print_json,
@@ -213,6 +214,7 @@ def diagnose(context, **options) -> None:
     from rotorwatch.base import files
 
     request = several.Request(**options)
+    findable(request.estimator)
     if request.as_json and request.jsonl:
         raise ConfigError("--json and --jsonl are two ways to say the same; give one.")
     if (request.out or request.resume) and not (request.jsonl and request.out):

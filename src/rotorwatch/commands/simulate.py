@@ -10,7 +10,7 @@ from pathlib import Path
 
 import click
 
-from rotorwatch.commands.tools import LOG, OUT, common, progress, say
+from rotorwatch.commands.tools import LOG, OUT, common, findable, progress, say
 from rotorwatch.errors import ConfigError
 
 
@@ -108,10 +108,12 @@ def estimate(log, airframe, estimator, lag, as_json, quiet) -> None:
     import json
 
     from rotorwatch import logs
-    from rotorwatch.base import checks
+    from rotorwatch.base import checks, discovery
     from rotorwatch.methods.published import helicopter_log
 
     checks.finite("--lag", lag)
+    findable(estimator)
+    discovery.estimator(estimator)
     with progress(quiet) as report:
         found = helicopter_log.estimate(logs.read(log), airframe, estimator, lag, report)
     actuators = helicopter_log.summary(found)

@@ -172,6 +172,14 @@ def shares(option: str, text: str) -> tuple[float, ...]:
     return found
 
 
+def findable(*specs: str) -> None:
+    """Before methods are looked up: one given as module:Class may lie in the current folder, as it does for `python`. Worker processes
+    inherit the path."""
+    here = os.getcwd()
+    if any(":" in spec for spec in specs) and here not in sys.path:
+        sys.path.append(here)
+
+
 def vehicle_of(path: Path | None) -> Any:
     """The Vehicle of a vehicle file; None without one."""
     from rotorwatch.flight.vehicle_file import read

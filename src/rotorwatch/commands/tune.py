@@ -10,6 +10,7 @@ from rotorwatch.commands.tools import (
     OUT,
     answer,
     common,
+    findable,
     flag,
     option,
     print_json,
@@ -46,6 +47,7 @@ def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
         return
     if not logs:
         raise ConfigError("Give healthy logs of one build to tune to, or --papers.")
+    findable(estimator)
     if out:
         files.writable(out, "--out")
     with progress(quiet) as report:
@@ -90,6 +92,7 @@ def compare(logs, truth, estimators, losses, seeds, as_json, quiet) -> None:
     if truth and not logs:
         raise ConfigError("--truth says what is wrong with LOGs; give them, too.")
     names = [name.strip() for name in estimators.split(",") if name.strip()] if estimators else []
+    findable(*names)
     for name in names:
         discovery.estimator(name)
     with progress(quiet) as report:
