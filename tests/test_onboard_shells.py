@@ -6,8 +6,12 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from embedded_c_parts import SOURCES, STRICT, compilers, config, front
+from rotorwatch import airframes
+from rotorwatch.commands import cli
+from rotorwatch.flight import vehicle_file
 
 EMBEDDED = Path(__file__).resolve().parents[1] / "embedded"
 PX4 = EMBEDDED / "px4" / "diagnoser"
@@ -15,6 +19,19 @@ SHELLS = {
     "px4": PX4 / "RotorWatchDiagnoser.cpp",
     "ardupilot": EMBEDDED / "ardupilot" / "AP_RotorDiagnosis" / "AP_RotorDiagnosis.cpp",
 }
+GLUE_FLAGS = (
+    "-std=c++14",
+    "-Wall",
+    "-Wextra",
+    "-Wpedantic",
+    "-Werror",
+    "-DROTORWATCH_FLOAT",
+    "-fsyntax-only",
+    "-Wdouble-promotion",
+    "-Wfloat-equal",
+    "-Werror=overflow",
+    "-fsingle-precision-constant",
+)
 TYPES = {"uint8": "uint8_t", "uint16": "uint16_t", "uint64": "uint64_t", "float32": "float"}
 
 
@@ -42,31 +59,55 @@ def topic():
     return "\n".join([*lines, "};", ""])
 
 
+def glue_compiles(autopilot, made, *folders):
+    """Compile the glue against the library in these folders; made: a folder for what the autopilot would make."""
+    compiler = shutil.which("g++")
+    if compiler is None:
+        pytest.skip("g++ is not installed")
+    (made / "uORB" / "topics").mkdir(parents=True)
+    (made / "uORB" / "topics" / "rotorwatch_verdict.h").write_text(topic())
+    include = [f"-I{folder}" for folder in (made, *folders, EMBEDDED / "stubs")]
+    subprocess.run([compiler, *GLUE_FLAGS, *include, str(SHELLS[autopilot])], check=True)
+
+
+def commands(text):
+    """The export-c commands in a text, as lists of words; what stands after them on their line is no part of them."""
+    found = re.findall(r"rotorwatch (export-c -.*? -o [\w.]+)", text)
+    return [line.split() for line in found]
+
+
+SAYS = {
+    "ardupilot": EMBEDDED / "ardupilot" / "AP_RotorDiagnosis" / "AP_RotorDiagnosis.h",
+    "px4": PX4 / "CMakeLists.txt",
+    "docs": EMBEDDED.parent / "docs" / "export.md",
+}
+
+
+@pytest.mark.parametrize("place", SAYS)
+def test_documented_commands_write_what_the_glue_compiles_with(place, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    vehicle_file.write(airframes.named("ardupilot-quad-x"), tmp_path / "mine.toml")
+    said = commands(SAYS[place].read_text())
+    whole = [words for words in said if "--diagnoser" in words]
+    assert len(whole) == 1
+    for words in said:
+        done = CliRunner().invoke(cli.cli, words)
+        assert done.exit_code == 0, (words, done.output, done.exception)
+    header = (tmp_path / whole[0][-1] / "rw_config.h").read_text()
+    value = {name: float(x) for name, x in re.findall(r"#define RW_(RECENT|MOTION_HZ) (\d+)", header)}
+    assert value["RECENT"] >= value["MOTION_HZ"] / 2, (
+        "half a second of outputs has room at the rate at which the glue feeds them"
+    )
+    for autopilot in SHELLS if place == "docs" else (place,):
+        glue_compiles(autopilot, tmp_path / autopilot, tmp_path / whole[0][-1])
+
+
 @pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("rotors", [4, 8])
 @pytest.mark.parametrize("autopilot", SHELLS)
 def test_shells_compile(autopilot, rotors, tmp_path):
-    compiler = shutil.which("g++")
-    if compiler is None:
-        pytest.skip("g++ is not installed")
     front(tmp_path, config(rotors))
-    (tmp_path / "uORB" / "topics").mkdir(parents=True)
-    (tmp_path / "uORB" / "topics" / "rotorwatch_verdict.h").write_text(topic())
-    include = [f"-I{folder}" for folder in (tmp_path, SOURCES, EMBEDDED / "stubs")]
-    flags = [
-        "-std=c++14",
-        "-Wall",
-        "-Wextra",
-        "-Wpedantic",
-        "-Werror",
-        "-DROTORWATCH_FLOAT",
-        "-fsyntax-only",
-        "-Wdouble-promotion",
-        "-Wfloat-equal",
-        "-Werror=overflow",
-        "-fsingle-precision-constant",
-    ]
-    subprocess.run([compiler, *flags, *include, str(SHELLS[autopilot])], check=True)
+    glue_compiles(autopilot, tmp_path, tmp_path, SOURCES)
 
 
 @pytest.mark.thorough(keep=1)

@@ -1,8 +1,11 @@
 /* An ArduPilot library that runs the whole diagnoser: which rotor has lost effectiveness, how much, since when and how sure. MIT.
  *
- * Put this folder into libraries/, `rotorwatch export-c --estimator diagnoser --vehicle mine.toml -o .` into it, define ROTORWATCH_FLOAT, and
- * call init() once and update() RW_MOTION_HZ times a second from the vehicle's scheduler table. It only reports: nothing here commands the
- * vehicle.
+ * Put this folder into libraries/, and into it what this writes:
+ *
+ *   rotorwatch export-c --diagnoser --vehicle mine.toml --rate-hz 100 --sensor-hz 100 -o .
+ *
+ * Define ROTORWATCH_FLOAT, and call init() once and update() RW_MOTION_HZ (100) times a second: each call feeds the outputs and the sensors, so
+ * both rates are the same. It only reports: nothing here commands the vehicle.
  *
  * Log records:
  *   RWEV  an event that is new (What 0), changed (1) or withdrawn (2). Kind: 0 loss of effectiveness, 1 output overridden, 2 contact. Rot, Alt:
