@@ -96,9 +96,9 @@ def reproduce(paper, every, seeds, literal, figures, output, jobs, scheduler, as
     known = reproduction.studies()
     if every and paper not in (None, "all"):
         raise ConfigError(f"--all and the paper {paper!r} exclude each other; give one of them.")
-    if not every and paper is None:
-        raise ConfigError(f"Name a paper, or give --all; papers are {', '.join(known)}.")
     paper = "all" if every else paper
+    if paper is None:
+        raise ConfigError(f"Name a paper, or give --all; papers are {', '.join(known)}.")
     modules = list(known.values()) if paper == "all" else [reproduction.study(paper)]
     if paper == "all" and literal:
         raise ConfigError(f"--literal belongs to one paper; name it instead of `all`: {', '.join(known)}.")
@@ -116,8 +116,8 @@ def reproduce(paper, every, seeds, literal, figures, output, jobs, scheduler, as
     results = []
     for done, module in enumerate(modules):
         with progress(quiet) as report:
-            if module.PAPER not in due:
-                result = kept[module.PAPER]
+            result = kept[module.PAPER]
+            if result is not None and module.PAPER not in due:
                 if not quiet:
                     say(f"{module.PAPER}: read from {output}; it is not run again")
             else:

@@ -135,8 +135,8 @@ def apart(one: np.ndarray, other: np.ndarray) -> float:
 
 
 def attitude_alone(system: RigidBody, airframe: dict, flights: dict, truth: dict) -> dict:
-    """The adaptive filter (Q1) that is given the attitude and no position: its losses in the middle of the step, of both scenarios; and what
-    torques of hovering rotors cannot show: losses in the kernel of B_tau diag(u)."""
+    """The adaptive filter (Q1) that is given the attitude and no position: its losses in the middle of the step, of both scenarios; and
+    what torques of hovering rotors cannot show: losses in the kernel of B_tau diag(u)."""
     rows = slice(*(round(t / DT) for t in (60.0, 75.0)))
     lanes = [(flights[s][0], measure(flights[s][1], NOISE, 0), WALKS["q1"], OPEN) for s in (1, 2)]
     found = estimates(system, True, lanes, (False,) * 3 + (True,) * 3)[:, rows].mean(axis=1)

@@ -86,12 +86,22 @@ def methods(paper: str) -> tuple[str, ...]:
     return tuple(_words(paper)["methods"])
 
 
+def claimed(paper: str) -> tuple[str, ...]:
+    """What the paper claims, in the order of its study; {names} are filled in by a run."""
+    return tuple(row["claim"] for row in _words(paper)["claims"].values())
+
+
+def note(paper: str) -> str:
+    """What a reader must know before the claims: what is judged, or not run. Empty where nothing is."""
+    return _words(paper).get("note", "")
+
+
 def listing() -> str:
     """Every paper, its methods and its literal readings, for the help of the command line."""
     lines = []
     for name in studies():
         title, literal = about(name)
-        lines += [f"{name}: {title}", f"    methods: {', '.join(methods(name))}"]
+        lines += [f"{name}: {title}", f"    about {_words(name)['minutes']:g} min; methods: {', '.join(methods(name))}"]
         lines += [f"    --literal {key}: {text}" for key, text in literal.items()]
     return "\n".join(lines)
 
