@@ -48,11 +48,12 @@ def page(data: list[dict]) -> str:
             parts.append(f"**{reproduction.note(row['paper'])}**\n")
         table = ["| claim | the paper | here | verdict |", "|---|---|---|---|"]
         for claim in row["claims"]:
+            verdict = str(claim["verdict"])
             cells = (
                 f"{claim['claim']}. {claim['why']}",
                 claim["paper"],
                 claim["measured"],
-                WORDS.get(claim["verdict"], claim["verdict"]),
+                WORDS.get(verdict, verdict),
             )
             table.append("| " + " | ".join(_cell(text) for text in cells) + " |")
         parts.append("\n".join(table) + "\n")

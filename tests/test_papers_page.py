@@ -14,6 +14,7 @@ DOCS = Path(__file__).parents[1] / "docs"
 @pytest.fixture(scope="module")
 def make():
     spec = importlib.util.spec_from_file_location("make_papers", DOCS / "make_papers.py")
+    assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
