@@ -91,8 +91,8 @@ def test_noise_reverses_the_ranking_and_the_gate_restores_it(result):
 @pytest.mark.thorough
 def test_claims_and_their_verdicts(result):
     verdicts = [claim.verdict for claim in result.claims]
-    assert verdicts[:4] == ["holds", "not reproduced", "partly", "holds"]
-    assert verdicts[5:7] == ["not reproduced", "holds"]
+    assert verdicts[:5] == ["holds", "not reproduced", "not reproduced", "partly", "holds"]
+    assert verdicts[6:8] == ["not reproduced", "holds"]
     assert reproduction.study("atsukf") is study
     assert result.to_json()
 
@@ -100,7 +100,7 @@ def test_claims_and_their_verdicts(result):
 @pytest.mark.thorough
 def test_figures_are_drawn(result):
     drawn = study.figures(result)
-    assert set(drawn) == {"atsukf-scenario-1", "atsukf-scenario-2", "atsukf-noise"}
+    assert set(drawn) == {"atsukf-scenario-1", "atsukf-scenario-2-matched", "atsukf-scenario-2", "atsukf-noise"}
 
 
 @pytest.mark.thorough
@@ -117,3 +117,14 @@ def test_the_losses_are_the_papers():
     one, two = losses(1), losses(2)
     assert one[3500, 0] == pytest.approx(0.1) and one[4500, 0] == 0 and one[6000, 0] == 0.4 and one[8500, 0] == 0
     assert not one[:, 1:].any() and (two == one[:, :1]).all()
+
+
+@pytest.mark.thorough
+def test_attitude_alone_hides_what_makes_no_torque(result):
+    """What is left is the rotors' ratio: a vehicle that holds its attitude says (1 - found) / (1 - true) alike on all, and no more."""
+    alone = result.figures["attitude_alone"]
+    np.testing.assert_allclose(alone["hidden"], 0.5, atol=0.01)
+    for scenario in ("scenario_1", "scenario_2"):
+        scale = (1.0 - np.array(alone[scenario]["found"])) / (1.0 - np.array(alone[scenario]["true"]))
+        assert np.ptp(scale) < 2e-3 and abs(scale[0] - 1.0) > 0.3
+    assert next(c for c in result.claims if c.claim.startswith("Only the commands")).verdict == "refuted"

@@ -62,9 +62,39 @@ def test_figures_are_written_and_named(run, tmp_path):
     assert code == 0 and (tmp_path / "new" / "one.svg").exists() and "one.svg" in err
 
 
+def test_what_is_kept_is_not_run_again(run, tmp_path, monkeypatch):
+    argv = ("reproduce", "--all", "--json", "--jobs", 1, "-o", tmp_path)
+    _, first, _ = run(*argv)
+    (tmp_path / "aesmf.json").unlink()  # as after an interruption: one paper is left
+    ran = []
+    whole = reproduction.reproduce
+    monkeypatch.setattr(reproduction, "reproduce", lambda paper, *a, **k: ran.append(paper) or whole(paper, *a, **k))
+    code, second, err = run(*argv)
+    assert code == 0 and ran == ["aesmf"] and second == first and "axkf: read from" in err
+    run(*argv, "--seeds", 2)
+    assert ran == ["aesmf", "axkf", "aesmf"]  # other seeds are another result
+
+
+def test_a_kept_file_that_is_none_is_said(run, tmp_path):
+    (tmp_path / "axkf.json").write_text("{}")
+    code, _, err = run("reproduce", "axkf", "-o", tmp_path)
+    assert code == 2 and "axkf.json is no result of a study" in err
+
+
+def test_help_names_papers_and_readings(run):
+    code, out, _ = run("reproduce", "--help")
+    assert code == 0
+    for paper in ("axkf", "aesmf"):
+        title, readings = reproduction.about(paper)
+        assert f"{paper}: {title[:30]}" in out and all(f"--literal {name}" in out for name in readings)
+
+
 @pytest.mark.parametrize(
     "argv, words",
     [
+        (("akf",), "is a method, not a paper; it is tried in axkf"),
+        ((), "Name a paper, or give --all"),
+        (("axkf", "--all"), "exclude each other"),
         (("nonsense",), "known are axkf, aesmf"),
         (("axkf", "--literal", "nonsense"), "it has sign"),
         (("all", "--literal", "sign"), "belongs to one paper"),

@@ -55,3 +55,11 @@ def numbers(better, worse):
 def test_the_verdict_on_the_moving_horizon_follows_from_the_cases(better, worse, verdict):
     claim = next(c for c in study.claims(numbers(better, worse)) if c.claim.startswith("The moving horizon makes"))
     assert claim.verdict == verdict and f"clearly better in {better}, worse in {worse} of 12" in claim.measured
+
+
+@pytest.mark.thorough
+def test_orders_above_four_add_nothing_to_scaled_derivatives():
+    system = study.RateDynamics.of(study.airframes.paper("niermeyer-hexa"))
+    four, eight = (study.observable(system, orders=k) for k in (4, None))
+    assert (four["rank_flight"], four["rank_hover"]) == (eight["rank_flight"], eight["rank_hover"]) == (9, 7)
+    np.testing.assert_allclose(four["along"], eight["along"], rtol=1e-6)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 
 import click
@@ -10,6 +11,7 @@ from rotorwatch.commands.tools import OUT, common, drawable, progress, say, show
 from rotorwatch.errors import ConfigError
 
 FIGURES = "Draw the paper's figures again, as SVG files in this folder."
+KEPT = "Keep each paper's result in this folder as soon as it is there, and do not run again what is kept there."
 
 
 def register(group: click.Group) -> None:
@@ -58,40 +60,72 @@ def _vehicle(name: str):
     return vehicle_file.read(name) if Path(name).suffix == ".toml" or Path(name).exists() else airframes.named(name)
 
 
-@click.command(short_help="Run a paper's experiments again.")
-@click.argument("paper")
+class _Papers(click.Command):
+    """A command whose help ends with every paper, its methods and its literal readings."""
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The list, line by line."""
+        from rotorwatch.lab.experiments.studies import reproduction
+
+        formatter.write("\nPapers, and what of each can be read literally:\n")
+        for line in reproduction.listing().splitlines():
+            indent = " " * (len(line) - len(line.lstrip()) + 2)
+            text = textwrap.fill(
+                line.strip(), formatter.width, initial_indent=indent, subsequent_indent=f"{indent}    "
+            )
+            formatter.write(f"{text}\n")
+
+
+@click.command(cls=_Papers, short_help="Run a paper's experiments again.")
+@click.argument("paper", required=False)
+@click.option("--all", "every", is_flag=True, help="All papers, one after the other; the same as the paper `all`.")
 @click.option("--seeds", type=click.IntRange(1), help="Noise seeds per experiment; default: the study's own number.")
 @click.option(
     "--literal", multiple=True, metavar="NAME", help="Read this erratum as the paper prints it, to see what it does."
 )
 @click.option("--figures", type=OUT, metavar="DIR", help=FIGURES)
+@click.option("-o", "--output", type=OUT, metavar="DIR", help=KEPT)
 @spread
 @click.option("--json", "as_json", is_flag=True, help="Print JSON; for `all` a list.")
 @common
-def reproduce(paper, seeds, literal, figures, jobs, scheduler, as_json, quiet) -> None:
+def reproduce(paper, every, seeds, literal, figures, output, jobs, scheduler, as_json, quiet) -> None:
     """Run the experiments of PAPER (or of `all`): each claim beside what comes out here, a verdict, and why."""
     from rotorwatch.base import files, optional
     from rotorwatch.lab.experiments.studies import reproduction
 
     known = reproduction.studies()
+    if every and paper not in (None, "all"):
+        raise ConfigError(f"--all and the paper {paper!r} exclude each other; give one of them.")
+    paper = "all" if every else paper
+    if paper is None:
+        raise ConfigError(f"Name a paper, or give --all; papers are {', '.join(known)}.")
     modules = list(known.values()) if paper == "all" else [reproduction.study(paper)]
     if paper == "all" and literal:
         raise ConfigError(f"--literal belongs to one paper; name it instead of `all`: {', '.join(known)}.")
+    for folder, option in ((figures, "--figures"), (output, "--output")):
+        if folder:
+            files.folder(folder, option)
     if figures:
-        files.folder(figures, "--figures")
         optional.library("matplotlib.figure", "A figure")
     for module in modules:
         reproduction.check_literal(module, literal)
         reproduction.check_libraries(module)
-    together = (
-        reproduction.reproduce_many([m.PAPER for m in modules], seeds, jobs, scheduler) if paper == "all" else None
-    )
+    kept = {m.PAPER: reproduction.kept(output, m, seeds, literal) if output else None for m in modules}
+    due = [name for name, one in kept.items() if one is None or figures]
+    together = reproduction.reproduce_many(due, seeds, jobs, scheduler) if paper == "all" and due else None
     results = []
     for done, module in enumerate(modules):
         with progress(quiet) as report:
-            if together and report:
-                report(done / len(modules), f"waiting for {module.PAPER}")
-            result = next(together) if together else reproduction.reproduce(module.PAPER, seeds, literal, report)
+            result = kept[module.PAPER]
+            if result is not None and module.PAPER not in due:
+                if not quiet:
+                    say(f"{module.PAPER}: read from {output}; it is not run again")
+            else:
+                if together and report:
+                    report(done / len(modules), f"waiting for {module.PAPER}")
+                result = next(together) if together else reproduction.reproduce(module.PAPER, seeds, literal, report)
+                if output:
+                    reproduction.keep(output, result)
         results.append(result)
         if not as_json:
             from rotorwatch.lab.experiments import research_tables

@@ -14,7 +14,7 @@ from rotorwatch.report.terminal import listing
 if TYPE_CHECKING:
     from rotorwatch.lab.experiments.studies.reproduction import Reproduction
 
-VERDICTS = {"holds": "green", "partly": "yellow", "not reproduced": "red"}
+VERDICTS = {"holds": "green", "partly": "yellow", "not reproduced": "red", "refuted": "red"}
 
 
 def reproduction(result: Reproduction) -> RenderableType:

@@ -89,10 +89,13 @@ def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=silent
     return Reproduction(PAPER, TITLE, claims(numbers), numbers, literal, seeds, series)
 
 
-def observable(system: RateDynamics, scaled: bool = True) -> dict:
-    """Ranks and singular values of Q_obs along the figure-eight and in hover, and sensitivities inside and outside ker B."""
+def observable(system: RateDynamics, scaled: bool = True, orders: int | None = None) -> dict:
+    """Ranks and singular values of Q_obs along the figure-eight and in hover, and sensitivities inside and outside ker B.
+
+    orders: of derivatives; None: n - 1, as the paper has it."""
     omega, u = observability.figure_eight(system)
-    every, orders = 10, observability.HIGHEST
+    every, n = 10, system.n_x + system.n_theta
+    orders = n - 1 if orders is None else orders
     hover = np.concatenate([observability.hover_thrusts(system)[None], np.zeros((orders, system.n_u))])
     xs = np.concatenate([np.zeros((1, 3)), omega[::every]])
     us = np.concatenate([hover[None], observability.derivatives(u, orders)[::every]])
@@ -101,7 +104,6 @@ def observable(system: RateDynamics, scaled: bool = True) -> dict:
     )
     along = values / values[:, :1]
     rank = (along > observability.RANK).sum(axis=1)
-    n = system.n_x + system.n_theta
     S = observability.sensitivity(system, omega, u, observability.DT)
     B = np.concatenate([system.B_tau, system.B_T[None]])
     basis = np.linalg.svd(B)[2]

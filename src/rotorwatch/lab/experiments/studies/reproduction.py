@@ -29,7 +29,7 @@ import numpy as np
 from rotorwatch.base import files, many, optional
 from rotorwatch.errors import ConfigError
 
-Verdict = Literal["holds", "partly", "not reproduced"]
+Verdict = Literal["holds", "partly", "not reproduced", "refuted"]
 
 
 @dataclass(frozen=True)
@@ -81,6 +81,31 @@ def about(paper: str) -> tuple[str, dict[str, str]]:
     return _words(paper)["title"], _words(paper)["literal"]
 
 
+def methods(paper: str) -> tuple[str, ...]:
+    """Names of the methods that a paper's study tries, its own first."""
+    return tuple(_words(paper)["methods"])
+
+
+def claimed(paper: str) -> tuple[str, ...]:
+    """What the paper claims, in the order of its study; {names} are filled in by a run."""
+    return tuple(row["claim"] for row in _words(paper)["claims"].values())
+
+
+def note(paper: str) -> str:
+    """What a reader must know before the claims: what is judged, or not run. Empty where nothing is."""
+    return _words(paper).get("note", "")
+
+
+def listing() -> str:
+    """Every paper, its methods and its literal readings, for the help of the command line."""
+    lines = []
+    for name in studies():
+        title, literal = about(name)
+        lines += [f"{name}: {title}", f"    about {_words(name)['minutes']:g} min; methods: {', '.join(methods(name))}"]
+        lines += [f"    --literal {key}: {text}" for key, text in literal.items()]
+    return "\n".join(lines)
+
+
 def claims(paper: str, verdicts: Mapping[str, Any], **values: Any) -> tuple[Claim, ...]:
     """The claims of these keys in the words and the order of papers/PAPER.toml, filled in with `values`."""
     known = _words(paper)["claims"]
@@ -114,11 +139,16 @@ def studies() -> dict[str, ModuleType]:
 
 
 def study(paper: str) -> ModuleType:
-    """The study of that paper. Raises ConfigError that lists the known ones."""
+    """The study of that paper. Raises ConfigError that lists the known ones, or names the paper in which a method is tried."""
     known = studies()
-    if paper not in known:
-        raise ConfigError(f"There is no paper called {paper!r}; known are {', '.join(known)}.")
-    return known[paper]
+    if paper in known:
+        return known[paper]
+    for name in known:
+        if paper in methods(name):
+            raise ConfigError(
+                f"{paper!r} is a method, not a paper; it is tried in {name}: rotorwatch reproduce {name}."
+            )
+    raise ConfigError(f"There is no paper called {paper!r}; known are {', '.join(known)}.")
 
 
 def reproduce(
@@ -140,6 +170,33 @@ def reproduce_many(
 ) -> Iterator[Reproduction]:
     """`reproduce` of each of several papers, in this order. jobs, scheduler: as for `many.run`."""
     return many.ordered(functools.partial(reproduce, seeds=seeds), papers, jobs, scheduler)
+
+
+def keep(folder: Path, result: Reproduction) -> Path:
+    """Write a result to a folder, whole or not at all, for `kept`; returns where."""
+    path = folder / _file_name(result.paper, result.literal)
+    with files.replacing(path) as unfinished:
+        unfinished.write_text(result.to_json() + "\n", encoding="utf-8")
+    return path
+
+
+def kept(folder: Path, module: ModuleType, seeds: int | None, literal: Sequence[str]) -> Reproduction | None:
+    """The result that `keep` wrote for the same paper, seeds and readings (without its series), or None when there is none."""
+    path = Path(folder) / _file_name(module.PAPER, literal)
+    if not path.exists():
+        return None
+    try:
+        row = json.loads(path.read_text(encoding="utf-8"))
+        found = tuple(Claim(**claim) for claim in row["claims"])
+        result = Reproduction(row["paper"], row["title"], found, row["figures"], tuple(row["literal"]), row["seeds"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise ConfigError(f"{path} is no result of a study; delete it, or choose another folder.") from error
+    asked = module.PAPER, module.SEEDS if seeds is None else seeds, tuple(literal)
+    return result if (result.paper, result.seeds, result.literal) == asked else None
+
+
+def _file_name(paper: str, literal: Sequence[str]) -> str:
+    return "-".join([paper, *literal]) + ".json"
 
 
 def silent(share: float, text: str = "") -> None:
