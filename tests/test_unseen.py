@@ -286,6 +286,17 @@ def test_evidence_as_something_begins_to_push_the_vehicle_accuses_nobody():
         assert bool(accused(out, table, biases)) is counts
 
 
+def test_what_a_push_from_the_side_does_to_the_trim_is_no_bound():
+    biases, table = flown(noise=0.03)
+    out = outputs(biases)
+    here = (table.time > 20.0) & (table.time < 22.0)
+    usual = unseen.bounds(out, table, B).losses()
+    out.biases = biases + here[:, None] * 0.6 * B[:, 0]
+    assert unseen.bounds(out, table, B).losses()[0] > 1.2 * usual[0]
+    out.pushed = here
+    assert unseen.bounds(out, table, B).losses() == pytest.approx(usual, rel=0.1)
+
+
 def part(table, rows):
     return SimpleNamespace(
         mode=table.mode[rows], valid=table.valid[rows], upset=table.upset[rows], time=table.time[rows], dt=table.dt,
