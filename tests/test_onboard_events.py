@@ -46,7 +46,7 @@ int told(int count, const double *effectiveness, int coaxial, const double *rows
         for (int i = 0; i < RW_PLACES; i++) found.onsets[i] = (rw_real)*rows++;
         for (int i = 0; i < RW_PLACES * RW_ROTORS; i++) found.active[i / RW_ROTORS][i % RW_ROTORS] = *rows++ > 0.5;
         for (int i = 0; i < RW_HYPOTHESES; i++) found.probability[i] = (rw_real)*rows++;
-        rw_losses_on(&s, &v, row[0], row[1], (int32_t)row[2], row[3] > 0.5, &found);
+        rw_losses_write(&s, &v, row[0], row[1], (int32_t)row[2], row[3] > 0.5, &found);
     }
     events = rw_losses_losses(&s, &v, false, &room, list);
     for (int i = 0; i < events && i < 40; i++, out += 48) {

@@ -387,10 +387,10 @@ def test_the_lane_marks_messages_by_their_kind_whatever_they_say(fault):
 def test_the_map_shows_every_place_north_up_with_the_middle_in_its_middle():
     north, east = np.array([-10.0, 0.0, 30.0]), np.array([5.0, 0.0, 25.0])
     area = track.fitted(north, east)
-    x, y = area.at(north, east)
+    x, y = area.place(north, east)
     assert (0.0 < x).all() and (x < track.WIDTH).all() and (0.0 < y).all() and (y < area.height).all()
     assert np.diff(y)[1] == pytest.approx(-30.0 * area.scale) and np.diff(x)[1] == pytest.approx(25.0 * area.scale)
-    middle = area.at(10.0, 12.5)
+    middle = area.place(10.0, 12.5)
     assert middle == (pytest.approx(track.WIDTH / 2), pytest.approx(area.height / 2))
 
 

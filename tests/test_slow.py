@@ -165,7 +165,7 @@ def test_a_link_says_it_while_the_vehicle_flies():
     state, craft = ENGINE.new(Trim), events.vehicle(QUAD)
     plan = SimpleNamespace(ready_s=8.0, dt=DT)
     diagnoser: Any = SimpleNamespace(vehicle=vehicle, plan=plan, losses=losses, contacts=(), trim=state)
-    judge = Judge(diagnoser, cast(Any, SimpleNamespace(at=lambda spans: None)))
+    judge = Judge(diagnoser, cast(Any, SimpleNamespace(keep=lambda spans: None)))
     seen = []
     for a in range(0, ticks.time.size, 50):
         part = slice(a, a + 50)
@@ -177,6 +177,6 @@ def test_a_link_says_it_while_the_vehicle_flies():
             ticks.thrust[part],
         )
         ENGINE.call(many.pass_on, state, craft, DT, 50, *map(np.ascontiguousarray, rows))
-        judge.on(cast(Any, SimpleNamespace(spans=((0.0, np.inf),), overrides=(), judged=None)))
+        judge.judge(cast(Any, SimpleNamespace(spans=((0.0, np.inf),), overrides=(), judged=None)))
         seen.append(judge.grown is not None and judge.grown.certain)
     assert not seen[0] and seen[-1] and judge.grown is not None and judge.grown.rotors == (1,) and judge.revision == 1

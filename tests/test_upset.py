@@ -423,22 +423,3 @@ def test_the_air_carries_a_vehicle_that_falls_the_more_the_faster_it_falls():
     sinks = G0 * 0.4 * 1.0  # m/s, after a second
     assert falling[np.searchsorted(time, 3.0)] == pytest.approx(0.5 * (sinks / balance.FALLS) ** 2, rel=0.25)
     assert falling[-1] == 0.5
-
-
-def test_a_thrust_that_differs_all_the_time_speaks_for_no_rotor():
-    """A thrust curve that is wrong, or air: the step of a loss is told from it by the ticks before, and the first ones after."""
-    time = np.arange(0.0, 3.0, 0.1)
-    still, ok = np.zeros((time.size, 3)), np.ones(time.size, bool)
-    B = QUAD.effectiveness()
-    thrust = np.full((time.size, 4), 0.8)
-
-    def evidence(load):
-        window = Window(time, thrust, 2.0, still, still, load, ok[:, None] & ok[:3], ok, thrust, thrust, onset=1.0)
-        lost = np.where(time[:, None] >= 1.0, thrust * [0.0, 1.0, 1.0, 1.0], thrust)
-        courses = np.stack([thrust @ B.T, lost @ B.T])
-        log = fit(window, courses, B, Offset(np.zeros(3), np.ones(3))).log_evidence
-        return log[0] - log[1]
-
-    always, sure = evidence(np.ones(time.size)), evidence(np.full(time.size, 0.8))
-    assert always == pytest.approx(sure, abs=3.0) and min(always, sure) > 0.0
-    assert evidence(np.where(time >= 1.0, 0.6, 0.8)) < sure - 3.0

@@ -47,7 +47,6 @@ FALLS_S = 0.4  # the same, of thrust: what falls, or climbs, off meets other air
 OUTLIERS, OUTLIER_SD = 0.05, 4.0
 ERROR_S = 0.15  # that errors of the model last: ticks that are closer count as so much less
 TURNS = 12  # of the coordinate descent
-LIFT_SD = 0.2  # load factor by which thrust differs from commands all the time: the thrust curve, air along the axis, the battery
 FALLS = 14.0  # m/s: a vehicle that sinks so fast is carried by the air, up to about the whole of its weight
 
 
@@ -171,13 +170,10 @@ def fit(window: Window, wrench: np.ndarray, B: np.ndarray, offset: Offset) -> Fi
     total -= 0.5 * (((p - mean) / np.where(p < mean, *sides)) ** 2).sum(axis=(1, 2))
     push = wrench[:, :, 3] - n * (window.load - _air(window))[None]
     spread = np.broadcast_to(base[None, :, 3], (H, K))
-    weight = np.where(window.load_ok[None], weight_of / spread, 0.0)
-    always = (weight * push).sum(axis=1) / (weight.sum(axis=1) + 1.0 / (n * LIFT_SD) ** 2)
-    push = push - always[:, None]
     lift = np.logaddexp(
         np.log(1.0 - OUTLIERS) + _normal(push, spread), np.log(OUTLIERS) + _normal(push, (n * OUTLIER_SD) ** 2)
     )
-    total += weight_of * np.where(window.load_ok[None], lift, 0.0).sum(axis=1) - 0.5 * (always / (n * LIFT_SD)) ** 2
+    total += weight_of * np.where(window.load_ok[None], lift, 0.0).sum(axis=1)
     residual = np.concatenate([e / np.sqrt(variance), (push / np.sqrt(spread))[:, :, None]], axis=2)
     return Fit(total, residual)
 
