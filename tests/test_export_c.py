@@ -205,6 +205,37 @@ def test_a_matrix_that_is_changed_many_times(seed, tmp_path):
         np.testing.assert_allclose(state[program.state[0].name], carry[0], rtol=1e-9, atol=1e-11)
 
 
+def test_what_is_diagonal_or_sparse_in_a_batch_needs_no_dense_algebra(tmp_path):
+    """Inverses of diagonal noise, each of a batch, and products with Jacobians that are mostly zero: element by element."""
+    size = 10
+    few = np.eye(size) + np.diag(np.ones(size - 1), 1)
+
+    def step(_, carry, v, a):
+        Q = jax.vmap(jnp.diag)(v)
+        Q = Q.at[:, 2:5, 2:5].set(jnp.eye(3) * v[:, :1, None])
+        factor = (jnp.linalg.cholesky(Q), True)
+        inverse = jax.vmap(lambda L: jax.scipy.linalg.cho_solve((L, True), jnp.eye(size)))(factor[0])
+        right = jax.scipy.linalg.solve_triangular(factor[0][0], a.T, lower=True, trans=1).T
+        sparse = few * v[:, None, :]
+        scaled = inverse @ (v[:, :, None] * a[:size])
+        return carry, (factor[0], inverse, right, scaled, sparse @ scaled, jnp.einsum("kij,kj->ki", inverse, v))
+
+    inputs = (Field("v", "f", (M, size)), Field("a", "f", (size + 1, size)))
+    program = emit_program("sparse", step, lambda _: (jnp.zeros(2),), inputs)
+    assert not any(f"{kernel}_" in program.source for kernel in ("cholesky", "triangular", "product"))
+    lib, rng = library(program, tmp_path, "-O2"), np.random.default_rng(0)
+    state, out, keep = np.zeros((), struct(program.state)), np.zeros((), struct(program.out)), room(program)
+    v, a = rng.uniform(0.1, 2.0, (M, size)), rng.standard_normal((size + 1, size))
+    _, said = step((), (jnp.zeros(2),), v, a)
+    lib.sparse_step(address(state), address(v), address(a), address(out), address(keep))
+    for f, leaf in zip(program.out, said, strict=True):
+        np.testing.assert_allclose(out[f.name], leaf, rtol=1e-9, atol=1e-11, err_msg=f.name)
+    v[1, 7] = -1.0  # a variance that is none: no factor
+    lib.sparse_step(address(state), address(v), address(a), address(out), address(keep))
+    factor = out[program.out[0].name]
+    assert np.isnan(factor[1]).sum() == 1 and np.isnan(factor[1, 7, 7]) and np.isfinite(factor[::2]).all()
+
+
 # What cannot be exported.
 
 REFUSED = {

@@ -197,15 +197,19 @@ class MHE:
         """The nodes moved to the minimum of the quadratic model in the box, and the force of the bounds there."""
         scale = jnp.diagonal(D, axis1=1, axis2=2)
 
-        def active_set_pass(_, now):
-            move, force = now
-            free, fixed = bounded.active(nodes + move + force / scale, self.low, self.high)
-            fixed = (1.0 - free) * (fixed - nodes)
+        def bound(free, fixed):
             own = (1.0 - free)[:, :, None] * scale[:, :, None] * jnp.eye(self.n)
             masked = free[:, :, None] * D * free[:, None, :] + own
             right = free * (g - banded(D, below, fixed)) + scale * fixed
-            move = tridiagonal(masked, free[1:, :, None] * below * free[:-1, None, :], right)
-            return move, (1.0 - free) * (g - banded(D, below, move))
+            return masked, free[1:, :, None] * below * free[:-1, None, :], right
+
+        def active_set_pass(_, now):
+            move, force = now
+            free, fixed = bounded.active(nodes + move + force / scale, self.low, self.high)
+            fixed, none = (1.0 - free) * (fixed - nodes), jnp.all(free > 0)
+            move = tridiagonal(*jax.lax.cond(none, lambda *_: (D, below, g), bound, free, fixed))
+            force = jax.lax.cond(none, jnp.zeros_like, lambda v: (1.0 - free) * (g - banded(D, below, v)), move)
+            return move, force
 
         move, force = jax.lax.fori_loop(0, self.passes, active_set_pass, (jnp.zeros_like(nodes), force))
         return jnp.clip(nodes + move, self.low, self.high), force
@@ -288,11 +292,9 @@ def tridiagonal(D, below, b):
     def forward(carry, row):
         W, z_in = carry  # W = L_{k-1}^-1 below_k', z_in = W' z_{k-1}
         D_k, below_next, b_k = row
-        L = jnp.linalg.cholesky(D_k - W.T @ W)
-        both = jax.scipy.linalg.solve_triangular(
-            L, jnp.concatenate([below_next.T, (b_k - z_in)[:, None]], 1), lower=True
-        )
-        W, z = both[:, :n], both[:, n]
+        L = jnp.linalg.cholesky(D_k - W.T @ W, symmetrize_input=False)
+        W = jax.scipy.linalg.solve_triangular(L, below_next.T, lower=True)
+        z = jax.scipy.linalg.solve_triangular(L, b_k - z_in, lower=True)
         return (W, W.T @ z), (L, W, z)
 
     _, factors = jax.lax.scan(forward, (jnp.zeros_like(D[0]), jnp.zeros(n)), (D, below, b))

@@ -72,8 +72,8 @@ def update(s, P, H, e, R, valid):
     """
     ds, fit = jnp.zeros_like(s), 0.0
     for i in range(H.shape[0]):
-        Ph = P @ H[i]
-        variance = H[i] @ Ph + R[i]
+        Ph = H[i] @ P
+        variance = Ph @ H[i] + R[i]
         left = jnp.where(valid[i], e[i], 0.0) - H[i] @ ds
         weight = jnp.where(valid[i], 1.0 / variance, 0.0)
         fit = fit - jnp.where(valid[i], 0.5 * (jnp.log(2.0 * np.pi * variance) + left * left / variance), 0.0)

@@ -14,6 +14,7 @@ from rotorwatch.methods.compiling.c99.graph import strides
 ROWS = 4  # rows of a product computed side by side: more do not fit the registers
 PACKED = 512  # elements of the right factor that are copied when they do not lie in a row
 WIDE = 64  # columns that are summed in registers and stack, not in the result
+LANES = "R_LANES"  # before a loop whose turns are a vector's lanes
 
 
 class Product(NamedTuple):
@@ -179,6 +180,7 @@ class _ProductText(_Text):
             read = _at((fixed + r) * row_a, *self.of_a, *((row_a, i) for i in looped), *self.inner_a)
             self.line(f"const {self.kind} x{r} = {self.a}[{read}];")
         if wide:
+            self.line(LANES)
             self.loop("j", J)
         right = f"{self.b}[{_at(0, *self.of_b, *self.inner_b, *((column_b, j) for j in column))}]"
         if not long:
@@ -248,17 +250,26 @@ def triangular(shape_a, steps_a, shape, left: bool, lower: bool, transposed: boo
     text.line("const int i = n;" if lower else f"const int i = {n - 1} - n;")
     if not unit:
         text.line(f"const real w = R(1.0) / a[{_at(0, (row + column, 'i'))}];")
-    here = f"x[{_at(0, (xi, 'i'), (xj, 'j'))}]"
+    # A row of the unknown is summed in registers: in x, each turn would wait for what the one before it has stored.
+    row_of = "s" if m == 1 else "s[j]"
+    many = m > 1
+
+    def each(line: str):
+        if many:
+            text.line(LANES)
+            text.loop("j", m)
+        text.line(line)
+        text.end(many)
+
+    here, other = (f"x[{_at(0, (xi, name), *[(xj, 'j')] * many)}]" for name in "ik")
+    text.line(f"real {'s' if m == 1 else f's[{m}]'};")
+    each(f"{row_of} = {here};")
     text.line("for (int k = 0; k < i; ++k) {" if lower else f"for (int k = i + 1; k < {n}; ++k) {{")
     text.depth += 1
     text.line(f"const real y = a[{_at(0, (row, 'i'), (column, 'k'))}];")
-    text.loop("j", m)
-    text.line(f"{here} -= y * x[{_at(0, (xi, 'k'), (xj, 'j'))}];")
-    text.end(2)
-    if not unit:
-        text.loop("j", m)
-        text.line(f"{here} *= w;")
-        text.end()
+    each(f"{row_of} -= y * {other};")
+    text.end()
+    each(f"{here} = {row_of}{'' if unit else ' * w'};")
     text.end(1 + len(batch))
     return "triangular", text.done()
 

@@ -353,8 +353,8 @@ def _dot_general(graph, x, params, outvars):
         left = graph.broadcast(a, shape, range(len(a.shape)))
         right = graph.broadcast(b, shape, [*range(n_batch), *range(len(a.shape), len(shape))])
         return graph.elementwise("mul", left, right, kind=a.kind)
-    if not n_batch and n_over == 1:
-        simple = selections.product(graph, a, b)
+    if n_over == 1:
+        simple = zeros.product(graph, a, b, n_batch) if n_batch else selections.product(graph, a, b)
         if simple is not None:
             return simple
     return graph.make("dot", (a, b), shape, a.kind, (n_batch, n_over))
@@ -364,7 +364,7 @@ def _triangular_solve(graph, x, params, outvars):
     if params["conjugate_a"] and x[0].kind != "f":
         raise KeyError("complex")
     how = (params["left_side"], params["lower"], params["transpose_a"], params["unit_diagonal"])
-    return graph.make("trisolve", (x[0], x[1]), x[1].shape, "f", tuple(bool(h) for h in how))
+    return zeros.solved(graph, x[0], x[1], tuple(bool(h) for h in how))
 
 
 # Control.
@@ -494,6 +494,6 @@ SPECIAL = {
     "argmax": _reduction("argmax"), "argmin": _reduction("argmin"),
     "cumsum": _cumulative("sum"), "cumprod": _cumulative("prod"), "cummax": _cumulative("max"), "cummin": _cumulative("min"),
     "dot_general": _dot_general, "triangular_solve": _triangular_solve,
-    "cholesky": lambda graph, x, params, outvars: graph.make("cholesky", (x[0],), x[0].shape, "f"),
+    "cholesky": lambda graph, x, params, outvars: zeros.cholesky(graph, x[0]),
     "platform_index": _platform_index, "cond": _cond, "scan": _scan,
 }  # fmt: skip

@@ -22,6 +22,7 @@ from rotorwatch import __version__
 from rotorwatch.base.backend import jax
 from rotorwatch.methods.compiling.c99.emit import Emitter, literal
 from rotorwatch.methods.compiling.c99.graph import Graph, Node
+from rotorwatch.methods.compiling.c99.kernels import LANES
 from rotorwatch.methods.compiling.c99.lower import lower
 from rotorwatch.methods.compiling.c99.operations import FUNCTIONS, HELPERS, NUMPY, TYPES, kind
 from rotorwatch.methods.compiling.c99.plan import WORKSPACE, Place, Plan
@@ -288,6 +289,16 @@ def _source(name, digest, structs, inputs, step: _C, init: _C | None) -> str:
                 f"#define {macro}(x) R(x)",
                 "#endif",
             ]
+    if LANES in text:
+        # gcc would write a short loop out, and then take the loop around it for the vector's lanes.
+        pragma = '_Pragma("GCC unroll 1")'
+        lines += [
+            "#if defined(__GNUC__) && !defined(__clang__)",
+            f"#define {LANES} {pragma}",
+            "#else",
+            f"#define {LANES}",
+            "#endif",
+        ]
     lines += ["", *helpers, ""] if helpers else [""]
     if init is not None:
         init = _renamed(init, "i_")
