@@ -140,8 +140,9 @@ class Library:
         self.parameter_type = _dtype(layout.parameters)
 
     def room(self) -> np.ndarray:
-        """A workspace."""
-        return np.zeros(self.layout.workspace // 8 + 8)
+        """A workspace, at the beginning of a cache line."""
+        room = np.zeros(self.layout.workspace // 8 + 16)
+        return room[-room.ctypes.data % 64 // 8 :]
 
     def pack(self, fields, kind: np.dtype, leaves) -> np.ndarray:
         """A struct of leaves."""
