@@ -140,18 +140,24 @@ def markdown(summary: dict[str, Any]) -> str:
     rows = (
         [
             *(m["name"], m["flights"], *(_share(m[key]) for key in ("accused", "doubt", "right"))),
-            *(f"{m['hours']:.2f}" if m["hours"] else "-", tools.interval(m["accused_h"], 2)),
+            *(f"{m['hours']:.2f}" if m["hours"] else "-", _dashed(tools.interval(m["accused_h"], 2))),
             *("-" if m["error"] is None else f"{m['error']:.3f}", _share(m["holds"])),
             *(m["ended"], m["crashed"], m["unanswered"]),
         ]
         for m in summary["lines"]
     )
-    return f"{summary['flights']} flights of {summary['name']}.\n\n{tools.table(heads, rows)}\n"
+    said = f"{summary['flights']} flights of {summary['name']}: how many, and per cent of their kind."
+    return f"{said}\n\n{tools.table(heads, rows)}\n"
+
+
+def _dashed(interval: str) -> str:
+    """A number with its interval as a narrow column has it."""
+    return interval.replace(" to ", "–")
 
 
 def _share(value: dict[str, float] | None) -> str:
-    """Count and share in percent, with its interval; a tenth of a percent counts here."""
+    """Count and share in per cent, with its interval; a tenth of a per cent counts here."""
     if value is None:
         return "-"
     percent = tools.interval({k: 100.0 * value[k] for k in ("value", "low", "high")}, 1)
-    return f"{round(value['value'] * value['n'])}: {percent} %"
+    return f"{round(value['value'] * value['n'])}: {_dashed(percent)}"
