@@ -76,12 +76,17 @@ def rows(folder: Path) -> Iterator[str]:
     """Lines of the table."""
     from rotorwatch import airframes, diagnose
 
+    seen = set()
     for name, what, flight in (*recorded(folder), *made()):
+        kind = re.sub(r"-\d+$", "", name)
+        if kind in seen:
+            continue  # the same of another rotor
+        seen.add(kind)
         craft = airframes.named("ardupilot-quad-x") if name.startswith("made:") else None
         answer = diagnose(flight, craft)  # pyright: ignore[reportArgumentType]
         own = [e for e in answer.events if "texts" in e.extra]
         first = f"{own[0].onset_s:.1f} s: {own[0].extra['texts'][0]}" if own else ""
-        more = [text for text in answer.warnings if text.startswith("The log ends in the air")]
+        more = ["The log ends in the air."] * any(w.startswith("The log ends in the air") for w in answer.warnings)
         said = " ".join([answer.headline, *more])
         yield "| " + " | ".join(text.replace("|", "/") for text in (name, what, said, first)) + " |\n"
 
