@@ -168,7 +168,9 @@ def test_counts_of_a_table_whose_answer_is_known():
     assert quarter["right"]["value"] == 0.75 and quarter["accused"]["value"] == 0.25 and quarter["hours"] == 0.0
     text = open_world.markdown(found)
     assert lines["calm"]["unanswered"] == 3
-    assert "| calm | 100 | 2: 2.0 (0.6–7.0) |" in text
+    assert "| calm | 100 | 2: 2.0 (0.6–7.0) |" in text and text.count("| kind of flight |") == 3
+    calm = text.split("| kind of flight |")[2]
+    assert "healthy hours" in calm and "right" not in calm and "crashed" not in calm
 
 
 def test_the_results_page_takes_the_table_between_its_marks():
