@@ -96,7 +96,7 @@ def run(
 
 def summarise(rows: Any, name: str = "") -> dict[str, Any]:
     """{"name", "flights", "lines": [{"name", "group", **measures}]} of a pyarrow table with COLUMNS: all flights with healthy rotors, with
-    another fault than a loss, with a loss, and with losses of a quarter and more (group ""); then each kind. Raises ConfigError where there is
+    another fault than a loss, with a loss, with losses of a quarter and more (group ""), and each kind. Raises ConfigError where there is
     none."""
     flights = rows.to_pylist()
     if not flights:
