@@ -87,14 +87,15 @@ def table(ranked: dict, told: set[str]) -> str:
         f"\n## {frame}\n",
         "; ".join([count, *dict.fromkeys(m for m in ranked["machines"].values() if m not in told)]) + ".\n",
     ]
+    keys = [key for key in ranking.COLUMNS if not (told and key == "us_per_step")]  # of a quad, whatever the frame
     told |= set(ranked["machines"].values())
-    heads = [f"{head}, %" if key in ranking.SHARES else head for key, head in ranking.COLUMNS.items()]
+    heads = [ranking.COLUMNS[key] + (", %" if key in ranking.SHARES else "") for key in keys]
     lines += [
         f"| | method | {' | '.join(heads)} |",
         "|---" * (len(heads) + 2) + "|",
     ]
     for row in rows:
-        found, *rest = [ranking.cell(key, row["scores"].get(key)) for key in ranking.COLUMNS]
+        found, *rest = [ranking.cell(key, row["scores"].get(key)) for key in keys]
         lines.append(f"| {ranking.mark(row)} | `{row['name']}` | {unsigned(' | '.join([found, *map(bare, rest)]))} |")
     return "\n".join(lines + [f"\nNot run: `{e['name']}`: {e['failed']}" for e in ranked["failed"]]) + "\n"
 

@@ -19,7 +19,7 @@ def spelled_out(field):
     """`rates.{roll,pitch}_dps` as both of its names."""
     first, brace, rest = field.partition("{")
     choices, _, last = rest.partition("}")
-    return [f"{first}{choice}{last}" for choice in choices.split(",")] if brace else [field]
+    return [first + choice + end for choice in choices.split(",") for end in spelled_out(last)] if brace else [field]
 
 
 def documented(heading):
