@@ -140,9 +140,10 @@ def markdown(summary: dict[str, Any]) -> str:
         "intervals hold", "said to be over", "crashed", "no answer",
     )  # fmt: skip
     parts = [f"{summary['flights']} flights of {summary['name']}: how many, and per cent of their kind.\n"]
-    for _, lines in itertools.groupby(summary["lines"], key=lambda line: line["group"]):
+    for group, lines in itertools.groupby(summary["lines"], key=lambda line: line["group"]):
         rows = [_cells(line) for line in lines]
-        kept = [k for k in range(len(heads)) if any(row[k] not in ("-", 0) for row in rows)]
+        rates = {"healthy hours", "accused an hour"} if group else ()  # a kind has flown too little for them
+        kept = [k for k, head in enumerate(heads) if head not in rates and any(row[k] not in ("-", 0) for row in rows)]
         parts.append(tools.table([heads[k] for k in kept], ([row[k] for k in kept] for row in rows)) + "\n")
     return "\n".join(parts)
 
