@@ -127,8 +127,8 @@ def parsed(line):
 
 
 def test_every_command_has_its_question():
-    """docs/commands.md: every command of `rotorwatch --help` is there, every line is understood, and every row has a page to read."""
-    rows = re.findall(r"^\| (.+?\?) \| `(rotorwatch [^`]+)` \| \[[^\]]+\]\([^)]+\) \|$", COMMANDS, re.MULTILINE)
+    """docs/commands.md: every command of `rotorwatch --help` is there, every line is understood, and every question has a page to read."""
+    rows = re.findall(r"^\| \[(.+?\?)\]\([^)]+\) \| `(rotorwatch [^`]+)` \|$", COMMANDS, re.MULTILINE)
     assert len(rows) == COMMANDS.count("| `rotorwatch ") and len({question for question, _ in rows}) == len(rows)
     commands = cli.cli.commands
     groups = {name: command for name, command in commands.items() if isinstance(command, click.Group)}
