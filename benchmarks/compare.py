@@ -91,12 +91,14 @@ def table(ranked: dict, told: set[str]) -> str:
     told |= set(ranked["machines"].values())
     heads = [ranking.COLUMNS[key] + (", %" if key in ranking.SHARES else "") for key in keys]
     lines += [
-        f"| | method | {' | '.join(heads)} |",
-        "|---" * (len(heads) + 2) + "|",
+        f"| method | {' | '.join(heads)} |",
+        "|---" * (len(heads) + 1) + "|",
     ]
     for row in rows:
         found, *rest = [ranking.cell(key, row["scores"].get(key)) for key in keys]
-        lines.append(f"| {ranking.mark(row)} | `{row['name']}` | {unsigned(' | '.join([found, *map(bare, rest)]))} |")
+        mark = ranking.mark(row).lstrip("0123456789")
+        method = f"`{row['name']}` {mark}".strip()
+        lines.append(f"| {method} | {unsigned(' | '.join([found, *map(bare, rest)]))} |")
     return "\n".join(lines + [f"\nNot run: `{e['name']}`: {e['failed']}" for e in ranked["failed"]]) + "\n"
 
 
