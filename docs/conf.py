@@ -39,8 +39,8 @@ pygments_style = "friendly"
 _LINK = re.compile(r"\]\(([^)#\s]+\.md)(?:#[^)]*)?\)")
 
 
-# Pages that open a part of the documents. What their tables and lists link to is below them in the navigation; a page has its place below the
-# first.
+# Pages that open a part of the documents. What their tables and lists link to is below them in the navigation; a page has its place
+# below the first.
 PARTS = ("my-log", "my-vehicle", "my-research", "development", "reference", "my-fleet")
 # Pages below another page.
 BELOW = {
