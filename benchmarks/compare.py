@@ -23,29 +23,30 @@ UP_PLAN, UP_FLIGHTS = ROOT / "plans" / "survival-methods.toml", 240
 UP = """
 ## Does the vehicle stay up
 
-The table is for {flights} flights of `{plan}` ([closed loop](control.md#closed-loop)): quad X and hexa X, losses of 10 % to all of one
-rotor or two, wind to 9 m/s. The losses that each method estimates drive the allocation. `nobody` keeps the autopilot's own mixer. `truth`
-knows every loss 0.1 s after its onset.
-*Acted falsely*: before the loss, on a healthy flight, or on healthy rotors only.
+{flights} flights of `{plan}` ([closed loop](control.md#closed-loop)): quad X and hexa X, losses of 10 % to all of one rotor or two, wind to
+9 m/s. The losses that a method estimates drive the allocation; `nobody` keeps the autopilot's mixer, `truth` knows every loss after 0.1 s.
 
 """
 UP_COLUMNS = (
     "driver",
-    "stays up, of those that the truth saves",
-    "quad X",
-    "hexa X",
+    "stays up, of those that the truth saves, %",
+    "quad X, %",
+    "hexa X, %",
     "acted falsely, flights an hour",
     "first acted after, s",
 )
 
 
 def percent(share: dict | None) -> str:
-    """A share with its interval."""
+    """A share in per cent, which the head of its column says, with its interval."""
     return (
-        "-"
-        if share is None
-        else "{:.0f} % ({:.0f} to {:.0f})".format(*(100 * share[k] for k in ("value", "low", "high")))
+        "-" if share is None else "{:.0f} ({:.0f}–{:.0f})".format(*(100 * share[k] for k in ("value", "low", "high")))
     )
+
+
+def unsigned(cell: str) -> str:
+    """A cell of the ranking as `percent` writes it."""
+    return cell.replace(" %", "").replace(" to ", "–")
 
 
 def bare(cell: str) -> str:
@@ -74,8 +75,8 @@ def staying_up(found: dict) -> str:
     return UP.format(flights=found["flights"], plan=UP_PLAN.relative_to(ROOT)) + "\n".join(lines) + "\n"
 
 
-def table(ranked: dict) -> str:
-    """One frame's ranking in Markdown."""
+def table(ranked: dict, told: set[str]) -> str:
+    """One frame's ranking in Markdown. told: machines that a table before it has named; those of this one are added."""
     frame = ranked["plan"]["name"].removeprefix("comparison-")
     plan, rows = ranked["plan"], ranked["rows"]
     scores = rows[0]["scores"]
@@ -84,16 +85,20 @@ def table(ranked: dict) -> str:
     )
     lines = [
         f"\n## {frame}\n",
-        f"{count}; {'; '.join(dict.fromkeys(ranked['machines'].values()))}.\n",
+        "; ".join([count, *dict.fromkeys(m for m in ranked["machines"].values() if m not in told)]) + ".\n",
     ]
-    heads = list(ranking.COLUMNS.values())
+    keys = [key for key in ranking.COLUMNS if not (told and key == "us_per_step")]  # of a quad, whatever the frame
+    told |= set(ranked["machines"].values())
+    heads = [ranking.COLUMNS[key] + (", %" if key in ranking.SHARES else "") for key in keys]
     lines += [
-        f"| | method | {' | '.join(heads)} |",
-        "|---" * (len(heads) + 2) + "|",
+        f"| method | {' | '.join(heads)} |",
+        "|---" * (len(heads) + 1) + "|",
     ]
     for row in rows:
-        found, *rest = [ranking.cell(key, row["scores"].get(key)) for key in ranking.COLUMNS]
-        lines.append(f"| {ranking.mark(row)} | `{row['name']}` | {' | '.join([found, *map(bare, rest)])} |")
+        found, *rest = [ranking.cell(key, row["scores"].get(key)) for key in keys]
+        mark = ranking.mark(row).lstrip("0123456789")
+        method = f"`{row['name']}` {mark}".strip()
+        lines.append(f"| {method} | {unsigned(' | '.join([found, *map(bare, rest)]))} |")
     return "\n".join(lines + [f"\nNot run: `{e['name']}`: {e['failed']}" for e in ranked["failed"]]) + "\n"
 
 
@@ -117,13 +122,14 @@ def main() -> None:
     arguments.add_argument("--out", type=Path, default=Path(tempfile.gettempdir()) / "rotorwatch-comparison")
     options = arguments.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    tables = []
+    tables: list[str] = []
+    told: set[str] = set()
     for frame in options.frames.split(","):
         out = options.out / f"{frame}{options.name}.json"
         if not out.exists():
             plan = ROOT / "benchmarks" / "comparison" / f"{frame}.toml"
             benchmark.run(plan, options.methods.split(","), out, options.jobs, notify=print)
-        tables.append(table(ranking.rank(sorted(options.out.glob(f"{frame}*.json")))))
+        tables.append(table(ranking.rank(sorted(options.out.glob(f"{frame}*.json"))), told))
     put("frames", "".join(tables))
     if options.closed_loop:
         drivers = [closed_loop.NOBODY, closed_loop.TRUTH, "default", *sorted(set(discovery.estimators()) - {"default"})]

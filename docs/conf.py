@@ -39,7 +39,8 @@ pygments_style = "friendly"
 _LINK = re.compile(r"\]\(([^)#\s]+\.md)(?:#[^)]*)?\)")
 
 
-# Pages that open a part of the documents. What their tables link to is below them in the navigation; a page has its place below the first.
+# Pages that open a part of the documents. What their tables and lists link to is below them in the navigation; a page has its place
+# below the first.
 PARTS = ("my-log", "my-vehicle", "my-research", "development", "reference", "my-fleet")
 # Pages below another page.
 BELOW = {
@@ -66,7 +67,7 @@ def below() -> dict[str, list[str]]:
     placed |= {f"/docs/{part}" for part in PARTS}
     placed |= {_document(link, "docs") for link in _LINK.findall((HERE / "index.md").read_text().split("\n## ")[0])}
     for part in PARTS:
-        rows = "\n".join(row for row in (HERE / f"{part}.md").read_text().splitlines() if row.startswith("|"))
+        rows = "\n".join(row for row in (HERE / f"{part}.md").read_text().splitlines() if row.startswith(("|", "- ")))
         pages = dict.fromkeys(_document(link, "docs") for link in _LINK.findall(rows))
         found[f"docs/{part}"] = [page for page in pages if page not in placed]
         placed |= set(pages)

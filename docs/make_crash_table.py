@@ -21,6 +21,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 PAGE = ROOT / "docs" / "loss-of-control.md"
+HEALTHY = r"No rotor lost thrust after take-off\. From take-off on no rotor lacked more than \d+ %\."
 START, END = "<!-- table made by docs/make_crash_table.py -->\n", "<!-- end of the table -->\n"
 
 
@@ -76,13 +77,20 @@ def rows(folder: Path) -> Iterator[str]:
     """Lines of the table."""
     from rotorwatch import airframes, diagnose
 
+    seen = set()
     for name, what, flight in (*recorded(folder), *made()):
+        kind = re.sub(r"-\d+$", "", name)
+        if kind in seen:
+            continue  # the same of another rotor
+        seen.add(kind)
         craft = airframes.named("ardupilot-quad-x") if name.startswith("made:") else None
         answer = diagnose(flight, craft)  # pyright: ignore[reportArgumentType]
         own = [e for e in answer.events if "texts" in e.extra]
+        if not own and not any(e.kind in ("loss_of_control", "autopilot_report") for e in answer.events):
+            continue  # control was kept, and nothing was reported
         first = f"{own[0].onset_s:.1f} s: {own[0].extra['texts'][0]}" if own else ""
-        more = [text for text in answer.warnings if text.startswith("The log ends in the air")]
-        said = " ".join([answer.headline, *more])
+        more = ["The log ends in the air."] * any(w.startswith("The log ends in the air") for w in answer.warnings)
+        said = " ".join([re.sub(HEALTHY, "No rotor lost thrust.", answer.headline), *more])
         yield "| " + " | ".join(text.replace("|", "/") for text in (name, what, said, first)) + " |\n"
 
 

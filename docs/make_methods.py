@@ -45,21 +45,20 @@ def defined_for(kind: type, examples: dict) -> list[str]:
 
 
 def table() -> str:
-    """A row for each method: name, what it is, the plants it takes, and how it differs from Kalman's filter."""
+    """A row for each method: name, what it is, and the plants it takes."""
     examples = plants()
-    lines = ["| name | method | plants | on a linear Gaussian plant |", "|---|---|---|---|"]
+    lines = ["| name | method | plants |", "|---|---|---|"]
     for name, kind in discovery.estimators().items():
         module = sys.modules[kind.__module__].__doc__ or ""
         about = " ".join(module.split("\n\n")[0].split()).rstrip(".")
         if name == "default":
-            takes, linear = "`wrench_balance`", "Kalman's filter while nothing is suspected"
+            takes = "`wrench_balance`"
         else:
             which = defined_for(kind, examples)
             takes = "all" if len(which) == len(examples) else ", ".join(f"`{w}`" for w in which)
-            linear = kind.not_kalman or "the augmented Kalman filter"
         page = PAGE.parent / f"{name}.md"
         link = f"[`{name}`]({name}.md)" if page.exists() else f"`{name}`"
-        lines.append(f"| {link} | {about} | {takes} | {linear} |")
+        lines.append(f"| {link} | {about} | {takes} |")
     return "\n".join(lines) + "\n"
 
 

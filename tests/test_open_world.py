@@ -168,7 +168,9 @@ def test_counts_of_a_table_whose_answer_is_known():
     assert quarter["right"]["value"] == 0.75 and quarter["accused"]["value"] == 0.25 and quarter["hours"] == 0.0
     text = open_world.markdown(found)
     assert lines["calm"]["unanswered"] == 3
-    assert "| calm | 100 | 2: 2.0 (0.6 to 7.0) % |" in text
+    assert "| calm | 100 | 2: 2.0 (0.6–7.0) |" in text and text.count("| kind of flight |") == 3
+    calm = text.split("| kind of flight |")[2]
+    assert "no answer" in calm and all(head not in calm for head in ("right", "crashed", "hours", "an hour"))
 
 
 def test_the_results_page_takes_the_table_between_its_marks():
@@ -178,7 +180,7 @@ def test_the_results_page_takes_the_table_between_its_marks():
     spec.loader.exec_module(script)
     page = script.PAGE.read_text(encoding="utf-8")
     made = script.filled(page, {"flights": 3, "name": "made", "lines": []})
-    assert "3 flights of made." in made and script.filled(made, {"flights": 3, "name": "made", "lines": []}) == made
+    assert "3 flights of made: " in made and script.filled(made, {"flights": 3, "name": "made", "lines": []}) == made
     for part in (page.split(script.START)[0], page.split(script.END)[1]):
         assert part in made
 

@@ -9,6 +9,7 @@ are counted by kind of flight (open_score.py says what each is worth).
 
 from __future__ import annotations
 
+import itertools
 import os
 import tempfile
 from collections.abc import Sequence
@@ -94,17 +95,18 @@ def run(
 
 
 def summarise(rows: Any, name: str = "") -> dict[str, Any]:
-    """{"name", "flights", "lines": [{"name", **measures}]} of a pyarrow table with COLUMNS: all flights with healthy rotors, with another
-    fault than a loss, with a loss, and with losses of a quarter and more; then each kind. Raises ConfigError for an empty table."""
+    """{"name", "flights", "lines": [{"name", "group", **measures}]} of a pyarrow table with COLUMNS: all flights with healthy rotors, with
+    another fault than a loss, with a loss, with losses of a quarter and more (group ""), and each kind. Raises ConfigError where there is
+    none."""
     flights = rows.to_pylist()
     if not flights:
         raise ConfigError("There is no flight in this campaign's table.")
-    parts = [(f"all: {words}", [f for f in flights if f["group"] == key]) for key, words in GROUPS.items()]
-    parts.append(("all: a loss of a quarter and more", [f for f in flights if (f["loss"] or 0.0) >= QUARTER]))
+    parts = [("", f"all: {words}", [f for f in flights if f["group"] == key]) for key, words in GROUPS.items()]
+    parts.append(("", "all: a loss of a quarter and more", [f for f in flights if (f["loss"] or 0.0) >= QUARTER]))
     order = list(GROUPS)
     kinds = sorted({(order.index(f["group"]), f["kind"]) for f in flights})
-    parts += [(kind, [f for f in flights if f["kind"] == kind]) for _, kind in kinds]
-    lines = [{"name": label, **measures(mine)} for label, mine in parts if mine]
+    parts += [(order[k], kind, [f for f in flights if f["kind"] == kind]) for k, kind in kinds]
+    lines = [{"name": label, "group": group, **measures(mine)} for group, label, mine in parts if mine]
     return {"name": name, "flights": len(flights), "lines": lines}
 
 
@@ -132,26 +134,38 @@ def measures(flights: Sequence[dict]) -> dict[str, Any]:
 
 
 def markdown(summary: dict[str, Any]) -> str:
-    """The summary as a Markdown table."""
+    """The summary as Markdown tables: of all flights, and of the kinds of each group; without columns that say nothing of their rows."""
     heads = (
         "kind of flight", "flights", "a healthy rotor accused", "ambiguous", "right", "healthy hours", "accused an hour", "size, rms",
         "intervals hold", "said to be over", "crashed", "no answer",
     )  # fmt: skip
-    rows = (
-        [
-            *(m["name"], m["flights"], *(_share(m[key]) for key in ("accused", "doubt", "right"))),
-            *(f"{m['hours']:.2f}" if m["hours"] else "-", tools.interval(m["accused_h"], 2)),
-            *("-" if m["error"] is None else f"{m['error']:.3f}", _share(m["holds"])),
-            *(m["ended"], m["crashed"], m["unanswered"]),
-        ]
-        for m in summary["lines"]
-    )
-    return f"{summary['flights']} flights of {summary['name']}.\n\n{tools.table(heads, rows)}\n"
+    parts = [f"{summary['flights']} flights of {summary['name']}: how many, and per cent of their kind.\n"]
+    for group, lines in itertools.groupby(summary["lines"], key=lambda line: line["group"]):
+        rows = [_cells(line) for line in lines]
+        rates = {"healthy hours", "accused an hour"} if group else ()  # a kind has flown too little for them
+        kept = [k for k, head in enumerate(heads) if head not in rates and any(row[k] not in ("-", 0) for row in rows)]
+        parts.append(tools.table([heads[k] for k in kept], ([row[k] for k in kept] for row in rows)) + "\n")
+    return "\n".join(parts)
+
+
+def _cells(m: dict[str, Any]) -> list[Any]:
+    """A line of the summary as the cells of a row."""
+    return [
+        *(m["name"], m["flights"], *(_share(m[key]) for key in ("accused", "doubt", "right"))),
+        *(f"{m['hours']:.2f}" if m["hours"] else "-", _dashed(tools.interval(m["accused_h"], 2))),
+        *("-" if m["error"] is None else f"{m['error']:.3f}", _share(m["holds"])),
+        *(m["ended"], m["crashed"], m["unanswered"]),
+    ]
+
+
+def _dashed(interval: str) -> str:
+    """A number with its interval as a narrow column has it."""
+    return interval.replace(" to ", "–")
 
 
 def _share(value: dict[str, float] | None) -> str:
-    """Count and share in percent, with its interval; a tenth of a percent counts here."""
+    """Count and share in per cent, with its interval; a tenth of a per cent counts here."""
     if value is None:
         return "-"
     percent = tools.interval({k: 100.0 * value[k] for k in ("value", "low", "high")}, 1)
-    return f"{round(value['value'] * value['n'])}: {percent} %"
+    return f"{round(value['value'] * value['n'])}: {_dashed(percent)}"
