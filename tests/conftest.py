@@ -40,19 +40,18 @@ for _name in [n for n in os.environ if n not in (*EVERYONE, *OF_TESTS) and not n
 
 
 def _quick_flags():
-    """XLA's switches for programs that are compiled in a fifth of the time; a test runs them over a few hundred rows only.
+    """XLA's switches for programs that are compiled in a sixth of the time; a test runs them over a few hundred rows only.
 
-    The second switch is not known to every release, and XLA ends the process at one that it does not know: releases from 0.12 on hold its
+    All but the first are not known to every release, and XLA ends the process at one that it does not know: releases from 0.12 on hold a
     name without knowing it.
     """
     home = importlib.util.find_spec("jaxlib").submodule_search_locations[0]
     flags = ["--xla_backend_optimization_level=0"]
     known = tuple(map(int, metadata.version("jaxlib").split(".")[:2])) < (0, 12)
+    others = ["--xla_cpu_use_fusion_emitters=false", "--xla_cpu_parallel_codegen_split_count=1"]
     for library in Path(home).glob("*.so") if known else ():
         with library.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
-            if text.find(b"xla_cpu_use_fusion_emitters") >= 0:
-                flags.append("--xla_cpu_use_fusion_emitters=false")
-                break
+            flags += [f for f in others if f not in flags and text.find(f[2:].partition("=")[0].encode()) >= 0]
     return " ".join(flags)
 
 
@@ -156,7 +155,7 @@ def _what_files_leave_behind_goes():
         if "jax" in sys.modules:
             sys.modules["jax"].clear_caches()
         gc.collect()
-        if hasattr(_C, "malloc_trim"):  # else glibc keeps what was freed: 1.2 of the 1.7 GB after the laws of the estimators
+        if hasattr(_C, "malloc_trim"):  # glibc keeps what was freed: 1.2 of 1.7 GB after test_laws.py
             _C.malloc_trim(0)
         _held = _in_memory()
 
