@@ -22,6 +22,7 @@ from rotorwatch.answer import from_takeoff, places
 from rotorwatch.answer.conclusion import Evidence, conclude
 from rotorwatch.answer.ledger import open_claims
 from rotorwatch.flight.diagnosis import Diagnosis, Event, Source, Trace
+from rotorwatch.methods.compiling import native
 
 # Tests run as users run them, and so do the commands that they start: PYTHONUNBUFFERED or COLUMNS of a developer's shell can hide a fault.
 # Besides what everyone has, there stays where Python, compilers and temporary files are, and what says how the tests themselves are run.
@@ -60,6 +61,8 @@ os.environ.setdefault("XLA_FLAGS", _quick_flags())
 os.environ["JAX_TRACEBACK_IN_LOCATIONS_LIMIT"] = (
     "0"  # nobody reads where in our files an operation of a program came from
 )
+
+native.BIG = 0  # as C, too, a published method is compiled for few rows: in a third of the time
 
 # JAX's tracing makes so many small objects that looking for cycles among all of them takes a third of its time.
 gc.set_threshold(50_000, 20, 50)
