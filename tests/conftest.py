@@ -62,7 +62,7 @@ os.environ["JAX_TRACEBACK_IN_LOCATIONS_LIMIT"] = (
     "0"  # nobody reads where in our files an operation of a program came from
 )
 
-native.BIG = 0  # as C, too, a published method is compiled for few rows: in a third of the time
+native.BIG, native.QUICK = 0, ("-O0",)  # so are published methods as C
 
 # JAX's tracing makes so many small objects that looking for cycles among all of them takes a third of its time.
 gc.set_threshold(50_000, 20, 50)

@@ -438,8 +438,8 @@ def test_law_of_the_default(law):
 
 # Methods as different from each other as they are; the others with --thorough.
 USUAL = {
-    many_flights_at_once_are_the_same_as_one_by_one: ("ekf", "mh_lyapunov", "tsukf", "imm", "parity"),
-    compiled_is_the_same_as_not: ("adaptive_ekf", "mh_lyapunov", "ukf", "mhe", "irls"),
+    many_flights_at_once_are_the_same_as_one_by_one: ("ekf", "mh_lyapunov", "imm"),
+    compiled_is_the_same_as_not: ("adaptive_ekf", "ukf", "mhe"),
 }
 SLOW = [
     pytest.param(name, make, law, marks=[] if name in USUAL[law] else pytest.mark.thorough, id=f"{name}-{law.__name__}")

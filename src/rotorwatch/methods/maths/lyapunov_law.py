@@ -122,7 +122,6 @@ class Law:
         return jnp.clip(theta, *self.bounds)
 
 
-
 def estimate(state: State, e, S, valid) -> Estimate:
     """The state as an estimate, with the innovation e (n_y,) and its covariance S."""
     n = state.x.shape[0]
