@@ -1,5 +1,6 @@
 """What all tests share: how JAX compiles for them, and a fabricated but complete diagnosis, as the diagnoser would make it."""
 
+import ctypes
 import gc
 import importlib.util
 import mmap
@@ -21,6 +22,7 @@ from rotorwatch.answer import from_takeoff, places
 from rotorwatch.answer.conclusion import Evidence, conclude
 from rotorwatch.answer.ledger import open_claims
 from rotorwatch.flight.diagnosis import Diagnosis, Event, Source, Trace
+from rotorwatch.methods.compiling import native
 
 # Tests run as users run them, and so do the commands that they start: PYTHONUNBUFFERED or COLUMNS of a developer's shell can hide a fault.
 # Besides what everyone has, there stays where Python, compilers and temporary files are, and what says how the tests themselves are run.
@@ -39,19 +41,18 @@ for _name in [n for n in os.environ if n not in (*EVERYONE, *OF_TESTS) and not n
 
 
 def _quick_flags():
-    """XLA's switches for programs that are compiled in a fifth of the time; a test runs them over a few hundred rows only.
+    """XLA's switches for programs that are compiled in a sixth of the time; a test runs them over a few hundred rows only.
 
-    The second switch is not known to every release, and XLA ends the process at one that it does not know: releases from 0.12 on hold its
+    All but the first are not known to every release, and XLA ends the process at one that it does not know: releases from 0.12 on hold a
     name without knowing it.
     """
     home = importlib.util.find_spec("jaxlib").submodule_search_locations[0]
     flags = ["--xla_backend_optimization_level=0"]
     known = tuple(map(int, metadata.version("jaxlib").split(".")[:2])) < (0, 12)
+    others = ["--xla_cpu_use_fusion_emitters=false", "--xla_cpu_parallel_codegen_split_count=1"]
     for library in Path(home).glob("*.so") if known else ():
         with library.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
-            if text.find(b"xla_cpu_use_fusion_emitters") >= 0:
-                flags.append("--xla_cpu_use_fusion_emitters=false")
-                break
+            flags += [f for f in others if f not in flags and text.find(f[2:].partition("=")[0].encode()) >= 0]
     return " ".join(flags)
 
 
@@ -60,6 +61,8 @@ os.environ.setdefault("XLA_FLAGS", _quick_flags())
 os.environ["JAX_TRACEBACK_IN_LOCATIONS_LIMIT"] = (
     "0"  # nobody reads where in our files an operation of a program came from
 )
+
+native.BIG, native.QUICK = 0, ("-O0",)  # so are published methods as C
 
 # JAX's tracing makes so many small objects that looking for cycles among all of them takes a third of its time.
 gc.set_threshold(50_000, 20, 50)
@@ -139,30 +142,33 @@ def amount(request):
 
 
 MAPS = 20_000
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _compiled_programs_go():
-    """A loaded program holds some 20 memory maps, of which a process may have 65,530: beyond that JAX dies without a word.
-
-    Files share what is compiled until then: what every one of them traces and loads again takes a tenth of the whole time.
-    """
-    yield
-    if "jax" in sys.modules and len(Path("/proc/self/maps").read_bytes().splitlines()) > MAPS:
-        sys.modules["jax"].clear_caches()
-
-
 GROWN = 1 << 30  # bytes
 
 
 @pytest.fixture(autouse=True, scope="module")
-def _garbage_goes():
-    """What only a look through everything finds is looked for where memory has grown since the last time."""
+def _what_files_leave_behind_goes():
+    """Compiled programs, and what only a look through everything finds, go where memory has grown since the last time.
+
+    Files share what is compiled until then: what every one of them traces and loads again takes a tenth of the whole time. A loaded
+    program holds some 20 memory maps, of which a process may have 65,530: beyond that JAX dies without a word.
+    """
     yield
     global _held
-    if _in_memory() > _held + GROWN:
+    if _in_memory() > _held + GROWN or _maps() > MAPS:
+        if "jax" in sys.modules:
+            sys.modules["jax"].clear_caches()
         gc.collect()
+        if hasattr(_C, "malloc_trim"):  # glibc keeps what was freed: 1.2 of 1.7 GB after test_laws.py
+            _C.malloc_trim(0)
         _held = _in_memory()
+
+
+_C = ctypes.CDLL(None) if os.name == "posix" else None
+
+
+def _maps():
+    told = Path("/proc/self/maps")
+    return len(told.read_bytes().splitlines()) if told.exists() else 0
 
 
 def _in_memory():

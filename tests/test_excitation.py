@@ -62,14 +62,11 @@ def test_a_quadrotor_has_none():
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.floats(-1.0, 5.0), st.lists(st.floats(0.0, 1.0), min_size=6, max_size=6))
-def test_a_healthy_vehicle_does_not_answer_and_a_weak_one_does_by_its_losses(t, theta):
+@given(st.floats(-1.0, 5.0))
+def test_a_healthy_vehicle_does_not_answer(t):
     signal, B = SIGNAL, B_OF["hexa-x"]
     c = np.asarray(excitation.value_at(signal, t))
     assert np.abs(B @ c).max() < 1e-12
-    assert np.abs(excitation.answer(B, np.zeros(6), c)).max() == 0.0
-    weak = np.array(theta)
-    assert excitation.answer(B, weak, c) == pytest.approx(B @ ((1.0 - weak) * c), abs=1e-12)
     if not 0.0 < t < 1.3:
         assert not c.any()
 

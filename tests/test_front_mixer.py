@@ -417,10 +417,3 @@ def test_python_and_c_agree_whatever_comes(fly, known):
             part = slice(first, first + int(rng.integers(80)))
             outputs[part, k] = rng.choice([outputs[first, k], -0.1, 0.0, 1.0, 0.3, np.nan])
         fly(control, outputs, known, times=times, at=at, valid=np.isfinite(outputs).all(axis=1))
-
-
-@pytest.mark.parametrize("precision", [(), ("-DROTORWATCH_FLOAT",)])
-def test_no_compiler_warns(tmp_path, precision):
-    written(tmp_path)
-    for compiler in compilers():
-        subprocess.run([compiler, *STRICT, *precision, "-fsyntax-only", str(tmp_path / "rw_front.c")], check=True)

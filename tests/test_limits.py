@@ -10,7 +10,6 @@ from rotorwatch.engine.default import program
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.experiments import limits
 from rotorwatch.lab.experiments.limits import Rows
-from rotorwatch.methods.maths.systems import RateDynamics
 
 
 def information(rows, P0, valid, onset):
@@ -99,49 +98,9 @@ def test_the_dense_likelihood_sees_planted_errors(planted):
     assert abs(found - dense(rows, P0, valid, onset)) > 1e-3
 
 
-def test_equals_the_augmented_filter_on_a_plant():
-    """RateDynamics, where a loss works on the motion and on the measured force: 1 / I is what the filter with theta ends with."""
-    jax = load_jax()
-    n, T, dt, onset, prior = 4, 60, 0.05, 20, 0.3
-    B = np.array([[-1.0, 1, 1, -1], [1, -1, 1, -1], [0.05, 0.05, -0.05, -0.05]]) * 0.2
-    system = RateDynamics(np.diag([0.02, 0.02, 0.04]), B, np.ones(n), 1.6)
-    rng = np.random.default_rng(1)
-    u = 4.0 + 0.3 * rng.normal(size=(T, n))
-    xs = [np.zeros(system.n_x)]
-    theta = np.zeros(system.n_theta)
-    for k in range(T - 1):
-        xs.append(np.asarray(system.f(xs[-1], u[k], theta, dt)))
-    rows = (np.array(xs), u, np.tile(theta, (T, 1)))
-    model = limits.along(system, 2, dt)
-    valid = np.ones((T, system.n_y), bool)
-    P0 = np.asarray(system.P0)
-    found = np.asarray(jax.jit(lambda r, v: limits.information(model, r, P0, v, onset))(rows, valid))
-
-    matrices = jax.vmap(model)(rows)
-    P = np.zeros((system.n_x + 1,) * 2)
-    P[:-1, :-1] = P0
-    for k in range(T):
-        A, G, C, H, Q, R = (np.asarray(m[k]) for m in matrices)
-        if k == onset:
-            P[-1, -1] = prior**2
-        F = np.block([[A, G[:, None]], [np.zeros((1, len(G))), np.ones((1, 1))]])
-        P = F @ P @ F.T
-        P[:-1, :-1] += Q
-        M = np.column_stack([C, H])
-        K = np.linalg.solve(M @ P @ M.T + np.diag(R), M @ P).T
-        P = P - K @ M @ P
-    assert limits.loss_sd(found[-1], prior) == pytest.approx(np.sqrt(P[-1, -1]), rel=1e-6)
-
-
 def test_what_is_not_measured_does_not_tell():
     rows, P0, valid, onset = drawn(3)
     assert np.all(information(rows, P0, 0 * valid.astype(int) > 0, onset) == 0.0)
-
-
-def test_actuators_that_do_not_exist():
-    system = RateDynamics(np.eye(3), np.ones((3, 4)), np.ones(4), 1.0)
-    with pytest.raises(ConfigError, match="actuator"):
-        limits.along(system, 9, 0.1)
 
 
 def run_cusum(drift, mean, h, rng, runs=400, most=200_000):

@@ -24,11 +24,12 @@ def numbered(plan, cells, each):
 
 
 @pytest.fixture(scope="module")
-def flights(tmp_path_factory):
-    """(Flown, path of its log, what `diagnose` says of that) of 30 flights."""
+def flights(tmp_path_factory, amount):
+    """(Flown, path of its log, what `diagnose` says of that) of 12 flights, of 30 with --thorough."""
     folder, found = tmp_path_factory.mktemp("logs"), []
-    plan = campaign.read(PLANS / "default.toml")
-    for numbers in numbered(plan, range(0, len(plan.cells), 2), 30 // len(range(0, len(plan.cells), 2)) + 1):
+    plan, least = campaign.read(PLANS / "default.toml"), amount(12, 30)
+    cells = range(0, len(plan.cells), 2)
+    for numbers in numbered(plan, cells, -(-least // len(cells))):
         scenarios = [plan.flight(k) for k in numbers]
         plans, first = [flight_plan(s) for s in scenarios], scenarios[0]
         records = fly_each(
@@ -40,7 +41,7 @@ def flights(tmp_path_factory):
             flown = batch.prepared(k, scenario, number, record)
             assert flown is not None
             found.append((flown, path, diagnose(path)))
-    assert len(found) >= 30
+    assert len(found) >= least
     return found
 
 
@@ -70,9 +71,9 @@ def test_a_campaign_counts_what_diagnose_says_of_the_written_log(flights):
 
 
 def test_injections_count_what_diagnose_says_of_the_flight(flights):
-    """Into healthy written logs, of both autopilots."""
+    """Into healthy written logs."""
     healthy = [(f, path) for f, path, _ in flights if not f.scenario.faults]
-    assert len(healthy) >= 4
+    assert len(healthy) >= 2
     for k, (flown, path) in enumerate(healthy):
         flight, (start, end) = logs.read(path), flown.ready.air[0]
         rotor, onset = 1 + k % len(flown.vehicle.rotors), 0.5 * (start + end)

@@ -63,11 +63,11 @@ def test_the_check_sees_who_fell():
 
 @pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize("folder", sorted({p.parent.name for p in LOGS}) or ["missing"])
-def test_nobody_who_was_out_of_control_is_healthy(folder):
+def test_nobody_who_was_out_of_control_is_healthy(folder, amount):
     if not LOGS:
         pytest.skip("../shared/flights is not here")
     wrong = []
-    for path in (p for p in LOGS if p.parent.name == folder):
+    for path in [p for p in LOGS if p.parent.name == folder][:: amount(3, 1)]:
         try:
             flight = logs.read(path)
             if out_of_control_s(flight) > LOST_S and diagnose(flight).verdict == "healthy":

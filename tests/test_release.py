@@ -395,12 +395,12 @@ def test_the_action_writes_a_summary_and_one_comment(runner, tmp_path):
     assert summary.startswith("## Flight logs\n\n**1 log: 1 healthy**") and "`flight.bin.xz`" in summary
     assert str(tmp_path) not in summary and "![" not in summary
     (tmp_path / "broken.bin").write_bytes(b"no log")
-    for logs in ("flight.bin.xz", "flight.bin.xz\nbroken.bin"):
+    for logs in ("broken.bin", "flight.bin.xz\nbroken.bin"):
         codes, printed, comments = runner({"logs": logs, "comment": "true"})
-        assert codes == {JUDGE: 2 if "broken" in logs else 0, COMMENT: 0}, printed
+        assert codes == {JUDGE: 2, COMMENT: 0}, printed
         assert len(comments) == 2, "the second time it is updated"
         assert comments[1][1].startswith("<!-- rotorwatch flights/logs -->\n### Flight logs\n\n**")
-        assert ("1 error" in comments[1][1]) == ("broken" in logs)
+        assert "1 error" in comments[1][1] and ("1 healthy" in comments[1][1]) == ("flight" in logs)
         assert "[this run](https://github.com/them/drones/actions/runs/9)" in comments[1][1]
     assert comments[0][1].endswith("of somebody else") and len(comments[1][1]) < 65_536
 

@@ -167,7 +167,6 @@ def test_connections_that_ask_nothing_keep_no_thread(monkeypatch):
         while (over := threading.active_count() - before > 6) and time.monotonic() < until:
             time.sleep(0.01)
         assert not over
-        monkeypatch.setattr(metrics, "ASKS_S", 0.1)
     finally:
         page.leave()
     for sock in idle:

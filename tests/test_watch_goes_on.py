@@ -442,7 +442,9 @@ def test_asked_to_end_it_gives_back_what_it_has_asked_for_and_keeps_the_record(t
         last, asked = vehicle.last, len(vehicle.intervals())
         child.send_signal(number)
         assert child.wait(20.0) == 3  # nothing could be judged
-        time.sleep(0.2)
+        until = time.monotonic() + 5.0
+        while vehicle.intervals()[0] not in vehicle.intervals()[asked:] and time.monotonic() < until:
+            time.sleep(0.02)
     finally:
         child.kill()
         vehicle.stop.set()

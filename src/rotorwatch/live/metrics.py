@@ -147,6 +147,7 @@ def _server(host: str, port: int, page: Any) -> Any:
 
     class Server(ThreadingMixIn, WSGIServer):
         daemon_threads = True
+        request_queue_size = 128  # wait to be taken: of more than 5 at once some waited for seconds
         address_family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
 
         def __init__(self) -> None:

@@ -34,7 +34,6 @@ Times = list[float]
 Mask = int  # a set: bit k is element k; 16 bits
 Small = int  # 16 bits
 Ints = list[int]
-Masks = list[int]
 Flags = list[bool]
 Bytes = Sequence[int]
 Vectors = list[list[float]]  # rows of three
@@ -65,7 +64,7 @@ SCALARS = {
 }
 
 # The same, of arrays.
-LISTS = {"Reals": REAL, "Times": TIME, "Ints": INT, "Flags": FLAG, "Masks": MASK, "Bytes": "byte"}
+LISTS = {"Reals": REAL, "Times": TIME, "Ints": INT, "Flags": FLAG, "Bytes": "byte"}
 
 S = TypeVar("S", bound="Struct")
 

@@ -77,7 +77,6 @@ class Translation:
         self.home: dict[type, ModuleType] = {}
         self.functions: dict[Any, Function] = {k: f for one in given for k, f in one.functions.items()}
         self.tables: dict[str, str] = {}
-        self.enums: dict[str, int] = {}
         for module, tree in self.trees.items():
             for node in tree.body:
                 if isinstance(node, ast.ClassDef) and is_struct(getattr(module, node.name)):

@@ -71,24 +71,6 @@ def information(model: Callable[[Any], Rows], rows: Any, P0: Array, valid: Array
     return jax.lax.scan(step, carry, (rows, valid))[1]
 
 
-def along(system, actuator: int, dt: float) -> Callable[[Any], Rows]:
-    """`information`'s model for any plant: linearised where it is, at rows (x (n_x,), u (n_u,), theta (n_theta,)) of its true path.
-
-    Raises ConfigError for an actuator that the plant does not have.
-    """
-    if not 0 <= actuator < system.n_theta:
-        raise ConfigError(f"actuator must lie between 0 and {system.n_theta - 1}, not {actuator}.")
-    jax = load_jax()
-
-    def model(row) -> Rows:
-        x, u, theta = row
-        A, G = jax.jacfwd(system.f, argnums=(0, 2))(x, u, theta, dt)
-        C, H = jax.jacfwd(system.h, argnums=(0, 2))(x, u, theta)
-        return Rows(A, G[:, actuator], C, H[:, actuator], system.Q(dt), system.R(u))
-
-    return model
-
-
 def loss_sd(information, prior_sd: float = np.inf):
     """Posterior Cramer-Rao bound: the least standard deviation of the loss. prior_sd: what was known before."""
     with np.errstate(divide="ignore"):

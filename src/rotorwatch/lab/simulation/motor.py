@@ -15,11 +15,8 @@ The propeller's torque is q = w^2 (1 - its loss); a bad bearing adds a friction 
 
 from __future__ import annotations
 
-from typing import Any
-
 from rotorwatch.base.backend import jax as load_jax
 
-Array = Any
 COPPER = 0.12  # of full voltage lost in the windings at full load: usual of multirotor motors, whose efficiency there is 0.8 to 0.85
 IDLE = 0.04  # of full current without a propeller
 REST = 0.05  # of full speed, below which friction fades: nothing rubs at rest

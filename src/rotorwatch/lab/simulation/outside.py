@@ -6,12 +6,10 @@ None of it is known to the autopilot, and none of it is in a log but for what it
 from __future__ import annotations
 
 from collections import namedtuple
-from typing import Any
 
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.lab.simulation import dynamics, faults
 
-Array = Any
 STIR_HZ = 8.0  # corner of a rotor's own noise in stirred air: eddies of a rotor's size at the speed of its air
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import ctypes
 import functools
 import hashlib
-import itertools
 import json
 import os
 import platform
@@ -218,33 +217,23 @@ def described(tree: Any) -> Any:
     return 0
 
 
-def rebuilt(like: Any, leaves) -> Any:
+def rebuilt(like: Any, leaves: Iterable) -> Any:
     """The tree that `described` describes, with new leaves in the same order."""
-    return builder(like)(leaves)
+    flat = iter(leaves)
 
-
-def builder(like: Any) -> Callable[[Iterable], Any]:
-    """What makes such trees of leaves, again and again."""
-
-    def one(node) -> Callable[[Iterator], Any]:
+    def one(node) -> Any:
         if node == 0:
-            return next
+            return next(flat)
         if "none" in node:
-            return lambda flat: None
+            return None
         if "dict" in node:
-            parts = {k: one(v) for k, v in node["dict"].items()}
-            return lambda flat: {k: part(flat) for k, part in parts.items()}
+            return {k: one(v) for k, v in node["dict"].items()}
         module, _, name = node["kind"].partition(":")
         kind: Any = functools.reduce(getattr, name.split("."), import_module(module))
         items = [one(item) for item in node["items"]]
-        if not hasattr(kind, "_fields"):
-            return lambda flat: kind(item(flat) for item in items)
-        if all(item is next for item in items):
-            return lambda flat: kind._make(itertools.islice(flat, len(items)))
-        return lambda flat: kind(*(item(flat) for item in items))
+        return kind(*items) if hasattr(kind, "_fields") else kind(items)
 
-    make = one(like)
-    return lambda leaves: make(iter(leaves))
+    return one(like)
 
 
 def flattened(tree: Any) -> list:
@@ -364,6 +353,7 @@ def prepared(build_estimator: Callable, select: Callable, parameters, sizes: tup
             sizes,
             toolchain.machine(),
             QUICK,
+            BIG,
             FLAGS,
             VECTORS,
         ]
@@ -381,31 +371,6 @@ def prepared(build_estimator: Callable, select: Callable, parameters, sizes: tup
     part.write_text(json.dumps({"library": str(library), "layout": layout}))
     os.replace(part, note)
     return Library(library, layout)
-
-
-class Session:
-    """A library run over rows as they come. state: the struct it has come to; not for two threads at once."""
-
-    def __init__(self, library: Library, parameters, carry):
-        layout = library.layout
-        self._library, self._room = library, library.room()
-        self._packed = library.pack(layout.parameters, library.parameter_type, flattened(parameters))
-        self.state = library.pack(layout.state, library.state_type, flattened(carry))
-        self._between = [_address(a) for a in (self.state, self._packed)[: 1 + bool(layout.parameters)]]
-        self._work = _address(self._room)
-        self._make = builder(layout.out_like)
-
-    @property
-    def carry(self) -> Any:
-        """What `state` holds, as the estimator has it."""
-        return rebuilt(self._library.layout.carry_like, self._library.leaves(self.state))
-
-    def run(self, u, y, valid) -> Any:
-        """Outputs of the rows, stacked."""
-        arguments = [np.ascontiguousarray(u, float), np.ascontiguousarray(y, float), np.ascontiguousarray(valid, bool)]
-        out, call = np.empty(len(u), self._library.out_type), self._library.call
-        call(ctypes.c_int32(len(u)), *self._between, *(_address(a) for a in arguments), _address(out), self._work)
-        return self._make(self._library.columns(out))
 
 
 def run(library: Library, parameters, carry, u, y, valid, progress=None):

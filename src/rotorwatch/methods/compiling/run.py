@@ -7,7 +7,6 @@ import inspect
 import os
 import warnings
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -204,64 +203,3 @@ def run_built(
         if progress:
             progress(min(1.0, (start + size) / max(count, 1)))
     return carry, jax.tree.map(lambda *a: np.concatenate(a), *parts)
-
-
-PIECE = 64
-
-
-class Steps:
-    """A built estimator that goes on piece by piece, as rows come: what `run_built` makes of all rows at once.
-
-    `state` is what it has come to. It can be kept, and be set again to go on from there.
-    """
-
-    def __init__(
-        self, build: Callable, parameters, select: Callable, sizes: tuple[int, int], backend: str | None = None
-    ):
-        """Arguments as for `run_built`; sizes: of u and y. The program is compiled here, if it is not yet."""
-        self._parameters, self._program, self._library = parameters, None, None
-        if chosen(backend, "auto") != "jax":
-            try:
-                self._library = native.prepared(build, select, parameters, sizes)
-            except native.Unmakeable:
-                raise
-            except ConfigError:  # without a compiler: JAX
-                pass
-        carry = build(parameters).init()
-        if self._library is not None:
-            self._session = native.Session(self._library, parameters, carry)
-        else:
-            self._program, self._carry = _program(build, select), carry
-            self._parameters = load_jax().tree.map(np.asarray, parameters)
-            self.run(np.zeros((1, sizes[0])), np.zeros((1, sizes[1])), np.zeros((1, sizes[1]), bool))
-            self._carry = carry
-
-    @property
-    def carry(self) -> Any:
-        """What the estimator has come to, as `run_built` returns it."""
-        return self._carry if self._library is None else self._session.carry
-
-    @property
-    def state(self):
-        return self._carry if self._library is None else self._session.state.copy()
-
-    @state.setter
-    def state(self, kept):
-        if self._library is None:
-            self._carry = kept
-        else:
-            self._session.state[...] = kept
-
-    def run(self, u: np.ndarray, y: np.ndarray, valid: np.ndarray) -> Any:
-        """Step over the rows u (T, n_u), y and valid (T, n_y), T at least 1; the stacked outputs."""
-        if self._library is not None:
-            return self._session.run(u, y, valid)
-        jax, parts = load_jax(), []
-        for start in range(0, len(u), PIECE):
-            rows = [np.asarray(a[start : start + PIECE]) for a in (u, y, valid)]
-            size = len(rows[0])
-            rows = [np.concatenate([a, np.zeros((PIECE - size, *a.shape[1:]), a.dtype)]) for a in rows]
-            assert self._program is not None
-            self._carry, out = self._program(self._parameters, self._carry, *rows, size)
-            parts.append(jax.tree.map(lambda a, size=size: np.asarray(a)[:size], out))
-        return jax.tree.map(lambda *a: np.concatenate(a), *parts)

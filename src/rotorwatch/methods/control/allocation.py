@@ -37,7 +37,6 @@ from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.methods.control import box
 from rotorwatch.methods.maths import bounded
 
-CHANNELS = ("thrust", "roll", "pitch", "yaw")
 WEIGHTS = (1.0, 1.0, 1.0, 0.03)
 EPS = 1e-6
 METHODS = ("bounded", "pseudo-inverse")
@@ -155,7 +154,7 @@ class Allocator:
             candidates, weights = jnp.clip(belief.candidates, 0.0, 1.0), jnp.maximum(belief.weights, 0.0)
             u, turns = self._between(b, candidates, weights, mean), jnp.int32(0)
         else:
-            u, turns = box.solve_counting(*self.problem(b, mean, lower, upper))
+            u, turns = box.solve(*self.problem(b, mean, lower, upper))
         u = jnp.where(usable, u, state.u)
         wrench = self.B @ (mean * u)
         error = demand - wrench

@@ -22,12 +22,8 @@ CLOSE = 1e-9  # a whole step; no step
 
 
 def solve(A, b, c, d, turns: int = TURNS):
-    """u (n,) for A (m, n), b (m,), c (n,) and d (n,) > 0: see the module. Turns after the last that is needed do nothing."""
-    return solve_counting(A, b, c, d, turns)[0]
-
-
-def solve_counting(A, b, c, d, turns: int = TURNS):
-    """(u (n,), turns taken, int32): `turns` + 1 when that was not enough."""
+    """(u (n,), turns taken, int32) for A (m, n), b (m,), c (n,) and d (n,) > 0: see the module. Turns after the last that is needed do
+    nothing; `turns` + 1 are taken when they were not enough."""
     over_d = A / d
 
     def side(t):

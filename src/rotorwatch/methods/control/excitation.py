@@ -123,11 +123,6 @@ def null_space(B: Array) -> np.ndarray:
     return right[int((values > FLAT * values.max(initial=0.0)).sum()) :].T
 
 
-def answer(B: Array, theta: Array, c: Array) -> np.ndarray:
-    """The wrench (4,) that rotors with losses theta (n,) give to commands c (n,) beyond a healthy vehicle's; equation (1)."""
-    return -np.asarray(B, float) @ (np.asarray(theta, float) * np.asarray(c, float))
-
-
 def covariance(noise: Noise, ticks: int, dt: float) -> np.ndarray:
     """Sigma (T, T) of the noise over T ticks, its level unknown."""
     white, first, second, walk = np.asarray(noise.variances, float)

@@ -121,10 +121,6 @@ class Law:
         """theta within the bounds."""
         return jnp.clip(theta, *self.bounds)
 
-    def lyapunov(self, w, loss_error):
-        """V of the state error w and the loss error theta_hat - theta."""
-        return 0.5 * w @ (self.M * w) + 0.5 * loss_error @ loss_error / self.gamma
-
 
 def estimate(state: State, e, S, valid) -> Estimate:
     """The state as an estimate, with the innovation e (n_y,) and its covariance S."""

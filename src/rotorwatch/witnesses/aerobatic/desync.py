@@ -228,6 +228,7 @@ def _refined(
     that falls makes the likelihood a narrow ridge, and a part of a desync, or more than it, may be the peak; then both by ever smaller
     steps, where that may come to `least`. (0, 0) where it does not."""
 
+    @functools.cache  # steps come by the same places again
     def value(s: int, n: int) -> float:
         possible = s >= 0 and n >= 2 and s + n + LAGS < len(seen[0].left)
         return _marginal(_ratios(seen, i, s, n, rougher=(1.0,))) if possible else -np.inf
@@ -266,10 +267,12 @@ def _ratios(
         times = rougher if c.rotor is None else (1.0,)  # air does not turn motors
         without = np.array([_likelihood(z, r) for r in times])
         none += without
+        missed = np.zeros((len(kernels), 1, len(z)))
         for m, kernel in enumerate(kernels):
             s = np.convolve(answer, kernel)[: len(z)]
-            s = np.concatenate([s, np.zeros(len(z) - len(s))]) / scale
-            each[m, :, k] = np.array([_likelihood(z + SIZES[:, None] * s, r) for r in times]) - without[:, None]
+            missed[m, 0, : len(s)] = s
+        left = z + SIZES[:, None] * (missed / scale)
+        each[:, :, k] = np.stack([_likelihood(left, r) for r in times], axis=1) - without[:, None]
     weight = none - np.logaddexp.reduce(none) - np.log(len(SLOWER_S))
     return Ratios(each.reshape(-1, *each.shape[2:]), np.tile(weight, len(SLOWER_S)))
 

@@ -39,7 +39,6 @@ BAND = 0.02
 EPSILON, PRINTED_EPSILON = 50.0, 0.02
 RINGS = {"hexa": 6, "octa": 8}
 GAINS = (10.0, 20.0)  # lp, lv: the observer's own
-CHANNELS = ("roll", "pitch", "yaw", "thrust")
 STIFFNESS = (1.0, 0.8, 0.7, 0.6)  # of the attitude controller, the first being the study's own
 # Largest deviations that the paper reads off its figures 3, 7, 11 and 15: (x, y) [m] after each onset, and the drop of scenario 4.
 DEVIATION = {"scenario_2": ((0.60, 0.30),), "scenario_3": ((0.60, 0.25), (0.50, 0.10), (None, 0.60))}
