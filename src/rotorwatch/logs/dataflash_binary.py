@@ -372,9 +372,9 @@ def _text(raw: bytes) -> str:
 
 def _zero_tail(data: np.ndarray) -> int:
     """How many zero bytes end the file."""
-    stop = data.size
+    stop, step = data.size, 256
     while stop > 0:
-        start = max(stop - SCAN_CHUNK, 0)
+        start, step = max(stop - step, 0), min(16 * step, SCAN_CHUNK)
         used = np.flatnonzero(data[start:stop])
         if used.size:
             return int(data.size - (start + used[-1] + 1))
