@@ -20,6 +20,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -158,15 +159,15 @@ def _whole_records(motors: Signal) -> tuple[Signal, list[str]]:
     ]
 
 
-def _unsupported(name: str, signals: Mapping[str, Signal], sizes: Mapping[str, np.ndarray]) -> np.ndarray:
+def _unsupported(name: str, signals: Mapping[str, Signal], sizes: Mapping[str, Lone]) -> np.ndarray:
     """(n, k) bool: lone values of a signal at which nothing else jumps that would if it had happened.
 
     sizes: `_size` of every signal.
     """
     signal, size = signals[name], sizes[name]
-    rows, columns = np.nonzero(size > 0.0)
+    rows, columns, off = size
     if not rows.size or name == "attitude":  # one wrong angle moves all of a quaternion
-        return size > 0.0
+        return size.marked(signal.values.shape)
     support = np.zeros(rows.size)
     for other in {name, *(COUPLED if name in COUPLED else ())} & signals.keys():
         partner = signals[other]
@@ -176,9 +177,7 @@ def _unsupported(name: str, signals: Mapping[str, Signal], sizes: Mapping[str, n
         own = columns if other == name else np.full(rows.size, -1)
         jumps = _support(partner.time, partner.values, partner.valid, sizes[other], _floor(other, partner), at, own)
         support = np.maximum(support, jumps)
-    found = np.zeros(size.shape, bool)
-    found[rows, columns] = support < np.maximum(JUMPS, size[rows, columns] * ALONE)
-    return found
+    return size.part(support < np.maximum(JUMPS, off * ALONE)).marked(signal.values.shape)
 
 
 def _unasked(signals: Mapping[str, Signal], already: np.ndarray) -> np.ndarray:
@@ -209,11 +208,8 @@ def _unasked(signals: Mapping[str, Signal], already: np.ndarray) -> np.ndarray:
 def _without_others(time, values, valid, floor: float) -> np.ndarray:
     """(n, k) bool: lone values in rows where no other column jumps nearly as far, as all do that one axis moves."""
     size = _size(time, values, valid, floor)
-    rows, columns = np.nonzero(size > 0.0)
-    support = _support(time, values, valid, size, floor, rows, columns)
-    found = np.zeros(size.shape, bool)
-    found[rows, columns] = support < np.maximum(JUMPS, size[rows, columns] * ALONE_IN_AXIS)
-    return found
+    support = _support(time, values, valid, size, floor, size.rows, size.columns)
+    return size.part(support < np.maximum(JUMPS, size.sizes * ALONE_IN_AXIS)).marked(values.shape)
 
 
 def lone(time, values, floor: float, valid=None) -> np.ndarray:
@@ -222,32 +218,65 @@ def lone(time, values, floor: float, valid=None) -> np.ndarray:
     floor: the least deviation that counts. valid: (n, k) bool, the values to look at (default: all that are finite).
     """
     values = np.asarray(values, float)
-    return _size(np.asarray(time, float), values, np.isfinite(values) if valid is None else valid, floor) > 0.0
+    return _size(np.asarray(time, float), values, np.isfinite(values) if valid is None else valid, floor).marked(
+        values.shape
+    )
 
 
-def _size(time, values, valid, floor: float, alike: bool = False) -> np.ndarray:
-    """(n, k) how far lone values are off, as a multiple of what makes them lone; 0 for all others.
+class Lone(NamedTuple):
+    """Lone values, few of many: their rows and columns (m,), in the order of rows, and how far each is off, as a multiple of what makes it
+    lone."""
+
+    rows: np.ndarray
+    columns: np.ndarray
+    sizes: np.ndarray
+
+    def part(self, keep: np.ndarray) -> Lone:
+        """Those that are kept (m,) bool."""
+        return Lone(self.rows[keep], self.columns[keep], self.sizes[keep])
+
+    def marked(self, shape: tuple[int, ...]) -> np.ndarray:
+        """A table of that shape, True where a value is lone."""
+        found = np.zeros(shape, bool)
+        found[self.rows, self.columns] = True
+        return found
+
+
+def _size(time, values, valid, floor: float, alike: bool = False) -> Lone:
+    """The lone ones of values (n, k).
 
     alike: columns are as rough as each other, as the commands of motors are, which one mixer makes. One that stands still (a motor at
     idle) does not show how rough it will be when it moves, so at least the mean of those that move is taken.
     """
-    values, size = np.ascontiguousarray(values.T), np.zeros(values.shape[::-1])
+    lone: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     every = _Times(time) if valid.all() else None  # what only times say is the same of all columns then
-    known = [slice(None) if every else np.flatnonzero(ok) for ok in valid.T]
+
+    def known(k: int) -> Any:
+        return slice(None) if every else np.flatnonzero(valid[:, k])
+
     rough = None
     if alike:
-        rough = np.zeros(values.shape)
-        for x, where, to in zip(values, known, rough):
-            times = every or _Times(time[where])
+        rough = np.zeros(values.shape[::-1])
+        for k, to in enumerate(rough):
+            times = every or _Times(time[known(k)])
             if len(times.t) > 2 * AHEAD:
-                to[where] = np.abs(_residual(x[where], times.single, 1, 1)[0])
+                x = np.ascontiguousarray(values[known(k), k])
+                to[known(k)] = np.abs(_residual(x, times.single, 1, 1)[0])
         mean = rough.T.sum(axis=1) / np.maximum((rough > 0.0).sum(axis=0), 1)
         rough = np.maximum(rough, mean)
-    for k, where in enumerate(known):
+    for k in range(values.shape[1]):
+        where = known(k)
         times = every or _Times(time[where])
         if len(times.t) > 2 * AHEAD:
-            size[k][where] = _alone(times, values[k][where], None if rough is None else rough[k][where], floor)
-    return np.ascontiguousarray(size.T)
+            x = np.ascontiguousarray(values[where, k])
+            size = _alone(times, x, None if rough is None else rough[k][where], floor)
+            at = np.flatnonzero(size)
+            lone.append((at if every else where[at], np.full(at.size, k), size[at]))
+    if not lone:
+        return Lone(np.zeros(0, int), np.zeros(0, int), np.zeros(0))
+    rows, columns, sizes = map(np.concatenate, zip(*lone))
+    order = np.lexsort((columns, rows))
+    return Lone(rows[order], columns[order], sizes[order])
 
 
 class _Times:
@@ -312,7 +341,7 @@ def _alone(times: _Times, x: np.ndarray, rough: np.ndarray | None, floor: float)
     return size
 
 
-def _support(time, values, valid, size, floor: float, at, own) -> np.ndarray:
+def _support(time, values, valid, size: Lone, floor: float, at, own) -> np.ndarray:
     """How far the samples `at` jump in any column but `own`, in the unit of `_size`.
 
     Against the line between their neighbours where those are valid and not lone themselves; what is not valid does not jump.
@@ -325,7 +354,8 @@ def _support(time, values, valid, size, floor: float, at, own) -> np.ndarray:
     there, inner = np.flatnonzero(near), np.flatnonzero(near[:-2] & near[1:-1] & near[2:]) + 1
     calm, r = np.zeros(len(time)), np.zeros(len(time))
     for k in range(values.shape[1]):
-        good = valid[:, k] & (size[:, k] == 0.0)
+        good = valid[:, k].copy()
+        good[size.rows[size.columns == k]] = False
         if good.any():
             calm[there] = np.interp(time[there], time[good], values[good, k])
             r[inner] = _residual_at(time, calm, 1, 1, inner)[0]
