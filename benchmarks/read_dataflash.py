@@ -20,6 +20,7 @@ import re
 import resource
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,11 @@ MESSAGES = "RCOU RATE IMU ANG ATT XKF1 NKF1 CTUN BAT MOTB ESC MSG VER ERR EV MOD
 
 def enlarged(data: bytes, size: int) -> bytes:
     """`data` with its part from the first RATE record on repeated until `size` bytes, time running on."""
+    return b"".join(pieces(data, size))
+
+
+def pieces(data: bytes, size: int) -> Iterator[bytes]:
+    """The same, piece by piece."""
     log = BinaryLog(data)
     rate = log.table("RATE", [])
     if rate is None:
@@ -43,15 +49,15 @@ def enlarged(data: bytes, size: int) -> bytes:
     stamped = np.flatnonzero(np.isfinite(stamps) & (np.arange(stamps.size) >= first))
     at = log._at[stamped] - start + 3
     span = np.uint64(np.ptp(stamps[stamped]) + 2500)
-    copies = [data]
-    total = len(data)
+    yield data
+    total, copy = len(data), 0
     while total < size:
+        copy += 1
         moved = bytearray(part)
         view = np.ndarray((len(part) - 7,), "V8", buffer=moved, strides=(1,))
-        view[at] = (stamps[stamped].astype("<u8") + span * np.uint64(len(copies))).view("V8")
-        copies.append(bytes(moved))
+        view[at] = (stamps[stamped].astype("<u8") + span * np.uint64(copy)).view("V8")
+        yield bytes(moved)
         total += len(part)
-    return b"".join(copies)
 
 
 def time_rotorwatch(path: Path, repeats: int = 3) -> tuple[float, float]:

@@ -68,23 +68,6 @@ native.BIG, native.QUICK = 0, ("-O0",)  # so are published methods as C
 gc.set_threshold(50_000, 20, 50)
 
 
-def _entry_points(read=metadata.entry_points):
-    """What packages offer is read again where a folder on the path has changed only: it takes 20 ms, and every plan asks for it."""
-    known = {}
-
-    def entry_points(**wanted):
-        there = [Path(folder) for folder in sys.path]
-        key = tuple((p, p.stat().st_mtime_ns) for p in there if p.exists()), tuple(sorted(wanted.items()))
-        if key not in known:
-            known[key] = read(**wanted)
-        return known[key]
-
-    return entry_points
-
-
-metadata.entry_points = _entry_points()
-
-
 def pytest_collection_finish():
     """What has been imported and collected by now stays, and is not looked through again."""
     gc.collect()

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from os import PathLike
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -43,8 +43,7 @@ from rotorwatch.flight import Flight, identity
 from rotorwatch.flight.diagnosis import Diagnosis, Event, Source
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.logs import plausible
-from rotorwatch.methods.published import decide, detectors, published
-from rotorwatch.methods.published.published import Tuning
+from rotorwatch.methods.published import detectors
 from rotorwatch.witnesses import excitation_response, hindsight, reports
 from rotorwatch.witnesses.aerobatic import desync
 from rotorwatch.witnesses.aerobatic import judge as aerobatic
@@ -52,6 +51,9 @@ from rotorwatch.witnesses.esc import consistency
 from rotorwatch.witnesses.healthy import baselines, outputs, population
 from rotorwatch.witnesses.healthy.baselines import Given
 from rotorwatch.witnesses.upset import find as upset
+
+if TYPE_CHECKING:
+    from rotorwatch.methods.published.published import Tuning
 
 AEROBATIC = (
     "the vehicle does not hover in this flight: it is judged by its angular motion over seconds, so that a loss is seen later than in "
@@ -105,6 +107,8 @@ class Estimated:
     def limit(self) -> float:
         """The statistic's, from which on a loss is announced."""
         if not self.own:
+            from rotorwatch.methods.published import decide
+
             return 0.5 * decide.SIGMAS**2
         return threshold(self.out.theta.shape[1], self.table.dt)
 
@@ -250,6 +254,8 @@ def estimated(
     if estimator == "default":
         one, judged = fly(ready.flight, ready.vehicle, ready.air, ready.ready_s, ready.dynamics, progress)
         return Estimated(judged.table, judged.out, one.learned, diagnoser=one)
+    from rotorwatch.methods.published import published
+
     out = published.judge(estimator, table, B, ready.dynamics, tuning, progress)
     ready.assumptions += published.notes(discovery.title(estimator))
     return Estimated(table, out, own=False)

@@ -14,17 +14,21 @@ from __future__ import annotations
 
 import functools
 import importlib
+import importlib.machinery
 import inspect
+import os
 import pkgutil
 import sys
 import warnings
 from collections.abc import Callable, Iterator
-from importlib import metadata
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rotorwatch import __version__
 from rotorwatch.errors import ConfigError, PluginWarning
+
+if TYPE_CHECKING:  # it takes longer to load than a log takes to read
+    from importlib import metadata
 
 ESTIMATOR = ("name", "init", "step")
 PARTS = {"rotorwatch.estimators": ESTIMATOR, "rotorwatch.systems": ("name", "f", "h")}
@@ -128,6 +132,8 @@ def source(found: Any) -> Source:
     if top == "rotorwatch":
         return Source("rotorwatch", __version__, path)
     for name in _distributions(top, tuple(sys.path)):
+        from importlib import metadata
+
         return Source(name, metadata.version(name), path)
     for group in GROUPS:  # a package that is only on the path, with its metadata next to it
         for entry in offered(group).values():
@@ -139,6 +145,8 @@ def source(found: Any) -> Source:
 @functools.cache
 def _distributions(top: str, _path: tuple[str, ...]) -> list[str]:
     """Names of the installed packages that bring a module of that name; all that is installed is read for it, which takes a second."""
+    from importlib import metadata
+
     return metadata.packages_distributions().get(top, [])
 
 
@@ -201,10 +209,14 @@ def _own(group: str) -> dict[str, type]:
 def modules(package: str) -> Iterator[ModuleType]:
     """Every module of a package, those of its sub-packages included, in the order of their names; not those with an
     underscore in front."""
+    yield from map(importlib.import_module, _names(package))
+
+
+@functools.cache
+def _names(package: str) -> tuple[str, ...]:
     parent = importlib.import_module(package)
-    for info in pkgutil.walk_packages(parent.__path__, f"{package}."):
-        if not info.name.rpartition(".")[2].startswith("_"):
-            yield importlib.import_module(info.name)
+    names = (info.name for info in pkgutil.walk_packages(parent.__path__, f"{package}."))
+    return tuple(name for name in names if not name.rpartition(".")[2].startswith("_"))
 
 
 def member(package: str, name: str):
@@ -222,10 +234,53 @@ def member(package: str, name: str):
 
 def offered(group: str) -> dict[str, metadata.EntryPoint]:
     """Name -> entry point of what other installed packages offer in a group of GROUPS; nothing is loaded."""
+    return dict(_offered(group, _folders()))
+
+
+def _folders() -> tuple[tuple[str, int], ...]:
+    """The places where packages are found, with the time of their last change: an installed package changes it."""
+    found = []
+    for folder in sys.path:
+        try:
+            found.append((folder or ".", os.stat(folder or ".").st_mtime_ns))
+        except OSError:  # not there
+            continue
+    return tuple(found)
+
+
+@functools.cache
+def _offered(group: str, folders: tuple[tuple[str, int], ...]) -> dict[str, metadata.EntryPoint]:
+    if not _mentioned(folders):
+        return {}
+    from importlib import metadata
+
     found: dict[str, metadata.EntryPoint] = {}
     for entry in metadata.entry_points(group=group):
         found.setdefault(entry.name, entry)
     return dict(sorted(found.items()))
+
+
+@functools.cache
+def _mentioned(folders: tuple[tuple[str, int], ...]) -> bool:
+    """Whether any installed package may offer something: one names a group of ours in its entry points. Where packages are not found in
+    folders alone, the answer is yes."""
+    finders = (finder for finder in sys.meta_path if finder is not importlib.machinery.PathFinder)
+    if any(hasattr(finder, "find_distributions") for finder in finders):
+        return True
+    for folder, _ in folders:
+        if not os.path.isdir(folder):
+            return True
+        for name in os.listdir(folder):
+            if name.endswith(".egg"):
+                return True
+            if name.endswith((".dist-info", ".egg-info")):
+                try:
+                    with open(os.path.join(folder, name, "entry_points.txt"), "rb") as file:
+                        if b"[rotorwatch." in file.read():
+                            return True
+                except OSError:  # it has none
+                    continue
+    return False
 
 
 def others(

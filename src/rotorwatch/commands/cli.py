@@ -6,7 +6,9 @@ Exit codes: 0 healthy, 1 fault found or crashed, 3 inconclusive or ambiguous onl
 
 from __future__ import annotations
 
+import atexit
 import contextlib
+import gc
 import io
 import os
 import signal
@@ -66,6 +68,11 @@ SAMPLES = Path(__file__).parents[1] / "samples"
 
 def main(argv: list[str] | None = None) -> None:
     """Entry point of the `rotorwatch` command; always leaves by SystemExit."""
+    # Nearly all that a command makes lasts until its end, and is not looked through for cycles again and again, nor when it ends. Matrices
+    # are small: threads of numerical libraries would only have to be started.
+    gc.set_threshold(100_000, 20, 50)
+    atexit.register(gc.freeze)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if "_ROTORWATCH_COMPLETE" in os.environ:  # set by the shell's completion function
         cli.main(prog_name="rotorwatch")
     if not os.environ.get("ROTORWATCH_DEBUG"):
@@ -294,11 +301,11 @@ def _check_markdown(request: several.Request) -> None:
 
 def _post_paths(logs: Sequence[Any], out: Path | None) -> tuple[list[Path], Path | None]:
     """(a post for each log, the post of all): --markdown FILE.md is one post of all logs, a folder or a name with {name} one each."""
+    if out is None or str(out) == "-":
+        return [], out
     from rotorwatch.base import files
     from rotorwatch.report.markdown import ENDINGS
 
-    if out is None or str(out) == "-":
-        return [], out
     each = "{name}" in str(out) or out.is_dir()
     if (
         not out.is_dir() and out.suffix.lower() not in ENDINGS

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,6 +81,7 @@ ENGINE = Definition(
     ],
     vectors=True,
 )
+PIECE = 1 << 18  # samples
 KINDS = {
     "motors": front.OUTPUTS, "control": front.CONTROL, "gyro": front.GYRO, "accel": front.ACCEL, "velocity": front.VELOCITY,
     "state": front.STATE, "attitude": front.ATTITUDE, "voltage": front.VOLTAGE, "thrust": front.THRUSTS, "rates": front.RATES,
@@ -104,7 +105,35 @@ class Samples:
         return Samples(self.kind[first:last], self.time[first:last], self.at[first:last], self.values)
 
 
-def merged(parts: Iterable[tuple[str, np.ndarray, np.ndarray]]) -> Samples:
+Part = tuple[str, np.ndarray, np.ndarray]
+
+
+def pieces(parts: Iterable[Part], most: int = PIECE) -> Iterator[Samples]:
+    """As `merged`, about `most` samples at a time, so that those of a long log are never all held at once. Samples of equal times come in
+    one piece."""
+    parts = [(name, time, numbers) for name, time, numbers in map(_in_order, parts) if len(time)]
+    count = -(-sum(len(time) for _, time, _ in parts) // most)
+    if count < 2:
+        yield merged(parts)
+        return
+    longest = max((time for _, time, _ in parts), key=len)
+    edges = np.unique(longest[np.arange(1, count) * len(longest) // count])
+    cuts = [[0, *np.searchsorted(time, edges).tolist(), len(time)] for _, time, _ in parts]
+    for k in range(len(edges) + 1):
+        part = merged((name, t[c[k] : c[k + 1]], x[c[k] : c[k + 1]]) for (name, t, x), c in zip(parts, cuts))
+        if len(part):
+            yield part
+
+
+def _in_order(part: Part) -> Part:
+    name, time, numbers = part
+    if (time[1:] >= time[:-1]).all():
+        return part
+    order = np.argsort(time, kind="stable")
+    return name, time[order], numbers[order]
+
+
+def merged(parts: Iterable[Part]) -> Samples:
     """Samples of several signals in one order: (name, time (n,), values (n, columns))."""
     kinds, times, places, values, total = [], [], [], [], 0
     for name, time, numbers in parts:

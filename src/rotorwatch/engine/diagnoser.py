@@ -13,7 +13,7 @@ from rotorwatch.base.compiling.structs import LASTS
 from rotorwatch.engine import engine, feed
 from rotorwatch.engine.default import events, program
 from rotorwatch.engine.default.program import Learned, TickOutput
-from rotorwatch.engine.definition import ENGINE, Samples
+from rotorwatch.engine.definition import ENGINE, Samples, pieces
 from rotorwatch.engine.estimator.estimator import Result
 from rotorwatch.engine.front.ticks import Made
 from rotorwatch.engine.motion import allocation, deviations
@@ -21,7 +21,7 @@ from rotorwatch.engine.motion.airborne import Gap
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.contact import Contact
 from rotorwatch.engine.motion.deviations import Override
-from rotorwatch.engine.motion.samples import samples
+from rotorwatch.engine.motion.samples import parts
 from rotorwatch.engine.motion.ticks import Plan, Ticks, columns, grounded, joined, known_hover, laid_out, plan
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
@@ -37,8 +37,8 @@ class Judged:
     table: Ticks
     out: TickOutput
 
-    def part(self, keep: np.ndarray) -> Judged:
-        """The ticks `keep` (T,) bool."""
+    def part(self, keep: np.ndarray | slice) -> Judged:
+        """The ticks `keep` (T,) bool, or from one to another."""
         return Judged(self.table.part(keep), TickOutput(*(column[keep] for column in self.out)))
 
     @staticmethod
@@ -47,8 +47,10 @@ class Judged:
         parts = list(parts)
         if len(parts) < 2:
             return parts[0] if parts else None
-        out = TickOutput(*map(np.concatenate, zip(*(one.out for one in parts), strict=True)))
-        return Judged(joined([one.table for one in parts]), out)
+        table = joined([one.table for one in parts])
+        columns = [list(column) for column in zip(*(one.out for one in parts), strict=True)]
+        parts.clear()
+        return Judged(table, TickOutput(*(np.concatenate(columns.pop(0)) for _ in TickOutput._fields)))
 
 
 class Diagnoser:
@@ -184,19 +186,24 @@ def fly(
     how = plan(flight, flight["control" if mixing else "motors"], ready_s)
     diagnoser = Diagnoser(vehicle, allocation.laid_out(vehicle, flight), how, mixing, dynamics)
     diagnoser.trim.set(every=LASTS)  # nobody asks before the end
-    every = samples(flight.signals, flight.messages, vehicle, how.gyro, "battery" in flight.signals)
-    lifted = {int(np.searchsorted(every.time, start)): end for start, end in air}
-    edges = sorted({0, *range(0, len(every), PIECE), *lifted, len(every)})
-    parts: list[Judged] = []
-    for first, last in itertools.pairwise(edges):
-        if first in lifted:
-            diagnoser.fell(lifted[first])
-        parts += diagnoser.feed(every.part(first, last))
+    taken = parts(flight.signals, flight.messages, vehicle, how.gyro, "battery" in flight.signals)
+    left, done, total = list(air), 0, sum(len(time) for _, time, _ in taken)
+    found: list[Judged] = []
+    for samples in pieces(taken, PIECE):
+        lifted = {}
+        while left and left[0][0] <= samples.time[-1]:
+            start, end = left.pop(0)
+            lifted[int(np.searchsorted(samples.time, start))] = end
+        for first, last in itertools.pairwise(sorted({0, *lifted, len(samples)})):
+            if first in lifted:
+                diagnoser.fell(lifted[first])
+            found += diagnoser.feed(samples.part(first, last))
+        done += len(samples)
         if progress:
-            progress(last / len(every))
-    parts += diagnoser.finish(max(flight.duration, float(flight["motors"].time[-1])))
-    judged = Judged.joined(parts)
+            progress(done / total)
+    found += diagnoser.finish(max(flight.duration, float(flight["motors"].time[-1])))
+    judged = Judged.joined(found)
     assert judged is not None and judged.table.seen is not None
     commanded = np.flatnonzero(judged.table.seen)
-    judged = judged.part(np.arange(len(judged.table.time)) <= commanded[-1])
+    judged = judged.part(slice(0, int(commanded[-1]) + 1))
     return diagnoser, replace(judged, table=grounded(judged.table, air))

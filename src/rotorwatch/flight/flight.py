@@ -77,7 +77,8 @@ class Signal:
             given = np.asarray(self.valid, dtype=bool)
             valid &= given[:, None] if given.ndim == 1 else given
         object.__setattr__(self, "time", time)
-        object.__setattr__(self, "values", np.where(valid, values, 0.0))
+        own = values.base is not self.values and values is not self.values  # made here: nobody else can change it
+        object.__setattr__(self, "values", values if own and valid.all() else np.where(valid, values, 0.0))
         object.__setattr__(self, "valid", valid)
 
     def __len__(self):

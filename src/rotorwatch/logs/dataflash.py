@@ -61,6 +61,7 @@ LIMITS = {
     "clipping": ((0.0, np.inf),),
     "innovations": ((0.0, np.inf),) * 4,
 }
+BLOCK = 1 << 16  # samples that are worked on at a time
 RAW_TORQUE = 4500.0  # APM:Copter 3.3: full roll, pitch or yaw output
 RAW_THROTTLE = 1000.0  # ... and full throttle
 
@@ -91,6 +92,7 @@ def read(data, name: str, progress=None) -> Flight:
     if not np.isfinite(stamps).any():
         stamps, source = rebuilt(log)
     clock = make_clock(stamps)
+    del stamps
     parameters, changes = events.parameters(log, clock)
     parameters, notes = parameter_ranges.checked(parameters)
     reader = _Signals(log, clock)
@@ -286,7 +288,8 @@ class _Signals:
         if rows is None:
             return
         time, values, _ = rows
-        rates, control = np.radians(values[:, :3]), values[:, 3:]
+        rates, control = np.radians(values[:, :3]), values[:, 3:].copy()
+        del rows, values  # more than is kept
         some = slice(None, None, max(1, time.size // ENOUGH))
         raw_control = self._control_is_raw(time[some], control[some, :3])
         if self._rates_are_centi(time[some], rates[some], raw_control):
@@ -357,12 +360,16 @@ class _Signals:
         if wild:
             text = f"{name} ({message}): {amount(wild, 'impossible value')} dropped."
             self.warnings.append(series.Impossible(wild, text))
-        angles = np.radians(np.where(fine[:, None], degrees, 0.0))
-        q = quaternion(angles[:, 0], angles[:, 1], angles[:, 2])
+        q = np.empty((time.size, 4))
+        for start in range(0, time.size, BLOCK):
+            part = slice(start, start + BLOCK)
+            q[part] = quaternion(*np.radians(np.where(fine[part, None], degrees[part], 0.0)).T)
+        del rows, degrees
         # q and -q are the same attitude; keep the sign that makes the series continuous.
-        turned = (q[1:] * q[:-1]).sum(axis=1) < 0
+        turned = np.einsum("ij,ij->i", q[1:], q[:-1]) < 0
         q[1:] *= np.where(np.cumsum(turned) % 2, -1.0, 1.0)[:, None]
-        self.add(name, time, q, message, fine)
+        same = self.signals.get("attitude")  # of the same records: their times need not be kept twice
+        self.add(name, same.time if same is not None and np.array_equal(same.time, time) else time, q, message, fine)
 
     def navigation(self, parameters) -> None:
         """Velocity and position of the first core of the EKF that flew (AHRS_EKF_TYPE); collective throttle."""

@@ -8,9 +8,10 @@ through overlapping one-byte-stride views of the file, so only the wanted record
 
 from __future__ import annotations
 
+import mmap
 import re
 from bisect import bisect_left
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -25,6 +26,7 @@ SDLOG2 = re.compile(rb"\xa3\x95\x80..(ATTC|ATSP|OUT0)", re.DOTALL)  # definition
 FMT_TYPE = 128
 FMT_LENGTH = 89
 MOST_FORMATS = 4096  # definitions that differ; a vehicle's log has about 250, and those of several may be joined
+SPAN = 1 << 25  # bytes of the file that are looked at at a time
 SCAN_CHUNK = 1 << 22  # bytes compared at a time: the comparison's result stays small
 
 # Format character -> (numpy type, divisor); the characters of ArduPilot's Logger. `M` is a flight mode number.
@@ -110,12 +112,11 @@ class BinaryLog:
     preamble: tuple[str, ...] = ()  # only text logs have one
 
     def __init__(self, data, progress: Callable[[float], None] | None = None):
-        self._bytes = np.frombuffer(data, np.uint8)
+        self._data, self._bytes = data, np.frombuffer(data, np.uint8)
         # There is a record in every 50 bytes or so: the width of positions decides how much memory is used.
         self._index = np.int32 if self._bytes.size < 2**31 - 1024 else np.int64
         self.warnings: list[str] = []
-        candidates = self._header_candidates(progress)
-        types = self._bytes[candidates + 2]
+        candidates, types = self._header_candidates(progress)
         self._formats = self._read_formats(candidates[types == FMT_TYPE])
         lengths = self._record_lengths(candidates, types)
         known = lengths > 0
@@ -133,16 +134,19 @@ class BinaryLog:
 
     # -- finding records -------------------------------------------------------------------------------------------
 
-    def _header_candidates(self, progress) -> np.ndarray:
-        """Positions of A3 95 with a type byte after it; some lie inside payloads."""
-        found = [np.zeros(0, self._index)]
+    def _header_candidates(self, progress) -> tuple[np.ndarray, np.ndarray]:
+        """Positions of A3 95 with a type byte after it, and that byte; some lie inside payloads."""
+        found, types = [np.zeros(0, self._index)], [np.zeros(0, np.uint8)]
         end = self._bytes.size - 2
         for start in range(0, max(end, 0), SCAN_CHUNK):
             at = np.flatnonzero(self._bytes[start : min(start + SCAN_CHUNK, end)] == HEADER[0]) + start
-            found.append(at[self._bytes[at + 1] == HEADER[1]].astype(self._index))
+            at = at[self._bytes[at + 1] == HEADER[1]].astype(self._index)
+            found.append(at)
+            types.append(self._bytes[at + 2])
+            self._release()
             if progress:
                 progress(0.5 * min(1.0, (start + SCAN_CHUNK) / end))
-        return np.concatenate(found)
+        return np.concatenate(found), np.concatenate(types)
 
     def _read_formats(self, positions: np.ndarray) -> dict[int, list[tuple[int, Format]]]:
         """Type number -> [(position from which it holds, Format)]; more than one where a log redefines a type."""
@@ -267,6 +271,11 @@ class BinaryLog:
         if unknown:
             self.warnings.append(f"{amount(unknown, 'record')} of unknown type skipped.")
 
+    def _release(self) -> None:
+        """Of a mapped file: what has been looked at need not stay in memory. It is there again when it is looked at again."""
+        if isinstance(self._data, mmap.mmap) and hasattr(self._data, "madvise"):
+            self._data.madvise(mmap.MADV_DONTNEED)
+
     # -- reading columns -------------------------------------------------------------------------------------------
 
     @cached_property
@@ -297,10 +306,39 @@ class BinaryLog:
 
     def _gather(self, records: np.ndarray, offset: int, dtype: np.dtype) -> np.ndarray:
         """(n,) `dtype` items `offset` bytes after the start of each record."""
+        items = np.empty(records.size, dtype)
+        for part in self._blocks(records):
+            items[part] = self._items(records[part], offset, dtype)
+        return items
+
+    def _items(self, records: np.ndarray, offset: int, dtype: np.dtype) -> np.ndarray:
+        """As `_gather`, all at once."""
         view = np.ndarray(
             (max(self._bytes.size - dtype.itemsize + 1, 0),), f"V{dtype.itemsize}", buffer=self._bytes, strides=(1,)
         )
         return view[self._at[records] + offset].view(dtype)
+
+    def _read_columns(self, fmt: Format, records: np.ndarray, names: Iterable[str]) -> dict[str, np.ndarray]:
+        """Columns of these records, scaled. Some records at a time, so that the bytes of all of them are never held at once."""
+        columns: dict[str, np.ndarray] = {}
+        for part in self._blocks(records):
+            rows = self._items(records[part], 0, fmt.dtype)
+            for name in names:
+                some = _scaled(rows[name], fmt.codes[fmt.columns.index(name)])
+                if not part.start:
+                    columns[name] = np.empty((records.size, *some.shape[1:]), some.dtype)
+                columns[name][part] = some
+        return columns
+
+    def _blocks(self, records: np.ndarray) -> Iterator[slice]:
+        """Records that lie within SPAN bytes, block after block; what was looked at in one leaves memory before the next."""
+        start = 0
+        while start < records.size:
+            at = self._at[records[start : start + SPAN // 3]]
+            stop = start + int(np.searchsorted(at, int(at[0]) + SPAN))
+            yield slice(start, stop)
+            self._release()
+            start = stop
 
     def stamps(self) -> np.ndarray:
         """(record_count,) boot time of each record in us, NaN for records that carry none."""
@@ -341,8 +379,7 @@ class BinaryLog:
                     records = records[self._gather(records, offset, field) == where[1]]
             if records.size:
                 names = fmt.columns if wanted is None else [c for c in wanted if c in fmt.columns]
-                rows = self._gather(records, 0, fmt.dtype)
-                parts.append((fmt, records, {c: _scaled(rows[c], fmt.codes[fmt.columns.index(c)]) for c in names}))
+                parts.append((fmt, records, self._read_columns(fmt, records, names)))
         if not parts:
             return None
         if len(parts) == 1:
@@ -372,9 +409,9 @@ def _text(raw: bytes) -> str:
 
 def _zero_tail(data: np.ndarray) -> int:
     """How many zero bytes end the file."""
-    stop = data.size
+    stop, step = data.size, 256
     while stop > 0:
-        start = max(stop - SCAN_CHUNK, 0)
+        start, step = max(stop - step, 0), min(16 * step, SCAN_CHUNK)
         used = np.flatnonzero(data[start:stop])
         if used.size:
             return int(data.size - (start + used[-1] + 1))

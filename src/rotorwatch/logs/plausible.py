@@ -17,8 +17,10 @@ are coupled with it, jumps at the same time.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -157,15 +159,15 @@ def _whole_records(motors: Signal) -> tuple[Signal, list[str]]:
     ]
 
 
-def _unsupported(name: str, signals: Mapping[str, Signal], sizes: Mapping[str, np.ndarray]) -> np.ndarray:
+def _unsupported(name: str, signals: Mapping[str, Signal], sizes: Mapping[str, Lone]) -> np.ndarray:
     """(n, k) bool: lone values of a signal at which nothing else jumps that would if it had happened.
 
     sizes: `_size` of every signal.
     """
     signal, size = signals[name], sizes[name]
-    rows, columns = np.nonzero(size > 0.0)
+    rows, columns, off = size
     if not rows.size or name == "attitude":  # one wrong angle moves all of a quaternion
-        return size > 0.0
+        return size.marked(signal.values.shape)
     support = np.zeros(rows.size)
     for other in {name, *(COUPLED if name in COUPLED else ())} & signals.keys():
         partner = signals[other]
@@ -175,9 +177,7 @@ def _unsupported(name: str, signals: Mapping[str, Signal], sizes: Mapping[str, n
         own = columns if other == name else np.full(rows.size, -1)
         jumps = _support(partner.time, partner.values, partner.valid, sizes[other], _floor(other, partner), at, own)
         support = np.maximum(support, jumps)
-    found = np.zeros(size.shape, bool)
-    found[rows, columns] = support < np.maximum(JUMPS, size[rows, columns] * ALONE)
-    return found
+    return size.part(support < np.maximum(JUMPS, off * ALONE)).marked(signal.values.shape)
 
 
 def _unasked(signals: Mapping[str, Signal], already: np.ndarray) -> np.ndarray:
@@ -208,11 +208,8 @@ def _unasked(signals: Mapping[str, Signal], already: np.ndarray) -> np.ndarray:
 def _without_others(time, values, valid, floor: float) -> np.ndarray:
     """(n, k) bool: lone values in rows where no other column jumps nearly as far, as all do that one axis moves."""
     size = _size(time, values, valid, floor)
-    rows, columns = np.nonzero(size > 0.0)
-    support = _support(time, values, valid, size, floor, rows, columns)
-    found = np.zeros(size.shape, bool)
-    found[rows, columns] = support < np.maximum(JUMPS, size[rows, columns] * ALONE_IN_AXIS)
-    return found
+    support = _support(time, values, valid, size, floor, size.rows, size.columns)
+    return size.part(support < np.maximum(JUMPS, size.sizes * ALONE_IN_AXIS)).marked(values.shape)
 
 
 def lone(time, values, floor: float, valid=None) -> np.ndarray:
@@ -221,32 +218,97 @@ def lone(time, values, floor: float, valid=None) -> np.ndarray:
     floor: the least deviation that counts. valid: (n, k) bool, the values to look at (default: all that are finite).
     """
     values = np.asarray(values, float)
-    return _size(np.asarray(time, float), values, np.isfinite(values) if valid is None else valid, floor) > 0.0
+    return _size(np.asarray(time, float), values, np.isfinite(values) if valid is None else valid, floor).marked(
+        values.shape
+    )
 
 
-def _size(time, values, valid, floor: float, alike: bool = False) -> np.ndarray:
-    """(n, k) how far lone values are off, as a multiple of what makes them lone; 0 for all others.
+class Lone(NamedTuple):
+    """Lone values, few of many: their rows and columns (m,), in the order of rows, and how far each is off, as a multiple of what makes it
+    lone."""
+
+    rows: np.ndarray
+    columns: np.ndarray
+    sizes: np.ndarray
+
+    def part(self, keep: np.ndarray) -> Lone:
+        """Those that are kept (m,) bool."""
+        return Lone(self.rows[keep], self.columns[keep], self.sizes[keep])
+
+    def marked(self, shape: tuple[int, ...]) -> np.ndarray:
+        """A table of that shape, True where a value is lone."""
+        found = np.zeros(shape, bool)
+        found[self.rows, self.columns] = True
+        return found
+
+
+def _size(time, values, valid, floor: float, alike: bool = False) -> Lone:
+    """The lone ones of values (n, k).
 
     alike: columns are as rough as each other, as the commands of motors are, which one mixer makes. One that stands still (a motor at
     idle) does not show how rough it will be when it moves, so at least the mean of those that move is taken.
     """
-    size, rough = np.zeros(values.shape), np.zeros(values.shape)
-    columns = [(k, known) for k, known in enumerate(map(np.flatnonzero, valid.T)) if known.size > 2 * AHEAD]
-    for k, known in columns:
-        rough[known, k] = np.abs(_residual(time[known], values[known, k], 1, 1)[0])
+    lone: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    every = _Times(time) if valid.all() else None  # what only times say is the same of all columns then
+
+    def known(k: int) -> Any:
+        return slice(None) if every else np.flatnonzero(valid[:, k])
+
+    rough = None
     if alike:
-        rough = np.maximum(
-            rough, rough.sum(axis=1, keepdims=True) / np.maximum((rough > 0.0).sum(axis=1, keepdims=True), 1)
-        )
-    for k, known in columns:
-        size[known, k] = _alone(time[known], values[known, k], rough[known, k], floor)
-    return size
+        rough = np.zeros(values.shape[::-1])
+        for k, to in enumerate(rough):
+            times = every or _Times(time[known(k)])
+            if len(times.t) > 2 * AHEAD:
+                x = np.ascontiguousarray(values[known(k), k])
+                to[known(k)] = np.abs(_residual(x, times.single, 1, 1)[0])
+        mean = rough.T.sum(axis=1) / np.maximum((rough > 0.0).sum(axis=0), 1)
+        rough = np.maximum(rough, mean)
+    for k in range(values.shape[1]):
+        where = known(k)
+        times = every or _Times(time[where])
+        if len(times.t) > 2 * AHEAD:
+            x = np.ascontiguousarray(values[where, k])
+            size = _alone(times, x, None if rough is None else rough[k][where], floor)
+            at = np.flatnonzero(size)
+            lone.append((at if every else where[at], np.full(at.size, k), size[at]))
+    if not lone:
+        return Lone(np.zeros(0, int), np.zeros(0, int), np.zeros(0))
+    rows, columns, sizes = map(np.concatenate, zip(*lone))
+    order = np.lexsort((columns, rows))
+    return Lone(rows[order], columns[order], sizes[order])
 
 
-def _alone(t: np.ndarray, x: np.ndarray, rough: np.ndarray, floor: float) -> np.ndarray:
-    """(n,) as `_size`, of one column without gaps in validity; rough: (n,) |r| that say what is usual."""
-    near = FAR * max(float(np.median(np.diff(t))), 1e-6)
-    r, spread = _residual(t, x, 1, 1)
+class _Times:
+    """Times t (n,) of samples, and what follows from them alone. near: how far a neighbour may be [s]; single, pair: `_share` of all
+    samples between the one before and the next one, or the second after."""
+
+    def __init__(self, t: np.ndarray):
+        self.t = t
+
+    @functools.cached_property
+    def near(self) -> float:
+        return FAR * max(float(np.median(np.diff(self.t))), 1e-6)
+
+    @functools.cached_property
+    def single(self) -> np.ndarray:
+        return _share(self.t, slice(0, -2), slice(1, -1), slice(2, None))
+
+    @functools.cached_property
+    def pair(self) -> np.ndarray:
+        return _share(self.t, slice(0, -3), slice(1, -2), slice(3, None))
+
+
+def _share(t: np.ndarray, first, middle, last) -> np.ndarray:
+    """How far on the way from the first to the last of three samples the middle one comes, 0 to 1; each by its places."""
+    return np.clip((t[middle] - t[first]) / np.maximum(t[last] - t[first], 1e-9), 0.0, 1.0)
+
+
+def _alone(times: _Times, x: np.ndarray, rough: np.ndarray | None, floor: float) -> np.ndarray:
+    """(n,) as `_size`, of one column without gaps in validity; rough: (n,) |r| that say what is usual, None: its own."""
+    t, near = times.t, times.near
+    r, spread = _residual(x, times.single, 1, 1)
+    rough = np.abs(r) if rough is None else rough
 
     def far(
         at: np.ndarray, before: int, after: int, r: np.ndarray, spread: np.ndarray
@@ -269,17 +331,17 @@ def _alone(t: np.ndarray, x: np.ndarray, rough: np.ndarray, floor: float) -> np.
     at, off = far(inner, 1, 1, r[inner], spread[inner])
     size[at] = off
     # Two in a row: the first is held against the samples one before and two after it, the second the other way round.
-    r, spread = _residual(t, x, 1, 2)
+    r, spread = _residual(x, times.pair, 1, 2)
     inner = np.flatnonzero((np.abs(r) > floor) & (np.abs(r) > AGREE * spread))
     first, off = far(inner, 1, 2, r[inner], spread[inner])
-    second, other = far(first + 1, 2, 1, *_residual(t, x, 2, 1, first + 1))
+    second, other = far(first + 1, 2, 1, *_residual_at(t, x, 2, 1, first + 1))
     pair = np.minimum(off[np.isin(first + 1, second)], other)
     for at in (second - 1, second):
         size[at] = np.maximum(size[at], pair)
     return size
 
 
-def _support(time, values, valid, size, floor: float, at, own) -> np.ndarray:
+def _support(time, values, valid, size: Lone, floor: float, at, own) -> np.ndarray:
     """How far the samples `at` jump in any column but `own`, in the unit of `_size`.
 
     Against the line between their neighbours where those are valid and not lone themselves; what is not valid does not jump.
@@ -292,10 +354,11 @@ def _support(time, values, valid, size, floor: float, at, own) -> np.ndarray:
     there, inner = np.flatnonzero(near), np.flatnonzero(near[:-2] & near[1:-1] & near[2:]) + 1
     calm, r = np.zeros(len(time)), np.zeros(len(time))
     for k in range(values.shape[1]):
-        good = valid[:, k] & (size[:, k] == 0.0)
+        good = valid[:, k].copy()
+        good[size.rows[size.columns == k]] = False
         if good.any():
             calm[there] = np.interp(time[there], time[good], values[good, k])
-            r[inner] = _residual(time, calm, 1, 1, inner)[0]
+            r[inner] = _residual_at(time, calm, 1, 1, inner)[0]
             jump = np.abs(r[at] + np.where(valid[at, k], values[at, k] - calm[at], 0.0))
             jump /= np.maximum(SCALES * _scale(np.abs(r), at), max(floor, TINY))
             support = np.maximum(support, np.where(own == k, 0.0, jump))
@@ -307,22 +370,24 @@ def _nearest(time: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     return np.searchsorted(0.5 * (time[1:] + time[:-1]), wanted)
 
 
-def _residual(t, x, before: int, after: int, at: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """(r, D): of each sample (or of those `at`) against the line from the one `before` steps before it to the one `after` steps after it.
+def _residual(x: np.ndarray, share: np.ndarray, before: int, after: int) -> tuple[np.ndarray, np.ndarray]:
+    """(r, D) of each sample against the line from the one `before` steps before it to the one `after` steps after it; 0 where one of the
+    two is missing. share: how far on that line each is in time."""
+    r, spread = np.zeros(x.size), np.zeros(x.size)
+    middle = slice(before, x.size - after)
+    r[middle], spread[middle] = _off(x[: x.size - before - after], x[middle], x[before + after :], share)
+    return r, spread
 
-    r is 0 where one of the two is missing, which must not be so of those `at`.
-    """
-    a, b, middle = slice(0, x.size - before - after), slice(before + after, x.size), slice(before, x.size - after)
-    if at is not None:
-        a, b, middle = at - before, at + after, at
-    xa, xb, xi, ta = x[a], x[b], x[middle], t[a]
+
+def _residual_at(t, x, before: int, after: int, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same of the samples `at`, which have both."""
+    return _off(x[at - before], x[at], x[at + after], _share(t, at - before, at, at + after))
+
+
+def _off(first: np.ndarray, middle: np.ndarray, last: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     with np.errstate(over="ignore", invalid="ignore"):
-        step = xb - xa
-        r = xi - xa - step * np.clip((t[middle] - ta) / np.maximum(t[b] - ta, 1e-9), 0.0, 1.0)
-        spread = np.abs(step)
-    if at is not None:
-        return r, spread
-    return np.pad(r, (before, after)), np.pad(spread, (before, after))
+        step = last - first
+        return middle - first - step * share, np.abs(step)
 
 
 def _scale(rough: np.ndarray, at: np.ndarray) -> np.ndarray:

@@ -10,11 +10,13 @@ import numpy as np
 
 from rotorwatch.base.compiling import running
 from rotorwatch.core import Array
+from rotorwatch.engine.default.hypotheses import Hypotheses
 from rotorwatch.engine.default.plant import any_air, any_curve, any_multirotor, lower_rotors, packed
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.estimator import announcement, estimator, known, noise, plant, sizes, whole
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
 from rotorwatch.engine.estimator.plant import AIR, CURVE, SHARE, THETA, Plant, Rows
+from rotorwatch.engine.estimator.posterior import PLACES
 from rotorwatch.engine.front.decisions import FALSE_ALARM_PERIOD_S
 from rotorwatch.engine.motion.ticks import AGAIN, TICKS_S, Ticks
 from rotorwatch.errors import ConfigError
@@ -44,6 +46,22 @@ class TickOutput(NamedTuple):
     biases: Array
     plausible: Array
     pushed: Array
+
+
+def blank(T: int, hyp: Hypotheses) -> TickOutput:
+    """T ticks on which nothing was seen; what only the default method looks at stays so."""
+    n, n_h = hyp.n, len(hyp.names)
+    numbers = {
+        "theta": (n,), "theta_sd": (n,), "innovation": (4,), "biases": (4,), "onset": (), "onsets": (PLACES,),
+        "share": (PLACES,), "gives": (n,), "each": (PLACES, n),
+    }  # fmt: skip
+    flags = {"announced": (), "active": (PLACES, n)}
+    filled = {k: np.zeros((T, *size)) for k, size in numbers.items()} | {
+        "innovation_var": np.ones((T, 4)), "log_odds": np.full((T, n_h), -50.0), "statistic": np.full(T, -50.0),
+        "best": np.zeros(T, int), "probability": np.full((T, n_h), 1.0 / n_h), "detectable": np.ones((T, n)),
+        "plausible": np.ones(T, bool), "pushed": np.zeros(T, bool),
+    } | {k: np.zeros((T, *size), bool) for k, size in flags.items()}  # fmt: skip
+    return TickOutput(**{name: filled[name] for name in TickOutput._fields})
 
 
 class Learned(NamedTuple):

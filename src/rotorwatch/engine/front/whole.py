@@ -11,6 +11,7 @@ from rotorwatch.base.compiling.structs import (
     REAL,
     Flags,
     Ints,
+    Real,
     Reals,
     Struct,
     Time,
@@ -46,10 +47,11 @@ from rotorwatch.engine.front.words import Words, severity
 
 
 class Done(Struct):
-    """How far a call has come: samples that were taken, rows that were made."""
+    """How far a call has come: samples that were taken, rows that were made; and the voltage by then, as a share of full."""
 
     samples: int = 0
     rows: int = 0
+    battery: Real = 1.0
 
 
 def fly(a: Airborne, v: Vehicle, n: int, kind: Ints, time: Times, at: Ints, values: Reals) -> None:
@@ -175,7 +177,6 @@ def mix(
     """Outputs, rate controller and voltage of n samples: comparisons of the two, of which there are at most as many as outputs, and the
     thrust of each sample of the rate controller. done: rows of `found`."""
     numbers = local(REAL, ROTORS)
-    battery = 1.0
     done.rows = 0
     done.samples = 0
     for i in range(n):
@@ -185,15 +186,15 @@ def mix(
             numbers[k] = values[at[i] + k]
             known = known and not isnan(numbers[k])
         if kind[i] == VOLTAGE:
-            battery = numbers[0]
+            done.battery = numbers[0]
         elif kind[i] == OUTPUTS:
-            done.rows += m.outputs(v, time[i], numbers, known, battery, found[done.rows])
+            done.rows += m.outputs(v, time[i], numbers, known, done.battery, found[done.rows])
         elif kind[i] == CONTROL:
             while m.control(v, time[i], numbers, known, found[done.rows]):
                 done.rows += 1
             one = made[done.samples]
             one.time = time[i]
-            m.thrust(v, time[i], numbers, known, battery, one.thrust, one.ok)
+            m.thrust(v, time[i], numbers, known, done.battery, one.thrust, one.ok)
             done.samples += 1
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorwatch.engine.definition import ENGINE, craft, known, merged, states
+from rotorwatch.engine.definition import ENGINE, craft, known, pieces, states
 from rotorwatch.engine.front import airborne as definition
 from rotorwatch.engine.front import whole
 from rotorwatch.engine.front.airborne import CONFIRM_S, GAP_S, MOST_GAP_S, TICK_S
@@ -38,13 +38,13 @@ def airborne(flight: Flight) -> tuple[tuple[float, float], ...]:
     parts += [(name, flight[name].time, known(flight, name)) for name in ("gyro", "accel") if flight.has(name)]
     if flight.has("velocity"):
         parts.append(("velocity", flight["velocity"].time, known(flight, "velocity")))
-    samples, follow = merged(parts), ENGINE.new(definition.Airborne)
+    follow = ENGINE.new(definition.Airborne)
     found: list[tuple[float, float]] = []
-    for first in range(0, len(samples), BATCH):
-        part = slice(first, first + BATCH)
-        now = samples.kind[part], samples.time[part], samples.at[part]
-        ENGINE.call(whole.fly, follow, vehicle, len(now[0]), *now, samples.values)
-        found += _ended(follow)
+    for samples in pieces(parts):
+        for first in range(0, len(samples), BATCH):
+            now = samples.part(first, first + BATCH)
+            ENGINE.call(whole.fly, follow, vehicle, len(now), now.kind, now.time, now.at, now.values)
+            found += _ended(follow)
     ENGINE.call(whole.wait, follow, max(flight.duration, float(flight["motors"].time[-1])))
     found += _ended(follow)
     start, last = float(follow["start"][0]), float(follow["last"][0])

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.base.compiling.running import Rows
-from rotorwatch.engine.definition import ENGINE, craft, known, merged
+from rotorwatch.engine.definition import ENGINE, KINDS, craft, known, pieces
 from rotorwatch.engine.front import mixer, whole
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import ThrustCurve, Vehicle
@@ -99,19 +99,12 @@ def mixed_thrusts(flight: Flight, vehicle: Vehicle) -> Signal | None:
     """
     if not faster_control(flight):
         return None
-    checks, made = _mixed(flight, vehicle)
+    checks, thrust, ok = _mixed(flight, vehicle)
     if not len(checks["time"]):
         return None
-    n, control = len(vehicle.rotors), flight["control"]
-    return Signal(
-        control.time,
-        made["thrust"][:, :n],
-        flight["motors"].columns,
-        "1",
-        "body",
-        f"{control.source} through the mixer",
-        made["ok"][:, :n],
-    )
+    control = flight["control"]
+    source = f"{control.source} through the mixer"
+    return Signal(control.time, thrust, flight["motors"].columns, "1", "body", source, ok)
 
 
 def faster_control(flight: Flight) -> bool:
@@ -151,25 +144,33 @@ class Comparison:
 def compare(flight: Flight, vehicle: Vehicle) -> Comparison:
     """Hold the rebuilt demands against the logged ones, learning the mixer's gain (or, for a mixer that is not known,
     all of its factors) on the way. Needs signals ``motors`` and ``control``."""
-    rows, _ = _mixed(flight, vehicle)
+    rows, _, _ = _mixed(flight, vehicle)
     demand, demanded, deviation = (rows[name][:, : len(vehicle.rotors)] for name in ("thrust", "demanded", "deviation"))
     return Comparison(rows["time"], rows["known"], demand, demanded, deviation, rows["yaw_granted"], rows["gain"], rows)
 
 
-def _mixed(flight: Flight, vehicle: Vehicle) -> tuple[Rows, Rows]:
-    """front.mixer over a flight: its comparisons, and the thrusts of each sample of the rate controller."""
-    motors, control = flight["motors"], flight["control"]
+def _mixed(flight: Flight, vehicle: Vehicle) -> tuple[Rows, np.ndarray, np.ndarray]:
+    """front.mixer over a flight: its comparisons, and of each sample of the rate controller the thrusts (N, n) and whether they are
+    valid."""
+    motors, control, n = flight["motors"], flight["control"], len(vehicle.rotors)
     parts = [
         ("motors", motors.time, known(flight, "motors")),
         ("control", control.time, known(flight, "control")[:, :4]),
     ]
     parts.append(("voltage", *voltages(flight)))
-    samples = merged(parts)
-    found, made = ENGINE.array(mixer.Comparison, len(motors) + 1), ENGINE.array(whole.Mixed, max(len(control), 1))
-    done = ENGINE.new(whole.Done)
-    arguments = (len(samples), samples.kind, samples.time, samples.at, samples.values)
-    ENGINE.call(whole.mix, ENGINE.new(mixer.Mixer), laid_out(vehicle, flight), *arguments, found, made, done)
-    return found.cut(int(done["rows"][0])), made.cut(int(done["samples"][0]))
+    state, craft, done = ENGINE.new(mixer.Mixer), laid_out(vehicle, flight), ENGINE.new(whole.Done)
+    checks, thrust, ok, at, waiting = [], np.empty((len(control), n)), np.empty((len(control), n), bool), 0, 0
+    for samples in pieces(parts):
+        outputs, controls = (int((samples.kind == KINDS[name]).sum()) for name in ("motors", "control"))
+        waiting += outputs  # for a comparison: each has one at most
+        found, made = ENGINE.array(mixer.Comparison, waiting + 1), ENGINE.array(whole.Mixed, max(controls, 1))
+        arguments = (len(samples), samples.kind, samples.time, samples.at, samples.values)
+        ENGINE.call(whole.mix, state, craft, *arguments, found, made, done)
+        checks.append(found.cut(int(done["rows"][0])))
+        waiting -= int(done["rows"][0])
+        thrust[at : at + controls], ok[at : at + controls] = (made[name][:controls, :n] for name in ("thrust", "ok"))
+        at += controls
+    return Rows.joined(checks), thrust, ok
 
 
 def laid_out(vehicle: Vehicle, flight: Flight) -> Rows:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from rotorwatch.engine.definition import Samples, merged, states
+from rotorwatch.engine.definition import Part, Samples, merged, states
 from rotorwatch.flight import Message, Signal
 from rotorwatch.flight.vehicle import Vehicle
 
@@ -16,17 +16,22 @@ SIGNALS = ("motors", "control", "gyro", "rates", "accel", "velocity", "attitude"
 def samples(
     signals: Mapping[str, Signal], messages: Iterable[Message], vehicle: Vehicle, gyro: str | None, battery: bool
 ) -> Samples:
+    """`parts` in one row."""
+    return merged(parts(signals, messages, vehicle, gyro, battery))
+
+
+def parts(
+    signals: Mapping[str, Signal], messages: Iterable[Message], vehicle: Vehicle, gyro: str | None, battery: bool
+) -> list[Part]:
     """What the diagnoser takes of signals, and of the words of the autopilot. gyro: the signal that tells angular rates; battery: its
     voltage is known, now or later, which counts where motors are driven straight from it."""
     full = vehicle.extra.get("full_voltage") if battery else None
-    parts = [part for name, signal in signals.items() if (part := _numbers(name, signal, full, gyro)) is not None]
+    found = [part for name, signal in signals.items() if (part := _numbers(name, signal, full, gyro)) is not None]
     words = list(messages)
-    return merged([*parts, ("state", *states(words))] if words else parts)
+    return [*found, ("state", *states(words))] if words else found
 
 
-def _numbers(
-    name: str, signal: Signal, full: float | None, gyro: str | None
-) -> tuple[str, np.ndarray, np.ndarray] | None:
+def _numbers(name: str, signal: Signal, full: float | None, gyro: str | None) -> Part | None:
     """Samples of a signal; None where the diagnoser does not take it. full: voltage of a full battery."""
     value = signal.values if signal.valid.all() else np.where(signal.valid, signal.values, np.nan)
     if name == "battery" and full:

@@ -13,7 +13,7 @@ import numpy as np
 
 from rotorwatch.base.compiling.running import Rows
 from rotorwatch.base.compiling.structs import LASTS
-from rotorwatch.engine.definition import ENGINE, craft, known, merged
+from rotorwatch.engine.definition import ENGINE, craft, known, pieces
 from rotorwatch.engine.front import sense as cutting
 from rotorwatch.engine.front import ticks as definition
 from rotorwatch.engine.front import whole
@@ -69,8 +69,8 @@ class Ticks:
     curve: tuple[float, float] = (0.0, 0.0)
     axial: np.ndarray | None = None
 
-    def part(self, keep: np.ndarray) -> Ticks:
-        """The ticks `keep` (T,) bool."""
+    def part(self, keep: np.ndarray | slice) -> Ticks:
+        """The ticks `keep` (T,) bool, or from one to another."""
         return replace(self, **{k: v[keep] for k, v in vars(self).items() if isinstance(v, np.ndarray)})
 
 
@@ -238,17 +238,19 @@ def sense(flight: Flight, thrust: Signal, plan: Plan) -> Sensed:
     parts += [
         (name, flight[name].time, known(flight, name)) for name in ("velocity", "attitude") if name in flight.signals
     ]
-    samples, vehicle, how = merged(parts), craft(n), laid_out(plan)
+    vehicle, how = craft(n), laid_out(plan)
     state, rows, done = ENGINE.new(cutting.Sense), ENGINE.array(cutting.Sensed, ROOM), ENGINE.new(whole.Done)
-    pieces, taken = [], 0
-    while taken < len(samples):
-        arguments = (taken, len(samples), samples.kind, samples.time, samples.at, samples.values)
-        ENGINE.call(whole.cut, state, vehicle, how, *arguments, rows, ROOM, done)
-        taken = int(done["samples"][0])
-        pieces.append(rows.cut(int(done["rows"][0])))
+    made = []
+    for samples in pieces(parts):
+        taken = 0
+        while taken < len(samples):
+            arguments = (taken, len(samples), samples.kind, samples.time, samples.at, samples.values)
+            ENGINE.call(whole.cut, state, vehicle, how, *arguments, rows, ROOM, done)
+            taken = int(done["samples"][0])
+            made.append(rows.cut(int(done["rows"][0])))
     while count := ENGINE.call(whole.rest, state, vehicle, how, rows, ROOM):
-        pieces.append(rows.cut(count))
-    whole_rows = Rows.joined(pieces)
+        made.append(rows.cut(count))
+    whole_rows = Rows.joined(made)
     commanded = np.flatnonzero(whole_rows["some"])  # the rows after the last command are no flight
     whole_rows = whole_rows.cut(int(commanded[-1]) + 1 if commanded.size else 0)
     columns = {name: whole_rows[name] for name in Sensed.__dataclass_fields__ if name not in ("share", "rows")}

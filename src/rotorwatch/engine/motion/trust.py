@@ -70,6 +70,11 @@ class Case:
     table: Ticks
 
     @cached_property
+    def turning(self) -> Signal | None:
+        """Angular rates."""
+        return self.flight.angular_rate()
+
+    @cached_property
     def flying(self) -> np.ndarray:
         """(T,) ticks in the air, upset or not."""
         return self.table.mode > 0
@@ -261,7 +266,7 @@ def outputs_at_rest(case: Case) -> str | None:
         # Motors that are off, or all at their limits, may well rest.
         if ((values[a] > curve.u_min + span) & (values[a] < curve.u_max - span)).mean() <= 0.5:
             continue
-        angle = _angle(case.flight, float(time[a]), float(time[b]))
+        angle = _angle(case.turning, float(time[a]), float(time[b]))
         long = seconds > STILL_LONG_S and b - a >= STILL_SAMPLES and angle > STILL_LONG_RAD
         if angle > STILL_RAD or long:
             return (
@@ -373,7 +378,7 @@ def _without_trim(x: np.ndarray, width: int) -> np.ndarray:
 def _magnitude(signal: Signal, air: Spans) -> tuple[np.ndarray, np.ndarray]:
     """(time, length of the vector) of a signal's valid samples in the air."""
     ok = within(signal.time, air) & signal.valid.all(axis=1)
-    return signal.time[ok], np.linalg.norm(signal.values[ok], axis=1)
+    return signal.time[ok], np.sqrt(np.einsum("ij,ij->i", signal.values, signal.values))[ok]
 
 
 def _upwards(accel: Signal, attitude: Signal, air: Spans) -> float:
@@ -381,16 +386,17 @@ def _upwards(accel: Signal, attitude: Signal, air: Spans) -> float:
     ok, known = within(accel.time, air) & accel.valid.all(axis=1), attitude.valid.all(axis=1)
     if not known.any():
         return 0.0
-    w, x, y, z = attitude.values[known].T
-    down = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
-    when = accel.time[ok]
-    parts = [np.interp(when, attitude.time[known], d) * a for d, a in zip(down, accel.values[ok].T)]
-    return -float(np.mean(sum(parts))) / G0
+    at, (w, x, y, z) = attitude.time[known], attitude.values[known].T
+    when, force = accel.time[ok], np.zeros(int(ok.sum()))
+    for axis, down in enumerate(
+        (lambda: 2.0 * (x * z - w * y), lambda: 2.0 * (y * z + w * x), lambda: 1.0 - 2.0 * (x * x + y * y))
+    ):
+        force += np.interp(when, at, down()) * accel.values[ok, axis]
+    return -float(np.mean(force)) / G0
 
 
-def _angle(flight: Flight, start: float, end: float) -> float:
+def _angle(gyro: Signal | None, start: float, end: float) -> float:
     """Angle in rad that the vehicle turned through, back and forth counted alike; NaN without a gyro."""
-    gyro = flight.angular_rate()
     if gyro is None or len(part := gyro.between(start, end)) < 2:
         return np.nan
     rate = np.linalg.norm(part.values, axis=1)
@@ -405,32 +411,31 @@ def _turns(
     many s later."""
     none = np.zeros(0), np.zeros((0, 3)), np.zeros((len(lags), 0, 3))
     fine = attitude.valid.all(axis=1) & within(attitude.time, air)
-    time, q = attitude.time[fine], attitude.values[fine]
-    step = max(1, round(WINDOW_S * attitude.rate_hz))
+    step, rows = max(1, round(WINDOW_S * attitude.rate_hz)), np.flatnonzero(fine)
     good = gyro.valid.all(axis=1)
-    when, rate = gyro.time[good], gyro.values[good]
-    if time.size < 2 * step or when.size < 2:
+    when, rate = (gyro.time, gyro.values) if good.all() else (gyro.time[good], gyro.values[good])
+    if rows.size < 2 * step or when.size < 2:
         return none
-    starts, ends = time[:-step:step], time[step::step]
+    first, last = rows[:-step:step], rows[step::step]
+    starts, ends = attitude.time[first], attitude.time[last]
     length = ends - starts
     count = np.searchsorted(when, ends) - np.searchsorted(when, starts)
     use = (length > 0.5 * WINDOW_S) & (length < 3.0 * WINDOW_S) & (count >= max(1, 0.3 * WINDOW_S * gyro.rate_hz))
     if not use.any():
         return none
-    a, b = q[:-step:step][use], q[step::step][use]
+    a, b = attitude.values[first[use]], attitude.values[last[use]]
     starts, ends, length = starts[use], ends[use], length[use, None]
     turned = _product(a * [1.0, -1.0, -1.0, -1.0], b)
     turned *= np.where(turned[:, :1] < 0, -1.0, 1.0)
     sine = np.linalg.norm(turned[:, 1:], axis=1, keepdims=True)
     angle = turned[:, 1:] / np.maximum(sine, 1e-12) * 2.0 * np.arctan2(sine, turned[:, :1])
-    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(when)[:, None]
-    total = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
-
-    def until(moments: np.ndarray) -> np.ndarray:
-        return np.stack([np.interp(moments, when, axis) for axis in total.T], axis=1)
-
-    mean = np.array([(until(ends + lag) - until(starts + lag)) / length for lag in lags])
-    return starts, angle / length, mean
+    mean = np.empty((len(lags), len(starts), 3))
+    for axis in range(3):  # one after the other: of a long flight one is long enough
+        total = np.zeros(len(when))
+        np.cumsum(0.5 * (rate[1:, axis] + rate[:-1, axis]) * np.diff(when), out=total[1:])
+        for turns, lag in zip(mean, lags):
+            turns[:, axis] = np.interp(ends + lag, when, total) - np.interp(starts + lag, when, total)
+    return starts, angle / length, mean / length
 
 
 def _product(p: np.ndarray, q: np.ndarray) -> np.ndarray:

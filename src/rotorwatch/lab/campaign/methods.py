@@ -113,7 +113,7 @@ def judge(
 ) -> list[list[program.TickOutput]]:
     """For each decision and each flight what `published.judge` leaves behind. hops: of each flight, by `learn`."""
     hyp = list_hypotheses(B.shape[1])
-    kept = [[published.blank(len(table.time), hyp) for table in tables] for _ in decisions]
+    kept = [[program.blank(len(table.time), hyp) for table in tables] for _ in decisions]
     for turn in range(max(map(len, hops), default=0)):
         here = [k for k, found in enumerate(hops) if len(found) > turn]
         for k, found in zip(here, run_hops(name, [hops[k][turn] for k in here], B, size, decisions), strict=True):

@@ -43,14 +43,16 @@ def regression(X: np.ndarray, y: np.ndarray, rounds: int = 4) -> Fit:
     """Regression of y (n,) on X (n, p). A constant is a column of ones. rounds: reweightings."""
     unit = np.sqrt(np.mean(X * X, axis=0))
     unit = np.where(unit > 0.0, unit, 1.0)  # of each column
-    Z, scale = X / unit, np.float64(0.0)
-    theta = np.linalg.lstsq(Z, y, rcond=None)[0]
-    for _ in range(rounds):
-        weight, scale = weights(y - Z @ theta)
-        weighted = Z * weight[:, None]
-        information = weighted.T @ Z
+
+    def solved(weighted: np.ndarray) -> np.ndarray:
+        information = weighted.T @ X / np.outer(unit, unit)
         information += np.diag(
             1e-12 * information.diagonal() + (information.diagonal() == 0.0)
         )  # columns of zeros, or alike
-        theta = np.linalg.solve(information, weighted.T @ y)
-    return Fit(theta / unit, y - Z @ theta, float(scale))
+        return np.linalg.solve(information, y @ weighted / unit) / unit
+
+    theta, scale = solved(X), np.float64(0.0)
+    for _ in range(rounds):
+        weight, scale = weights(y - X @ theta)
+        theta = solved(X * weight[:, None])
+    return Fit(theta, y - X @ theta, float(scale))

@@ -20,7 +20,7 @@ from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.engine.default.events import rotor_sets
 from rotorwatch.engine.default.hypotheses import Hypotheses, list_hypotheses
-from rotorwatch.engine.default.program import TickOutput
+from rotorwatch.engine.default.program import TickOutput, blank
 from rotorwatch.engine.estimator.posterior import PLACES
 from rotorwatch.engine.motion.ticks import Ticks
 from rotorwatch.errors import ConfigError
@@ -188,22 +188,6 @@ def judge(
     for hop in log_plant.hops(table, B, dynamics) if hops is None else hops:
         record(out, run_hop(name, hop, B, tuning, progress), hop, hyp, B)
     return out
-
-
-def blank(T: int, hyp: Hypotheses) -> TickOutput:
-    """T ticks on which nothing was seen; what only the default method looks at stays so."""
-    n, n_h = hyp.n, len(hyp.names)
-    numbers = {
-        "theta": (n,), "theta_sd": (n,), "innovation": (4,), "biases": (4,), "onset": (), "onsets": (PLACES,),
-        "share": (PLACES,), "gives": (n,), "each": (PLACES, n),
-    }  # fmt: skip
-    flags = {"announced": (), "active": (PLACES, n)}
-    filled = {k: np.zeros((T, *size)) for k, size in numbers.items()} | {
-        "innovation_var": np.ones((T, 4)), "log_odds": np.full((T, n_h), -50.0), "statistic": np.full(T, -50.0),
-        "best": np.zeros(T, int), "probability": np.full((T, n_h), 1.0 / n_h), "detectable": np.ones((T, n)),
-        "plausible": np.ones(T, bool), "pushed": np.zeros(T, bool),
-    } | {k: np.zeros((T, *size), bool) for k, size in flags.items()}  # fmt: skip
-    return TickOutput(**{name: filled[name] for name in TickOutput._fields})
 
 
 def notes(name: str) -> tuple[str, ...]:

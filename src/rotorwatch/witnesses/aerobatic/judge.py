@@ -17,7 +17,7 @@ import numpy as np
 
 from rotorwatch import airframes
 from rotorwatch.engine.default.hypotheses import list_hypotheses
-from rotorwatch.engine.default.program import TickOutput
+from rotorwatch.engine.default.program import TickOutput, blank
 from rotorwatch.engine.estimator import hypotheses
 from rotorwatch.engine.estimator.posterior import PLACES
 from rotorwatch.engine.front.decisions import FALSE_ALARM_PERIOD_S
@@ -29,7 +29,6 @@ from rotorwatch.engine.motion.ticks import LEARN as LEARNING
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.methods.published.published import blank
 from rotorwatch.witnesses.aerobatic.response import EDGE_S, WINDOW_S, Response, respond
 
 BLOCK_S = 1.0

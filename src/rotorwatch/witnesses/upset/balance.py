@@ -99,15 +99,15 @@ def _step(window: Window) -> float:
     return float(np.median(np.diff(window.time))) if window.time.size > 1 else np.inf
 
 
-def noise_variance(window: Window, B: np.ndarray) -> np.ndarray:
-    """(K, 4) variance of e that depends on commands alone. B (4, n)."""
+def noise_variance(window: Window, B: np.ndarray, air: np.ndarray) -> np.ndarray:
+    """(K, 4) variance of e that depends on commands alone. B (4, n); air (K,): what the air carries."""
     T = window.thrust
     change = 0.5 * (np.abs(window.after - T) + np.abs(T - window.before))
     each = (THRUST_SHARE * T) ** 2 + (STEP_SHARE * change) ** 2 + (LACKS_SD * _near(window) * T) ** 2
     variance = FLOOR**2 + each @ (B**2).T
     variance[:, 2] += (SPIN_UP_S / _step(window) * change) ** 2 @ B[2] ** 2
     whole = T.sum(axis=1) + STEP_SHARE / LOAD_SHARE * change.sum(axis=1)
-    variance[:, 3] += (LOAD_SHARE * whole) ** 2 + (LOAD_FLOOR * B.shape[1]) ** 2 + (B.shape[1] * _air(window)) ** 2
+    variance[:, 3] += (LOAD_SHARE * whole) ** 2 + (LOAD_FLOOR * B.shape[1]) ** 2 + (B.shape[1] * air) ** 2
     late = np.maximum(window.time - window.onset, 0.0)[:, None] / [STRANGE_S, STRANGE_S, STRANGE_S, FALLS_S]
     variance *= 1.0 + late**2
     return variance
@@ -128,7 +128,8 @@ def fit(window: Window, wrench: np.ndarray, B: np.ndarray, offset: Offset) -> Fi
     """
     n = B.shape[1]
     H, K, _ = wrench.shape
-    base = noise_variance(window, B)
+    air = _air(window)
+    base = noise_variance(window, B, air)
     r = window.rate
     spin = FLAT * np.stack([r[:, 1] * r[:, 2], -r[:, 0] * r[:, 2], np.zeros(K)], axis=1)
     turn = window.rate_dot + spin
@@ -138,43 +139,46 @@ def fit(window: Window, wrench: np.ndarray, B: np.ndarray, offset: Offset) -> Fi
         for side in (LIGHTER_SD, HEAVIER_SD)
     ]
     low = np.concatenate([(n * LEAST)[:, None], np.zeros((3, 1)), np.full((3, 1), -np.inf)], axis=1)
-    X = np.stack([turn, r, -np.ones((K, 3))], axis=2)  # (K, 3 axes, 3 parameters)
-    p = np.broadcast_to(mean, (H, 3, 3)).copy()
-    ok = window.torque_ok[None]
-    share = np.full((H, K, 3), 1.0)
-    y = wrench[:, :, :3]
-    variance = np.broadcast_to(base[None, :, :3], (H, K, 3))
-    e = y - np.einsum("kaj,haj->hka", X, p)
-    inside = outside = np.zeros((H, K, 3))
+    # Axis by axis, in front of the courses: the sums over all ticks are products of matrices then.
+    X = np.stack([turn.T, r.T, -np.ones((3, K))])  # (3 parameters, 3 axes, K)
+    pairs = np.stack([X[i] * X[j] for i in range(3) for j in range(3)], axis=2)  # (3 axes, K, 9)
+    each = X.transpose(1, 2, 0)  # (3 axes, K, 3 parameters)
+    squares = MOTION_SHARE**2 * np.stack([spin.T**2 + (0.3 * turn.T) ** 2, r.T**2], axis=1)  # (3 axes, 2, K)
+    ok = np.ascontiguousarray(window.torque_ok.T)[:, None]
+    y = np.ascontiguousarray(wrench[:, :, :3].transpose(2, 0, 1))  # (3 axes, H, K)
+    usual = base.T[:3, None]
+    p = np.broadcast_to(mean[:, None], (3, H, 3)).copy()
+    weight = np.broadcast_to(np.where(ok, 1.0 / usual, 0.0), (3, H, K))
+    e = variance = y
     for _ in range(TURNS):
-        weight = np.where(ok, share / variance, 0.0)
+        information = (weight @ pairs).reshape(3, H, 3, 3)
+        score = (weight * y) @ each
         for j in range(3):
-            sd = np.where(p[:, :, j] < mean[:, j], sides[0][:, j], sides[1][:, j])
-            pull = weight * X[:, :, j]
-            below = (pull * X[:, :, j]).sum(axis=1)
-            top = (pull * e).sum(axis=1) + below * p[:, :, j] + mean[:, j] / sd**2
-            new = np.maximum(top / (below + 1.0 / sd**2), low[:, j])
-            e -= X[:, :, j] * (new - p[:, :, j])[:, None]
-            p[:, :, j] = new
-        moved = (
-            (p[:, None, :, 0] * spin[None]) ** 2
-            + (p[:, None, :, 1] * r[None]) ** 2
-            + (0.3 * p[:, None, :, 0] * turn[None]) ** 2
-        )
-        variance = base[None, :, :3] + MOTION_SHARE**2 * moved
-        inside, outside = _normal(e, variance), _normal(e, OUTLIER_SD**2 + variance)
-        share = 1.0 / (1.0 + OUTLIERS / (1.0 - OUTLIERS) * np.exp(np.clip(outside - inside, -50.0, 50.0)))
+            sd = np.where(p[:, :, j] < mean[:, None, j], sides[0][:, None, j], sides[1][:, None, j])
+            below = information[:, :, j, j]
+            top = (
+                score[:, :, j] - (information[:, :, j] * p).sum(axis=2) + below * p[:, :, j] + mean[:, None, j] / sd**2
+            )
+            p[:, :, j] = np.maximum(top / (below + 1.0 / sd**2), low[:, None, j])
+        e = y - p @ each.transpose(0, 2, 1)
+        variance = usual + p[:, :, :2] ** 2 @ squares
+        rare = variance / (OUTLIER_SD**2 + variance)  # of an outlier's variance
+        odds = np.sqrt(rare) * np.exp(np.minimum(0.5 * e**2 / variance * (1.0 - rare), 50.0))
+        weight = np.where(ok, 1.0 / ((1.0 + OUTLIERS / (1.0 - OUTLIERS) * odds) * variance), 0.0)
+    inside, outside = _normal(e, variance), _normal(e, OUTLIER_SD**2 + variance)
     torque = np.logaddexp(np.log(1.0 - OUTLIERS) + inside, np.log(OUTLIERS) + outside)
     weight_of = min(1.0, _step(window) / ERROR_S)
-    total = weight_of * np.where(ok, torque, 0.0).sum(axis=(1, 2))
-    total -= 0.5 * (((p - mean) / np.where(p < mean, *sides)) ** 2).sum(axis=(1, 2))
-    push = wrench[:, :, 3] - n * (window.load - _air(window))[None]
+    total = weight_of * np.where(ok, torque, 0.0).sum(axis=(0, 2))
+    away = p - mean[:, None]
+    total -= 0.5 * ((away / np.where(away < 0.0, *(side[:, None] for side in sides))) ** 2).sum(axis=(0, 2))
+    push = wrench[:, :, 3] - n * (window.load - air)[None]
     spread = np.broadcast_to(base[None, :, 3], (H, K))
     lift = np.logaddexp(
         np.log(1.0 - OUTLIERS) + _normal(push, spread), np.log(OUTLIERS) + _normal(push, (n * OUTLIER_SD) ** 2)
     )
     total += weight_of * np.where(window.load_ok[None], lift, 0.0).sum(axis=1)
-    residual = np.concatenate([e / np.sqrt(variance), (push / np.sqrt(spread))[:, :, None]], axis=2)
+    torques = (e / np.sqrt(variance)).transpose(1, 2, 0)
+    residual = np.concatenate([torques, (push / np.sqrt(spread))[:, :, None]], axis=2)
     return Fit(total, residual)
 
 

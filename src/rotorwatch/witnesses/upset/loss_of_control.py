@@ -6,6 +6,7 @@ the rates (rates_wanted). Where a log has neither, only a vehicle on its head is
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +23,7 @@ LOST_S = 1.2  # control that is back sooner was not lost: a knock or a hard turn
 TUMBLED_DEG = 100.0  # two samples so far from all that was wanted: it tumbled, however it came to rest
 SPINS = 20.0  # rad/s of yaw, faster than anybody asks for
 ANSWERS_S = 0.6  # within which a vehicle under control has the attitude, or the rates, that were wanted
+BLOCK = 1 << 16  # samples that are compared at a time
 BACK = np.linspace(0.0, ANSWERS_S, 7)
 TURNS_S, TURNED_RAD = (
     10.0,
@@ -78,8 +80,16 @@ def without_heading(q: np.ndarray) -> np.ndarray:
 
 def held(signal: Signal, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The last sample of all columns before each time, and how old it is [s]; infinitely old where there is none."""
+    return _held(*known(signal), at)
+
+
+def known(signal: Signal) -> tuple[np.ndarray, np.ndarray]:
+    """Times and values of the samples of which all columns are known."""
     ok = signal.valid.all(axis=1)
-    time, values = signal.time[ok], signal.values[ok]
+    return (signal.time, signal.values) if ok.all() else (signal.time[ok], signal.values[ok])
+
+
+def _held(time: np.ndarray, values: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if not time.size:
         return np.zeros((at.size, values.shape[1])), np.full(at.size, np.inf)
     k = np.searchsorted(time, at, side="right") - 1
@@ -90,13 +100,11 @@ def held(signal: Signal, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def attitude_error(flight: Flight) -> tuple[np.ndarray, np.ndarray, str]:
     """Times (m,) s, angle (m,) in degrees by which the direction of thrust differs from what was wanted, and what that is, in words.
 
-    NaN where it is not known. A difference of rates counts as the angle that it makes within LASTS_S.
+    NaN where it is not known. A difference of rates counts as the angle that it makes within LASTS_S. Where all are below AWAY_DEG,
+    some may be smaller than is said.
     """
     if flight.has("attitude"):
-        attitude = flight["attitude"]
-        ok = attitude.valid.all(axis=1)
-        time, q = attitude.time[ok], attitude.values[ok]
-        axis = thrust_axis(q)
+        time, q = known(flight["attitude"])
         angle, words = np.full(time.size, np.nan), "tilted {:.0f} degrees away from what was wanted"
         if flight.has("attitude_wanted"):
             angle = _angle(flight["attitude_wanted"], time, q)
@@ -105,7 +113,7 @@ def attitude_error(flight: Flight) -> tuple[np.ndarray, np.ndarray, str]:
             rate = np.minimum(_rate_error(flight, time) / RATE_ERROR * ERROR_DEG, 90.0)
             angle = np.where(both, rate, angle)
         if np.isnan(angle).all():
-            tilt = np.degrees(np.arccos(np.clip(axis[:, 2], -1.0, 1.0)))
+            tilt = np.degrees(np.arccos(np.clip(thrust_axis(q)[:, 2], -1.0, 1.0)))
             angle, words = np.where(tilt > OVER_DEG, tilt, 0.0), "tilted by {:.0f} degrees"
         return time, np.where(_spins(flight, time), np.fmax(angle, 90.0), angle), words
     return np.empty(0), np.empty(0), ""
@@ -115,13 +123,33 @@ def _angle(wanted: Signal, time: np.ndarray, q: np.ndarray) -> np.ndarray:
     """(m,) degrees between the direction of thrust, of attitudes (m, 4), and the nearest of those wanted in the last ANSWERS_S: a vehicle
     that follows what it is asked follows it late. NaN where nothing fresh was wanted. A vehicle on its way to another heading that is
     wanted leans as asked, seen from itself, while that points elsewhere in the world: there the nearer of the two directions counts."""
-    least, fresh = np.full(time.size, -1.0), held(wanted, time)[1] <= FRESH_S
-    turns = _turns(wanted, time, q)
+    at, asked = known(wanted)
+    # To know whether it turns takes longest, and makes the angle only less: asked where that may matter.
+    angle = _blockwise(lambda when, own: _nearest(at, asked, when, own), time, q)
+    if not (angle > AWAY_DEG).any():
+        return angle
+    headings = np.unwrap(heading(asked))
+    return _blockwise(lambda when, own: _nearest(at, asked, when, own, headings), time, q)
+
+
+def _blockwise(work: Callable[..., np.ndarray], time: np.ndarray, *rows: np.ndarray) -> np.ndarray:
+    """work(time, *rows) of BLOCK times after the other."""
+    parts = [slice(k, k + BLOCK) for k in range(0, time.size, BLOCK)]
+    return np.concatenate([work(time[part], *(x[part] for x in rows)) for part in parts]) if parts else np.zeros(0)
+
+
+def _nearest(
+    at: np.ndarray, asked: np.ndarray, time: np.ndarray, q: np.ndarray, headings: np.ndarray | None = None
+) -> np.ndarray:
+    least, fresh = np.full(time.size, -1.0), _held(at, asked, time)[1] <= FRESH_S
+    turns = None if headings is None else _turns(at, headings, time, q)
+    axis, level = thrust_axis(q), thrust_axis(without_heading(q))
     for back in BACK:
-        was, age = held(wanted, time - back)
-        cosine = (thrust_axis(q) * thrust_axis(was)).sum(axis=1)
-        own = (thrust_axis(without_heading(q)) * thrust_axis(without_heading(was))).sum(axis=1)
-        cosine = np.where(turns, np.maximum(cosine, own), cosine)
+        was, age = _held(at, asked, time - back)
+        cosine = (axis * thrust_axis(was)).sum(axis=1)
+        if turns is not None:
+            own = (level * thrust_axis(without_heading(was))).sum(axis=1)
+            cosine = np.where(turns, np.maximum(cosine, own), cosine)
         least = np.where(age <= FRESH_S, np.maximum(least, cosine), least)
     return np.where(fresh, np.degrees(np.arccos(np.clip(least, -1.0, 1.0))), np.nan)
 
@@ -131,19 +159,22 @@ def heading(q: np.ndarray) -> np.ndarray:
     return 2.0 * np.arctan2(q[:, 3], q[:, 0])
 
 
-def _turns(wanted: Signal, time: np.ndarray, q: np.ndarray) -> np.ndarray:
+def _turns(at: np.ndarray, headings: np.ndarray, time: np.ndarray, q: np.ndarray) -> np.ndarray:
     """(m,) bool: the heading of attitudes (m, 4) is one of those wanted in the last TURNS_S, or on the way between them."""
-    ok = wanted.valid.all(axis=1)
-    at, asked = wanted.time[ok], np.unwrap(heading(wanted.values[ok]))
     if not at.size:
         return np.zeros(time.size, bool)
 
     def then(when: np.ndarray) -> np.ndarray:
-        return asked[np.maximum(np.searchsorted(at, when, side="right") - 1, 0)]
+        return headings[np.maximum(np.searchsorted(at, when, side="right") - 1, 0)]
 
-    apart = (heading(q) - then(time) + np.pi) % (2.0 * np.pi) - np.pi
-    before = [then(time - back) - then(time) for back in np.arange(0.0, TURNS_S + 0.1, 0.25)]
-    return (apart > np.min(before, axis=0) - TURNED_RAD) & (apart < np.max(before, axis=0) + TURNED_RAD)
+    now = then(time)
+    low, high = np.zeros(time.size), np.zeros(time.size)
+    for back in np.arange(0.25, TURNS_S + 0.1, 0.25):
+        before = then(time - back) - now
+        np.minimum(low, before, out=low)
+        np.maximum(high, before, out=high)
+    apart = (heading(q) - now + np.pi) % (2.0 * np.pi) - np.pi
+    return (apart > low - TURNED_RAD) & (apart < high + TURNED_RAD)
 
 
 def _known_rates(flight: Flight, time: np.ndarray) -> np.ndarray:
@@ -163,8 +194,9 @@ def _spins(flight: Flight, time: np.ndarray) -> np.ndarray:
     """(m,) bool: the vehicle turns about its vertical axis faster than anybody asks for."""
     if not flight.has("gyro"):
         return np.zeros(time.size, bool)
-    rate, age = held(flight["gyro"], time)
-    return (np.abs(rate[:, 2]) > SPINS) & (age <= FRESH_S)
+    at, rates = known(flight["gyro"])
+    rate, age = _held(at, rates[:, 2:], time)
+    return (np.abs(rate[:, 0]) > SPINS) & (age <= FRESH_S)
 
 
 def find(flight: Flight, air) -> tuple[LossOfControl, ...]:
