@@ -117,7 +117,7 @@ def test_a_published_methods_native_code_says_what_jax_says(monkeypatch):
     seen = {}
     for backend in ("native", "jax"):
         monkeypatch.setenv("ROTORWATCH_BACKEND", backend)
-        seen[backend] = published.judge("ekf", table, vehicle.effectiveness())
+        seen[backend] = published.judge("ekf", table, vehicle.effectiveness())[0]
     assert np.ptp(seen["jax"].theta[:, 1]) > 0.3
     np.testing.assert_allclose(seen["native"].theta, seen["jax"].theta, atol=1e-8)
     assert (seen["native"].announced == seen["jax"].announced).all()

@@ -73,7 +73,7 @@ def judged(quads, monkeypatch):
         if which.faults:
             shown[:, which.faults[0][0] - 1] = theta
         out = program.TickOutput(*[shown] * len(program.TickOutput._fields))
-        monkeypatch.setattr(published, "judge", lambda *a, **k: out)
+        monkeypatch.setattr(published, "judge", lambda *a, **k: (out, None))
         said = SimpleNamespace(end=SimpleNamespace(events=tuple(found)))
         monkeypatch.setattr(study, "judge", lambda *a, **k: said)
         return study._trial("ekf", which)

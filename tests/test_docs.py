@@ -163,9 +163,12 @@ def test_the_examples_in_python_run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     sample = next(path for path in sorted(cli.SAMPLES.glob("*.bin.xz")) if "healthy" not in path.name)
     Path("flight.bin").write_bytes(lzma.open(sample).read())
-    log, method = blocks((ROOT / "docs" / "python.md").read_text(), "python")
-    exec(compile(log, "python.md", "exec"), {})
+    log, own, method = blocks((ROOT / "docs" / "python.md").read_text(), "python")
+    names = {}
+    exec(compile(log, "python.md", "exec"), names)
     assert capsys.readouterr().out.startswith("fault - ")
+    exec(compile(own, "python.md", "exec"), names)
+    assert capsys.readouterr().out.count("[") == 3 and Path("axkf.html").exists()
     exec(compile(method, "python.md", "exec"), {})
     assert capsys.readouterr().out.count("[") == 2
     assert Path("report.html").stat().st_size > 100_000

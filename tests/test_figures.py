@@ -115,6 +115,6 @@ def test_headings_stand_above_plots_that_are_there(fault, pictures):
         and 'id="plot-lane"' not in text
     )
     assert all(f'id="plot-{name}"><i>{name}</i>' in text for name in few) and html._plots(fault, {}) == ""
-    own, none = html._embed({})
+    own, none = html.embed({})
     assert none == {} and own.count("<script") == 1 and len(own) < 30_000  # without plots no library
     assert "(4)" in html._messages(fault) and html._messages(replace(fault, trace=None)) == ""

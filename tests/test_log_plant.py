@@ -238,7 +238,7 @@ def known():
 
 
 def losses_of(name, quad, tuning=None):
-    out = published.judge(name, *quad, known(), tuning)
+    out, _ = published.judge(name, *quad, known(), tuning)
     return out, events.read(out, quad[0], quad[1])
 
 

@@ -455,6 +455,6 @@ def test_the_commands(tmp_path):
     done = CliRunner().invoke(cli.cli, command, catch_exceptions=False)
     assert "lateral       FAULTY" in done.output and "tail          sound" in done.output
     said = json.loads(CliRunner().invoke(cli.cli, [*command, "--json"], catch_exceptions=False).output)
-    assert said["lateral"]["deviation"] == pytest.approx(0.1, abs=0.02)
+    assert said["methods"][0]["actuators"]["lateral"]["deviation"] == pytest.approx(0.1, abs=0.02)
     refused = CliRunner().invoke(cli.cli, ["simulate", str(file), "-o", str(tmp_path / "out.ulg")])
     assert "ends in .csv or .parquet" in str(refused.exception)

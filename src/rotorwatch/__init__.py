@@ -26,6 +26,7 @@ _VERBS = {
     "calibrate": "witnesses.healthy.calibrate",
     "diagnose": "diagnose",
     "diagnose_many": "diagnose_many",
+    "estimate": "estimate",
     "export_c": "export.export_c",
     "info": "report.info",
     "inject": "lab.experiments.inject",
@@ -81,6 +82,7 @@ if TYPE_CHECKING:
     from rotorwatch.errors import LogError as LogError
     from rotorwatch.errors import RotorwatchError as RotorwatchError
     from rotorwatch.errors import VehicleError as VehicleError
+    from rotorwatch.estimate import estimate as estimate
     from rotorwatch.export.export_c import export_c as export_c
     from rotorwatch.flight import Flight as Flight
     from rotorwatch.flight import Message as Message

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from rotorwatch.answer import (
+    by_method,
     common_mode,
     conclusion,
     from_takeoff,
@@ -41,6 +42,7 @@ from rotorwatch.engine.motion.ticks import JUDGE, READY_KNOWN_S, READY_S, Ticks,
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, identity
 from rotorwatch.flight.diagnosis import Diagnosis, Event, Source
+from rotorwatch.flight.method_series import MethodSeries
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.logs import plausible
 from rotorwatch.methods.published import detectors
@@ -95,13 +97,14 @@ class Prepared:
 @dataclass(frozen=True)
 class Estimated:
     """What an estimator left behind. table: the ticks as they count for it; last: the default estimator's state, for hindsight; own: it is
-    the default one; diagnoser: which the flight went through, None where it did not."""
+    the default one; diagnoser: which the flight went through, None where it did not. itself: what a published method says by itself."""
 
     table: Ticks
     out: TickOutput
     last: Any = None
     own: bool = True
     diagnoser: Diagnoser | None = None
+    itself: MethodSeries | None = None
 
     @functools.cached_property
     def limit(self) -> float:
@@ -256,9 +259,9 @@ def estimated(
         return Estimated(judged.table, judged.out, one.learned, diagnoser=one)
     from rotorwatch.methods.published import published
 
-    out = published.judge(estimator, table, B, ready.dynamics, tuning, progress)
+    out, itself = published.judge(estimator, table, B, ready.dynamics, tuning, progress)
     ready.assumptions += published.notes(discovery.title(estimator))
-    return Estimated(table, out, own=False)
+    return Estimated(table, out, own=False, itself=itself)
 
 
 def _find(ready: Prepared, done: Estimated) -> tuple[Merged, tuple[Event, ...]]:
@@ -348,6 +351,8 @@ def _conclude(ready: Prepared, done: Estimated, last: Judgement, title: str, clo
     flight, craft, air = ready.flight, ready.vehicle, ready.air
     table, out, B = done.table, done.out, ready.vehicle.effectiveness()
     end, doubts = last.end, last.doubts
+    if done.itself is not None:
+        end = by_method.told(end, done.itself)
     comparison = detectors.detect(flight, craft, air)
     clock.lap("comparison_s")
     judged = (table.mode == JUDGE) & table.valid.any(axis=1)
@@ -366,6 +371,7 @@ def _conclude(ready: Prepared, done: Estimated, last: Judgement, title: str, clo
         whole_flight=last.whole,
         doubts=doubts,
         trace=trace,
+        own=done.itself,
     )
 
 

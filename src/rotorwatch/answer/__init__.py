@@ -12,6 +12,7 @@ story.py        what happened when control was lost, in the order of time
 ledger.py       all that is claimed of a flight, and the one rule that makes events of the claims
 falls.py        the events with those of a loss of control
 conclusion.py   verdict, reason, headline, main event, state of every rotor
+by_method.py    an answer by a published method: whose losses and intervals are whose
 advice.py       what to do next
 common_mode.py  how much more thrust all rotors together need at the end
 context.py      where it flew, how fast, battery, vibration: what no verdict depends on

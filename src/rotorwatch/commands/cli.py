@@ -27,6 +27,7 @@ from rotorwatch.commands import (
     ask,
     benchmark,
     campaign,
+    estimate,
     export,
     fleet_flights,
     mcp,
@@ -477,8 +478,8 @@ def _read(path: Any, report: Callable | None) -> Any:
 for module in (research, simulate, campaign, benchmark):
     module.register(cli)
 for command in (
-    ask.ask, ask.ask_flights, tune.tune, tune.compare, export.export_c, survive.survive, watch.watch, fleet_flights.fleet, serve.serve,
-    mcp.mcp,
+    ask.ask, ask.ask_flights, estimate.estimate, tune.tune, tune.compare, export.export_c, survive.survive, watch.watch,
+    fleet_flights.fleet, serve.serve, mcp.mcp,
 ):  # fmt: skip
     cli.add_command(command)
 

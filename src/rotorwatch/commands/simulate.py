@@ -1,4 +1,4 @@
-"""The commands of simulated flights: a scenario in, a log and its truth out; and a helicopter's log judged by any estimator."""
+"""The command of simulated flights: a scenario in, a log and its truth out."""
 
 from __future__ import annotations
 
@@ -10,14 +10,13 @@ from pathlib import Path
 
 import click
 
-from rotorwatch.commands.tools import LOG, OUT, common, findable, progress, say
+from rotorwatch.commands.tools import LOG, OUT, common, progress, say
 from rotorwatch.errors import ConfigError
 
 
 def register(group: click.Group) -> None:
     """Add the commands of this module to the command line."""
-    for command in (simulate, estimate):
-        group.add_command(command)
+    group.add_command(simulate)
 
 
 @click.command(short_help="Simulate a flight and write its log.")
@@ -90,39 +89,3 @@ def _endings(out: Path, helicopter: bool) -> list[str]:
         what = "of a helicopter's flight " if helicopter else ""
         raise ConfigError(f"--out {out}: give a name {what}that {rest}.")
     return [out.suffix.lower()]
-
-
-@click.command(short_help="Which actuator of a helicopter does not follow its command.")
-@click.argument("log", type=LOG)
-@click.option(
-    "--airframe", required=True, metavar="NAME", help="A helicopter that a paper describes, such as ruav-40kg."
-)
-@click.option("--estimator", default="aesmf", show_default=True, metavar="NAME", help="Any estimator (docs/methods).")
-@click.option("--lag", default=0.03, show_default=True, type=click.FloatRange(0.001, 1.0), help="Of the actuators, s.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-@common
-def estimate(log, airframe, estimator, lag, as_json, quiet) -> None:
-    """Run an estimator over a helicopter's LOG (a table of docs/readers.md, such as `rotorwatch simulate` writes): loss and displacement
-    of each actuator at the end of the flight, and which of them were found faulty, when.
-    """
-    import json
-
-    from rotorwatch import logs
-    from rotorwatch.base import checks, discovery
-    from rotorwatch.methods.published import helicopter_log
-
-    checks.finite("--lag", lag)
-    findable(estimator)
-    discovery.estimator(estimator)
-    with progress(quiet) as report:
-        found = helicopter_log.estimate(logs.read(log), airframe, estimator, lag, report)
-    actuators = helicopter_log.summary(found)
-    if as_json:
-        click.echo(json.dumps(actuators, indent=1, allow_nan=False))
-        return
-    for name, one in actuators.items():
-        verdict = "sound" if one["found_s"] is None else f"FAULTY, found at {one['found_s']:.2f} s"
-        click.echo(
-            f"{name:13s} {verdict:29s} off by {one['deviation']:+.3f} +- {one['deviation_off']:.3f}   "
-            f"loss {one['loss']:.2f} +- {one['loss_off']:.2f}, displaced {one['bias']:+.2f} +- {one['bias_off']:.2f}"
-        )

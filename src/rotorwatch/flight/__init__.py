@@ -8,6 +8,7 @@ vehicle.py        rotors, thrust curve, mixer, and what was learned of them
 vehicle_file.py   the same as a TOML file
 notebook.py       a flight as notebooks show it
 kinds.py          the table of kinds of events: what each means, and what is said of it
+method_series.py  what one method says over a flight: its own losses, states and innovations
 diagnosis.py      the answer: verdict, rotors, events and the evidence for them
 """
 

@@ -13,6 +13,7 @@ import numpy as np
 from rotorwatch.base import optional
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import kinds
+from rotorwatch.flight.method_series import MOST_ROWS, MethodSeries
 
 SCHEMA = 2
 TINY = 1e-12  # probabilities are rounded to less
@@ -220,7 +221,7 @@ class Diagnosis:
     what a picture needs. doubts: why the log may not be what flew, a sentence each (the first is the reason then). story: what happened
     when control was lost, four sentences in the order of time; empty where it was not. picture: attitude and commands around that
     moment (docs/json.md), or None. aircraft: what it is known by, such as a serial number; empty where the log does not say;
-    not in the JSON.
+    not in the JSON. own: of a published method, what the method itself says over the flight (`own_estimate` of the JSON).
     """
 
     flight: Mapping[str, Any]
@@ -244,6 +245,7 @@ class Diagnosis:
     story: tuple[StoryLine, ...] = ()
     picture: Mapping[str, Any] | None = None
     aircraft: str = ""
+    own: MethodSeries | None = None
 
     @property
     def exit_code(self) -> int:
@@ -265,11 +267,13 @@ class Diagnosis:
             "events": [e.to_dict() for e in self.events],
         }
         found = {name: _round(own[name] if name in own else getattr(self, name)) for name in ANSWER}
-        return {"schema": SCHEMA} | found | {"flight": dict(self.flight)}
+        own_estimate = {} if self.own is None else {"own_estimate": _round(self.own.to_dict(MOST_ROWS))}
+        return {"schema": SCHEMA} | found | {"flight": dict(self.flight)} | own_estimate
 
     @classmethod
     def from_dict(cls, found: Mapping[str, Any]) -> Diagnosis:
-        """What `to_dict` gave as a Diagnosis again, without the trace, numbers as rounded. Raises ConfigError for another schema."""
+        """What `to_dict` gave as a Diagnosis again, without the trace and a method's own series, numbers as rounded. Raises ConfigError for
+        another schema."""
         if found.get("schema") != SCHEMA:
             raise ConfigError(f"This answer has the schema {found.get('schema')}, not {SCHEMA}; judge the log again.")
         rotors = [{**r, "trend": None if r["trend"] is None else Trend(**_tuples(r["trend"]))} for r in found["rotors"]]

@@ -26,6 +26,7 @@ from rotorwatch.answer.wording import (  # noqa: F401 - its words are the report
     up_to,
 )
 from rotorwatch.flight.diagnosis import Diagnosis, Event, RotorState
+from rotorwatch.flight.kinds import LOSS
 
 
 def frame(diagnosis: Diagnosis) -> str:
@@ -96,7 +97,16 @@ def rotors_title(diagnosis: Diagnosis) -> str:
 
 
 def scope(diagnosis: Diagnosis) -> str:
-    """What the rotor table does not show; empty when it shows all."""
+    """What the rotor table does not show, and whose its intervals are where a published method was used; empty when it shows all."""
+    said = _scope(diagnosis)
+    if diagnosis.own is None or not said:
+        return said
+    name = diagnosis.estimator
+    shared = f"Losses and intervals here are of the decision that all methods share, made of {name}'s estimates"
+    return f"{said} {shared}; {name}'s own stand apart."
+
+
+def _scope(diagnosis: Diagnosis) -> str:
     if all(r.status == "unobservable" for r in diagnosis.rotors):
         return ""
     since = "Changes from take-off until control was lost" if diagnosis.story else "Changes since take-off"
@@ -157,10 +167,15 @@ def health_scale(diagnosis: Diagnosis) -> str:
     return f"Grades of the loss: {', '.join(steps)}, else {SCALE[-1][0]}.{of}"
 
 
+APART = ("history", "loss_2s", "size", "unit", "own_loss", "own_interval", "own_at_s")
+"""Of an event's fields, those that have a row of their own, or none."""
+
+
 def event_rows(event: Event, diagnosis: Diagnosis) -> dict[str, str]:
     """Label -> text of an event's fields, in the order of importance; only fields that it has."""
     lasts = event.end_s is None and event.means.lasts
     later = event.detected_s - event.onset_s
+    own = event.extra.get("own_loss", ())
     rows = {
         "since": seconds(event.onset_s),
         "clock": moment(diagnosis, event.onset_s),
@@ -168,10 +183,14 @@ def event_rows(event: Event, diagnosis: Diagnosis) -> dict[str, str]:
         "until": "it lasts" if lasts else seconds(event.end_s) if event.end_s is not None else "",
         "loss (95 % interval)": losses(event),
         "estimate 2 s later": ", ".join(percent(v) for v in event.extra.get("loss_2s", ())),
+        f"{diagnosis.estimator}'s own estimate": "; ".join(
+            f"{percent(loss)} ({interval(*bounds)})" for loss, bounds in zip(own, event.extra.get("own_interval", ()))
+        )
+        + (f" at {seconds(event.extra['own_at_s'])}" if own else ""),
         "how sure": probability(event.probability),
         "size": size(event),
     }
-    rest = {k: v for k, v in event.extra.items() if k not in ("history", "loss_2s", "size", "unit")}
+    rest = {k: v for k, v in event.extra.items() if k not in APART}
     return {k: v for k, v in rows.items() if v} | {words(str(k)): plain(v) for k, v in rest.items()}
 
 
@@ -248,7 +267,11 @@ def messages(diagnosis: Diagnosis) -> list[tuple[float, str, str]]:
 
 def comparison(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
     """Who found what, when and why: our events among the other checks' findings, in time order. Empty without any."""
-    rows = [("rotorwatch", candidates(e), e.detected_s, e.means.noun) for e in diagnosis.events]
+    method = "rotorwatch" if diagnosis.estimator == "default" else diagnosis.estimator
+    rows = [
+        (method if e.kind == LOSS else "rotorwatch", candidates(e), e.detected_s, e.means.noun)
+        for e in diagnosis.events
+    ]
     for row in diagnosis.comparison:
         named = rotors((row["rotor"],) if row.get("rotor") else ())
         rows.append((str(row.get("detector", "")), named, row["time_s"], row.get("reason", "")))

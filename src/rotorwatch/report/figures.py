@@ -8,7 +8,7 @@ import numpy as np
 
 from rotorwatch import report
 from rotorwatch.flight.diagnosis import Diagnosis, Trace
-from rotorwatch.report import colours, lanes
+from rotorwatch.report import colours, lanes, method_plots
 from rotorwatch.report.axes import blank, hover, moment, stacked, words
 from rotorwatch.report.colours import INK
 from rotorwatch.report.thinning import Screen, airborne, windows, within
@@ -21,7 +21,7 @@ COLUMNS = 1  # of a legend: a telephone is not wide enough for two
 
 def plots(diagnosis: Diagnosis) -> dict[str, Any]:
     """Bokeh figures by name: loss, lane, command, evidence, rate_roll .. rate_yaw, angle_roll .. angle_yaw, roll, pitch, yaw, thrust,
-    and those of `lanes.context`. Time axes and crosshairs are linked.
+    those of a method's own series (OWN), and those of `lanes.context`. Time axes and crosshairs are linked.
 
     Empty without `diagnosis.trace`. Losses and commands in percent, residuals in units of
     hover thrust, evidence in log10 odds.
@@ -66,6 +66,7 @@ def plots(diagnosis: Diagnosis) -> dict[str, Any]:
         **_followed(source, x_range, "rate", "°/s", rates),
         **_followed(source, x_range, "angle", "°", attitudes),
         **{name: _residual(trace, source, x_range, name, i) for i, name in enumerate(CHANNELS)},
+        **_own(diagnosis, x_range, looks),
         **lanes.context(diagnosis, x_range),
     }
     figures = {name: figure for name, figure in out.items() if figure is not None}
@@ -76,6 +77,21 @@ def plots(diagnosis: Diagnosis) -> dict[str, Any]:
         _shade(figure, trace)
         _mark(figure, diagnosis)
     return figures
+
+
+OWN = "own"
+"""What the names of the plots of a method's own series begin with: own_loss, own_x_0 .., own_e_0 .."""
+
+
+def _own(diagnosis: Diagnosis, x_range, looks) -> dict[str, Any]:
+    """Plots of what a published method itself says; none by the default method."""
+    if diagnosis.own is None:
+        return {}
+    tints = {
+        name: looks[rotor] for rotor, k in diagnosis.own.rotors.items() for name in (diagnosis.own.theta_names[k],)
+    }
+    shown = method_plots.drawn(diagnosis.own, x_range, tints, method_plots.limits([diagnosis.own]))
+    return {f"{OWN}_{name}": p for name, p in shown.items()}
 
 
 def _attitudes(trace: Trace) -> dict[str, np.ndarray]:

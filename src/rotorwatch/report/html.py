@@ -45,10 +45,10 @@ def page(diagnosis: Diagnosis) -> str:
     optional.library("bokeh", "An HTML report")
     title = str(diagnosis.flight.get("name") or "flight")
     plots = {**upset.plots(diagnosis), **figures.plots(diagnosis)}
-    scripts, divs = _embed(plots)
+    scripts, divs = embed(plots)
     common, blind = report.common_mode(diagnosis), diagnosis.trace.blind if diagnosis.trace is not None else ()
     body = [
-        _masthead(title),
+        masthead(title),
         '<main id="report">',
         _verdict(diagnosis),
         _moment(diagnosis, divs),
@@ -69,14 +69,20 @@ def page(diagnosis: Diagnosis) -> str:
     ]
     data = diagnosis.to_json()
     post = json.dumps(markdown.text(diagnosis))
+    blocks = [_data("diagnosis", data), _data("markdown", post), scripts]
+    return document(f"{title}: {report.VERDICTS[diagnosis.verdict]}", [*body, *blocks])
+
+
+def document(title: str, parts: Iterable[str]) -> str:
+    """A whole page of these parts, in the report's style; empty ones are left out."""
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)}: {escape(report.VERDICTS[diagnosis.verdict])} – rotorwatch</title>\n"
+        f"<title>{escape(title)} – rotorwatch</title>\n"
         f"<style>{_own('page.css')}</style>\n</head>\n<body>\n"
-        + "\n".join(part for part in body if part)
-        + f"\n{_data('diagnosis', data)}\n{_data('markdown', post)}\n{scripts}\n</body>\n</html>\n"
+        + "\n".join(part for part in parts if part)
+        + "\n</body>\n</html>\n"
     )
 
 
@@ -90,7 +96,7 @@ def _own(name: str) -> str:
     return (Path(__file__).parent / name).read_text(encoding="utf-8")
 
 
-def _embed(plots: Mapping[str, Any]) -> tuple[str, dict[str, str]]:
+def embed(plots: Mapping[str, Any]) -> tuple[str, dict[str, str]]:
     """The scripts (library, data, our own) and one element per plot. Without plots only our own script."""
     own = f"<script>{_own('page.js')}</script>"
     if not plots:
@@ -110,7 +116,7 @@ def _embed(plots: Mapping[str, Any]) -> tuple[str, dict[str, str]]:
     return f"{library}\n{data}\n{own}", divs
 
 
-def _masthead(title: str) -> str:
+def masthead(title: str) -> str:
     brand = f'<span class="brand">rotorwatch {escape(__version__)}</span>'
     return f'<header class="masthead"><b>{escape(title)}</b>{brand}</header>'
 
@@ -284,7 +290,7 @@ def _plots(diagnosis: Diagnosis, divs: Mapping[str, str]) -> str:
     if "loss" not in divs:
         return ""
     looks = colours.looks(diagnosis)
-    chips = "".join(_chip(r.rotor, *looks[r.rotor]) for r in diagnosis.rotors)
+    chips = "".join(chip(f"rotor {r.rotor}", *looks[r.rotor]) for r in diagnosis.rotors)
     marks = " &ensp; ".join(f'<span class="key {name}"></span>{text}' for name, text in MARKS.items())
     parts = [
         "<h2>Loss of each rotor over the flight</h2><p>The estimate as a live observer would have had it, with its "
@@ -294,11 +300,28 @@ def _plots(diagnosis: Diagnosis, divs: Mapping[str, str]) -> str:
         _plot("lane", divs) if "lane" in divs else "",
         f'<p class="note">{marks}</p>',
         _moment_form(diagnosis),
+        *_own_estimate(diagnosis, divs),
     ]
     for names, title, note in PLOTS:
         if names[0] in divs:
             parts += [f"<h2>{title}</h2><p>{note}</p>", *(_plot(name, divs) for name in names)]
     return "".join(parts)
+
+
+def _own_estimate(diagnosis: Diagnosis, divs: Mapping[str, str]) -> list[str]:
+    """What a published method itself says, with its own interval or bound; nothing by the default method."""
+    if diagnosis.own is None or f"{figures.OWN}_loss" not in divs:
+        return []
+    name = diagnosis.own.method
+    rest = "".join(
+        _plot(plot, divs) for plot in divs if plot.startswith(f"{figures.OWN}_") and plot != f"{figures.OWN}_loss"
+    )
+    return [
+        f"<h2>{escape(name)} itself</h2><p>{_text(diagnosis.own.whose)} Nothing of it is held, clipped or decided; the losses above are of "
+        "the decision that all methods share.</p>",
+        _plot(f"{figures.OWN}_loss", divs),
+        f"<details><summary>States and innovations of {escape(name)}</summary>{rest}</details>",
+    ]
 
 
 def _moment_form(diagnosis: Diagnosis) -> str:
@@ -349,10 +372,10 @@ VIBRATION = (
 )
 
 
-def _chip(rotor: int, tint: str, dash: str) -> str:
-    """A button that shows and hides a rotor's lines; it doubles as the legend."""
+def chip(name: str, tint: str, dash: str) -> str:
+    """A button that shows and hides the lines of that name, such as a rotor's; it doubles as the legend."""
     line = _line(tint, dash)
-    return f'<button type="button" aria-pressed="true" data-rotor="rotor {rotor}">{line}rotor {rotor}</button>'
+    return f'<button type="button" aria-pressed="true" data-rotor="{escape(name)}">{line}{escape(name)}</button>'
 
 
 def _line(tint: str, dash: str) -> str:

@@ -10,19 +10,21 @@ A flight is taken to begin sound: what deviates at first is steady wind and trim
 from __future__ import annotations
 
 import inspect
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from rotorwatch import airframes
-from rotorwatch.base import discovery
+from rotorwatch.base import discovery, files
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError, LogError
 from rotorwatch.flight import Flight
+from rotorwatch.flight.method_series import MethodSeries
 from rotorwatch.methods.compiling.run import run
 from rotorwatch.methods.maths.set_membership import SetMembership
 from rotorwatch.methods.maths.systems.helicopter import Helicopter
+from rotorwatch.methods.published import own
 
 ACTUATORS = 4
 LAG_S = 0.03  # of the actuators, when nothing else is known
@@ -46,6 +48,15 @@ SETS: dict[str, Any] = {
     "theta_range": (np.repeat([0.0, -1.0], ACTUATORS), np.ones(2 * ACTUATORS)),
     "process": np.repeat([2e-3, 2e-3], 3), "measurement": np.repeat([0.13, 0.007], 3), "remainder": "none",
 }  # fmt: skip
+NAMES = Helicopter.u_names[:ACTUATORS]
+AIR = (
+    "still air is assumed: wind passes for a displacement of the tail or of the cyclic, and what deviates in the first seconds counts as "
+    "trim"
+)
+TRIM = (
+    f"an actuator is named faulty when its deviation, bias - loss u, stays beyond {LEAST:g} and {MARGIN:g} times what it may be off by for "
+    f"{LASTING_S:g} s; loss and displacement alone cannot be told apart while the command stands still"
+)
 START_REACH = np.repeat([0.05, 0.02], ACTUATORS)  # of losses and displacements: a flight begins sound
 
 
@@ -62,7 +73,7 @@ class Table(NamedTuple):
 @dataclass(frozen=True)
 class Estimated:
     """theta and off (T, 8): losses, then displacements, and what they may be off by (95 %, or the half-width of a set); deviation,
-    deviation_off (T, 4); found (4,): when each actuator was named [s], NaN if never."""
+    deviation_off (T, 4); found (4,): when each actuator was named [s], NaN if never. itself: the method's series."""
 
     table: Table
     theta: np.ndarray
@@ -70,6 +81,7 @@ class Estimated:
     deviation: np.ndarray
     deviation_off: np.ndarray
     found: np.ndarray
+    itself: MethodSeries
 
 
 def rows(flight: Flight, lag_s: float = LAG_S) -> Table:
@@ -127,22 +139,42 @@ def _to_body(q: np.ndarray, v: np.ndarray) -> np.ndarray:
     return v + w * t + np.cross(u, t)
 
 
-def method(name: str, airframe: str, dt: float) -> Any:
-    """The estimator of that name on a paper's helicopter, tuned for its logs. Raises ConfigError for an unknown name, or an
-    estimator that is not defined for this plant."""
+def helicopter(airframe: str) -> dict[str, Any]:
+    """What is known of a helicopter: of one that a paper describes, by its name, or of an airframe file (TOML, as those of the papers).
+    Raises ConfigError."""
+    if airframe.endswith(".toml") or "/" in airframe:
+        return files.toml(airframe, "airframe file")[0]
     if airframe not in airframes.papers() or "main" not in airframes.paper(airframe):
         known = [paper for paper in airframes.papers() if "main" in airframes.paper(paper)]
-        raise ConfigError(f"There is no helicopter called {airframe!r}; known are {', '.join(known)}.")
+        raise ConfigError(
+            f"There is no helicopter called {airframe!r}; known are {', '.join(known)}, and any airframe file (a name that ends in .toml)."
+        )
+    return airframes.paper(airframe)
+
+
+def method(name: Any, airframe: str, dt: float) -> Any:
+    """The estimator of that name on a helicopter (`helicopter`), tuned for its logs. Raises ConfigError for an unknown name, or an
+    estimator that is not defined for this plant."""
+    craft = helicopter(airframe)
     load_jax()
     kind = discovery.estimator(name)
     if name == "default":
         raise ConfigError(
             "The default estimator is made for multirotors; name a published one for a helicopter (docs/methods)."
         )
-    system = Helicopter(airframes.paper(airframe), PROCESS_SD, VELOCITY_SD, RATE_SD)
-    known = inspect.signature(kind.__init__).parameters
-    tuning = SETS if issubclass(kind, SetMembership) else KALMAN
-    return kind(system, dt, **{key: value for key, value in tuning.items() if key in known})
+    try:
+        system = Helicopter(craft, PROCESS_SD, VELOCITY_SD, RATE_SD)
+    except (TypeError, ValueError, KeyError, AttributeError) as why:
+        raise ConfigError(
+            f"The airframe {airframe} holds a value that is no number, or none of the right size ({why})."
+        ) from None
+    known = inspect.signature(kind).parameters
+    return kind(system, dt, **{key: value for key, value in _tuning(kind).items() if key in known})
+
+
+def _tuning(kind: Any) -> dict[str, Any]:
+    made = getattr(kind, "func", kind)
+    return SETS if inspect.isclass(made) and issubclass(made, SetMembership) else KALMAN
 
 
 def healthy_start(estimator: Any) -> Any:
@@ -154,14 +186,26 @@ def healthy_start(estimator: Any) -> Any:
     return start._replace(z=np.zeros(wide.size), shape=np.diag(wide**2))
 
 
-def estimate(flight: Flight, airframe: str, name: str, lag_s: float = LAG_S, progress=None) -> Estimated:
+def notes(estimator: Any) -> tuple[str, ...]:
+    """What the figures rest on, and what they neglect."""
+    if not isinstance(estimator, SetMembership):
+        return (AIR, "process and measurement noise are tuned for these logs, not learned from this one", TRIM)
+    neglected = (
+        "the sets neglect the remainder of the linearisation, because after a jump it exceeds what a measurement cuts away: they guarantee "
+        "nothing here, and hold the truth as often as their noise bounds happen to cover it",
+        "the sets' bounds of noise are tuned for these logs; what gusts or a wrong airframe add beyond them is neglected as well",
+    )
+    return (AIR, *neglected, TRIM)
+
+
+def estimate(flight: Flight, airframe: str, name: Any, lag_s: float = LAG_S, progress=None) -> Estimated:
     """The estimator of that name over a helicopter's log. Raises ConfigError and LogError."""
     table = rows(flight, lag_s)
     estimator = method(name, airframe, table.dt)
     if estimator.system.n_theta != 2 * ACTUATORS:
         raise ConfigError(f"{name} does not estimate the losses and displacements of the helicopter.")
-    _, (theta, cov) = run(estimator, table.u, table.y, table.valid, _losses, progress, healthy_start(estimator))
-    cov = cov * (1.0 if isinstance(estimator, SetMembership) else FILTER_SD**2)
+    _, itself = run(estimator, table.u, table.y, table.valid, own.own, progress, healthy_start(estimator))
+    theta, cov = itself.theta, itself.theta_cov * (1.0 if isinstance(estimator, SetMembership) else FILTER_SD**2)
     deviation, deviation_off = _deviation(theta, cov, table.u[:, :ACTUATORS])
     since = table.time - table.time[0]
     level = (since > LEARN_S[0]) & (since <= LEARN_S[1])
@@ -171,7 +215,10 @@ def estimate(flight: Flight, airframe: str, name: str, lag_s: float = LAG_S, pro
         )
     deviation = deviation - deviation[level].mean(axis=0)
     off = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2), 0.0))
-    return Estimated(table, theta, off, deviation, deviation_off, _named(table, deviation, deviation_off))
+    series = own.series(discovery.title(name), estimator, itself, table.time, 1, table.dt, notes(estimator))
+    made_of = {f"deviation_{actuator}": (deviation[:, k], deviation_off[:, k]) for k, actuator in enumerate(NAMES)}
+    series = replace(series, made_of=made_of)
+    return Estimated(table, theta, off, deviation, deviation_off, _named(table, deviation, deviation_off), series)
 
 
 def summary(found: Estimated) -> dict[str, dict[str, float | None]]:
@@ -183,13 +230,8 @@ def summary(found: Estimated) -> dict[str, dict[str, float | None]]:
     return {
         name: {"found_s": None if np.isnan(found.found[k]) else float(found.found[k])}
         | {key: float(values[k]) for key, values in last.items()}
-        for k, name in enumerate(Helicopter.u_names[:ACTUATORS])
+        for k, name in enumerate(NAMES)
     }
-
-
-def _losses(out: Any) -> Any:
-    e = getattr(out, "estimate", out)
-    return e.theta, e.theta_cov
 
 
 def _deviation(theta: np.ndarray, cov: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,8 +1,9 @@
 """A published method on a real flight: from ticks to outputs in the form of the default diagnoser's, so that all else is shared.
 
 Each hop of the flight becomes a plant and a table (log_plant.py), the method runs over it with the threshold of methods/published/decide.py
-behind it, and its announcements are recorded as the default estimator's outputs are: engine/default/events.py, the report and the JSON
-do not know the difference. What the default method does beyond - it tests every onset, competes losses against disturbances
+behind it, and its announcements are recorded as the default estimator's outputs are: engine/default/events.py and all after it
+do not know the difference. The losses there are the decision's; what the method itself says stays beside them (own.py). What the default
+method does beyond - it tests every onset, competes losses against disturbances
 over whole windows, learns the noise on the way and refines a loss - a plain method does not, and `notes` says so.
 """
 
@@ -24,9 +25,11 @@ from rotorwatch.engine.default.program import TickOutput, blank
 from rotorwatch.engine.estimator.posterior import PLACES
 from rotorwatch.engine.motion.ticks import Ticks
 from rotorwatch.errors import ConfigError
+from rotorwatch.flight.method_series import MethodSeries, joined
 from rotorwatch.methods.compiling.run import chosen, run, run_built
-from rotorwatch.methods.published import decide, log_plant
+from rotorwatch.methods.published import decide, log_plant, own
 from rotorwatch.methods.published.log_plant import LogPlant
+from rotorwatch.methods.published.own import Own
 
 OTHER_NATS = 5.0  # by so much another rotor set must explain more before it takes the place of the announced one
 SHOWN_S = 1.0  # losses shown are means over this time
@@ -106,12 +109,8 @@ class Watched:
         return (first, tuple(c for c, _ in found)), outputs
 
 
-class Seen(
-    namedtuple(
-        "Seen", "theta theta_var innovation innovation_var status log_odds statistic alarm onset best level scatter"
-    )
-):
-    """The stored outputs of a step: theta and its variances (n,), innovation and variances (n_y,), and the decision."""
+class Seen(namedtuple("Seen", "theta innovation innovation_var log_odds statistic alarm onset best level scatter")):
+    """What an answer needs of a step: theta (n,), innovation and its variances (n_y,), and the decision."""
 
 
 def seen(outputs: Sequence[Output]) -> tuple[Seen, ...]:
@@ -120,13 +119,17 @@ def seen(outputs: Sequence[Output]) -> tuple[Seen, ...]:
 
     def result(out: Output) -> Seen:
         e, d = out.estimate, out.decision
-        n = e.theta.shape[0]
         return Seen(
-            e.theta, jnp.diagonal(e.theta_cov)[:n], e.innovation, jnp.diagonal(e.innovation_cov), e.status,
+            e.theta, e.innovation, jnp.diagonal(e.innovation_cov),
             d.log_odds, d.statistic, d.alarm, d.onset, d.best, out.level, out.scatter,
         )  # fmt: skip
 
     return tuple(result(out) for out in outputs)
+
+
+def both(outputs: Sequence[Output]) -> tuple[Own, Seen]:
+    """What the method itself says at a step, and what the first threshold makes of it."""
+    return own.own(outputs[0]), seen(outputs[:1])[0]
 
 
 Decisions = tuple[tuple[tuple[str, float], ...], ...]
@@ -149,8 +152,11 @@ def builder(name: Any, dt: float, keywords: tuple = (), decisions: Decisions = (
     return build if ours else lambda p: build(p)
 
 
-def run_hop(name: Any, hop: LogPlant, B: np.ndarray, tuning: Tuning | None = None, progress=None) -> Seen:
-    """The method over one hop: stacked `Seen`. Native code where there is a compiler: XLA takes four times as long to build it."""
+def run_hop(
+    name: Any, hop: LogPlant, B: np.ndarray, tuning: Tuning | None = None, progress=None
+) -> tuple[Any, Own, Seen]:
+    """The method over one hop: the estimator, and stacked what `both` keeps. Native code where there is a compiler: XLA takes four times
+    as long to build it."""
     tuning = tuning or Tuning()
     parameters: dict[str, Any] = {"plant": hop.parameters, "B": B}
     parameters |= {k: np.asarray(v) for k, v in (("q", tuning.q), ("r", tuning.r)) if v is not None}
@@ -160,12 +166,13 @@ def run_hop(name: Any, hop: LogPlant, B: np.ndarray, tuning: Tuning | None = Non
         (hop.u, hop.y, hop.valid),
     )  # with values: a wrong configuration raises here
     try:
-        return run_built(build, parameters, *rows, seen, progress, made.init(), backend)[1][0]
+        found = run_built(build, parameters, *rows, both, progress, made.init(), backend)[1]
     except (
         load_jax().errors.JAXTypeError,
         ConfigError,
     ):  # design work that needs values: compiled for this flight alone
-        return run(made, *rows, seen, progress, backend=backend)[1][0]
+        found = run(made, *rows, both, progress, backend=backend)[1]
+    return made.estimator, *found
 
 
 def judge(
@@ -176,24 +183,35 @@ def judge(
     tuning: Tuning | None = None,
     progress=None,
     hops: Sequence[LogPlant] | None = None,
-) -> TickOutput:
-    """The outputs of a published method on every tick of a flight, in the default estimator's form.
+) -> tuple[TickOutput, MethodSeries | None]:
+    """The outputs of a published method on every tick of a flight, in the default estimator's form, and what the method itself says on the
+    judged ticks; None where no part of the flight was judged.
 
     hops: of `log_plant.hops`, when they are known already. Ticks outside the judged hops hold zeros. biases: the missing
     wrench besides that of the losses shown. log_odds: of `list_hypotheses(n)`. Raises ConfigError for an unknown method and slow logs.
     """
     discovery.estimator(name)
-    hyp = list_hypotheses(B.shape[1])
-    out = blank(len(table.time), hyp)
-    for hop in log_plant.hops(table, B, dynamics) if hops is None else hops:
-        record(out, run_hop(name, hop, B, tuning, progress), hop, hyp, B)
-    return out
+    hyp, title = list_hypotheses(B.shape[1]), discovery.title(name)
+    out, parts = blank(len(table.time), hyp), []
+    for k, hop in enumerate(log_plant.hops(table, B, dynamics) if hops is None else hops, start=1):
+        estimator, itself, decided = run_hop(name, hop, B, tuning, progress)
+        record(out, decided, hop, hyp, B)
+        parts.append(own.series(title, estimator, itself, table.time[hop.rows], k, hop.dt, PLANT_NOTES))
+    return out, joined(parts) if parts else None
+
+
+PLANT_NOTES = (
+    "the plant is rotational dynamics in hover thrusts of one rotor; its gains, noise and trim were identified before the first step, in a "
+    "part of the flight that is taken as healthy, or from healthy flights: a loss is a change since then",
+)
 
 
 def notes(name: str) -> tuple[str, ...]:
     """Assumptions of a diagnosis by a published method."""
     return (
         f"{name} runs as published, on rotational dynamics whose gains, noise and trim were identified before judging began",
+        f"losses and intervals of rotors and events are those of the decision that all methods share, made of {name}'s estimates; {name}'s "
+        "own losses and intervals are told apart (own estimate)",
         "its losses become events by a threshold on the missing wrench; rotor sets that the geometry cannot distinguish "
         "are named together, but slow changes of wind, balance or battery may still pass for losses",
     )

@@ -69,7 +69,7 @@ def _trial(name: str, scene: Scene) -> dict:
     if name == "default":
         done = estimated(scene.ready)
     else:
-        out = published.judge(name, table, scene.B, hops=scene.hops)
+        out, _ = published.judge(name, table, scene.B, hops=scene.hops)
         done = Estimated(table, out, own=False)
     raised, out = counting.alarms(judge(scene.ready, done).end.events), done.out
     judged = table.mode == JUDGE
