@@ -1,5 +1,7 @@
 """The helicopter study's figures with one seed: what covers, what does not, and what is tighter; and what follows from them."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -124,7 +126,7 @@ def numbers(**changed):
     """What the study might measure: sets by form, Kalman filters by restart, cost by run. changed: (form, filter) -> other values."""
     one = {
         "containment": 1.0, "containment_worst_seed": 1.0, "ellipsoid": 1.0, "ellipsoid_healthy": 1.0, "off_centre": 0.2,
-        "least_q": 0.5, "half_width": 0.4, "half_width_healthy": 0.1, "restarts": 0.0,
+        "least_q": 0.5, "half_width": 0.4, "half_width_healthy": 0.1, "restarts": 0.0, "outgrown_s": np.inf,
     }  # fmt: skip
     gd = one | {"half_width": 0.1, "half_width_healthy": 0.05}
     forms = {form: {"esmf": dict(one), "aesmf": dict(gd)} for form in ruav_filters.FORMS}
@@ -151,6 +153,14 @@ def verdicts(**changed):
     claims, forms = study._claims(numbers(**changed))
     assert [claim.claim for claim in claims] == list(reproduction.claimed("aesmf"))[: len(claims)]
     return {name: list(row.values()) for name, row in forms.items()}, [claim.verdict for claim in claims]
+
+
+def test_cost_is_time_per_step_of_the_best_round():
+    waits = iter([0.03, 0.02])  # s of the rounds
+    flights, told = ruav_flight.Flights(*np.zeros((4, 2, 50, 6))), []
+    cost = study._microseconds({"slow": lambda u, y: time.sleep(next(waits))}, flights, lambda *row: told.append(row))
+    assert 200.0 <= cost["slow"] < 1e4 and len(told) == study.ROUNDS
+    assert next(waits, None) is None
 
 
 def test_each_claim_is_judged_for_each_form():

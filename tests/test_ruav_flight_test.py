@@ -172,6 +172,7 @@ def test_verdicts_follow_from_the_numbers():
     assert verdicts(esmf=(0.1, 0.1, 0.6))[1] == "not reproduced"
     forms = study.claims(numbers(roll_only=(0.1, 0.1, 0.6)))[1]
     assert list(forms["sets_fly"].values()) == ["not reproduced", "not reproduced", "holds", "partly"]
+    assert set(forms["quiet"].values()) == {"holds"} and len(forms["quiet"]) == 8
     assert list(forms["kalman_crashes"].values()) == ["holds", "not reproduced"] * 2
     assert verdicts(before=0.2)[0] == "not reproduced" and verdicts(apart=1e-3)[3] == "not reproduced"
     json.dumps(plain(numbers()), allow_nan=False)

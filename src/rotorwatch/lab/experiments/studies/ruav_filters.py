@@ -24,6 +24,14 @@ CENTRE, REACH = np.repeat([0.5, 0.0], 4), np.repeat([1.0, 0.5], 4)
 START_REACH = np.repeat([0.05, 0.02], 4)
 RANGE = (np.repeat([0.0, -0.25], 4), np.repeat([1.0, 0.25], 4))
 N_X = 6
+LABELS = {
+    "esmf": "ESMF",
+    "aesmf": "GD-ESMF",
+    "aesmf_floor": "GD-ESMF, floor",
+    "aekf": "AEKF",
+    "aukf": "AUKF",
+    "ekf": "EKF, fixed Q",
+}
 SETS, KALMAN = ("esmf", "aesmf"), ("aekf", "aukf")
 PRINTED: dict[str, Any] = {"form": "batch", "remainder": "interval"}
 FORMS: dict[str, dict[str, Any]] = {

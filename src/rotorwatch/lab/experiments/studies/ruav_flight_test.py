@@ -231,7 +231,7 @@ def flight_test(literal: tuple[str, ...] = (), progress=silent) -> tuple[dict, d
     designs, chosen, count = Designs(ruav_flight.plant()), ruav_filters.form_of(literal), iter(range(FLIGHTS))
 
     def one(name: str, label: str, form: str = chosen, **setting) -> Flown:
-        progress(next(count) / FLIGHTS, f"flight on {name.upper()}, {label}")
+        progress(next(count) / FLIGHTS, f"flight test on {ruav_filters.LABELS[name]}, {label}")
         return fly(name, Setting(**setting), designs, form, literal)
 
     flown = {name: one(name, "the paper's") for name in ("aesmf", "aekf")}
@@ -304,8 +304,11 @@ def claims(numbers: dict, chosen: str = "own") -> tuple[tuple[Claim, ...], dict]
     crashes = not numbers["stable_after_aekf"]
     unstable = {f"{name}, {label}": not one["stable_after"] for (name, label), one in _kalman(numbers).items()}
     kalman: dict[str, Verdict] = {label: graded(lost_it) for label, lost_it in unstable.items()}
+    flights = {label: numbers["forms"][form] for form, label in ruav_filters.FORM_LABELS.items()}
+    flights |= {f"{name}, {label}": one for (name, label), one in _kalman(numbers).items()}
+    quiet: dict[str, Verdict] = {label: graded(np.max(one["rates_before"]) < QUIET) for label, one in flights.items()}
     verdicts = {
-        "quiet": graded(np.max(before) < QUIET, np.max(seen["aekf"]["rates_before"]) < QUIET),
+        "quiet": reproduction.across(quiet),
         "sets_fly": reproduction.across(sets),
         "kalman_crashes": graded(crashes and not stable["aekf"] and all(unstable.values()), crashes),
         "one_controller": graded(apart < 1e-4 and decay > 0),
@@ -316,14 +319,15 @@ def claims(numbers: dict, chosen: str = "own") -> tuple[tuple[Claim, ...], dict]
         after_esmf=_rates(numbers["rates_after_esmf"]), after_aekf=_rates(numbers["rates_after_aekf"]),
         fixed=_rates(varied["ekf"]["fixed_q"]["rates_after"]),
         other_forms="; ".join(
-            f"{ruav_filters.FORM_LABELS[form]} {_rates(one['rates_after'])}, half-width {one['half_width_after']:.2g}, no controller at {one['excluded']} looks"
+            f"{ruav_filters.FORM_LABELS[form]} {_rates(one['rates_after'])}, half-width {one['half_width_after']:.2g}, "
+            f"no controller at {one['excluded']} looks"
             for form, one in numbers["forms"].items() if form != chosen
         ),
         kalmans="; ".join(f"{name}, {label}: {_rates(one['rates_after'])}" for (name, label), one in _kalman(numbers).items()),
         calm=", ".join(stable["aesmf"]) or "no variation", rough=", ".join(lost["aesmf"]) or "none",
         wild=", ".join(lost["aekf"]) or "no variation", steady=", ".join(stable["aekf"]) or "no variation",
     )  # fmt: skip
-    return found, {"sets_fly": sets, "kalman_crashes": kalman}
+    return found, {"quiet": quiet, "sets_fly": sets, "kalman_crashes": kalman}
 
 
 def _kalman(numbers: dict) -> dict:
