@@ -3,7 +3,7 @@
     rotorwatch reproduce --all -o results      each paper's result, kept in a folder
     python docs/make_papers.py results         the claims of these results into docs/papers.json, and the page
 
-Without a folder the page is made from docs/papers.json as it is.
+Papers that have no result in the folder stay as they are. Without a folder the page is made from docs/papers.json as it is.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import json
 import sys
 from pathlib import Path
 
+from rotorwatch.lab.experiments import tools
 from rotorwatch.lab.experiments.studies import reproduction
 
 HERE = Path(__file__).parent
@@ -25,13 +26,15 @@ that it may have been so there.
 """
 
 
-def rows(folder: Path) -> list[dict]:
-    """Of every study in its order: paper, title, seeds and claims of the result that is kept in the folder."""
-    found = []
-    for name in reproduction.studies():
-        whole = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
-        found.append({key: whole[key] for key in ("paper", "title", "seeds", "claims")})
-    return found
+def rows(folder: Path, before: list[dict]) -> list[dict]:
+    """Of every study in its order: paper, title, seeds, claims and forms of the result that is kept in the folder, or else of `before`."""
+    found = {row["paper"]: row for row in before}
+    for path in (folder / f"{name}.json" for name in reproduction.studies()):
+        if path.exists():
+            whole = json.loads(path.read_text(encoding="utf-8"))
+            kept = {key: whole[key] for key in ("paper", "title", "seeds", "claims", "forms") if key in whole}
+            found[kept["paper"]] = kept
+    return [found[name] for name in reproduction.studies()]
 
 
 def page(data: list[dict]) -> str:
@@ -46,6 +49,9 @@ def page(data: list[dict]) -> str:
         parts.append(f"Pictures: {pictures}.\n")
         if reproduction.note(row["paper"]):
             parts.append(f"**{reproduction.note(row['paper'])}**\n")
+        for heads, lines in reproduction.by_form(row.get("forms", {})):
+            told = [[_cell(WORDS.get(text, text)) for text in line] for line in lines]
+            parts.append(tools.table(heads, told) + "\n")
         table = ["| claim | the paper | here | verdict |", "|---|---|---|---|"]
         for claim in row["claims"]:
             verdict = str(claim["verdict"])
@@ -76,6 +82,8 @@ def _cell(text: str) -> str:
 
 
 if __name__ == "__main__":
+    data = json.loads(DATA.read_text(encoding="utf-8"))
     if len(sys.argv) > 1:
-        DATA.write_text(json.dumps(rows(Path(sys.argv[1])), indent=1) + "\n", encoding="utf-8")
-    PAGE.write_text(page(json.loads(DATA.read_text(encoding="utf-8"))), encoding="utf-8")
+        data = rows(Path(sys.argv[1]), data)
+        DATA.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+    PAGE.write_text(page(data), encoding="utf-8")

@@ -1,19 +1,22 @@
-"""The helicopter study's figures with one seed: what covers, what does not, and what is tighter."""
+"""The helicopter study's figures with one seed: what covers, what does not, and what is tighter; and what follows from them."""
+
+import time
 
 import numpy as np
 import pytest
 
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.experiments.studies import reproduce_aesmf as study
-from rotorwatch.lab.experiments.studies import reproduction, ruav_flight
+from rotorwatch.lab.experiments.studies import reproduction, ruav_filters, ruav_flight
 
 
 @pytest.fixture(scope="module")
 def judged():
     system = ruav_flight.plant()
     flights = ruav_flight.fly(system, 1)
-    made = study.filters(ruav_flight.plant(stops=False))
-    return flights, {name: study._judged(made[name], flights)[0] for name in ("esmf", "aesmf", "aekf", "aukf", "ekf")}
+    made = study.runs()
+    names = ("esmf", "aesmf", "aekf", "aukf", "ekf", "aesmf/own_no_restart", "aekf/no_restart")
+    return flights, {name: study._judged(study._program(made[name]), flights)[0] for name in names}
 
 
 @pytest.mark.thorough
@@ -84,6 +87,103 @@ def test_adapted_kalman_bounds_are_the_narrowest(judged):
     for name in ("aekf", "aukf"):
         assert result[name]["half_width_last_5s"] < 0.5 * result["ekf"]["half_width_last_5s"]
         assert result[name]["restarts"] >= 1
+
+
+@pytest.mark.thorough
+def test_without_a_restart_less_is_known_after_the_fault(judged):
+    _, result = judged
+    assert result["aesmf/own_no_restart"]["half_width"] > study.KNOWN > 5 * result["aesmf"]["half_width"]
+    assert result["aesmf/own_no_restart"]["half_width_healthy"] == pytest.approx(result["aesmf"]["half_width_healthy"])
+    assert result["aekf/no_restart"]["restarts"] == 0 and result["aekf/no_restart"]["containment"] < 0.95
+
+
+def test_literal_readings_choose_the_form_of_the_sets():
+    """And all four forms are run whatever is chosen."""
+    seen = set()
+    for literal in ((), ("printed",), ("no_restart",), ("printed", "no_restart")):
+        made, form = study.runs(literal), ruav_filters.form_of(literal)
+        seen.add(form)
+        for name in ruav_filters.SETS:
+            assert made[name] == made[f"{name}/{form}"]
+            forms = {
+                key: (one.estimator.form, one.estimator.remainder, one.estimator.restart)
+                for key in ruav_filters.FORMS
+                for one in [made[f"{name}/{key}"]]
+            }
+            assert forms == {
+                "printed": ("batch", "interval", False),
+                "printed_restart": ("batch", "interval", True),
+                "own_no_restart": ("joint", "taylor", False),
+                "own": ("joint", "taylor", True),
+            }
+        for name in ruav_filters.KALMAN:
+            assert made[name] == made[f"{name}/{'no_restart' if 'no_restart' in literal else 'restart'}"]
+            assert [made[f"{name}/{how}"].restart for how in ("no_restart", "restart")] == [False, True]
+    assert seen == set(ruav_filters.FORMS)
+
+
+def numbers(**changed):
+    """What the study might measure: sets by form, Kalman filters by restart, cost by run. changed: (form, filter) -> other values."""
+    one = {
+        "containment": 1.0, "containment_worst_seed": 1.0, "ellipsoid": 1.0, "ellipsoid_healthy": 1.0, "off_centre": 0.2,
+        "least_q": 0.5, "half_width": 0.4, "half_width_healthy": 0.1, "restarts": 0.0, "outgrown_s": np.inf,
+    }  # fmt: skip
+    gd = one | {"half_width": 0.1, "half_width_healthy": 0.05}
+    forms = {form: {"esmf": dict(one), "aesmf": dict(gd)} for form in ruav_filters.FORMS}
+    for both in (forms["printed"], forms["printed_restart"]):
+        for row in both.values():
+            row.update(half_width=50.0, half_width_healthy=50.0)
+    cost = dict.fromkeys(study.TIMED, 100.0) | {"aekf/no_restart": 10.0, "aukf/no_restart": 30.0}
+    flat = {"aesmf_floor": 0.2, "ekf": 0.02}
+    found = {
+        "forms": forms,
+        "kalman": {how: {name: {"containment": 0.8} for name in ruav_filters.KALMAN} for how in study.RESTARTS},
+        "microseconds_per_step": cost | changed.pop("cost", {}),
+        "adversarial_escapes": changed.pop("escapes", 0),
+        **{key: flat for key in ("half_width", "ellipsoid", "ellipsoid_healthy")},
+        "containment": {"ekf": 1.0},
+    }
+    for form, values in changed.items():
+        for row in forms[form].values():
+            row.update(values)
+    return found
+
+
+def verdicts(**changed):
+    claims, forms = study._claims(numbers(**changed))
+    assert [claim.claim for claim in claims] == list(reproduction.claimed("aesmf"))[: len(claims)]
+    return {name: list(row.values()) for name, row in forms.items()}, [claim.verdict for claim in claims]
+
+
+def test_cost_is_time_per_step_of_the_best_round():
+    waits = iter([0.03, 0.02])  # s of the rounds
+    flights, told = ruav_flight.Flights(*np.zeros((4, 2, 50, 6))), []
+    cost = study._microseconds({"slow": lambda u, y: time.sleep(next(waits))}, flights, lambda *row: told.append(row))
+    assert 200.0 <= cost["slow"] < 1e4 and len(told) == study.ROUNDS
+    assert next(waits, None) is None
+
+
+def test_each_claim_is_judged_for_each_form():
+    forms, whole = verdicts()
+    assert forms["cover"] == ["partly", "partly", "holds", "holds"]
+    assert forms["tightest"] == ["not reproduced", "not reproduced", "holds", "holds"]
+    assert forms["stable"] == ["not reproduced", "not reproduced", "holds", "holds"]
+    assert forms["centre"] == ["not reproduced"] * 4 and forms["kalman"] == ["holds"] * 4
+    assert forms["cheapest"] == ["holds"] * 2 and forms["best_cost"] == ["refuted"] * 2
+    assert whole == ["partly", "partly", "holds", "partly", "not reproduced", "holds", "holds", "refuted"]
+
+
+def test_verdicts_follow_from_the_numbers():
+    assert verdicts(own={"containment_worst_seed": 0.99})[0]["cover"][3] == "not reproduced"
+    assert verdicts(own={"containment_worst_seed": 0.99})[0]["tightest"][3] == "not reproduced"
+    assert verdicts(own_no_restart={"half_width": 1.3})[0]["cover"][2] == "partly"
+    assert verdicts(own_no_restart={"half_width": 1.3})[0]["tightest"][2] == "partly"
+    assert verdicts(own={"least_q": 0.05})[0]["stable"][3] == "partly"
+    assert verdicts(escapes=1)[0]["stable"] == ["not reproduced"] * 4
+    cheap = {"aesmf/printed": 5.0, "esmf/printed": 5.0}
+    assert verdicts(cost=cheap)[0]["best_cost"] == ["holds", "refuted"]
+    assert verdicts(cost=cheap)[0]["cheapest"] == ["not reproduced", "holds"]
+    assert verdicts(cost={"aekf/no_restart": 40.0})[1][6] == "not reproduced"
 
 
 def test_unknown_literal_readings_are_refused():

@@ -18,8 +18,10 @@ class Drawing:
 
 def fake(paper):
     def reproduce(seeds, literal=(), progress=None):
+        progress(0.25, "first part")
         claim = Claim("It converges.", "0.30", f"0.31 over {seeds}", "holds", "The gain is the printed one.")
-        return Reproduction(paper, f"Title of {paper}", (claim,), {"p": float("nan")}, literal, seeds)
+        forms = {"It converges.": {"as printed": "refuted", "mended": "holds"}}
+        return Reproduction(paper, f"Title of {paper}", (claim,), {"p": float("nan")}, literal, seeds, forms=forms)
 
     return SimpleNamespace(
         PAPER=paper, LITERAL={"sign": "as printed"}, SEEDS=7, reproduce=reproduce, figures=lambda _: {"one": Drawing()}
@@ -36,6 +38,21 @@ def test_table_of_claims(run):
     assert code == 0
     for words in ("Title of axkf", "It converges.", "0.30", "0.31 over 7", "holds", "The gain is the printed one."):
         assert words in out
+
+
+def test_claims_judged_for_several_forms_have_a_table(run):
+    _, out, _ = run("reproduce", "axkf")
+    assert all(words in out for words in ("as printed", "mended", "refuted"))
+    _, out, _ = run("reproduce", "axkf", "--json")
+    assert json.loads(out)["forms"] == {"It converges.": {"as printed": "refuted", "mended": "holds"}}
+
+
+@pytest.mark.parametrize("paper", ["axkf", "all"])
+def test_each_step_is_a_line_where_no_bar_moves(run, paper):
+    _, _, err = run("reproduce", paper, "--jobs", 1)
+    assert "axkf: 25% done; first part" in err
+    _, _, err = run("reproduce", paper, "--jobs", 1, "--quiet")
+    assert "first part" not in err
 
 
 def test_json_of_one_is_an_object(run):

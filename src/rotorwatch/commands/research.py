@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import textwrap
 from pathlib import Path
 
 import click
 
-from rotorwatch.commands.tools import OUT, common, drawable, progress, say, show, spread
+from rotorwatch.commands.tools import OUT, common, drawable, live, progress, say, show, spread
 from rotorwatch.errors import ConfigError
 
 FIGURES = "Draw the paper's figures again, as SVG files in this folder."
@@ -112,7 +113,8 @@ def reproduce(paper, every, seeds, literal, figures, output, jobs, scheduler, as
         reproduction.check_libraries(module)
     kept = {m.PAPER: reproduction.kept(output, m, seeds, literal) if output else None for m in modules}
     due = [name for name, one in kept.items() if one is None or figures]
-    together = reproduction.reproduce_many(due, seeds, jobs, scheduler) if paper == "all" and due else None
+    lines = None if quiet or live() else _line
+    together = reproduction.reproduce_many(due, seeds, jobs, scheduler, lines) if paper == "all" and due else None
     results = []
     for done, module in enumerate(modules):
         with progress(quiet) as report:
@@ -123,7 +125,8 @@ def reproduce(paper, every, seeds, literal, figures, output, jobs, scheduler, as
             else:
                 if together and report:
                     report(done / len(modules), f"waiting for {module.PAPER}")
-                result = next(together) if together else reproduction.reproduce(module.PAPER, seeds, literal, report)
+                told = report or (functools.partial(lines, module.PAPER) if lines else None)
+                result = next(together) if together else reproduction.reproduce(module.PAPER, seeds, literal, told)
                 if output:
                     reproduction.keep(output, result)
         results.append(result)
@@ -140,6 +143,11 @@ def reproduce(paper, every, seeds, literal, figures, output, jobs, scheduler, as
 
         out = [result.to_dict() for result in results]
         click.echo(json.dumps(out if paper == "all" else out[0], indent=1, allow_nan=False))
+
+
+def _line(paper: str, share: float, text: str = "") -> None:
+    """Progress where no bar can move: a line."""
+    say(f"{paper}: {share:.0%} done{f'; {text}' if text else ''}")
 
 
 def _draw(module, result, folder: Path) -> list[Path]:

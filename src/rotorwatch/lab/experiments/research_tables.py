@@ -9,6 +9,7 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from rotorwatch import report
+from rotorwatch.lab.experiments.studies.reproduction import by_form
 from rotorwatch.report.terminal import listing
 
 if TYPE_CHECKING:
@@ -27,7 +28,13 @@ def reproduction(result: Reproduction) -> RenderableType:
         cell = Text(claim.claim).append(f"\n{claim.why}", style="dim")
         rows.add_row(cell, claim.paper, claim.measured, Text(claim.verdict, style=VERDICTS[claim.verdict]))
         rows.add_section()
-    return Group(title, Text(f"{result.paper} · {seeds}{literal}", style="dim"), rows)
+    parts: list[RenderableType] = [title, Text(f"{result.paper} · {seeds}{literal}", style="dim")]
+    for heads, lines in by_form(result.forms):
+        forms = listing("", *heads)
+        for claim, *verdicts in lines:
+            forms.add_row(claim, *(Text(verdict, style=VERDICTS[verdict]) for verdict in verdicts))
+        parts.append(forms)
+    return Group(*parts, rows)
 
 
 def observability(result) -> RenderableType:

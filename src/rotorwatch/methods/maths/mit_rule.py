@@ -4,9 +4,11 @@ Gradient descent on V = tr(dS^2), dS = mean of the last e e' minus S, the covari
 
     q_i <- q_i exp(2 eta dt (H' dS H)_ii / (H' S H)_ii)
 
-in logarithms, so that q stays positive, and divided by what the filter expects, so that eta [1/s] means the same for every
-state. States that no innovation shows directly keep their q. Source: the adaptation compared with in Qi, Song, Dai, Han
-and Wang 2015; form reconstructed. It matches the mean SQUARE of innovations: noise with a mean, or coloured, is not covered.
+in logarithms, so that q stays positive, and divided by what the filter expects, so that eta [1/s] means the same for
+every state. States that no innovation shows directly keep their q. Source: the adaptation compared with in Qi, Song,
+Dai, Han and Wang 2015 (doi:10.5772/60854); one of the two adaptive schemes for Kalman filters that Wu, Qi, Song, Qi and
+Han 2015 (doi:10.1515/amcs-2015-0013) name is the MIT rule; its form is reconstructed. It matches the mean SQUARE of
+innovations: noise with a mean, or coloured, is not covered.
 """
 
 from __future__ import annotations

@@ -45,7 +45,8 @@ class Claim:
 
 @dataclass(frozen=True)
 class Reproduction:
-    """A paper's experiments run again. figures: the numbers, JSON-able. series: arrays for drawing, not in the JSON."""
+    """A paper's experiments run again. figures: the numbers, JSON-able. series: arrays for drawing, not in the JSON. forms: claim -> form
+    of the method -> the verdict on that claim for it, where a study runs a method in several forms."""
 
     paper: str
     title: str
@@ -54,6 +55,7 @@ class Reproduction:
     literal: tuple[str, ...] = ()
     seeds: int = 0
     series: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    forms: Mapping[str, Mapping[str, Verdict]] = field(default_factory=dict)
 
     def to_dict(self) -> dict:
         """Plain lists, numbers and strings; NaN and infinity become None."""
@@ -64,6 +66,7 @@ class Reproduction:
             "literal": list(self.literal),
             "claims": [vars(claim) for claim in self.claims],
             "figures": plain(self.figures),
+            **({"forms": plain(self.forms)} if self.forms else {}),
         }
 
     def to_json(self) -> str:
@@ -89,6 +92,11 @@ def methods(paper: str) -> tuple[str, ...]:
 def claimed(paper: str) -> tuple[str, ...]:
     """What the paper claims, in the order of its study; {names} are filled in by a run."""
     return tuple(row["claim"] for row in _words(paper)["claims"].values())
+
+
+def claimed_as(paper: str, key: str) -> str:
+    """What one claim says, by its key."""
+    return _words(paper)["claims"][key]["claim"]
 
 
 def note(paper: str) -> str:
@@ -119,6 +127,23 @@ def claims(paper: str, verdicts: Mapping[str, Any], **values: Any) -> tuple[Clai
 def graded(holds: Any, partly: Any = False) -> Verdict:
     """The verdict on a claim that holds, or does in part."""
     return "holds" if holds else "partly" if partly else "not reproduced"
+
+
+def across(verdicts: Mapping[str, Verdict]) -> Verdict:
+    """The verdict on a claim that was judged for several forms of a method: theirs where they agree; else it holds in part, or not at all
+    where it does for none."""
+    found = set(verdicts.values())
+    if len(found) == 1:
+        return found.pop()
+    return "partly" if found & {"holds", "partly"} else "not reproduced"
+
+
+def by_form(forms: Mapping[str, Mapping[str, Verdict]]) -> list[tuple[list[str], list[list[str]]]]:
+    """Tables of `Reproduction.forms`: (heads, rows), one for all claims that were judged for the same forms."""
+    tables: dict[tuple[str, ...], list[list[str]]] = {}
+    for claim, verdicts in forms.items():
+        tables.setdefault(tuple(verdicts), []).append([claim, *verdicts.values()])
+    return [(["claim", *labels], rows) for labels, rows in tables.items()]
 
 
 def panels(rows: int, columns: int, size: tuple[float, float], grid: bool = True, **shared: Any) -> tuple[Any, Any]:
@@ -166,10 +191,19 @@ def reproduce(
 
 
 def reproduce_many(
-    papers: Sequence[str], seeds: int | None = None, jobs: int | None = None, scheduler: str | None = None
+    papers: Sequence[str],
+    seeds: int | None = None,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    progress: Callable | None = None,
 ) -> Iterator[Reproduction]:
-    """`reproduce` of each of several papers, in this order. jobs, scheduler: as for `many.run`."""
-    return many.ordered(functools.partial(reproduce, seeds=seeds), papers, jobs, scheduler)
+    """`reproduce` of each of several papers, in this order. jobs, scheduler: as for `many.run`. progress(paper, share, text): called where
+    the paper is run, so it can be sent there."""
+    return many.ordered(functools.partial(_one_of_many, seeds=seeds, progress=progress), papers, jobs, scheduler)
+
+
+def _one_of_many(paper: str, seeds: int | None, progress: Callable | None) -> Reproduction:
+    return reproduce(paper, seeds, progress=functools.partial(progress, paper) if progress else None)
 
 
 def keep(folder: Path, result: Reproduction) -> Path:
@@ -188,7 +222,15 @@ def kept(folder: Path, module: ModuleType, seeds: int | None, literal: Sequence[
     try:
         row = json.loads(path.read_text(encoding="utf-8"))
         found = tuple(Claim(**claim) for claim in row["claims"])
-        result = Reproduction(row["paper"], row["title"], found, row["figures"], tuple(row["literal"]), row["seeds"])
+        result = Reproduction(
+            row["paper"],
+            row["title"],
+            found,
+            row["figures"],
+            tuple(row["literal"]),
+            row["seeds"],
+            forms=row.get("forms", {}),
+        )
     except (ValueError, KeyError, TypeError) as error:
         raise ConfigError(f"{path} is no result of a study; delete it, or choose another folder.") from error
     asked = module.PAPER, module.SEEDS if seeds is None else seeds, tuple(literal)

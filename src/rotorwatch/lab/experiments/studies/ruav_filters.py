@@ -1,4 +1,5 @@
-"""The filters of the helicopter's study: every one gets the same bounds, and the same restart after a measurement it cannot explain.
+"""The filters of the helicopter's study: every one gets the same bounds. Sets are built in four forms, FORMS, and Kalman filters run with
+a restart after a measurement they cannot explain and without.
 
 Kalman filters take a third of each bound for a standard deviation and claim three of them.
 """
@@ -23,11 +24,43 @@ CENTRE, REACH = np.repeat([0.5, 0.0], 4), np.repeat([1.0, 0.5], 4)
 START_REACH = np.repeat([0.05, 0.02], 4)
 RANGE = (np.repeat([0.0, -0.25], 4), np.repeat([1.0, 0.25], 4))
 N_X = 6
+LABELS = {
+    "esmf": "ESMF",
+    "aesmf": "GD-ESMF",
+    "aesmf_floor": "GD-ESMF, floor",
+    "aekf": "AEKF",
+    "aukf": "AUKF",
+    "ekf": "EKF, fixed Q",
+}
+SETS, KALMAN = ("esmf", "aesmf"), ("aekf", "aukf")
+PRINTED: dict[str, Any] = {"form": "batch", "remainder": "interval"}
+FORMS: dict[str, dict[str, Any]] = {
+    "printed": PRINTED | {"restart": False},
+    "printed_restart": PRINTED,
+    "own_no_restart": {"restart": False},
+    "own": {},
+}
+FORM_LABELS = {
+    "printed": "as printed",
+    "printed_restart": "as printed, with a restart",
+    "own_no_restart": "own form, without a restart",
+    "own": "own form",
+}
 
 
-def filters(system, literal=()) -> dict[str, Any]:
-    """Name -> estimator, with the bounds of the experiment."""
-    bounds: dict[str, Any] = {
+def form_of(literal=()) -> str:
+    """The form that these literal readings choose."""
+    return {
+        (True, True): "printed",
+        (True, False): "printed_restart",
+        (False, True): "own_no_restart",
+        (False, False): "own",
+    }["printed" in literal, "no_restart" in literal]
+
+
+def filters(system, literal=(), form: str | None = None) -> dict[str, Any]:
+    """Name -> estimator, with the bounds of the experiment. form: of the sets, a name in FORMS; None: as `literal` chooses."""
+    bounds: dict[str, Any] = FORMS[form or form_of(literal)] | {
         "process": TOO_WIDE * PROCESS[:6],
         "measurement": MEASUREMENT,
         "theta_drift": TOO_WIDE * PROCESS[6:] / DT,

@@ -24,6 +24,7 @@ MEASUREMENT = np.repeat([0.01, 0.002], 3)
 MEAN_SHARE, SMOOTH = 0.7, 0.98
 DITHER, DITHER_HZ = 0.08, np.array([0.55, 0.8, 1.1, 1.45])
 ATTITUDE = np.array([0.0635, -0.003])  # roll and pitch in hover
+ACCURACY = np.repeat([np.radians(0.1), 0.1], 3)  # of attitude [rad] and place [m], as the paper prints it
 
 
 class Flights(NamedTuple):
@@ -56,6 +57,12 @@ def weather(seed: int, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     phase = rng.uniform(0, 2 * np.pi, 4)
     wave = np.sin(2 * np.pi * DITHER_HZ * np.arange(steps)[:, None] * DT + phase)
     return push, in_ball(rng, steps, 6) * MEASUREMENT, wave
+
+
+def sensed(seed: int, steps: int) -> np.ndarray:
+    """(steps, 6) what measured attitude [rad] and place [m] err by: each within its ACCURACY, anew at each step. A stream of its own: the
+    draws of `weather` stay."""
+    return np.random.default_rng([seed, 1]).uniform(-1, 1, (steps, 6)) * ACCURACY
 
 
 def fly(system: Helicopter, seeds: int, steps: int | None = None) -> Flights:
