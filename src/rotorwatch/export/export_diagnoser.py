@@ -37,7 +37,7 @@ from rotorwatch.flight.vehicle import Vehicle
 
 SOURCES = Path(__file__).parent / "embedded_c"
 MADE = "Made of the definitions in rotorwatch/engine; not to be edited."
-ROOMS = ("RECORDS", "CONTACTS", "FALLS", "EVENTS", "BURST")  # sizes of buffers, which a compiler's -D may override
+ROOMS = ("RECORDS", "CONTACTS", "FALLS", "EVENTS", "SAMPLES")  # sizes of buffers, which a compiler's -D may override
 TRIM = {name: size for name, size in vars(trim_sizes).items() if name.isupper()}
 QUEUE_S = 6.0  # ticks that wait: airborne.CONFIRM_S, and room
 
@@ -59,15 +59,16 @@ def settings(B: np.ndarray, dt: float) -> dict[str, Any]:
     n = B.shape[1]
     opposite = max(1, sum(map(len, events.opposites(B).values())) // 2)
     pairs, places = n * (n - 1) // 2, sizes.PLACES
+    states, directions = engine_sizes.PLANT_STATES + n, FIRST_LOSS + n
     return {
         "ROTORS": n, "PLACES": places, "PAIRS": pairs, "HYPOTHESES": hypothesis_count(n), "TICK_S": dt,
         "REACH": bank.GROUP * max(bank.LONG if dt >= bank.SLOW_S else bank.SHORT) + 16,
-        "PLANT_STATES": engine_sizes.PLANT_STATES, "STATES": engine_sizes.PLANT_STATES + n, "DIRECTIONS": FIRST_LOSS + n,
-        "SLOTS": engine_sizes.SLOTS, "RING": engine_sizes.RING, **TRIM, "COLUMNS": 1 + n,
+        "PLANT_STATES": engine_sizes.PLANT_STATES, "STATES": states, "PRODUCTS": states * (states + 1) // 2,
+        "DIRECTIONS": directions, "CROSSES": directions * (directions + 1) // 2, "SLOTS": engine_sizes.SLOTS, "RING": engine_sizes.RING, **TRIM, "COLUMNS": 1 + n,
         "RECORDS": 2 * n + 4, "TOGETHER": min(4, n), "ALTERNATIVES": places + 2 + opposite,
         "CONTACTS": 4, "FALLS": 4, "EVENTS": 12,
         "TICKS_BEFORE": look_back(dt), "SETTLING": 2 * look_back(dt) + 4, "QUEUE": round(QUEUE_S / dt), "WAITING": 8, "FLIGHTS": 4,
-        "LEVELS": 8, "PENDING": 8, "OVERRIDES": 2 * n, "BURST": sizes.BURST,
+        "LEVELS": 8, "PENDING": 8, "OVERRIDES": 2 * n, "SAMPLES": 64,
     }  # fmt: skip
 
 

@@ -46,7 +46,7 @@ from rotorwatch.engine.estimator.hypotheses import (
 )
 from rotorwatch.engine.estimator.kalman import Branch, swap
 from rotorwatch.engine.estimator.opposite import contested
-from rotorwatch.engine.estimator.plant import BUILT_SD, BURST_S, THETA, USUAL_S, Plant
+from rotorwatch.engine.estimator.plant import BUILT_SD, BURST_S, THETA, USUAL_S, Plant, entry
 from rotorwatch.engine.estimator.sizes import DIRECTIONS, HYPOTHESES, PLACES, ROTORS, STATES
 from rotorwatch.engine.front.losses import YOUNG_S
 
@@ -62,8 +62,9 @@ class Branches(Struct):
 
     all = array(Branch, PLACES)
     age: Real = OLD_S  # s since they were made
-    room = embedded(Branch)
-    parent = embedded(Branch)
+    parent = embedded(Branch)  # of those that are made, and room for one
+    which = array(INT, PLACES)  # what each place will be by the hypotheses that are chosen
+    start = array(REAL, PLACES)  # and its log weight then
     best = embedded(Best)
     shift = embedded(Shift)
 
@@ -114,7 +115,7 @@ class Branches(Struct):
                 best = k
         changed = self.all[best].weight > CLEAR
         if changed:
-            swap(self.all[0], self.all[best], self.room)
+            swap(self.all[0], self.all[best], self.parent)
         leading = self.all[0].weight
         for k in range(PLACES):
             if lives(self.all[k]):
@@ -130,9 +131,9 @@ class Branches(Struct):
         for k in range(PLACES):
             out[k] /= total
 
-    def born(self, p: Plant, bank: Bank, found: Evidence, first: int, alarm: bool, shared: bool) -> None:
-        """What may have happened becomes branches of the one that leads: the likeliest disturbance and the likeliest faults. Hypothesis
-        `first` leads where it is announced (alarm), else the disturbance. shared: it is one of several pairs that look alike."""
+    def choose(self, p: Plant, found: Evidence, first: int, alarm: bool, shared: bool) -> None:
+        """What may have happened is to become branches of the one that leads (`born`): the likeliest disturbance and the likeliest faults.
+        Hypothesis `first` leads where it is announced (alarm), else the disturbance. shared: it is one of several pairs that look alike."""
         n = p.rotors
         count = hypothesis_count(n)
         faults = count - DISTURBANCE_COUNT
@@ -174,25 +175,29 @@ class Branches(Struct):
             barred = chosen == none if alarm else chosen != none and not considered
             # What adds a rotor to the first has to earn it at once.
             barred = barred or (chosen < faults and _holds(n, chosen, first) and one <= OUT)
-            self._child(p, bank, found, chosen, self.all[k])
-            self.all[k].weight = NEVER if barred else one
+            self.which[k] = chosen
+            self.start[k] = NEVER if barred else one
         if considered:
             self.age = 0.0
 
-    def _child(self, p: Plant, bank: Bank, found: Evidence, h: int, out: Branch) -> None:
-        """The parent with the jump of hypothesis h: exactly what an augmented filter with this jump would hold."""
+    def born(self, p: Plant, bank: Bank, found: Evidence, k: int) -> None:
+        """What is chosen for a place: the parent with the jump of that hypothesis, exactly what an augmented filter with this jump would
+        hold."""
         n = p.rotors
+        h = int(self.which[k])
+        out = self.all[k]
         best = self.best
         found.pick(p, bank, h, best)
         found.shift(p, bank, best, self.shift)
         copy(out, self.parent)
+        out.weight = self.start[k]
         if bank.slots[best.slot].age >= 0:
             _add(p, bank.slots[best.slot], self.shift, out)
         off = local(FLAG, ROTORS)
         any_off = False
         for i in range(n):
             mine = i == best.rotor or i == best.other
-            sd = sqrt(max(out.P[THETA + i][THETA + i], 0.0))
+            sd = sqrt(max(out.P[entry(THETA + i, THETA + i)], 0.0))
             taken_back = best.size_of(i) < 0.0 and out.s[THETA + i] < max(NONE, 2.0 * sd)
             off[i] = mine and (best.kind == RECOVERY or taken_back)
             any_off = any_off or off[i]
@@ -268,8 +273,7 @@ def _add(p: Plant, slot: Slot, shift: Shift, out: Branch) -> None:
         for c in range(r + 1):
             other = slot.M[c]
             for d in range(directions):
-                out.P[r][c] += half[d] * other[d]
-            out.P[c][r] = out.P[r][c]
+                out.P[entry(r, c)] += half[d] * other[d]
 
 
 def _well(p: Plant, i: int, out: Branch) -> None:
@@ -277,10 +281,10 @@ def _well(p: Plant, i: int, out: Branch) -> None:
     states = THETA + p.rotors
     column = local(REAL, STATES)
     for r in range(states):
-        column[r] = out.P[r][THETA + i]
+        column[r] = out.P[entry(r, THETA + i)]
     variance = max(column[THETA + i], 1e-12) + BUILT_SD * BUILT_SD
     share = out.s[THETA + i] / variance
     for r in range(states):
         out.s[r] -= column[r] * share
-        for c in range(states):
-            out.P[r][c] -= column[r] * column[c] / variance
+        for c in range(r + 1):
+            out.P[entry(r, c)] -= column[r] * column[c] / variance

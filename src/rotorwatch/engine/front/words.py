@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rotorwatch.base.compiling.structs import LASTS, LETTER, Real, Small, Struct, array
+from rotorwatch.engine.front.decisions import MATTERS, WORN
 from rotorwatch.engine.front.events import CONTACT, LOSS, TURNED_MOUNT, Event
 from rotorwatch.engine.front.sizes import ROTORS, TOGETHER
 
@@ -97,10 +98,18 @@ class Words(Struct):
 
 
 def severity(e: Event, withdrawn: bool) -> int:
-    """A lasting fault is critical, one of several explanations and a mount a warning, what is over or withdrawn a notice."""
+    """What takes a rotor from control is critical: a loss that matters, or an output that does not follow. A smaller loss, one of several
+    explanations and a mount are a warning; what is over, withdrawn or smaller than wear a notice."""
     if withdrawn or e.kind == CONTACT or e.end < LASTS:
         return NOTICE
-    return WARNING if e.alternative_count > 0 or e.kind == TURNED_MOUNT else CRITICAL
+    if e.alternative_count > 0 or e.kind == TURNED_MOUNT:
+        return WARNING
+    if e.kind != LOSS or e.size > 0.0 or e.largest() >= MATTERS:
+        return CRITICAL
+    for i in range(TOGETHER):
+        if e.upper[i] >= WORN:
+            return WARNING
+    return NOTICE
 
 
 def _several(rotors: int) -> bool:
