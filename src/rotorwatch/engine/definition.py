@@ -40,6 +40,7 @@ from rotorwatch.engine.front import (
     records,
     sense,
     sizes,
+    texts,
     ticks,
     vehicle,
     whole,
@@ -64,6 +65,7 @@ FRONT = (
     losses,
     changes,
     words,
+    texts,
 )
 ESTIMATOR = (
     plant, noise, model_error, kalman, bank, hypotheses, evidence, plausibility, announcement, opposite, posterior, estimator,

@@ -6,7 +6,7 @@ from rotorwatch.base.compiling.structs import LASTS, LETTER, Real, Small, Struct
 from rotorwatch.engine.front.events import CONTACT, LOSS, TURNED_MOUNT, Event
 from rotorwatch.engine.front.sizes import ROTORS, TOGETHER
 
-CRITICAL, WARNING, NOTICE = 2, 4, 5  # MAV_SEVERITY
+CRITICAL, WARNING, NOTICE, INFO = 2, 4, 5, 6  # MAV_SEVERITY
 
 MOST = 50  # characters of a STATUSTEXT
 _ROOM = 70  # a text that is too long is cut at its end alone
