@@ -16,12 +16,33 @@ OUTPUTS, ACCEL, GYRO, VELOCITY, STATE, CONTROL, ATTITUDE, BATTERY = range(8)
 # Of the same time, in the order of engine/front/front.py.
 FIRST = {BATTERY: 0, OUTPUTS: 1, CONTROL: 2, GYRO: 3, ACCEL: 4, VELOCITY: 5, STATE: 6, ATTITUDE: 7}
 WIDTH = 24
-DRIVER = """#include "rw_diagnoser.h"
+COMMON = """#include "rw_diagnoser.h"
 #define WIDTH 24
 static rw_diagnoser d;
 static rw_notification notifications[2 * RW_EVENTS];
-static int burst; /* most ticks that one call in flight took from those that waited */
 static void to_real(rw_real *to, const double *from, int n) { for (int k = 0; k < n; k++) to[k] = (rw_real)from[k]; }
+static void feed_row(const double *row)
+{
+    const double t = row[1];
+    rw_real x[RW_ROTORS > 4 ? RW_ROTORS : 4];
+    const bool ok = row[2] > 0.5;
+    to_real(x, row + 3, row[0] < 0.5 ? RW_ROTORS : 4);
+    switch ((int)row[0]) {
+    case 0: rw_diagnoser_outputs(&d, t, x, (rw_rotors)row[2]); break;
+    case 1: rw_diagnoser_accel(&d, t, x, ok); break;
+    case 2: rw_diagnoser_gyro(&d, t, x, ok); break;
+    case 3: rw_diagnoser_velocity_ned(&d, t, x); break;
+    case 4: rw_diagnoser_state(&d, t, (int)row[3], (int)row[4]); break;
+    case 5: rw_diagnoser_control(&d, t, x, ok); break;
+    case 6: rw_diagnoser_attitude(&d, t, x); break;
+    default: rw_diagnoser_battery(&d, t, x[0]); break;
+    }
+}
+"""
+DRIVER = (
+    COMMON
+    + """
+static int burst; /* most ticks that one call took from those that waited */
 int sizes(int what);
 int sizes(int what)
 {
@@ -32,22 +53,9 @@ int drive(int rows, const double *table, double until, double *found, int most)
 {
     rw_diagnoser_init(&d, &rw_vehicle_default, &rw_plan_default);
     for (int i = 0; i < rows; i++) {
-        const double *row = table + (long)i * WIDTH, t = row[1];
-        rw_real x[RW_ROTORS > 4 ? RW_ROTORS : 4];
-        const bool ok = row[2] > 0.5, flew = d.engine.front.start < RW_LASTS;
         const int waited = d.engine.front.count;
-        to_real(x, row + 3, row[0] < 0.5 ? RW_ROTORS : 4);
-        switch ((int)row[0]) {
-        case 0: rw_diagnoser_outputs(&d, t, x, (rw_rotors)row[2]); break;
-        case 1: rw_diagnoser_accel(&d, t, x, ok); break;
-        case 2: rw_diagnoser_gyro(&d, t, x, ok); break;
-        case 3: rw_diagnoser_velocity_ned(&d, t, x); break;
-        case 4: rw_diagnoser_state(&d, t, (int)row[3], (int)row[4]); break;
-        case 5: rw_diagnoser_control(&d, t, x, ok); break;
-        case 6: rw_diagnoser_attitude(&d, t, x); break;
-        default: rw_diagnoser_battery(&d, t, x[0]); break;
-        }
-        if (flew && d.engine.front.start < RW_LASTS && waited - d.engine.front.count > burst) burst = waited - d.engine.front.count;
+        feed_row(table + (long)i * WIDTH);
+        if (waited - d.engine.front.count > burst) burst = waited - d.engine.front.count;
         if (i % 50 == 0) rw_diagnoser_poll(&d, notifications);
     }
     rw_diagnoser_finish(&d, until);
@@ -65,6 +73,7 @@ int drive(int rows, const double *table, double until, double *found, int most)
     return count;
 }
 """
+)
 
 
 @dataclass(frozen=True)
@@ -147,13 +156,10 @@ def fastest(flight, name) -> float:
     return 2.0 * max(10, int((np.searchsorted(time, time + 0.5) - np.arange(len(time))).max())) + 2.0
 
 
-def events_in_c(folder, what: Flown, single=False, compiler="cc"):
-    """(events, verdict, numbers). A library that is in the folder already is taken.
-
-    Events as rows: kind, onset, detected, end, rotors, loss, lower, upper, size, alternatives. Numbers: bytes of the whole, of the
-    estimator's state and of its workspace; the most ticks that a call in flight worked off."""
+def compiled(folder, what: Flown, driver, single=False, compiler="cc"):
+    """The library of a flight with a driver, for ctypes. One that is in the folder already is taken."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name, text in (what.texts | {"driver.c": DRIVER}).items():
+    for name, text in (what.texts | {"driver.c": driver}).items():
         (folder / name).write_text(text)
     sources = [str(folder / name) for name in what.texts if name.endswith(".c")]
     # More contacts than a library keeps on board: a log of the ground has many.
@@ -171,7 +177,15 @@ def events_in_c(folder, what: Flown, single=False, compiler="cc"):
     if not target.exists():
         done = subprocess.run(command, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr[:3000]
-    library = ctypes.CDLL(str(target))
+    return ctypes.CDLL(str(target))
+
+
+def events_in_c(folder, what: Flown, single=False, compiler="cc"):
+    """(events, verdict, numbers). A library that is in the folder already is taken.
+
+    Events as rows: kind, onset, detected, end, rotors, loss, lower, upper, size, alternatives. Numbers: bytes of the whole, of the
+    estimator's state and of its workspace; the most ticks that a call in flight worked off."""
+    library = compiled(folder, what, DRIVER, single, compiler)
     most, samples = 64, np.ascontiguousarray(what.table)
     found = np.zeros((most + 1) * WIDTH)
     pointer = ctypes.POINTER(ctypes.c_double)

@@ -5,11 +5,11 @@ import pytest
 
 from rotorwatch.base.compiling.structs import LASTS
 from rotorwatch.engine.front.changes import Known
-from rotorwatch.engine.front.decisions import GRAVE, MATTERS, SLIGHT
+from rotorwatch.engine.front.decisions import GRAVE, MATTERS, WORN
 from rotorwatch.engine.front.deviations import OVERRIDDEN, STUCK
 from rotorwatch.engine.front.events import CONTACT, LOSS, OUTPUT_OVERRIDE, TURNED_MOUNT
-from rotorwatch.engine.front.texts import EVERY_S, Texts, severity_of
-from rotorwatch.engine.front.words import CRITICAL, INFO, NOTICE, WARNING
+from rotorwatch.engine.front.texts import EVERY_S, Texts
+from rotorwatch.engine.front.words import CRITICAL, INFO, NOTICE, WARNING, severity
 
 
 def loss(number=1, rotors=0b1, lost=0.3, width=0.05, end=LASTS, others=0, kind=LOSS, detail=0):
@@ -70,6 +70,11 @@ def test_what_is_taken_back_or_over_is_told_when_it_had_been_told():
     assert pilot.said == [WARNING], "it came and went between two texts"
 
 
+def test_what_was_said_to_be_over_and_is_not_is_told_again():
+    pilot = Pilot().flies(10.0, loss()).flies(10.0, loss(end=9.0)).flies(20.0, loss())
+    assert pilot.said == [WARNING, INFO, WARNING]
+
+
 def test_the_gravest_comes_first_and_never_two_within_the_time_between():
     events = [loss(1, 0b1, 0.1), loss(2, 0b10, 0.8), loss(3, 0b100, 0.3)]
     pilot = Pilot().flies(30.0, *events)
@@ -105,18 +110,19 @@ def test_what_is_not_asked_for_is_not_told():
 
 
 @pytest.mark.parametrize(
-    ("event", "severity"),
+    ("event", "wanted"),
     [
         (loss(lost=GRAVE), CRITICAL),
         (loss(lost=GRAVE, others=2), WARNING),
         (loss(lost=MATTERS), WARNING),
-        (loss(lost=SLIGHT), NOTICE),
-        (loss(lost=SLIGHT - 0.01), INFO),
+        (loss(lost=WORN), NOTICE),
+        (loss(lost=WORN - 0.01), INFO),
         (loss(kind=OUTPUT_OVERRIDE, detail=STUCK), CRITICAL),
         (loss(kind=OUTPUT_OVERRIDE, detail=OVERRIDDEN), WARNING),
         (loss(kind=TURNED_MOUNT, rotors=0), WARNING),
         (loss(kind=CONTACT, rotors=0), NOTICE),
     ],
 )
-def test_severity_says_what_it_means_for_the_flight(event, severity):
-    assert severity_of(event.event) == severity
+def test_severity_says_what_it_means_for_the_flight(event, wanted):
+    assert severity(event.event, False) == wanted
+    assert severity(event.event, True) == INFO

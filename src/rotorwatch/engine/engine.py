@@ -33,11 +33,14 @@ from rotorwatch.engine.front.front import Front
 from rotorwatch.engine.front.losses import Losses
 from rotorwatch.engine.front.records import Found, Records
 from rotorwatch.engine.front.sense import Plan
-from rotorwatch.engine.front.sizes import BURST, EVENTS, OVERRIDES, PLACES, RECORDS
+from rotorwatch.engine.front.sizes import EVENTS, OVERRIDES, PLACES, RECORDS
 from rotorwatch.engine.front.ticks import JUDGE, Made
 from rotorwatch.engine.front.vehicle import PITCH, ROLL, Vehicle
+from rotorwatch.engine.trim.many import SLICES
 from rotorwatch.engine.trim.trim import Trim
+from rotorwatch.engine.trim.weighing import IDLE
 
+PACE = 3.0  # ticks that are worked off in pieces in the length of one
 FINAL_S = 60.0  # what ended so long ago is not withdrawn any more
 
 
@@ -67,6 +70,10 @@ class Engine(Struct):
     room = embedded(Room)
     # The flight that goes on, or was the last, ended at this time, as only what comes after it shows; LASTS: nothing shows that.
     fell: Time = LASTS
+    tick = embedded(Made)  # the one that is under way: as `made`, but on the ground where it fell
+    now = embedded(Inputs)  # the same, as the estimator takes it
+    due: Time = 0.0  # ticks that may be worked off by now, in pieces
+    underway: bool = False  # a tick is worked off in pieces
     count: Small = 0  # of events
     landed: bool = False  # the flight is over, and its last ticks wait
     judged: bool = False  # a tick has been judged
@@ -75,20 +82,43 @@ class Engine(Struct):
         """Before the first sample."""
         self.estimator.begin(e)
 
-    def sample(self, v: Vehicle, p: Plan, e: Plant, kind: int, time: Time, x: Reals) -> None:
-        """One sample, and what it makes certain. What waited for a landing is worked off at once; else at most BURST ticks, so that no call
-        in flight keeps the processor for all that have waited; and of a look at the trim at most as many slices."""
+    def push(self, v: Vehicle, p: Plan, kind: int, time: Time, x: Reals) -> None:
+        """One sample, whose work is to be done in pieces, by `work` until that is False. What waited is worked off PACE times as fast as
+        ticks come, so that no call, nor any short time, is kept busy by all that have waited, at a landing or after a doubt. Only where
+        the next flight has begun before all of the last one is worked off is there no limit."""
+        if time > self.front.now:
+            self.due = min(self.due + PACE / p.dt * (time - self.front.now), 1.0)
         self.take(v, p, kind, time, x)
-        left = BURST
-        while left > 0 and self.step(v, p, e):
-            left -= 0 if self.landed else 1
-        self.trim.work(v, BURST)
+
+    def work(self, v: Vehicle, p: Plan, e: Plant) -> bool:
+        """A piece of the work that is due, in the order in which `step` and `trim.work` do it; False where there is none."""
+        if self.underway:
+            self.underway = self.estimator.part(e, self.now, self.out)
+            if not self.underway:
+                self._write(v, p)
+            return True
+        if self.trim.part(v) != IDLE:
+            return True
+        if self.due < 1.0 and not (self.landed and self.front.start < LASTS):
+            return False
+        self.underway = self._next(v, p)
+        if self.underway:
+            self.due = max(self.due - 1.0, 0.0)
+        return self.underway
+
+    def sample(self, v: Vehicle, p: Plan, e: Plant, kind: int, time: Time, x: Reals) -> None:
+        """One sample, and the work that is due by it."""
+        self.push(v, p, kind, time, x)
+        while self.work(v, p, e):
+            pass
 
     def finish(self, v: Vehicle, p: Plan, e: Plant, time: Time) -> None:
         """The end: all samples up to `time` s have come, and no more will."""
+        while self.work(v, p, e):
+            pass
         self.end(v, p, time)
         while self.step(v, p, e):
-            pass
+            self.trim.work(v, SLICES)
         self.trim.finish(v)
 
     def take(self, v: Vehicle, p: Plan, kind: int, time: Time, x: Reals) -> None:
@@ -105,25 +135,29 @@ class Engine(Struct):
 
     def step(self, v: Vehicle, p: Plan, e: Plant) -> bool:
         """The next tick that is certain, through the estimator and into the books; False where there is none."""
+        if not self._next(v, p):
+            return False
+        self.estimator.step(e, self.now, self.out)
+        self._write(v, p)
+        return True
+
+    def _next(self, v: Vehicle, p: Plan) -> bool:
+        """Take the next tick that is certain; False where there is none."""
         if self.landed and self.front.certain == 0:
             fell = self.front.before_start <= self.fell < self.front.before_end
             self.report.landed(self.fell if fell else self.front.before_end)
             self.landed = False
         if not self.front.next(v, p, self.made):
             return False
-        tick = Made()
-        copy(tick, self.made)
-        if tick.start <= self.fell < tick.when:
-            tick.ground()
-        now = Inputs()
-        _tell(v, tick, now)
-        self.estimator.step(e, now, self.out)
-        self._write(v, p, tick)
+        copy(self.tick, self.made)
+        if self.tick.start <= self.fell < self.tick.when:
+            self.tick.ground()
+        _tell(v, self.tick, self.now)
         return True
 
     def poll(self, v: Vehicle) -> int:
         """List the events, and what is new about them since the last poll, in `fresh`; how much."""
-        flies = self.front.start < LASTS
+        flies = self.front.start < LASTS or self.landed
         room = self.room
         lost = self.losses.losses(v, flies, room.records, room.losses)
         for i in range(lost):
@@ -143,8 +177,9 @@ class Engine(Struct):
         """NOT_JUDGED, HEALTHY, FAULT or AMBIGUOUS, by the events at the last poll. What is not seen is not healthy."""
         return verdict(self.events, self.count, self.judged and self.front.air.unseen == 0)
 
-    def _write(self, v: Vehicle, p: Plan, tick: Made) -> None:
-        """Write a tick down, and what the estimator made of it."""
+    def _write(self, v: Vehicle, p: Plan) -> None:
+        """Write the tick down, and what the estimator made of it."""
+        tick = self.tick
         found = Found()
         _find(v, self.out, found)
         self.losses.write(v, tick.time, tick.when, tick.mode, tick.restart, found)

@@ -38,7 +38,7 @@ from rotorwatch.flight.vehicle import Vehicle
 
 SOURCES = Path(__file__).parent / "embedded_c"
 MADE = "Made of the definitions in rotorwatch/engine; not to be edited."
-ROOMS = ("RECORDS", "CONTACTS", "FALLS", "EVENTS", "BURST")  # sizes of buffers, which a compiler's -D may override
+ROOMS = ("RECORDS", "CONTACTS", "FALLS", "EVENTS", "SAMPLES")  # sizes of buffers, which a compiler's -D may override
 TRIM = {name: size for name, size in vars(trim_sizes).items() if name.isupper()}
 QUEUE_S = 6.0  # ticks that wait: airborne.CONFIRM_S, and room
 
@@ -68,7 +68,7 @@ def settings(B: np.ndarray, dt: float) -> dict[str, Any]:
         "RECORDS": 2 * n + 4, "TOGETHER": min(4, n), "ALTERNATIVES": places + 2 + opposite,
         "CONTACTS": 4, "FALLS": 4, "EVENTS": 12,
         "TICKS_BEFORE": look_back(dt), "SETTLING": 2 * look_back(dt) + 4, "QUEUE": round(QUEUE_S / dt), "WAITING": 8, "FLIGHTS": 4,
-        "LEVELS": 8, "PENDING": 8, "OVERRIDES": 2 * n, "BURST": sizes.BURST,
+        "LEVELS": 8, "PENDING": 8, "OVERRIDES": 2 * n, "SAMPLES": 64,
     }  # fmt: skip
 
 

@@ -121,10 +121,11 @@ class Bank(Struct):
             self.slots[k].log_stride = log(real(stride))
             self.reach = max(self.reach, real(GROUP * stride))
 
-    def advance(self, p: Plant, judge: bool, restart: bool, before: Reals) -> None:
-        """One tick on: where the flight is judged a slot of each group becomes a jump now; elsewhere all are unused."""
+    def advance(self, p: Plant, judge: bool, restart: bool, before: Reals, first: int, last: int) -> None:
+        """The slots from `first` to `last` one tick on: where the flight is judged a slot of each group becomes a jump now; elsewhere all
+        are unused."""
         fades = exp(-p.dt / ANSWER_S)
-        for k in range(SLOTS):
+        for k in range(first, last):
             slot = self.slots[k]
             stride = _stride(p, k // GROUP)
             if not judge or restart:
@@ -142,7 +143,8 @@ class Bank(Struct):
                     if slot.age == 0
                     else 0.0,
                 )
-        self.count += 1
+        if last == SLOTS:
+            self.count += 1
 
     def forget(self) -> None:
         """All slots unused: what they were compared with has changed."""

@@ -9,7 +9,7 @@ have happened becomes a few explanations (posterior.py); the best of them leads.
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import FLAG, REAL, Real, Reals, Struct, array, embedded, local, real, sqrt
+from rotorwatch.base.compiling.structs import FLAG, REAL, Real, Struct, array, embedded, local, real, sqrt
 from rotorwatch.engine.estimator.announcement import Alarm
 from rotorwatch.engine.estimator.bank import Bank
 from rotorwatch.engine.estimator.evidence import Best, Evidence
@@ -45,6 +45,10 @@ from rotorwatch.engine.front.losses import WITHIN_95
 from rotorwatch.engine.front.ticks import GROUND, JUDGE
 
 LEAST_USUAL = 0.1  # hover thrusts
+# Stages of a tick: all filters and the bank a tick ahead; the measurement to the filters and to the bank; explanations weighed; what each
+# onset says; what all say of each hypothesis; what that means; the explanations that follow; what is told.
+AHEAD, SHIFTED, MEASURED, OBSERVED, WEIGHED, ASKED, GATHERED, DECIDED, BORN, TOLD = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
+PIECE = 2  # slots of the bank in a piece of a tick
 
 
 class Result(Struct):
@@ -89,6 +93,13 @@ class Estimator(Struct):
     measured = embedded(Measured)
     best = embedded(Best)
     usual: Real = 1.0  # mean thrust lately, this tick not counted
+    calm = array(REAL, 4)  # weight of this tick's evidence in weather that the noise model lacks
+    unsure: Real = 1.0  # by how much errors have been larger than the noise model says
+    left = array(REAL, 4)  # what the calm parts leave over: the noise learns from it
+    trust = array(REAL, 4)  # how far it may
+    stage: int = AHEAD  # of this tick, and how far in it
+    place: int = 0
+    chosen: bool = False  # there are new explanations at this tick
 
     def begin(self, p: Plant) -> None:
         """Before the first tick."""
@@ -101,31 +112,98 @@ class Estimator(Struct):
 
     def step(self, p: Plant, now: Inputs, out: Result) -> None:
         """One tick."""
+        while self.part(p, now, out):
+            pass
+
+    def part(self, p: Plant, now: Inputs, out: Result) -> bool:
+        """A piece of a tick, the same one until it returns False: then it is done. Pieces are about equally long, and many."""
         judge = now.mode == JUDGE
         flying = now.mode > GROUND
+        first = self.place
+        last = min(first + PIECE, SLOTS)
+        size = PLACES
+        self.place += 1
+        if self.stage == AHEAD:
+            self._ahead(p, now, flying, first)
+        elif self.stage == SHIFTED:
+            self.bank.advance(p, judge, now.restart, self.memory.thrust, first, last)
+            self.place = last
+            size = SLOTS
+        elif self.stage == MEASURED:
+            if first == 0:
+                self._look(p, now, judge, flying)
+            if lives(self.branches.all[first]):
+                self.branches.all[first].update(p, self.rows, self.measured, self.seen.gain_share)
+        elif self.stage == OBSERVED:
+            self._observe(p, first, last)
+            self.place = last
+            size = SLOTS
+        elif self.stage == WEIGHED:
+            self._weigh(p, now, judge, out)
+            size = 1
+        elif self.stage == ASKED:
+            self.evidence.look(p, self.bank, first, last)
+            self.place = last
+            size = SLOTS
+        elif self.stage == GATHERED:
+            self.evidence.gather(p, first)
+            size = hypothesis_count(p.rotors)
+        elif self.stage == DECIDED:
+            self.evidence.compare(p)
+            self._decide(p, now, judge, out)
+            size = 1
+        elif self.stage == BORN:
+            if self.chosen:
+                self.branches.born(p, self.bank, self.evidence, first)
+                if first == PLACES - 1:
+                    self.bank.forget()
+            else:
+                size = 1
+        else:
+            self._learn(p, now, flying)
+            self._tell(p, now, out)
+            size = 1
+        if self.place < size:
+            return True
+        self.place = 0
+        self.stage = self.stage + 1 if self.stage < TOLD else AHEAD
+        return self.stage > AHEAD
+
+    def _ahead(self, p: Plant, now: Inputs, flying: bool, k: int) -> None:
+        """One tick ahead: the filter of an explanation."""
+        if k == 0:
+            for i in range(PLACES):
+                one = self.branches.all[i]
+                if now.hop:
+                    one.hop(p)
+                if now.restart:
+                    one.open(p)
+            if now.restart:
+                self.branches.alone()
+        if lives(self.branches.all[k]):
+            self.branches.all[k].predict(p, self.noise, self.memory.unsure(), flying)
+
+    def _observe(self, p: Plant, first: int, last: int) -> None:
+        """The measurement: to the bank of the explanation that leads."""
         leader = self.branches.all[0]
-        self._ahead(p, now, judge, flying)
-        self._look(p, now, judge, flying)
-        calm = local(REAL, 4)
-        for a in range(4):
-            calm[a] = self.memory.calm(a)
-        unsure = self.memory.unsure()
-        left = local(REAL, 4)
-        trust = local(REAL, 4)
-        for a in range(4):  # what the calm parts leave over, biases included: the noise learns from it
-            x = a * PER_AXIS
-            biases = leader.s[x + B1] + leader.s[x + B2] + leader.s[x + B3]
-            left[a] = self.measured.y[a] - dot(self.rows.h[a], leader.s, a, THETA + p.rotors) + biases
-            trust[a] = self.noise.v[WHITE][a] / self.measured.R[a]
-        self._measure(p, calm)
+        for k in range(first, last):
+            slot = self.bank.slots[k]
+            if slot.age >= 0:
+                for a in range(4):
+                    if self.measured.counts[a]:
+                        weight = self.calm[a] / leader.S[a]
+                        slot.observe(p, a, self.rows.h[a], leader.gain[a], weight, leader.innovation[a])
+
+    def _weigh(self, p: Plant, now: Inputs, judge: bool, out: Result) -> None:
+        """The explanations, by this tick's innovations; and what their leader asks of the bank."""
+        leader = self.branches.all[0]
+        self.memory.remember(p, leader.innovation, leader.S, self.measured.counts)
         for a in range(4):
             out.innovation[a] = leader.innovation[a]
             out.innovation_var[a] = leader.S[a]
-        self.branches.weigh(p, calm, self.measured.counts, judge)
+        self.branches.weigh(p, self.calm, self.measured.counts, judge)
         if self.branches.lead():
             self.bank.forget()
-
-        # What the bank says of any jump since, and whether that is announced.
         found = self.evidence
         found.yaw_error = max(leader.P[YAW_GAIN][YAW_GAIN], 1e-12)
         found.damping_error = unknown_damping(p, leader.s)
@@ -139,7 +217,11 @@ class Estimator(Struct):
             self.memory.outside(p),
             now.full,
         )
-        found.gather(p, self.bank)
+
+    def _decide(self, p: Plant, now: Inputs, judge: bool, out: Result) -> None:
+        """What the bank says of any jump since, and whether that is announced."""
+        leader = self.branches.all[0]
+        found = self.evidence
         found.pick(p, self.bank, found.first, self.best)
         slot = self.bank.slots[self.best.slot]
         self.may.judge(p, self.best, slot, now, self.seen, self.missing, leader, self.noise, self.coupling)
@@ -152,31 +234,17 @@ class Estimator(Struct):
         out.announced = self.alarm.alarm or shared or (self.alarm.absorbed and found.asked.weak)
         for i in range(p.rotors):
             out.detectable[i] = found.detectable(i)
-        if self.alarm.alarm or shared or self.alarm.absorbed:
-            self.branches.born(p, self.bank, found, out.best, self.alarm.alarm or shared, shared)
-            self.bank.forget()
+        self.chosen = self.alarm.alarm or shared or self.alarm.absorbed
+        if self.chosen:
+            self.branches.choose(p, found, out.best, self.alarm.alarm or shared, shared)
+
+    def _learn(self, p: Plant, now: Inputs, flying: bool) -> None:
+        """The noise, while nothing is suspected."""
         learns = local(FLAG, 4)
-        quiet = self.alarm.quiet(p, found)
+        quiet = self.alarm.quiet(p, self.evidence)
         for a in range(4):
             learns[a] = now.valid[a] and quiet and flying
-        self.noise.step(p, left, learns, trust)
-        self._tell(p, now, unsure, out)
-
-    def _ahead(self, p: Plant, now: Inputs, judge: bool, flying: bool) -> None:
-        """One tick ahead: the filters of all explanations, and the bank of the one that leads."""
-        unsure = self.memory.unsure()
-        for k in range(PLACES):
-            one = self.branches.all[k]
-            if now.hop:
-                one.hop(p)
-            if now.restart:
-                one.open(p)
-        if now.restart:
-            self.branches.alone()
-        for k in range(PLACES):
-            if lives(self.branches.all[k]):
-                self.branches.all[k].predict(p, self.noise, unsure, flying)
-        self.bank.advance(p, judge, now.restart, self.memory.thrust)
+        self.noise.step(p, self.left, learns, self.trust)
 
     def _look(self, p: Plant, now: Inputs, judge: bool, flying: bool) -> None:
         """How far this tick's inputs and the model can be believed, and the measurement that follows."""
@@ -225,22 +293,15 @@ class Estimator(Struct):
         m.R[YAW] += ERROR_TICKS * missing_drag * missing_drag
         m.least = -now.expo / max(now.expo_sd, 1e-9)
         m.most = (1.0 - now.expo) / max(now.expo_sd, 1e-9)
+        self.unsure = self.memory.unsure()
+        for a in range(4):  # biases are part of what is left
+            x = a * PER_AXIS
+            biases = leader.s[x + B1] + leader.s[x + B2] + leader.s[x + B3]
+            self.calm[a] = self.memory.calm(a)
+            self.left[a] = m.y[a] - dot(self.rows.h[a], leader.s, a, THETA + p.rotors) + biases
+            self.trust[a] = self.noise.v[WHITE][a] / m.R[a]
 
-    def _measure(self, p: Plant, calm: Reals) -> None:
-        """The measurement: to every explanation, and to the bank."""
-        for k in range(PLACES):
-            if lives(self.branches.all[k]):
-                self.branches.all[k].update(p, self.rows, self.measured, self.seen.gain_share)
-        leader = self.branches.all[0]
-        for k in range(SLOTS):
-            slot = self.bank.slots[k]
-            if slot.age >= 0:
-                for a in range(4):
-                    if self.measured.counts[a]:
-                        slot.observe(p, a, self.rows.h[a], leader.gain[a], calm[a] / leader.S[a], leader.innovation[a])
-        self.memory.remember(p, leader.innovation, leader.S, self.measured.counts)
-
-    def _tell(self, p: Plant, now: Inputs, unsure: Real, out: Result) -> None:
+    def _tell(self, p: Plant, now: Inputs, out: Result) -> None:
         n = p.rotors
         leader = self.branches.all[0]
         count = hypothesis_count(n)
@@ -276,7 +337,7 @@ class Estimator(Struct):
                 variance += alike / WITHIN_95 * (alike / WITHIN_95)
             if leader.active[i]:
                 bent = (1.0 - out.theta[i]) * bends[i] / more[i]
-                variance += unsure * leader.P[THETA + i][THETA + i] + bent * bent * leader.P[CURVE][CURVE]
+                variance += self.unsure * leader.P[THETA + i][THETA + i] + bent * bent * leader.P[CURVE][CURVE]
             out.theta_sd[i] = sqrt(max(variance, 0.0))
             out.gives[i] = leader.gives[i] if leader.active[i] else 0.0
         for a in range(4):

@@ -102,6 +102,7 @@ class Evidence(Struct):
     far_sum: Real = 0.0  # of which exp(far) is a factor, while it is gathered
     first: int = 0  # the likeliest fault
     live: int = 0  # the first slot in use, else 0
+    top = array(REAL, HYPOTHESES)  # the largest of each hypothesis in `log_bf`
     window = embedded(Window)
     freed = embedded(Freed)
     jump = embedded(Jump)
@@ -137,19 +138,18 @@ class Evidence(Struct):
             moved = air * air if axis == THRUST else 0.0
             a.width[axis] = sqrt(width * width + outside * outside + moved)
 
-    def gather(self, p: Plant, bank: Bank) -> None:
-        """The evidence of all hypotheses."""
-        n = p.rotors
-        count = hypothesis_count(n)
-        top = local(REAL, HYPOTHESES)
         self.live = -1
         self.far = NOTHING
         self.far_sum = 1.0
-        for i in range(n):
+        for i in range(p.rotors):
             self.known[i] = 0.0
-        for h in range(count):
-            top[h] = -1e30
-        for k in range(SLOTS):
+        for h in range(hypothesis_count(p.rotors)):
+            self.top[h] = -1e30
+
+    def look(self, p: Plant, bank: Bank, first: int, last: int) -> None:
+        """What the windows from `first` to `last` say."""
+        count = hypothesis_count(p.rotors)
+        for k in range(first, last):
             slot = bank.slots[k]
             row = self.log_bf[k]
             if slot.age >= 0:
@@ -161,17 +161,19 @@ class Evidence(Struct):
                     row[h] = NOTHING
             for h in range(count):
                 row[h] += slot.log_stride
-                top[h] = max(top[h], row[h])
+                self.top[h] = max(self.top[h], row[h])
+
+    def gather(self, p: Plant, h: int) -> None:
+        """The evidence of a hypothesis, by all windows."""
+        total = 0.0
+        for k in range(SLOTS):
+            total += exp(self.log_bf[k][h] - self.top[h])
+        self.odds[h] = self.top[h] + log(total * weight_of(kind_of(p.rotors, h)))
+
+    def compare(self, p: Plant) -> None:
+        """All hypotheses with each other."""
         self.live = max(self.live, 0)
         self.far += log(self.far_sum * FAR_SHARE * DISTURBANCE_WEIGHT)
-        for h in range(count):
-            self.odds[h] = 0.0
-        for k in range(SLOTS):
-            row = self.log_bf[k]
-            for h in range(count):
-                self.odds[h] += exp(row[h] - top[h])
-        for h in range(count):
-            self.odds[h] = top[h] + log(self.odds[h] * weight_of(kind_of(n, h)))
         self._prior(p)
         self._sum(p)
 

@@ -64,6 +64,8 @@ class Branches(Struct):
     age: Real = OLD_S  # s since they were made
     room = embedded(Branch)
     parent = embedded(Branch)
+    which = array(INT, PLACES)  # what each place will be by the hypotheses that are chosen
+    start = array(REAL, PLACES)  # and its log weight then
     best = embedded(Best)
     shift = embedded(Shift)
 
@@ -130,9 +132,9 @@ class Branches(Struct):
         for k in range(PLACES):
             out[k] /= total
 
-    def born(self, p: Plant, bank: Bank, found: Evidence, first: int, alarm: bool, shared: bool) -> None:
-        """What may have happened becomes branches of the one that leads: the likeliest disturbance and the likeliest faults. Hypothesis
-        `first` leads where it is announced (alarm), else the disturbance. shared: it is one of several pairs that look alike."""
+    def choose(self, p: Plant, found: Evidence, first: int, alarm: bool, shared: bool) -> None:
+        """What may have happened is to become branches of the one that leads (`born`): the likeliest disturbance and the likeliest faults.
+        Hypothesis `first` leads where it is announced (alarm), else the disturbance. shared: it is one of several pairs that look alike."""
         n = p.rotors
         count = hypothesis_count(n)
         faults = count - DISTURBANCE_COUNT
@@ -174,18 +176,22 @@ class Branches(Struct):
             barred = chosen == none if alarm else chosen != none and not considered
             # What adds a rotor to the first has to earn it at once.
             barred = barred or (chosen < faults and _holds(n, chosen, first) and one <= OUT)
-            self._child(p, bank, found, chosen, self.all[k])
-            self.all[k].weight = NEVER if barred else one
+            self.which[k] = chosen
+            self.start[k] = NEVER if barred else one
         if considered:
             self.age = 0.0
 
-    def _child(self, p: Plant, bank: Bank, found: Evidence, h: int, out: Branch) -> None:
-        """The parent with the jump of hypothesis h: exactly what an augmented filter with this jump would hold."""
+    def born(self, p: Plant, bank: Bank, found: Evidence, k: int) -> None:
+        """What is chosen for a place: the parent with the jump of that hypothesis, exactly what an augmented filter with this jump would
+        hold."""
         n = p.rotors
+        h = int(self.which[k])
+        out = self.all[k]
         best = self.best
         found.pick(p, bank, h, best)
         found.shift(p, bank, best, self.shift)
         copy(out, self.parent)
+        out.weight = self.start[k]
         if bank.slots[best.slot].age >= 0:
             _add(p, bank.slots[best.slot], self.shift, out)
         off = local(FLAG, ROTORS)

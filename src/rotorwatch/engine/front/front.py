@@ -267,8 +267,9 @@ class Front(Struct):
         self.doubting = False
 
     def _take_rows(self, v: Vehicle, p: Plan) -> None:
-        """Ticks that have become known, into the queue."""
-        while self.count < QUEUE and self.sense.ready(p, self.now):
+        """Ticks that have become known, into the queue; while some of a flight that ended wait there, none of the next one: what carries
+        the vehicle is learned of one flight at a time."""
+        while self.count < QUEUE and not (self.certain > 0 and self.start < LASTS) and self.sense.ready(p, self.now):
             row = self.queue[(self.first + self.count) % QUEUE]
             self.sense.measure(v, p, row)
             self.count += 1

@@ -24,4 +24,3 @@ ALTERNATIVES = 128  # sets of rotors that an event names beside its own
 CONTACTS = 64  # that are kept, the last ones
 FALLS = 32  # the same
 EVENTS = 128  # in one list, the last ones
-BURST = 2  # ticks that one call in flight works off on board: samples come several times as often, so that what waits is soon done

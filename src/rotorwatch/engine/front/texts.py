@@ -10,11 +10,9 @@ from __future__ import annotations
 
 from rotorwatch.base.compiling.structs import LASTS, REAL, TIME, Small, Struct, Time, array, copy, embedded, reset
 from rotorwatch.engine.front.changes import Known
-from rotorwatch.engine.front.decisions import GRAVE, MATTERS, SLIGHT
-from rotorwatch.engine.front.deviations import OVERRIDDEN
-from rotorwatch.engine.front.events import CONTACT, LOSS, OUTPUT_OVERRIDE, Event
+from rotorwatch.engine.front.events import CONTACT, Event
 from rotorwatch.engine.front.sizes import EVENTS, ROTORS, TOGETHER
-from rotorwatch.engine.front.words import CRITICAL, INFO, NOTICE, WARNING
+from rotorwatch.engine.front.words import INFO, severity
 
 EVERY_S = 5.0  # between two texts
 MOVED = 0.05  # of effectiveness, by which a loss must have changed at least to be told again
@@ -61,6 +59,11 @@ class Texts(Struct):
                 self.told[place].number = known[k].number
             copy(self.told[place].event, known[k].event)
             self.told[place].present = True
+            if self.told[place].over and not _over(
+                known[k].event
+            ):  # it was said to be over, and is not: as if it were another one
+                self.told[place].over = False
+                self.told[place].severity = 0
         for i in range(EVENTS + 4):
             gone = not self.told[i].present
             if gone and (self.told[i].severity == 0 or self.told[i].over or self.told[i].event.end < LASTS):
@@ -74,21 +77,21 @@ class Texts(Struct):
         least = 0
         for i in range(EVENTS + 4):
             if self.told[i].number != 0:
-                severity = self._new(self.told[i], now, most)
-                if severity > 0 and (best < 0 or severity < least):
+                grave = self._new(self.told[i], now, most)
+                if grave > 0 and (best < 0 or grave < least):
                     best = i
-                    least = severity
+                    least = grave
         return best
 
     def tell(self, place: int, now: Time) -> int:
         """The event at this place is told of: its severity."""
-        severity = _severity(self.told[place])
+        grave = _severity(self.told[place])
         self.last = now
         if not self.told[place].present:
             self.told[place].number = 0
-            return severity
+            return grave
         fresh = self.told[place].severity == 0
-        self.told[place].severity = severity if severity < INFO or fresh else self.told[place].severity
+        self.told[place].severity = grave if grave < INFO or fresh else self.told[place].severity
         self.told[place].over = _over(self.told[place].event)
         self.told[place].certain = self.told[place].event.alternative_count == 0
         self.told[place].rotors = self.told[place].event.rotors
@@ -99,25 +102,25 @@ class Texts(Struct):
                 if not self.told[place].over:
                     calm = now - self.since[r] > CALM_S or self.wait[r] <= 0.0
                     self.wait[r] = AGAIN_S if calm else min(2.0 * self.wait[r], AGAIN_MOST_S)
-                    self.grave[r] = 1.0 * severity
+                    self.grave[r] = 1.0 * grave
                 self.since[r] = now
-        return severity
+        return grave
 
     def _new(self, t: Told, now: Time, most: int) -> int:
         """Severity of what is new about it; 0: nothing, or nothing that is told yet."""
-        severity = _severity(t)
+        grave = _severity(t)
         if t.severity > 0 and (not t.present or (_over(t.event) and not t.over)):
-            return severity
-        if severity > most or not t.present or _over(t.event) or t.over:
+            return grave
+        if grave > most or not t.present or _over(t.event):
             return 0
         if t.severity > 0 and not _changed(t):
             return 0
         for r in range(ROTORS + 1):
             if _of(t.event, r) and self.wait[r] > 0.0:
-                graver = 1.0 * severity < self.grave[r]
+                graver = 1.0 * grave < self.grave[r]
                 if not graver and now - self.since[r] < self.wait[r]:
                     return 0
-        return severity
+        return grave
 
     def _free(self) -> int:
         """A place for one more: a free one, else that of the event that was told of first."""
@@ -130,27 +133,9 @@ class Texts(Struct):
         return place
 
 
-def severity_of(e: Event) -> int:
-    """What an event that lasts means for the flight. A rotor without half of its thrust, or one that does not follow its command at all:
-    critical. What other sets of rotors explain as well, what matters and what turns the vehicle: a warning. Less, and knocks: a notice;
-    a few percent: an information."""
-    if e.kind == CONTACT:
-        return NOTICE
-    if e.kind == LOSS:
-        most = e.loss[0]
-        for k in range(TOGETHER):
-            most = max(most, e.loss[k])
-        if e.size > 0.0 or most >= GRAVE:
-            return WARNING if e.alternative_count > 0 else CRITICAL
-        return WARNING if most >= MATTERS else NOTICE if most >= SLIGHT else INFO
-    if e.kind == OUTPUT_OVERRIDE and e.detail != OVERRIDDEN and e.alternative_count == 0:
-        return CRITICAL
-    return WARNING
-
-
 def _severity(t: Told) -> int:
     """Of what is to be told of it."""
-    return INFO if not t.present or _over(t.event) else severity_of(t.event)
+    return severity(t.event, not t.present)
 
 
 def _over(e: Event) -> bool:
@@ -169,7 +154,7 @@ def _changed(t: Told) -> bool:
     within its interval any more."""
     if t.rotors != t.event.rotors or t.certain != (t.event.alternative_count == 0):
         return True
-    if severity_of(t.event) < t.severity:
+    if severity(t.event, False) < t.severity:
         return True
     for k in range(TOGETHER):
         left = t.loss[k] < t.event.lower[k] or t.loss[k] > t.event.upper[k]

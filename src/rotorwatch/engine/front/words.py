@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from rotorwatch.base.compiling.structs import LASTS, LETTER, Real, Small, Struct, array
-from rotorwatch.engine.front.events import CONTACT, LOSS, TURNED_MOUNT, Event
+from rotorwatch.engine.front.decisions import GRAVE, MATTERS, WORN
+from rotorwatch.engine.front.deviations import OVERRIDDEN
+from rotorwatch.engine.front.events import CONTACT, LOSS, OUTPUT_OVERRIDE, TURNED_MOUNT, Event
 from rotorwatch.engine.front.sizes import ROTORS, TOGETHER
 
 CRITICAL, WARNING, NOTICE, INFO = 2, 4, 5, 6  # MAV_SEVERITY
@@ -97,10 +99,18 @@ class Words(Struct):
 
 
 def severity(e: Event, withdrawn: bool) -> int:
-    """A lasting fault is critical, one of several explanations and a mount a warning, what is over or withdrawn a notice."""
-    if withdrawn or e.kind == CONTACT or e.end < LASTS:
+    """What it means for the flight. A rotor without half of its thrust, or one that does not follow its command at all: critical. What
+    other sets of rotors explain as well, what matters and what turns the vehicle: a warning. Less, and knocks: a notice. What is over or
+    taken back, and a loss that may be wear: an information."""
+    if withdrawn or (e.kind != CONTACT and e.end < LASTS):
+        return INFO
+    if e.kind == CONTACT:
         return NOTICE
-    return WARNING if e.alternative_count > 0 or e.kind == TURNED_MOUNT else CRITICAL
+    if e.kind == LOSS and e.size <= 0.0 and e.largest() < GRAVE:
+        return WARNING if e.largest() >= MATTERS else NOTICE if e.largest() >= WORN else INFO
+    if e.alternative_count > 0 or e.kind == TURNED_MOUNT or (e.kind == OUTPUT_OVERRIDE and e.detail == OVERRIDDEN):
+        return WARNING
+    return CRITICAL
 
 
 def _several(rotors: int) -> bool:

@@ -24,7 +24,7 @@ from rotorwatch.base.compiling.structs import (
     sqrt,
 )
 from rotorwatch.engine.estimator.plant import USUAL_S
-from rotorwatch.engine.front.decisions import CLEAR, CREDIBLE
+from rotorwatch.engine.front.decisions import CLEAR, CREDIBLE, WORN
 from rotorwatch.engine.front.events import GREW, LOSS, STAYS, TURNED_MOUNT, Event, put
 from rotorwatch.engine.front.losses import CURVE_SHARE, WITHIN_95, sd_of
 from rotorwatch.engine.front.sizes import ROTORS
@@ -33,7 +33,6 @@ from rotorwatch.engine.trim.sizes import AMOUNTS_EACH, AMOUNTS_TURNED, BLOCKS, L
 from rotorwatch.engine.trim.stretch import Stretch
 from rotorwatch.engine.trim.weighing import AMOUNTS, GROWS_S, NEVER, RATIO, SIZES, Sum, Weighing
 
-WORN = 0.05  # loss of a rotor that is not healthy any more
 LATER = 3  # blocks after a loss, at least, that tell whether it is over
 LASTING = 0.5  # share of a loss that is still there when it is not over
 BEGUN = 0.95  # probability with which it had begun by the time that is told
@@ -67,26 +66,24 @@ class Growth(Struct):
         """Of a trim that has been weighed. turned: log-odds of a turned mount."""
         self.count = 0
         best = 0
-        rotor = local(REAL, ROTORS)
         for i in range(v.rotors):
-            rotor[i] = w.prior(v) + _either_way(w, i, 2)
-            if rotor[i] > rotor[best]:
+            if w.rotor[i] > w.rotor[best]:
                 best = i
         others = Sum()
         others.add(turned, 1.0)
         others.add(w.other(), 1.0)
         for i in range(v.rotors):
             if i != best:
-                others.add(rotor[i], 1.0)
-        self.odds = exp(min(rotor[best] - others.log(), MOST_NATS))
+                others.add(w.rotor[i], 1.0)
+        self.odds = exp(min(w.rotor[best] - others.log(), MOST_NATS))
         if self.odds < 1.0:
             return
-        self.grew = _either_way(w, best, 1) > _either_way(w, best, 0)
+        self.grew = w.either_way(best, 1) > w.either_way(best, 0)
         grows = 1 if self.grew else 0
         for i in range(v.rotors):
-            if rotor[i] > rotor[best] + log(real(CREDIBLE)):
+            if w.rotor[i] > w.rotor[best] + log(real(CREDIBLE)):
                 place = int(self.count)
-                while place > 0 and rotor[self.rotors[place - 1]] < rotor[i]:
+                while place > 0 and w.rotor[self.rotors[place - 1]] < w.rotor[i]:
                     self.rotors[place] = self.rotors[place - 1]
                     place -= 1
                 self.rotors[place] = i
@@ -251,7 +248,7 @@ class Mount(Struct):
         others = Sum()
         others.add(w.other(), 1.0)
         for i in range(v.rotors):
-            others.add(w.prior(v) + _either_way(w, i, 2), 1.0)
+            others.add(w.rotor[i], 1.0)
         self.odds = exp(min(turned - others.log(), MOST_NATS))
         total: Real = 0.0
         mean: Real = 0.0
@@ -307,16 +304,6 @@ def _turn(k: int) -> Real:
     return -AMOUNTS[AMOUNTS_EACH - each + k] if k < each else AMOUNTS[AMOUNTS_EACH - 2 * each + k]
 
 
-def _either_way(w: Weighing, rotor: int, grows: int) -> Real:
-    """Logarithm of all that a rotor may have lost: by a step (0), by growth (1), by either (2); without the prior."""
-    every = Sum()
-    for way in range(2):
-        if grows == 2 or grows == way:
-            for s in range(LOSSES_EACH):
-                every.add(w.sizes[(2 * rotor + way) * LOSSES_EACH + s].log(), 1.0)
-    return every.log()
-
-
 def _quantile(stretch: Stretch, w: Weighing, rotor: int, grows: int, ends: bool) -> Real:
     """The block by which a loss of a rotor had begun, with BEGUN, or ended, in the median."""
     top: Real = NEVER
@@ -330,10 +317,13 @@ def _quantile(stretch: Stretch, w: Weighing, rotor: int, grows: int, ends: bool)
             total += exp(w.lost[c][rotor] - top)
     share = 0.5 if ends else BEGUN
     for block in range(2 * BLOCKS):
-        for c in range(w.courses):
-            at = w.start[c] + (w.rise[c] if ends else 0)
-            if at == block and _is_growth(stretch, w, c) == grows:
-                below += exp(w.lost[c][rotor] - top)
+        w.x[block] = 0.0
+    for c in range(w.courses):
+        place = w.start[c] + (w.rise[c] if ends else 0)
+        if place < 2 * BLOCKS and _is_growth(stretch, w, c) == grows:
+            w.x[place] += exp(w.lost[c][rotor] - top)
+    for block in range(2 * BLOCKS):
+        below += w.x[block]
         if below >= share * total:
             return real(block)
     return real(stretch.at[stretch.count - 1])

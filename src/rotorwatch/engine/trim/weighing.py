@@ -68,6 +68,9 @@ FAINT = 30.0  # nats, below the most of a sum, that add nothing
 MOST = 60.0  # of an exponent
 
 
+IDLE, GOES_ON, ENDS = 0, 1, 2  # what a piece of a slice was
+
+
 class Sum(Struct):
     """A sum of terms, each told by its logarithm and a weight."""
 
@@ -94,7 +97,7 @@ class Weighing(Struct):
     base = array(REAL, RATIOS, 3)  # odds of each ratio to all without explanation, to the power of -1 / freedom
     xy = array(REAL, RATIOS, COLUMNS, 3)  # of the columns of this course
     xx = array(REAL, RATIOS, COLUMNS, 3)
-    x = array(REAL, BLOCKS)
+    x = array(REAL, 2 * BLOCKS)  # room: a course; what ends in each block
     lost = array(REAL, COURSES, ROTORS)  # a rotor lost something, by this course
     start = array(SMALL, COURSES)  # t0, block
     rise = array(SMALL, COURSES)  # blocks from t0 to t1
@@ -108,10 +111,16 @@ class Weighing(Struct):
     onset_beside = embedded(Sum)
     freedom: Real = 1.0  # half of the degrees of freedom
     near: Real = 1.0  # by what a rest may be larger than another one and count beside it
-    kind: Small = 0  # place among RISES
+    small = array(REAL, 3)  # of this course: drifts of each axis by less than TURNED, and by any amount
+    whole = array(REAL, 3)
+    large = array(REAL, AMOUNTS_TURNED)  # yaw by each amount of a turned mount
+    more = embedded(Sum)  # drifts of the last axis by TURNED and more
+    rotor = array(REAL, ROTORS)  # of each rotor, of any size: its log-odds, when all courses are weighed
+    kind: Small = -1  # place among RISES; -1: the ratios are still to be prepared
     place: Small = 0  # of the onset that is next, among ONSETS
     courses: Small = 0  # so far
     measured: bool = False  # the next one
+    piece: Small = 0  # of this slice
 
     def begin(self, stretch: Stretch) -> None:
         """Begin with a trim."""
@@ -126,15 +135,67 @@ class Weighing(Struct):
         for k in range(AMOUNTS_TURNED):
             reset(self.sole[k])
             reset(self.beside[k])
-        self.kind = 0
+        self.kind = -1
         self.place = 0
         self.courses = 0
         self.measured = False
+        self.piece = 0
         self.freedom = 0.5 * (real(stretch.count) - 1.0)
-        for q in range(RATIOS):
-            self.fit.begin(stretch, WHITE[q], real(q) * log(real(DOUBT)))
+
+    def part(self, v: Vehicle, stretch: Stretch) -> int:
+        """A piece of a slice, which is half of a course: how it fits, or what that makes likely. GOES_ON: there is more of the slice;
+        ENDS: it was the last piece of one; IDLE: there was nothing left to do."""
+        if self.kind < 0:
+            self._prepare(stretch)
+            return GOES_ON
+        if self.kind >= RISE_KINDS:
+            return IDLE
+        start = self._onset(stretch, self.place)
+        rise = RISES[self.kind]
+        at = int(self.piece)
+        self.piece += 1
+        if not self.measured and (self.place == 0 or start > self._onset(stretch, self.place - 1)):
+            if at % 2 == 0:
+                self.fit.begin(stretch, WHITE[at // 2], 0.0)
+            else:
+                self._measure(v, stretch, start, rise, at // 2)
+            if at < 2 * RATIOS - 1:
+                return GOES_ON
+            self.piece = 0
+            self.measured = True
+            return ENDS
+        if self.measured:
+            if at < 3:
+                self._drifts(at)
+                return GOES_ON
+            if at == 3:
+                self._together(real(start))
+                return GOES_ON
+            self._losses(v, at - 4, 1 if rise * stretch.length >= GROWS_S else 0)
+            if at - 4 < v.rotors - 1:
+                return GOES_ON
+            self.start[self.courses] = start
+            self.rise[self.courses] = int(rise)
+            self.courses += 1
+            self.measured = False
+        self.piece = 0
+        self.place += 1
+        if self.place == ONSETS:
+            self.place = 0
+            self.kind += 1
+        return ENDS
+
+    def _prepare(self, stretch: Stretch) -> None:
+        """How likely each ratio is without explanation, one after the other."""
+        at = int(self.piece)
+        self.piece += 1
+        if at < RATIOS:
+            self.fit.begin(stretch, WHITE[at], real(at) * log(real(DOUBT)))
             for a in range(3):
-                self.base[q][a] = self.fit.fit[a] - self.freedom * real(log(self.fit.rest[a]))
+                self.base[at][a] = self.fit.fit[a] - self.freedom * real(log(self.fit.rest[a]))
+            return
+        self.piece = 0
+        self.kind = 0
         for a in range(3):
             every = Sum()
             for q in range(RATIOS):
@@ -143,29 +204,6 @@ class Weighing(Struct):
             for q in range(RATIOS):
                 self.base[q][a] = exp(min((none - self.base[q][a]) / self.freedom, MOST))
         self.near = exp(FAINT / self.freedom)
-
-    def step(self, v: Vehicle, stretch: Stretch) -> bool:
-        """Half of a course: how it fits, or what that makes likely. False where there is none left."""
-        if self.kind >= RISE_KINDS:
-            return False
-        start = self._onset(stretch, self.place)
-        rise = RISES[self.kind]
-        if not self.measured and (self.place == 0 or start > self._onset(stretch, self.place - 1)):
-            self._measure(v, stretch, start, rise)
-            self.measured = True
-            return True
-        if self.measured:
-            self.start[self.courses] = start
-            self.rise[self.courses] = int(rise)
-            self._drifts(real(start))
-            self._losses(v, 1 if rise * stretch.length >= GROWS_S else 0)
-            self.courses += 1
-            self.measured = False
-        self.place += 1
-        if self.place == ONSETS:
-            self.place = 0
-            self.kind += 1
-        return True
 
     def prior(self, v: Vehicle) -> Real:
         """Logarithm of the prior of one course, rotor and size."""
@@ -193,71 +231,80 @@ class Weighing(Struct):
         last = max(first, real(stretch.at[stretch.count - 1]) - 1.0 - 0.5 * RISES[self.kind])
         return int(first + (last - first) * real(place) / real(ONSETS - 1) + 0.5)
 
-    def _measure(self, v: Vehicle, stretch: Stretch, start: int, rise: Real) -> None:
-        """How a drift and the loss of each rotor by this course fit z."""
+    def _measure(self, v: Vehicle, stretch: Stretch, start: int, rise: Real, q: int) -> None:
+        """How a drift and the loss of each rotor by this course fit z, with the ratio that `fit` has begun."""
         first = 0
         while first < stretch.count and real(stretch.at[first] - start) < (1.0 if rise > 0.0 else 0.0):
             first += 1
-        for q in range(RATIOS):
-            self.fit.begin(stretch, WHITE[q], 0.0)
-            for i in range(v.rotors + 1):
-                for k in range(first, stretch.count):
-                    grown: Real = 1.0
-                    if rise > 0.0:
-                        grown = min(real(stretch.at[k] - start) / rise, 1.0)
-                    self.x[k] = grown if i == 0 else grown * stretch.share[i - 1][k]
-                self.fit.project(self.x, first, stretch.count, self.xy[q][i], self.xx[q][i])
+        for i in range(v.rotors + 1):
+            for k in range(first, stretch.count):
+                grown: Real = 1.0
+                if rise > 0.0:
+                    grown = min(real(stretch.at[k] - start) / rise, 1.0)
+                self.x[k] = grown if i == 0 else grown * stretch.share[i - 1][k]
+            self.fit.project(self.x, first, stretch.count, self.xy[q][i], self.xx[q][i])
 
-    def _drifts(self, start: Real) -> None:
-        """Of each axis by each amount."""
-        small = local(REAL, 3)
-        whole = local(REAL, 3)
-        large = local(REAL, AMOUNTS_TURNED)
-        more = Sum()
-        for a in range(3):
-            less = Sum()
-            reset(more)
-            at = 0
-            for side in range(2):
-                for k in range(AMOUNTS_EACH):
-                    amount = AMOUNTS[k] if side == 1 else -AMOUNTS[k]
-                    found = self._odds(0, a, amount)
-                    relative = AMOUNTS[k] / DRIFT[a]
-                    density = _gap(k) / (PI * DRIFT[a] * (1.0 + relative * relative))
-                    if AMOUNTS[k] < TURNED:
-                        less.add(found, density)
-                    else:
-                        more.add(found, density)
-                        if a == YAW:
-                            large[at] = found + log(density)
-                            at += 1
-            small[a] = less.log()
-            whole[a] = _either(small[a], more.log())
-        still = small[ROLL] + small[PITCH]
-        calm = whole[ROLL] + whole[PITCH]
-        self.together.add(calm + small[YAW], 1.0)
-        self.together.add(calm + whole[YAW], 1.0 - exp(min(still - calm, -1e-6)))
+    def _drifts(self, a: int) -> None:
+        """Of an axis by each amount."""
+        less = Sum()
+        reset(self.more)
+        at = 0
+        for side in range(2):
+            for k in range(AMOUNTS_EACH):
+                amount = AMOUNTS[k] if side == 1 else -AMOUNTS[k]
+                found = self._odds(0, a, amount)
+                relative = AMOUNTS[k] / DRIFT[a]
+                density = _gap(k) / (PI * DRIFT[a] * (1.0 + relative * relative))
+                if AMOUNTS[k] < TURNED:
+                    less.add(found, density)
+                else:
+                    self.more.add(found, density)
+                    if a == YAW:
+                        self.large[at] = found + log(density)
+                        at += 1
+        self.small[a] = less.log()
+        self.whole[a] = _either(self.small[a], self.more.log())
+
+    def _together(self, start: Real) -> None:
+        """Of all axes, when each is known; `more` is yaw's, the last one."""
+        still = self.small[ROLL] + self.small[PITCH]
+        calm = self.whole[ROLL] + self.whole[PITCH]
+        more = self.more.log()
+        self.together.add(calm + self.small[YAW], 1.0)
+        self.together.add(calm + self.whole[YAW], 1.0 - exp(min(still - calm, -1e-6)))
         for a in range(2):
-            self.drifts[a].add(whole[a], 1.0)
-        self.turns[0].add(small[YAW], 1.0)
-        self.turns[1].add(more.log(), 1.0)
+            self.drifts[a].add(self.whole[a], 1.0)
+        self.turns[0].add(self.small[YAW], 1.0)
+        self.turns[1].add(more, 1.0)
         for k in range(AMOUNTS_TURNED):
-            self.sole[k].add(large[k], 1.0)
-            self.beside[k].add(large[k] + still, 1.0)
-        self.onset_sole.add(more.log(), start)
-        self.onset_beside.add(more.log() + still, start)
+            self.sole[k].add(self.large[k], 1.0)
+            self.beside[k].add(self.large[k] + still, 1.0)
+        self.onset_sole.add(more, start)
+        self.onset_beside.add(more + still, start)
 
-    def _losses(self, v: Vehicle, grows: int) -> None:
-        """Of each rotor of each size."""
-        for i in range(v.rotors):
-            every = Sum()
-            for k in range(LOSSES_EACH):
-                found: Real = 0.0
-                for a in range(3):
-                    found += self._odds(i + 1, a, SIZES[k] * v.effectiveness[a][i])
-                self.sizes[(2 * i + grows) * LOSSES_EACH + k].add(found, 1.0)
-                every.add(found, 1.0)
-            self.lost[self.courses][i] = every.log()
+    def _losses(self, v: Vehicle, i: int, grows: int) -> None:
+        """Of a rotor of each size."""
+        every = Sum()
+        for k in range(LOSSES_EACH):
+            found: Real = 0.0
+            for a in range(3):
+                found += self._odds(i + 1, a, SIZES[k] * v.effectiveness[a][i])
+            self.sizes[(2 * i + grows) * LOSSES_EACH + k].add(found, 1.0)
+            every.add(found, 1.0)
+        self.lost[self.courses][i] = every.log()
+
+    def sum(self, v: Vehicle, i: int) -> None:
+        """All that a rotor may have lost, when all courses are weighed."""
+        self.rotor[i] = self.prior(v) + self.either_way(i, 2)
+
+    def either_way(self, rotor: int, grows: int) -> Real:
+        """Logarithm of all that a rotor may have lost: by a step (0), by growth (1), by either (2); without the prior."""
+        every = Sum()
+        for way in range(2):
+            if grows == 2 or grows == way:
+                for s in range(LOSSES_EACH):
+                    every.add(self.sizes[(2 * rotor + way) * LOSSES_EACH + s].log(), 1.0)
+        return every.log()
 
     def _odds(self, column: int, axis: int, amount: Real) -> Real:
         """Of so much of a column of this course on one axis."""

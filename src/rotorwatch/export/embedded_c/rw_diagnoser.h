@@ -9,14 +9,20 @@
      rw_diagnoser_gyro(&d, t, rate, true); ... rw_diagnoser_outputs(&d, t, output, all, 1);
      int n = rw_diagnoser_poll(&d, notifications);
 
-   Nothing is allocated and nothing global changes: any number of them can run at once. The work is done where samples are fed, not in the
-   poll: in steady flight one call of each tick's length takes a step of the estimator and a slice of the look at the trim, the others
-   none. When ticks have waited, a call
-   takes at most RW_BURST steps as long as the vehicle flies; the call that learns of the landing takes all that wait, at most RW_QUEUE. */
+   Nothing is allocated and nothing global changes: any number of them can run at once. A feed does all the work that is due by its
+   sample. Where no call may take long, the samples are put in line, and the work is done in pieces, with the same results to the bit:
+
+     rw_diagnoser_defer(&d);
+     rw_diagnoser_gyro(&d, t, rate, true); ...
+     while (micros() - begin < budget && rw_diagnoser_work(&d)) {}
+
+   Ticks that have waited are worked off three times as fast as they come, at a landing, too: no call takes more than one of them. */
 #ifndef RW_DIAGNOSER_H
 #define RW_DIAGNOSER_H
 
 #include "rw_engine.h"
+
+#include <stddef.h>
 
 #ifdef __cplusplus
 extern "C" {
@@ -38,11 +44,23 @@ typedef struct {
     uint8_t kind;    /* RW_ANNOUNCED, RW_CHANGED, RW_WITHDRAWN */
 } rw_notification;
 
+/* A sample that waits in line, and how many numbers it has at most. */
+#define RW_NUMBERS (RW_ROTORS > 4 ? RW_ROTORS : 4)
+typedef struct {
+    rw_time time;
+    int32_t kind;
+    rw_real x[RW_NUMBERS];
+} rw_sample;
+
 /* One vehicle; what is known of it may stay in flash. */
 typedef struct {
     const rw_vehicle *vehicle;
     const rw_plan *plan;
     rw_engine engine;
+    volatile rw_sample line[RW_SAMPLES + 1];
+    volatile uint16_t first, next; /* of the line */
+    volatile uint32_t lost;
+    bool deferred;
 } rw_diagnoser;
 
 /* Of rw_config.c: the vehicle, what is known of it before take-off, and the rates that the library was exported for. */
@@ -52,6 +70,17 @@ extern const rw_plan rw_plan_default;
 
 /* v and p must outlive d. */
 void rw_diagnoser_init(rw_diagnoser *d, const rw_vehicle *v, const rw_plan *p);
+
+/* Its size, for a caller who has the memory only where it is wanted: rw_diagnoser_init of a block of so many bytes, aligned for a double. */
+size_t rw_diagnoser_size(void);
+
+/* From now on samples are only put in line, RW_SAMPLES of them at most; more are lost, and counted. One thread may feed while another
+   one of the same core does all the rest; a feed takes no time to speak of. */
+void rw_diagnoser_defer(rw_diagnoser *d);
+uint32_t rw_diagnoser_lost(const rw_diagnoser *d);
+
+/* A piece of the work that is due by the samples in line; false where there is none. Events and losses do not depend on when it is called. */
+bool rw_diagnoser_work(rw_diagnoser *d);
 
 /* Times of all feeds: seconds of one steady clock, such as that since boot, never that of the day; call them in the order of time.
    A sample with a number that is not finite counts as not valid, but for the velocity: NaN there says that it is not known. */
