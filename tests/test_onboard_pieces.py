@@ -15,15 +15,18 @@ from rotorwatch.commands.cli import SAMPLES
 DRIVER = (
     COMMON
     + """
+#include "rw_text.h"
 #include <string.h>
+static rw_texts texts;
 int pieces(int rows, const double *table, double until, const int *gaps, int many, double *told, int most);
 /* Feed the rows, with gaps[k % many] pieces of work after each, less where there are none left; gaps NULL: as they are fed. What is told,
-   a row each: time, severity, number of the event, loss. Returns how many texts. */
+   a row each: time, severity, rotors and loss of the first event. Returns how many texts. */
 int pieces(int rows, const double *table, double until, const int *gaps, int many, double *told, int most)
 {
     char text[RW_TEXT];
     int said = 0, turn = 0;
     rw_diagnoser_init(&d, &rw_vehicle_default, &rw_plan_default);
+    rw_texts_init(&texts);
     if (gaps) rw_diagnoser_defer(&d);
     for (int i = 0; i < rows; i++) {
         const double *row = table + (long)i * WIDTH;
@@ -33,10 +36,10 @@ int pieces(int rows, const double *table, double until, const int *gaps, int man
         if (i % 50 == 0) {
             while (gaps && rw_diagnoser_work(&d)) { }
             rw_diagnoser_poll(&d, notifications);
-            const int severity = rw_diagnoser_say(&d, row[1], text);
-            if (severity >= 0 && said < most) {
+            const int severity = rw_diagnoser_text(&d, &texts, row[1], RW_INFO, text);
+            if (severity > 0 && said < most) {
                 told[4 * said] = row[1]; told[4 * said + 1] = severity;
-                told[4 * said + 2] = d.engine.telling.event.rotors; told[4 * said + 3] = (double)d.engine.telling.event.loss[0];
+                told[4 * said + 2] = texts.told[0].event.rotors; told[4 * said + 3] = (double)texts.told[0].event.loss[0];
                 said++;
             }
         }

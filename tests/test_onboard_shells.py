@@ -1,85 +1,44 @@
-"""Modules of autopilots around the whole diagnoser: they compile against stubs of the autopilots' headers, and their messages add up."""
+"""Modules of autopilots around the whole diagnoser: as strict as the autopilots' own builds, and their messages add up."""
 
 import re
 import shutil
 import subprocess
-from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from tests import board
+from tests.board import EMBEDDED, FRAME, LIBRARY, MODULE, STUBS
 
 from embedded_c_parts import SOURCES, STRICT, compilers, config, front
 from rotorwatch import airframes
 from rotorwatch.commands import cli
 from rotorwatch.flight import vehicle_file
 
-EMBEDDED = Path(__file__).resolve().parents[1] / "embedded"
-PX4 = EMBEDDED / "px4" / "diagnoser"
-SHELLS = {
-    "px4": PX4 / "RotorWatchDiagnoser.cpp",
-    "ardupilot": EMBEDDED / "ardupilot" / "AP_RotorDiagnosis" / "AP_RotorDiagnosis.cpp",
-}
-GLUE_FLAGS = (
-    "-std=c++14",
-    "-Wall",
-    "-Wextra",
-    "-Wpedantic",
-    "-Werror",
-    "-DROTORWATCH_FLOAT",
-    "-fsyntax-only",
-    "-Wdouble-promotion",
-    "-Wfloat-equal",
-    "-Werror=overflow",
-    "-fsingle-precision-constant",
-)
-TYPES = {"uint8": "uint8_t", "uint16": "uint16_t", "uint64": "uint64_t", "float32": "float"}
+DOCS = EMBEDDED.parent / "docs"
+ARM = ("-mcpu=cortex-m7", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv5-d16")
 
 
-def message():
-    """Constants and fields of the uORB message: (type, name, value or None, how many)."""
-    found = []
-    for line in (PX4 / "msg" / "RotorwatchVerdict.msg").read_text().splitlines():
-        line = line.partition("#")[0].strip()
-        if not line:
-            continue
-        match = re.fullmatch(r"(\w+?)(?:\[(\d+)\])? (\w+)(?:\s*=\s*(\d+))?", line)
-        assert match and match[1] in TYPES, line
-        found.append((match[1], match[3], match[4], match[2]))
-    return found
-
-
-def topic():
-    """The header that PX4 makes of it."""
-    lines = ["#pragma once", "#include <cstdint>", "struct rotorwatch_verdict_s {"]
-    for kind, name, value, many in message():
-        if value is not None:
-            lines.append(f"\tstatic constexpr {TYPES[kind]} {name} = {value};")
-        else:
-            lines.append(f"\t{TYPES[kind]} {name}{f'[{many}]' if many else ''};")
-    return "\n".join([*lines, "};", ""])
-
-
-def glue_compiles(autopilot, made, *folders):
-    """Compile the glue against the library in these folders; made: a folder for what the autopilot would make."""
-    compiler = shutil.which("g++")
-    if compiler is None:
-        pytest.skip("g++ is not installed")
-    (made / "uORB" / "topics").mkdir(parents=True)
-    (made / "uORB" / "topics" / "rotorwatch_verdict.h").write_text(topic())
-    include = [f"-I{folder}" for folder in (made, *folders, EMBEDDED / "stubs")]
-    subprocess.run([compiler, *GLUE_FLAGS, *include, str(SHELLS[autopilot])], check=True)
+def glue(autopilot, folder, *folders, compiler="g++", more=("-fsyntax-only",)):
+    """Compile the glue alone against the library in these folders; folder: for what the autopilot would make."""
+    found = shutil.which(compiler)
+    if found is None:
+        pytest.skip(f"{compiler} is not installed")
+    a = board.AUTOPILOTS[autopilot]
+    (folder / "uORB" / "topics").mkdir(parents=True, exist_ok=True)
+    (folder / "uORB" / "topics" / "rotorwatch_verdict.h").write_text(board.topic())
+    include = [f"-I{f}" for f in (folder, *folders, *a.folders)]
+    board.compile_all([[found, *a.cxx, *more, *include, str(source)] for source in a.sources])
 
 
 def commands(text):
     """The export-c commands in a text, as lists of words; what stands after them on their line is no part of them."""
-    found = re.findall(r"rotorwatch (export-c -.*? -o [\w.]+)", text)
-    return [line.split() for line in found]
+    return [line.split() for line in re.findall(r"rotorwatch (export-c -.*? -o [\w./]+)", text)]
 
 
 SAYS = {
-    "ardupilot": EMBEDDED / "ardupilot" / "AP_RotorDiagnosis" / "AP_RotorDiagnosis.h",
-    "px4": PX4 / "CMakeLists.txt",
-    "docs": EMBEDDED.parent / "docs" / "export.md",
+    "ardupilot": [LIBRARY / "AP_RotorDiagnosis.h", DOCS / "ardupilot.md"],
+    "px4": [MODULE / "CMakeLists.txt", DOCS / "px4.md"],
+    "docs": [DOCS / "export.md"],
 }
 
 
@@ -87,27 +46,41 @@ SAYS = {
 def test_documented_commands_write_what_the_glue_compiles_with(place, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     vehicle_file.write(airframes.named("ardupilot-quad-x"), tmp_path / "mine.toml")
-    said = commands(SAYS[place].read_text())
+    said = [words for path in SAYS[place] for words in commands(path.read_text())]
     whole = [words for words in said if "--diagnoser" in words]
-    assert len(whole) == 1
+    assert len(whole) == len(SAYS[place])
     for words in said:
         done = CliRunner().invoke(cli.cli, words)
         assert done.exit_code == 0, (words, done.output, done.exception)
-    header = (tmp_path / whole[0][-1] / "rw_config.h").read_text()
-    value = {name: float(x) for name, x in re.findall(r"#define RW_(RECENT|MOTION_HZ) (\d+)", header)}
-    assert value["RECENT"] >= value["MOTION_HZ"] / 2, (
-        "half a second of outputs has room at the rate at which the glue feeds them"
-    )
-    for autopilot in SHELLS if place == "docs" else (place,):
-        glue_compiles(autopilot, tmp_path / autopilot, tmp_path / whole[0][-1])
+    for words in whole:
+        header = (tmp_path / words[-1] / "rw_config.h").read_text()
+        value = {name: float(x) for name, x in re.findall(r"#define RW_(RECENT|MOTION_HZ|OUTPUT_HZ) (\d+)", header)}
+        assert (value["OUTPUT_HZ"], value["MOTION_HZ"]) == (board.OUTPUT_HZ, board.SENSOR_HZ)
+        assert value["RECENT"] >= value["OUTPUT_HZ"] / 2, "half a second of outputs has room"
+        for autopilot in board.AUTOPILOTS if place == "docs" else (place,):
+            glue(autopilot, tmp_path / autopilot, tmp_path / words[-1])
 
 
 @pytest.mark.thorough(keep=2)
-@pytest.mark.parametrize("rotors", [4, 8])
-@pytest.mark.parametrize("autopilot", SHELLS)
-def test_shells_compile(autopilot, rotors, tmp_path):
+@pytest.mark.parametrize("rotors", [4, 8, 12])
+@pytest.mark.parametrize("autopilot", board.AUTOPILOTS)
+def test_no_flag_of_an_autopilot_warns_of_its_glue(autopilot, rotors, tmp_path):
+    """Nor of the frames on the stack of a Cortex-M7."""
     front(tmp_path, config(rotors))
-    glue_compiles(autopilot, tmp_path, tmp_path, SOURCES)
+    glue(autopilot, tmp_path, tmp_path, SOURCES)
+    if shutil.which("arm-none-eabi-g++"):
+        output = ("-Os", FRAME, *ARM, "-c", "-o", str(tmp_path / "glue.o"))
+        glue(autopilot, tmp_path, tmp_path, SOURCES, compiler="arm-none-eabi-g++", more=output)
+
+
+@pytest.mark.parametrize("name", ["ardupilot", "px4"])
+def test_no_flag_of_an_autopilot_warns_of_the_library(name, tmp_path):
+    if shutil.which("gcc") is None:
+        pytest.skip("gcc is not installed")
+    made = front(tmp_path, config(6))
+    sources = [*sorted(made.parent.glob("rw_*.c")), *sorted(SOURCES.glob("rw_*.c"))]
+    include = [f"-I{f}" for f in (tmp_path, SOURCES, STUBS / "px4")]
+    board.compile_all([["gcc", *board.AUTOPILOTS[name].c, "-fsyntax-only", *include, str(s)] for s in sources])
 
 
 @pytest.mark.thorough(keep=1)
@@ -120,7 +93,7 @@ def test_shells_compile(autopilot, rotors, tmp_path):
     ],
 )
 def test_numbers_of_the_message_are_those_of_the_library(prefix, names, tmp_path):
-    said = {key: int(value) for _, key, value, _ in message() if value is not None and key.startswith(prefix)}
+    said = {key: int(value) for _, key, value, _ in board.message() if value is not None and key.startswith(prefix)}
     said.pop(f"{prefix}NONE", None)
     header = front(tmp_path, config(4)).with_suffix(".h").read_text()
     defined = {name: int(value) for name, value in re.findall(r"#define RW_(\w+) (\d+)$", header, re.M)}
@@ -128,12 +101,63 @@ def test_numbers_of_the_message_are_those_of_the_library(prefix, names, tmp_path
     assert {key.replace("LOSS_OF_EFFECTIVENESS", "LOSS"): value for key, value in said.items()} == wanted
 
 
-def test_log_records_have_a_format_for_every_label():
-    text = SHELLS["ardupilot"].read_text()
-    records = re.findall(r'Write\("(\w{4})", "([\w,]+)", "(\w+)"', text)
-    assert [name for name, _, _ in records] == ["RWLS", "RWEV"]
-    for _, labels, formats in records:
-        assert len(labels.split(",")) == len(formats) and len(labels) <= 64
+def test_log_records_fit_into_an_ardupilot_log():
+    """A letter for every label; names of 4 letters, formats of 16, labels of 64 together: what a FMT record has room for."""
+    text = (LIBRARY / "AP_RotorDiagnosis.cpp").read_text()
+    records = re.findall(r'Write\("(\w{1,4})", "([\w,]+)", "(\w+)"', text)
+    assert {name for name, _, _ in records} == {"RWLS", "RWEV"}
+    for name, labels, formats in records:
+        assert len(labels.split(",")) == len(formats) <= 16 and len(labels) <= 64
+        assert {f"L{k}" for k in range(1, 13 if name == "RWLS" else 5)} <= set(labels.split(","))
+        bytes_of = {"Q": 8, "d": 8, "f": 4, "H": 2, "B": 1}
+        assert 3 + sum(bytes_of[letter] for letter in formats) <= 255
+
+
+def test_what_the_page_adds_to_arducopter_compiles(tmp_path):
+    """Each block of docs/ardupilot.md at its place in a vehicle with ArduCopter's tables."""
+    if shutil.which("g++") is None:
+        pytest.skip("g++ is not installed")
+    front(tmp_path, config(4))
+    page = DOCS / "ardupilot.md"
+    parts = re.split(r"(?m)^`ArduCopter/([\w.]+)`", page.read_text())
+    found = {name: re.search(r"```cpp\n(.*?)```", text, re.S) for name, text in zip(parts[1::2], parts[2::2])}
+    blocks = {name: block[1] for name, block in found.items() if block and name != "wscript"}
+    include, member = blocks["Parameters.h"].strip().split("\n", 1)
+    source = f"""
+#include <AP_Motors/AP_Motors.h>
+#include <AP_Scheduler/AP_Scheduler.h>
+{include}
+class ParametersG2 {{
+public:
+    ParametersG2();
+    static const struct AP_Param::GroupInfo var_info2[];
+{member}
+}};
+class Copter {{
+public:
+    ParametersG2 g2;
+    AP_MotorsMulticopter *motors;
+    static const AP_Scheduler::Task scheduler_tasks[];
+    void init_ardupilot();
+}};
+#define HELI_FRAME 1
+#define MULTICOPTER_FRAME 2
+#define FRAME_CONFIG MULTICOPTER_FRAME
+extern Copter copter;
+const AP_Param::GroupInfo ParametersG2::var_info2[] = {{
+{blocks["Parameters.cpp"]}
+    AP_GROUPEND
+}};
+const AP_Scheduler::Task Copter::scheduler_tasks[] = {{
+{blocks["Copter.cpp"]}
+}};
+void Copter::init_ardupilot() {{
+{blocks["system.cpp"]}
+}}
+"""
+    (tmp_path / "Copter.cpp").write_text(source)
+    folders = [f"-I{f}" for f in (tmp_path, SOURCES, LIBRARY.parent, STUBS / "ardupilot")]
+    subprocess.run(["g++", *board.ARDUPILOT_CXX, "-fsyntax-only", *folders, str(tmp_path / "Copter.cpp")], check=True)
 
 
 @pytest.mark.thorough(keep=2)
@@ -141,7 +165,7 @@ def test_log_records_have_a_format_for_every_label():
 @pytest.mark.parametrize("rotors", [3, 8, 12])
 def test_no_warning_whatever_the_number_of_rotors(tmp_path, rotors, precision):
     made = front(tmp_path, config(rotors))
-    include = [f"-I{folder}" for folder in (tmp_path, SOURCES, EMBEDDED / "stubs")]
+    include = [f"-I{folder}" for folder in (tmp_path, SOURCES)]
     for compiler in compilers():
         for source in (made, *sorted(SOURCES.glob("rw_*.c"))):
             subprocess.run([compiler, *STRICT, *precision, "-fsyntax-only", *include, str(source)], check=True)

@@ -15,6 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from tests.conftest import hexa_event
 
 from rotorwatch.commands import cli
+from rotorwatch.engine.front.words import INFO
 from rotorwatch.errors import ConfigError
 from rotorwatch.live import endpoint, ground, metrics, webhook
 from rotorwatch.live.link import Link
@@ -235,18 +236,16 @@ def test_a_fault_is_told_in_plain_words_and_again_only_when_it_has_changed_much(
         outlet.step([link])
         return texts(wire)
 
-    assert step(alert()) == [(ground.CRITICAL, "rotorwatch: rotor 3 lost 37 % (33-41)")]
+    assert step(alert()) == [(ground.WARNING, "rotorwatch: rotor 3 lost 37 % (33-41)")]
     assert step() == []
     assert step(alert(state="changed", loss=(0.41,))) == []
-    assert step(alert(state="changed", loss=(0.48,))) == [(ground.CRITICAL, "rotorwatch: rotor 3 lost 48 % (33-41)")]
+    assert step(alert(state="changed", loss=(0.48,))) == [(ground.WARNING, "rotorwatch: rotor 3 lost 48 % (33-41)")]
     assert step(alert(state="changed", loss=(0.40,))) == []
     assert step(alert(state="changed", alternatives=((4,),))) == [
         (ground.WARNING, "rotorwatch: rotor 3 lost 37 % (33-41) or 4")
     ]
-    assert step(alert(state="changed", end_s=40.0)) == [
-        (ground.NOTICE, "rotorwatch: rotor 3 lost 37 % (33-41) is over")
-    ]
-    assert step(alert(state="withdrawn")) == [(ground.NOTICE, "rotorwatch: rotor 3 lost 37 % (33-41) taken back")]
+    assert step(alert(state="changed", end_s=40.0)) == [(INFO, "rotorwatch: rotor 3 lost 37 % (33-41) is over")]
+    assert step(alert(state="withdrawn")) == [(INFO, "rotorwatch: rotor 3 lost 37 % (33-41) taken back")]
     assert step(alert(number=2), alert(number=2, state="withdrawn")) == []  # gone before it was said
 
 
@@ -258,8 +257,8 @@ def test_a_fault_is_told_in_plain_words_and_again_only_when_it_has_changed_much(
         ({"cause": "disarmed"}, "announced", ground.CRITICAL, "LOSS OF CONTROL, motors stopped"),
         ({"cause": "unknown"}, "changed", ground.CRITICAL, "LOSS OF CONTROL"),
         ({"cause": "knock", "end_s": 33.0, "impact_s": 33.0}, "final", ground.CRITICAL, "LOSS OF CONTROL, knock"),
-        ({"cause": "knock", "end_s": 33.0, "impact_s": None}, "changed", ground.NOTICE, "LOSS OF CONTROL, knock is over"),
-        ({"rotors": (2,), "cause": "rotor"}, "withdrawn", ground.NOTICE, "LOSS OF CONTROL, rotor 2 taken back"),
+        ({"cause": "knock", "end_s": 33.0, "impact_s": None}, "changed", INFO, "LOSS OF CONTROL, knock is over"),
+        ({"rotors": (2,), "cause": "rotor"}, "withdrawn", INFO, "LOSS OF CONTROL, rotor 2 taken back"),
         ({"kind": "motor_order", "rotors": (1, 2)}, "announced", ground.CRITICAL, "rotors 1+2 in the wrong order"),
     ],
 )  # fmt: skip
@@ -286,7 +285,7 @@ def test_texts_are_few_and_the_worst_comes_first(told):
     outlet.take(alert(number=2))
     outlet.step([link])
     outlet.step([link])
-    assert texts(wire) == [(ground.CRITICAL, "rotorwatch: rotor 3 lost 37 % (33-41)")]
+    assert texts(wire) == [(ground.WARNING, "rotorwatch: rotor 3 lost 37 % (33-41)")]
     now[0] += ground.PAUSE_S
     outlet.step([link])
     assert texts(wire)[1:] == [(ground.NOTICE, "rotorwatch: knock or contact")]

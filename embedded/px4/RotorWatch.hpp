@@ -5,7 +5,6 @@
  */
 #pragma once
 
-#include <px4_platform_common/module.h>
 #include <px4_platform_common/px4_work_queue/ScheduledWorkItem.hpp>
 #include <uORB/Publication.hpp>
 #include <uORB/Subscription.hpp>
@@ -17,7 +16,7 @@
 
 #include "ekf.h"
 
-class RotorWatch : public ModuleBase<RotorWatch>, public px4::ScheduledWorkItem
+class RotorWatch : public px4::ScheduledWorkItem
 {
 public:
 	RotorWatch();

@@ -1,21 +1,45 @@
-/* See RotorWatchDiagnoser.hpp. Everything is a member of the object: nothing is allocated while flying. MIT. */
+/* See RotorWatchDiagnoser.hpp. Nothing is allocated while flying. MIT. */
 #include "RotorWatchDiagnoser.hpp"
 
 #include <math.h>
 
-static rw_time seconds(hrt_abstime us)
+namespace
+{
+// Below the controllers, the estimators, the drivers and (on NuttX) the commander and the logger: a step takes milliseconds.
+#if defined(__PX4_NUTTX)
+constexpr px4::wq_config_t DIAGNOSING {"wq:rotorwatch", 8000, -128};
+#else
+constexpr px4::wq_config_t DIAGNOSING {"wq:rotorwatch", 8000, -90};
+#endif
+
+rw_time seconds(hrt_abstime us)
 {
 	return static_cast<rw_time>(us) / 1000000;
 }
 
-static uint64_t microseconds(rw_time s)
+uint64_t microseconds(rw_time s)
 {
 	return s < RW_LASTS && s > 0 ? static_cast<uint64_t>(s * 1000000) : 0;
 }
+} // namespace
 
-RotorWatchDiagnoser::RotorWatchDiagnoser() : ModuleParams(nullptr), ScheduledWorkItem("rotorwatch", px4::wq_configurations::lp_default)
+#ifdef ROTORWATCH_MODULE_DESCRIPTOR
+ModuleBase::Descriptor RotorWatchDiagnoser::desc{task_spawn, custom_command, print_usage};
+#endif
+
+RotorWatchDiagnoser::Worker::Worker(RotorWatchDiagnoser &owner) : px4::WorkItem("rotorwatch_work", DIAGNOSING), _owner(owner)
+{
+}
+
+void RotorWatchDiagnoser::Worker::Run()
+{
+	_owner.diagnose();
+}
+
+RotorWatchDiagnoser::RotorWatchDiagnoser() : ModuleParams(nullptr), ScheduledWorkItem("rotorwatch", px4::wq_configurations::hp_default)
 {
 	rw_diagnoser_init(&_diagnoser, &rw_vehicle_default, &rw_plan_default);
+	rw_texts_init(&_texts);
 }
 
 RotorWatchDiagnoser::~RotorWatchDiagnoser()
@@ -23,173 +47,244 @@ RotorWatchDiagnoser::~RotorWatchDiagnoser()
 	ScheduleClear();
 }
 
-bool RotorWatchDiagnoser::init()
+void RotorWatchDiagnoser::init()
 {
-	if (!_param_rotw_en.get()) {
-		return false;
-	}
-
+	updateParams();
 	ScheduleOnInterval(INTERVAL_US);
-	return true;
 }
 
 void RotorWatchDiagnoser::Run()
 {
 	if (should_exit()) {
-		ScheduleClear();
-		exit_and_cleanup();
+		// Not before the worker is back: it is part of this object.
+		if (!_busy.load()) {
+			ScheduleClear();
+#ifdef ROTORWATCH_MODULE_DESCRIPTOR
+			exit_and_cleanup(desc);
+#else
+			exit_and_cleanup();
+#endif
+		}
+
 		return;
 	}
 
-	feed();
+	take();
 
-	const hrt_abstime now = hrt_absolute_time();
+	if (_head.load() != _tail.load()) {
+		_busy.store(true);
+		_worker.ScheduleNow();
+	}
+}
+
+// Topics come when they are published, up to some milliseconds late: they are put in the order of their times.
+void RotorWatchDiagnoser::put(Kind kind, hrt_abstime time, const float *x, unsigned count)
+{
+	unsigned at = _count++;
+
+	for (; at > 0 && _new[at - 1].time > time; at--) {
+		_new[at] = _new[at - 1];
+	}
+
+	_new[at].kind = kind;
+	_new[at].time = time;
+
+	for (unsigned k = 0; k < count; k++) {
+		_new[at].x[k] = x[k];
+	}
+}
+
+void RotorWatchDiagnoser::pass_on()
+{
+	for (unsigned i = 0; i < _count; i++) {
+		const uint32_t tail = _tail.load();
+		const uint32_t next = (tail + 1) % LINE;
+
+		if (next == _head.load()) {
+			_dropped.fetch_add(1);
+
+		} else {
+			_line[tail] = _new[i];
+			_tail.store(next);
+		}
+	}
+
+	_count = 0;
+}
+
+void RotorWatchDiagnoser::take()
+{
+	// What is new of each topic. Outputs and what changes slowly come RW_OUTPUT_HZ times a second, gyro and accelerometer RW_MOTION_HZ times.
+	_turn += RW_OUTPUT_HZ;
+
+	if (_turn >= RW_MOTION_HZ) {
+		_turn -= RW_MOTION_HZ;
+
+		vehicle_land_detected_s landed;
+
+		if (_landed.update(&landed)) {
+			const float x = landed.landed ? 1.f : 0.f;
+			put(Kind::LANDED, landed.timestamp, &x, 1);
+		}
+
+		actuator_armed_s armed;
+
+		if (_armed.update(&armed)) {
+			const float x = armed.armed ? 1.f : 0.f;
+			put(Kind::ARMED, armed.timestamp, &x, 1);
+		}
+
+		actuator_motors_s motors;
+
+		if (_motors.update(&motors)) {
+			put(Kind::MOTORS, motors.timestamp, motors.control, SHOWN);
+		}
+
+		vehicle_torque_setpoint_s torque;
+		vehicle_thrust_setpoint_s thrust;
+
+		if (_torque.update(&torque) && _thrust.copy(&thrust)) {
+			const float x[4] = {torque.xyz[0], torque.xyz[1], torque.xyz[2], -thrust.xyz[2]};
+			put(Kind::CONTROL, torque.timestamp, x, 4);
+		}
+
+		vehicle_local_position_s position;
+
+		if (_position.update(&position)) {
+			const float x[3] = {position.v_xy_valid ? position.vx : NAN, position.v_xy_valid ? position.vy : NAN, position.v_z_valid ? position.vz : NAN};
+			put(Kind::POSITION, position.timestamp, x, 3);
+		}
+
+		vehicle_attitude_s attitude;
+
+		if (_attitude.update(&attitude)) {
+			put(Kind::ATTITUDE, attitude.timestamp, attitude.q, 4);
+		}
+	}
+
+	vehicle_angular_velocity_s rates;
+
+	if (_rates.update(&rates)) {
+		put(Kind::RATES, rates.timestamp_sample, rates.xyz, 3);
+	}
+
+	vehicle_acceleration_s acceleration;
+
+	if (_acceleration.update(&acceleration)) {
+		put(Kind::ACCELERATION, acceleration.timestamp_sample, acceleration.xyz, 3);
+	}
+
+	pass_on();
+}
+
+void RotorWatchDiagnoser::diagnose()
+{
+	if (_parameters.updated()) {
+		parameter_update_s update;
+		_parameters.copy(&update);
+		updateParams();
+	}
+
+	uint32_t head = _head.load();
+	bool outputs = false;
+
+	while (head != _tail.load()) {
+		const Sample sample = _line[head];
+		head = (head + 1) % LINE;
+		_head.store(head);
+		feed(sample);
+		outputs = outputs || sample.kind == Kind::MOTORS;
+	}
+
+	if (outputs) {
+		report(_fed);
+	}
+
+	_busy.store(false);
+}
+
+void RotorWatchDiagnoser::feed(const Sample &sample)
+{
+	// Topics are published up to some milliseconds after their time: one that comes behind a newer one counts as just after it.
+	_fed = sample.time > _fed ? sample.time : _fed;
+	const rw_time time = seconds(_fed);
+	const rw_real x[4] = {sample.x[0], sample.x[1], sample.x[2], sample.x[3]};
+
+	switch (sample.kind) {
+	case Kind::LANDED:
+		rw_diagnoser_state(&_diagnoser, time, sample.x[0] > 0.5f ? 1 : 0, -1);
+		break;
+
+	case Kind::ARMED:
+		rw_diagnoser_state(&_diagnoser, time, -1, sample.x[0] > 0.5f ? 1 : 0);
+		break;
+
+	case Kind::MOTORS: {
+			rw_real output[RW_ROTORS];
+
+			for (int k = 0; k < RW_ROTORS; k++) {
+				output[k] = sample.x[k] > 0.f ? sample.x[k] : 0.f; // NaN: not armed
+			}
+
+			rw_diagnoser_outputs(&_diagnoser, time, output, ALL);
+			break;
+		}
+
+	case Kind::CONTROL:
+		rw_diagnoser_control(&_diagnoser, time, x, true);
+		break;
+
+	case Kind::POSITION:
+		rw_diagnoser_velocity_ned(&_diagnoser, time, x);
+		break;
+
+	case Kind::ATTITUDE:
+		rw_diagnoser_attitude(&_diagnoser, time, x);
+		break;
+
+	case Kind::RATES:
+		rw_diagnoser_gyro(&_diagnoser, time, x, true);
+		break;
+
+	case Kind::ACCELERATION:
+		rw_diagnoser_accel(&_diagnoser, time, x, true);
+		break;
+	}
+}
+
+void RotorWatchDiagnoser::report(hrt_abstime time)
+{
 	const int count = rw_diagnoser_poll(&_diagnoser, _notifications);
 
 	for (int i = 0; i < count; i++) {
-		notify(_notifications[i]);
 		publish(_notifications[i].event, _notifications[i].kind, _notifications[i].number);
 	}
 
-	if (count > 0 || now - _published >= PUBLISH_US) {
+	char text[RW_TEXT];
+	const int severity = rw_diagnoser_text(&_diagnoser, &_texts, seconds(time), static_cast<int>(_param_rotw_text.get()), text);
+
+	if (severity > 0) {
+		mavlink_vasprintf(severity, &_mavlink_log_pub, "%s", text);
+	}
+
+	if (count > 0 || time - _published >= PUBLISH_US) {
 		const rw_event *events = nullptr;
 		rw_diagnoser_events(&_diagnoser, &events);
 		const int best = rw_diagnoser_main(&_diagnoser);
 		publish(best < 0 ? nullptr : &events[best], rotorwatch_verdict_s::NEWS_NONE, 0);
-		_published = now;
+		_published = time;
 	}
 }
 
-void RotorWatchDiagnoser::feed()
-{
-	// What is new of each topic, in the order of its time: topics come when they are published, up to some milliseconds late.
-	enum Kind { LANDED, ARMED, MOTORS, POSITION, ATTITUDE, RATES, ACCELERATION, KINDS };
-
-	struct {
-		hrt_abstime time;
-		Kind kind;
-	} samples[KINDS];
-
-	int count = 0;
-
-	const auto put = [&](hrt_abstime time, Kind kind) {
-		int at = count++;
-
-		for (; at > 0 && samples[at - 1].time > time; at--) {
-			samples[at] = samples[at - 1];
-		}
-
-		samples[at].time = time;
-		samples[at].kind = kind;
-	};
-
-	vehicle_land_detected_s landed{};
-	actuator_armed_s armed{};
-	actuator_motors_s motors{};
-	vehicle_local_position_s position{};
-	vehicle_attitude_s attitude{};
-	vehicle_angular_velocity_s rates{};
-	vehicle_acceleration_s acceleration{};
-
-	if (_landed.update(&landed)) { put(landed.timestamp, LANDED); }
-
-	if (_armed.update(&armed)) { put(armed.timestamp, ARMED); }
-
-	if (_motors.update(&motors)) { put(motors.timestamp, MOTORS); }
-
-	if (_position.update(&position)) { put(position.timestamp, POSITION); }
-
-	if (_attitude.update(&attitude)) { put(attitude.timestamp, ATTITUDE); }
-
-	if (_rates.update(&rates)) { put(rates.timestamp_sample, RATES); }
-
-	if (_acceleration.update(&acceleration)) { put(acceleration.timestamp, ACCELERATION); }
-
-	for (int i = 0; i < count; i++) {
-		_fed = samples[i].time > _fed ? samples[i].time : _fed;
-		const rw_time time = seconds(_fed);
-
-		switch (samples[i].kind) {
-		case LANDED:
-			rw_diagnoser_state(&_diagnoser, time, landed.landed ? 1 : 0, -1);
-			break;
-
-		case ARMED:
-			rw_diagnoser_state(&_diagnoser, time, -1, armed.armed ? 1 : 0);
-			break;
-
-		case MOTORS: {
-				rw_real output[RW_ROTORS];
-
-				for (int k = 0; k < RW_ROTORS; k++) {
-					output[k] = motors.control[k] > 0.f ? motors.control[k] : 0.f; // NaN: not armed
-				}
-
-				rw_diagnoser_outputs(&_diagnoser, time, output, ALL);
-				break;
-			}
-
-		case POSITION: {
-				const rw_real unknown = rw_real(NAN);
-				const rw_real velocity[3] = {position.v_xy_valid ? position.vx : unknown, position.v_xy_valid ? position.vy : unknown,
-							     position.v_z_valid ? position.vz : unknown
-							    };
-				rw_diagnoser_velocity_ned(&_diagnoser, time, velocity);
-				break;
-			}
-
-		case ATTITUDE: {
-				const rw_real q[4] = {attitude.q[0], attitude.q[1], attitude.q[2], attitude.q[3]};
-				rw_diagnoser_attitude(&_diagnoser, time, q);
-				break;
-			}
-
-		case RATES: {
-				const rw_real rate[3] = {rates.xyz[0], rates.xyz[1], rates.xyz[2]};
-				rw_diagnoser_gyro(&_diagnoser, time, rate, true);
-				break;
-			}
-
-		case ACCELERATION: {
-				const rw_real force[3] = {acceleration.xyz[0], acceleration.xyz[1], acceleration.xyz[2]};
-				rw_diagnoser_accel(&_diagnoser, time, force, true);
-				break;
-			}
-
-		case KINDS:
-			break;
-		}
-	}
-}
-
-void RotorWatchDiagnoser::notify(const rw_notification &notification)
-{
-	char text[RW_TEXT];
-	const int severity = rw_diagnoser_words(&notification, text);
-
-	if (severity > _param_rotw_text.get()) {
-		return;
-	}
-
-	if (severity == RW_CRITICAL) {
-		mavlink_log_critical(&_mavlink_log_pub, "%s", text);
-
-	} else if (severity == RW_WARNING) {
-		mavlink_log_warning(&_mavlink_log_pub, "%s", text);
-
-	} else {
-		mavlink_log_info(&_mavlink_log_pub, "%s", text);
-	}
-}
-
-void RotorWatchDiagnoser::publish(const rw_event *event, uint8_t notification_kind, uint16_t number)
+void RotorWatchDiagnoser::publish(const rw_event *event, uint8_t news, uint16_t number)
 {
 	rotorwatch_verdict_s verdict{};
 	verdict.timestamp = hrt_absolute_time();
 	verdict.verdict = static_cast<uint8_t>(rw_diagnoser_verdict(&_diagnoser));
 	verdict.kind = rotorwatch_verdict_s::KIND_NONE;
-	verdict.news = notification_kind;
+	verdict.news = news;
 	verdict.number = number;
+	verdict.dropped = _dropped.load();
 
 	if (event != nullptr) {
 		verdict.kind = event->kind;
@@ -202,14 +297,23 @@ void RotorWatchDiagnoser::publish(const rw_event *event, uint8_t notification_ki
 		verdict.onset = microseconds(event->onset);
 		verdict.detected = microseconds(event->detected);
 		verdict.end = microseconds(event->end);
-		verdict.loss = static_cast<float>(event->loss[0]);
 		verdict.loss_lower = static_cast<float>(event->lower[0]);
 		verdict.loss_upper = static_cast<float>(event->upper[0]);
 		verdict.probability = static_cast<float>(event->probability);
+
+		constexpr int most = RW_TOGETHER < 4 ? RW_TOGETHER : 4;
+
+		for (int k = 0; k < most; k++) {
+			verdict.loss[k] = static_cast<float>(event->loss[k]);
+		}
 	}
 
 	for (int k = 0; k < 12; k++) {
-		verdict.rotor_loss[k] = k < RW_ROTORS ? static_cast<float>(rw_diagnoser_loss(&_diagnoser, k)) : NAN;
+		verdict.rotor_loss[k] = NAN;
+	}
+
+	for (int k = 0; k < SHOWN; k++) {
+		verdict.rotor_loss[k] = static_cast<float>(rw_diagnoser_loss(&_diagnoser, k));
 	}
 
 	_verdict.publish(verdict);
@@ -217,16 +321,35 @@ void RotorWatchDiagnoser::publish(const rw_event *event, uint8_t notification_ki
 
 int RotorWatchDiagnoser::print_status()
 {
-	PX4_INFO("%s", rw_diagnoser_verdict_text(&_diagnoser));
-	for (int k = 0; k < RW_ROTORS; k++) {
-		PX4_INFO("rotor %d: loss %.0f %%", k + 1, 100 * static_cast<double>(rw_diagnoser_loss(&_diagnoser, k)));
+	// What was published last: this is called from another thread than the worker's.
+	static const char *const words[] = {"not judged", "healthy so far", "fault found", "ambiguous"};
+	uORB::Subscription last{ORB_ID(rotorwatch_verdict)};
+	rotorwatch_verdict_s verdict{};
+
+	if (!last.copy(&verdict)) {
+		PX4_INFO("no outputs of the motors yet");
+		return 0;
+	}
+
+	PX4_INFO("%s, %u samples dropped", words[verdict.verdict & 3], static_cast<unsigned>(verdict.dropped));
+
+	for (int k = 0; k < SHOWN; k++) {
+		PX4_INFO("rotor %d: loss %d %%", k + 1, static_cast<int>(100.f * verdict.rotor_loss[k] + 0.5f));
 	}
 
 	return 0;
 }
 
-int RotorWatchDiagnoser::task_spawn(int, char *[])
+int RotorWatchDiagnoser::task_spawn(int argc, char *argv[])
 {
+	int32_t enabled = 0;
+	param_get(param_handle(px4::params::ROTW_EN), &enabled);
+
+	if (enabled == 0) {
+		PX4_INFO("not started: ROTW_EN is 0");
+		return PX4_OK;
+	}
+
 	RotorWatchDiagnoser *instance = new RotorWatchDiagnoser();
 
 	if (instance == nullptr) {
@@ -234,21 +357,18 @@ int RotorWatchDiagnoser::task_spawn(int, char *[])
 		return PX4_ERROR;
 	}
 
+#ifdef ROTORWATCH_MODULE_DESCRIPTOR
+	desc.object.store(instance);
+	desc.task_id = task_id_is_work_queue;
+#else
 	_object.store(instance);
 	_task_id = task_id_is_work_queue;
-
-	if (instance->init()) {
-		return PX4_OK;
-	}
-
-	PX4_INFO("not started: ROTW_EN is 0");
-	delete instance;
-	_object.store(nullptr);
-	_task_id = -1;
-	return PX4_ERROR;
+#endif
+	instance->init();
+	return PX4_OK;
 }
 
-int RotorWatchDiagnoser::custom_command(int, char *[])
+int RotorWatchDiagnoser::custom_command(int argc, char *argv[])
 {
 	return print_usage("unknown command");
 }
@@ -268,5 +388,9 @@ int RotorWatchDiagnoser::print_usage(const char *reason)
 
 extern "C" __EXPORT int rotorwatch_main(int argc, char *argv[])
 {
+#ifdef ROTORWATCH_MODULE_DESCRIPTOR
+	return ModuleBase::main(RotorWatchDiagnoser::desc, argc, argv);
+#else
 	return RotorWatchDiagnoser::main(argc, argv);
+#endif
 }

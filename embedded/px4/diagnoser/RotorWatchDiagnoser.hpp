@@ -1,70 +1,138 @@
 /* A PX4 module that runs the whole diagnoser: which rotor has lost effectiveness, how much, since when and how sure. MIT.
  *
- * Put this folder into src/modules/rotorwatch, its message into msg/ (and its name into msg/CMakeLists.txt), write the library beside it
- * (see CMakeLists.txt), say CONFIG_MODULES_ROTORWATCH=y in the board's configuration and `rotorwatch start` in its start-up script. It runs
- * in the low-priority work queue, RW_MOTION_HZ times a second, and only reports: nothing here commands the vehicle.
+ * Where it goes, what to add and what the pilot sees: docs/px4.md. For PX4 1.15 to 1.17.
+ *
+ * A work item of the queue wq:hp_default takes samples RW_MOTION_HZ times a second and puts them into a line; another one, in a queue of its
+ * own and of low priority, diagnoses. Memory is taken by `rotorwatch start` alone, and only where ROTW_EN is 1. It only reports: nothing
+ * here commands the vehicle.
  */
 #pragma once
 
 #include <drivers/drv_hrt.h>
 #include <parameters/param.h>
+#include <px4_platform_common/atomic.h>
+#include <px4_platform_common/defines.h>
 #include <px4_platform_common/module.h>
 #include <px4_platform_common/module_params.h>
 #include <px4_platform_common/px4_work_queue/ScheduledWorkItem.hpp>
 #include <systemlib/mavlink_log.h>
 #include <uORB/Publication.hpp>
 #include <uORB/Subscription.hpp>
+#include <uORB/SubscriptionInterval.hpp>
 #include <uORB/topics/actuator_armed.h>
 #include <uORB/topics/actuator_motors.h>
+#include <uORB/topics/parameter_update.h>
 #include <uORB/topics/rotorwatch_verdict.h>
 #include <uORB/topics/vehicle_acceleration.h>
 #include <uORB/topics/vehicle_angular_velocity.h>
 #include <uORB/topics/vehicle_attitude.h>
 #include <uORB/topics/vehicle_land_detected.h>
 #include <uORB/topics/vehicle_local_position.h>
+#include <uORB/topics/vehicle_thrust_setpoint.h>
+#include <uORB/topics/vehicle_torque_setpoint.h>
 
 #include "rw_diagnoser.h"
+#include "rw_text.h"
 
-class RotorWatchDiagnoser : public ModuleBase<RotorWatchDiagnoser>, public ModuleParams, public px4::ScheduledWorkItem
+class RotorWatchDiagnoser;
+
+// PX4 1.17 has a module base without a template (CMakeLists.txt looks which one there is).
+#ifdef ROTORWATCH_MODULE_DESCRIPTOR
+using RotorWatchModule = ModuleBase;
+#else
+using RotorWatchModule = ModuleBase<RotorWatchDiagnoser>;
+#endif
+
+class RotorWatchDiagnoser : public RotorWatchModule, public ModuleParams, public px4::ScheduledWorkItem
 {
 public:
 	RotorWatchDiagnoser();
 	~RotorWatchDiagnoser() override;
+
+#ifdef ROTORWATCH_MODULE_DESCRIPTOR
+	static Descriptor desc;
+#endif
 
 	static int task_spawn(int argc, char *argv[]);
 	static int custom_command(int argc, char *argv[]);
 	static int print_usage(const char *reason = nullptr);
 	int print_status() override;
 
-	bool init();
+	void init();
 
 private:
 	static constexpr unsigned INTERVAL_US = 1000000u / RW_MOTION_HZ;
 	static constexpr unsigned PUBLISH_US = 200000u;
+	static constexpr unsigned NUMBERS = RW_ROTORS > 4 ? RW_ROTORS : 4;
+	// Half a second: two samples of motion each time, five others each time the outputs are read.
+	static constexpr unsigned LINE = RW_MOTION_HZ + 5 * RW_OUTPUT_HZ / 2 + 16;
+	static constexpr int SHOWN = RW_ROTORS < 12 ? RW_ROTORS : 12; // rotors that PX4's topics have room for
 	static constexpr rw_rotors ALL = static_cast<rw_rotors>((1u << RW_ROTORS) - 1u);
 
+	enum class Kind : uint8_t { LANDED, ARMED, MOTORS, CONTROL, POSITION, ATTITUDE, RATES, ACCELERATION };
+	static constexpr unsigned KINDS = 8;
+
+	struct Sample {
+		hrt_abstime time;
+		float x[NUMBERS];
+		Kind kind;
+	};
+
+	// What diagnoses: it runs when there are samples.
+	class Worker : public px4::WorkItem
+	{
+	public:
+		explicit Worker(RotorWatchDiagnoser &owner);
+
+	private:
+		void Run() override;
+		RotorWatchDiagnoser &_owner;
+	};
+
+	// The one that takes samples.
 	void Run() override;
-	void feed();
-	void notify(const rw_notification &notification);
-	void publish(const rw_event *event, uint8_t notification_kind, uint16_t number);
+	void take();
+	void put(Kind kind, hrt_abstime time, const float *x, unsigned count);
+	void pass_on();
+
+	// The worker's.
+	void diagnose();
+	void feed(const Sample &sample);
+	void report(hrt_abstime time);
+	void publish(const rw_event *event, uint8_t news, uint16_t number);
 
 	uORB::Subscription _rates{ORB_ID(vehicle_angular_velocity)};
 	uORB::Subscription _acceleration{ORB_ID(vehicle_acceleration)};
 	uORB::Subscription _motors{ORB_ID(actuator_motors)};
+	uORB::Subscription _torque{ORB_ID(vehicle_torque_setpoint)};
+	uORB::Subscription _thrust{ORB_ID(vehicle_thrust_setpoint)};
 	uORB::Subscription _attitude{ORB_ID(vehicle_attitude)};
 	uORB::Subscription _position{ORB_ID(vehicle_local_position)};
 	uORB::Subscription _landed{ORB_ID(vehicle_land_detected)};
 	uORB::Subscription _armed{ORB_ID(actuator_armed)};
+	uORB::SubscriptionInterval _parameters{ORB_ID(parameter_update), 1000000};
 	uORB::Publication<rotorwatch_verdict_s> _verdict{ORB_ID(rotorwatch_verdict)};
 	orb_advert_t _mavlink_log_pub{nullptr};
 
+	Worker _worker{*this};
+	px4::atomic_bool _busy{false}; // the worker has been called and has not come back
+	unsigned _turn{0};
+
+	// What came since the last time, in the order of its time; and the line of samples: one item puts, the other one takes.
+	Sample _new[KINDS] {};
+	unsigned _count{0};
+	Sample _line[LINE] {};
+	px4::atomic<uint32_t> _head{0};
+	px4::atomic<uint32_t> _tail{0};
+	px4::atomic<uint32_t> _dropped{0};
+
 	rw_diagnoser _diagnoser{};
+	rw_texts _texts{};
 	rw_notification _notifications[2 * RW_EVENTS] {};
 	hrt_abstime _published{0};
 	hrt_abstime _fed{0}; // time of the newest sample that was fed
 
 	DEFINE_PARAMETERS(
-		(ParamBool<px4::params::ROTW_EN>) _param_rotw_en,
 		(ParamInt<px4::params::ROTW_TEXT>) _param_rotw_text
 	)
 };

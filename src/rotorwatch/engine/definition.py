@@ -40,7 +40,7 @@ from rotorwatch.engine.front import (
     records,
     sense,
     sizes,
-    telling,
+    texts,
     ticks,
     vehicle,
     whole,
@@ -65,7 +65,7 @@ FRONT = (
     losses,
     changes,
     words,
-    telling,
+    texts,
 )
 ESTIMATOR = (
     plant, noise, model_error, kalman, bank, hypotheses, evidence, plausibility, announcement, opposite, posterior, estimator,

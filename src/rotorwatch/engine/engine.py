@@ -34,7 +34,6 @@ from rotorwatch.engine.front.losses import Losses
 from rotorwatch.engine.front.records import Found, Records
 from rotorwatch.engine.front.sense import Plan
 from rotorwatch.engine.front.sizes import EVENTS, OVERRIDES, PLACES, RECORDS
-from rotorwatch.engine.front.telling import Telling
 from rotorwatch.engine.front.ticks import JUDGE, Made
 from rotorwatch.engine.front.vehicle import PITCH, ROLL, Vehicle
 from rotorwatch.engine.trim.many import SLICES
@@ -63,7 +62,6 @@ class Engine(Struct):
     report = embedded(Report)
     trim = embedded(Trim)
     changes = embedded(Changes)
-    telling = embedded(Telling)
     made = embedded(Made)  # the last tick, as it was measured
     out = embedded(Result)  # what the estimator made of it
     events = array(Event, EVENTS)  # at the last poll
@@ -170,10 +168,6 @@ class Engine(Struct):
         self.count = self.trim.mount.put(self.events, count, EVENTS)
         final = self.front.newest - FINAL_S
         return self.changes.look(self.events, self.count, final, -1, False, self.withdrawn, self.fresh)
-
-    def say(self, now: Time) -> int:
-        """After a poll: the severity of the text that is due at `now` s, of `telling.event`; -1: there is none."""
-        return self.telling.next(self.changes, now)
 
     def main(self) -> int:
         """Place of the event that matters most, of those at the last poll; -1 without one."""

@@ -8,6 +8,7 @@ hold the vehicle and the rates.
 
 from __future__ import annotations
 
+import functools
 import re
 from pathlib import Path
 from typing import Any
@@ -82,6 +83,7 @@ def rates(output_hz: float, gyro_hz: float, accel_hz: float) -> dict[str, int]:
         "MOTION_SAMPLES": samples,
         "RECENT": int(np.ceil(output_hz / 2)) + 2,
         "MOTION_HZ": often,
+        "OUTPUT_HZ": int(np.ceil(output_hz)),
     }
 
 
@@ -128,6 +130,7 @@ def text_of(table: dict[str, Any], kind: str, name: str) -> str:
     return f"const {kind} {name} = {{\n{members}}};\n"
 
 
+@functools.cache
 def definitions() -> dict[str, str]:
     """File name -> text of what is made of definitions, the same for all vehicles."""
     front = Translation(definition.FRONT, *definition.SIZES)

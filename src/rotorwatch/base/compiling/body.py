@@ -354,7 +354,9 @@ class Body:
         if want == "flag":
             return code.text
         if RANK[have] != RANK[want]:
-            return f"({C_NAMES[want]}){code.within(14)}"
+            # A whole number that a call returns is not cast as it is: PX4 takes that for a mistake (-Wbad-function-cast).
+            called = have == "int" and code.tight == 20 and code.text.endswith(")")
+            return f"({C_NAMES[want]})(0 + {code.text})" if called else f"({C_NAMES[want]}){code.within(14)}"
         return code.text
 
     def literal(self, code: Code, want: str) -> str:

@@ -27,3 +27,4 @@ MENTIONED = 0.05  # probability from which another cause is worth a word
 MATTERS = 0.2  # of one rotor, up to which `healthy` is a claim: from there on a rotor is degraded
 WORN = 0.05  # of one rotor, below which it is as healthy as a new one
 TOTAL_LOSS = 0.8  # from there on a rotor is lost altogether
+GRAVE = 0.5  # from there on a rotor that hovers at half of its thrust cannot carry its share any more

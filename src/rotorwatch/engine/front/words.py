@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from rotorwatch.base.compiling.structs import LASTS, LETTER, Real, Small, Struct, array
-from rotorwatch.engine.front.decisions import MATTERS, WORN
-from rotorwatch.engine.front.events import CONTACT, LOSS, TURNED_MOUNT, Event
+from rotorwatch.engine.front.decisions import GRAVE, MATTERS, WORN
+from rotorwatch.engine.front.deviations import OVERRIDDEN
+from rotorwatch.engine.front.events import CONTACT, LOSS, OUTPUT_OVERRIDE, TURNED_MOUNT, Event
 from rotorwatch.engine.front.sizes import ROTORS, TOGETHER
 
-CRITICAL, WARNING, NOTICE = 2, 4, 5  # MAV_SEVERITY
+CRITICAL, WARNING, NOTICE, INFO = 2, 4, 5, 6  # MAV_SEVERITY
 
 MOST = 50  # characters of a STATUSTEXT
 _ROOM = 70  # a text that is too long is cut at its end alone
@@ -98,18 +99,18 @@ class Words(Struct):
 
 
 def severity(e: Event, withdrawn: bool) -> int:
-    """What takes a rotor from control is critical: a loss that matters, or an output that does not follow. A smaller loss, one of several
-    explanations and a mount are a warning; what is over, withdrawn or smaller than wear a notice."""
-    if withdrawn or e.kind == CONTACT or e.end < LASTS:
+    """What it means for the flight. A rotor without half of its thrust, or one that does not follow its command at all: critical. What
+    other sets of rotors explain as well, what matters and what turns the vehicle: a warning. Less, and knocks: a notice. What is over or
+    taken back, and a loss that may be wear: an information."""
+    if withdrawn or (e.kind != CONTACT and e.end < LASTS):
+        return INFO
+    if e.kind == CONTACT:
         return NOTICE
-    if e.alternative_count > 0 or e.kind == TURNED_MOUNT:
+    if e.kind == LOSS and e.size <= 0.0 and e.largest() < GRAVE:
+        return WARNING if e.largest() >= MATTERS else NOTICE if e.largest() >= WORN else INFO
+    if e.alternative_count > 0 or e.kind == TURNED_MOUNT or (e.kind == OUTPUT_OVERRIDE and e.detail == OVERRIDDEN):
         return WARNING
-    if e.kind != LOSS or e.size > 0.0 or e.largest() >= MATTERS:
-        return CRITICAL
-    for i in range(TOGETHER):
-        if e.upper[i] >= WORN:
-            return WARNING
-    return NOTICE
+    return CRITICAL
 
 
 def _several(rotors: int) -> bool:

@@ -139,25 +139,13 @@ const char *rw_diagnoser_verdict_text(const rw_diagnoser *d)
     return words[rw_diagnoser_verdict(d)];
 }
 
-static void in_words(const rw_event *event, bool withdrawn, char *text)
-{
-    static const char *const names[] = RW_NAMES;
-    rw_words words;
-    rw_words_init(&words);
-    rw_words_event(&words, event, withdrawn, names[event->kind]);
-    memcpy(text, words.at, RW_TEXT);
-}
-
 int rw_diagnoser_words(const rw_notification *notification, char *text)
 {
+    static const char *const names[] = RW_NAMES;
     const bool withdrawn = notification->kind == RW_WITHDRAWN;
-    in_words(notification->event, withdrawn, text);
+    rw_words words;
+    rw_words_init(&words);
+    rw_words_event(&words, notification->event, withdrawn, names[notification->event->kind]);
+    memcpy(text, words.at, RW_TEXT);
     return (int)rw_words_severity(notification->event, withdrawn);
-}
-
-int rw_diagnoser_say(rw_diagnoser *d, rw_time now, char *text)
-{
-    const int severity = (int)rw_engine_say(&d->engine, now);
-    if (severity >= 0) in_words(&d->engine.telling.event, d->engine.telling.withdrawn, text);
-    return severity;
 }

@@ -122,10 +122,6 @@ rw_real rw_diagnoser_loss(const rw_diagnoser *d, int rotor);
 /* "rotorwatch: rotor 3 lost 32 % (28-36)" into text[RW_TEXT]; returns its severity: RW_CRITICAL, RW_WARNING or RW_NOTICE. */
 int rw_diagnoser_words(const rw_notification *notification, char *text);
 
-/* After a poll, for the pilot: the text that is due at `now`, the time of the feeds, into text[RW_TEXT], and its severity; -1 where there is
-   none. At most one in 5 s, the gravest first: what is announced, over or taken back, and what has left the interval that was told. */
-int rw_diagnoser_say(rw_diagnoser *d, rw_time now, char *text);
-
 #ifdef __cplusplus
 }
 #endif

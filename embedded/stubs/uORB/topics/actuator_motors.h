@@ -1,7 +1,0 @@
-/* Just enough of the autopilot's interface to compile the skeletons against. MIT. */
-#pragma once
-#include <cstdint>
-struct actuator_motors_s {
-	uint64_t timestamp;
-	float control[12];
-};
