@@ -86,10 +86,10 @@ def rows(folder: Path) -> Iterator[str]:
         craft = airframes.named("ardupilot-quad-x") if name.startswith("made:") else None
         answer = diagnose(flight, craft)  # pyright: ignore[reportArgumentType]
         own = [e for e in answer.events if "texts" in e.extra]
-        if not own and not any(e.kind in ("loss_of_control", "autopilot_report") for e in answer.events):
-            continue  # control was kept, and nothing was reported
-        first = f"{own[0].onset_s:.1f} s: {own[0].extra['texts'][0]}" if own else ""
         more = ["The log ends in the air."] * any(w.startswith("The log ends in the air") for w in answer.warnings)
+        if not own and not more and not any(e.kind in ("loss_of_control", "autopilot_report") for e in answer.events):
+            continue  # control was kept, nothing was reported, and it landed
+        first = f"{own[0].onset_s:.1f} s: {own[0].extra['texts'][0]}" if own else ""
         said = " ".join([re.sub(HEALTHY, "No rotor lost thrust.", answer.headline), *more])
         yield "| " + " | ".join(text.replace("|", "/") for text in (name, what, said, first)) + " |\n"
 
