@@ -155,12 +155,24 @@ def verdicts(**changed):
     return {name: list(row.values()) for name, row in forms.items()}, [claim.verdict for claim in claims]
 
 
-def test_cost_is_time_per_step_of_the_best_round():
-    waits = iter([0.03, 0.02])  # s of the rounds
+def test_cost_is_computing_time_per_step_of_the_best_round(monkeypatch):
+    """Waiting costs nothing; what is slow is not timed again."""
     flights, told = ruav_flight.Flights(*np.zeros((4, 2, 50, 6))), []
-    cost = study._microseconds({"slow": lambda u, y: time.sleep(next(waits))}, flights, lambda *row: told.append(row))
-    assert 200.0 <= cost["slow"] < 1e4 and len(told) == study.ROUNDS
-    assert next(waits, None) is None
+    monkeypatch.setattr(study, "LONG_S", 0.015)
+    work = {"long": iter([0.02]), "short": iter([0.01, 0.008, 0.003, 0.006, 0.004])}
+
+    def program(name):
+        def run(u, y):
+            time.sleep(0.005)
+            until = time.process_time() + next(work[name])
+            while time.process_time() < until:
+                pass
+
+        return run
+
+    cost = study._microseconds({name: program(name) for name in work}, flights, lambda *row: told.append(row))
+    assert 200.0 <= cost["long"] < 1000.0 and 30.0 <= cost["short"] < 75.0
+    assert len(told) == 1 + study.ROUNDS and all(next(left, None) is None for left in work.values())
 
 
 def test_each_claim_is_judged_for_each_form():
@@ -183,6 +195,7 @@ def test_verdicts_follow_from_the_numbers():
     cheap = {"aesmf/printed": 5.0, "esmf/printed": 5.0}
     assert verdicts(cost=cheap)[0]["best_cost"] == ["holds", "refuted"]
     assert verdicts(cost=cheap)[0]["cheapest"] == ["not reproduced", "holds"]
+    assert verdicts(cost={"aekf/no_restart": 20.0})[1][6] == "partly"
     assert verdicts(cost={"aekf/no_restart": 40.0})[1][6] == "not reproduced"
 
 

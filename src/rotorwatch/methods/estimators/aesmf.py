@@ -4,8 +4,8 @@
     W = H P- H' / (1 - rho) + R / rho,   W_i = H (E_ii + Phi E_ii Phi') H' / ((1 - rho) b (1 - b_Q))
 
 The first part wants predictions sharp, the second keeps the set away from empty: delta = 1 - e' W^-1 e is the health index.
-Source: Qi, Song, Dai, Han and Wang 2015 (doi:10.5772/60854), rule (39), whose formula is lost in print; reconstructed. That the bounds of
-the process noise alone adapt, by the MIT rule, says doi:10.5772/51904. docs/methods/aesmf.md.
+Source: Qi, Song, Dai, Han and Wang 2015 (doi:10.5772/60854), rule (39), whose formula is lost in print; reconstructed. Bounds of
+the process noise that adapt by the MIT rule has doi:10.5772/51904, too. docs/methods/aesmf.md.
 """
 
 from __future__ import annotations

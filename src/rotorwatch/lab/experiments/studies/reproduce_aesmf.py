@@ -35,7 +35,7 @@ NEEDS = ("cvxpy",)
 SETTLE_S = 2.0  # statistics start this long after the fault
 RESTARTS = {"no_restart": "no restart", "restart": "restart"}
 TIMED = ("aekf/no_restart", "aukf/no_restart", "esmf/printed", "aesmf/printed", "esmf/own", "aesmf/own")
-ROUNDS = 2
+ROUNDS, LONG_S = 5, 5.0  # of timing; what takes longer is timed once
 KNOWN = float(np.mean(ruav_filters.REACH))  # mean half-width of what is known beforehand: a wider bound tells nothing
 NARROWER = 0.99  # by one percent at least
 
@@ -153,14 +153,16 @@ def _judged(program: Callable, flights) -> tuple[dict, dict]:
 
 
 def _microseconds(programs: dict[str, Callable], flights, progress) -> dict[str, float]:
-    """Of one step, best of ROUNDS, the filters in turn: what else a computer does meets all of them."""
+    """Computing time of one step, best of ROUNDS, the filters in turn. Not time on the clock: a computer has other things to do as well."""
     best = dict.fromkeys(programs, np.inf)
     for k in range(ROUNDS):
         for name, program in programs.items():
+            if k and best[name] > LONG_S:
+                continue
             progress(0.5 + 0.02 * k / ROUNDS, f"cost, {name}")
-            began = time.perf_counter()
+            began = time.process_time()
             load_jax().block_until_ready(program(flights.u, flights.y))
-            best[name] = min(best[name], time.perf_counter() - began)
+            best[name] = min(best[name], time.process_time() - began)
     return {name: 1e6 * seconds / flights.u[..., 0].size for name, seconds in best.items()}
 
 
@@ -203,7 +205,8 @@ def _claims(f) -> tuple[tuple[Claim, ...], dict[str, dict[str, Verdict]]]:
         },
     }
     verdicts = {name: reproduction.across(one) for name, one in by_form.items()}
-    verdicts["costly_aukf"] = graded(cost["aukf/no_restart"] > cost["aekf/no_restart"])
+    aukf = cost["aukf/no_restart"] / cost["aekf/no_restart"]
+    verdicts["costly_aukf"] = graded(aukf > 2.0, aukf > 1.0)
     words = {
         "cover": told(
             lambda e, g: f"{e['containment']:.3f} and {g['containment']:.3f}, half-widths {_size(e)} and {_size(g)}"
