@@ -36,6 +36,21 @@ def test_other_data_give_another_page(make, data):
     assert "| a \\| b | refuted |" in make.page(other) != make.page(data)
 
 
+def test_a_verdict_says_its_condition_and_tables_are_shown(make, data):
+    other = json.loads(json.dumps(data))
+    other[0]["claims"][0] |= {"verdict": "partly", "only_if": "it is calm"}
+    other[0]["tables"] = [{"title": "Numbers", "head": ["a", "b"], "rows": [["1", "2"]]}]
+    page = make.page(other)
+    assert "| holds only if it is calm |" in page and "Numbers:\n\n| a | b |\n|---|---|\n| 1 | 2 |" in page
+
+
+def test_a_folder_with_one_paper_leaves_the_others_as_they_are(make, data, tmp_path):
+    whole = {"paper": "atsukf", "title": "t", "seeds": 1, "claims": [], "figures": {}}
+    (tmp_path / "atsukf.json").write_text(json.dumps(whole), encoding="utf-8")
+    now = make.rows(tmp_path, data)
+    assert [a == b for a, b in zip(now, data, strict=True)] == [row["paper"] != "atsukf" for row in data]
+
+
 def test_every_claim_of_every_paper_has_a_row(data):
     assert [row["paper"] for row in data] == list(reproduction.studies())
     for row in data:

@@ -7,6 +7,7 @@ A study is a module `studies/reproduce_<paper>.py` with
     SEEDS = 10                          noise seeds when the user names none
     def reproduce(seeds=SEEDS, literal=(), progress=silent) -> Reproduction     of names in LITERAL; progress(share)
     def figures(result) -> {"file_stem": matplotlib Figure}             the paper's figures, drawn again
+    def tables(figures) -> [Table]                                      of the result's figures, for its page; may be left out
 
 and is found by looking into this folder.
 """
@@ -22,7 +23,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -34,13 +35,23 @@ Verdict = Literal["holds", "partly", "not reproduced", "refuted"]
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim: what it says, what the paper reports, what came out here, the verdict and why. Short sentences."""
+    """One claim: what it says, what the paper reports, what came out here, the verdict and why. Short sentences. only_if: under which
+    condition it holds, for the verdict "partly"."""
 
     claim: str
     paper: str
     measured: str
     verdict: Verdict
     why: str
+    only_if: str = ""
+
+
+class Table(NamedTuple):
+    """Numbers of a study as its page shows them: title, head, and rows of texts."""
+
+    title: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
 
 
 @dataclass(frozen=True)
@@ -128,6 +139,12 @@ def panels(rows: int, columns: int, size: tuple[float, float], grid: bool = True
     for axis in axes.flat if grid else ():
         axis.grid(alpha=0.3)
     return figure, axes
+
+
+def tables(paper: str, figures: Mapping[str, Any]) -> list[Table]:
+    """The tables that a study makes of the numbers of a result."""
+    make = getattr(study(paper), "tables", None)
+    return make(figures) if make else []
 
 
 def studies() -> dict[str, ModuleType]:
