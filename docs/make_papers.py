@@ -12,15 +12,17 @@ import json
 import sys
 from pathlib import Path
 
+from rotorwatch.base import files
 from rotorwatch.lab.experiments.studies import reproduction
 
 HERE = Path(__file__).parent
-DATA, PAGE = HERE / "papers.json", HERE / "papers.md"
+DATA, PARTS, PAGE = HERE / "papers.json", HERE / "papers_parts.toml", HERE / "papers.md"
 HEAD = """# The five papers
 
-What each paper claims, and what comes out here. The page is made from the results of `rotorwatch reproduce --all` by
-`python docs/make_papers.py`. "Refuted": the opposite is shown. "Not reproduced": it does not come out, and the paper leaves enough open
-that it may have been so there.
+What each paper claims, and what comes out here; where its equations and tables are in the code (`src/rotorwatch`), and what draws its
+figures. The page is made from the results of `rotorwatch reproduce --all` by `python docs/make_papers.py`. "Holds only if": under the
+condition that is named. "Refuted": the opposite is shown. "Not reproduced": it does not come out, and the paper leaves enough open that
+it may have been so there.
 """
 
 
@@ -39,37 +41,57 @@ def rows(folder: Path, before: list[dict]) -> list[dict]:
 
 def page(data: list[dict]) -> str:
     """The page of these rows."""
-    parts = [HEAD]
+    parts, known = [HEAD], files.toml(PARTS, "parts")[0]
     for row in data:
-        methods = ", ".join(f"[`{name}`](methods/{name}.md)" for name in reproduction.methods(row["paper"]))
-        pictures = ", ".join(f"[{stem}](methods/{stem}.svg)" for stem in _pictures(row["paper"]))
+        paper = row["paper"]
+        methods = ", ".join(f"[`{name}`](methods/{name}.md)" for name in reproduction.methods(paper))
         parts.append(
-            f"## {row['title']}\n\n`rotorwatch reproduce {row['paper']}`, {row['seeds']} seeds. Methods: {methods}.\n"
+            f"## {row['title']}\n\n`rotorwatch reproduce {paper}`, {row['seeds']} seeds. Methods: {methods}.\n"
         )
-        parts.append(f"Pictures: {pictures}.\n")
-        if reproduction.note(row["paper"]):
-            parts.append(f"**{reproduction.note(row['paper'])}**\n")
-        table = ["| claim | the paper | here | verdict |", "|---|---|---|---|"]
-        for claim in row["claims"]:
-            cells = (
-                f"{claim['claim'].rstrip('.')}. {claim['why']}",
-                claim["paper"],
-                claim["measured"],
-                _verdict(claim),
-            )
-            table.append("| " + " | ".join(_cell(text) for text in cells) + " |")
-        parts.append("\n".join(table) + "\n")
-        for table in row.get("tables", ()):
-            head = ["| " + " | ".join(table["head"]) + " |", "|---" * len(table["head"]) + "|"]
-            lines = ["| " + " | ".join(_cell(text) for text in cells) + " |" for cells in table["rows"]]
-            parts.append("\n".join([f"{table['title']}:\n", *head, *lines]) + "\n")
-        literal = reproduction.about(row["paper"])[1]
-        parts.append(
-            "Errata that `--literal` reads as printed:\n\n"
-            + "\n".join(f"- `{k}`: {v}" for k, v in literal.items())
-            + "\n"
-        )
+        if reproduction.note(paper):
+            parts.append(f"**{reproduction.note(paper)}**\n")
+        claims = [
+            [f"{c['claim'].rstrip('.')}. {c['why']}", c["paper"], c["measured"], _verdict(c)] for c in row["claims"]
+        ]
+        parts.append(_table(["claim", "the paper", "here", "verdict"], claims))
+        parts += [f"{table['title']}:\n\n{_table(table['head'], table['rows'])}" for table in row.get("tables", ())]
+        parts += _places(known[paper]) + _figures(paper, known[paper]["figures"])
+        literal = [f"- `{name}`: {text}" for name, text in reproduction.about(paper)[1].items()]
+        parts.append("\n".join(["Errata that `--literal` reads as printed:\n", *literal, ""]))
     return "\n".join(parts)
+
+
+def _places(parts: dict) -> list[str]:
+    """Where equations and tables are."""
+    rows = [[number, what, _code(code), note] for number, what, code, note in parts["equations"] + parts["tables"]]
+    head = f"Equations and tables. {parts['numbers']}".rstrip()
+    return [f"{head}\n\n{_table(['printed', 'what', 'in the code', 'note'], rows)}"]
+
+
+def _code(places: str) -> str:
+    """`file: names, file: names` as code, without what ends in nothing."""
+    return f"`{places.removesuffix(': ')}`"
+
+
+def _figures(paper: str, figures: list[list[str]]) -> list[str]:
+    """What draws each of the paper's figures, and the pictures beyond them."""
+    ours = _pictures(paper)
+    rows = [[number, what, _linked(picture) if picture in ours else picture] for number, what, picture in figures]
+    more = [_linked(name) for name in ours if name not in [picture for *_, picture in figures]]
+    found = [_table(["figure", "what it shows", "here"], rows)]
+    return found + ([f"More pictures: {', '.join(more)}.\n"] if more else [])
+
+
+def _linked(picture: str) -> str:
+    return f"[{picture}](methods/{picture}.svg)"
+
+
+def _table(head: list[str], rows: list[list[str]]) -> str:
+    lines = [head, ["---"] * len(head), *[[_cell(text) for text in row] for row in rows]]
+    return (
+        "\n".join("|" + "|".join(line) + "|" if line[0] == "---" else "| " + " | ".join(line) + " |" for line in lines)
+        + "\n"
+    )
 
 
 def _pictures(paper: str) -> list[str]:

@@ -1,12 +1,15 @@
 """The research commands from outside: `rotorwatch reproduce` and `rotorwatch observability`."""
 
 import json
+import threading
+import time
 from types import SimpleNamespace
 
 import pytest
 
 from rotorwatch.base import many
 from rotorwatch.base.many import processes
+from rotorwatch.commands import research
 from rotorwatch.lab.experiments.studies import reproduction
 from rotorwatch.lab.experiments.studies.reproduction import Claim, Reproduction
 
@@ -73,6 +76,27 @@ def test_what_is_kept_is_not_run_again(run, tmp_path, monkeypatch):
     assert code == 0 and ran == ["aesmf"] and second == first and "axkf: read from" in err
     run(*argv, "--seeds", 2)
     assert ran == ["aesmf", "axkf", "aesmf"]  # other seeds are another result
+
+
+def test_a_long_run_says_that_it_runs(run, monkeypatch):
+    """What is run and how long it may take at once; then, now and then, that it still is, until it is over."""
+    monkeypatch.setattr(research, "EVERY_S", 0.02)
+    whole = reproduction.reproduce
+    monkeypatch.setattr(reproduction, "reproduce", lambda *a, **k: time.sleep(0.2) or whole(*a, **k))
+    code, _, err = run("reproduce", "all", "--jobs", 1)
+    first, *others = err.splitlines()
+    assert code == 0 and "running axkf, aesmf: about" in first
+    assert len(others) > 3 and all("still running, after 0 min" in line for line in others)
+    before = threading.active_count()
+    _, _, err = run("reproduce", "axkf", "--quiet")
+    assert err == "" and threading.active_count() == before
+
+
+def test_a_result_is_kept_before_its_turn_comes(tmp_path):
+    """An interruption while the first paper runs loses nothing of what was done beside it."""
+    for later in ("aesmf", "axkf"):
+        reproduction._reproduced(later, 2, tmp_path)
+        assert reproduction.kept(tmp_path, reproduction.studies()[later], 2, ()) is not None
 
 
 def test_a_kept_file_that_is_none_is_said(run, tmp_path):

@@ -2,10 +2,12 @@
 
 import importlib.util
 import json
+import re
 from pathlib import Path
 
 import pytest
 
+from rotorwatch.base import files
 from rotorwatch.lab.experiments.studies import reproduction
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -49,6 +51,36 @@ def test_a_folder_with_one_paper_leaves_the_others_as_they_are(make, data, tmp_p
     (tmp_path / "atsukf.json").write_text(json.dumps(whole), encoding="utf-8")
     now = make.rows(tmp_path, data)
     assert [a == b for a, b in zip(now, data, strict=True)] == [row["paper"] != "atsukf" for row in data]
+
+
+def test_equations_tables_and_figures_lead_to_what_is_there(make, data):
+    """Every file is there and has the names; every picture is; figures and table numbers are in order, and no figure is left out."""
+    parts, source = files.toml(make.PARTS, "parts")[0], DOCS.parent / "src" / "rotorwatch"
+    assert set(parts) == {row["paper"] for row in data}
+    last = {"aesmf": 9, "atsukf": 8, "axkf": 9, "intermediate": 18, "lyapunov-mhe": 2}  # figures in print
+    for paper, found in parts.items():
+        for _, _, code, _ in found["equations"] + found["tables"]:
+            file = None
+            for piece in re.split(r",\s*", code):
+                name = piece
+                if "/" in piece:
+                    file, _, name = piece.partition(": ")
+                    assert (source / file).is_file(), piece
+                assert file and re.search(
+                    rf"\b{name}\b" if name else "", (source / file).read_text(encoding="utf-8")
+                ), (file, name)
+        numbers = [int(n) for number, *_ in found["figures"] for n in re.findall(r"\d+", number)]
+        assert sorted(numbers) == list(range(1, last[paper] + 1))
+        for _, _, picture in found["figures"]:
+            assert " " in picture or (DOCS / "methods" / f"{picture}.svg").exists(), picture
+
+
+def test_literal_readings_that_the_page_names_are_there(make):
+    for paper, found in files.toml(make.PARTS, "parts")[0].items():
+        for *_, note in found["equations"] + found["tables"]:
+            if "--literal" in note:
+                names = re.findall(r"`(?:--literal )?([\w-]+)`", note)
+                assert names and set(names) <= set(reproduction.about(paper)[1]), note
 
 
 def test_every_claim_of_every_paper_has_a_row(data):

@@ -107,12 +107,17 @@ def note(paper: str) -> str:
     return _words(paper).get("note", "")
 
 
+def minutes(paper: str) -> float:
+    """About how long the study takes with two cores."""
+    return float(_words(paper)["minutes"])
+
+
 def listing() -> str:
     """Every paper, its methods and its literal readings, for the help of the command line."""
     lines = []
     for name in studies():
         title, literal = about(name)
-        lines += [f"{name}: {title}", f"    about {_words(name)['minutes']:g} min; methods: {', '.join(methods(name))}"]
+        lines += [f"{name}: {title}", f"    about {minutes(name):g} min; methods: {', '.join(methods(name))}"]
         lines += [f"    --literal {key}: {text}" for key, text in literal.items()]
     return "\n".join(lines)
 
@@ -183,10 +188,23 @@ def reproduce(
 
 
 def reproduce_many(
-    papers: Sequence[str], seeds: int | None = None, jobs: int | None = None, scheduler: str | None = None
+    papers: Sequence[str],
+    seeds: int | None = None,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    folder: Path | None = None,
 ) -> Iterator[Reproduction]:
-    """`reproduce` of each of several papers, in this order. jobs, scheduler: as for `many.run`."""
-    return many.ordered(functools.partial(reproduce, seeds=seeds), papers, jobs, scheduler)
+    """`reproduce` of each of several papers, in this order. jobs, scheduler: as for `many.run`. folder: where each result is kept as soon
+    as it is there, whichever comes first (not by other computers, which have another disk)."""
+    one = functools.partial(_reproduced, seeds=seeds, folder=None if scheduler else folder)
+    return many.ordered(one, papers, jobs, scheduler)
+
+
+def _reproduced(paper: str, seeds: int | None, folder: Path | None) -> Reproduction:
+    result = reproduce(paper, seeds)
+    if folder:
+        keep(folder, result)
+    return result
 
 
 def keep(folder: Path, result: Reproduction) -> Path:
