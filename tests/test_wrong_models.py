@@ -62,7 +62,7 @@ def test_the_uncertain_flight_against_another_integrator():
     y = hover_flights.uncertain(known, [real], gamma, wind, np.array([0.3]), 0.01)[1]
     again = flown_again(known, real, gamma[0], wind[0], 0.3, 0.01, samples)
     assert np.abs(again[:, 4:7]).max() > 0.1  # it does turn
-    np.testing.assert_allclose(y[0], again, atol=2e-4)
+    np.testing.assert_allclose(y[0], again, atol=1e-8)
 
 
 def test_rotors_momentum_does_no_work():

@@ -18,16 +18,25 @@ VERDICTS = {"holds": "green", "partly": "yellow", "not reproduced": "red", "refu
 
 
 def reproduction(result: Reproduction) -> RenderableType:
-    """A row for every claim, and below it why the verdict is what it is."""
+    """A row for every claim, and below it why the verdict is what it is; then the study's tables."""
+    from rotorwatch.lab.experiments.studies.reproduction import tables
+
     title = Text(result.title, style="bold")
     seeds = f"{result.seeds} {'seed' if result.seeds == 1 else 'seeds'}"
     literal = f" · read literally: {', '.join(result.literal)}" if result.literal else ""
     rows = listing("", "claim", "the paper", "here", "verdict")
     for claim in result.claims:
         cell = Text(claim.claim).append(f"\n{claim.why}", style="dim")
-        rows.add_row(cell, claim.paper, claim.measured, Text(claim.verdict, style=VERDICTS[claim.verdict]))
+        verdict = f"holds only if {claim.only_if}" if claim.verdict == "partly" and claim.only_if else claim.verdict
+        rows.add_row(cell, claim.paper, claim.measured, Text(verdict, style=VERDICTS[claim.verdict]))
         rows.add_section()
-    return Group(title, Text(f"{result.paper} · {seeds}{literal}", style="dim"), rows)
+    parts: list[RenderableType] = [title, Text(f"{result.paper} · {seeds}{literal}", style="dim"), rows]
+    for table in tables(result.paper, result.figures):
+        more = listing(table.title, *table.head)
+        for row in table.rows:
+            more.add_row(*row)
+        parts += [Text(), more]
+    return Group(*parts)
 
 
 def observability(result) -> RenderableType:

@@ -138,11 +138,16 @@ def claims(f: dict) -> tuple[Claim, ...]:
         "intermediate", verdicts, f=f, fails="; ".join(f"{name} {text}" for name, text in fails.items()), off=off,
         passes=", ".join(name for name, row in rank.items() if row["holds"]),
         solved="; ".join(
-            f"mu = {r['mu']:g}: alpha = {r['alpha']:.2g}, largest gain {max(r['L']):.2g}, settled in {r['settle_s']:.2g} s"
+            f"mu = {r['mu']:g}: alpha = {r['alpha']:.2g}, largest gain {max(r['L']):.2g}, within 0.02 after {_seconds(r['settle_s'])} s"
             for r in named["its inverse"] if r["feasible"]
         ),
-        own="; ".join(f"alpha = {r['alpha']:g}: {r['settle_s']:.2g} s" for r in named["this project's"]),
+        own="; ".join(f"alpha = {r['alpha']:g}: {_seconds(r['settle_s'])} s" for r in named["this project's"]),
     )  # fmt: skip
+
+
+def _seconds(value: float | None) -> str:
+    """As text; what never settles is NaN in a run and None in a kept result."""
+    return "never" if value is None or np.isnan(value) else f"{value:.2f}"
 
 
 def tables(f: Mapping[str, Any]) -> list[Table]:
@@ -150,7 +155,7 @@ def tables(f: Mapping[str, Any]) -> list[Table]:
     solved = []
     for r in f["table_1"]["rows"]:
         found = (
-            [f"{r['alpha']:.3g}", " ".join(f"{v:.3g}" for v in r["L"]), f"{r['settle_s']:.2f}"]
+            [f"{r['alpha']:.3g}", " ".join(f"{v:.3g}" for v in r["L"]), _seconds(r["settle_s"])]
             if r["feasible"]
             else ["-", "none", "-"]
         )

@@ -64,7 +64,9 @@ def grid(file: dict, watch: Callable, gains: tuple[float, float], epsilon: float
     u, y = hover_flights.uncertain(known, [_real(file, *case) for case in cases], gamma, wind, air, LEVER)
     theta, found, x = watch(u, y)
     fault, xi = unmodelled(known, u, y, gamma)
-    flights = {str(k): (y[k] - x[k], fault[k] - found[k, :, 4:], fault[k], xi[k], (ONSET + 1,)) for k in range(len(u))}
+    flights = {
+        str(k): (y[k] - x[k], fault[k] - found[k, :, 4:], fault[k], xi[k], (1, ONSET + 1)) for k in range(len(u))
+    }
     bounds = error_bound.compare(flights, 1.0, gains, epsilon)["flights"]
     off = np.abs(theta - gamma).max(axis=2)
     rows = []
