@@ -41,6 +41,16 @@ def test_table_of_claims(run):
         assert words in out
 
 
+def test_a_condition_and_a_studys_tables_are_shown(run, monkeypatch):
+    study = fake("axkf")
+    claim = Claim("It converges.", "0.30", "0.31", "partly", "Why.", "it is calm")
+    study.reproduce = lambda seeds, literal=(), progress=None: Reproduction("axkf", "Title", (claim,), {"n": 3})
+    study.tables = lambda figures: [reproduction.Table("Numbers", ["a", "b"], [["1", str(figures["n"])]])]
+    monkeypatch.setattr(reproduction, "studies", lambda: {"axkf": study})
+    code, out, _ = run("reproduce", "axkf")
+    assert code == 0 and "holds only if it is calm" in " ".join(out.split()) and "Numbers" in out and "3" in out
+
+
 def test_json_of_one_is_an_object(run):
     code, out, _ = run("reproduce", "axkf", "--json", "--seeds", 2, "--literal", "sign")
     one = json.loads(out)
