@@ -177,6 +177,16 @@ def test_the_bound_by_integrating_the_errors_densely():
     np.testing.assert_allclose(limit[-1] ** 2, V[-1], rtol=0.03)
 
 
+def test_without_rates_the_observer_converges_and_the_theorem_is_silent():
+    """A channel's errors have the poles of s^3 + 10 s^2 + 25 s + 25 alpha; no L reaches the rates' part of Sigma, 2 alpha + 1 / epsilon."""
+    found = printed.matching(1.0, 50.0)
+    assert found["rank_CE"] == {"all eight": 4, "angles and height": 0} and found["least"] == pytest.approx(2.02)
+    assert (
+        found["slowest"] == pytest.approx(np.roots([1.0, 10.0, 25.0, 25.0]).real.max(), abs=1e-6)
+        and found["slowest"] < 0
+    )
+
+
 def test_the_printed_observer_is_its_equations():
     """`observe` against SciPy's integration of eqs. (11)-(14), for gains that are not diagonal."""
     from scipy.integrate import solve_ivp

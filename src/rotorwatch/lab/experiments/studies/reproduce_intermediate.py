@@ -276,6 +276,7 @@ def _as_printed(file: dict, flights, moving) -> dict:
     named = {name: tuple(getattr(flights, k)[flights.rows[name][0]] for k in ("u", "y", "gamma")) for name in SCENARIOS}
     return {
         "assumption_4": printed.assumptions(),
+        "matching": printed.matching(1.0, EPSILON),
         "table_1": printed.procedure(vehicle, flights.u[one], flights.y[one], readings, settle, own),
         "xi": printed.parts_of_xi(vehicle, named | {"climbing": tuple(a[0] for a in moving)}),
     }
