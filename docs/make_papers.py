@@ -1,9 +1,9 @@
 """Makes docs/papers.md: every claim of the five papers beside what comes out here.
 
     rotorwatch reproduce --all -o results      each paper's result, kept in a folder
-    python docs/make_papers.py results         the claims of these results into docs/papers.json, and the page
+    python docs/make_papers.py results         the claims and tables of these results into docs/papers.json, and the page
 
-Papers that have no result in the folder stay as they are. Without a folder the page is made from docs/papers.json as it is.
+A paper that the folder does not hold stays as it is. Without a folder the page is made from docs/papers.json as it is.
 """
 
 from __future__ import annotations
@@ -12,64 +12,89 @@ import json
 import sys
 from pathlib import Path
 
-from rotorwatch.lab.experiments import tools
+from rotorwatch.base import files
 from rotorwatch.lab.experiments.studies import reproduction
 
 HERE = Path(__file__).parent
-DATA, PAGE = HERE / "papers.json", HERE / "papers.md"
-WORDS = {"partly": "holds only in part"}
+DATA, PARTS, PAGE = HERE / "papers.json", HERE / "papers_parts.toml", HERE / "papers.md"
+WORDS = {"partly": "holds only in part"}  # where no condition is given
 HEAD = """# The five papers
 
-What each paper claims, and what comes out here. The page is made from the results of `rotorwatch reproduce --all` by
-`python docs/make_papers.py`. "Refuted": the opposite is shown. "Not reproduced": it does not come out, and the paper leaves enough open
-that it may have been so there.
+What each paper claims, and what comes out here; where its equations and tables are in the code (`src/rotorwatch`), and what draws its
+figures. The page is made from the results of `rotorwatch reproduce --all` by `python docs/make_papers.py`. "Holds only if": under the
+condition that is named. "Refuted": the opposite is shown. "Not reproduced": it does not come out, and the paper leaves enough open that
+it may have been so there.
 """
 
 
 def rows(folder: Path, before: list[dict]) -> list[dict]:
-    """Of every study in its order: paper, title, seeds, claims and forms of the result that is kept in the folder, or else of `before`."""
-    found = {row["paper"]: row for row in before}
-    for path in (folder / f"{name}.json" for name in reproduction.studies()):
-        if path.exists():
-            whole = json.loads(path.read_text(encoding="utf-8"))
-            kept = {key: whole[key] for key in ("paper", "title", "seeds", "claims", "forms") if key in whole}
-            found[kept["paper"]] = kept
-    return [found[name] for name in reproduction.studies()]
+    """Of every study in its order: paper, title, seeds, claims and tables of the result that is kept in the folder, else as before."""
+    known, found = {row["paper"]: row for row in before}, []
+    for name in reproduction.studies():
+        kept = folder / f"{name}.json"
+        if kept.exists():
+            whole = json.loads(kept.read_text(encoding="utf-8"))
+            known[name] = {key: whole[key] for key in ("paper", "title", "seeds", "claims", "forms") if key in whole}
+            known[name]["tables"] = [table._asdict() for table in reproduction.tables(name, whole["figures"])]
+        found.append(known[name])
+    return found
 
 
 def page(data: list[dict]) -> str:
     """The page of these rows."""
-    parts = [HEAD]
+    parts, known = [HEAD], files.toml(PARTS, "parts")[0]
     for row in data:
-        methods = ", ".join(f"[`{name}`](methods/{name}.md)" for name in reproduction.methods(row["paper"]))
-        pictures = ", ".join(f"[{stem}](methods/{stem}.svg)" for stem in _pictures(row["paper"]))
+        paper = row["paper"]
+        methods = ", ".join(f"[`{name}`](methods/{name}.md)" for name in reproduction.methods(paper))
         parts.append(
-            f"## {row['title']}\n\n`rotorwatch reproduce {row['paper']}`, {row['seeds']} seeds. Methods: {methods}.\n"
+            f"## {row['title']}\n\n`rotorwatch reproduce {paper}`, {row['seeds']} seeds. Methods: {methods}.\n"
         )
-        parts.append(f"Pictures: {pictures}.\n")
-        if reproduction.note(row["paper"]):
-            parts.append(f"**{reproduction.note(row['paper'])}**\n")
+        if reproduction.note(paper):
+            parts.append(f"**{reproduction.note(paper)}**\n")
         for heads, lines in reproduction.by_form(row.get("forms", {})):
-            told = [[_cell(WORDS.get(text, text)) for text in line] for line in lines]
-            parts.append(tools.table(heads, told) + "\n")
-        table = ["| claim | the paper | here | verdict |", "|---|---|---|---|"]
-        for claim in row["claims"]:
-            verdict = str(claim["verdict"])
-            cells = (
-                f"{claim['claim']}. {claim['why']}",
-                claim["paper"],
-                claim["measured"],
-                WORDS.get(verdict, verdict),
-            )
-            table.append("| " + " | ".join(_cell(text) for text in cells) + " |")
-        parts.append("\n".join(table) + "\n")
-        literal = reproduction.about(row["paper"])[1]
-        parts.append(
-            "Errata that `--literal` reads as printed:\n\n"
-            + "\n".join(f"- `{k}`: {v}" for k, v in literal.items())
-            + "\n"
-        )
+            parts.append(_table(heads, [[WORDS.get(text, text) for text in line] for line in lines]))
+        claims = [
+            [f"{c['claim'].rstrip('.')}. {c['why']}", c["paper"], c["measured"], _verdict(c)] for c in row["claims"]
+        ]
+        parts.append(_table(["claim", "the paper", "here", "verdict"], claims))
+        parts += [f"{table['title']}:\n\n{_table(table['head'], table['rows'])}" for table in row.get("tables", ())]
+        parts += _places(known[paper]) + _figures(paper, known[paper]["figures"])
+        literal = [f"- `{name}`: {text}" for name, text in reproduction.about(paper)[1].items()]
+        parts.append("\n".join(["Errata that `--literal` reads as printed:\n", *literal, ""]))
     return "\n".join(parts)
+
+
+def _places(parts: dict) -> list[str]:
+    """Where equations and tables are."""
+    rows = [[number, what, _code(code), note] for number, what, code, note in parts["equations"] + parts["tables"]]
+    head = f"Equations and tables. {parts['numbers']}".rstrip()
+    return [f"{head}\n\n{_table(['printed', 'what', 'in the code', 'note'], rows)}"]
+
+
+def _code(places: str) -> str:
+    """`file: names, file: names` as code, without what ends in nothing."""
+    return f"`{places.removesuffix(': ')}`"
+
+
+def _figures(paper: str, figures: list[list[str]]) -> list[str]:
+    """What draws each of the paper's figures, and the pictures beyond them."""
+    ours = _pictures(paper)
+    rows = [[number, what, _linked(picture) if picture in ours else picture] for number, what, picture in figures]
+    more = [_linked(name) for name in ours if name not in [picture for *_, picture in figures]]
+    found = [_table(["figure", "what it shows", "here"], rows)]
+    return found + ([f"More pictures: {', '.join(more)}.\n"] if more else [])
+
+
+def _linked(picture: str) -> str:
+    return f"[{picture}](methods/{picture}.svg)"
+
+
+def _table(head: list[str], rows: list[list[str]]) -> str:
+    lines = [head, ["---"] * len(head), *[[_cell(text) for text in row] for row in rows]]
+    return (
+        "\n".join("|" + "|".join(line) + "|" if line[0] == "---" else "| " + " | ".join(line) + " |" for line in lines)
+        + "\n"
+    )
 
 
 def _pictures(paper: str) -> list[str]:
@@ -77,13 +102,22 @@ def _pictures(paper: str) -> list[str]:
     return sorted(path.stem for path in (HERE / "methods").glob(f"{prefix}-*.svg"))
 
 
+def _verdict(claim: dict) -> str:
+    """In the page's words: of what holds in part the condition, where one is given."""
+    verdict = str(claim["verdict"])
+    return (
+        f"holds only if {claim['only_if']}"
+        if verdict == "partly" and claim.get("only_if")
+        else WORDS.get(verdict, verdict)
+    )
+
+
 def _cell(text: str) -> str:
     return text.replace("|", "\\|").replace("\n", " ")
 
 
 if __name__ == "__main__":
-    data = json.loads(DATA.read_text(encoding="utf-8"))
     if len(sys.argv) > 1:
-        data = rows(Path(sys.argv[1]), data)
-        DATA.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
-    PAGE.write_text(page(data), encoding="utf-8")
+        now = rows(Path(sys.argv[1]), json.loads(DATA.read_text(encoding="utf-8")))
+        DATA.write_text(json.dumps(now, indent=1) + "\n", encoding="utf-8")
+    PAGE.write_text(page(json.loads(DATA.read_text(encoding="utf-8"))), encoding="utf-8")

@@ -53,6 +53,20 @@ def test_the_papers_variables_on_the_quadrotor():
 
     assert off() < EXACT
     assert off("centre") > 1e-6
+    assert EXACT < off("kappa") < 1e-3  # nearly linear: points may lie where they like
+    _, system = study.plant(kind=printed.EulerRates)
+    assert EXACT < off() < 0.01  # near hover
+
+
+def test_euler_rates_are_body_rates_only_without_tilt():
+    x = np.zeros(12)
+    x[9:] = 0.3, -0.2, 0.5
+    (_, right), (_, other) = study.plant(), study.plant(kind=printed.EulerRates)
+    u, none = np.full(4, 0.3), np.zeros(4)
+    np.testing.assert_allclose(other.derivative(x, u, none), right.derivative(x, u, none), atol=1e-12)
+    x[3:5] = 0.4, 0.3
+    off = np.abs(np.asarray(other.derivative(x, u, none)) - np.asarray(right.derivative(x, u, none)))
+    assert off[3:6].max() > 0.1 and np.delete(off, [3, 4, 5]).max() < 1e-12
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +106,7 @@ def test_noise_reverses_the_ranking_and_the_gate_restores_it(result):
 def test_claims_and_their_verdicts(result):
     verdicts = [claim.verdict for claim in result.claims]
     assert verdicts[:5] == ["holds", "not reproduced", "not reproduced", "partly", "holds"]
-    assert verdicts[6:8] == ["not reproduced", "holds"]
+    assert verdicts[7:9] == ["not reproduced", "holds"]
     assert reproduction.study("atsukf") is study
     assert result.to_json()
 

@@ -1,12 +1,15 @@
 """The research commands from outside: `rotorwatch reproduce` and `rotorwatch observability`."""
 
 import json
+import threading
+import time
 from types import SimpleNamespace
 
 import pytest
 
 from rotorwatch.base import many
 from rotorwatch.base.many import processes
+from rotorwatch.commands import research
 from rotorwatch.lab.experiments.studies import reproduction
 from rotorwatch.lab.experiments.studies.reproduction import Claim, Reproduction
 
@@ -55,6 +58,16 @@ def test_each_step_is_a_line_where_no_bar_moves(run, paper):
     assert "first part" not in err
 
 
+def test_a_condition_and_a_studys_tables_are_shown(run, monkeypatch):
+    study = fake("axkf")
+    claim = Claim("It converges.", "0.30", "0.31", "partly", "Why.", "it is calm")
+    study.reproduce = lambda seeds, literal=(), progress=None: Reproduction("axkf", "Title", (claim,), {"n": 3})
+    study.tables = lambda figures: [reproduction.Table("Numbers", ["a", "b"], [["1", str(figures["n"])]])]
+    monkeypatch.setattr(reproduction, "studies", lambda: {"axkf": study})
+    code, out, _ = run("reproduce", "axkf")
+    assert code == 0 and "holds only if it is calm" in " ".join(out.split()) and "Numbers" in out and "3" in out
+
+
 def test_json_of_one_is_an_object(run):
     code, out, _ = run("reproduce", "axkf", "--json", "--seeds", 2, "--literal", "sign")
     one = json.loads(out)
@@ -90,6 +103,27 @@ def test_what_is_kept_is_not_run_again(run, tmp_path, monkeypatch):
     assert code == 0 and ran == ["aesmf"] and second == first and "axkf: read from" in err
     run(*argv, "--seeds", 2)
     assert ran == ["aesmf", "axkf", "aesmf"]  # other seeds are another result
+
+
+def test_a_long_run_says_that_it_runs(run, monkeypatch):
+    """What is run and how long it may take at once; then, now and then, that it still is, until it is over."""
+    monkeypatch.setattr(research, "EVERY_S", 0.02)
+    whole = reproduction.reproduce
+    monkeypatch.setattr(reproduction, "reproduce", lambda *a, **k: time.sleep(0.2) or whole(*a, **k))
+    code, _, err = run("reproduce", "all", "--jobs", 1)
+    first, *others = err.splitlines()
+    assert code == 0 and "running axkf, aesmf: about" in first
+    assert sum("still running, after 0 min" in line for line in others) > 3
+    before = threading.active_count()
+    _, _, err = run("reproduce", "axkf", "--quiet")
+    assert err == "" and threading.active_count() == before
+
+
+def test_a_result_is_kept_before_its_turn_comes(tmp_path):
+    """An interruption while the first paper runs loses nothing of what was done beside it."""
+    for later in ("aesmf", "axkf"):
+        reproduction._reproduced(later, 2, tmp_path, None)
+        assert reproduction.kept(tmp_path, reproduction.studies()[later], 2, ()) is not None
 
 
 def test_a_kept_file_that_is_none_is_said(run, tmp_path):

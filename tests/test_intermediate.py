@@ -332,6 +332,53 @@ def test_a_solver_that_errs_is_not_believed():
         design.checked(A, C, E, E, 1.0, 50.0, good, -1.0)
 
 
+def ranks(A, C, E, points):
+    """Rank of the pencil of eq. (8) at each of some numbers, as it is written."""
+    n, q = E.shape
+    none = np.zeros((len(C), q))
+    return [np.linalg.matrix_rank(np.block([[A - z * np.eye(n), E], [C, none]]), tol=1e-7) for z in points]
+
+
+def test_rank_test_on_the_hovering_quadrotor():
+    """Assumption 4 holds with all states or the pose; with rates alone constants of the pose hide, with angles alone the lift's fault."""
+    A, C, E = design.double_integrators()
+    points = [0.0, 1.0, 2.0 + 3.0j, 1e-3]
+    for some, holds in ((C, True), (C[:4], True), (C[4:], False), (C[:3], False)):
+        assert design.rank_test(A, some, E).holds is holds
+        assert (min(ranks(A, some, E, points)) == 12) == holds
+    np.testing.assert_allclose(design.rank_test(A, C[4:], E).zeros, 0.0, atol=1e-12)
+    assert design.rank_test(A, C[:3], E).everywhere and not design.rank_test(A, C[4:], E).everywhere
+
+
+@settings(max_examples=trials(25), deadline=None)
+@given(st.integers(0, 10**6), st.sampled_from([-2.0, -0.5, 0.7, 3.0]))
+def test_rank_test_finds_the_zero_that_was_built_in(seed, zero):
+    """Any plant with y = C x, one fault and a zero where it was put: c (z I - A)^-1 e = 0."""
+    rng = np.random.default_rng(seed)
+    A, e = rng.standard_normal((4, 4)), rng.standard_normal((4, 1))
+    x = np.linalg.solve(zero * np.eye(4) - A, e)[:, 0]
+    c = rng.standard_normal(4)
+    c = (c - x * (c @ x) / (x @ x))[None]
+    found = design.rank_test(A, c, e)
+    assert ranks(A, c, e, [zero]) == [4]  # one short
+    assert np.isclose(found.zeros, zero, atol=1e-5).any() == (zero > 0)
+    if zero > 0:
+        assert not found.holds
+    assert all(rank == 4 for rank in ranks(A, c, e, found.zeros))
+
+
+def test_table_1s_procedure_solves_the_inequality_with_the_least_gain():
+    A, C, E = design.double_integrators(1)
+    for mu in (1.0, 0.05):
+        alpha, found = design.table_1(A, C, E, E, mu, 50.0)
+        assert found.mu == pytest.approx(mu)
+        assert np.linalg.eigvalsh(design.sigma(A, C, E, E, found.L, alpha, 50.0, mu)).max() < 0
+        for other in (0.7 * alpha, 1.4 * alpha):
+            assert np.linalg.norm(design.synthesize(A, C, E, E, other, 50.0, mu=mu).L) > np.linalg.norm(found.L)
+    with pytest.raises(ConfigError, match="no solution for epsilon = 0\\.02, whatever alpha, L and mu are"):
+        design.table_1(A, C, E, E, 0.1, 0.02)
+
+
 # Plants.
 
 

@@ -2,10 +2,12 @@
 
 import importlib.util
 import json
+import re
 from pathlib import Path
 
 import pytest
 
+from rotorwatch.base import files
 from rotorwatch.lab.experiments.studies import reproduction
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -47,14 +49,6 @@ def test_claims_that_were_judged_for_several_forms_have_a_table_of_them(make, da
         assert known[claim] == reproduction.across(verdicts) or known[claim] == "partly"
 
 
-def test_a_paper_without_a_new_result_keeps_its_row(make, data, tmp_path):
-    new = {**data[1], "seeds": 99, "figures": {}, "literal": []}
-    (tmp_path / f"{new['paper']}.json").write_text(json.dumps(new))
-    found = make.rows(tmp_path, data)
-    assert [row == old for row, old in zip(found, data, strict=True)] == [True, False, True, True, True]
-    assert found[1]["seeds"] == 99 and "figures" not in found[1]
-
-
 def test_one_verdict_of_several():
     def across(*verdicts):
         return reproduction.across(dict(zip("abc", verdicts)))
@@ -62,6 +56,51 @@ def test_one_verdict_of_several():
     assert across("holds", "holds") == "holds" and across("refuted", "refuted") == "refuted"
     assert across("holds", "refuted") == across("not reproduced", "partly") == "partly"
     assert across("not reproduced", "refuted") == "not reproduced"
+
+
+def test_a_verdict_says_its_condition_and_tables_are_shown(make, data):
+    other = json.loads(json.dumps(data))
+    other[0]["claims"][0] |= {"verdict": "partly", "only_if": "it is calm"}
+    other[0]["tables"] = [{"title": "Numbers", "head": ["a", "b"], "rows": [["1", "2"]]}]
+    page = make.page(other)
+    assert "| holds only if it is calm |" in page and "Numbers:\n\n| a | b |\n|---|---|\n| 1 | 2 |" in page
+
+
+def test_a_folder_with_one_paper_leaves_the_others_as_they_are(make, data, tmp_path):
+    whole = {"paper": "atsukf", "title": "t", "seeds": 1, "claims": [], "figures": {}}
+    (tmp_path / "atsukf.json").write_text(json.dumps(whole), encoding="utf-8")
+    now = make.rows(tmp_path, data)
+    assert [a == b for a, b in zip(now, data, strict=True)] == [row["paper"] != "atsukf" for row in data]
+
+
+def test_equations_tables_and_figures_lead_to_what_is_there(make, data):
+    """Every file is there and has the names; every picture is; figures and table numbers are in order, and no figure is left out."""
+    parts, source = files.toml(make.PARTS, "parts")[0], DOCS.parent / "src" / "rotorwatch"
+    assert set(parts) == {row["paper"] for row in data}
+    last = {"aesmf": 9, "atsukf": 8, "axkf": 9, "intermediate": 18, "lyapunov-mhe": 2}  # figures in print
+    for paper, found in parts.items():
+        for _, _, code, _ in found["equations"] + found["tables"]:
+            file = None
+            for piece in re.split(r",\s*", code):
+                name = piece
+                if "/" in piece:
+                    file, _, name = piece.partition(": ")
+                    assert (source / file).is_file(), piece
+                assert file and re.search(
+                    rf"\b{name}\b" if name else "", (source / file).read_text(encoding="utf-8")
+                ), (file, name)
+        numbers = [int(n) for number, *_ in found["figures"] for n in re.findall(r"\d+", number)]
+        assert sorted(numbers) == list(range(1, last[paper] + 1))
+        for _, _, picture in found["figures"]:
+            assert " " in picture or (DOCS / "methods" / f"{picture}.svg").exists(), picture
+
+
+def test_literal_readings_that_the_page_names_are_there(make):
+    for paper, found in files.toml(make.PARTS, "parts")[0].items():
+        for *_, note in found["equations"] + found["tables"]:
+            if "--literal" in note:
+                names = re.findall(r"`(?:--literal )?([\w-]+)`", note)
+                assert names and set(names) <= set(reproduction.about(paper)[1]), note
 
 
 def test_every_claim_of_every_paper_has_a_row(data):

@@ -79,7 +79,8 @@ def test_it_can_be_written_down_and_drawn(result):
         "lmi_paper_feasible",
     }
     drawn = study.figures(result)
-    assert set(drawn) == {"intermediate-losses", "intermediate-channels", "intermediate-position", "intermediate-bound"}
+    names = ("losses", "channels", "position", "bound", "wrong-models")
+    assert set(drawn) == {f"intermediate-{name}" for name in names}
     assert len(drawn["intermediate-channels"].axes) == 16 and len(drawn["intermediate-position"].axes) == 12
     assert all(len(axes.lines) > 0 for figure in drawn.values() for axes in figure.axes)
 
@@ -155,6 +156,23 @@ def test_positions_and_what_of_them_depends_on_gains_that_are_not_printed(result
     fall = np.array(result.figures["position"]["scenario_4"]["off_m"])[0, 0]
     assert fall[:2].max() < 1e-9 and fall[2] == pytest.approx(0.4, abs=0.03)
     assert claim(result, "Scenario 4").verdict == "holds"
+
+
+@pytest.mark.thorough
+def test_faults_at_the_printed_times_and_the_procedure_of_table_1(result):
+    """130 s; and of epsilon = 0.02 nothing can be solved, whatever mu is."""
+    for row in result.figures["printed_times"]["flights"].values():
+        np.testing.assert_allclose(row["final"], row["true"], atol=2e-3)
+    rows = result.figures["table_1"]["rows"]
+    assert {r["reading"]: r["feasible"] for r in rows} == {
+        "as printed": False,
+        "its inverse": True,
+        "this project's": True,
+    }
+    assert claim(result, "Table 1").verdict == "partly" and claim(result, "Table 1").only_if
+    assert claim(result, "The model meets").verdict == claim(result, "Faults at the printed").verdict == "holds"
+    shown = study.tables(json.loads(result.to_json())["figures"])
+    assert len(shown) == 3 and all(len(row) == len(table.head) for table in shown for row in table.rows)
 
 
 @pytest.mark.thorough

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from rotorwatch import airframes
 from rotorwatch.lab.experiments.studies import reproduce_lyapunov_mhe as study
 
 SHAPE = (len(study.PATHS), len(study.FAULTS), 10)
@@ -37,6 +38,24 @@ def test_the_interval_is_students():
     assert study.spread(values) == pytest.approx((high - low) / 2)
     assert study.spread(values[:1]) is None
     assert study.together(np.array([3.0, 4.0])) == pytest.approx(np.sqrt(12.5))
+
+
+def test_eq_6_literally_takes_the_plant_at_the_estimate():
+    """By hand: the prediction of the rates from the observer's own, with eq. (6)'s cross product; as built from the measured ones."""
+    system = study.RateDynamics.of(airframes.paper("niermeyer-hexa"))
+    omega_hat, omega, theta = np.array([1.0, -2.0, 0.7]), np.array([1.2, -1.7, 0.6]), np.full(6, 0.1)
+    u, dt, J = np.linspace(0.3, 0.5, 6), 0.005, np.asarray(system.J)
+    y, valid = np.array([1.2, -1.7, 0.6, -9.0]), np.ones(4, bool)
+
+    def turned(at):
+        return np.linalg.solve(J, np.asarray(system.B_tau) @ (u * (1 - theta)) - np.cross(at, J @ at))
+
+    for kind, at in ((study.AtEstimate, omega_hat), (study.Lyapunov, omega)):
+        estimator = kind(system, dt, bounds=study.LOOSE)
+        carry = estimator.init()._replace(x=omega_hat, measured=omega, theta=theta)
+        _, out = estimator.step(carry, u, y, valid)
+        np.testing.assert_allclose(out.innovation[:3], y[:3] - (omega_hat + dt * turned(at)), atol=2e-4)
+    assert np.abs(turned(omega) - turned(omega_hat)).max() * dt > 1e-3  # the two are told apart
 
 
 def numbers(better, worse):

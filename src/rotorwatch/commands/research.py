@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import functools
 import textwrap
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import click
@@ -12,6 +16,7 @@ from rotorwatch.commands.tools import OUT, common, drawable, live, progress, say
 from rotorwatch.errors import ConfigError
 
 FIGURES = "Draw the paper's figures again, as SVG files in this folder."
+EVERY_S = 120.0  # between two lines of a run that no bar shows
 KEPT = "Keep each paper's result in this folder as soon as it is there, and do not run again what is kept there."
 
 
@@ -114,7 +119,46 @@ def reproduce(paper, every, seeds, literal, figures, output, jobs, scheduler, as
     kept = {m.PAPER: reproduction.kept(output, m, seeds, literal) if output else None for m in modules}
     due = [name for name, one in kept.items() if one is None or figures]
     lines = None if quiet or live() else _line
-    together = reproduction.reproduce_many(due, seeds, jobs, scheduler, lines) if paper == "all" and due else None
+    together = (
+        reproduction.reproduce_many(due, seeds, jobs, scheduler, output, lines) if paper == "all" and due else None
+    )
+    with _lines(quiet, due):
+        results = _results(modules, kept, due, together, seeds, literal, figures, output, as_json, quiet, lines)
+    if as_json:
+        import json
+
+        out = [result.to_dict() for result in results]
+        click.echo(json.dumps(out if paper == "all" else out[0], indent=1, allow_nan=False))
+
+
+@contextmanager
+def _lines(quiet: bool, due: Sequence[str]) -> Iterator[None]:
+    """Lines on standard error where no bar can move: what is run and how long it may take, and every now and then that it is."""
+    if quiet or live() or not due:
+        yield
+        return
+    from rotorwatch.lab.experiments.studies import reproduction
+
+    took, began, over = sum(map(reproduction.minutes, due)), time.monotonic(), threading.Event()
+    say(f"running {', '.join(due)}: about {took:.0f} min of work with two cores")
+
+    def still() -> None:
+        while not over.wait(EVERY_S):
+            say(f"still running, after {(time.monotonic() - began) / 60.0:.0f} min")
+
+    thread = threading.Thread(target=still, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
+def _results(modules, kept, due, together, seeds, literal, figures, output, as_json, quiet, lines) -> list:
+    """Every study's result, run or read, shown and drawn as soon as it is there."""
+    from rotorwatch.lab.experiments.studies import reproduction
+
     results = []
     for done, module in enumerate(modules):
         with progress(quiet) as report:
@@ -138,11 +182,7 @@ def reproduce(paper, every, seeds, literal, figures, output, jobs, scheduler, as
             for path in _draw(module, result, figures):
                 if not quiet:
                     say(f"figure written to {path}")
-    if as_json:
-        import json
-
-        out = [result.to_dict() for result in results]
-        click.echo(json.dumps(out if paper == "all" else out[0], indent=1, allow_nan=False))
+    return results
 
 
 def _line(paper: str, share: float, text: str = "") -> None:

@@ -9,7 +9,7 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from rotorwatch import report
-from rotorwatch.lab.experiments.studies.reproduction import by_form
+from rotorwatch.lab.experiments.studies.reproduction import by_form, tables
 from rotorwatch.report.terminal import listing
 
 if TYPE_CHECKING:
@@ -19,14 +19,15 @@ VERDICTS = {"holds": "green", "partly": "yellow", "not reproduced": "red", "refu
 
 
 def reproduction(result: Reproduction) -> RenderableType:
-    """A row for every claim, and below it why the verdict is what it is."""
+    """A row for every claim, and below it why the verdict is what it is; then the study's tables."""
     title = Text(result.title, style="bold")
     seeds = f"{result.seeds} {'seed' if result.seeds == 1 else 'seeds'}"
     literal = f" · read literally: {', '.join(result.literal)}" if result.literal else ""
     rows = listing("", "claim", "the paper", "here", "verdict")
     for claim in result.claims:
         cell = Text(claim.claim).append(f"\n{claim.why}", style="dim")
-        rows.add_row(cell, claim.paper, claim.measured, Text(claim.verdict, style=VERDICTS[claim.verdict]))
+        verdict = f"holds only if {claim.only_if}" if claim.verdict == "partly" and claim.only_if else claim.verdict
+        rows.add_row(cell, claim.paper, claim.measured, Text(verdict, style=VERDICTS[claim.verdict]))
         rows.add_section()
     parts: list[RenderableType] = [title, Text(f"{result.paper} · {seeds}{literal}", style="dim")]
     for heads, lines in by_form(result.forms):
@@ -34,7 +35,13 @@ def reproduction(result: Reproduction) -> RenderableType:
         for claim, *verdicts in lines:
             forms.add_row(claim, *(Text(verdict, style=VERDICTS[verdict]) for verdict in verdicts))
         parts.append(forms)
-    return Group(*parts, rows)
+    parts.append(rows)
+    for table in tables(result.paper, result.figures):
+        more = listing(table.title, *table.head)
+        for row in table.rows:
+            more.add_row(*row)
+        parts += [Text(), more]
+    return Group(*parts)
 
 
 def observability(result) -> RenderableType:

@@ -5,7 +5,7 @@ When e'e > threshold tr S and the window of the last M innovations, window_s / d
     delta = max(1, [tr sum e e' / (M - 1) - tr P_yy - tr H P_theta H'] / tr H Q_theta H')
 
 while beta-, H and P_free keep their nominal values (recomputing them with delta diverges). Source: Zhang et al., Drones 7
-(2023) 12, section 3.2, eqs. (40)-(47). Options beyond the paper: a whiteness gate, because only innovations that point the same
+(2023) 12, section 3.2, eqs. (45)-(52). Options beyond the paper: a whiteness gate, because only innovations that point the same
 way twice speak of a loss that moves, not of noise; and losses kept in [0, 1]. docs/methods/atsukf.md.
 """
 

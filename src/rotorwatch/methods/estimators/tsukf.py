@@ -1,6 +1,6 @@
 """Two-stage unscented Kalman filter: points are drawn for the states only, losses are carried by a linear coupling.
 
-Equations: `rotorwatch.methods.maths.two_stage`. Source: Zhang et al., Drones 7 (2023) 12, section 3.1. docs/methods/tsukf.md.
+Equations: `rotorwatch.methods.maths.two_stage`. Source: Zhang et al., Drones 7 (2023) 12, eqs. (20)-(44). docs/methods/tsukf.md.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@
                 theta += K_theta (y - y-)           beta = beta- - K_x H
                 x = x- + K_x (y - y-) + beta (theta - theta-)              P_x = P_free + beta P_theta beta'
 
-Source: Zhang, Zhang, Li, Qin and Xu, Drones 7 (2023) 12, eqs. (19)-(39), after Chen et al., IET Control Theory Appl. 12
+Source: Zhang, Zhang, Li, Qin and Xu, Drones 7 (2023) 12, eqs. (20)-(44), after Chen et al., IET Control Theory Appl. 12
 (2018) 1781; errata in docs/methods/tsukf.md. The mean carried is the fused one, x = x_free + beta theta: what the paper
 writes in x_free follows from it by putting in x_free- = x- - beta- theta, and the innovation y - h(x_free-) - H theta is that
 of x-. dh/dtheta is there for plants whose losses are felt in the measurement directly. On a linear Gaussian plant this is

@@ -5,7 +5,7 @@
 
 theta_1 bounds the disturbance xi, theta_2 the fault's rate. With mu = 1 the errors are at most those of dV/dt = -sigma V + eta that
 starts where they do, and end within sqrt(eta / sigma). Both come out of simulated flights, without noise: the theorem knows of none.
-xi is gyroscopic torque, and lift that tilt turns away; the fault is what the rotors lack.
+xi is gyroscopic torque, the rotors' included, and lift that tilt turns away; the fault is what the rotors lack.
 
 Source: Nguyen, Huynh, Do, Mung and Hong, Sensors 20 (2020) 4917, eqs. (15)-(29).
 """
@@ -31,7 +31,9 @@ def truth(vehicle: Craft, u, y, gamma) -> tuple[np.ndarray, np.ndarray]:
     p, q, r = y[..., 4], y[..., 5], y[..., 6]
     tilt = np.cos(y[..., 0]) * np.cos(y[..., 1]) - 1.0
     lift = (u * (1.0 - gamma)) @ DM[3]
-    xi = [(I_2 - I_3) / I_1 * q * r, (I_3 - I_1) / I_2 * p * r, (I_1 - I_2) / I_3 * p * q, -tilt * lift]
+    momentum = np.sqrt(u * (1.0 - gamma)) @ vehicle.spun  # J_r Omega
+    roll, pitch, yaw = (I_2 - I_3) * q * r - momentum * q, (I_3 - I_1) * p * r + momentum * p, (I_1 - I_2) * p * q
+    xi = [roll / I_1, pitch / I_2, yaw / I_3, -tilt * lift]
     return fault, np.stack(xi, axis=-1)
 
 

@@ -1,11 +1,14 @@
 """Simulated hovering flights with weakened rotors, for the intermediate observer's study: truth, made without any estimator.
 
     d2(phi, theta, psi)/dt2 = (U_2, U_3, U_4) / I + gyroscopic torque / I,   d2z/dt2 = -g + U_1 cos(phi) cos(theta) / m
+    gyroscopic torque = ((I_2 - I_3) q r - J_r Omega q, (I_3 - I_1) p r + J_r Omega p, (I_1 - I_2) p q),   (p, q, r) = rates
     d2x/dt2 = U_T (cos phi sin theta cos psi + sin phi sin psi),   d2y/dt2 = U_T (cos phi sin theta sin psi - sin phi cos psi)
     (U_2, U_3, U_4, U_1) = M diag(pwm) (1 - gamma),   U_T = U_1 / m
 
 z points up; angles are the autopilot's (roll right, nose up, nose right). Source: Nguyen, Huynh, Do, Mung and Hong, Sensors 20
-(2020) 4917, eqs. (3), (5) and (39) without air drag, Runge-Kutta at 400 Hz, under a PID controller that sees noisy measurements.
+(2020) 4917, eqs. (3), (5), (6) and (39), Runge-Kutta at 400 Hz, under a PID controller that sees noisy measurements. Omega is the sum
+of the rotors' speeds with their directions, a speed growing with the root of the thrust; eq. (6) prints the second gyroscopic term of
+the rotors with the sign of the first, which would do work on the vehicle. Air drag (eq. 5) acts in `uncertain` alone.
 
 For the figures of position the paper flew an autopilot's position hold and prints no gains, so they are assumed: position and velocity
 loops with the autopilot's usual 1 / s, 1 / s and 0.5 / s^2 and tilt of at most 20 degrees, around the PID of attitude and height, of
@@ -16,6 +19,7 @@ it by the cube.
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,10 +42,12 @@ SD = np.array([2e-3, 2e-3, 2e-3, 0.02, 0.01, 0.01, 0.01, 0.05])  # rad, m, rad/s
 
 @dataclass(frozen=True)
 class Craft:
-    """M (4, n): (U_2, U_3, U_4, U_1) per count; D (4,): 1 / (I_1, I_2, I_3, m); gravity; counts_max; file: as an airframe file."""
+    """M (4, n): (U_2, U_3, U_4, U_1) per count; D (4,): 1 / (I_1, I_2, I_3, m); spun (n,): J_r Omega is its product with the root of
+    the counts that turn the rotors; gravity; counts_max; file: as an airframe file."""
 
     M: np.ndarray
     D: np.ndarray
+    spun: np.ndarray
     gravity: float
     counts_max: float
     file: dict
@@ -58,7 +64,9 @@ def craft(file: dict) -> Craft:
     thrust = file["thrust_max"] / file["counts_max"]
     M = thrust * np.stack([-y, x, file["drag_ratio"] * spin, np.ones(x.size)])
     D = 1.0 / np.array([*file["inertia"], file["mass"]])
-    return Craft(M, D, file["gravity"], file["counts_max"], file)
+    # A rotor turns against the torque that it leaves to the vehicle.
+    spun = -spin * file["rotor_inertia"] * file["rotor_speed_max"] / np.sqrt(file["counts_max"])
+    return Craft(M, D, spun, file["gravity"], file["counts_max"], file)
 
 
 def ring(file: dict, rotors: int) -> dict:
@@ -99,11 +107,30 @@ def hold(vehicle: Craft, gamma: np.ndarray, stiffness: np.ndarray) -> tuple[np.n
     return x[..., [8, 9, 3]], u
 
 
-def _flown(holds: bool, vehicle: Craft, gamma, reference, noise, stiffness) -> tuple[np.ndarray, np.ndarray]:
+def uncertain(vehicle: Craft, real: Sequence[Craft], gamma, wind, drag, lever: float):
+    """Flights (N) without noise that hold their place, of vehicles `real` (N) whose controller takes them for `vehicle`: counts u
+    (N, T, 4), and y (N, T, 8) as in `fly`.
+
+    wind (N, T, 3): along x, y and up [m/s]. The air pushes with drag (N,) [1/s] times the difference of speeds, `lever` [m] above the
+    centre of mass.
+    """
+    N, T = gamma.shape[:2]
+    still = np.zeros((N, T, 4)), np.zeros((N, PER_SAMPLE * T, 8))
+    u, x = _flown(True, vehicle, gamma, *still, np.ones(N), real, (wind, drag, np.full(N, lever)))
+    return u, x[..., :8] * np.array([1, 1, 1, -1] * 2)
+
+
+def _flown(
+    holds: bool, vehicle: Craft, gamma, reference, noise, stiffness, real: Sequence[Craft] = (), air=None
+) -> tuple[np.ndarray, np.ndarray]:
     """Mean counts (N, T, n) over each sample, and the states (N, T, 12) at its end: angles and height, their rates, x, y, their rates."""
-    M, D = vehicle.M, vehicle.D
-    rows = noise.reshape(*gamma.shape[:2], PER_SAMPLE, 8)
-    found = _program(holds)(M, D, vehicle.gravity, vehicle.counts_max, gamma, reference, rows, stiffness)
+    N, T = gamma.shape[:2]
+    real = real or [vehicle] * N
+    flown = tuple(np.stack([getattr(one, name) for one in real]) for name in ("M", "D", "spun"))
+    air = (np.zeros((N, T, 3)), np.zeros(N), np.zeros(N)) if air is None else air
+    known = vehicle.M, vehicle.D, vehicle.gravity, vehicle.counts_max
+    rows = noise.reshape(N, T, PER_SAMPLE, 8)
+    found = _program(holds)(known, flown, air, gamma, reference, rows, stiffness)
     return np.asarray(found[0]), np.asarray(found[1])
 
 
@@ -114,24 +141,29 @@ def _program(holds: bool):
     jnp = jax.numpy
     dt = 1.0 / PLANT_HZ
 
-    def derivative(x, U, D, gravity):
+    def derivative(x, U, momentum, D, gravity, push, lever):
         phi, theta, psi, p, q, r = x[0], x[1], x[2], x[4], x[5], x[6]
         I_1, I_2, I_3 = 1.0 / D[:3]
-        turn = jnp.stack([(I_2 - I_3) * q * r, (I_3 - I_1) * p * r, (I_1 - I_2) * p * q])
+        turn = jnp.stack([(I_2 - I_3) * q * r - momentum * q, (I_3 - I_1) * p * r + momentum * p, (I_1 - I_2) * p * q])
+        blown = (
+            lever / D[3] * jnp.stack([-push[1], push[0], 0.0 * push[2]])
+        )  # a lean towards x is +theta, towards y -phi
         lift = D[3] * U[3]
-        east = lift * (jnp.cos(phi) * jnp.sin(theta) * jnp.cos(psi) + jnp.sin(phi) * jnp.sin(psi))
-        north = lift * (jnp.cos(phi) * jnp.sin(theta) * jnp.sin(psi) - jnp.sin(phi) * jnp.cos(psi))
-        climb = lift * jnp.cos(phi) * jnp.cos(theta) - gravity
-        return jnp.concatenate([x[4:8], D[:3] * (U[:3] + turn), climb[None], x[10:], jnp.stack([east, north])])
+        east = lift * (jnp.cos(phi) * jnp.sin(theta) * jnp.cos(psi) + jnp.sin(phi) * jnp.sin(psi)) + push[0]
+        north = lift * (jnp.cos(phi) * jnp.sin(theta) * jnp.sin(psi) - jnp.sin(phi) * jnp.cos(psi)) + push[1]
+        climb = lift * jnp.cos(phi) * jnp.cos(theta) - gravity + push[2]
+        return jnp.concatenate([x[4:8], D[:3] * (U[:3] + turn + blown), climb[None], x[10:], jnp.stack([east, north])])
 
-    def flight(M, D, gravity, counts_max, gamma, reference, noise, stiffness):
+    def flight(known, flown, air, gamma, reference, noise, stiffness):
+        (M, D, gravity, counts_max), (winds, drag, lever) = known, air
+        real_M, real_D, spun = flown
         inverse = jnp.linalg.pinv(D[:, None] * M)
         lift = jnp.array([0.0, 0.0, 0.0, 1.0]) * gravity
         slow_down = jnp.where(np.arange(4) < 3, stiffness, 1.0)
         kp, kd, ki = KP * slow_down**2, KD * slow_down, KI * slow_down**3
 
         def plant(carry, row):
-            x, integral, slow, loss, wanted = carry
+            x, integral, slow, loss, wanted, wind = carry
             if holds:
                 missing = -POSITION * x[8:10] - x[10:]
                 slow = slow + missing * dt
@@ -141,15 +173,20 @@ def _program(holds: bool):
             error = wanted - seen[:4]
             integral = integral + error * dt
             u = jnp.clip(inverse @ (kp * error - kd * seen[4:] + ki * integral + lift), 0.0, counts_max)
-            U = M @ (u * (1.0 - loss))
-            return (rk4(lambda x: derivative(x, U, D, gravity), x, dt), integral, slow, loss, wanted), u
+            turning = u * (1.0 - loss)
+
+            def rate(x):
+                pushed = drag * (wind - jnp.stack([x[10], x[11], x[7]]))
+                return derivative(x, real_M @ turning, spun @ jnp.sqrt(turning), real_D, gravity, pushed, lever)
+
+            return (rk4(rate, x, dt), integral, slow, loss, wanted, wind), u
 
         def sample(carry, row):
-            loss, wanted, noise = row
-            (x, integral, slow, *_), u = jax.lax.scan(plant, (*carry, loss, wanted), noise)
+            loss, wanted, wind, noise = row
+            (x, integral, slow, *_), u = jax.lax.scan(plant, (*carry, loss, wanted, wind), noise)
             return (x, integral, slow), (u.mean(axis=0), x)
 
         start = (jnp.zeros(12), jnp.zeros(4), jnp.zeros(2))
-        return jax.lax.scan(sample, start, (gamma, reference, noise))[1]
+        return jax.lax.scan(sample, start, (gamma, reference, winds, noise))[1]
 
-    return jax.jit(jax.vmap(flight, in_axes=(None, None, None, None, 0, 0, 0, 0)))
+    return jax.jit(jax.vmap(flight, in_axes=(None, 0, 0, 0, 0, 0, 0)))

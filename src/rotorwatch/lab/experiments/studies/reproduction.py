@@ -7,6 +7,7 @@ A study is a module `studies/reproduce_<paper>.py` with
     SEEDS = 10                          noise seeds when the user names none
     def reproduce(seeds=SEEDS, literal=(), progress=silent) -> Reproduction     of names in LITERAL; progress(share)
     def figures(result) -> {"file_stem": matplotlib Figure}             the paper's figures, drawn again
+    def tables(figures) -> [Table]                                      of the result's figures, for its page; may be left out
 
 and is found by looking into this folder.
 """
@@ -22,7 +23,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -34,13 +35,23 @@ Verdict = Literal["holds", "partly", "not reproduced", "refuted"]
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim: what it says, what the paper reports, what came out here, the verdict and why. Short sentences."""
+    """One claim: what it says, what the paper reports, what came out here, the verdict and why. Short sentences. only_if: under which
+    condition it holds, for the verdict "partly"."""
 
     claim: str
     paper: str
     measured: str
     verdict: Verdict
     why: str
+    only_if: str = ""
+
+
+class Table(NamedTuple):
+    """Numbers of a study as its page shows them: title, head, and rows of texts."""
+
+    title: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
 
 
 @dataclass(frozen=True)
@@ -104,12 +115,17 @@ def note(paper: str) -> str:
     return _words(paper).get("note", "")
 
 
+def minutes(paper: str) -> float:
+    """About how long the study takes with two cores."""
+    return float(_words(paper)["minutes"])
+
+
 def listing() -> str:
     """Every paper, its methods and its literal readings, for the help of the command line."""
     lines = []
     for name in studies():
         title, literal = about(name)
-        lines += [f"{name}: {title}", f"    about {_words(name)['minutes']:g} min; methods: {', '.join(methods(name))}"]
+        lines += [f"{name}: {title}", f"    about {minutes(name):g} min; methods: {', '.join(methods(name))}"]
         lines += [f"    --literal {key}: {text}" for key, text in literal.items()]
     return "\n".join(lines)
 
@@ -155,6 +171,12 @@ def panels(rows: int, columns: int, size: tuple[float, float], grid: bool = True
     return figure, axes
 
 
+def tables(paper: str, figures: Mapping[str, Any]) -> list[Table]:
+    """The tables that a study makes of the numbers of a result."""
+    make = getattr(study(paper), "tables", None)
+    return make(figures) if make else []
+
+
 def studies() -> dict[str, ModuleType]:
     """Paper name -> its study module, in the order of names."""
     package = importlib.import_module("rotorwatch.lab.experiments.studies")
@@ -195,15 +217,21 @@ def reproduce_many(
     seeds: int | None = None,
     jobs: int | None = None,
     scheduler: str | None = None,
+    folder: Path | None = None,
     progress: Callable | None = None,
 ) -> Iterator[Reproduction]:
-    """`reproduce` of each of several papers, in this order. jobs, scheduler: as for `many.run`. progress(paper, share, text): called where
-    the paper is run, so it can be sent there."""
-    return many.ordered(functools.partial(_one_of_many, seeds=seeds, progress=progress), papers, jobs, scheduler)
+    """`reproduce` of each of several papers, in this order. jobs, scheduler: as for `many.run`. folder: where each result is kept as soon
+    as it is there, whichever comes first (not by other computers, which have another disk). progress(paper, share, text): called where the
+    paper is run, so it can be sent there."""
+    one = functools.partial(_reproduced, seeds=seeds, folder=None if scheduler else folder, progress=progress)
+    return many.ordered(one, papers, jobs, scheduler)
 
 
-def _one_of_many(paper: str, seeds: int | None, progress: Callable | None) -> Reproduction:
-    return reproduce(paper, seeds, progress=functools.partial(progress, paper) if progress else None)
+def _reproduced(paper: str, seeds: int | None, folder: Path | None, progress: Callable | None) -> Reproduction:
+    result = reproduce(paper, seeds, progress=functools.partial(progress, paper) if progress else None)
+    if folder:
+        keep(folder, result)
+    return result
 
 
 def keep(folder: Path, result: Reproduction) -> Path:

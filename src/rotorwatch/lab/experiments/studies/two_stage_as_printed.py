@@ -1,7 +1,7 @@
 """The two-stage unscented Kalman filter in the paper's own variables, each erratum as a switch: to see what it does.
 
 With all switches off this is `estimators.TSUKF` on plants with a linear h, written another way: dense inverses, the bias-free
-mean carried. Zhang, Zhang, Li, Qin and Xu, Drones 7 (2023) 12, eqs. (19)-(39).
+mean carried; kappa is 0. Zhang, Zhang, Li, Qin and Xu, Drones 7 (2023) 12, eqs. (20)-(44).
 """
 
 from __future__ import annotations
@@ -12,12 +12,24 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.core import Array
+from rotorwatch.methods.maths.systems.rigid_body import RigidBody
 
-READINGS = ("no_redraw", "centre", "gain_covariance", "inverse")
+READINGS = ("no_redraw", "centre", "gain_covariance", "inverse", "kappa", "euler_rates")
 
 
 class Carry(namedtuple("Carry", "x_free P_free gamma P_gamma beta")):
     """x_free (n_x,), P_free (n_x, n_x): bias-free filter. gamma (n_theta,), P_gamma: bias filter. beta (n_x, n_theta): coupling."""
+
+
+class EulerRates(RigidBody):
+    """Eq. (1) as printed: the last three states are the rates of the Euler angles, and turn as body rates do."""
+
+    def derivative(self, x, u, theta):
+        """dx/dt (12,)."""
+        from jax import numpy as jnp
+
+        right = super().derivative(x, u, theta)
+        return jnp.concatenate([right[:3], x[9:12], right[6:]])
 
 
 class AsPrinted:
@@ -25,7 +37,7 @@ class AsPrinted:
 
     reading: any of READINGS. no_redraw: measurement points are the propagated ones. centre: points are drawn around the
     bias-free mean, and losses move them by r gamma. gain_covariance: P_gamma is corrected with P_yy where S belongs. inverse:
-    F_x and H_x divide by covariances where their roots belong.
+    F_x and H_x divide by covariances where their roots belong. kappa: 3 - n. euler_rates is a matter of the plant: `EulerRates`.
     """
 
     def __init__(self, system: Any, dt: float, Q_gamma, P0_gamma, reading: tuple[str, ...] = (), alpha=0.1, beta=2.0):
@@ -33,7 +45,7 @@ class AsPrinted:
         self.system, self.dt, self.Q_gamma, self.P0_gamma = system, dt, Q_gamma, P0_gamma
         self.reading = {name: name in reading for name in READINGS}
         n = system.n_x
-        size = alpha**2 * n  # n + lambda
+        size = alpha**2 * (3.0 if self.reading["kappa"] else n)  # n + lambda = alpha^2 (n + kappa)
         self.spread = np.sqrt(size)
         self.w_mean = np.full(2 * n + 1, 0.5 / size)
         self.w_mean[0] = 1.0 - n / size
