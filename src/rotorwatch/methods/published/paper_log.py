@@ -125,7 +125,7 @@ def _learning(table: Ticks, hop: LogPlant) -> np.ndarray:
     """The ticks of the hop's flight in which it was learned, before its first row."""
     start = np.flatnonzero(table.restart[: hop.rows[0] + 1])[-1]
     here = np.arange(start, hop.rows[0])
-    return here[(table.mode[here] == LEARN) & table.valid[here].all(axis=1)]
+    return here[(table.mode[here] == LEARN) & (table.thrust[here] > 0.0).all(axis=1)]
 
 
 def _trim(known: Numbers, mean: np.ndarray) -> np.ndarray:
