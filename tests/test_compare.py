@@ -184,9 +184,9 @@ def test_truth_tables_choose_the_logs(tmp_path):
 
 def test_the_command(monkeypatch):
     monkeypatch.setattr(compare_flights, "simulated", lambda *a: [])
-    monkeypatch.setattr(study, "compare", lambda scenes, names, tell: {"groups": {}, "us_per_step": {}, "failed": {}})
+    monkeypatch.setattr(study, "each", lambda scenes, names: iter([study.Compared(name, {}, 1.0) for name in names]))
     done = CliRunner().invoke(cli.cli, ["compare", "--json", "--estimators", "ekf, ukf"])
-    assert done.exit_code == 0 and json.loads(done.output)["groups"] == {}
+    assert done.exit_code == 0 and json.loads(done.stdout)["us_per_step"] == {"ekf": 1.0, "ukf": 1.0}
 
 
 def test_diagnose_by_name_says_what_it_assumes():
@@ -216,3 +216,22 @@ def test_an_estimator_may_lie_in_the_current_folder(arguments, tmp_path, monkeyp
     monkeypatch.setattr(sys, "path", [place for place in sys.path if place])
     done = CliRunner().invoke(cli.cli, [text.format(arguments[0]) for text in arguments])
     assert isinstance(done.exception, ConfigError) and "step" in str(done.exception), done.exception
+
+
+def test_what_is_through_is_printed_when_it_is_interrupted(quads, monkeypatch):
+    """Before anything runs the names are said; each estimator as soon as it is through; Ctrl-C ends with those."""
+
+    def each(scenes, names, progress=None):
+        row = study._row([{"judged_s": 60.0, "fault": False, "false_alarms": 1}])
+        yield study.Compared("default", {scenes[0].group: row}, 3.0)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(study, "each", each)
+    monkeypatch.setattr(compare_flights, "simulated", lambda *a: quads)
+    done = CliRunner().invoke(cli.cli, ["compare", "--seeds", "1", "--estimators", "default,ekf"])
+    said = done.stderr.splitlines()
+    assert "2 estimators, one after the other: default, ekf" in said[0] and "flights for each" in said[1]
+    assert said[2].startswith("1 of 2, default: ") and "false alarms 1" in said[2]
+    assert "| `default` |" in done.stdout and "Interrupted: ekf did not run." in done.stdout and done.exit_code != 0
+    result = CliRunner().invoke(cli.cli, ["compare", "--seeds", "1", "--estimators", "default,ekf", "--json", "-q"])
+    assert json.loads(result.stdout)["missing"] == ["ekf"]

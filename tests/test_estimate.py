@@ -1,13 +1,18 @@
 """`rotorwatch estimate`: what a published method itself says of a log, in files, pictures and pages, and in the answer of `diagnose`."""
 
 import csv
+import functools
+import importlib.util
 import json
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 import rotorwatch as rw
+from rotorwatch.base.physics import G0
 from rotorwatch.commands import cli
 from rotorwatch.diagnose import prepare
 from rotorwatch.errors import ConfigError, LogError
@@ -15,9 +20,10 @@ from rotorwatch.estimate import Estimates, read_truth, steps
 from rotorwatch.flight.method_series import INTERVAL, SET, MethodSeries
 from rotorwatch.logs import memory
 from rotorwatch.methods.compiling.run import run
-from rotorwatch.methods.published import log_plant, own, published
+from rotorwatch.methods.published import helicopter_log, log_plant, own, paper_log, published
 from rotorwatch.report import method_plots
 
+ROOT = Path(__file__).parents[1]
 FAULTY = next(iter(sorted(cli.SAMPLES.glob("hexa*.bin.xz"))))
 NAMES = ["ekf", "thau"]
 
@@ -202,3 +208,113 @@ def test_the_report_of_another_method_says_who_found_it():
     assert report.comparison(found)[0][0] == "ekf" and "decision that all methods share" in report.scope(found)
     text = html.page(found)
     assert "ekf itself" in text and 'id="plot-own_loss"' in text and "1.96 standard deviations of ekf" in text
+
+
+@functools.cache
+def numbered():
+    """The sample's vehicle, with the mass, arm and inertias that make the paper's plant the one that its log teaches."""
+    ready = prepare(rw.read(FAULTY))
+    B = ready.vehicle.effectiveness()
+    J = np.diag(log_plant.hops(ready.table, B)[0].parameters["J"])
+    mass, n = 2.0, B.shape[1]
+    reach = max(np.hypot(r.x, r.y) for r in ready.vehicle.rotors) / max(
+        max(abs(r.x), abs(r.y)) for r in ready.vehicle.rotors
+    )
+    yaw = log_plant.hops(ready.table, B)[0].parameters["B_tau"][2, 0] / B[2, 0]
+    extra = {
+        "mass_kg": mass,
+        "arm_m": 0.3 * reach,
+        "drag_ratio_m": 0.3 * yaw,
+        "inertia_kg_m2": list(0.3 * mass * G0 / n * J),
+    }
+    return replace(ready.vehicle, extra=extra)
+
+
+def test_the_papers_plants_turn_as_the_logs_plant_does():
+    """With the inertias that the log's gains stand for, any commands and losses turn and lift all four plants as they do rate dynamics."""
+    ready = prepare(rw.read(FAULTY))
+    B = ready.vehicle.effectiveness()
+    hop = log_plant.hops(ready.table, B)[0]
+    still = {"damping": np.zeros(3), "tau_0": np.zeros(3), "F_0": np.array(0.0), "m": np.array(6 / G0)}
+    hop = replace(hop, parameters={**hop.parameters, **still})
+    known, seen = paper_log.numbers(numbered()), paper_log._seen(ready.flight, hop, ready.table.time[hop.rows])
+    u, theta = np.array([1.1, 0.9, 1.0, 1.05, 0.95, 1.02]), np.array([0.0, 0.3, 0.0, 0.0, 0.1, 0.0])
+    turn, f_z = hop.system.derivative(np.zeros(3), u, theta), hop.system.h(np.zeros(3), u, theta)[3]
+    rates, attitude, hover, body = (
+        paper_log.PLANTS[name](known, hop, seen)[0] for name in ("mhe", "axkf", "intermediate", "tsukf")
+    )
+    assert np.allclose(rates.derivative(np.zeros(3), u, theta), turn, rtol=1e-9)
+    assert np.allclose(np.asarray(attitude.derivative(np.zeros(6), u, theta))[3:] / known.J, turn, rtol=1e-9)
+    assert np.allclose(hover.B @ (u * (1 - theta)), [*turn, f_z], rtol=1e-9)
+    assert np.allclose(np.asarray(body.derivative(np.zeros(12), u, theta))[8:], [f_z + G0, *turn], rtol=1e-9)
+    assert np.isclose(rates.h(np.zeros(3), u, theta)[3], f_z)
+
+
+def test_a_papers_plant_runs_on_a_log_beside_rate_dynamics():
+    """The sample's rotor 3 loses 37 %: on the plant of its paper the intermediate observer has that rotor worst by far."""
+    found = rw.estimate(FAULTY, "intermediate", vehicle=numbered(), plant="both")
+    assert [s.plant for s in found.series] == ["rate_dynamics", "linear_hover (of the paper)"]
+    for s in found.series:
+        late = s.theta[(s.time > 60.0) & (s.time < 100.0)].mean(axis=0)
+        assert late.argmax() == 2 and late[2] > 0.15 + np.sort(late)[-2]
+        assert np.array_equal(s.time, found.series[0].time)
+
+
+def test_the_weight_is_carried_and_nothing_turns_with_the_trim():
+    known = paper_log.numbers(numbered())
+    mean = np.array([1.1, 0.9, 1.0, 1.05, 0.95, 1.02])
+    u = mean + paper_log._trim(known, mean)
+    assert np.allclose(known.B_tau @ u, 0.0, atol=1e-9) and np.isclose(known.B_T @ u, known.m * G0)
+
+
+@pytest.mark.parametrize(
+    ("change", "method", "says"),
+    [
+        ({"mass_kg": None}, "tsukf", "needs mass_kg: put it into the vehicle file under"),
+        ({"mass_kg": -1.0}, "tsukf", "mass_kg"),
+        ({"inertia_kg_m2": [1.0]}, "tsukf", "inertia_kg_m2"),
+        ({}, "aesmf", "The paper of aesmf has no multirotor"),
+    ],
+)
+def test_what_a_papers_plant_lacks_is_said(change, method, says):
+    vehicle = numbered()
+    extra = {k: v for k, v in {**vehicle.extra, **change}.items() if v is not None}
+    with pytest.raises(ConfigError, match=says):
+        rw.estimate(FAULTY, method, vehicle=replace(vehicle, extra=extra), plant="paper")
+
+
+def test_euler_angles_go_on_beyond_a_turn():
+    yaw = np.linspace(0.0, 9.0, 50)
+    q = np.stack([np.cos(yaw / 2), 0 * yaw, 0 * yaw, np.sin(yaw / 2)], axis=1)
+    assert np.allclose(paper_log._euler(q), np.stack([0 * yaw, 0 * yaw, yaw], axis=1), atol=1e-12)
+
+
+def test_an_airframe_file_of_ones_own(tmp_path):
+    file = tmp_path / "own.toml"
+    text = (Path(rw.__file__).parent / "airframes/papers/ruav-40kg.toml").read_text()
+    file.write_text(text)
+    assert helicopter_log.method("ekf", str(file), 0.02).system.m == 40.0
+    for old, new, says in (
+        ("mass = ", "weight = ", "airframe lacks mass"),
+        ("hub_stiffness = ", 'hub_stiffness = "soft" #', "no number"),
+    ):
+        file.write_text(text.replace(old, new, 1))
+        with pytest.raises(ConfigError, match=says):
+            helicopter_log.method("ekf", str(file), 0.02)
+
+
+def test_a_page_of_sets_says_what_they_neglect():
+    system = rw.systems.RateDynamics.of(rw.airframes.paper("niermeyer-hexa"))
+    said = " ".join(helicopter_log.notes(rw.estimators.ESMF(system, 0.05)))
+    assert "neglect the remainder of the linearisation" in said and "guarantee nothing" in said
+    assert "neglect" not in " ".join(helicopter_log.notes(rw.estimators.EKF(system, 0.05)))
+
+
+def test_the_pages_tables_are_made_of_the_data():
+    spec = importlib.util.spec_from_file_location("make_estimates", ROOT / "docs/make_estimates.py")
+    made = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(made)
+    data = json.loads(made.DATA.read_text())
+    assert made.PAGE.read_text().endswith(made.page(data))
+    assert {method for row in data["flights"] for method in row["methods"]} >= set(made.METHODS)
+    assert all((ROOT / "docs" / f"estimate-{k}.png").exists() for k in range(1, len(data["drawn"]) + 1))

@@ -21,7 +21,7 @@ from rotorwatch.flight import Flight
 from rotorwatch.flight.method_series import MethodSeries
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.logs import plausible
-from rotorwatch.methods.published import helicopter_log, log_plant, published
+from rotorwatch.methods.published import helicopter_log, log_plant, paper_log, published
 from rotorwatch.methods.published.published import Tuning
 from rotorwatch.witnesses.aerobatic import judge as aerobatic
 from rotorwatch.witnesses.healthy.baselines import Given
@@ -29,7 +29,7 @@ from rotorwatch.witnesses.healthy.baselines import Given
 SCHEMA = 1
 TABLES, PICTURES, PAGES = (".csv", ".parquet", ".json"), (".png", ".svg", ".pdf"), (".html",)
 ENDINGS = (*TABLES, *PICTURES, *PAGES)
-PLANTS = ("rates", "paper")
+PLANTS = ("rates", "paper", "both")
 
 
 Truth = Mapping[str, tuple[np.ndarray, np.ndarray]]
@@ -60,8 +60,8 @@ class Estimates:
     found: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def __getitem__(self, method: str) -> MethodSeries:
-        """The series of that method. Raises KeyError."""
-        return {s.method: s for s in self.series}[method]
+        """The series of that method, of its first plant. Raises KeyError."""
+        return {s.method: s for s in reversed(self.series)}[method]
 
     def true(self, series: MethodSeries) -> np.ndarray | None:
         """(T, n) true theta at the steps of a series; None where no truth is known."""
@@ -239,8 +239,9 @@ def estimate(
     """What published methods themselves say of a log: losses, states and innovations over time, with their own intervals or sets.
 
     flight: a Flight or a log file. method: one estimator or several (names, `module:Class`, classes, instances: `discovery.estimator`).
-    vehicle, baseline: as for `diagnose`. plant: "rates", rotational dynamics identified from the flight, on which any method runs; or
-    "paper", the plant that each method's paper has (docs/estimate.md). tuning: of a single method (`rotorwatch.tune`).
+    vehicle, baseline: as for `diagnose`. plant: "rates", rotational dynamics identified from the flight, on which any method runs;
+    "paper", the plant that each method's paper has (docs/estimate.md), with numbers from the vehicle's `extra`; or "both".
+    tuning: of a single method (`rotorwatch.tune`).
     airframe: of a helicopter's log: the name of one that a paper describes (ruav-40kg), or an airframe file; lag_s: of its actuators.
     truth: what is known of the flight, for pictures and coverage: see `Truth`, or a file as of `read_truth`.
     progress: called as progress(share, text). A method that cannot run on this flight stands in `failed`; if none can, its sentence is
@@ -277,7 +278,7 @@ def estimate(
     if isinstance(truth, (str, PathLike)):
         truth = read_truth(truth, flight.name)
     actuators: dict[str, Any] = {}
-    one = (
+    plants = (
         _helicopter(flight, airframe, lag_s, actuators)
         if airframe is not None
         else _multirotor(flight, vehicle, baseline, plant, tuning)
@@ -286,20 +287,21 @@ def estimate(
     for k, (name, title) in enumerate(zip(names, titles)):
         at = lambda share, k=k, title=title: tell(0.2 + 0.8 * (k + share) / len(names), title)  # noqa: E731
         at(0.0)
-        try:
-            found.append(one(name, at))
-        except ConfigError as why:
-            if len(names) == 1:
-                raise
-            failed[title] = str(why)
+        for run in plants:
+            try:
+                found.append(run(name, at))
+            except ConfigError as why:
+                if len(names) == len(plants) == 1:
+                    raise
+                failed[title] = str(why)
     if not found:
         raise ConfigError(next(iter(failed.values())))
     tell(1.0, "done")
     return Estimates(flight.name, tuple(found), failed, truth, actuators)
 
 
-Runs = Callable[[Any, Callable], MethodSeries]
-"""(method, progress) -> its series."""
+Runs = tuple[Callable[[Any, Callable], MethodSeries], ...]
+"""For each plant (method, progress) -> its series."""
 
 
 def _multirotor(flight: Flight, vehicle, baseline, plant: str, tuning: Tuning | None) -> Runs:
@@ -317,12 +319,13 @@ def _multirotor(flight: Flight, vehicle, baseline, plant: str, tuning: Tuning | 
             f"{log} is too short to estimate on: the first {ready.ready_s:.0f} s in the air teach the plant, and nothing is left."
         )
 
-    def one(name: Any, progress: Callable) -> MethodSeries:
-        found = published.judge(name, table, B, ready.dynamics, tuning, progress, hops)[1]
-        assert found is not None
-        return found
+    def rates(name: Any, progress: Callable) -> MethodSeries:
+        return published.itself(name, table, B, hops, tuning, progress)
 
-    return one
+    def paper(name: Any, progress: Callable) -> MethodSeries:
+        return paper_log.estimate(name, ready.flight, ready.vehicle, table, hops, progress)
+
+    return {"rates": (rates,), "paper": (paper,), "both": (rates, paper)}[plant]
 
 
 def _helicopter(flight: Flight, airframe: str, lag_s: float, actuators: dict[str, Any]) -> Runs:
@@ -333,4 +336,4 @@ def _helicopter(flight: Flight, airframe: str, lag_s: float, actuators: dict[str
         actuators[found.itself.method] = helicopter_log.summary(found)
         return found.itself
 
-    return one
+    return (one,)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from typing import Any
+
 import click
 
 from rotorwatch.commands.tools import (
@@ -10,11 +13,13 @@ from rotorwatch.commands.tools import (
     OUT,
     answer,
     common,
+    counting,
     findable,
     flag,
     option,
     print_json,
     progress,
+    say,
     shares,
     written,
 )
@@ -82,21 +87,47 @@ def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
 @JSON
 @common
 def compare(logs, truth, estimators, losses, seeds, as_json, quiet) -> None:
-    """Run all estimators on simulated flights, on healthy LOGs with losses put in, and on LOGs with a table of their faults."""
-    from rotorwatch.base import discovery
+    """Run all estimators on simulated flights, on healthy LOGs with losses put in, and on LOGs with a table of their faults.
+
+    Each estimator is told on standard error as soon as it has seen all flights. Ctrl-C ends it with what there is by then.
+    """
+    from rotorwatch.lab.experiments.studies import compare as study
     from rotorwatch.lab.experiments.studies import compare_flights as flights
-    from rotorwatch.lab.experiments.studies.compare import compare as run
-    from rotorwatch.lab.experiments.studies.compare import markdown
 
     wanted = shares("--losses", losses)
     if truth and not logs:
         raise ConfigError("--truth says what is wrong with LOGs; give them, too.")
     names = [name.strip() for name in estimators.split(",") if name.strip()] if estimators else []
     findable(*names)
-    for name in names:
-        discovery.estimator(name)
+    names = study.known(names)
+    if not quiet:
+        say(
+            f"{len(names)} estimators, one after the other: {', '.join(names)}; Ctrl-C ends with those that are through"
+        )
     with progress(quiet) as report:
         scenes = [] if not logs else flights.with_truth(logs, truth) if truth else flights.injected(logs, wanted)
         scenes = [*(flights.simulated(seeds, wanted, report) if seeds else ()), *scenes]
-        result = run(scenes, names, report)
-    answer(as_json, result, markdown(result).strip())
+    found: list[Any] = []
+    stopped = None
+    with counting(quiet, "estimators") as shown:
+        if shown:
+            kinds = ", ".join(f"{n} {group}" for group, n in Counter(s.group for s in scenes).items())
+            shown.show(f"rotorwatch: {len(scenes)} flights for each: {kinds}")
+        try:
+            for one in study.each(scenes, names):
+                found.append(one)
+                if shown:
+                    shown(len(found), len(names), 0.0)
+                    shown.show(f"{len(found)} of {len(names)}, {study.line(one)}")
+        except KeyboardInterrupt as why:
+            stopped = why
+    if found:
+        result = study.gathered(scenes, found)
+        missing = names[len(found) :]
+        text = study.markdown(result).strip()
+        if missing:
+            result["missing"] = missing
+            text += f"\n\nInterrupted: {', '.join(missing)} did not run."
+        answer(as_json, result, text)
+    if stopped:
+        raise stopped

@@ -45,7 +45,9 @@ def series(
 
     return MethodSeries(
         method=name, plant=str(getattr(system, "name", "own plant")), says=says(estimator), time=np.asarray(time),
-        hop=np.full(len(time), hop), **{part: np.asarray(values) for part, values in found._asdict().items()},
+        hop=np.full(len(time), hop), theta=np.asarray(found.theta), theta_cov=np.asarray(found.theta_cov),
+        x=np.asarray(found.x), x_var=np.asarray(found.x_var), innovation=np.asarray(found.innovation),
+        innovation_var=np.asarray(found.innovation_var), status=np.asarray(found.status),
         theta_names=plant.theta_names(system),
         x_names=named("x_names", system.n_x), x_units=units("x_units", system.n_x),
         y_names=named("y_names", system.n_y), y_units=units("y_units", system.n_y), dt=dt, notes=tuple(notes),

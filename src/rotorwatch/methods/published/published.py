@@ -153,10 +153,10 @@ def builder(name: Any, dt: float, keywords: tuple = (), decisions: Decisions = (
 
 
 def run_hop(
-    name: Any, hop: LogPlant, B: np.ndarray, tuning: Tuning | None = None, progress=None
-) -> tuple[Any, Own, Seen]:
-    """The method over one hop: the estimator, and stacked what `both` keeps. Native code where there is a compiler: XLA takes four times
-    as long to build it."""
+    name: Any, hop: LogPlant, B: np.ndarray, time: np.ndarray, number: int, tuning: Tuning | None = None, progress=None
+) -> tuple[MethodSeries, Seen]:
+    """The method over one hop, the flight's `number`-th, of ticks at `time`: what it itself says, and what the threshold makes of it.
+    Native code where there is a compiler: XLA takes four times as long to build it."""
     tuning = tuning or Tuning()
     parameters: dict[str, Any] = {"plant": hop.parameters, "B": B}
     parameters |= {k: np.asarray(v) for k, v in (("q", tuning.q), ("r", tuning.r)) if v is not None}
@@ -172,7 +172,8 @@ def run_hop(
         ConfigError,
     ):  # design work that needs values: compiled for this flight alone
         found = run(made, *rows, both, progress, backend=backend)[1]
-    return made.estimator, *found
+    series = own.series(discovery.title(name), made.estimator, found[0], time[hop.rows], number, hop.dt, PLANT_NOTES)
+    return series, found[1]
 
 
 def judge(
@@ -191,13 +192,20 @@ def judge(
     wrench besides that of the losses shown. log_odds: of `list_hypotheses(n)`. Raises ConfigError for an unknown method and slow logs.
     """
     discovery.estimator(name)
-    hyp, title = list_hypotheses(B.shape[1]), discovery.title(name)
+    hyp = list_hypotheses(B.shape[1])
     out, parts = blank(len(table.time), hyp), []
     for k, hop in enumerate(log_plant.hops(table, B, dynamics) if hops is None else hops, start=1):
-        estimator, itself, decided = run_hop(name, hop, B, tuning, progress)
+        found, decided = run_hop(name, hop, B, table.time, k, tuning, progress)
         record(out, decided, hop, hyp, B)
-        parts.append(own.series(title, estimator, itself, table.time[hop.rows], k, hop.dt, PLANT_NOTES))
+        parts.append(found)
     return out, joined(parts) if parts else None
+
+
+def itself(
+    name: Any, table: Ticks, B: np.ndarray, hops: Sequence[LogPlant], tuning: Tuning | None = None, progress=None
+) -> MethodSeries:
+    """What the method itself says on the judged ticks of a flight with such hops, of at least one; nothing is decided."""
+    return joined([run_hop(name, hop, B, table.time, k, tuning, progress)[0] for k, hop in enumerate(hops, start=1)])
 
 
 PLANT_NOTES = (

@@ -14,8 +14,8 @@ events are read the same way from both. Per estimator and group of flights:
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,7 +31,17 @@ from rotorwatch.methods.published import published
 
 SETTLED_S = 2.0
 STEPS = 4096
+SHORT = {"loss_rmse": "loss RMSE", "right": "right", "false_alarms": "false alarms", "coverage": "coverage"}
 COLUMNS = ("flights", "faults", "loss_rmse", "delay_s", "right", "named", "false_alarms_h", "coverage")
+
+
+class Compared(NamedTuple):
+    """One estimator on all flights. rows: group of flights -> measures; us_per_step; why: it could not run, a sentence, else empty."""
+
+    name: str
+    rows: dict[str, dict[str, Any]]
+    us_per_step: float
+    why: str = ""
 
 
 def compare(scenes: Sequence[Scene], names: Sequence[str] = (), progress: Callable | None = None) -> dict[str, Any]:
@@ -40,27 +50,56 @@ def compare(scenes: Sequence[Scene], names: Sequence[str] = (), progress: Callab
     scenes: groups of flights, as `compare_flights` makes them. names: estimators, all of them when empty. progress: called with the
     finished share. Raises ConfigError for an unknown one, or no flights.
     """
+    return gathered(scenes, list(each(scenes, names, progress)))
+
+
+def each(scenes: Sequence[Scene], names: Sequence[str] = (), progress: Callable | None = None) -> Iterator[Compared]:
+    """Estimators one by one, as soon as each has seen all flights. Arguments and errors as of `compare`."""
     if not scenes:
         raise ConfigError("There is no flight to compare estimators on.")
+    names = known(names)
+    for k, name in enumerate(names):
+        trials: dict[str, list] = {s.group: [] for s in scenes}
+        try:
+            for i, scene in enumerate(scenes):
+                trials[scene.group].append(_trial(name, scene))
+                if progress:
+                    progress((k + (i + 1) / len(scenes)) / len(names), name)
+            speed = microseconds(name, scenes)
+        except ConfigError as why:
+            yield Compared(name, {}, float("nan"), str(why))
+            continue
+        yield Compared(name, {group: _row(found) for group, found in trials.items()}, speed)
+
+
+def known(names: Sequence[str]) -> list[str]:
+    """The estimators of these names, all there are when empty. Raises ConfigError for an unknown one."""
     for name in names:
         discovery.estimator(name)
-    names = list(names) or list(discovery.estimators())
+    return list(names) or list(discovery.estimators())
+
+
+def gathered(scenes: Sequence[Scene], found: Sequence[Compared]) -> dict[str, Any]:
+    """What `compare` returns, of these estimators."""
     groups: dict[str, dict] = {s.group: {} for s in scenes}
-    speed, failed = {}, {}
-    for k, name in enumerate(names):
-        trials: dict[str, list] = {group: [] for group in groups}
-        try:
-            for scene in scenes:
-                trials[scene.group].append(_trial(name, scene))
-            speed[name] = microseconds(name, scenes)
-        except ConfigError as why:
-            failed[name] = str(why)
-            continue
-        for group, found in trials.items():
-            groups[group][name] = _row(found)
-        if progress:
-            progress((k + 1) / len(names), name)
-    return {"groups": groups, "us_per_step": speed, "failed": failed}
+    for one in found:
+        for group, row in one.rows.items():
+            groups[group][one.name] = row
+    return {
+        "groups": groups, "us_per_step": {one.name: one.us_per_step for one in found if not one.why},
+        "failed": {one.name: one.why for one in found if one.why},
+    }  # fmt: skip
+
+
+def line(one: Compared) -> str:
+    """An estimator's measures in a line, for who waits for the others."""
+    if one.why:
+        return f"{one.name}: {one.why}"
+    parts = []
+    for group, row in one.rows.items():
+        measures = ((words, cell(key, row[key])) for key, words in SHORT.items() if row[key] is not None)
+        parts.append(f"{group}: {', '.join(f'{words} {value}' for words, value in measures)}")
+    return f"{one.name}: {'; '.join(parts)}"
 
 
 def _trial(name: str, scene: Scene) -> dict:
@@ -160,7 +199,7 @@ def cell(key: str, value: Any) -> str:
     """A measure as people read it."""
     if value is None:
         return "-"
-    if key in ("flights", "faults"):
+    if key in ("flights", "faults", "false_alarms"):
         return str(value)
     if key in ("right", "named", "coverage"):
         return f"{100 * value:.0f} %"
