@@ -1,9 +1,9 @@
 """Texts that a pilot reads per flight, through the glue of the autopilot that flew, before and after they were made few; docs/pilot.md.
 
-    python benchmarks/board_texts.py FOLDER [--write docs/pilot.md]
+    python benchmarks/board_texts.py FOLDER|LOG... [--write docs/pilot.md]
 
-Every log below FOLDER that shows what a board would have seen (tests/board.py). Before: each change of an event, of 2 points and more, was
-a text. Needs gcc and g++.
+Every log, also below a folder, that shows what a board would have seen (tests/board.py). Before: each change of an event, of 2 points and
+more, was a text. Needs gcc and g++.
 """
 
 import argparse
@@ -25,11 +25,14 @@ NAMES = {2: "critical", 4: "warning", 5: "notice", 6: "information"}
 BEGIN, END = "<!-- made by benchmarks/board_texts.py -->", "<!-- end -->"
 
 
-def rows(folder: Path):
+def logs_of(given: list[Path]) -> list[Path]:
+    found = [path for one in given for path in (sorted(one.rglob("*")) if one.is_dir() else [one])]
+    return [p for p in found if p.suffix in (".xz", ".bin", ".ulg") and not {"corrupt", "damaged"} & set(p.parts)]
+
+
+def rows(given: list[Path]):
     """A row for each log: (name, minutes, before, texts, shortest time between two, what was told, how it differs from diagnose)."""
-    for path in sorted(folder.rglob("*")):
-        if not path.is_file() or path.suffix not in (".xz", ".bin", ".ulg") or {"corrupt", "damaged"} & set(path.parts):
-            continue
+    for path in logs_of(given):
         try:
             flight = logs.read(path)
             name, what = board.autopilot_of(flight), board.shown(flight)
@@ -72,10 +75,10 @@ def page(found) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("logs", type=Path, nargs="+", metavar="FOLDER|LOG")
     parser.add_argument("--write", type=Path, help="page whose table is made anew")
     given = parser.parse_args()
-    made = page(list(rows(given.folder)))
+    made = page(list(rows(given.logs)))
     print(made)
     if given.write:
         text = given.write.read_text()

@@ -164,12 +164,13 @@ def build(name: str, library: Path, folder: Path, optimise: str = "-O1", more: t
 @dataclass
 class Flown:
     """What came out. texts: (time s, severity, text); records: of a name, rows of numbers by label; verdict: the last; size: what the
-    program says of the glue: bytes, threads."""
+    program says of the glue: bytes, threads; left: work items of PX4 after the module was stopped."""
 
     texts: list[tuple[float, int, str]] = field(default_factory=list)
     records: dict[str, list[dict[str, float]]] = field(default_factory=dict)
     verdict: int = -1
     size: tuple[int, int] = (0, 0)
+    left: int = 0
 
     def events(self) -> list[dict[str, float]]:
         """The events that stand at the end, as the last record of each says."""
@@ -193,6 +194,8 @@ def fly(program: Path, table: np.ndarray, folder: Path, *words: str) -> Flown:
             flown.records.setdefault(rest[0], []).append(row)
         elif kind == "verdict":
             flown.verdict = int(rest[0])
+        elif kind == "left":
+            flown.left = int(rest[0])
         elif kind == "size":
             flown.size = int(rest[0]), int(rest[1])
     return flown

@@ -60,6 +60,7 @@ def test_a_flight_is_told_as_diagnose_tells_it(autopilot, flight, programs, tmp_
     flown = board.fly(programs(autopilot), what.table, tmp_path)
     assert board.differences(told, flown) == []
     few(flown)
+    assert flown.left == 0, "stopped, it leaves nothing behind"
     assert [severity for _, severity, _ in flown.texts] == [WARNING] and "rotor 3 lost" in flown.texts[0][2]
     assert flown.texts[0][0] - told.events[0].detected_s < 0.5
     rows = flown.records["RWLS"]

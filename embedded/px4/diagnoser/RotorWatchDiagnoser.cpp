@@ -56,8 +56,12 @@ void RotorWatchDiagnoser::init()
 void RotorWatchDiagnoser::Run()
 {
 	if (should_exit()) {
-		// Not before the worker is back: it is part of this object.
-		if (!_busy.load()) {
+		// Not before the worker has said that it does nothing any more: it is part of this object.
+		if (!_stopping.load()) {
+			_stopping.store(true);
+			_worker.ScheduleNow();
+
+		} else if (_stopped.load()) {
 			ScheduleClear();
 #ifdef ROTORWATCH_MODULE_DESCRIPTOR
 			exit_and_cleanup(desc);
@@ -72,7 +76,6 @@ void RotorWatchDiagnoser::Run()
 	take();
 
 	if (_head.load() != _tail.load()) {
-		_busy.store(true);
 		_worker.ScheduleNow();
 	}
 }
@@ -222,6 +225,11 @@ void RotorWatchDiagnoser::take()
 
 void RotorWatchDiagnoser::diagnose()
 {
+	if (_stopping.load()) {
+		_stopped.store(true);
+		return;
+	}
+
 	if (_parameters.updated()) {
 		parameter_update_s update;
 		_parameters.copy(&update);
@@ -242,8 +250,6 @@ void RotorWatchDiagnoser::diagnose()
 	if (outputs) {
 		report(_fed);
 	}
-
-	_busy.store(false);
 }
 
 void RotorWatchDiagnoser::feed(const Sample &sample)

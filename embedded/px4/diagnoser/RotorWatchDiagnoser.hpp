@@ -126,7 +126,8 @@ private:
 	orb_advert_t _mavlink_log_pub{nullptr};
 
 	Worker _worker{*this};
-	px4::atomic_bool _busy{false}; // the worker has been called and has not come back
+	px4::atomic_bool _stopping{false}; // the worker shall do nothing any more
+	px4::atomic_bool _stopped{false}; // and has said so
 	Mean _gyro{};
 	Mean _accel{};
 	unsigned _quarter{0};
