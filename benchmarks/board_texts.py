@@ -7,6 +7,7 @@ more, was a text. Needs gcc and g++.
 """
 
 import argparse
+import re
 import sys
 import tempfile
 from collections import Counter
@@ -58,7 +59,7 @@ def page(found) -> str:
         count = Counter(severity for _, severity, _ in texts)
         which = ", ".join(f"{count[k]} {NAMES[k]}" for k in sorted(count)) or "-"
         lines.append(
-            f"| {name.partition('.')[0].replace('_', ' ')} | {minutes:.1f} | {before} | {len(texts)} | {which} |"
+            f"| {re.sub(r'[.](bin|ulg|log|tlog)([.]xz)?$', '', name).replace('_', ' ')} | {minutes:.1f} | {before} | {len(texts)} | {which} |"
         )
     total, now = sum(row[2] for row in found), sum(len(row[3]) for row in found)
     apart = min(row[4] for row in found)
