@@ -58,9 +58,8 @@ def page(found) -> str:
     for name, minutes, before, texts, _, _ in sorted(found, key=lambda row: -row[2]):
         count = Counter(severity for _, severity, _ in texts)
         which = ", ".join(f"{count[k]} {NAMES[k]}" for k in sorted(count)) or "-"
-        lines.append(
-            f"| {re.sub(r'[.](bin|ulg|log|tlog)([.]xz)?$', '', name).replace('_', ' ')} | {minutes:.1f} | {before} | {len(texts)} | {which} |"
-        )
+        shown = re.sub(r"[.](bin|ulg|log|tlog)([.]xz)?$", "", name).replace("_", " ")
+        lines.append(f"| {shown} | {minutes:.1f} | {before} | {len(texts)} | {which} |")
     total, now = sum(row[2] for row in found), sum(len(row[3]) for row in found)
     apart = min(row[4] for row in found)
     compared = [row for row in found if row[5] != ["judged after the flight"]]
