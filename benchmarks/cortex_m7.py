@@ -52,7 +52,7 @@ int main(void)
 # known for seconds whether it is the ground, hover again, the same once more, and the landing. The work is done in pieces, and each of
 # them, and each feed, poll and text, is counted; so is the deepest stack.
 DIAGNOSER = """
-#include "rw_diagnoser.h"
+#include "rw_text.h"
 #include <stdio.h>
 #define SYSTICK ((volatile uint32_t *)0xE000E010u)
 #define BEGIN (since = SYSTICK[2])
@@ -60,6 +60,7 @@ DIAGNOSER = """
 #define COUNTED(most, call) do {{ BEGIN; call; took = TOOK; if (took > most) most = took; }} while (0)
 enum {{ HZ = 100, DEEP = 16384 }};
 static rw_diagnoser d;
+static rw_texts told;
 static unsigned long since, took, feeds, pieces, landing, polls, texts, said, tick, whole, steady, ticks;
 static rw_real noise(void)
 {{
@@ -115,6 +116,7 @@ int main(void)
     unsigned long deep = DEEP;
     rw_diagnoser_init(&d, &rw_vehicle_default, &rw_plan_default);
     rw_diagnoser_defer(&d);
+    rw_texts_init(&told);
     for (int k = 1; k <= DEEP; ++k) top[-k] = 0xA5;
     SYSTICK[1] = 0xFFFFFF;
     SYSTICK[2] = 0;
@@ -125,7 +127,7 @@ int main(void)
         work(t);
         if (k % 10 == 0) {{
             COUNTED(polls, rw_diagnoser_poll(&d, news));
-            COUNTED(texts, said += rw_diagnoser_say(&d, t, text) >= 0);
+            COUNTED(texts, said += rw_diagnoser_text(&d, &told, t, RW_NOTICE, text) > 0);
         }}
     }}
     if (!said) return 1; /* nothing of all that was found */

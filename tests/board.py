@@ -21,7 +21,8 @@ from rotorwatch.flight.vehicle import Vehicle
 EMBEDDED = Path(__file__).resolve().parents[1] / "embedded"
 STUBS = EMBEDDED / "stubs"
 SENSOR_HZ, OUTPUT_HZ = 100.0, 50.0  # that the glue is documented with
-LEAST_SENSOR_HZ, LEAST_OUTPUT_HZ = 45.0, 19.0  # of a log that shows what a board would have seen
+# Of a log that shows what a board would have seen: rates, and the share of the outputs between those of the log that can be rebuilt.
+LEAST_SENSOR_HZ, LEAST_OUTPUT_HZ, LEAST_REBUILT = 45.0, 19.0, 0.8
 
 # As their build systems give them to a library's sources, warnings being errors.
 ARDUPILOT = (
@@ -163,12 +164,13 @@ def build(name: str, library: Path, folder: Path, optimise: str = "-O1", more: t
 @dataclass
 class Flown:
     """What came out. texts: (time s, severity, text); records: of a name, rows of numbers by label; verdict: the last; size: what the
-    program says of the glue: bytes, threads."""
+    program says of the glue: bytes, threads; left: work items of PX4 after the module was stopped."""
 
     texts: list[tuple[float, int, str]] = field(default_factory=list)
     records: dict[str, list[dict[str, float]]] = field(default_factory=dict)
     verdict: int = -1
     size: tuple[int, int] = (0, 0)
+    left: int = 0
 
     def events(self) -> list[dict[str, float]]:
         """The events that stand at the end, as the last record of each says."""
@@ -192,14 +194,20 @@ def fly(program: Path, table: np.ndarray, folder: Path, *words: str) -> Flown:
             flown.records.setdefault(rest[0], []).append(row)
         elif kind == "verdict":
             flown.verdict = int(rest[0])
+        elif kind == "left":
+            flown.left = int(rest[0])
         elif kind == "size":
             flown.size = int(rest[0]), int(rest[1])
     return flown
 
 
+class TooFew(Exception):
+    """The log has too few samples to show what a board would have seen."""
+
+
 def outputs(flight, craft) -> Signal:
-    """The motor outputs as fast as they can be known, which a board reads: rebuilt of the rate controller's, which many logs have more
-    often."""
+    """The motor outputs as fast as they can be known, which a board reads: those of the log, and between them, where that can be trusted,
+    rebuilt of the rate controller's, which many logs have more often. Raises TooFew."""
     motors, curve = flight["motors"], craft.curve
     mixed = allocation.mixed_thrusts(flight, craft)
     if mixed is None:
@@ -210,8 +218,23 @@ def outputs(flight, craft) -> Signal:
     a = f if abs(e) < 1e-6 else (np.sqrt((1.0 - e) ** 2 + 4.0 * e * f) - (1.0 - e)) / (2.0 * e)
     u = curve.u_min + full * a / allocation.battery_ratio(flight, thrust.time)[:, None]
     held = allocation.hold(motors.time, motors.values, thrust.time)
-    u = np.where(mixed.valid & (held > curve.u_min), u, held)
-    return Signal(thrust.time, u, motors.columns, motors.unit, motors.frame, thrust.source, thrust.valid)
+    fresh = np.logical_and.reduce(np.asarray(mixed.valid), axis=1)
+    flies = held.mean(axis=1) > curve.u_min + 0.1 * full
+    if motors.rate_hz < LEAST_OUTPUT_HZ and fresh[flies].mean() < LEAST_REBUILT:
+        raise TooFew(f"only {100 * fresh[flies].mean():.0f} % of the outputs between those of the log can be rebuilt")
+    time = np.concatenate([thrust.time[fresh], motors.time])
+    values = np.concatenate([np.where(held > curve.u_min, u, held)[fresh], motors.values])
+    valid = np.concatenate([np.ones_like(held, bool)[fresh], np.asarray(motors.valid)])
+    order = np.argsort(time, kind="stable")
+    return Signal(time[order], values[order], motors.columns, motors.unit, motors.frame, thrust.source, valid[order])
+
+
+def autopilot_of(flight) -> str:
+    """Whose glue a flight goes through. Raises TooFew."""
+    said = flight.autopilot.lower()
+    if not said.startswith(("px4", "ardu")):
+        raise TooFew(f"{flight.autopilot or 'no autopilot'}: there is no glue for it")
+    return "px4" if said.startswith("px4") else "ardupilot"
 
 
 @dataclass(frozen=True)
@@ -224,17 +247,13 @@ class Shown:
     sensor_hz: float
 
 
-class TooFew(Exception):
-    """The log has too few samples to show what a board would have seen."""
-
-
 def shown(flight) -> Shown:
     """Raises TooFew, VehicleError."""
     craft = airframes.identify(flight)
     if not flight.has("gyro", "accel", "motors"):
         raise TooFew("no gyro, accelerometer or outputs")
     fast = outputs(flight, craft)
-    rates = [1.0 / float(np.median(np.diff(s.time))) for s in (flight["gyro"], fast)]
+    rates = [len(s.time) / float(s.time[-1] - s.time[0]) for s in (flight["gyro"], fast)]
     if rates[0] < LEAST_SENSOR_HZ or rates[1] < LEAST_OUTPUT_HZ:
         raise TooFew(f"gyro at {rates[0]:.0f} Hz, outputs at {rates[1]:.0f} Hz")
     seen = replace(flight, signals={**flight.signals, "motors": fast})

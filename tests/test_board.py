@@ -5,7 +5,6 @@ seen.
 """
 
 import os
-import random
 import shutil
 from pathlib import Path
 
@@ -22,7 +21,6 @@ from rotorwatch.errors import RotorwatchError
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"
 FULL = bool(os.environ.get("ROTORWATCH_FULL_LAW"))
-MOST = int(os.environ.get("ROTORWATCH_FULL_LAW_LOGS", "60"))
 needs_compiler = pytest.mark.skipif(not (shutil.which("gcc") and shutil.which("g++")), reason="needs gcc and g++")
 HEXA = "hexax_m3_mul0.80_square_wind.bin.xz"
 
@@ -62,6 +60,7 @@ def test_a_flight_is_told_as_diagnose_tells_it(autopilot, flight, programs, tmp_
     flown = board.fly(programs(autopilot), what.table, tmp_path)
     assert board.differences(told, flown) == []
     few(flown)
+    assert flown.left == 0, "stopped, it leaves nothing behind"
     assert [severity for _, severity, _ in flown.texts] == [WARNING] and "rotor 3 lost" in flown.texts[0][2]
     assert flown.texts[0][0] - told.events[0].detected_s < 0.5
     rows = flown.records["RWLS"]
@@ -89,25 +88,32 @@ def test_what_is_told_is_what_was_asked_for(programs, flight, tmp_path):
 
 def every_log():
     found = [p for p in sorted(FLIGHTS.rglob("*")) if p.is_file() and p.suffix in (".xz", ".bin", ".ulg")]
-    found = [p for p in found if not {"corrupt", "damaged", "blackbox", "crazypad"} & set(p.parts)]
-    random.Random(1).shuffle(found)
+    found = [p for p in found if not {"corrupt", "damaged"} & set(p.parts)]
     return found
 
 
-# Why a log's events differ on board, by its name.
-DIFFERS: dict[str, str] = {}
+# Why a log's events differ on board, by its name. Its outputs are those of the log, 10 a second, and what is rebuilt of the controller's:
+# where that cannot be trusted - rotors at their limits, outputs that are slewed - a board would have seen more than the log shows.
+DIFFERS: dict[str, str] = {
+    "px4_q12_m2_15_square_wind.ulg.xz": "a rotor that lost 15 % is found on board and not by diagnose: at the limit of both",
+    "px4_q13_m3_20_mission.ulg.xz": "the onset of a loss of 20 % is 0.4 s off",
+    "px4_q16_m1_30_aggr_high.ulg.xz": "a loss that comes and goes in aggressive flight: fewer of its spells",
+    "px4_q17_m1_50_square.ulg.xz": "at its limit a rotor that lost half is in two spells: 13 % of the outputs are not known",
+    "px4_q51_m3_30_m1_20_adjacent.ulg.xz": "of two rotors that lost 30 and 20 % only the weaker one is named",
+    "px4_q73_m1_50_slew60_wind.ulg.xz": "slewed outputs: 10 % of them are not known",
+    "healthy-real-3.ulg.xz": "outputs at 10 Hz, of which 5 % cannot be rebuilt, accuse rotors of a vehicle that diagnose does not accuse",
+}
 
 
 @needs_compiler
 @pytest.mark.skipif(not FULL, reason="many logs: set ROTORWATCH_FULL_LAW=1")
-@pytest.mark.parametrize("path", every_log()[:MOST] if FULL else [], ids=lambda p: p.name)
+@pytest.mark.parametrize("path", every_log() if FULL else [], ids=lambda p: p.name)
 def test_every_log_is_told_as_diagnose_tells_it(path, tmp_path):
     try:
         flight = logs.read(path)
-        what, told = board.shown(flight), diagnose(flight)
+        name, what, told = board.autopilot_of(flight), board.shown(flight), diagnose(flight)
     except (RotorwatchError, board.TooFew) as why:
         pytest.skip(str(why))
-    name = "px4" if flight.autopilot.lower().startswith("px4") else "ardupilot"
     program = board.build(name, board.library(what, tmp_path / "library"), tmp_path / "made", "-O1")
     flown = board.fly(program, what.table, tmp_path)
     few(flown)

@@ -83,6 +83,44 @@ def test_no_flag_of_an_autopilot_warns_of_the_library(name, tmp_path):
     board.compile_all([["gcc", *board.AUTOPILOTS[name].c, "-fsyntax-only", *include, str(s)] for s in sources])
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        "return int(motors.thr_lin.batt_voltage_filt);",
+        "return int(motors.thr_lin.curve_expo.get());",
+        "return AP::ins()._gyro[0].x > 0;",
+        "return hal.util->soft_armed;",
+        "AP::ahrs().get_quaternion(q); return 0;",  # its answer is not looked at
+        'GCS_SEND_TEXT(MAV_SEVERITY_INFO, "%s", 1.0); return 0;',
+    ],
+)
+def test_what_ardupilot_refuses_is_refused(line, tmp_path):
+    """Its private members, answers that must be looked at, formats that do not fit."""
+    if shutil.which("g++") is None:
+        pytest.skip("g++ is not installed")
+    headers = (
+        "AP_AHRS/AP_AHRS.h",
+        "AP_InertialSensor/AP_InertialSensor.h",
+        "AP_Motors/AP_Motors.h",
+        "GCS_MAVLink/GCS.h",
+    )
+    source = (
+        "\n".join(f"#include <{name}>" for name in headers)
+        + """
+extern const AP_HAL::HAL &hal;
+int tried(const AP_MotorsMulticopter &motors, Quaternion &q);
+int tried(const AP_MotorsMulticopter &motors, Quaternion &q)
+{
+    LINE
+}
+"""
+    )
+    for text, wanted in (("return 0;", True), (line, False)):
+        (tmp_path / "tried.cpp").write_text(source.replace("LINE", text))
+        command = ["g++", *board.ARDUPILOT_CXX, f"-I{STUBS / 'ardupilot'}", "-c", "tried.cpp", "-o", "tried.o"]
+        assert (subprocess.run(command, capture_output=True, cwd=tmp_path).returncode == 0) == wanted
+
+
 @pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize(
     ("prefix", "names"),

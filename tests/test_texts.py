@@ -56,6 +56,10 @@ def test_a_loss_that_wanders_within_its_interval_is_told_once():
     assert pilot.said == [WARNING]
 
 
+def test_a_loss_that_passes_a_line_of_severity_within_its_interval_is_told_once():
+    assert Pilot().flies(10.0, loss(lost=MATTERS - 0.01)).flies(60.0, loss(lost=MATTERS + 0.01)).said == [NOTICE]
+
+
 def test_a_loss_that_leaves_what_was_told_is_told_again():
     pilot = Pilot().flies(10.0, loss(lost=0.3)).flies(10.0, loss(lost=0.42))
     assert pilot.said == [WARNING, WARNING]

@@ -21,9 +21,10 @@ extern const AP_HAL::HAL &hal;
 
 // Half a second of samples: the thread has the lowest priority.
 #define RWD_QUEUE (RW_MOTION_HZ / 2 + 1)
-#define RWD_STACK 8192
+#define RWD_STACK 4096
 #define RWD_IDLE_US 2500
 #define RWD_LOG_EVERY_US 200000
+#define RWD_EVERY_US (1000000 / RW_MOTION_HZ)
 #define RWD_LOGGED_ROTORS 12
 
 const AP_Param::GroupInfo AP_RotorDiagnosis::var_info[] = {
@@ -45,9 +46,11 @@ const AP_Param::GroupInfo AP_RotorDiagnosis::var_info[] = {
     AP_GROUPEND
 };
 
-// What the main loop saw at one moment. with_outputs: else only gyro and accelerometer count.
+// What the main loop saw: gyro and accelerometer since the sample before, as their mean at the mean of their times; with_outputs: and all
+// the rest, now.
 struct AP_RotorDiagnosis::Sample {
     uint64_t time_us;
+    uint64_t motion_us;
     float gyro[3];
     float accel[3];
     float attitude[4];
@@ -65,11 +68,48 @@ struct AP_RotorDiagnosis::Sample {
     bool with_outputs;
 };
 
-// Queue, diagnoser and results. Only the thread touches the diagnoser; results are guarded by `sem`.
+// Adds up what a sensor says between two samples.
+struct AP_RotorDiagnosis::Mean {
+    float sum[3] {};
+    uint64_t since_us = 0;
+    uint32_t late_us = 0; // of all, after the first
+    uint16_t count = 0;
+
+    void add(const Vector3f &v, uint64_t now_us)
+    {
+        if (count == 0) {
+            since_us = now_us;
+        }
+        sum[0] += v.x;
+        sum[1] += v.y;
+        sum[2] += v.z;
+        late_us += uint32_t(now_us - since_us);
+        count++;
+    }
+
+    // The mean, and its time; false without any.
+    bool take(float *mean, uint64_t &time_us)
+    {
+        const bool any = count > 0;
+        for (uint8_t k = 0; any && k < 3; k++) {
+            mean[k] = sum[k] / float(count);
+            sum[k] = 0.0f;
+        }
+        time_us = any ? since_us + late_us / count : time_us;
+        late_us = 0;
+        count = 0;
+        return any;
+    }
+};
+
+// Queue, diagnoser and results. Only the main loop touches what is before the diagnoser, only the thread that; results are guarded by `sem`.
 struct AP_RotorDiagnosis::Work {
     ObjectBuffer<Sample> queue {RWD_QUEUE};
     uint16_t dropped = 0;
     uint16_t turn = 0;
+    uint64_t due_us = 0;
+    Mean gyro;
+    Mean accel;
     rw_diagnoser diagnoser {};
     rw_texts texts {};
     rw_notification notifications[2 * RW_EVENTS] {};
@@ -125,20 +165,23 @@ void AP_RotorDiagnosis::update()
     if (_work == nullptr) {
         return;
     }
-    Sample s {};
-    s.time_us = AP_HAL::micros64();
-
+    const uint64_t now_us = AP_HAL::micros64();
     const AP_InertialSensor &ins = AP::ins();
-    const Vector3f &gyro = ins.get_gyro();
-    const Vector3f &accel = ins.get_accel();
-    s.gyro[0] = gyro.x;
-    s.gyro[1] = gyro.y;
-    s.gyro[2] = gyro.z;
-    s.gyro_ok = ins.get_gyro_health();
-    s.accel[0] = accel.x;
-    s.accel[1] = accel.y;
-    s.accel[2] = accel.z;
-    s.accel_ok = ins.get_accel_health();
+    if (ins.get_gyro_health()) {
+        _work->gyro.add(ins.get_gyro(), now_us);
+    }
+    if (ins.get_accel_health()) {
+        _work->accel.add(ins.get_accel(), now_us);
+    }
+    if (now_us < _work->due_us) {
+        return;
+    }
+    _work->due_us = (now_us - _work->due_us < RWD_EVERY_US ? _work->due_us : now_us) + RWD_EVERY_US;
+
+    Sample s {};
+    s.time_us = s.motion_us = now_us;
+    s.gyro_ok = _work->gyro.take(s.gyro, s.motion_us);
+    s.accel_ok = _work->accel.take(s.accel, s.motion_us);
 
     // Outputs and what changes slowly come RW_OUTPUT_HZ times a second, gyro and accelerometer RW_MOTION_HZ times.
     _work->turn += RW_OUTPUT_HZ;
@@ -223,12 +266,16 @@ bool AP_RotorDiagnosis::step()
     return true;
 }
 
+// In the order of times and, of one time, of kinds, as everywhere.
 void AP_RotorDiagnosis::feed(const Sample &s)
 {
     rw_diagnoser *const d = &_work->diagnoser;
     const rw_time t = rw_time(s.time_us) / 1000000;
+    const bool before = s.motion_us < s.time_us;
+    if (before) {
+        feed_motion(s);
+    }
     if (s.with_outputs) {
-        rw_diagnoser_state(d, t, s.flying ? 0 : 1, s.armed ? 1 : 0);
         rw_diagnoser_battery(d, t, rw_real(s.voltage_ratio));
         rw_real output[RW_ROTORS];
         for (uint8_t k = 0; k < RW_ROTORS; k++) {
@@ -238,18 +285,29 @@ void AP_RotorDiagnosis::feed(const Sample &s)
         const rw_real control[4] = {s.control[0], s.control[1], s.control[2], s.control[3]};
         rw_diagnoser_control(d, t, control, true);
     }
-    const rw_real rate[3] = {s.gyro[0], s.gyro[1], s.gyro[2]};
-    rw_diagnoser_gyro(d, t, rate, s.gyro_ok);
-    const rw_real force[3] = {s.accel[0], s.accel[1], s.accel[2]};
-    rw_diagnoser_accel(d, t, force, s.accel_ok);
-    if (s.attitude_ok) {
-        const rw_real q[4] = {s.attitude[0], s.attitude[1], s.attitude[2], s.attitude[3]};
-        rw_diagnoser_attitude(d, t, q);
+    if (!before) {
+        feed_motion(s);
     }
     if (s.velocity_ok) {
         const rw_real v[3] = {s.velocity[0], s.velocity[1], s.velocity[2]};
         rw_diagnoser_velocity_ned(d, t, v);
     }
+    if (s.with_outputs) {
+        rw_diagnoser_state(d, t, s.flying ? 0 : 1, s.armed ? 1 : 0);
+    }
+    if (s.attitude_ok) {
+        const rw_real q[4] = {s.attitude[0], s.attitude[1], s.attitude[2], s.attitude[3]};
+        rw_diagnoser_attitude(d, t, q);
+    }
+}
+
+void AP_RotorDiagnosis::feed_motion(const Sample &s)
+{
+    const rw_time t = rw_time(s.motion_us) / 1000000;
+    const rw_real rate[3] = {s.gyro[0], s.gyro[1], s.gyro[2]};
+    rw_diagnoser_gyro(&_work->diagnoser, t, rate, s.gyro_ok);
+    const rw_real force[3] = {s.accel[0], s.accel[1], s.accel[2]};
+    rw_diagnoser_accel(&_work->diagnoser, t, force, s.accel_ok);
 }
 
 void AP_RotorDiagnosis::report(const rw_notification &notification, uint64_t now_us)

@@ -4,8 +4,8 @@
  *
  *   rotorwatch export-c --diagnoser --vehicle mine.toml --rate-hz 50 --sensor-hz 100 -o AP_RotorDiagnosis
  *
- * The main loop calls update() RW_MOTION_HZ times a second: that takes samples and puts them into a queue, nothing else. A thread of lowest
- * priority diagnoses. Without RWD_ENABLE there is neither, and no memory is taken. It only reports: nothing here commands the vehicle.
+ * The main loop calls update() each time: that adds up gyro and accelerometer, and puts a sample into a queue RW_MOTION_HZ times a second,
+ * nothing else. A thread of lowest priority diagnoses. Without RWD_ENABLE there is neither, and no memory is taken. It only reports: nothing here commands the vehicle.
  *
  * Log records:
  *   RWEV  an event that is new (What 0), changed (1) or withdrawn (2). Kind: 0 loss of effectiveness, 1 output overridden, 2 contact, 9 mount.
@@ -32,7 +32,7 @@ public:
     // Once, when the motors exist: takes the memory and starts the thread, if RWD_ENABLE says so.
     void init(const AP_MotorsMulticopter &motors);
 
-    // Samples of this moment into the queue: a task of the scheduler.
+    // What is seen at this moment: a task of the scheduler, at the rate of the main loop.
     void update();
 
     // What is known now. Loss of effectiveness of a rotor, counted from 0: 0 healthy, 1 dead; 0: not judged, 1: healthy so far, 2: fault,
@@ -44,12 +44,14 @@ public:
     static const AP_Param::GroupInfo var_info[];
 
 private:
+    struct Mean;
     struct Sample;
     struct Work;
 
     void thread();
     bool step();
     void feed(const Sample &sample);
+    void feed_motion(const Sample &sample);
     void report(const rw_notification &notification, uint64_t now_us);
     void log_losses(uint64_t now_us);
 

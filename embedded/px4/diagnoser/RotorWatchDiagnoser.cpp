@@ -7,9 +7,9 @@ namespace
 {
 // Below the controllers, the estimators, the drivers and (on NuttX) the commander and the logger: a step takes milliseconds.
 #if defined(__PX4_NUTTX)
-constexpr px4::wq_config_t DIAGNOSING {"wq:rotorwatch", 8000, -128};
+constexpr px4::wq_config_t DIAGNOSING {"wq:rotorwatch", 4096, -128};
 #else
-constexpr px4::wq_config_t DIAGNOSING {"wq:rotorwatch", 8000, -90};
+constexpr px4::wq_config_t DIAGNOSING {"wq:rotorwatch", 4096, -90};
 #endif
 
 rw_time seconds(hrt_abstime us)
@@ -56,8 +56,12 @@ void RotorWatchDiagnoser::init()
 void RotorWatchDiagnoser::Run()
 {
 	if (should_exit()) {
-		// Not before the worker is back: it is part of this object.
-		if (!_busy.load()) {
+		// Not before the worker has said that it does nothing any more: it is part of this object.
+		if (!_stopping.load()) {
+			_stopping.store(true);
+			_worker.ScheduleNow();
+
+		} else if (_stopped.load()) {
 			ScheduleClear();
 #ifdef ROTORWATCH_MODULE_DESCRIPTOR
 			exit_and_cleanup(desc);
@@ -72,7 +76,6 @@ void RotorWatchDiagnoser::Run()
 	take();
 
 	if (_head.load() != _tail.load()) {
-		_busy.store(true);
 		_worker.ScheduleNow();
 	}
 }
@@ -112,8 +115,51 @@ void RotorWatchDiagnoser::pass_on()
 	_count = 0;
 }
 
+void RotorWatchDiagnoser::Mean::add(const float *xyz, hrt_abstime time)
+{
+	since = count == 0 ? time : since;
+	late += static_cast<uint32_t>(time - since);
+	count++;
+
+	for (int k = 0; k < 3; k++) {
+		sum[k] += xyz[k];
+	}
+}
+
+hrt_abstime RotorWatchDiagnoser::Mean::take(float *mean)
+{
+	const hrt_abstime time = since + late / count;
+
+	for (int k = 0; k < 3; k++) {
+		mean[k] = sum[k] / static_cast<float>(count);
+		sum[k] = 0.f;
+	}
+
+	late = 0;
+	count = 0;
+	return time;
+}
+
 void RotorWatchDiagnoser::take()
 {
+	vehicle_angular_velocity_s rates;
+
+	if (_rates.update(&rates)) {
+		_gyro.add(rates.xyz, rates.timestamp_sample);
+	}
+
+	vehicle_acceleration_s acceleration;
+
+	if (_acceleration.update(&acceleration)) {
+		_accel.add(acceleration.xyz, acceleration.timestamp_sample);
+	}
+
+	if (++_quarter < 4) {
+		return;
+	}
+
+	_quarter = 0;
+
 	// What is new of each topic. Outputs and what changes slowly come RW_OUTPUT_HZ times a second, gyro and accelerometer RW_MOTION_HZ times.
 	_turn += RW_OUTPUT_HZ;
 
@@ -162,16 +208,16 @@ void RotorWatchDiagnoser::take()
 		}
 	}
 
-	vehicle_angular_velocity_s rates;
+	float mean[3];
 
-	if (_rates.update(&rates)) {
-		put(Kind::RATES, rates.timestamp_sample, rates.xyz, 3);
+	if (_gyro.count > 0) {
+		const hrt_abstime time = _gyro.take(mean);
+		put(Kind::RATES, time, mean, 3);
 	}
 
-	vehicle_acceleration_s acceleration;
-
-	if (_acceleration.update(&acceleration)) {
-		put(Kind::ACCELERATION, acceleration.timestamp_sample, acceleration.xyz, 3);
+	if (_accel.count > 0) {
+		const hrt_abstime time = _accel.take(mean);
+		put(Kind::ACCELERATION, time, mean, 3);
 	}
 
 	pass_on();
@@ -179,6 +225,11 @@ void RotorWatchDiagnoser::take()
 
 void RotorWatchDiagnoser::diagnose()
 {
+	if (_stopping.load()) {
+		_stopped.store(true);
+		return;
+	}
+
 	if (_parameters.updated()) {
 		parameter_update_s update;
 		_parameters.copy(&update);
@@ -199,8 +250,6 @@ void RotorWatchDiagnoser::diagnose()
 	if (outputs) {
 		report(_fed);
 	}
-
-	_busy.store(false);
 }
 
 void RotorWatchDiagnoser::feed(const Sample &sample)

@@ -2,8 +2,8 @@
  *
  * Where it goes, what to add and what the pilot sees: docs/px4.md. For PX4 1.15 to 1.17.
  *
- * A work item of the queue wq:hp_default takes samples RW_MOTION_HZ times a second and puts them into a line; another one, in a queue of its
- * own and of low priority, diagnoses. Memory is taken by `rotorwatch start` alone, and only where ROTW_EN is 1. It only reports: nothing
+ * A work item of the queue wq:hp_default adds up gyro and accelerometer, and puts samples into a line RW_MOTION_HZ times a second; another
+ * one, in a queue of its own and of low priority, diagnoses. Memory is taken by `rotorwatch start` alone, and only where ROTW_EN is 1. It only reports: nothing
  * here commands the vehicle.
  */
 #pragma once
@@ -61,7 +61,7 @@ public:
 	void init();
 
 private:
-	static constexpr unsigned INTERVAL_US = 1000000u / RW_MOTION_HZ;
+	static constexpr unsigned INTERVAL_US = 250000u / RW_MOTION_HZ; // gyro and accelerometer are read four times for a sample
 	static constexpr unsigned PUBLISH_US = 200000u;
 	static constexpr unsigned NUMBERS = RW_ROTORS > 4 ? RW_ROTORS : 4;
 	// Half a second: two samples of motion each time, five others each time the outputs are read.
@@ -76,6 +76,17 @@ private:
 		hrt_abstime time;
 		float x[NUMBERS];
 		Kind kind;
+	};
+
+	// Adds up what a sensor says between two samples.
+	struct Mean {
+		float sum[3] {};
+		hrt_abstime since{0};
+		uint32_t late{0}; // [us] of all, after the first
+		unsigned count{0};
+
+		void add(const float *xyz, hrt_abstime time);
+		hrt_abstime take(float *mean); // its time
 	};
 
 	// What diagnoses: it runs when there are samples.
@@ -115,7 +126,11 @@ private:
 	orb_advert_t _mavlink_log_pub{nullptr};
 
 	Worker _worker{*this};
-	px4::atomic_bool _busy{false}; // the worker has been called and has not come back
+	px4::atomic_bool _stopping{false}; // the worker shall do nothing any more
+	px4::atomic_bool _stopped{false}; // and has said so
+	Mean _gyro{};
+	Mean _accel{};
+	unsigned _quarter{0};
 	unsigned _turn{0};
 
 	// What came since the last time, in the order of its time; and the line of samples: one item puts, the other one takes.

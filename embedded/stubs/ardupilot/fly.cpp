@@ -59,12 +59,11 @@ int main(int count, char **words)
     }
     d.init(World::motors);
     fprintf(World::out, "size\t%u\t%d\n", unsigned(sizeof d), World::threads() ? 1 : 0);
-    double row[WIDTH], next = 0;
+    double row[WIDTH];
     while (fread(row, sizeof row, 1, file) == 1) {
         see(row);
         World::now_us = uint64_t(row[1] * 1000000 + 0.5);
-        if (int(row[0]) == 2 && row[1] >= next) {
-            next = (row[1] - next < 0.5 ? next : row[1]) + 1.0 / RW_MOTION_HZ;
+        if (int(row[0]) == 2) { // a turn of the main loop
             d.update();
             World::let();
         }

@@ -150,11 +150,9 @@ def _of(e: Event, r: int) -> bool:
 
 
 def _changed(t: Told) -> bool:
-    """Whether it is another event than the one that was told: of other rotors, certain or no longer so, graver, or of a loss that is not
-    within its interval any more."""
+    """Whether it is another event than the one that was told: of other rotors, certain or no longer so, or of a loss whose interval has
+    left what was told."""
     if t.rotors != t.event.rotors or t.certain != (t.event.alternative_count == 0):
-        return True
-    if severity(t.event, False) < t.severity:
         return True
     for k in range(TOGETHER):
         left = t.loss[k] < t.event.lower[k] or t.loss[k] > t.event.upper[k]
