@@ -39,11 +39,12 @@ def words(size: str, baseline: str = "middle") -> dict[str, Any]:
     return dict(text_font="system-ui, sans-serif", text_font_size=size, text_color=INK, text_baseline=baseline)
 
 
-def hover(p, renderer) -> None:
-    """One tooltip per time, attached to one line."""
+def hover(p, *renderers, **more) -> None:
+    """The tooltip of a plot, attached to a line, so that there is one per time, or to what else it belongs to. more: its properties."""
     from bokeh.models import HoverTool
 
-    p.select_one(HoverTool).renderers = [renderer]
+    (tool,) = (one for one in p.toolbar.tools if isinstance(one, HoverTool))  # select_one looks through the whole plot
+    tool.update(renderers=[*renderers], **more)
 
 
 def stacked(name: str, last: bool, x_range, label: str, tips, **more) -> Any:

@@ -39,7 +39,7 @@ PEAK, USUAL = 3.0, 0.995
 
 def messages(diagnosis: Diagnosis, x_range) -> Any:
     """Flight modes and messages of the autopilot; None when the log holds neither."""
-    from bokeh.models import ColumnDataSource, HoverTool, Range1d
+    from bokeh.models import ColumnDataSource, Range1d
 
     trace = diagnosis.trace
     if trace is None or not trace.messages:
@@ -60,8 +60,7 @@ def messages(diagnosis: Diagnosis, x_range) -> Any:
         }
     )
     symbols = p.scatter("time", "y", source=marks, size=7, marker="diamond", color="fill", alpha=0.9, name="messages")
-    tool = p.select_one(HoverTool)
-    tool.renderers, tool.mode, tool.tooltips = [drawn, symbols], "mouse", [("", "@text")]
+    hover(p, drawn, symbols, mode="mouse", tooltips=[("", "@text")])
     return p
 
 
@@ -169,13 +168,12 @@ def _lane(name: str, values: np.ndarray, source, x_range, last: bool) -> Any:
 
 def _modes(trace: Trace, x_range) -> Any:
     """The flight modes alone."""
-    from bokeh.models import HoverTool, Range1d
+    from bokeh.models import Range1d
 
     p = stacked("modes", True, x_range, "mode", [], y_range=Range1d(start=0.0, end=1.0))
     p.height, p.ygrid.visible = 84, False
     p.yaxis.ticker = []
-    tool = p.select_one(HoverTool)
-    tool.renderers, tool.mode, tool.tooltips = [_bands(p, trace, 0.12, 0.88)], "mouse", [("", "@text")]
+    hover(p, _bands(p, trace, 0.12, 0.88), mode="mouse", tooltips=[("", "@text")])
     return p
 
 

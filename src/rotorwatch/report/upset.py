@@ -11,7 +11,7 @@ import numpy as np
 from rotorwatch import report
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.report import colours
-from rotorwatch.report.axes import blank, moment, words
+from rotorwatch.report.axes import blank, hover, moment, words
 from rotorwatch.report.colours import FAULT, INK, SUSPECT
 
 ANGLES, RATES = ("roll", "pitch"), ("roll", "pitch", "yaw")
@@ -68,7 +68,7 @@ def plots(diagnosis: Diagnosis) -> dict[str, Any]:
 
 def _strip(facts: Mapping[str, Any], x_range) -> Any:
     """Coloured stretches from each moment to the next, and their names with their times, one above the other."""
-    from bokeh.models import ColumnDataSource, HoverTool, Label, Range1d
+    from bokeh.models import ColumnDataSource, Label, Range1d
 
     marks = facts["marks"]
     top = 1.0 + len(marks)
@@ -91,14 +91,13 @@ def _strip(facts: Mapping[str, Any], x_range) -> Any:
         align, offset = ("left", 5) if at < middle else ("right", -5)
         label = Label(x=at, y=top - 0.55 - k, text=text, text_align=align, x_offset=offset, **words("13px"))
         p.add_layout(label)
-    hover = p.select_one(HoverTool)
-    hover.renderers, hover.mode, hover.tooltips = [boxes], "mouse", [("", "@what")]
+    hover(p, boxes, mode="mouse", tooltips=[("", "@what")])
     return p
 
 
 def _followed(facts: Mapping[str, Any], x_range, axis: str, key: str, unit: str) -> Any:
     """Wanted against actual attitude or rate, one axis."""
-    from bokeh.models import ColumnDataSource, HoverTool, Range1d
+    from bokeh.models import ColumnDataSource, Range1d
 
     have = {"actual": facts[f"{axis}_{key}"], "wanted": facts[f"wanted_{axis}_{key}"]}
     known = {name: np.asarray(values, float) for name, values in have.items() if values is not None}
@@ -115,7 +114,7 @@ def _followed(facts: Mapping[str, Any], x_range, axis: str, key: str, unit: str)
         "wanted": dict(color=INK, line_width=1.8, line_dash="dashed"),
     }
     lines = [p.line("time", name, source=source, name=name, **style[name]) for name in data]
-    p.select_one(HoverTool).renderers = lines[:1]
+    hover(p, *lines[:1])
     return p
 
 
@@ -128,7 +127,7 @@ def _unbroken(degrees) -> np.ndarray:
 
 def _rotors(diagnosis: Diagnosis, series: Mapping[str, Any], values: np.ndarray, x_range, label: str, **more) -> Any:
     """A line of `values` (n, samples) for every rotor, the accused ones thick and on top."""
-    from bokeh.models import ColumnDataSource, HoverTool
+    from bokeh.models import ColumnDataSource
 
     accused = diagnosis.picture["accused"] if diagnosis.picture else ()
     looks = colours.looks(diagnosis, len(values))
@@ -143,5 +142,5 @@ def _rotors(diagnosis: Diagnosis, series: Mapping[str, Any], values: np.ndarray,
         look: dict[str, Any] = dict(name=f"rotor {k}", color=looks[k][0], line_dash=looks[k][1])
         width = 4.0 if k in accused else 1.6
         lines.append(p.step("time", f"rotor{k}", source=source, mode="after", line_width=width, **look))
-    p.select_one(HoverTool).renderers = lines[:1]
+    hover(p, *lines[:1])
     return p
