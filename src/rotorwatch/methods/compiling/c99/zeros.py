@@ -119,7 +119,7 @@ def cholesky(graph: Graph, x: Node) -> Node:
     return graph.elementwise("select", here, none, graph.broadcast(root, x.shape, range(rank - 1)), kind="f")
 
 
-def solved(graph: Graph, a: Node, b: Node, how: tuple[bool, bool, bool, bool]) -> Node:
+def solved(graph: Graph, a: Node, b: Node, how: tuple[bool, ...]) -> Node:
     """X of op(A) X = B or X op(A) = B; how: left, lower, transposed, unit diagonal."""
     line = diagonal(graph, a)
     if line is None:
