@@ -50,6 +50,7 @@ from rotorwatch.engine.estimator.hypotheses import (
     other_rotor_of,
     recovery_variance,
     rotor_of,
+    shrunk,
     weight_of,
 )
 from rotorwatch.engine.estimator.kalman import Branch
@@ -169,7 +170,7 @@ class Evidence(Struct):
         for k in range(SLOTS):
             row = self.log_bf[k]
             for h in range(count):
-                self.odds[h] += exp(row[h] - top[h])
+                self.odds[h] += shrunk(row[h] - top[h])
         for h in range(count):
             self.odds[h] = top[h] + log(self.odds[h] * weight_of(kind_of(n, h)))
         self._prior(p)
