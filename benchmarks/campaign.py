@@ -28,7 +28,7 @@ PHASES = {
     "flights simulated, logged, turned into ticks": "fly",
     "bounds": "_bounds",
     "default estimator": "by_default",
-    "learning for published ones": "taught",
+    "learning for published ones": "learned_states",
 }
 
 

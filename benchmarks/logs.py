@@ -131,8 +131,8 @@ def rosbags(path: Path) -> None:
 
 def samples(flights: Path, folder: Path) -> list[tuple[str, Path, dict[str, Callable[[Path], None]]]]:
     """(kind, log, its other readers by name)."""
-    sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-    import ros2_bags
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+    from tests import ros2_bags
 
     binary, telemetry, box = folder / "small.bin", folder / "flight.tlog", folder / "flight.bbl"
     binary.write_bytes(enlarged(sample(flights), SMALL))

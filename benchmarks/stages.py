@@ -28,6 +28,7 @@ from collections import defaultdict
 from pathlib import Path
 from types import FrameType
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command does, before NumPy is imported
 STAGES = {
     "imports": ("<frozen importlib",),
     "reading": ("/logs/", "/gathering.py"),

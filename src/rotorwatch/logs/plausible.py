@@ -257,11 +257,11 @@ def _size(time, values, valid, floor: float, alike: bool = False) -> Lone:
     rough = None
     if alike:
         rough = np.zeros(values.shape[::-1])
-        for k, to in enumerate(rough):
+        for k in range(len(rough)):
             times = every or _Times(time[known(k)])
             if len(times.t) > 2 * AHEAD:
                 x = np.ascontiguousarray(values[known(k), k])
-                to[known(k)] = np.abs(_residual(x, times.single, 1, 1)[0])
+                rough[k][known(k)] = np.abs(_residual(x, times.single, 1, 1)[0])
         mean = rough.T.sum(axis=1) / np.maximum((rough > 0.0).sum(axis=0), 1)
         rough = np.maximum(rough, mean)
     for k in range(values.shape[1]):

@@ -51,6 +51,7 @@ from rotorwatch.engine.estimator.hypotheses import (
     other_rotor_of,
     recovery_variance,
     rotor_of,
+    shrunk,
     weight_of,
 )
 from rotorwatch.engine.estimator.kalman import Branch
@@ -168,10 +169,10 @@ class Evidence(Struct):
                     self.peak[h] = one
                     self.place[h] = k
                 if one > self.top[h]:
-                    self.total[h] = self.total[h] * exp(self.top[h] - one) + 1.0
+                    self.total[h] = self.total[h] * shrunk(self.top[h] - one) + 1.0
                     self.top[h] = one
                 else:
-                    self.total[h] += exp(one - self.top[h])
+                    self.total[h] += shrunk(one - self.top[h])
 
     def gather(self, p: Plant) -> None:
         """The evidence of all hypotheses, by all windows."""

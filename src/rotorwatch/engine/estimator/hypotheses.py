@@ -39,6 +39,7 @@ STUCK_WEIGHT, DISTURBANCE_WEIGHT = 0.1, 3.0
 RECOVERY_SHARE = 0.3
 # Hover thrusts that a rotor gives at least that is told to give one thrust; nats of what cannot be.
 MORE, NOTHING = 1.25, -50.0
+LEFT = -746.0  # nats of which exp is 0
 # Disturbances: which of roll (1), pitch (2), yaw (4), thrust (8) they touch.
 DISTURBANCES = (1, 2, 4, 8, 9, 10, 12, 7, 15)
 DISTURBANCE_COUNT = 9
@@ -165,7 +166,7 @@ class Freed(Struct):
         total = 0.0
         mean = 0.0
         for k in range(6):
-            likely[k] *= exp(fit[k] - most)
+            likely[k] *= shrunk(fit[k] - most)
             total += likely[k]
             mean += likely[k] * size[k]
         out.size = mean / total
@@ -190,6 +191,11 @@ class Freed(Struct):
         out.variance = 1.0 / left
         fit = z * size - 0.5 * c * size * size - 0.5 * (size - target) * (size - target) / variance
         out.factor = fit - 0.5 * log(left * variance) + self.gain[0]
+
+
+def shrunk(nats: Real) -> Real:
+    """exp of a difference, without the work where nothing is left: most of what is held against the best is far behind."""
+    return exp(nats) if nats > LEFT else 0.0
 
 
 def recovery_variance(target: Real) -> Real:
