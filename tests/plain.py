@@ -38,6 +38,11 @@ def array(one: Any, *shape: int) -> np.ndarray:
     return np.array(one)[tuple(slice(0, s) for s in shape)]
 
 
+def lower(C: np.ndarray) -> np.ndarray:
+    """Symmetric matrices (..., n, n) as the definitions keep them: row by row, each up to its diagonal."""
+    return C[(..., *np.tril_indices(C.shape[-1]))]
+
+
 def plant(B: np.ndarray, dt: float = 0.05, **known: Any) -> Plant:
     """A vehicle's plant with ticks of dt seconds. known: fields beside `program.parameters`."""
     names = ("rotors", "dt", "effect", "lower", "mean", "variance", "noise", "noise_weight")

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from tests.plain import array, copied, made, plant
+from tests.plain import array, copied, lower, made, plant
 
 from rotorwatch import airframes
+from rotorwatch.engine.default.program import square
 from rotorwatch.engine.estimator.bank import (
     DAMPING_ERROR,
     FIRST_LOSS,
@@ -45,7 +46,7 @@ def run():
     bank.begin(p)
     kept = {}
     for k in range(TICKS):
-        bank.advance(p, k >= FIRST, False, [float(k), float(k) ** 2, 0.0, 0.0])
+        bank.advance(p, k >= FIRST, False, [float(k), float(k) ** 2, 0.0, 0.0], 0, len(bank.slots))
         for slot in bank.slots:
             if slot.age >= 0 and w[k] > 0.0:
                 slot.observe(p, int(axis[k]), h[k].tolist(), K[k].tolist(), float(w[k]), float(nu[k]))
@@ -69,7 +70,7 @@ def test_a_slot_holds_what_a_jump_at_its_onset_has_done_since(run):
             M = A[:, None] * M + share * directions()
             phi = h[k] @ M
             C, z, M = C + w[k] * np.outer(phi, phi), z + w[k] * nu[k] * phi, M - np.outer(K[k], phi)
-        np.testing.assert_allclose(array(slot.C, DIRECTIONS, DIRECTIONS), C, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(square(np.array(slot.C), DIRECTIONS), C, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(array(slot.z, DIRECTIONS), z, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(array(slot.M, STATES, DIRECTIONS), M, rtol=1e-9, atol=1e-12)
     assert seen == {True, False}
@@ -113,7 +114,7 @@ def test_errors_of_the_model_integrated_out_leave_the_marginal(run):
         A = rng.standard_normal((20, DIRECTIONS))
         C, z = A.T @ A, rng.standard_normal(DIRECTIONS)
         window = Window()
-        window.reduce(p, made(Slot, C=C, z=z), 0.3, 0.7)
+        window.reduce(p, made(Slot, C=lower(C), z=z), 0.3, 0.7)
         errors, rest = [YAW_ERROR, DAMPING_ERROR], [d for d in range(DIRECTIONS) if d not in (YAW_ERROR, DAMPING_ERROR)]
         more = 0.7 if z[DAMPING_ERROR] > 0.0 else 1e-12
         prior = np.zeros((DIRECTIONS, DIRECTIONS))

@@ -55,10 +55,11 @@ class Carries:
 
     def __init__(self, states, n, whole):
         size, branches = THETA + n, [state["branches"]["all"] for state in states]
-        shapes = {"s": (size,), "P": (size, size), "weight": (), "active": (n,), "onset": ()}
+        shapes = {"s": (size,), "weight": (), "active": (n,), "onset": ()}
         for name, shape in shapes.items():
             part = (slice(None), slice(None), *map(slice, shape))
             setattr(self, name, np.concatenate([each[name][part] for each in branches]))
+        self.P = program.square(np.concatenate([each["P"] for each in branches]), size)
         if whole:
             self.rows = np.concatenate(states)
             self.variances, self.slots = self.rows["noise"]["v"], self.rows["bank"]["slots"]
@@ -249,7 +250,7 @@ def test_every_slot_is_an_augmented_kalman_filter(quad, slot):
         direction[axis * PER_AXIS + B3 if rotor is None else THETA + rotor] = 1.0
         prior = LOSS_WIDTH**2
         mean, P = dense(method, u, y, carries.variances, last - age, [direction], share, last, prior)
-        precision = one["C"][d, d] + 1.0 / prior
+        precision = one["C"][d * (d + 3) // 2] + 1.0 / prior
         nu = one["z"][d] / precision
         M = one["M"][:states, d]
         np.testing.assert_allclose(P[-1, -1], 1.0 / precision, rtol=1e-6)
@@ -378,11 +379,10 @@ def test_the_better_explanation_takes_the_lead_and_the_bank_starts_anew(quad):
 def test_every_covariance_is_symmetric_and_not_negative(quad):
     """Through the announcement: the covariances of all explanations with all cross terms, the information of every jump."""
     P, q = quad.carries.P, FIRST_LOSS + quad.method.n
-    C = quad.carries.slots["C"][..., :q, :q]
+    C = program.square(quad.carries.slots["C"], q)
     np.testing.assert_array_equal(P, np.swapaxes(P, 2, 3))
     sd = np.sqrt(np.maximum(np.diagonal(P, axis1=2, axis2=3), 1e-20))
     assert np.linalg.eigvalsh(P / sd[..., None] / sd[..., None, :]).min() > -1e-9
-    np.testing.assert_allclose(C, np.swapaxes(C, 2, 3), rtol=1e-12, atol=1e-9)
     top = np.linalg.norm(C, axis=(2, 3))[..., None] + 1.0
     assert (np.linalg.eigvalsh(C) / top).min() > -1e-12
 

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 from tests.loss_prior import beside_steps, one_of
-from tests.plain import array, copied, filled, made, plant, room
+from tests.plain import array, copied, filled, lower, made, plant, room
 
 from rotorwatch import airframes
 from rotorwatch.engine.default.hypotheses import list_hypotheses
+from rotorwatch.engine.default.program import square
 from rotorwatch.engine.estimator import hypotheses
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Bank
 from rotorwatch.engine.estimator.evidence import Best, Evidence, Shift
@@ -26,7 +27,7 @@ from rotorwatch.engine.estimator.hypotheses import (
 )
 from rotorwatch.engine.estimator.kalman import Branch
 from rotorwatch.engine.estimator.noise import Noise
-from rotorwatch.engine.estimator.plant import ANSWER_S, THETA
+from rotorwatch.engine.estimator.plant import ANSWER_S, THETA, entry
 from rotorwatch.engine.estimator.sizes import SLOTS
 from rotorwatch.engine.front.decisions import TOTAL_LOSS
 
@@ -52,7 +53,7 @@ def told(strength=60.0, jump=(0, 0.1), seed=0, sd=0.03):
         score = own @ (jump[1] * np.eye(N + 4)[jump[0]]) + sd * np.sqrt(size) * rng.standard_normal(N + 4)
         C, z = np.zeros((q, q)), np.zeros(q)
         C[np.ix_(PLACE, PLACE)], z[PLACE] = own, score
-        filled(slot, age=-1 if w % 3 == 2 else w, C=C, z=z, M=rng.uniform(0, 1, (THETA + N, q)))
+        filled(slot, age=-1 if w % 3 == 2 else w, C=lower(C), z=z, M=rng.uniform(0, 1, (THETA + N, q)))
     return bank
 
 
@@ -60,7 +61,12 @@ def gather(bank, theta=(0.0,) * N, active=(), variances=CALM):
     found = made(Evidence, yaw_error=1e-12, damping_error=1e-12)
     leader = made(Branch, s=np.append(np.zeros(THETA), theta), active=np.isin(np.arange(1, N + 1), active))
     found.ask(P, leader, made(Noise, v=variances), [1.0] * N, [0.0] * N, AIR, OUTSIDE, FULL)
-    found.gather(P, bank)
+    found.slots = []  # of each, its log Bayes factors
+    for k, slot in enumerate(bank.slots):
+        found.look(P, bank, k, k + 1)
+        row = array(found.log_bf, len(HYP.names)) if slot.age >= 0 else np.full(len(HYP.names), NOTHING)
+        found.slots.append(row + slot.log_stride)
+    found.gather(P)
     return found
 
 
@@ -70,7 +76,7 @@ def in_use(bank):
 
 def factors(found):
     """(slots, hypotheses) log Bayes factors with the slots' strides."""
-    return array(found.log_bf, SLOTS, len(HYP.names))
+    return np.array(found.slots)
 
 
 def odds(found):
@@ -152,8 +158,7 @@ def test_slots_that_are_not_in_use_say_nothing():
         if slot.age < 0:
             slot.z = [1e3] * len(slot.z)
     found, best = gather(loud), Best()
-    stride = np.array([slot.log_stride for slot in loud.slots])
-    assert (factors(found)[~in_use(loud)] == (NOTHING + stride)[~in_use(loud), None]).all()
+    np.testing.assert_array_equal(odds(found), odds(gather(told())))
     for h in (0, 5, len(HYP.names) - 1):
         found.pick(P, loud, h, best)
         assert in_use(loud)[best.slot]
@@ -212,7 +217,8 @@ def test_a_jump_has_the_covariance_of_a_gaussian_in_all_its_directions_together(
     assert w == live[np.argmax(factors(found)[live, h])] and best.since == bank.slots[w].age + 1.0
     who = list(HYP.rotors[h])
     index = [*who, *range(N, N + 4)]
-    C, z = array(bank.slots[w].C)[np.ix_(PLACE, PLACE)][np.ix_(index, index)], array(bank.slots[w].z)[PLACE][index]
+    C = square(np.array(bank.slots[w].C), FIRST_LOSS + N)[np.ix_(PLACE, PLACE)][np.ix_(index, index)]
+    z = array(bank.slots[w].z)[PLACE][index]
     width = float(np.hypot(NONE, RECOVERY_SHARE * ends(bank, w))) if "again" in name else LOSS_WIDTH
     prior = np.array([width**2] * len(who) + (np.array(found.freed.slop) + 1e-12).tolist())
     dense = np.linalg.inv(C + np.diag(1.0 / prior))[: len(who), : len(who)]
@@ -233,7 +239,7 @@ def test_a_disturbance_is_a_step_of_its_axes_alone():
     best, size, cov = jumped(found, bank, "pitch and common mode")
     index = N + axes
     prior = (FAR * np.array(found.asked.width)[axes]) ** 2
-    own = array(bank.slots[best.slot].C)[np.ix_(axes, axes)]
+    own = square(np.array(bank.slots[best.slot].C), FIRST_LOSS + N)[np.ix_(axes, axes)]
     dense = np.linalg.inv(own + np.diag(1.0 / prior))
     assert cov[np.ix_(index, index)] == pytest.approx(dense, rel=1e-6)
     assert size[index] == pytest.approx(dense @ array(bank.slots[best.slot].z)[axes], rel=1e-6)
@@ -244,5 +250,5 @@ def test_a_loss_can_be_measured_as_well_as_the_best_slot_knows_it():
     bank = told()
     found = gather(bank)
     for i in range(N):
-        own = max(slot.C[FIRST_LOSS + i][FIRST_LOSS + i] for slot in bank.slots if slot.age >= 0)
+        own = max(slot.C[entry(FIRST_LOSS + i, FIRST_LOSS + i)] for slot in bank.slots if slot.age >= 0)
         assert found.detectable(i) == pytest.approx(1.0 / np.sqrt(own + LOSS_WIDTH**-2))

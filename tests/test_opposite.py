@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from tests.plain import filled, made, plant
+from tests.plain import filled, lower, made, plant
 
 from rotorwatch import airframes
 from rotorwatch.engine.default.hypotheses import list_hypotheses
@@ -60,7 +60,7 @@ def suspect(
         each.age = age
     bank.slots[slot].age = slot % len(bank.slots) if live else -1
     C, z = of_one_loss(n, pair, fit, loss)
-    filled(bank.slots[slot], C=C, z=z)
+    filled(bank.slots[slot], C=lower(C), z=z)
     left = np.exp(-slot * DT / USUAL_S)
     missing, alarm = SimpleNamespace(heave=heave * left, rose=rose * left), SimpleNamespace(limit=LIMIT)
     out, found = made(Opposite, lasted=lasted), made(Evidence, yaw_error=1e-12, damping_error=1e-12, unfaulty=unfaulty)

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from tests.plain import array, copied, filled, plant, room
 
 from rotorwatch import airframes
+from rotorwatch.engine.default.program import square
 from rotorwatch.engine.estimator.hypotheses import CLEAR
 from rotorwatch.engine.estimator.plant import BURST_S, THETA
 from rotorwatch.engine.estimator.posterior import NEVER, OUT, TEMPER, Branches
@@ -24,7 +25,7 @@ def some(weights, seed=0, age=0.0):
     rng, found = np.random.default_rng(seed), Branches()
     for one, weight in zip(found.all, weights):
         filled(
-            one, s=rng.standard_normal(STATES), P=rng.standard_normal((STATES, STATES)), weight=float(weight),
+            one, s=rng.standard_normal(STATES), P=rng.standard_normal(STATES * (STATES + 1) // 2), weight=float(weight),
             active=rng.random(N) < 0.4, learning=rng.uniform(0, 6, N), variance=rng.random(N), mean=rng.random(N), gives=rng.random(N),
             onset=float(rng.integers(1, 80)),
         )  # fmt: skip
@@ -74,10 +75,10 @@ def test_at_first_nothing_has_happened():
     b = Branches()
     b.begin(P)
     assert shares(b) == pytest.approx([1.0, 0.0, 0.0, 0.0])
-    leader = b.all[0]
+    leader, covariance = b.all[0], square(np.array(b.all[0].P), STATES)
     assert not any(leader.active) and leader.s[:THETA] == P.mean and not any(leader.s[THETA:])
-    assert (array(leader.P, THETA, THETA) == array(P.variance)).all()
-    built = array(leader.P, STATES, STATES)[THETA:, THETA:]  # rotors differ as they are built, about the mean of all
+    assert (covariance[:THETA, :THETA] == array(P.variance)).all()
+    built = covariance[THETA:, THETA:]  # rotors differ as they are built, about the mean of all
     assert built.sum(axis=0) == pytest.approx(np.zeros(N), abs=1e-15) and built[0, 0] > 0.0
 
 
@@ -166,7 +167,7 @@ def test_a_branch_that_has_come_apart_spoils_no_other(bad, leads):
     """Numbers of one that overflowed: nobody else's change, also where places are exchanged, and it never leads."""
     weights = np.array([0.0, 2.0 * CLEAR * (1 if leads else -1), 1.0, -2.0])
     b = filled(some(weights))
-    filled(b.all[2], s=np.full(STATES, bad), P=np.full((STATES, STATES), bad))
+    filled(b.all[2], s=np.full(STATES, bad), P=np.full(STATES * (STATES + 1) // 2, bad))
     new = copied(b)
     assert new.lead() == bool(leads)
     order = [1, 0, 3] if leads else [0, 1, 3]

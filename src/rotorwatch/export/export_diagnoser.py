@@ -59,11 +59,13 @@ def settings(B: np.ndarray, dt: float) -> dict[str, Any]:
     n = B.shape[1]
     opposite = max(1, sum(map(len, events.opposites(B).values())) // 2)
     pairs, places = n * (n - 1) // 2, sizes.PLACES
+    states, directions = engine_sizes.PLANT_STATES + n, FIRST_LOSS + n
     return {
         "ROTORS": n, "PLACES": places, "PAIRS": pairs, "HYPOTHESES": hypothesis_count(n), "TICK_S": dt,
         "REACH": bank.GROUP * max(bank.LONG if dt >= bank.SLOW_S else bank.SHORT) + 16,
-        "PLANT_STATES": engine_sizes.PLANT_STATES, "STATES": engine_sizes.PLANT_STATES + n, "DIRECTIONS": FIRST_LOSS + n,
-        "SLOTS": engine_sizes.SLOTS, "RING": engine_sizes.RING, **TRIM, "COLUMNS": 1 + n,
+        "PLANT_STATES": engine_sizes.PLANT_STATES, "STATES": states, "PRODUCTS": states * (states + 1) // 2,
+        "DIRECTIONS": directions, "CROSSES": directions * (directions + 1) // 2, "SLOTS": engine_sizes.SLOTS,
+        "RING": engine_sizes.RING, **TRIM, "COLUMNS": 1 + n,
         "RECORDS": 2 * n + 4, "TOGETHER": min(4, n), "ALTERNATIVES": places + 2 + opposite,
         "CONTACTS": 4, "FALLS": 4, "EVENTS": 12,
         "TICKS_BEFORE": look_back(dt), "SETTLING": 2 * look_back(dt) + 4, "QUEUE": round(QUEUE_S / dt), "WAITING": 8, "FLIGHTS": 4,

@@ -354,7 +354,10 @@ class Body:
         if want == "flag":
             return code.text
         if RANK[have] != RANK[want]:
-            return f"({C_NAMES[want]}){code.within(14)}"
+            called = (
+                "+" if have == "int" and re.match(r"\w+\(", code.text) else ""
+            )  # PX4's flags warn of the cast of a call
+            return f"({C_NAMES[want]}){called}{code.within(14)}"
         return code.text
 
     def literal(self, code: Code, want: str) -> str:

@@ -160,11 +160,19 @@ class Steps:
         return parts[0] if len(parts) == 1 else TickOutput(*map(np.concatenate, zip(*parts, strict=True)))
 
 
+def square(kept: np.ndarray, n: int) -> np.ndarray:
+    """Symmetric matrices (..., n, n) of what the definitions keep of them: row by row, each up to its diagonal."""
+    rows, columns = np.tril_indices(n)
+    found = np.empty((*kept.shape[:-1], n, n))
+    found[..., rows, columns] = found[..., columns, rows] = kept[..., : len(rows)]
+    return found
+
+
 def learned(state: running.Rows, rotors: int) -> Learned:
     """What the estimator has come to."""
     states = sizes.PLANT_STATES + rotors
     leader = state.part("branches").part("all")
-    s, P = leader["s"][0, :states], leader["P"][0, :states, :states]
+    s, P = leader["s"][0, :states], square(leader["P"][0], states)
     return Learned(s.copy(), P.copy(), state.part("noise")["v"][0].copy())
 
 

@@ -30,8 +30,9 @@ from rotorwatch.engine.estimator.plant import (
     THETA,
     YAW_GAIN,
     Plant,
+    entry,
 )
-from rotorwatch.engine.estimator.sizes import DIRECTIONS, ROTORS, SLOTS, STATES
+from rotorwatch.engine.estimator.sizes import CROSSES, DIRECTIONS, ROTORS, SLOTS, STATES
 
 GROUP, GROUPS = 16, 3  # slots of a group
 SHORT, LONG = (1, 2, 4), (1, 5, 3)  # ticks between the slots of a group: for short ticks, and from SLOW_S on
@@ -47,7 +48,7 @@ class Slot(Struct):
     log_stride: Real = 0.0  # log of the onsets that it stands for
     before = array(REAL, ROTORS)  # thrust of each rotor above the mean, lately, just before
     M = array(REAL, STATES, DIRECTIONS)
-    C = array(REAL, DIRECTIONS, DIRECTIONS)
+    C = array(REAL, CROSSES)  # symmetric: row by row, each up to its diagonal
     z = array(REAL, DIRECTIONS)
 
     def open(self, p: Plant, before: Reals) -> None:
@@ -58,8 +59,8 @@ class Slot(Struct):
                 self.M[r][d] = 0.0
         for d in range(FIRST_LOSS + p.rotors):
             self.z[d] = 0.0
-            for e in range(FIRST_LOSS + p.rotors):
-                self.C[d][e] = 0.0
+            for e in range(d + 1):
+                self.C[entry(d, e)] = 0.0
         for i in range(p.rotors):
             self.before[i] = before[i]
 
@@ -94,10 +95,10 @@ class Slot(Struct):
                 for d in range(directions):
                     phi[d] += effect * row[d]
         for d in range(directions):
-            row = self.C[d]
+            first = entry(d, 0)
             known = weight * phi[d]
-            for e in range(directions):
-                row[e] += known * phi[e]
+            for e in range(d + 1):
+                self.C[first + e] += known * phi[e]
             self.z[d] += known * nu
         for r in range(THETA + p.rotors):
             row = self.M[r]
@@ -162,26 +163,29 @@ class Window(Struct):
         """Of a slot, with both errors of the model integrated out, of given variances: C - c c' / (C_ll + 1 / variance), and z alike.
         Damping has a least, which is 0: less of it than is known is not allowed for."""
         directions = FIRST_LOSS + p.rotors
-        damping = slot.C[DAMPING_ERROR]
+        damping = local(REAL, DIRECTIONS)
+        for d in range(directions):
+            damping[d] = slot.C[entry(d, DAMPING_ERROR)]
         prior = damping_error if slot.z[DAMPING_ERROR] > 0.0 else 1e-12
         inverse = 1.0 / (damping[DAMPING_ERROR] + 1.0 / prior)
         for d in range(directions):
-            row = slot.C[d]
+            first = entry(d, 0)
             out = self.C[d]
             share = damping[d] * inverse
-            for e in range(directions):
-                out[e] = row[e] - share * damping[e]
+            for e in range(d + 1):
+                out[e] = slot.C[first + e] - share * damping[e]
             self.z[d] = slot.z[d] - share * slot.z[DAMPING_ERROR]
         yaw = local(REAL, DIRECTIONS)
         for d in range(directions):
-            yaw[d] = self.C[YAW_ERROR][d]
+            yaw[d] = self.C[max(d, YAW_ERROR)][min(d, YAW_ERROR)]
         score = self.z[YAW_ERROR]
         inverse = 1.0 / (yaw[YAW_ERROR] + 1.0 / yaw_error)
         for d in range(directions):
             mine = self.C[d]
             share = yaw[d] * inverse
-            for e in range(directions):
+            for e in range(d + 1):
                 mine[e] -= share * yaw[e]
+                self.C[e][d] = mine[e]
             self.z[d] -= share * score
 
 

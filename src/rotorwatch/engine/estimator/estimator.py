@@ -36,6 +36,7 @@ from rotorwatch.engine.estimator.plant import (
     bend,
     bent_wrench,
     dot,
+    entry,
     rows,
 )
 from rotorwatch.engine.estimator.plausibility import Coupling, Missing, Plausible
@@ -46,8 +47,8 @@ from rotorwatch.engine.front.ticks import GROUND, JUDGE
 
 LEAST_USUAL = 0.1  # hover thrusts
 # Stages of a tick: all filters and the bank a tick ahead; the measurement to the filters and to the bank; explanations weighed; what each
-# onset says; what all say of each hypothesis; what that means; the explanations that follow; what is told.
-AHEAD, SHIFTED, MEASURED, OBSERVED, WEIGHED, ASKED, GATHERED, DECIDED, BORN, TOLD = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
+# onset says; what that means; the explanations that follow; what is told.
+AHEAD, SHIFTED, MEASURED, OBSERVED, WEIGHED, ASKED, DECIDED, BORN, TOLD = 0, 1, 2, 3, 4, 5, 6, 7, 8
 PIECE = 2  # slots of the bank in a piece of a tick
 
 
@@ -145,11 +146,8 @@ class Estimator(Struct):
             self.evidence.look(p, self.bank, first, last)
             self.place = last
             size = SLOTS
-        elif self.stage == GATHERED:
-            self.evidence.gather(p, first)
-            size = hypothesis_count(p.rotors)
         elif self.stage == DECIDED:
-            self.evidence.compare(p)
+            self.evidence.gather(p)
             self._decide(p, now, judge, out)
             size = 1
         elif self.stage == BORN:
@@ -205,7 +203,7 @@ class Estimator(Struct):
         if self.branches.lead():
             self.bank.forget()
         found = self.evidence
-        found.yaw_error = max(leader.P[YAW_GAIN][YAW_GAIN], 1e-12)
+        found.yaw_error = max(leader.P[entry(YAW_GAIN, YAW_GAIN)], 1e-12)
         found.damping_error = unknown_damping(p, leader.s)
         found.ask(
             p,
@@ -337,7 +335,8 @@ class Estimator(Struct):
                 variance += alike / WITHIN_95 * (alike / WITHIN_95)
             if leader.active[i]:
                 bent = (1.0 - out.theta[i]) * bends[i] / more[i]
-                variance += self.unsure * leader.P[THETA + i][THETA + i] + bent * bent * leader.P[CURVE][CURVE]
+                variance += self.unsure * leader.P[entry(THETA + i, THETA + i)]
+                variance += bent * bent * leader.P[entry(CURVE, CURVE)]
             out.theta_sd[i] = sqrt(max(variance, 0.0))
             out.gives[i] = leader.gives[i] if leader.active[i] else 0.0
         for a in range(4):

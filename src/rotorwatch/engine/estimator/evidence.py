@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from rotorwatch.base.compiling.structs import (
     REAL,
+    SMALL,
     Real,
     Reals,
     Struct,
@@ -91,7 +92,11 @@ class Evidence(Struct):
     asked = embedded(Asked)
     yaw_error: Real = 0.0  # variance of the gain of yaw
     damping_error: Real = 0.0  # ... of how much roll and pitch are damped
-    log_bf = array(REAL, SLOTS, HYPOTHESES)  # log Bayes factors with the slots' strides
+    log_bf = array(REAL, HYPOTHESES)  # log Bayes factors with the stride of the slot that is looked at
+    top = array(REAL, HYPOTHESES)  # the largest of all slots
+    total = array(REAL, HYPOTHESES)  # sum over all slots, relative to that
+    peak = array(REAL, HYPOTHESES)  # the largest of the slots in use
+    place = array(SMALL, HYPOTHESES)  # the first slot that has it
     unfaulty = array(REAL, SLOTS)  # the largest log Bayes factor of a disturbance
     odds = array(REAL, HYPOTHESES)  # log evidence over all onsets
     probability = array(REAL, HYPOTHESES)  # among faults
@@ -102,7 +107,6 @@ class Evidence(Struct):
     far_sum: Real = 0.0  # of which exp(far) is a factor, while it is gathered
     first: int = 0  # the likeliest fault
     live: int = 0  # the first slot in use, else 0
-    top = array(REAL, HYPOTHESES)  # the largest of each hypothesis in `log_bf`
     window = embedded(Window)
     freed = embedded(Freed)
     jump = embedded(Jump)
@@ -145,33 +149,34 @@ class Evidence(Struct):
             self.known[i] = 0.0
         for h in range(hypothesis_count(p.rotors)):
             self.top[h] = -1e30
+            self.total[h] = 0.0
+            self.peak[h] = -1e30
+            self.place[h] = 0
 
     def look(self, p: Plant, bank: Bank, first: int, last: int) -> None:
         """What the windows from `first` to `last` say."""
         count = hypothesis_count(p.rotors)
         for k in range(first, last):
             slot = bank.slots[k]
-            row = self.log_bf[k]
             if slot.age >= 0:
-                self.unfaulty[k] = self._weigh(p, slot, row)
+                self.unfaulty[k] = self._weigh(p, slot, self.log_bf)
                 if self.live < 0:
                     self.live = k
-            else:
-                for h in range(count):
-                    row[h] = NOTHING
             for h in range(count):
-                row[h] += slot.log_stride
-                self.top[h] = max(self.top[h], row[h])
+                one = (self.log_bf[h] if slot.age >= 0 else NOTHING) + slot.log_stride
+                if slot.age >= 0 and one > self.peak[h]:
+                    self.peak[h] = one
+                    self.place[h] = k
+                if one > self.top[h]:
+                    self.total[h] = self.total[h] * exp(self.top[h] - one) + 1.0
+                    self.top[h] = one
+                else:
+                    self.total[h] += exp(one - self.top[h])
 
-    def gather(self, p: Plant, h: int) -> None:
-        """The evidence of a hypothesis, by all windows."""
-        total = 0.0
-        for k in range(SLOTS):
-            total += exp(self.log_bf[k][h] - self.top[h])
-        self.odds[h] = self.top[h] + log(total * weight_of(kind_of(p.rotors, h)))
-
-    def compare(self, p: Plant) -> None:
-        """All hypotheses with each other."""
+    def gather(self, p: Plant) -> None:
+        """The evidence of all hypotheses, by all windows."""
+        for h in range(hypothesis_count(p.rotors)):
+            self.odds[h] = self.top[h] + log(self.total[h] * weight_of(kind_of(p.rotors, h)))
         self.live = max(self.live, 0)
         self.far += log(self.far_sum * FAR_SHARE * DISTURBANCE_WEIGHT)
         self._prior(p)
@@ -286,10 +291,8 @@ class Evidence(Struct):
         out.rotor = rotor_of(n, h)
         out.other = other_rotor_of(n, h)
         out.slot = self.live
-        if out.kind == DISTURBANCE or not self.barred(n, h):
-            for k in range(SLOTS):
-                if bank.slots[k].age >= 0 and self.log_bf[k][h] > self.log_bf[out.slot][h]:
-                    out.slot = k
+        if bank.slots[self.live].age >= 0 and (out.kind == DISTURBANCE or not self.barred(n, h)):
+            out.slot = self.place[h]
         slot = bank.slots[out.slot]
         out.since = real(slot.age + 1)
         reset(out.jump)

@@ -14,8 +14,21 @@ from __future__ import annotations
 
 from rotorwatch.base.compiling.structs import FLAG, REAL, Real, Reals, Struct, array, copy, local, real, sqrt
 from rotorwatch.engine.estimator.noise import DRIFT, FAST, SLOW, Noise
-from rotorwatch.engine.estimator.plant import AIR, B1, B2, B3, BUILT_SD, CURVE, PER_AXIS, SIDEWAYS, THETA, Plant, Rows
-from rotorwatch.engine.estimator.sizes import ROTORS, STATES
+from rotorwatch.engine.estimator.plant import (
+    AIR,
+    B1,
+    B2,
+    B3,
+    BUILT_SD,
+    CURVE,
+    PER_AXIS,
+    SIDEWAYS,
+    THETA,
+    Plant,
+    Rows,
+    entry,
+)
+from rotorwatch.engine.estimator.sizes import PRODUCTS, ROTORS, STATES
 
 # A loss that has been refined long enough is not yet known if it still grows: has left its mean over so long by its own uncertainty.
 MOVING_S = 2.0
@@ -37,7 +50,7 @@ class Branch(Struct):
     """One explanation: which rotors are weak, with its own filter."""
 
     s = array(REAL, STATES)
-    P = array(REAL, STATES, STATES)
+    P = array(REAL, PRODUCTS)  # row by row, each up to its diagonal
     weight: Real = 0.0  # log, 0 for the leader
     onset: Real = 0.0  # ticks since the last jump of a rotor
     active = array(FLAG, ROTORS)  # weak rotors
@@ -62,12 +75,12 @@ class Branch(Struct):
         n = p.rotors
         for r in range(THETA):
             self.s[r] = p.mean[r]
-            for c in range(THETA):
-                self.P[r][c] = p.variance[r][c]
+            for c in range(r + 1):
+                self.P[entry(r, c)] = p.variance[r][c]
         for i in range(n):
-            for j in range(n):
+            for j in range(i + 1):
                 own = 1.0 if i == j else 0.0
-                self.P[THETA + i][THETA + j] = BUILT_SD * BUILT_SD * (own - 1.0 / real(n))
+                self.P[entry(THETA + i, THETA + j)] = BUILT_SD * BUILT_SD * (own - 1.0 / real(n))
 
     def hop(self, p: Plant) -> None:
         """The vehicle starts anew: only what it is like stays known, of rotors that were not weak."""
@@ -78,7 +91,7 @@ class Branch(Struct):
         for i in range(p.rotors):
             if self.active[i]:
                 self._forget(p, THETA + i)
-                self.P[THETA + i][THETA + i] = BUILT_SD * BUILT_SD
+                self.P[entry(THETA + i, THETA + i)] = BUILT_SD * BUILT_SD
             self.active[i] = False
             self.alike[i] = False
             self.learning[i] = 0.0
@@ -87,16 +100,15 @@ class Branch(Struct):
     def _forget(self, p: Plant, r: int) -> None:
         self.s[r] = 0.0
         for c in range(THETA + p.rotors):
-            self.P[r][c] = 0.0
-            self.P[c][r] = 0.0
+            self.P[entry(r, c)] = 0.0
 
     def open(self, p: Plant) -> None:
         """Biases are open again, after a contact or at a new hop."""
         for a in range(4):
             for b in range(a * PER_AXIS + B1, a * PER_AXIS + B3 + 1):
                 for d in range(4):
-                    for c in range(d * PER_AXIS + B1, d * PER_AXIS + B3 + 1):
-                        self.P[b][c] += p.variance[b][c]
+                    for c in range(d * PER_AXIS + B1, min(d * PER_AXIS + B3, b) + 1):
+                        self.P[entry(b, c)] += p.variance[b][c]
 
     def predict(self, p: Plant, noise: Noise, unsure: Real, flying: bool) -> None:
         """One tick ahead. unsure: by how much errors have been larger than the noise model says. A loss that has been refined long enough
@@ -105,15 +117,14 @@ class Branch(Struct):
         for i in range(n):
             theta = self.s[THETA + i]
             mean = self.mean[i] + (theta - self.mean[i]) * (p.dt / MOVING_S)
-            variance = unsure * self.P[THETA + i][THETA + i]
+            variance = unsure * self.P[entry(THETA + i, THETA + i)]
             finished = self.learning[i] > 0.0 and self.learning[i] <= p.dt
             moving = finished and abs(theta - mean) > sqrt(max(variance, 0.0))
             self.mean[i] = mean
             self.learning[i] = MOVING_S if moving else max(self.learning[i] - p.dt, 0.0)
             if finished and not moving:
                 for r in range(THETA + n):
-                    self.P[THETA + i][r] = 0.0
-                    self.P[r][THETA + i] = 0.0
+                    self.P[entry(THETA + i, r)] = 0.0
                 self.variance[i] = variance
                 if theta < BUILT_SD:
                     self.variance[i] = 0.0
@@ -122,21 +133,18 @@ class Branch(Struct):
             if p.decay[r] < 1.0:
                 self.s[r] *= p.decay[r]
         for r in range(THETA + n):
-            row = self.P[r]
-            for c in range(SIDEWAYS):
-                row[c] *= p.decay[r] * p.decay[c]
-            if p.decay[r] < 1.0:
-                for c in range(SIDEWAYS, THETA + n):
-                    row[c] *= p.decay[r]
+            first = entry(r, 0)
+            for c in range(min(r + 1, SIDEWAYS)):
+                self.P[first + c] *= p.decay[r] * p.decay[c]
         if flying:  # noise that keeps b1 and b2 stationary and lets b3 walk
             for a in range(4):
                 b = a * PER_AXIS
-                self.P[b + B1][b + B1] += noise.v[FAST][a] * (1.0 - p.left[0] * p.left[0])
-                self.P[b + B2][b + B2] += noise.v[SLOW][a] * (1.0 - p.left[1] * p.left[1])
-                self.P[b + B3][b + B3] += noise.v[DRIFT][a] * p.dt
+                self.P[entry(b + B1, b + B1)] += noise.v[FAST][a] * (1.0 - p.left[0] * p.left[0])
+                self.P[entry(b + B2, b + B2)] += noise.v[SLOW][a] * (1.0 - p.left[1] * p.left[1])
+                self.P[entry(b + B3, b + B3)] += noise.v[DRIFT][a] * p.dt
         for i in range(n):
             if self.learning[i] > 0.0:
-                self.P[THETA + i][THETA + i] += THETA_WALK * p.dt
+                self.P[entry(THETA + i, THETA + i)] += THETA_WALK * p.dt
 
     def update(self, p: Plant, rows: Rows, m: Measured, gain_share: Reals) -> None:
         """One tick's wrench."""
@@ -154,9 +162,11 @@ class Branch(Struct):
             last = min(first + PER_AXIS, SIDEWAYS) if part == 0 else states
             for r in range(first, last):
                 weight = h[r]
-                row = self.P[r]
-                for c in range(states):
-                    Ph[c] += weight * row[c]
+                place = entry(r, 0)
+                for c in range(r + 1):
+                    Ph[c] += weight * self.P[place + c]
+                for c in range(r + 1, states):
+                    Ph[c] += weight * self.P[entry(c, r)]
                 nu -= weight * self.s[r]
         for part in range(2):
             first = a * PER_AXIS if part == 0 else SIDEWAYS
@@ -179,11 +189,11 @@ class Branch(Struct):
             self.s[r] += K[r] * nu
             g[r] = Ph[r] - 0.5 * S * K[r]
         for r in range(states):
-            row = self.P[r]
+            at = entry(r, 0)
             mine = K[r]
             half = g[r]
-            for c in range(states):
-                row[c] -= mine * g[c] + half * K[c]
+            for c in range(r + 1):
+                self.P[at + c] -= mine * g[c] + half * K[c]
 
 
 def _within(state: Real, gain: Real, nu: Real, least: Real, most: Real) -> Real:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from rotorwatch.base.compiling.structs import FLAG, REAL, Flags, Reals, local
 from rotorwatch.engine.estimator.kalman import Branch, Measured
 from rotorwatch.engine.estimator.noise import WHITE, Noise
-from rotorwatch.engine.estimator.plant import B1, B2, B3, PER_AXIS, THETA, YAW, Inputs, Plant, Rows, dot, rows
+from rotorwatch.engine.estimator.plant import B1, B2, B3, PER_AXIS, THETA, YAW, Inputs, Plant, Rows, dot, entry, rows
 from rotorwatch.engine.estimator.sizes import STATES
 from rotorwatch.engine.estimator.whole import take
 
@@ -40,8 +40,8 @@ def learn(p: Plant, count: int, u: Reals, y: Reals, valid: Flags, flying: Flags,
     for r in range(STATES):
         share[r] = 1.0
     for i in range(p.rotors):
-        for j in range(p.rotors):
-            b.P[THETA + i][THETA + j] = 0.0
+        for j in range(i + 1):
+            b.P[entry(THETA + i, THETA + j)] = 0.0
     for t in range(count):
         take(p, u, t * (p.rotors + 13), now)
         b.predict(p, noise, 1.0, flying[t])

@@ -189,6 +189,11 @@ def rows(p: Plant, now: Inputs, thrust: Reals, forward: Real, right: Real, s: Re
     out.h[THRUST][AIR] = real(n) * now.axial
 
 
+def entry(r: int, c: int) -> int:
+    """Where row r and column c of a symmetric matrix stand that is kept row by row, each up to its diagonal."""
+    return r * (r + 1) // 2 + c if r >= c else c * (c + 1) // 2 + r
+
+
 def dot(row: Reals, s: Reals, axis: int, states: int) -> Real:
     """A row of an axis times a state."""
     total = 0.0

@@ -46,7 +46,7 @@ from rotorwatch.engine.estimator.hypotheses import (
 )
 from rotorwatch.engine.estimator.kalman import Branch, swap
 from rotorwatch.engine.estimator.opposite import contested
-from rotorwatch.engine.estimator.plant import BUILT_SD, BURST_S, THETA, USUAL_S, Plant
+from rotorwatch.engine.estimator.plant import BUILT_SD, BURST_S, THETA, USUAL_S, Plant, entry
 from rotorwatch.engine.estimator.sizes import DIRECTIONS, HYPOTHESES, PLACES, ROTORS, STATES
 from rotorwatch.engine.front.losses import YOUNG_S
 
@@ -62,8 +62,7 @@ class Branches(Struct):
 
     all = array(Branch, PLACES)
     age: Real = OLD_S  # s since they were made
-    room = embedded(Branch)
-    parent = embedded(Branch)
+    parent = embedded(Branch)  # of those that are made, and room for one
     which = array(INT, PLACES)  # what each place will be by the hypotheses that are chosen
     start = array(REAL, PLACES)  # and its log weight then
     best = embedded(Best)
@@ -116,7 +115,7 @@ class Branches(Struct):
                 best = k
         changed = self.all[best].weight > CLEAR
         if changed:
-            swap(self.all[0], self.all[best], self.room)
+            swap(self.all[0], self.all[best], self.parent)
         leading = self.all[0].weight
         for k in range(PLACES):
             if lives(self.all[k]):
@@ -198,7 +197,7 @@ class Branches(Struct):
         any_off = False
         for i in range(n):
             mine = i == best.rotor or i == best.other
-            sd = sqrt(max(out.P[THETA + i][THETA + i], 0.0))
+            sd = sqrt(max(out.P[entry(THETA + i, THETA + i)], 0.0))
             taken_back = best.size_of(i) < 0.0 and out.s[THETA + i] < max(NONE, 2.0 * sd)
             off[i] = mine and (best.kind == RECOVERY or taken_back)
             any_off = any_off or off[i]
@@ -271,11 +270,11 @@ def _add(p: Plant, slot: Slot, shift: Shift, out: Branch) -> None:
             half[e] = 0.0
             for d in range(directions):
                 half[e] += row[d] * shift.cov[d][e]
+        first = entry(r, 0)
         for c in range(r + 1):
             other = slot.M[c]
             for d in range(directions):
-                out.P[r][c] += half[d] * other[d]
-            out.P[c][r] = out.P[r][c]
+                out.P[first + c] += half[d] * other[d]
 
 
 def _well(p: Plant, i: int, out: Branch) -> None:
@@ -283,10 +282,11 @@ def _well(p: Plant, i: int, out: Branch) -> None:
     states = THETA + p.rotors
     column = local(REAL, STATES)
     for r in range(states):
-        column[r] = out.P[r][THETA + i]
+        column[r] = out.P[entry(r, THETA + i)]
     variance = max(column[THETA + i], 1e-12) + BUILT_SD * BUILT_SD
     share = out.s[THETA + i] / variance
     for r in range(states):
         out.s[r] -= column[r] * share
-        for c in range(states):
-            out.P[r][c] -= column[r] * column[c] / variance
+        first = entry(r, 0)
+        for c in range(r + 1):
+            out.P[first + c] -= column[r] * column[c] / variance
