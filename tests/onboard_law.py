@@ -148,6 +148,45 @@ def flown(flight) -> Flown:
     return Flown(table(flight, craft), max(flight.duration, float(last)), texts, plan.dt)
 
 
+def looped(table: np.ndarray, hz: float) -> np.ndarray:
+    """The samples that a loop of hz passes on: of each signal the newest since the last turn, of motion the mean of them and of their
+    times; and every word of the autopilot."""
+    rows = [table[table[:, 0] == STATE]]
+    for kind in sorted(set(table[:, 0]) - {STATE}):
+        one = table[table[:, 0] == kind]
+        if kind in (GYRO, ACCEL):
+            one = one[one[:, 2] > 0.5]
+        turn = np.ceil(one[:, 1] * hz).astype(int)
+        last = np.flatnonzero(np.diff(turn, append=turn[-1] + 1))
+        kept = one[last]
+        if kind in (GYRO, ACCEL):
+            first = np.append(0, last[:-1] + 1)
+            kept[:, 1:] = np.add.reduceat(one[:, 1:], first, axis=0) / (last + 1 - first)[:, None]
+        rows.append(kept)
+    every = np.concatenate(rows)
+    return every[np.lexsort(([FIRST[int(k)] for k in every[:, 0]], every[:, 1]))]
+
+
+def on_board(flight, hz: float) -> Flown:
+    """The flight as a loop of hz feeds it, and the library as `export-c` writes it for these rates."""
+    craft = airframes.identify(flight)
+    known, raw = craft.identified or {}, table(flight, craft)
+
+    def rate(name):
+        time = flight[name].time if flight.has(name) else ()
+        return min(hz, (len(time) - 1) / (time[-1] - time[0])) if len(time) > 1 else 0.0
+
+    moves = max(min(hz, rate("gyro") or rate("rates")), 8.0)
+    outputs, control = rate("motors"), rate("control")
+    plan = export_diagnoser.usual_plan(outputs, control, moves, moves, bool(known.get("dynamics")))
+    headroom = flight.parameters.get("MOT_YAW_HEADROOM", allocation.YAW_HEADROOM)
+    vehicle = export_diagnoser.vehicle_table(craft, output_range(flight), headroom)
+    tables = vehicle, ticks.table(plan, ticks.known_hover(craft), control >= 1.5 * outputs)
+    # Room for more than comes on the average: samples of a log come in bursts.
+    texts = export_diagnoser.files(craft, plan, (hz, 2.0 * hz, 2.0 * hz), tables)
+    return Flown(looped(raw, hz), float(raw[-1, 1]), texts, plan.dt)
+
+
 def fastest(flight, name) -> float:
     """The most samples in any half second, a second."""
     if not flight.has(name):

@@ -39,6 +39,13 @@ AUTOPILOTS = (
     "-Werror=overflow",
     "-DROTORWATCH_FLOAT",
 )
+# Those of PX4's, or ArduPilot's with --Werror, that come on top for C of one's own.
+ON_TOP = (
+    "-O2", "-fsigned-char", "-fno-strict-aliasing", "-fno-math-errno", "-funsafe-math-optimizations", "-fno-common",
+    "-Wcast-align", "-Wpointer-arith",
+    "-Wshadow", "-Wundef", "-Winit-self", "-Wuninitialized", "-Warray-bounds", "-Wdisabled-optimization", "-Wmissing-declarations",
+    "-Wbad-function-cast", "-Wnested-externs", "-Wstrict-prototypes", "-Wtype-limits", "-Wswitch", "-Wparentheses",
+)  # fmt: skip
 FRAME = "-Wframe-larger-than=1300"
 CONSTANTS = {
     "gcc": ["-fsingle-precision-constant"],
@@ -116,10 +123,12 @@ def test_estimators_meet_the_flags_of_both_autopilots(name, tmp_path):
 
 
 @pytest.mark.thorough
-def test_the_diagnoser_meets_the_flags_of_both_autopilots(tmp_path):
-    """A quad's, with the frames of all of its functions; the estimator of a hexacopter has a larger one (docs/export.md)."""
-    export_diagnoser(tmp_path)
-    no_warning(tmp_path, "-Os", FRAME)
+@pytest.mark.parametrize("vehicle", ["ardupilot-quad-x", "ardupilot-octa-x"])
+def test_the_diagnoser_meets_the_flags_of_both_autopilots(vehicle, tmp_path):
+    """With the frames of all of its functions."""
+    export_diagnoser(tmp_path, vehicle=vehicle)
+    no_warning(tmp_path, *ON_TOP, FRAME)
+    no_warning(tmp_path, "-Os", "-UROTORWATCH_FLOAT", "-Wno-double-promotion", FRAME)
 
 
 def test_times_are_exact_where_constants_are_of_single_precision(tmp_path):

@@ -147,9 +147,11 @@ class Estimator(Struct):
             self.place = last
             size = SLOTS
         elif self.stage == DECIDED:
-            self.evidence.gather(p)
-            self._decide(p, now, judge, out)
-            size = 1
+            if first == 0:
+                self._decide(p, now, judge, out)
+            else:
+                self._choose(p, now, judge, out)
+            size = 2
         elif self.stage == BORN:
             if self.chosen:
                 self.branches.born(p, self.bank, self.evidence, first)
@@ -220,11 +222,16 @@ class Estimator(Struct):
         """What the bank says of any jump since, and whether that is announced."""
         leader = self.branches.all[0]
         found = self.evidence
+        found.gather(p)
         found.pick(p, self.bank, found.first, self.best)
         slot = self.bank.slots[self.best.slot]
         self.may.judge(p, self.best, slot, now, self.seen, self.missing, leader, self.noise, self.coupling)
         out.pushed = self.memory.outside(p) > 0.0
         self.alarm.decide(p, found, self.best, self.bank, self.may, judge, out.pushed)
+
+    def _choose(self, p: Plant, now: Inputs, judge: bool, out: Result) -> None:
+        """Whether opposite rotors share a loss, and which explanations there are from now on."""
+        found = self.evidence
         steady = judge and not out.pushed and not self.alarm.alarm and abs(now.rate[YAW]) < TURNING
         self.opposite.suspect(p, self.bank, found, self.missing, self.alarm, steady and not found.asked.weak)
         shared = self.opposite.pair >= 0

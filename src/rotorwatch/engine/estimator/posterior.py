@@ -270,10 +270,11 @@ def _add(p: Plant, slot: Slot, shift: Shift, out: Branch) -> None:
             half[e] = 0.0
             for d in range(directions):
                 half[e] += row[d] * shift.cov[d][e]
+        first = entry(r, 0)
         for c in range(r + 1):
             other = slot.M[c]
             for d in range(directions):
-                out.P[entry(r, c)] += half[d] * other[d]
+                out.P[first + c] += half[d] * other[d]
 
 
 def _well(p: Plant, i: int, out: Branch) -> None:
@@ -286,5 +287,6 @@ def _well(p: Plant, i: int, out: Branch) -> None:
     share = out.s[THETA + i] / variance
     for r in range(states):
         out.s[r] -= column[r] * share
+        first = entry(r, 0)
         for c in range(r + 1):
-            out.P[entry(r, c)] -= column[r] * column[c] / variance
+            out.P[first + c] -= column[r] * column[c] / variance

@@ -69,6 +69,7 @@ MOST = 60.0  # of an exponent
 
 
 IDLE, GOES_ON, ENDS = 0, 1, 2  # what a piece of a slice was
+THIRDS = 3  # pieces in which the sizes of a loss are gone through
 
 
 class Sum(Struct):
@@ -114,7 +115,9 @@ class Weighing(Struct):
     small = array(REAL, 3)  # of this course: drifts of each axis by less than TURNED, and by any amount
     whole = array(REAL, 3)
     large = array(REAL, AMOUNTS_TURNED)  # yaw by each amount of a turned mount
+    less = embedded(Sum)  # drifts of the last axis by less than TURNED; then all that the last rotor may have lost
     more = embedded(Sum)  # drifts of the last axis by TURNED and more
+    count: Small = 0  # of `large`
     rotor = array(REAL, ROTORS)  # of each rotor, of any size: its log-odds, when all courses are weighed
     kind: Small = -1  # place among RISES; -1: the ratios are still to be prepared
     place: Small = 0  # of the onset that is next, among ONSETS
@@ -165,14 +168,14 @@ class Weighing(Struct):
             self.measured = True
             return ENDS
         if self.measured:
-            if at < 3:
-                self._drifts(at)
+            if at < 6:
+                self._drifts(at // 2, at % 2)
                 return GOES_ON
-            if at == 3:
+            if at == 6:
                 self._together(real(start))
                 return GOES_ON
-            self._losses(v, at - 4, 1 if rise * stretch.length >= GROWS_S else 0)
-            if at - 4 < v.rotors - 1:
+            self._losses(v, (at - 7) // THIRDS, (at - 7) % THIRDS, 1 if rise * stretch.length >= GROWS_S else 0)
+            if at - 7 < THIRDS * v.rotors - 1:
                 return GOES_ON
             self.start[self.courses] = start
             self.rise[self.courses] = int(rise)
@@ -244,25 +247,25 @@ class Weighing(Struct):
                 self.x[k] = grown if i == 0 else grown * stretch.share[i - 1][k]
             self.fit.project(self.x, first, stretch.count, self.xy[q][i], self.xx[q][i])
 
-    def _drifts(self, a: int) -> None:
-        """Of an axis by each amount."""
-        less = Sum()
-        reset(self.more)
-        at = 0
-        for side in range(2):
-            for k in range(AMOUNTS_EACH):
-                amount = AMOUNTS[k] if side == 1 else -AMOUNTS[k]
-                found = self._odds(0, a, amount)
-                relative = AMOUNTS[k] / DRIFT[a]
-                density = _gap(k) / (PI * DRIFT[a] * (1.0 + relative * relative))
-                if AMOUNTS[k] < TURNED:
-                    less.add(found, density)
-                else:
-                    self.more.add(found, density)
-                    if a == YAW:
-                        self.large[at] = found + log(density)
-                        at += 1
-        self.small[a] = less.log()
+    def _drifts(self, a: int, side: int) -> None:
+        """Of an axis to one side by each amount."""
+        if side == 0:
+            reset(self.less)
+            reset(self.more)
+            self.count = 0
+        for k in range(AMOUNTS_EACH):
+            amount = AMOUNTS[k] if side == 1 else -AMOUNTS[k]
+            found = self._odds(0, a, amount)
+            relative = AMOUNTS[k] / DRIFT[a]
+            density = _gap(k) / (PI * DRIFT[a] * (1.0 + relative * relative))
+            if AMOUNTS[k] < TURNED:
+                self.less.add(found, density)
+            else:
+                self.more.add(found, density)
+                if a == YAW:
+                    self.large[self.count] = found + log(density)
+                    self.count += 1
+        self.small[a] = self.less.log()
         self.whole[a] = _either(self.small[a], self.more.log())
 
     def _together(self, start: Real) -> None:
@@ -282,16 +285,17 @@ class Weighing(Struct):
         self.onset_sole.add(more, start)
         self.onset_beside.add(more + still, start)
 
-    def _losses(self, v: Vehicle, i: int, grows: int) -> None:
-        """Of a rotor of each size."""
-        every = Sum()
-        for k in range(LOSSES_EACH):
+    def _losses(self, v: Vehicle, i: int, third: int, grows: int) -> None:
+        """Of a rotor of each size of a third of them."""
+        if third == 0:
+            reset(self.less)
+        for k in range(third * LOSSES_EACH // THIRDS, (third + 1) * LOSSES_EACH // THIRDS):
             found: Real = 0.0
             for a in range(3):
                 found += self._odds(i + 1, a, SIZES[k] * v.effectiveness[a][i])
             self.sizes[(2 * i + grows) * LOSSES_EACH + k].add(found, 1.0)
-            every.add(found, 1.0)
-        self.lost[self.courses][i] = every.log()
+            self.less.add(found, 1.0)
+        self.lost[self.courses][i] = self.less.log()
 
     def sum(self, v: Vehicle, i: int) -> None:
         """All that a rotor may have lost, when all courses are weighed."""
