@@ -17,8 +17,8 @@ import numpy as np
 
 import rotorwatch as rw
 from rotorwatch import airframes
-from rotorwatch.engine.default import events
 from rotorwatch.engine.front.decisions import FALSE_ALARM_PERIOD_S
+from rotorwatch.engine.host import events
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import JUDGE, READY_S, observe
 from rotorwatch.lab.experiments.inject import inject

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from rotorwatch import airframes, logs
-from rotorwatch.engine.default import program
+from rotorwatch.engine.host import program
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import GROUND, JUDGE, READY_S, observe
 from rotorwatch.lab.experiments import limits

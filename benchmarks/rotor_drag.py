@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from rotorwatch import airframes, logs
-from rotorwatch.engine.default import program
 from rotorwatch.engine.estimator.plant import DRAG
+from rotorwatch.engine.host import program
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import GROUND, READY_S, observe
 from rotorwatch.errors import RotorwatchError

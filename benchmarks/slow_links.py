@@ -23,7 +23,7 @@ from logging_rate import thinned
 
 from rotorwatch import airframes
 from rotorwatch.diagnose import diagnose
-from rotorwatch.engine.default import program
+from rotorwatch.engine.host import program
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LAG_S, READY_S, observe, tick_length
 from rotorwatch.lab.campaign import methods, summary

@@ -161,7 +161,7 @@ def main() -> None:
         starts(options.flight, options.starts)
         return
     from rotorwatch import airframes
-    from rotorwatch.engine.default import program
+    from rotorwatch.engine.host import program
     from rotorwatch.live import endpoint, link
 
     program.steps(0.05, airframes.named("ardupilot-quad-x").effectiveness())  # built beforehand

@@ -14,9 +14,9 @@ import numpy as np
 
 import rotorwatch as rw
 from rotorwatch import airframes
-from rotorwatch.engine.default import program
-from rotorwatch.engine.default.hypotheses import list_hypotheses
-from rotorwatch.engine.default.plant import AXES
+from rotorwatch.engine.host import program
+from rotorwatch.engine.host.hypotheses import list_hypotheses
+from rotorwatch.engine.host.plant import AXES
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import READY_S, observe
 from rotorwatch.lab.experiments.inject import inject

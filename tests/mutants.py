@@ -49,7 +49,7 @@ PARTS: dict[str, tuple[tuple[str, ...], float]] = {
     "campaign": (("lab/campaign/score.py", "lab/campaign/summary.py", "lab/campaign/sequences.py"), 0.15),
     "report": (("report/*.py",), 0.13),
     "estimators": (("methods/estimators/*.py",), 0.15),
-    "default": (("engine/default/*.py", "engine/estimator/*.py", "witnesses/*.py"), 0.17),
+    "default": (("engine/host/*.py", "engine/estimator/*.py", "witnesses/*.py"), 0.17),
 }
 
 # Tests of a file besides tests/test_<its name>.py: the ones that fail soonest first.
@@ -80,7 +80,7 @@ NAMED: dict[str, tuple[str, ...]] = {
     "logs/cdr.py": ("logs_ros2",),
     "logs/mavros.py": ("logs_ros2",),
     "logs/ros2*.py": ("logs_ros2",),
-    "engine/default/shipping.py": ("shipped",),
+    "engine/host/shipping.py": ("shipped",),
     "engine/front/mixer.py": ("front_mixer", "allocation"),
     "engine/front/sense.py": ("ticks", "allocation"),
     "report/__init__.py": ("words",),
@@ -104,8 +104,8 @@ NAMED: dict[str, tuple[str, ...]] = {
     "methods/estimators/esmf.py": ("aesmf",),
     "methods/estimators/lyapunov.py": ("lyapunov_mhe",),
     "methods/estimators/mh*.py": ("lyapunov_mhe",),
-    "engine/default/estimator.py": ("laws",),
-    "engine/default/program.py": ("coaxial_share",),
+    "engine/host/default.py": ("laws",),
+    "engine/host/program.py": ("coaxial_share",),
 }
 
 # Of what Cosmic Ray can do, changes that programmers make: one opposite for each operator, not all eleven.

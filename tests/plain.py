@@ -7,8 +7,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from rotorwatch.base.compiling import running, structs
-from rotorwatch.engine.default import program
 from rotorwatch.engine.estimator.plant import THETA, Inputs, Plant, Rows, rows, set_plant
+from rotorwatch.engine.host import program
 
 S = TypeVar("S", bound=structs.Struct)
 
@@ -58,7 +58,7 @@ def room(*shape: int) -> list:
 
 
 def tick(u: np.ndarray, n: int) -> Inputs:
-    """A row (n + 13,) of inputs, as `engine.default.plant.packed` lays them out."""
+    """A row (n + 13,) of inputs, as `engine.host.plant.packed` lays them out."""
     return made(
         Inputs, thrust=u[:n], turn=u[n : n + 3], load=u[n + 3], rate=u[n + 4 : n + 7], forward=u[n + 7], right=u[n + 8],
         full=u[n + 9], expo=u[n + 10], expo_sd=u[n + 11], axial=np.nan_to_num(u[n + 12]), valid=np.ones(4, bool),

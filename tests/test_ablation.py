@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from rotorwatch.commands import cli
-from rotorwatch.engine.default import program
-from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.estimator import hypotheses, kalman, model_error, posterior
 from rotorwatch.engine.front import decisions, losses
+from rotorwatch.engine.host import program
+from rotorwatch.engine.host.hypotheses import list_hypotheses
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN, Ticks
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.campaign import ablation

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes, diagnose
-from rotorwatch.engine.default import events
+from rotorwatch.engine.host import events
 from rotorwatch.engine.motion.ticks import JUDGE, READY_S, observe
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.lab.simulation import fpv, scenario, simulate

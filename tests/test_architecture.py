@@ -22,7 +22,7 @@ MOST_LINES = 600
 FORBIDDEN = (
     ("flight/flight.py", "rotorwatch.logs", "Layers"),
     ("logs/series.py", "rotorwatch.engine.motion.ticks", "Layers"),
-    ("methods/published/detectors/esc_current.py", "rotorwatch.engine.default.estimator", "Detectors know"),
+    ("methods/published/detectors/esc_current.py", "rotorwatch.engine.host.default", "Detectors know"),
     ("airframes/px4.py", "rotorwatch.commands.cli", "Layers"),
     ("lab/experiments/tools.py", "rotorwatch.lab.experiments.inject", "Inside the experiments"),
     ("diagnose.py", "rotorwatch.witnesses.healthy.tune", "Inside the healthy"),

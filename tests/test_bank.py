@@ -5,7 +5,6 @@ import pytest
 from tests.plain import array, copied, lower, made, plant
 
 from rotorwatch import airframes
-from rotorwatch.engine.default.program import square
 from rotorwatch.engine.estimator.bank import (
     DAMPING_ERROR,
     FIRST_LOSS,
@@ -18,6 +17,7 @@ from rotorwatch.engine.estimator.bank import (
     Window,
 )
 from rotorwatch.engine.estimator.plant import ANSWER_S, B3, DAMPING, PER_AXIS, SIDEWAYS, THETA, YAW_GAIN
+from rotorwatch.engine.host.program import square
 
 B = airframes.named("ardupilot-quad-x").effectiveness()
 N, DT, TICKS, FIRST = 4, 0.05, 70, 6

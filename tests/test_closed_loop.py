@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rotorwatch.engine.default import program
 from rotorwatch.engine.estimator.sizes import PLACES
+from rotorwatch.engine.host import program
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.campaign import batch, closed_loop, plan, store
 from rotorwatch.lab.simulation import control, loop, prepare, reconfigured, record_of, scenario

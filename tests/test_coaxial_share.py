@@ -8,9 +8,9 @@ from tests.plain import array, measured
 from tests.plain import plant as plant_of
 
 from rotorwatch import airframes
-from rotorwatch.engine.default import events, program
-from rotorwatch.engine.default.plant import lower_rotors
 from rotorwatch.engine.estimator.plant import SHARE, SHARE_SD, THETA
+from rotorwatch.engine.host import events, program
+from rotorwatch.engine.host.plant import lower_rotors
 
 
 @pytest.mark.parametrize(

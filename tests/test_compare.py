@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from rotorwatch import airframes, diagnose
 from rotorwatch.commands import cli
-from rotorwatch.engine.default import program
+from rotorwatch.engine.host import program
 from rotorwatch.engine.motion.ticks import JUDGE
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Event

@@ -5,7 +5,7 @@ import pytest
 from conftest import hexa_diagnosis, hexa_event
 from rotorwatch.answer.conclusion import Evidence, conclude, main_event
 from rotorwatch.answer.wording import up_to
-from rotorwatch.engine.default import residual_evidence
+from rotorwatch.engine.host import residual_evidence
 from rotorwatch.engine.motion import trust
 from rotorwatch.flight import Flight
 from rotorwatch.witnesses.healthy.baselines import Candidate

@@ -17,9 +17,6 @@ from tests.plain import plant as plant_of
 
 from rotorwatch import airframes
 from rotorwatch.base.compiling.running import Rows
-from rotorwatch.engine.default import program
-from rotorwatch.engine.default.hypotheses import list_hypotheses
-from rotorwatch.engine.default.plant import any_multirotor
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.estimator import announcement, hypotheses, kalman, posterior
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, GROUP
@@ -39,6 +36,9 @@ from rotorwatch.engine.estimator.plant import (
 )
 from rotorwatch.engine.estimator.plausibility import torque_free
 from rotorwatch.engine.front.decisions import FALSE_ALARM_PERIOD_S
+from rotorwatch.engine.host import program
+from rotorwatch.engine.host.hypotheses import list_hypotheses
+from rotorwatch.engine.host.plant import any_multirotor
 from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LEARN
 
 DT = 0.05

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from rotorwatch import airframes, logs
 from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.engine import diagnoser as driver
-from rotorwatch.engine.default import program
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.diagnoser import Diagnoser, Judged, fly
+from rotorwatch.engine.host import program
 from rotorwatch.engine.motion import allocation, ticks
 from rotorwatch.engine.motion.samples import samples
 from rotorwatch.live import account

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.engine.default import program
 from rotorwatch.engine.definition import ENGINE
+from rotorwatch.engine.host import program
 from rotorwatch.engine.motion.ticks import AGAIN, GROUND, JUDGE, LEARN
 
 SETTLES, FAILS, WELL, PUSHED, LANDED, AGAIN_UP = 60, 130, 260, 330, 380, 390

@@ -7,10 +7,10 @@ import pytest
 from tests.conftest import hexa_event
 
 from rotorwatch import airframes
-from rotorwatch.engine.default import events
-from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.estimator.posterior import PLACES
 from rotorwatch.engine.front.losses import CURVE_SHARE
+from rotorwatch.engine.host import events
+from rotorwatch.engine.host.hypotheses import list_hypotheses
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 
 DT, COUNT, N = 0.1, 300, 4

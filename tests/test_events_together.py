@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from conftest import trials
 from rotorwatch import airframes
 from rotorwatch.answer.conclusion import main_event
-from rotorwatch.engine.default import events
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.front import changes as front_changes
 from rotorwatch.engine.front import events as listed
 from rotorwatch.engine.front import whole
 from rotorwatch.engine.front.sizes import EVENTS
+from rotorwatch.engine.host import events
 from rotorwatch.engine.motion.contact import Contact
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.live.changes import Changes

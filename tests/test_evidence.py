@@ -7,8 +7,6 @@ from tests.loss_prior import beside_steps, one_of
 from tests.plain import array, copied, filled, lower, made, plant, room
 
 from rotorwatch import airframes
-from rotorwatch.engine.default.hypotheses import list_hypotheses
-from rotorwatch.engine.default.program import square
 from rotorwatch.engine.estimator import hypotheses
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Bank
 from rotorwatch.engine.estimator.evidence import Best, Evidence, Shift
@@ -30,6 +28,8 @@ from rotorwatch.engine.estimator.noise import Noise
 from rotorwatch.engine.estimator.plant import ANSWER_S, THETA, entry
 from rotorwatch.engine.estimator.sizes import SLOTS
 from rotorwatch.engine.front.decisions import TOTAL_LOSS
+from rotorwatch.engine.host.hypotheses import list_hypotheses
+from rotorwatch.engine.host.program import square
 
 N, DT = 4, 0.05
 HYP = list_hypotheses(N)

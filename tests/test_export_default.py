@@ -8,10 +8,10 @@ import pytest
 from tests.embedded_c_parts import STRICT, compilers
 
 from rotorwatch import airframes
-from rotorwatch.engine.default import program
 from rotorwatch.engine.estimator import sizes
 from rotorwatch.engine.estimator.estimator import Result
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
+from rotorwatch.engine.host import program
 from rotorwatch.export.export_c import export_c
 from test_engine import flight
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.engine.default import events
-from rotorwatch.engine.default.hypotheses import list_hypotheses
-from rotorwatch.engine.default.program import estimate
+from rotorwatch.engine.host import events
+from rotorwatch.engine.host.hypotheses import list_hypotheses
+from rotorwatch.engine.host.program import estimate
 from rotorwatch.engine.motion.ticks import GROUND, HOVER_LEARN_S, JUDGE, LEARN, READY_S, Ticks
 from rotorwatch.witnesses import hindsight
 

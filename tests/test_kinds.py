@@ -13,8 +13,8 @@ from rich.console import Console
 from conftest import hexa_diagnosis, hexa_event
 from rotorwatch.answer.ledger import believed
 from rotorwatch.answer.wording import BASELINE, said
-from rotorwatch.engine.default.events import packed
 from rotorwatch.engine.front import events as definition
+from rotorwatch.engine.host.events import packed
 from rotorwatch.flight import kinds
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.flight.kinds import Kind, Span, Weight, Words

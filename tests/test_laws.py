@@ -17,10 +17,10 @@ from rotorwatch import airframes
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.core import Estimate
-from rotorwatch.engine.default import plant, program
-from rotorwatch.engine.default.estimator import Default
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.estimator.plant import PER_AXIS, TAU, THETA
+from rotorwatch.engine.host import plant, program
+from rotorwatch.engine.host.default import Default
 from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LEARN
 from rotorwatch.methods.estimators.adaptive_ekf import AdaptiveEKF
 from rotorwatch.methods.estimators.ekf import EKF

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.engine.default import learning
-from rotorwatch.engine.default.plant import AXIS_STATES, any_air, any_curve, any_multirotor
 from rotorwatch.engine.estimator.plant import DAMPING, GAIN, PER_AXIS, SHARE_SD
+from rotorwatch.engine.host import learning
+from rotorwatch.engine.host.plant import AXIS_STATES, any_air, any_curve, any_multirotor
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN
 
 DT = 0.05

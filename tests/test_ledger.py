@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from conftest import hexa_event, trials
 from rotorwatch import airframes
 from rotorwatch.answer import ledger
-from rotorwatch.engine.default import events, residual_evidence
-from rotorwatch.engine.default.events import Report
+from rotorwatch.engine.host import events, residual_evidence
+from rotorwatch.engine.host.events import Report
 from rotorwatch.engine.motion.deviations import Override
 from rotorwatch.flight.diagnosis import Source
 from rotorwatch.flight.kinds import CONTACT, DESYNC, FROM_TAKEOFF, LOSS, LOST, OVERRIDE, SLOW

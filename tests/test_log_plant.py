@@ -12,11 +12,11 @@ from tests.plain import made, room
 from rotorwatch import airframes
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.engine.default import events
-from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Window
 from rotorwatch.engine.estimator.hypotheses import Asked, Freed, Jump, disturbances, pair
 from rotorwatch.engine.estimator.plant import Plant
+from rotorwatch.engine.host import events
+from rotorwatch.engine.host.hypotheses import list_hypotheses
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN, Ticks
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.experiments.studies import compare_flights

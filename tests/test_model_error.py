@@ -7,8 +7,6 @@ import pytest
 from tests.plain import array, copied, filled, made, plant, room
 
 from rotorwatch import airframes
-from rotorwatch.engine.default import events
-from rotorwatch.engine.default.plant import AXIS_STATES, any_multirotor
 from rotorwatch.engine.estimator import model_error, noise
 from rotorwatch.engine.estimator.model_error import Memory, Seen
 from rotorwatch.engine.estimator.noise import Noise
@@ -25,6 +23,8 @@ from rotorwatch.engine.estimator.plant import (
     USUAL_S,
     Inputs,
 )
+from rotorwatch.engine.host import events
+from rotorwatch.engine.host.plant import AXIS_STATES, any_multirotor
 from rotorwatch.lab.campaign import batch, plan
 
 N, DT = 4, 0.05

@@ -6,7 +6,7 @@ import pytest
 from conftest import hexa_event
 from rotorwatch.answer import ledger, trim
 from rotorwatch.answer.conclusion import Evidence, conclude
-from rotorwatch.engine.default.events import Report
+from rotorwatch.engine.host.events import Report
 from rotorwatch.flight.kinds import TURNED
 from test_slow import HEXA, QUAD, flight
 

@@ -8,10 +8,10 @@ import pytest
 from onboard_c import doubles, library
 from rotorwatch import airframes
 from rotorwatch.base.compiling.structs import LASTS
-from rotorwatch.engine.default import events
-from rotorwatch.engine.default.hypotheses import list_hypotheses
-from rotorwatch.engine.default.plant import lower_rotors
 from rotorwatch.engine.estimator.posterior import PLACES
+from rotorwatch.engine.host import events
+from rotorwatch.engine.host.hypotheses import list_hypotheses
+from rotorwatch.engine.host.plant import lower_rotors
 from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LEARN
 
 # A row of numbers per event: onset, detected, end, probability, rotors, loss, lower and upper (4 each), alternatives (30).
@@ -106,7 +106,7 @@ def mask(rotors):
 
 
 def in_python(out, ticks, B, count):
-    """The same of engine/default/events.py, with a computer's room."""
+    """The same of engine/host/events.py, with a computer's room."""
 
     def cut(columns):
         return SimpleNamespace(**{k: v[:count] if np.ndim(v) else v for k, v in vars(columns).items()})

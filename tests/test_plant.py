@@ -8,10 +8,10 @@ from tests.plain import array, measured
 from tests.plain import plant as plant_of
 
 from rotorwatch import airframes
-from rotorwatch.engine.default import plant, program
-from rotorwatch.engine.default.plant import AXIS_STATES
 from rotorwatch.engine.estimator import plant as definition
 from rotorwatch.engine.estimator.plant import AIR, B3, DAMPING, GAIN, PER_AXIS, SHARE, SHARE_SD, SIDEWAYS, TAU, THETA
+from rotorwatch.engine.host import plant, program
+from rotorwatch.engine.host.plant import AXIS_STATES
 
 QUAD, Y6 = (airframes.named(f"ardupilot-{name}").effectiveness() for name in ("quad-x", "y6"))
 RNG = np.random.default_rng(5)

@@ -7,8 +7,8 @@ import pytest
 
 from conftest import hexa_event
 from rotorwatch import airframes
-from rotorwatch.engine.default import events, residual_evidence
-from rotorwatch.engine.default.hypotheses import list_hypotheses
+from rotorwatch.engine.host import events, residual_evidence
+from rotorwatch.engine.host.hypotheses import list_hypotheses
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN
 
 HYP = list_hypotheses(4)

@@ -10,8 +10,8 @@ import pytest
 from conftest import hexa_event
 from rotorwatch.answer import ledger, slow, trim
 from rotorwatch.answer.conclusion import Evidence, conclude
-from rotorwatch.engine.default import events
 from rotorwatch.engine.definition import ENGINE
+from rotorwatch.engine.host import events
 from rotorwatch.engine.motion.ticks import JUDGE
 from rotorwatch.engine.trim import many
 from rotorwatch.engine.trim.trim import Trim

@@ -10,7 +10,7 @@ from scipy import stats
 
 import rotorwatch as rw
 from rotorwatch.answer import unseen
-from rotorwatch.engine.default.hypotheses import list_hypotheses
+from rotorwatch.engine.host.hypotheses import list_hypotheses
 from rotorwatch.engine.motion.ticks import JUDGE
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.lab import campaign

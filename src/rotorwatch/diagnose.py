@@ -29,11 +29,11 @@ from rotorwatch.answer import (
 )
 from rotorwatch.answer.ledger import Merged
 from rotorwatch.base import discovery
-from rotorwatch.engine.default import events, residual_evidence
-from rotorwatch.engine.default.hypotheses import list_hypotheses
-from rotorwatch.engine.default.program import TickOutput, threshold
 from rotorwatch.engine.diagnoser import Diagnoser, fly
 from rotorwatch.engine.front.decisions import MATTERS
+from rotorwatch.engine.host import events, residual_evidence
+from rotorwatch.engine.host.hypotheses import list_hypotheses
+from rotorwatch.engine.host.program import TickOutput, threshold
 from rotorwatch.engine.motion import deviations, ticks, trust
 from rotorwatch.engine.motion.airborne import Gap, airborne, gaps
 from rotorwatch.engine.motion.allocation import Spans

@@ -39,9 +39,9 @@ import numpy as np
 
 from rotorwatch.answer import falls, slow
 from rotorwatch.answer.trim import Growth
-from rotorwatch.engine.default.events import Report, accuses, packed, shared, unexplained
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.front import whole
+from rotorwatch.engine.host.events import Report, accuses, packed, shared, unexplained
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import EVIDENCE, LOSS, LOST, ORDER, OVERRIDE, TURNED, Weight
 

@@ -6,10 +6,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rotorwatch.answer.trim import Growth
-from rotorwatch.engine.default import residual_evidence
-from rotorwatch.engine.default.events import packed
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.front.events import GREW, STAYS
+from rotorwatch.engine.host import residual_evidence
+from rotorwatch.engine.host.events import packed
 from rotorwatch.engine.trim import many
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import LOSS

@@ -10,8 +10,8 @@ import numpy as np
 
 from rotorwatch.answer import context
 from rotorwatch.answer.wording import rotors
-from rotorwatch.engine.default import events
-from rotorwatch.engine.default.hypotheses import Hypotheses
+from rotorwatch.engine.host import events
+from rotorwatch.engine.host.hypotheses import Hypotheses
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN, Ticks
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import Trace

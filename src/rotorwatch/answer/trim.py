@@ -10,9 +10,9 @@ import numpy as np
 from rotorwatch.answer import unseen
 from rotorwatch.base.compiling.running import Rows
 from rotorwatch.base.compiling.structs import LASTS
-from rotorwatch.engine.default import events
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.front.losses import CLEAR
+from rotorwatch.engine.host import events
 from rotorwatch.engine.motion.ticks import Ticks
 from rotorwatch.engine.trim import many, trim
 from rotorwatch.flight.diagnosis import Event, Source

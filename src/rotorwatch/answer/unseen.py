@@ -33,12 +33,12 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.answer.wording import SCALE
-from rotorwatch.engine.default import events, residual_evidence
-from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.estimator import hypotheses, plant
 from rotorwatch.engine.front.decisions import CERTAIN_NATS
 from rotorwatch.engine.front.losses import WITHIN_95
 from rotorwatch.engine.front.vehicle import YAW
+from rotorwatch.engine.host import events, residual_evidence
+from rotorwatch.engine.host.hypotheses import list_hypotheses
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import LOST

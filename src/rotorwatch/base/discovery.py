@@ -192,9 +192,7 @@ def _with_offered(group: str) -> dict[str, type]:
 def _own(group: str) -> dict[str, type]:
     """Classes defined in the modules of a room, or of the default method, that have all the parts, by their `name`, in order of names."""
     found: dict[str, type] = {}
-    for module in (
-        module for room in (ROOMS.get(group, group), "rotorwatch.engine.default") for module in modules(room)
-    ):
+    for module in (module for room in (ROOMS.get(group, group), "rotorwatch.engine.host") for module in modules(room)):
         members: list[tuple[str, Any]] = inspect.getmembers(module, inspect.isclass)
         for label, kind in members:
             own = kind.__module__ == module.__name__ and not label.startswith("_")

@@ -8,5 +8,5 @@ feed.py       many samples in one call
 definition.py  all of these, one definition: run as machine code, or by Python as they stand
 diagnoser.py  a vehicle's engine, as Python has it
 motion/       the front over a whole log
-default/      the estimator over ticks, its losses in words, what healthy flights teach it
+host/         Python around the estimator: run over ticks, its losses in words, what healthy flights teach it
 """

@@ -11,11 +11,11 @@ import numpy as np
 from rotorwatch.base.compiling.running import Rows
 from rotorwatch.base.compiling.structs import LASTS
 from rotorwatch.engine import engine, feed
-from rotorwatch.engine.default import events, program
-from rotorwatch.engine.default.program import Learned, TickOutput
 from rotorwatch.engine.definition import ENGINE, Samples, pieces
 from rotorwatch.engine.estimator.estimator import Result
 from rotorwatch.engine.front.ticks import Made
+from rotorwatch.engine.host import events, program
+from rotorwatch.engine.host.program import Learned, TickOutput
 from rotorwatch.engine.motion import allocation, deviations
 from rotorwatch.engine.motion.airborne import Gap
 from rotorwatch.engine.motion.allocation import Spans

@@ -19,9 +19,9 @@ import numpy as np
 from rotorwatch import airframes
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.engine.default.plant import any_multirotor
-from rotorwatch.engine.default.program import parameters as balance_parameters
 from rotorwatch.engine.estimator.plant import DAMPING, GAIN, PER_AXIS
+from rotorwatch.engine.host.plant import any_multirotor
+from rotorwatch.engine.host.program import parameters as balance_parameters
 from rotorwatch.errors import ConfigError
 from rotorwatch.export import export_default
 from rotorwatch.export.projects import cmake

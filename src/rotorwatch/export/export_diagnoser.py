@@ -20,14 +20,14 @@ from rotorwatch.base import checks
 from rotorwatch.base.compiling.body import exact
 from rotorwatch.base.compiling.translate import Translation
 from rotorwatch.engine import definition, engine
-from rotorwatch.engine.default import events, program
-from rotorwatch.engine.default.plant import lower_rotors
 from rotorwatch.engine.estimator import bank
 from rotorwatch.engine.estimator import sizes as engine_sizes
 from rotorwatch.engine.estimator.bank import FIRST_LOSS
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
 from rotorwatch.engine.estimator.plant import Plant
 from rotorwatch.engine.front import sizes
+from rotorwatch.engine.host import events, program
+from rotorwatch.engine.host.plant import lower_rotors
 from rotorwatch.engine.motion import allocation, ticks
 from rotorwatch.engine.motion.contact import look_back
 from rotorwatch.engine.trim import sizes as trim_sizes

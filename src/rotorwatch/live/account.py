@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rotorwatch.base.compiling.running import Rows
-from rotorwatch.engine.default.events import Losses, Report
 from rotorwatch.engine.diagnoser import Diagnoser, Judged
+from rotorwatch.engine.host.events import Losses, Report
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.contact import Contact
 from rotorwatch.engine.motion.ticks import grounded, landed

@@ -6,11 +6,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from rotorwatch.engine.default.events import packed
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.front import changes, whole
 from rotorwatch.engine.front import events as listed
 from rotorwatch.engine.front.sizes import EVENTS
+from rotorwatch.engine.host.events import packed
 from rotorwatch.flight import kinds
 from rotorwatch.flight.diagnosis import Event
 

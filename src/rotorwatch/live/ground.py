@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
 
-from rotorwatch.engine.default.events import packed
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.front import whole, words
 from rotorwatch.engine.front.words import CRITICAL, NOTICE, WARNING
+from rotorwatch.engine.host.events import packed
 from rotorwatch.flight.kinds import Span, Weight, kind_of
 from rotorwatch.live.changes import WITHDRAWN
 from rotorwatch.live.frames import Outgoing, outgoing

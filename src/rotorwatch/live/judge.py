@@ -8,8 +8,8 @@ import numpy as np
 
 from rotorwatch.answer import slow, trim
 from rotorwatch.answer.unseen import Unseen
-from rotorwatch.engine.default import events
 from rotorwatch.engine.diagnoser import Diagnoser, Judged
+from rotorwatch.engine.host import events
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.deviations import Override, in_flight
 from rotorwatch.engine.motion.ticks import JUDGE, Plan, Ticks, grounded

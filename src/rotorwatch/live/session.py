@@ -12,8 +12,8 @@ import numpy as np
 from rotorwatch import airframes
 from rotorwatch.answer import ledger, slow
 from rotorwatch.answer.wording import rotors
-from rotorwatch.engine.default import events
 from rotorwatch.engine.definition import ENGINE
+from rotorwatch.engine.host import events
 from rotorwatch.engine.motion.airborne import Gap
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN
 from rotorwatch.flight import Flight, Message, Signal

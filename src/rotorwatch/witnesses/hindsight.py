@@ -16,12 +16,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotorwatch.engine.default import events
-from rotorwatch.engine.default.learning import LEARNED_WEIGHT
-from rotorwatch.engine.default.plant import any_multirotor, lower_rotors
-from rotorwatch.engine.default.program import estimate
 from rotorwatch.engine.estimator import hypotheses
 from rotorwatch.engine.estimator.plant import AIR, CURVE, DAMPING, GAIN, PER_AXIS, SHARE
+from rotorwatch.engine.host import events
+from rotorwatch.engine.host.learning import LEARNED_WEIGHT
+from rotorwatch.engine.host.plant import any_multirotor, lower_rotors
+from rotorwatch.engine.host.program import estimate
 from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LEARN, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 

@@ -9,7 +9,7 @@ from rotorwatch.engine.front.ticks import AGAIN
 
 
 def run(p: Plant, e: Estimator, count: int, u: Reals, y: Reals, valid: Flags, out: list[Result]) -> None:
-    """So many ticks, each as `engine.default.program.inputs` has them."""
+    """So many ticks, each as `engine.host.program.inputs` has them."""
     now = Inputs()
     n = p.rotors
     for t in range(count):

@@ -27,8 +27,8 @@ import numpy as np
 from rotorwatch import airframes, logs
 from rotorwatch.diagnose import Estimated, Prepared, prepare
 from rotorwatch.diagnose import judge as conclude
-from rotorwatch.engine.default import events, program
 from rotorwatch.engine.definition import ENGINE
+from rotorwatch.engine.host import events, program
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import JUDGE, READY_S, Ticks
 from rotorwatch.errors import ConfigError

@@ -16,7 +16,7 @@ import numpy as np
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.diagnose import Estimated, Prepared, estimated, prepare
 from rotorwatch.diagnose import judge as conclude
-from rotorwatch.engine.default import program
+from rotorwatch.engine.host import program
 from rotorwatch.engine.motion.ticks import GROUND, LAG_S, Ticks
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight

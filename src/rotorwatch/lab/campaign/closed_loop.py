@@ -22,7 +22,7 @@ import numpy as np
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.base.physics import G0
-from rotorwatch.engine.default import program
+from rotorwatch.engine.host import program
 from rotorwatch.engine.motion.ticks import LEARN
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.campaign import batch, methods, work

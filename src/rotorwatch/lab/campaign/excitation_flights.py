@@ -20,7 +20,7 @@ import numpy as np
 
 from rotorwatch import airframes
 from rotorwatch.diagnose import diagnose
-from rotorwatch.engine.default import events, program
+from rotorwatch.engine.host import events, program
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.allocation import ambiguous_sets
 from rotorwatch.engine.motion.ticks import READY_S, observe

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.engine.default import program
-from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.estimator.plant import PER_AXIS
+from rotorwatch.engine.host import program
+from rotorwatch.engine.host.hypotheses import list_hypotheses
 from rotorwatch.engine.motion.ticks import LEARN, Ticks
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.experiments import tools

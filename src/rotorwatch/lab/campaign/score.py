@@ -14,8 +14,8 @@ import numpy as np
 
 from rotorwatch.answer.conclusion import Conclusion
 from rotorwatch.base import files
-from rotorwatch.engine.default import events
 from rotorwatch.engine.estimator.announcement import TICKS
+from rotorwatch.engine.host import events
 from rotorwatch.engine.motion.ticks import JUDGE
 from rotorwatch.lab.campaign.plan import Plan
 from rotorwatch.lab.experiments import counting, limits

@@ -25,9 +25,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.engine.default import program
 from rotorwatch.engine.estimator.plant import PER_AXIS
 from rotorwatch.engine.estimator.sizes import PLANT_STATES
+from rotorwatch.engine.host import program
 from rotorwatch.errors import ConfigError
 
 Array = Any

@@ -18,8 +18,8 @@ import numpy as np
 
 from rotorwatch.base import checks
 from rotorwatch.core import Decision
-from rotorwatch.engine.default.hypotheses import list_hypotheses
 from rotorwatch.engine.estimator.hypotheses import LOSS_WIDTH, NONE, NOTHING, SMALL_WIDTH, TOTAL_SHARE
+from rotorwatch.engine.host.hypotheses import list_hypotheses
 
 LEVEL_S, SCATTER_S, WARM_UP_S = (
     20.0,

@@ -20,9 +20,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorwatch.base.physics import G0
-from rotorwatch.engine.default import program
-from rotorwatch.engine.default.plant import usual_gains
 from rotorwatch.engine.estimator.plant import DAMPING, GAIN, PER_AXIS, TAU
+from rotorwatch.engine.host import program
+from rotorwatch.engine.host.plant import usual_gains
 from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LEARN, Ticks
 from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
 

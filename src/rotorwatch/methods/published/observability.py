@@ -22,7 +22,7 @@ from rotorwatch import airframes
 from rotorwatch.base import checks, files, optional
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.base.physics import G0
-from rotorwatch.engine.default.plant import usual_gains
+from rotorwatch.engine.host.plant import usual_gains
 from rotorwatch.engine.motion.allocation import ambiguous_sets
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.vehicle import Vehicle

@@ -1,7 +1,7 @@
 """A published method on a real flight: from ticks to outputs in the form of the default diagnoser's, so that all else is shared.
 
 Each hop of the flight becomes a plant and a table (log_plant.py), the method runs over it with the threshold of methods/published/decide.py
-behind it, and its announcements are recorded as the default estimator's outputs are: engine/default/events.py and all after it
+behind it, and its announcements are recorded as the default estimator's outputs are: engine/host/events.py and all after it
 do not know the difference. The losses there are the decision's; what the method itself says stays beside them (own.py). What the default
 method does beyond - it tests every onset, competes losses against disturbances
 over whole windows, learns the noise on the way and refines a loss - a plain method does not, and `notes` says so.
@@ -19,10 +19,10 @@ import numpy as np
 
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.engine.default.events import rotor_sets
-from rotorwatch.engine.default.hypotheses import Hypotheses, list_hypotheses
-from rotorwatch.engine.default.program import TickOutput, blank
 from rotorwatch.engine.estimator.posterior import PLACES
+from rotorwatch.engine.host.events import rotor_sets
+from rotorwatch.engine.host.hypotheses import Hypotheses, list_hypotheses
+from rotorwatch.engine.host.program import TickOutput, blank
 from rotorwatch.engine.motion.ticks import Ticks
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.method_series import MethodSeries, joined

@@ -16,12 +16,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorwatch import airframes
-from rotorwatch.engine.default.hypotheses import list_hypotheses
-from rotorwatch.engine.default.program import TickOutput, blank
 from rotorwatch.engine.estimator import hypotheses
 from rotorwatch.engine.estimator.posterior import PLACES
 from rotorwatch.engine.front.decisions import FALSE_ALARM_PERIOD_S
 from rotorwatch.engine.front.losses import WITHIN_95
+from rotorwatch.engine.host.hypotheses import list_hypotheses
+from rotorwatch.engine.host.program import TickOutput, blank
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.ticks import GROUND, JUDGE, READY_KNOWN_S, Ticks, observe

@@ -88,8 +88,8 @@ class Candidate:
     @cached_property
     def gains(self) -> tuple[np.ndarray, np.ndarray]:
         """Commanded torque per angular acceleration (roll, pitch, yaw) as the default estimator learns it: (3,) and its sd (3,)."""
-        from rotorwatch.engine.default.program import estimate
         from rotorwatch.engine.estimator.plant import GAIN, PER_AXIS
+        from rotorwatch.engine.host.program import estimate
 
         assert self.table is not None
         carry, _ = estimate(self.table, self.vehicle.effectiveness())

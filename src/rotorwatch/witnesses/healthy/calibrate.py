@@ -24,7 +24,7 @@ def calibrate(
     hover                           mean share of full thrust of a rotor in steady hover
     thrust_offset (n)               how much more (+) than that mean each rotor needs, relative: trim of this build
     whole_flight                    a table for each flight: whole_flight.Features.from_dict reads them
-    dynamics                        motion gains and noise (engine/default/learning.py), when the flights show enough
+    dynamics                        motion gains and noise (engine/host/learning.py), when the flights show enough
 
     flights: healthy flights of one build, or their log files; those that are not are set aside, and `assumptions` say so
     (`baselines.healthy`). progress: called with the finished share.

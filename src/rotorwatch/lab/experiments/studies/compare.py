@@ -21,7 +21,7 @@ import numpy as np
 
 from rotorwatch.base import discovery
 from rotorwatch.diagnose import Estimated, estimated, judge
-from rotorwatch.engine.default import program
+from rotorwatch.engine.host import program
 from rotorwatch.engine.motion.ticks import JUDGE
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.experiments import counting, tools

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.diagnose import READY_S, diagnose
-from rotorwatch.engine.default import events
-from rotorwatch.engine.default.program import estimate
+from rotorwatch.engine.host import events
+from rotorwatch.engine.host.program import estimate
 from rotorwatch.engine.motion import allocation, ticks
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.flight import Flight, Signal

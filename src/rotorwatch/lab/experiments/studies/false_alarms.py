@@ -28,8 +28,8 @@ import numpy as np
 
 from rotorwatch import airframes, logs
 from rotorwatch.base import many
-from rotorwatch.engine.default import events, program
-from rotorwatch.engine.default.hypotheses import list_hypotheses
+from rotorwatch.engine.host import events, program
+from rotorwatch.engine.host.hypotheses import list_hypotheses
 from rotorwatch.engine.motion import allocation, ticks
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN, Ticks, observe

@@ -10,14 +10,14 @@ import numpy as np
 
 from rotorwatch.base.compiling import running
 from rotorwatch.core import Array
-from rotorwatch.engine.default.hypotheses import Hypotheses
-from rotorwatch.engine.default.plant import any_air, any_curve, any_multirotor, lower_rotors, packed
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.estimator import announcement, estimator, known, noise, plant, sizes, whole
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
 from rotorwatch.engine.estimator.plant import AIR, CURVE, SHARE, THETA, Plant, Rows
 from rotorwatch.engine.estimator.posterior import PLACES
 from rotorwatch.engine.front.decisions import FALSE_ALARM_PERIOD_S
+from rotorwatch.engine.host.hypotheses import Hypotheses
+from rotorwatch.engine.host.plant import any_air, any_curve, any_multirotor, lower_rotors, packed
 from rotorwatch.engine.motion.ticks import AGAIN, TICKS_S, Ticks
 from rotorwatch.errors import ConfigError
 

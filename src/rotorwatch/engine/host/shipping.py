@@ -1,4 +1,4 @@
-"""Machine code built for whoever installs rotorwatch: `python -m rotorwatch.engine.default.shipping FOLDER`.
+"""Machine code built for whoever installs rotorwatch: `python -m rotorwatch.engine.host.shipping FOLDER`.
 
 The build of the package calls it (hatch_build.py). What is made of definitions (docs/one-definition.md): the front end, the estimator, the
 decoder of Blackbox logs and the walk over ULogs, one library each.

@@ -14,13 +14,13 @@ import numpy as np
 
 from rotorwatch.base.compiling.running import Rows
 from rotorwatch.base.compiling.structs import LASTS
-from rotorwatch.engine.default.hypotheses import Hypotheses
-from rotorwatch.engine.default.plant import lower_rotors
 from rotorwatch.engine.definition import ENGINE, craft
 from rotorwatch.engine.front import deviations, losses, whole
 from rotorwatch.engine.front import events as definition
 from rotorwatch.engine.front.records import Found
 from rotorwatch.engine.front.sizes import EVENTS, RECORDS, TOGETHER
+from rotorwatch.engine.host.hypotheses import Hypotheses
+from rotorwatch.engine.host.plant import lower_rotors
 from rotorwatch.engine.motion.contact import Contact
 from rotorwatch.engine.motion.deviations import Override
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks

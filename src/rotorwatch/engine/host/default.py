@@ -9,8 +9,8 @@ import numpy as np
 
 from rotorwatch.base.compiling.running import Rows
 from rotorwatch.core import Estimate
-from rotorwatch.engine.default import program
 from rotorwatch.engine.estimator.plant import THETA
+from rotorwatch.engine.host import program
 from rotorwatch.engine.motion.ticks import GROUND
 
 

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rotorwatch.engine.default.hypotheses import Hypotheses
 from rotorwatch.engine.estimator import hypotheses, plant
+from rotorwatch.engine.host.hypotheses import Hypotheses
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import CONTACT, EVIDENCE

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rotorwatch.engine.default.plant import any_multirotor, lower_rotors
-from rotorwatch.engine.default.program import estimate
 from rotorwatch.engine.estimator.plant import AIR, CURVE, DAMPING, GAIN, PER_AXIS, SHARE
+from rotorwatch.engine.host.plant import any_multirotor, lower_rotors
+from rotorwatch.engine.host.program import estimate
 from rotorwatch.engine.motion.ticks import JUDGE, TICKS_S, Ticks
 
 FLIGHTS_DIFFER = 0.25
