@@ -223,14 +223,16 @@ def test_events_come_to_the_console_and_the_map(flight):
     module, mpstate, master = fly(flight, early)
     try:
         ((line, colour), *_) = [pair for pair in mpstate.console.lines if "rotor 3 lost" in pair[0]]
-        assert colour == "red" and line.startswith("rotorwatch: rotor 3 lost") and "(vehicle 1, announced, 47." in line
+        assert (
+            colour == "orange" and line.startswith("rotorwatch: rotor 3 lost") and "(vehicle 1, announced, 47." in line
+        )
         turns(module, lambda: mpstate.console.fields.get("rotorwatch 1", ("",))[0].startswith("RW 1: FAULT rotor 3"))
         assert mpstate.console.fields["rotorwatch 1"][1] == "red"
         # At the place where it began, not where the vehicle is now.
         ((key, marker),) = early.objects.items()
         onset = float(line.split("announced, ")[1].split(" s)")[0])
         assert marker.latlon == pytest.approx((47.0 + 1e-5 * 2 * onset, 8.0), abs=3e-5)
-        assert marker.label.startswith("rotor 3 lost") and marker.img == "flag.png" and marker.colour == (255, 0, 0)
+        assert marker.label.startswith("rotor 3 lost") and marker.img == "flag.png" and marker.colour == (255, 165, 0)
         # A map that is opened later shows it as well.
         mpstate.public_modules["map9"] = SimpleNamespace(map=late)
         turns(module, lambda: late.objects)

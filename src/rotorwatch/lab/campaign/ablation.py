@@ -54,7 +54,7 @@ NOT_CHOSEN = {
     *(f"noise.{name}" for name in ("WHITE", "FAST", "SLOW", "DRIFT", "LAGS", "LAG_COUNT", "ITERATIONS")),
     *(f"bank.{name}" for name in ("GROUP", "GROUPS", "SHORT", "LONG", "SLOW_S", "YAW_ERROR", "DAMPING_ERROR", "FIRST_LOSS")),
     *(f"hypotheses.{name}" for name in ("SINGLE", "PAIR", "RECOVERY", "ONE_THRUST", "DISTURBANCE", "DISTURBANCES", "DISTURBANCE_COUNT")),
-    "hypotheses.ALL_TORQUES", "hypotheses.NOTHING", "opposite.LEAST_ROTORS", "plausibility.CANCELS",
+    "hypotheses.ALL_TORQUES", "hypotheses.NOTHING", "hypotheses.LEFT", "opposite.LEAST_ROTORS", "plausibility.CANCELS",
     "decisions.FALSE_ALARM_PERIOD_S", "posterior.NEVER",
     "posterior.OLD_S", "losses.WITHIN_95", "losses.CANCELS",
 }  # fmt: skip
@@ -70,6 +70,8 @@ OTHERS = (
     "DAMAGED",
     "MENTIONED",
     "MATTERS",
+    "GRAVE",
+    "WORN",
 )
 NOT_CHOSEN |= {f"decisions.{name}" for name in OTHERS}
 # Constants of `losses` that the estimator takes from there: where it does.
