@@ -22,7 +22,7 @@ EMBEDDED = Path(__file__).resolve().parents[1] / "embedded"
 STUBS = EMBEDDED / "stubs"
 SENSOR_HZ, OUTPUT_HZ = 100.0, 50.0  # that the glue is documented with
 # Of a log that shows what a board would have seen: rates, and the share of the outputs between those of the log that can be rebuilt.
-LEAST_SENSOR_HZ, LEAST_OUTPUT_HZ, LEAST_REBUILT = 45.0, 19.0, 0.8
+LEAST_SENSOR_HZ, LEAST_OUTPUT_HZ, LEAST_REBUILT, LEAST_CONTROL_HZ = 45.0, 19.0, 0.8, 40.0
 
 # As their build systems give them to a library's sources, warnings being errors.
 ARDUPILOT = (
@@ -212,6 +212,9 @@ def outputs(flight, craft) -> Signal:
     mixed = allocation.mixed_thrusts(flight, craft)
     if mixed is None:
         return motors
+    if motors.rate_hz < LEAST_OUTPUT_HZ and flight["control"].rate_hz < LEAST_CONTROL_HZ:
+        rates = f"outputs at {motors.rate_hz:.0f} Hz and the rate controller's at {flight['control'].rate_hz:.0f} Hz"
+        raise TooFew(f"{rates} do not say what a board has seen")
     thrust = allocation.better(allocation.motor_thrusts(flight, craft), mixed)
     e, full = curve.expo, curve.u_max - curve.u_min
     f = np.maximum(thrust.values, 0.0)

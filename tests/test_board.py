@@ -101,7 +101,6 @@ DIFFERS: dict[str, str] = {
     "px4_q17_m1_50_square.ulg.xz": "at its limit a rotor that lost half is in two spells: 13 % of the outputs are not known",
     "px4_q51_m3_30_m1_20_adjacent.ulg.xz": "of two rotors that lost 30 and 20 % only the weaker one is named",
     "px4_q73_m1_50_slew60_wind.ulg.xz": "slewed outputs: 10 % of them are not known",
-    "healthy-real-3.ulg.xz": "outputs at 10 Hz, of which 5 % cannot be rebuilt, accuse rotors of a vehicle that diagnose does not accuse",
 }
 
 
