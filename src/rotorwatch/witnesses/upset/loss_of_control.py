@@ -319,8 +319,9 @@ def _falls(flight: Flight, start: float, end: float) -> LossOfControl | None:
     """Outputs that come to rest while nothing carries the vehicle."""
     if not flight.has("motors", "accel"):
         return None
-    motors, share = flight["motors"], _shares(flight).max(axis=1)
-    accel = flight["accel"]
+    motors = _around(flight["motors"], start - 1.0, end + 5.0)
+    share = _shares(flight, motors).max(axis=1)
+    accel = _around(flight["accel"], start, end + 5.0)
     ok = accel.valid.all(axis=1)
     time, force = accel.time[ok], np.linalg.norm(accel.values[ok], axis=1) / G0
     near = (time >= start) & (time <= end + 5.0)
@@ -349,8 +350,9 @@ def _sinks(flight: Flight, start: float, end: float) -> LossOfControl | None:
     velocity = flight["velocity"]
     inside = (velocity.time >= start) & (velocity.time <= end) & velocity.valid.all(axis=1)
     time, down = velocity.time[inside], velocity.values[inside, 2]
-    share, age = held(replace(flight["motors"], values=_shares(flight)), time)
-    push, known = held(flight["accel"], time)
+    motors = _around(flight["motors"], start - 1.0, end)
+    share, age = held(replace(motors, values=_shares(flight, motors)), time)
+    push, known = held(_around(flight["accel"], start - 1.0, end), time)
     full = (share.mean(axis=1) > NEARLY_FULL) & (age <= FRESH_S) & (-push[:, 2] < G0) & (known <= FRESH_S)
     since = None
     for when, falling in zip(time, full & (down > SINKS_M_S)):
@@ -387,10 +389,15 @@ def _strikes(flight: Flight, start: float, end: float) -> LossOfControl | None:
     return None
 
 
-def _shares(flight: Flight) -> np.ndarray:
+def _around(signal: Signal, start: float, end: float) -> Signal:
+    """The samples from the last one before `start` [s] up to `end`: what is held in that time. A flight may have many hops."""
+    first, stop = np.searchsorted(signal.time, start), np.searchsorted(signal.time, end, side="right")
+    return signal.part(slice(max(int(first) - 1, 0), int(stop)))
+
+
+def _shares(flight: Flight, motors: Signal) -> np.ndarray:
     """(n, rotors) commands as shares of their range; 0 where there is none."""
     low, high = output_range(flight)
-    motors = flight["motors"]
     return np.where(motors.valid, np.clip((motors.values - low) / max(high - low, 1e-6), 0.0, 1.0), 0.0)
 
 
