@@ -202,8 +202,8 @@ def _spins(flight: Flight, time: np.ndarray) -> np.ndarray:
 def find(flight: Flight, air) -> tuple[LossOfControl, ...]:
     """The losses of control of a flight, one at most in each of the intervals `air` ((start, end), ...) s in which it was in the air."""
     time, angle, words = attitude_error(flight)
-    found = []
-    for start, end in _from_the_ground(flight, time, angle, air) or _powered(flight):
+    powered, found = _powered(flight), []
+    for start, end in _from_the_ground(powered, time, angle, air) or powered:
         spans = [
             d
             for d in (
@@ -214,18 +214,20 @@ def find(flight: Flight, air) -> tuple[LossOfControl, ...]:
             )
             if d
         ]
-        over = None if spans or not air else _turns_over(flight, end)
+        over = None if spans or not air else _turns_over(flight, powered, end)
         if spans or over:
             found.append(over or min(spans, key=lambda d: d.onset))
     return tuple(found)
 
 
-def _from_the_ground(flight: Flight, time: np.ndarray, angle: np.ndarray, air) -> tuple[tuple[float, float], ...]:
+def _from_the_ground(
+    powered: list[tuple[float, float]], time: np.ndarray, angle: np.ndarray, air
+) -> tuple[tuple[float, float], ...]:
     """`air`, from when the motors were first asked for something if the vehicle had left control before it counted as in the air."""
     if not air:
         return ()
     (start, end), *later = air
-    before = [a for a, b in _powered(flight) if a < start <= b]
+    before = [a for a, b in powered if a < start <= b]
     left = before and (angle[(time >= before[0]) & (time <= start)] > ERROR_DEG).any()
     return ((before[0] if left else start, end), *later)
 
@@ -240,11 +242,11 @@ def _powered(flight: Flight) -> list[tuple[float, float]]:
     return [(float(time[a]), float(time[b])) for a, b in zip(starts, stops) if time[b] - time[a] > LASTS_S]
 
 
-def _turns_over(flight: Flight, end: float) -> LossOfControl | None:
+def _turns_over(flight: Flight, powered: list[tuple[float, float]], end: float) -> LossOfControl | None:
     """A vehicle on its head after a landing at `end` s while its motors still push."""
     if not flight.has("attitude"):
         return None
-    until = max((b for a, b in _powered(flight) if a <= end <= b), default=end)
+    until = max((b for a, b in powered if a <= end <= b), default=end)
     attitude = flight["attitude"].between(end, until)
     ok = attitude.valid.all(axis=1)
     t, up = attitude.time[ok], thrust_axis(attitude.values[ok])[:, 2]
