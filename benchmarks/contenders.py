@@ -76,6 +76,20 @@ def flight(rows: int, seed: int = 0, gaps: bool = False) -> tuple[np.ndarray, np
     return np.array(u), np.array(y), valid
 
 
+def jax_program(name: str):
+    """A method as one JAX program over (B, T, ...) tables: all flights at once, (B, T, 20) outputs."""
+    jax, method = load_jax(), estimator(name)
+
+    def one(*table):
+        def step(carry, row):
+            carry, out = method.step(carry, *row)
+            return carry, outputs(out)
+
+        return jax.numpy.concatenate(jax.lax.scan(step, method.init(), table)[1], axis=1)
+
+    return jax.jit(jax.vmap(one))
+
+
 class Rotorwatch:
     """One of rotorwatch's estimators, `run` over a table with a backend."""
 

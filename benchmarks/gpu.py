@@ -16,7 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import numpy as np
-from contenders import METHODS, NativeBatch, estimator, flight, outputs
+from contenders import METHODS, NativeBatch, flight, jax_program
 from run import BATCH_STEPS, same
 
 from rotorwatch.base.backend import jax as load_jax
@@ -34,17 +34,7 @@ def gpus() -> list:
 
 def on(device, method: str):
     """A function of (B, T, ...) tables: all flights at once on the device; tables that lie there stay there."""
-    jax = load_jax()
-    kind = estimator(method)
-
-    def one(*table):
-        def step(carry, row):
-            carry, out = kind.step(carry, *row)
-            return carry, outputs(out)
-
-        return jax.numpy.concatenate(jax.lax.scan(step, kind.init(), table)[1], axis=1)
-
-    program = jax.jit(jax.vmap(one))
+    jax, program = load_jax(), jax_program(method)
 
     def call(*tables) -> np.ndarray:
         with jax.default_device(device):

@@ -33,7 +33,7 @@ if importlib.util.find_spec("jax") is None:
 os.environ.setdefault("XLA_FLAGS", f"--xla_force_host_platform_device_count={os.cpu_count()}")  # before JAX is imported
 
 import numpy as np
-from contenders import METHODS, Floor, NativeBatch, Rotorwatch, build_floor, estimator, flight, outputs
+from contenders import METHODS, Floor, NativeBatch, Rotorwatch, build_floor, estimator, flight, jax_program
 from logs import reading, sample
 from peers import peers
 
@@ -185,17 +185,7 @@ def threads(run: Callable, flights) -> np.ndarray:
 
 def jax_batch(method: str, chunk: int, devices: int = CORES) -> Callable:
     """A function of (B, T, ...) tables: `chunk` flights at once on each device."""
-    jax = load_jax()
-    run = estimator(method)
-
-    def one(*table):
-        def step(carry, row):
-            carry, out = run.step(carry, *row)
-            return carry, outputs(out)
-
-        return jax.numpy.concatenate(jax.lax.scan(step, run.init(), table)[1], axis=1)
-
-    program = jax.jit(jax.vmap(one))
+    jax, program = load_jax(), jax_program(method)
 
     def all_of(device, tables, parts):
         return [np.asarray(program(*(jax.device_put(a[k : k + chunk], device) for a in tables))) for k in parts]
