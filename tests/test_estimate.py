@@ -124,6 +124,12 @@ def test_coverage_counts_steps_in_which_the_interval_holds_the_truth():
     assert np.allclose(result.coverage(result.series[0]), [1.0, 0.75, 1.0, 1.0])
     assert np.array_equal(result.true(result.series[0])[[19, 20, 29, 30], 1], [0.0, 0.2, 0.2, 1.0])
     assert Estimates("log", (made(),)).coverage(made()) is None
+    one = made()
+    ends = {name: (np.array([-1.0]), np.array([end])) for name, end in zip(one.theta_names, one.lower[0])}
+    for beyond, share in ((1e-9, 1.0), (-1e-3, 0.0)):
+        outside = {name: (time, value + beyond) for name, (time, value) in ends.items()}
+        first = replace(one, status=np.where(np.arange(len(one.time)) == 0, 0, 2))
+        assert np.allclose(Estimates("log", (first,), {}, outside).coverage(first), share)
 
 
 def test_truth_files(tmp_path):

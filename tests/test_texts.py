@@ -56,6 +56,10 @@ def test_a_loss_that_wanders_within_its_interval_is_told_once():
     assert pilot.said == [WARNING]
 
 
+def test_a_loss_that_moves_within_a_wide_interval_is_told_once():
+    assert Pilot().flies(10.0, loss(lost=0.3)).flies(60.0, loss(lost=0.38, width=0.1)).said == [WARNING]
+
+
 def test_a_loss_that_passes_a_line_of_severity_within_its_interval_is_told_once():
     assert Pilot().flies(10.0, loss(lost=MATTERS - 0.01)).flies(60.0, loss(lost=MATTERS + 0.01)).said == [NOTICE]
 

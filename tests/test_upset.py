@@ -423,3 +423,13 @@ def test_the_air_carries_a_vehicle_that_falls_the_more_the_faster_it_falls():
     sinks = G0 * 0.4 * 1.0  # m/s, after a second
     assert falling[np.searchsorted(time, 3.0)] == pytest.approx(0.5 * (sinks / balance.FALLS) ** 2, rel=0.25)
     assert falling[-1] == 0.5
+
+
+def test_what_is_held_at_the_start_of_a_hop_is_the_sample_before_it():
+    time = np.arange(10.0)
+    signal = Signal(time, time[:, None], ("x",), "1", "body", "test")
+    around = loss_of_control._around(signal, 2.5, 5.0)
+    assert around.time.tolist() == [2.0, 3.0, 4.0, 5.0]
+    assert loss_of_control._around(signal, -1.0, 0.5).time.tolist() == [0.0]
+    at = np.array([2.5, 3.0, 4.9])
+    assert np.array_equal(loss_of_control.held(around, at)[0], loss_of_control.held(signal, at)[0])
