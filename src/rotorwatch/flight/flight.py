@@ -36,7 +36,7 @@ Missing samples are the norm: ``valid`` masks them, values there are 0, never Na
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import InitVar, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -51,9 +51,9 @@ class Signal:
     """One multi-column time series.
 
     time: (n,) s since the first record of the log, non-decreasing. values: (n, k), finite everywhere.
-    valid: (n, k) bool; False where the log had no usable number; left out, or (n,), it is completed to that.
+    valid: (n, k) bool; False where the log had no usable number; left out, or (n,), it is completed to that. Not to be written to.
     columns: names of the k columns. unit: of all of them, or one for each, separated by commas. frame: "FRD", "NED" or "" for none.
-    source: the log's own name for it.
+    source: the log's own name for it. made: the values were made for this signal, which need not copy them.
     """
 
     time: np.ndarray
@@ -64,7 +64,9 @@ class Signal:
     source: str = ""
     valid: np.ndarray = None  # pyright: ignore[reportAssignmentType]: always an array once constructed
 
-    def __post_init__(self):
+    made: InitVar[bool] = False
+
+    def __post_init__(self, made: bool):
         time = np.ascontiguousarray(self.time, dtype=np.float64)
         values = np.ascontiguousarray(self.values, dtype=np.float64)
         if values.ndim == 1:
@@ -76,9 +78,13 @@ class Signal:
         if self.valid is not None:
             given = np.asarray(self.valid, dtype=bool)
             valid &= given[:, None] if given.ndim == 1 else given
+        whole = valid.all()
+        if whole:  # as most are: one byte for all of them
+            valid = np.broadcast_to(np.True_, valid.shape)
         object.__setattr__(self, "time", time)
-        own = values.base is not self.values and values is not self.values  # made here: nobody else can change it
-        object.__setattr__(self, "values", values if own and valid.all() else np.where(valid, values, 0.0))
+        # Copied on the way here: nobody else can change it.
+        own = made or (values.base is not self.values and values is not self.values)
+        object.__setattr__(self, "values", values if own and whole else np.where(valid, values, 0.0))
         object.__setattr__(self, "valid", valid)
 
     def __len__(self):
@@ -91,6 +97,16 @@ class Signal:
             return 0.0
         step = float(np.median(np.diff(self.time)))
         return 1.0 / step if step > 0 else 0.0
+
+    @property
+    def whole(self) -> np.ndarray:
+        """(n,) bool: samples of which all columns are valid."""
+        return self.valid[:, 0] if self.valid.strides == (0, 0) else self.valid.all(axis=1)
+
+    def wholes(self) -> Signal:
+        """The samples of which all columns are valid; itself where all are."""
+        rows = self.whole
+        return self if rows.all() else self.with_arrays(self.time[rows], self.values[rows], self.valid[rows])
 
     def to_pandas(self):
         """A pandas DataFrame: a column each, the time [s] as its index, NaN where the log had no usable number. Raises ConfigError

@@ -100,7 +100,7 @@ def _rows(log, clock, name, *columns):
     if any((table[c].dtype.kind == "S") != (c in TEXT_COLUMNS) or table[c].ndim > 1 for c in columns):
         return  # a damaged definition
     values = [_texts(table[c]) if table[c].dtype.kind == "S" else table[c].tolist() for c in columns]
-    times, good = clock.time[table.record].tolist(), clock.good[table.record].tolist()
+    times, good = (column.tolist() for column in clock.of(table.record))
     for k, time in enumerate(times):
         if good[k]:
             yield (time, *(v[k] for v in values))

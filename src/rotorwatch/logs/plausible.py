@@ -40,6 +40,10 @@ HABIT = 0.05  # share of a signal's values beyond which it is not damage but wha
 FITTED, FIT_EVERY = 512, 64  # samples that the mixer's matrix is fitted to, and how often
 PARTNER_S = 0.1  # a command further than this from any output of the controller is not compared
 TINY = 1e-12
+PIECE, MARGIN = (
+    1 << 16,
+    64,
+)  # samples that are looked at at a time; more of them on each side than any of them is compared with
 NAMED = 3  # times that a warning names
 # Share and number of lone values of a signal beyond which chance does not explain them; and number of impossible ones beside them
 HEAVY, LEAST_HEAVY = 0.002, 5
@@ -110,10 +114,11 @@ def possible(flight: Flight) -> Flight:
     it; named in its warnings. A signal of which nothing is left is dropped."""
     signals, notes = dict(flight.signals), list[str]()
     for name, signal in flight.signals.items():
-        limit, steps = _limit(name, signal), np.diff(signal.time)
-        fine = (np.abs(signal.values) <= np.minimum(limit, series.LARGEST)).all() and np.isfinite(signal.time).all()
-        if fine and (steps >= 0.0).all() and len(signal):
-            continue
+        limit = _limit(name, signal)
+        if len(signal) and np.isfinite(signal.time).all() and (signal.time[1:] >= signal.time[:-1]).all():
+            most = np.maximum(signal.values.max(axis=0), -signal.values.min(axis=0))
+            if (most <= np.minimum(limit, series.LARGEST)).all():
+                continue
         source = signal.source or name
         one = series.build(
             signal.time, signal.values, signal.columns, signal.unit, signal.frame, source, limit, notes, signal.valid
@@ -188,11 +193,11 @@ def _unasked(signals: Mapping[str, Signal], already: np.ndarray) -> np.ndarray:
     them (without them, W is not yet known for what the vehicle does for the first time).
     """
     motors, control = signals["motors"], signals["control"]
-    fine = control.valid.all(axis=1)
-    if fine.sum() < FIT_EVERY or len(motors) < FIT_EVERY:
+    control = control.wholes()
+    if len(control) < FIT_EVERY or len(motors) < FIT_EVERY:
         return np.zeros_like(already)
-    when = control.time[fine]
-    regressors = np.stack([np.interp(motors.time, when, c) for c in control.values[fine].T], axis=1)
+    when = control.time
+    regressors = np.stack([np.interp(motors.time, when, c) for c in control.values.T], axis=1)
     regressors = np.column_stack([regressors, regressors[:, 3] ** 2, np.ones(len(motors))])
     near = np.abs(when[_nearest(when, motors.time)] - motors.time) < PARTNER_S
     known = near[:, None] & motors.valid & ~already
@@ -248,8 +253,22 @@ def _size(time, values, valid, floor: float, alike: bool = False) -> Lone:
     alike: columns are as rough as each other, as the commands of motors are, which one mixer makes. One that stands still (a motor at
     idle) does not show how rough it will be when it moves, so at least the mean of those that move is taken.
     """
-    lone: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     every = _Times(time) if valid.all() else None  # what only times say is the same of all columns then
+    if every is None or len(time) <= PIECE:
+        return _size_of(every, time, values, valid, floor, alike)
+    found = []
+    for start in range(0, len(time), PIECE):
+        first, last = max(start - MARGIN, 0), min(start + PIECE, len(time)) + MARGIN
+        part = slice(first, last)
+        one = _size_of(_Times(time[part], every.near), time[part], values[part], valid[part], floor, alike)
+        own = one.part((one.rows >= start - first) & (one.rows < start - first + PIECE))
+        found.append(own._replace(rows=own.rows + first))
+    return Lone(*map(np.concatenate, zip(*found, strict=True)))
+
+
+def _size_of(every: _Times | None, time, values, valid, floor: float, alike: bool) -> Lone:
+    """The same of a part of a table. every: the times of a part in which all is valid, else None."""
+    lone: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
     def known(k: int) -> Any:
         return slice(None) if every else np.flatnonzero(valid[:, k])
@@ -283,8 +302,10 @@ class _Times:
     """Times t (n,) of samples, and what follows from them alone. near: how far a neighbour may be [s]; single, pair: `_share` of all
     samples between the one before and the next one, or the second after."""
 
-    def __init__(self, t: np.ndarray):
+    def __init__(self, t: np.ndarray, near: float | None = None):
         self.t = t
+        if near is not None:
+            self.near = near
 
     @functools.cached_property
     def near(self) -> float:
@@ -346,18 +367,16 @@ def _support(time, values, valid, size: Lone, floor: float, at, own) -> np.ndarr
 
     Against the line between their neighbours where those are valid and not lone themselves; what is not valid does not jump.
     """
-    support = np.zeros(at.size)
+    if not at.size:
+        return np.zeros(0)
     # Nothing but what is near the samples is looked at; `_scale` reaches furthest.
-    begins = np.bincount(np.maximum(at - BEFORE - 1, 0), minlength=len(time) + 1)
-    begins -= np.bincount(np.minimum(at + BEFORE + 2, len(time)), minlength=len(time) + 1)
-    near = np.cumsum(begins[:-1]) > 0
-    there, inner = np.flatnonzero(near), np.flatnonzero(near[:-2] & near[1:-1] & near[2:]) + 1
-    calm, r = np.zeros(len(time)), np.zeros(len(time))
+    support, rows, good = np.zeros(at.size), *_calm_around(valid, size, at)
+    time, values, valid, at = time[rows], values[rows], valid[rows], np.searchsorted(rows, at)
+    inner = np.flatnonzero(rows[2:] - rows[:-2] == 2) + 1
+    r = np.zeros(len(rows))
     for k in range(values.shape[1]):
-        good = valid[:, k].copy()
-        good[size.rows[size.columns == k]] = False
-        if good.any():
-            calm[there] = np.interp(time[there], time[good], values[good, k])
+        if good[:, k].any():
+            calm = np.interp(time, time[good[:, k]], values[good[:, k], k])
             r[inner] = _residual_at(time, calm, 1, 1, inner)[0]
             jump = np.abs(r[at] + np.where(valid[at, k], values[at, k] - calm[at], 0.0))
             jump /= np.maximum(SCALES * _scale(np.abs(r), at), max(floor, TINY))
@@ -365,9 +384,34 @@ def _support(time, values, valid, size: Lone, floor: float, at, own) -> np.ndarr
     return support
 
 
+def _calm_around(valid: np.ndarray, size: Lone, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(m,) rows around the samples `at`, in order, and (m, k) bool: what is valid there and not lone. As many that in each stretch of them
+    the first and the last row of every column are, or the table ends there."""
+    n, reach = len(valid), BEFORE + 2
+    while True:
+        starts, stops = np.maximum(at - reach, 0), np.minimum(at + reach + 1, n)
+        apart = starts[1:] > stops[:-1]
+        starts, stops = starts[np.append(True, apart)], stops[np.append(apart, True)]
+        lengths = stops - starts
+        rows = np.arange(lengths.sum()) + np.repeat(starts - np.cumsum(lengths) + lengths, lengths)
+        good = valid[rows].copy()
+        place = np.minimum(np.searchsorted(rows, size.rows), rows.size - 1)
+        there = rows[place] == size.rows
+        good[place[there], size.columns[there]] = False
+        ends = np.cumsum(lengths) - 1
+        if (good[ends[:-1]].all() and good[ends[1:] - lengths[1:] + 1].all()) and (
+            (starts[0] == 0 or good[0].all()) and (stops[-1] == n or good[-1].all())
+        ):
+            return rows, good
+        reach *= 2
+
+
 def _nearest(time: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """Index of the sample nearest to each wanted time."""
-    return np.searchsorted(0.5 * (time[1:] + time[:-1]), wanted)
+    if time.size < 2:
+        return np.zeros(wanted.shape, int)
+    after = np.clip(np.searchsorted(time, wanted), 1, time.size - 1)
+    return after - (wanted <= 0.5 * (time[after] + time[after - 1]))
 
 
 def _residual(x: np.ndarray, share: np.ndarray, before: int, after: int) -> tuple[np.ndarray, np.ndarray]:

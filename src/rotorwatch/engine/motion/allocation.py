@@ -83,10 +83,13 @@ def better(logged: Signal, mixed: Signal | None) -> Signal:
     """The rebuilt thrusts where they can be trusted, the last logged ones elsewhere."""
     if mixed is None:
         return logged
-    held = hold(logged.time, logged.values, mixed.time)
-    known = hold(logged.time, logged.valid, mixed.time, before=False)
-    values = np.where(mixed.valid, mixed.values, held)
-    return Signal(mixed.time, values, logged.columns, "1", "body", mixed.source, mixed.valid | known)
+    rows = np.flatnonzero(~mixed.whole)
+    if not rows.size:
+        return mixed
+    values, valid = mixed.values.copy(), mixed.valid.copy()
+    values[rows] = np.where(valid[rows], values[rows], hold(logged.time, logged.values, mixed.time[rows]))
+    valid[rows] |= hold(logged.time, logged.valid, mixed.time[rows], before=False)
+    return Signal(mixed.time, values, logged.columns, "1", "body", mixed.source, valid, made=True)
 
 
 def mixed_thrusts(flight: Flight, vehicle: Vehicle) -> Signal | None:
@@ -104,7 +107,7 @@ def mixed_thrusts(flight: Flight, vehicle: Vehicle) -> Signal | None:
         return None
     control = flight["control"]
     source = f"{control.source} through the mixer"
-    return Signal(control.time, thrust, flight["motors"].columns, "1", "body", source, ok)
+    return Signal(control.time, thrust, flight["motors"].columns, "1", "body", source, ok, made=True)
 
 
 def faster_control(flight: Flight) -> bool:

@@ -231,8 +231,8 @@ def table(plan: Plan, hover: float | None = None, rebuilt: bool = False) -> dict
 def sense(flight: Flight, thrust: Signal, plan: Plan) -> Sensed:
     """The ticks of a flight with these thrusts; none where the thrusts of all rotors are never known together."""
     n = thrust.values.shape[1]
-    valid = thrust.valid.all(axis=1, keepdims=True)
-    parts = [("thrust", thrust.time, np.where(valid, thrust.values, np.nan))]
+    valid = thrust.whole
+    parts = [("thrust", thrust.time, thrust.values if valid.all() else np.where(valid[:, None], thrust.values, np.nan))]
     parts += [("gyro", flight[plan.gyro].time, known(flight, plan.gyro))] if plan.gyro else []
     parts += [("accel", flight["accel"].time, known(flight, "accel"))] if plan.accel else []
     parts += [

@@ -52,6 +52,7 @@ EXCHANGED = (
     8.0  # the same, from which motion that follows the command of another axis is no coupling of a sound vehicle
 )
 AXES = ("roll", "pitch", "yaw")
+BLOCK = 1 << 16  # samples that are looked at at a time
 WINDOW_S = 0.2  # s over which gyro and attitude are compared
 # Gyro and attitude up to so far apart, in such steps; in parts of so long, of which there are at least so many
 APART_S, LAG_S, PART_S, LEAST_PARTS = 5.0, 0.1, 10.0, 3
@@ -73,6 +74,11 @@ class Case:
     def turning(self) -> Signal | None:
         """Angular rates."""
         return self.flight.angular_rate()
+
+    @cached_property
+    def turns(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """`_turns` of attitude and gyro at the same time."""
+        return _turns(self.flight["attitude"], self.flight["gyro"], self.air)
 
     @cached_property
     def flying(self) -> np.ndarray:
@@ -154,7 +160,7 @@ def attitude_against_gyro(case: Case) -> str | None:
     """Gyro and attitude tell of the same turns: same size, same sign, same time."""
     if not case.flight.has("gyro", "attitude"):
         return None
-    _, turned, (rate,) = _turns(case.flight["attitude"], case.flight["gyro"], case.air)
+    _, turned, (rate,) = case.turns
     if len(rate) < 50:
         return None
     # Of most of the flight: knocks and a crash show sensors' limits.
@@ -186,12 +192,12 @@ def two_clocks(case: Case) -> str | None:
     """Gyro and attitude tell of the same turns, but not at the same time: of most parts of the flight, in calm air as well."""
     if not case.flight.has("gyro", "attitude"):
         return None
-    when, (alike,) = _alike_at(case, (0.0,))
+    when, (alike,) = _alike_at(case.turns)
     differ = alike.max(axis=1) < ALIKE
     if differ.sum() < LEAST_PARTS or differ.mean() < 0.5:
         return None
     lags = np.arange(-APART_S, APART_S + 0.5 * LAG_S, LAG_S)
-    alike = _alike_at(case, lags)[1].max(axis=2)
+    alike = _alike_at(_turns(case.flight["attitude"], case.flight["gyro"], case.air, lags))[1].max(axis=2)
     found = differ & (alike.max(axis=0) > THE_SAME)
     when, apart = when[found], lags[alike.argmax(axis=0)][found]
     if found.sum() < LEAST_PARTS or found.mean() < 0.5:
@@ -203,13 +209,13 @@ def two_clocks(case: Case) -> str | None:
     return f"gyro and attitude tell of the same turns {far} s apart: they are not of one clock."
 
 
-def _alike_at(case: Case, lags: Sequence[float] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """When parts of the flight begin (parts,) s, and correlation of gyro and attitude in each at these lags s (lags, parts, 3)."""
-    time, turned, rates = _turns(case.flight["attitude"], case.flight["gyro"], case.air, lags)
+def _alike_at(turns: tuple[np.ndarray, np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """When parts of the flight begin (parts,) s, and correlation of gyro and attitude in each at the lags of `_turns` (lags, parts, 3)."""
+    time, turned, rates = turns
     count = int(np.ptp(time) / PART_S) if time.size else 0
     edges = np.searchsorted(time, time[:1] + PART_S * np.arange(count + 1))
     parts = [slice(a, b) for a, b in pairwise(edges) if b - a > 0.5 * PART_S / WINDOW_S]
-    alike = np.zeros((len(lags), len(parts), 3))
+    alike = np.zeros((len(rates), len(parts), 3))
     for k, part in enumerate(parts):
         x, y = turned[part] - turned[part].mean(axis=0), rates[:, part] - rates[:, part].mean(axis=1, keepdims=True)
         size = np.sqrt(np.sum(x * x, axis=0) * np.sum(y * y, axis=1))
@@ -377,22 +383,27 @@ def _without_trim(x: np.ndarray, width: int) -> np.ndarray:
 
 def _magnitude(signal: Signal, air: Spans) -> tuple[np.ndarray, np.ndarray]:
     """(time, length of the vector) of a signal's valid samples in the air."""
-    ok = within(signal.time, air) & signal.valid.all(axis=1)
-    return signal.time[ok], np.sqrt(np.einsum("ij,ij->i", signal.values, signal.values))[ok]
+    ok = within(signal.time, air) & signal.whole
+    size = np.einsum("ij,ij->i", signal.values, signal.values)[ok]
+    return signal.time[ok], np.sqrt(size, out=size)
 
 
 def _upwards(accel: Signal, attitude: Signal, air: Spans) -> float:
     """Mean specific force against gravity in the air, in g; 0 where no attitude is valid."""
-    ok, known = within(accel.time, air) & accel.valid.all(axis=1), attitude.valid.all(axis=1)
-    if not known.any():
+    ok, attitude = within(accel.time, air) & accel.whole, attitude.wholes()
+    if not len(attitude):
         return 0.0
-    at, (w, x, y, z) = attitude.time[known], attitude.values[known].T
-    when, force = accel.time[ok], np.zeros(int(ok.sum()))
-    for axis, down in enumerate(
-        (lambda: 2.0 * (x * z - w * y), lambda: 2.0 * (y * z + w * x), lambda: 1.0 - 2.0 * (x * x + y * y))
-    ):
-        force += np.interp(when, at, down()) * accel.values[ok, axis]
-    return -float(np.mean(force)) / G0
+    total = 0.0
+    for start in range(0, len(accel), BLOCK):
+        part = slice(start, start + BLOCK)
+        when, force = accel.time[part][ok[part]], accel.values[part][ok[part]]
+        if when.size:
+            first, last = np.searchsorted(attitude.time, when[[0, -1]])
+            near = attitude.part(slice(max(int(first) - 1, 0), int(last) + 1))
+            w, x, y, z = near.values.T
+            for axis, down in enumerate((2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y))):
+                total += float(np.interp(when, near.time, down) @ force[:, axis])
+    return -total / float(ok.sum()) / G0
 
 
 def _angle(gyro: Signal | None, start: float, end: float) -> float:
@@ -410,10 +421,10 @@ def _turns(
     """Of windows in the air: times (m,) s, mean angular rates rad/s, body, from the attitude (m, 3), and from the gyro (lags, m, 3), by so
     many s later."""
     none = np.zeros(0), np.zeros((0, 3)), np.zeros((len(lags), 0, 3))
-    fine = attitude.valid.all(axis=1) & within(attitude.time, air)
+    fine = attitude.whole & within(attitude.time, air)
     step, rows = max(1, round(WINDOW_S * attitude.rate_hz)), np.flatnonzero(fine)
-    good = gyro.valid.all(axis=1)
-    when, rate = (gyro.time, gyro.values) if good.all() else (gyro.time[good], gyro.values[good])
+    known = gyro.wholes()
+    when, rate = known.time, known.values
     if rows.size < 2 * step or when.size < 2:
         return none
     first, last = rows[:-step:step], rows[step::step]

@@ -85,8 +85,8 @@ def held(signal: Signal, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def known(signal: Signal) -> tuple[np.ndarray, np.ndarray]:
     """Times and values of the samples of which all columns are known."""
-    ok = signal.valid.all(axis=1)
-    return (signal.time, signal.values) if ok.all() else (signal.time[ok], signal.values[ok])
+    whole = signal.wholes()
+    return whole.time, whole.values
 
 
 def _held(time: np.ndarray, values: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -195,8 +195,12 @@ def _spins(flight: Flight, time: np.ndarray) -> np.ndarray:
     if not flight.has("gyro"):
         return np.zeros(time.size, bool)
     at, rates = known(flight["gyro"])
-    rate, age = _held(at, rates[:, 2:], time)
-    return (np.abs(rate[:, 0]) > SPINS) & (age <= FRESH_S)
+
+    def spins(when: np.ndarray) -> np.ndarray:
+        rate, age = _held(at, rates[:, 2:], when)
+        return (np.abs(rate[:, 0]) > SPINS) & (age <= FRESH_S)
+
+    return _blockwise(spins, time).astype(bool)
 
 
 def find(flight: Flight, air) -> tuple[LossOfControl, ...]:
@@ -261,10 +265,12 @@ def _turns_over(flight: Flight, powered: list[tuple[float, float]], end: float) 
 
 
 def _leaves(flight, time, angle, words, start, end) -> LossOfControl | None:
-    inside = np.flatnonzero((time >= start) & (time <= end + LASTS_S) & np.isfinite(angle))
-    if inside.size < 3:
-        return None
+    inside = slice(np.searchsorted(time, start), np.searchsorted(time, end + LASTS_S, side="right"))
     t, a = time[inside], angle[inside]
+    if not (told := np.isfinite(a)).all():
+        t, a = t[told], a[told]
+    if t.size < 3:
+        return None
     out = (a > ERROR_DEG) | _long(t, (a > AWAY_DEG) & (a <= ERROR_DEG))
     for k in np.flatnonzero(out & ~np.concatenate([[False], out[:-1]])):
         if t[k] > end:
@@ -309,12 +315,22 @@ def _began(t: np.ndarray, a: np.ndarray, k: int) -> float:
 
 def _back(t: np.ndarray, a: np.ndarray, k: int, lasts: float = BACK_S) -> float | None:
     """When control came back: the begin of so many seconds within BACK_DEG; None where the flight ends before."""
-    since = None
-    for when, fine in zip(t[k:], a[k:] < BACK_DEG):
-        since = (since if since is not None else when) if fine else None
-        if since is not None and when - since >= lasts:
-            return float(since)
+    length = BLOCK >> 6
+    while length:
+        back = _lasts(t[k : k + length], a[k : k + length] < BACK_DEG, lasts)
+        if back is not None:
+            return back[0]
+        length = 4 * length if k + length < t.size else 0
     return None
+
+
+def _lasts(time: np.ndarray, state: np.ndarray, seconds: float) -> tuple[float, float] | None:
+    """(since when, when that is certain) a state (n,) has lasted so long, for the first time; None where it never does."""
+    rows = np.flatnonzero(state)
+    begins = np.diff(rows, prepend=-2) > 1
+    since = time[rows[begins]][np.cumsum(begins) - 1]
+    certain = np.flatnonzero(time[rows] - since >= seconds)
+    return (float(since[certain[0]]), float(time[rows[certain[0]]])) if certain.size else None
 
 
 def _falls(flight: Flight, start: float, end: float) -> LossOfControl | None:
@@ -323,26 +339,23 @@ def _falls(flight: Flight, start: float, end: float) -> LossOfControl | None:
         return None
     motors = _around(flight["motors"], start - 1.0, end + 5.0)
     share = _shares(flight, motors).max(axis=1)
-    accel = _around(flight["accel"], start, end + 5.0)
-    ok = accel.valid.all(axis=1)
-    time, force = accel.time[ok], np.linalg.norm(accel.values[ok], axis=1) / G0
-    near = (time >= start) & (time <= end + 5.0)
+    time, force = known(flight["accel"])
+    near = slice(np.searchsorted(time, start), np.searchsorted(time, end + 5.0, side="right"))
     time, force = time[near], force[near]
     if not time.size or not motors.time.size:
         return None
-    k = np.searchsorted(motors.time, time, side="right") - 1
-    rest = (share[np.maximum(k, 0)] < REST) & (k >= 0)
-    falling = (force < FALLS) & rest
-    since = None
-    for when, down in zip(time, falling):
-        since = (since if since is not None else when) if down else None
-        if since is not None and when - since >= FALLS_S:
-            quiet = motors.time[(share < REST) & (motors.time <= when) & (motors.time > since - 1.0)]
-            onset = float(min(since, quiet[0])) if quiet.size else float(since)
-            return LossOfControl(
-                onset, float(when), None, hit(flight, float(when), end + 30.0), "falling without thrust", True
-            )
-    return None
+
+    def falling(when: np.ndarray, force: np.ndarray) -> np.ndarray:
+        k = np.searchsorted(motors.time, when, side="right") - 1
+        rest = (share[np.maximum(k, 0)] < REST) & (k >= 0)
+        return (np.linalg.norm(force, axis=1) / G0 < FALLS) & rest
+
+    if (fell := _lasts(time, _blockwise(falling, time, force), FALLS_S)) is None:
+        return None
+    since, when = fell
+    quiet = motors.time[(share < REST) & (motors.time <= when) & (motors.time > since - 1.0)]
+    onset = float(min(since, quiet[0])) if quiet.size else since
+    return LossOfControl(onset, when, None, hit(flight, when, end + 30.0), "falling without thrust", True)
 
 
 def _sinks(flight: Flight, start: float, end: float) -> LossOfControl | None:
@@ -356,20 +369,13 @@ def _sinks(flight: Flight, start: float, end: float) -> LossOfControl | None:
     share, age = held(replace(motors, values=_shares(flight, motors)), time)
     push, known = held(_around(flight["accel"], start - 1.0, end), time)
     full = (share.mean(axis=1) > NEARLY_FULL) & (age <= FRESH_S) & (-push[:, 2] < G0) & (known <= FRESH_S)
-    since = None
-    for when, falling in zip(time, full & (down > SINKS_M_S)):
-        since = (since if since is not None else when) if falling else None
-        if since is not None and when - since >= LASTS_S:
-            slow = np.flatnonzero((time < since) & (down < 0.2 * SINKS_M_S))
-            onset = float(time[slow[-1]]) if slow.size else float(since)
-            return LossOfControl(
-                onset,
-                float(when),
-                None,
-                hit(flight, float(when), end + 30.0),
-                f"sinking at {down[time == when][0]:.0f} m/s though nearly full thrust was commanded",
-            )
-    return None
+    if (sank := _lasts(time, full & (down > SINKS_M_S), LASTS_S)) is None:
+        return None
+    since, when = sank
+    slow = np.flatnonzero((time < since) & (down < 0.2 * SINKS_M_S))
+    onset = float(time[slow[-1]]) if slow.size else since
+    what = f"sinking at {down[time == when][0]:.0f} m/s though nearly full thrust was commanded"
+    return LossOfControl(onset, when, None, hit(flight, when, end + 30.0), what)
 
 
 def _strikes(flight: Flight, start: float, end: float) -> LossOfControl | None:
@@ -409,10 +415,12 @@ def hit(flight: Flight, start: float, end: float) -> float | None:
         return None
     accel = flight["accel"]
     part = accel.between(start, end)
-    force = np.where(part.valid, part.values, 0.0) / G0
-    blow = (np.hypot(force[:, 0], force[:, 1]) > HITS_G) | (force[:, 2] > HITS_G) | (-force[:, 2] > 2.0 * HITS_G)
-    when = part.time[blow]
-    return float(when[0]) if when.size else None
+    for first in range(0, len(part), BLOCK):
+        force = part.values[first : first + BLOCK] / G0  # 0 where it is not known
+        blow = (np.hypot(force[:, 0], force[:, 1]) > HITS_G) | (force[:, 2] > HITS_G) | (-force[:, 2] > 2.0 * HITS_G)
+        if blow.any():
+            return float(part.time[first + int(np.argmax(blow))])
+    return None
 
 
 def until_impact(flight: Flight, air, left: tuple[LossOfControl, ...]) -> tuple[tuple[float, float], ...]:
