@@ -10,8 +10,8 @@ ROWS = 1 << 16  # that are worked on at a time
 
 
 def groups(low: np.ndarray, high: np.ndarray, most: int = ROWS) -> Iterator[slice]:
-    """Windows from row low (m,) up to row high (m,), neither of which ever decreases: as many of them at a time, one at least, as lie within
-    `most` rows."""
+    """Windows from row low (m,) up to row high (m,), neither of which ever decreases: as many of them at a time, one at least, as lie
+    within `most` rows."""
     first = 0
     while first < len(low):
         last = max(first + 1, int(np.searchsorted(high, low[first] + most, side="right")))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +27,8 @@ from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 
 ROOM = 512  # ticks in one call
-PIECE = 1 << 15  # samples of a log between two words of progress
+WRITTEN = "best", "probability", "onsets", "active", "each", "share", "gives", "plausible"
+"""Outputs of ticks, half of all, of which nothing is asked once losses are written down."""
 
 
 @dataclass(frozen=True)
@@ -42,9 +43,8 @@ class Judged:
         return Judged(self.table.part(keep), TickOutput(*(column[keep] for column in self.out)))
 
     @staticmethod
-    def joined(parts: Iterable[Judged]) -> Judged | None:
-        """Those that follow each other, in one; None without any."""
-        parts = list(parts)
+    def joined(parts: list[Judged]) -> Judged | None:
+        """Those that follow each other, in one; None without any. The list is emptied, so that they are not held twice."""
         if len(parts) < 2:
             return parts[0] if parts else None
         table = joined([one.table for one in parts])
@@ -169,6 +169,12 @@ class Diagnoser:
         ]
 
 
+def _to_be_read(one: Judged) -> Judged:
+    """Without the outputs WRITTEN."""
+    none = np.empty((len(one.table.time), 0))
+    return replace(one, out=one.out._replace(**dict.fromkeys(WRITTEN, none)))
+
+
 def fly(
     flight: Flight,
     vehicle: Vehicle,
@@ -180,16 +186,17 @@ def fly(
     """A whole flight: a link that is over. Its diagnoser, and its ticks up to the last command.
 
     air: its flights ((start, end), ...) s; an end before the one that samples show is an impact. ready_s: blind time after lift-off;
-    dynamics: what healthy flights have shown; progress: called with the finished share, 0..1. The flight needs motor outputs.
+    dynamics: what healthy flights have shown; progress: called with the finished share, 0..1. The flight needs motor outputs. Outputs that
+    the diagnoser has written down (WRITTEN) have no columns.
     """
     mixing = allocation.faster_control(flight)
     how = plan(flight, flight["control" if mixing else "motors"], ready_s)
     diagnoser = Diagnoser(vehicle, allocation.laid_out(vehicle, flight), how, mixing, dynamics)
     diagnoser.trim.set(every=LASTS)  # nobody asks before the end
     taken = parts(flight.signals, flight.messages, vehicle, how.gyro, "battery" in flight.signals)
-    left, done, total = list(air), 0, sum(len(time) for _, time, _ in taken)
+    left, done, total = list(air), 0, sum(len(part.time) for part in taken)
     found: list[Judged] = []
-    for samples in pieces(taken, PIECE):
+    for samples in pieces(taken):
         lifted = {}
         while left and left[0][0] <= samples.time[-1]:
             start, end = left.pop(0)
@@ -197,11 +204,11 @@ def fly(
         for first, last in itertools.pairwise(sorted({0, *lifted, len(samples)})):
             if first in lifted:
                 diagnoser.fell(lifted[first])
-            found += diagnoser.feed(samples.part(first, last))
+            found += map(_to_be_read, diagnoser.feed(samples.part(first, last)))
         done += len(samples)
         if progress:
             progress(done / total)
-    found += diagnoser.finish(max(flight.duration, float(flight["motors"].time[-1])))
+    found += map(_to_be_read, diagnoser.finish(max(flight.duration, float(flight["motors"].time[-1]))))
     judged = Judged.joined(found)
     assert judged is not None and judged.table.seen is not None
     commanded = np.flatnonzero(judged.table.seen)

@@ -53,7 +53,7 @@ class Signal:
     time: (n,) s since the first record of the log, non-decreasing. values: (n, k), finite everywhere.
     valid: (n, k) bool; False where the log had no usable number; left out, or (n,), it is completed to that. Not to be written to.
     columns: names of the k columns. unit: of all of them, or one for each, separated by commas. frame: "FRD", "NED" or "" for none.
-    source: the log's own name for it. made: the values were made for this signal, which need not copy them.
+    source: the log's own name for it. made: the values were made for this signal, which keeps them instead of a copy.
     """
 
     time: np.ndarray
@@ -84,7 +84,11 @@ class Signal:
         object.__setattr__(self, "time", time)
         # Copied on the way here: nobody else can change it.
         own = made or (values.base is not self.values and values is not self.values)
-        object.__setattr__(self, "values", values if own and whole else np.where(valid, values, 0.0))
+        if not own:
+            values = np.where(valid, values, 0.0)
+        elif not whole:
+            values[~valid] = 0.0
+        object.__setattr__(self, "values", values)
         object.__setattr__(self, "valid", valid)
 
     def __len__(self):

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.base.compiling.running import Rows
-from rotorwatch.engine.definition import ENGINE, KINDS, craft, known, pieces
+from rotorwatch.engine.definition import ENGINE, KINDS, Part, craft, pieces
 from rotorwatch.engine.front import mixer, whole
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import ThrustCurve, Vehicle
@@ -80,15 +80,13 @@ def rotor_thrusts(flight: Flight, vehicle: Vehicle) -> Signal:
 
 
 def better(logged: Signal, mixed: Signal | None) -> Signal:
-    """The rebuilt thrusts where they can be trusted, the last logged ones elsewhere."""
+    """The rebuilt thrusts where they can be trusted, the last logged ones elsewhere, in the place of those that were rebuilt."""
     if mixed is None:
         return logged
-    rows = np.flatnonzero(~mixed.whole)
-    if not rows.size:
-        return mixed
-    values, valid = mixed.values.copy(), mixed.valid.copy()
-    values[rows] = np.where(valid[rows], values[rows], hold(logged.time, logged.values, mixed.time[rows]))
-    valid[rows] |= hold(logged.time, logged.valid, mixed.time[rows], before=False)
+    rows, values, valid = np.flatnonzero(~mixed.whole), mixed.values, mixed.valid
+    if rows.size:
+        values[rows] = np.where(valid[rows], values[rows], hold(logged.time, logged.values, mixed.time[rows]))
+        valid[rows] |= hold(logged.time, logged.valid, mixed.time[rows], before=False)
     return Signal(mixed.time, values, logged.columns, "1", "body", mixed.source, valid, made=True)
 
 
@@ -156,11 +154,7 @@ def _mixed(flight: Flight, vehicle: Vehicle) -> tuple[Rows, np.ndarray, np.ndarr
     """front.mixer over a flight: its comparisons, and of each sample of the rate controller the thrusts (N, n) and whether they are
     valid."""
     motors, control, n = flight["motors"], flight["control"], len(vehicle.rotors)
-    parts = [
-        ("motors", motors.time, known(flight, "motors")),
-        ("control", control.time, known(flight, "control")[:, :4]),
-    ]
-    parts.append(("voltage", *voltages(flight)))
+    parts = [Part.of(flight, "motors"), Part.of(flight, "control", 4), Part("voltage", *voltages(flight))]
     state, craft, done = ENGINE.new(mixer.Mixer), laid_out(vehicle, flight), ENGINE.new(whole.Done)
     checks, thrust, ok, at, waiting = [], np.empty((len(control), n)), np.empty((len(control), n), bool), 0, 0
     for samples in pieces(parts):

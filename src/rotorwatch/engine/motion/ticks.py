@@ -13,7 +13,7 @@ import numpy as np
 
 from rotorwatch.base.compiling.running import Rows
 from rotorwatch.base.compiling.structs import LASTS
-from rotorwatch.engine.definition import ENGINE, craft, known, pieces
+from rotorwatch.engine.definition import ENGINE, Part, craft, pieces
 from rotorwatch.engine.front import sense as cutting
 from rotorwatch.engine.front import ticks as definition
 from rotorwatch.engine.front import whole
@@ -231,13 +231,10 @@ def table(plan: Plan, hover: float | None = None, rebuilt: bool = False) -> dict
 def sense(flight: Flight, thrust: Signal, plan: Plan) -> Sensed:
     """The ticks of a flight with these thrusts; none where the thrusts of all rotors are never known together."""
     n = thrust.values.shape[1]
-    valid = thrust.whole
-    parts = [("thrust", thrust.time, thrust.values if valid.all() else np.where(valid[:, None], thrust.values, np.nan))]
-    parts += [("gyro", flight[plan.gyro].time, known(flight, plan.gyro))] if plan.gyro else []
-    parts += [("accel", flight["accel"].time, known(flight, "accel"))] if plan.accel else []
-    parts += [
-        (name, flight[name].time, known(flight, name)) for name in ("velocity", "attitude") if name in flight.signals
-    ]
+    parts = [Part("thrust", thrust.time, thrust.values, thrust.whole)]
+    parts += [Part.of(flight, plan.gyro)._replace(name="gyro")] if plan.gyro else []
+    parts += [Part.of(flight, "accel")] if plan.accel else []
+    parts += [Part.of(flight, name) for name in ("velocity", "attitude") if name in flight.signals]
     vehicle, how = craft(n), laid_out(plan)
     state, rows, done = ENGINE.new(cutting.Sense), ENGINE.array(cutting.Sensed, ROOM), ENGINE.new(whole.Done)
     made = []
@@ -250,9 +247,11 @@ def sense(flight: Flight, thrust: Signal, plan: Plan) -> Sensed:
             made.append(rows.cut(int(done["rows"][0])))
     while count := ENGINE.call(whole.rest, state, vehicle, how, rows, ROOM):
         made.append(rows.cut(count))
+    last = max((k for k, rows in enumerate(made) if rows["some"].any()), default=0)
+    commanded = np.flatnonzero(made[last]["some"])  # the rows after the last command are no flight
+    made[last:] = [made[last].cut(int(commanded[-1]) + 1 if commanded.size else 0)]
     whole_rows = Rows.joined(made)
-    commanded = np.flatnonzero(whole_rows["some"])  # the rows after the last command are no flight
-    whole_rows = whole_rows.cut(int(commanded[-1]) + 1 if commanded.size else 0)
+    made.clear()
     columns = {name: whole_rows[name] for name in Sensed.__dataclass_fields__ if name not in ("share", "rows")}
     return Sensed(share=whole_rows["share"][:, :n], rows=whole_rows, **columns)
 
@@ -305,7 +304,7 @@ def assemble(
     made = ENGINE.array(definition.Made, count)
     state, vehicle = ENGINE.new(definition.Ticks), craft(n, effectiveness=B)
     ENGINE.call(whole.assemble, state, vehicle, laid_out(plan, hover), count, seen.rows, lifted, start, made)
-    return columns(made, plan, n)
+    return columns(made, plan, n).part(np.arange(count))  # without what only the definitions need
 
 
 def columns(made: Rows, plan: Plan, n: int, before: tuple[Contact, ...] = ()) -> Ticks:

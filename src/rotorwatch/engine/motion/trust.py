@@ -441,9 +441,12 @@ def _turns(
     sine = np.linalg.norm(turned[:, 1:], axis=1, keepdims=True)
     angle = turned[:, 1:] / np.maximum(sine, 1e-12) * 2.0 * np.arctan2(sine, turned[:, :1])
     mean = np.empty((len(lags), len(starts), 3))
+    total, steps = np.zeros(len(when)), np.diff(when)
     for axis in range(3):  # one after the other: of a long flight one is long enough
-        total = np.zeros(len(when))
-        np.cumsum(0.5 * (rate[1:, axis] + rate[:-1, axis]) * np.diff(when), out=total[1:])
+        np.add(rate[1:, axis], rate[:-1, axis], out=total[1:])
+        total *= 0.5
+        total[1:] *= steps
+        np.cumsum(total[1:], out=total[1:])
         for turns, lag in zip(mean, lags):
             turns[:, axis] = np.interp(ends + lag, when, total) - np.interp(starts + lag, when, total)
     return starts, angle / length, mean / length
