@@ -23,6 +23,7 @@ import click
 
 from rotorwatch import __version__
 from rotorwatch.base import optional
+from rotorwatch.base.progress import portion
 from rotorwatch.commands import (
     ask,
     benchmark,
@@ -254,6 +255,7 @@ def diagnose(context, **options) -> None:
 
 def _diagnose(request: several.Request) -> int:
     """`rotorwatch diagnose` of one log; returns the exit code."""
+    from rotorwatch.diagnose import READ
     from rotorwatch.diagnose_many import timed
     from rotorwatch.witnesses.healthy.baselines import Candidate
 
@@ -262,7 +264,7 @@ def _diagnose(request: several.Request) -> int:
         healthy = tuple(Candidate(_read(path, report), known) for path in request.baselines)
     with progress(request.quiet) as report:
         result = timed(
-            lambda: _read(request.logs[0], report),
+            lambda: _read(request.logs[0], portion(report, 0.0, READ)),
             known,
             healthy,
             request.estimator,
@@ -375,7 +377,7 @@ def info(log, as_json, quiet) -> None:
     from rotorwatch.report.info import info as run
 
     with progress(quiet) as report:
-        facts = run(_read(log, report))
+        facts = run(_read(log, portion(report, 0.0, 0.6)), portion(report, 0.6, 1.0))
     if as_json:
         print_json(facts)
     else:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rotorwatch.base import memory
 from rotorwatch.base.compiling.running import Rows
 from rotorwatch.base.compiling.structs import LASTS
 from rotorwatch.engine import engine, feed
@@ -210,6 +211,7 @@ def fly(
             progress(done / total)
     found += map(_to_be_read, diagnoser.finish(max(flight.duration, float(flight["motors"].time[-1]))))
     judged = Judged.joined(found)
+    memory.give_back()  # many small pieces
     assert judged is not None and judged.table.seen is not None
     commanded = np.flatnonzero(judged.table.seen)
     judged = judged.part(slice(0, int(commanded[-1]) + 1))

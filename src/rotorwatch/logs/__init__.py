@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from rotorwatch.base import discovery
+from rotorwatch.base.progress import portion
 from rotorwatch.errors import LogError, RotorwatchError
 from rotorwatch.flight import Flight
 from rotorwatch.logs import plausible, series
@@ -33,6 +34,8 @@ HEAD = 4096
 """Bytes that sniff sees."""
 CHUNK = 1 << 20
 """Bytes that are hashed at once."""
+READ = 0.9
+"""Share of the work when a file is read; then its values are looked at."""
 FILE_PARTS, FOLDER_PARTS = ("sniff", "read"), ("sniff_folder", "read_folder")
 
 
@@ -85,19 +88,21 @@ def read(path, progress=None) -> Flight:
         module: Any = own or _theirs("sniff_folder", path)
         if module is None:
             raise LogError(f"{path}: a folder without ulog2csv tables or a ROS 2 bag; give the log file itself")
-        return _checked(lambda: module.read_folder(path, progress), module, path, ())
+        return _checked(lambda tell: module.read_folder(path, tell), module, path, (), progress)
     path, part = of_part(path)
     data, name, warnings = open_log(path, progress)
-    module = recognise(bytes(data[:HEAD]), name)
+    module, unpacked = recognise(bytes(data[:HEAD]), name), 0.5 if isinstance(data, bytes) else 0.0
     if module is None:
         known = ", ".join(sorted({*(m.FORMAT for m in formats()), *offered()}))
         raise LogError(f"{path}: not a flight log of a known kind; known are {known}")
     if part is None:
-        return _checked(lambda: module.read(data, name, progress), module, path, warnings)
+        return _checked(lambda tell: module.read(data, name, tell), module, path, warnings, progress, unpacked)
     if not hasattr(module, "parts"):
         raise LogError(f"{path}#{part}: a file of this kind ({module.FORMAT}) holds one flight; leave #{part} out")
     path = path.with_name(f"{path.name}#{part}")
-    return _checked(lambda: module.read(data, f"{name}#{part}", progress, part=part), module, path, warnings)
+    return _checked(
+        lambda tell: module.read(data, f"{name}#{part}", tell, part=part), module, path, warnings, progress, unpacked
+    )
 
 
 def of_part(path) -> tuple[Path, int | None]:
@@ -165,10 +170,10 @@ def _theirs(part: str, *arguments) -> Any:
     return None
 
 
-def _checked(job, module, path, warnings) -> Flight:
-    """Run a reader; anything it trips over becomes a LogError, and so does a log without data."""
+def _checked(job, module, path, warnings, progress, begun=0.0) -> Flight:
+    """Run a reader; anything it trips over becomes a LogError, and so does a log without data. begun: share of the work that is done."""
     try:
-        flight = job()
+        flight = job(progress and portion(progress, begun, READ))
     except RotorwatchError as error:
         text = str(error)
         raise LogError(text if path.name in text else f"{path}: {text}") from error
@@ -180,4 +185,5 @@ def _checked(job, module, path, warnings) -> Flight:
         )
     if not any(len(s) >= 2 for name, s in flight.signals.items() if name not in series.SHOWN):
         raise LogError(f"{path}: this {module.FORMAT} holds no flight data; was logging switched on?")
-    return plausible.checked(replace(flight, name=path.name, warnings=(*warnings, *flight.warnings)))
+    flight = replace(flight, name=path.name, warnings=(*warnings, *flight.warnings))
+    return plausible.checked(flight, portion(progress, READ, 1.0))

@@ -345,7 +345,8 @@ class BinaryLog:
         start = 0
         while start < at.size:
             some = at[start : start + SPAN // 3]
-            some = some[: int(np.searchsorted(some, int(some[0]) + SPAN))]
+            end = some.dtype.type(min(int(some[0]) + SPAN, np.iinfo(some.dtype).max))
+            some = some[: int(np.searchsorted(some, end))]
             yield slice(start, start + some.size), view[some].view(dtype)
             self._release()
             start += some.size

@@ -18,7 +18,7 @@ are coupled with it, jumps at the same time.
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -65,11 +65,11 @@ FLOORS = {
 COUPLED = ("motors", "control", "gyro", "rates", "accel")
 
 
-def checked(flight: Flight) -> Flight:
+def checked(flight: Flight, progress: Callable[[float], object] | None = None) -> Flight:
     """The flight with impossible values and lone ones marked invalid, named in its warnings and counted in facts["damage"]; `checked`.
 
     facts["damage"]: {signal: share of its values that were lone}, only of signals that had any. Lone values of a flight that has been
-    checked before are left alone.
+    checked before are left alone. progress: called with the finished share, 0..1.
     """
     flight = possible(flight)
     if flight.checked:
@@ -80,8 +80,12 @@ def checked(flight: Flight) -> Flight:
         signals["motors"], record_notes = _whole_records(signals["motors"])
         warnings += record_notes
     known = {name: signals[name] for name in FLOORS if name in signals}
-    sizes = {name: _size(s.time, s.values, s.valid, _floor(name, s), name == "motors") for name, s in known.items()}
-    for name, signal in known.items():
+    tell, sizes = progress or (lambda share: None), {}
+    for done, (name, s) in enumerate(known.items(), 1):
+        sizes[name] = _size(s.time, s.values, s.valid, _floor(name, s), name == "motors")
+        tell(0.7 * done / len(known))
+    for done, (name, signal) in enumerate(known.items()):
+        tell(0.7 + 0.3 * done / len(known))
         found = _unsupported(name, signals, sizes)
         if name == "motors" and "control" in signals:
             found |= _unasked(signals, found)

@@ -153,7 +153,7 @@ def compare(flight: Flight, vehicle: Vehicle) -> Comparison:
 def _mixed(flight: Flight, vehicle: Vehicle) -> tuple[Rows, np.ndarray, np.ndarray]:
     """front.mixer over a flight: its comparisons, and of each sample of the rate controller the thrusts (N, n) and whether they are
     valid."""
-    motors, control, n = flight["motors"], flight["control"], len(vehicle.rotors)
+    control, n = flight["control"], len(vehicle.rotors)
     parts = [Part.of(flight, "motors"), Part.of(flight, "control", 4), Part("voltage", *voltages(flight))]
     state, craft, done = ENGINE.new(mixer.Mixer), laid_out(vehicle, flight), ENGINE.new(whole.Done)
     checks, thrust, ok, at, waiting = [], np.empty((len(control), n)), np.empty((len(control), n), bool), 0, 0

@@ -6,13 +6,14 @@ A tick at time t uses nothing measured after t. Units: thrusts in hover thrusts 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rotorwatch.base.compiling.running import Rows
 from rotorwatch.base.compiling.structs import LASTS
+from rotorwatch.base.progress import portion
 from rotorwatch.engine.definition import ENGINE, Part, craft, pieces
 from rotorwatch.engine.front import sense as cutting
 from rotorwatch.engine.front import ticks as definition
@@ -228,8 +229,9 @@ def table(plan: Plan, hover: float | None = None, rebuilt: bool = False) -> dict
     }  # fmt: skip
 
 
-def sense(flight: Flight, thrust: Signal, plan: Plan) -> Sensed:
-    """The ticks of a flight with these thrusts; none where the thrusts of all rotors are never known together."""
+def sense(flight: Flight, thrust: Signal, plan: Plan, progress: Callable[[float], object] | None = None) -> Sensed:
+    """The ticks of a flight with these thrusts; none where the thrusts of all rotors are never known together. progress: called with the
+    finished share, 0..1."""
     n = thrust.values.shape[1]
     parts = [Part("thrust", thrust.time, thrust.values, thrust.whole)]
     parts += [Part.of(flight, plan.gyro)._replace(name="gyro")] if plan.gyro else []
@@ -237,8 +239,10 @@ def sense(flight: Flight, thrust: Signal, plan: Plan) -> Sensed:
     parts += [Part.of(flight, name) for name in ("velocity", "attitude") if name in flight.signals]
     vehicle, how = craft(n), laid_out(plan)
     state, rows, done = ENGINE.new(cutting.Sense), ENGINE.array(cutting.Sensed, ROOM), ENGINE.new(whole.Done)
-    made = []
+    made, done_s = [], max(flight.duration, 1e-9)
     for samples in pieces(parts):
+        if progress and len(samples):
+            progress(float(samples.time[0]) / done_s)
         taken = 0
         while taken < len(samples):
             arguments = (taken, len(samples), samples.kind, samples.time, samples.at, samples.values)
@@ -256,14 +260,17 @@ def sense(flight: Flight, thrust: Signal, plan: Plan) -> Sensed:
     return Sensed(share=whole_rows["share"][:, :n], rows=whole_rows, **columns)
 
 
-def observe(flight: Flight, vehicle: Vehicle, air, ready_s: float) -> Ticks | None:
-    """Ticks of a flight, or None when it shows no motor commands in the air."""
+def observe(
+    flight: Flight, vehicle: Vehicle, air, ready_s: float, progress: Callable[[float], object] | None = None
+) -> Ticks | None:
+    """Ticks of a flight, or None when it shows no motor commands in the air. progress: called with the finished share, 0..1."""
     if not flight.has("motors") or not air:
         return None
     thrust = allocation.rotor_thrusts(flight, vehicle)
     if len(thrust) < 20 or not thrust.valid.all(axis=1).any():  # or one output is never a command
         return None
-    made = cut_ticks(flight, thrust, vehicle.effectiveness(), air, ready_s, hover=known_hover(vehicle))
+    tell, B = portion(progress, 0.4, 1.0), vehicle.effectiveness()
+    made = cut_ticks(flight, thrust, B, air, ready_s, hover=known_hover(vehicle), progress=tell)
     return replace(made, curve=vehicle.curve.believed)
 
 
@@ -281,13 +288,14 @@ def cut_ticks(
     lag_s: float = LAG_S,
     hover: float | None = None,
     dt: float | None = None,
+    progress: Callable[[float], object] | None = None,
 ) -> Ticks:
     """Ticks of one flight. thrust: share of full thrust per rotor over time; B (4, n); ready_s: blind time after lift-off.
 
-    hover: share of full thrust that carries the vehicle, when a vehicle file or baseline knows it.
+    hover: share of full thrust that carries the vehicle, when a vehicle file or baseline knows it. progress: as of `sense`.
     """
     how = plan(flight, thrust, ready_s, lag_s, dt)
-    return assemble(sense(flight, thrust, how), how, B, airborne, hover)
+    return assemble(sense(flight, thrust, how, progress), how, B, airborne, hover)
 
 
 def assemble(

@@ -7,7 +7,7 @@ no healthy or faulty flight shows; docs/limits.md has how often each was wrong.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -86,10 +86,17 @@ class Case:
         return self.table.mode > 0
 
 
-def contradictions(flight: Flight, vehicle: Vehicle, air: Spans, table: Ticks) -> tuple[str, ...]:
-    """Why the log cannot be what flew, a sentence for each test that fails; empty when nothing contradicts it."""
-    case = Case(flight, vehicle, air, table)
-    return tuple(why for test in TESTS if (why := test(case)))
+def contradictions(
+    flight: Flight, vehicle: Vehicle, air: Spans, table: Ticks, progress: Callable[[float], object] | None = None
+) -> tuple[str, ...]:
+    """Why the log cannot be what flew, a sentence for each test that fails; empty when nothing contradicts it. progress: called with the
+    finished share, 0..1."""
+    case, found = Case(flight, vehicle, air, table), []
+    for done, test in enumerate(TESTS, 1):
+        found += [why] if (why := test(case)) else []
+        if progress:
+            progress(done / len(TESTS))
+    return tuple(found)
 
 
 def two_publishers(case: Case) -> str | None:
@@ -124,14 +131,16 @@ def wild_motion(case: Case) -> str | None:
     ):
         if not case.flight.has(name):
             continue
-        time, size = _magnitude(case.flight[name], case.air)
-        if time.size < 5:
-            continue
-        width = max(1, round(WILD_S * case.flight[name].rate_hz))
-        smooth = np.convolve(size, np.ones(width) / width, "valid")
-        if smooth.size and smooth.max() > limit:
-            at = time[int(np.argmax(smooth))]
-            return f"the vehicle {what} {smooth.max():.0f} {unit} at {at:.1f} s, which none survives: its {name} or its unit is wrong."
+        width, most, at = max(1, round(WILD_S * case.flight[name].rate_hz)), 0.0, 0.0
+        before, sizes = np.zeros(0), np.zeros(0)
+        for time, size in _lengths(case.flight[name], case.air):
+            time, size = np.concatenate([before, time]), np.concatenate([sizes, size])
+            smooth = _mean_of_next(size, width)
+            if smooth.size and smooth.max() > most:
+                most, at = float(smooth.max()), float(time[int(np.argmax(smooth))])
+            before, sizes = time[len(smooth) :], size[len(smooth) :]
+        if most > limit:
+            return f"the vehicle {what} {most:.0f} {unit} at {at:.1f} s, which none survives: its {name} or its unit is wrong."
     return None
 
 
@@ -142,14 +151,16 @@ def weightless(case: Case) -> str | None:
     """
     if not case.flight.has("accel"):
         return None
-    time, size = _magnitude(case.flight["accel"], case.air)
-    if time.size < 50:
+    parts = [(time[[0, -1]], size) for time, size in _lengths(case.flight["accel"], case.air)]
+    size = np.concatenate([size for _, size in parts]) if parts else np.zeros(0)
+    if size.size < 50:
         return None
-    typical = float(np.median(size)) / G0
-    wrong = not 1.0 / SCALE < typical < SCALE and np.ptp(time) >= LONG_S
+    typical, lasts = float(np.median(size, overwrite_input=True)) / G0, float(parts[-1][0][1] - parts[0][0][0])
+    del size
+    wrong = not 1.0 / SCALE < typical < SCALE and lasts >= LONG_S
     if not wrong and case.flight.has("attitude"):
         up = _upwards(case.flight["accel"], case.flight["attitude"], case.air)
-        speed = FASTEST_FALL / (G0 * float(np.ptp(time)))
+        speed = FASTEST_FALL / (G0 * lasts)
         wrong = max(typical, up + speed) < 1.0 / NEARER or min(typical, up - speed) > NEARER
     if not wrong:
         return None
@@ -381,11 +392,19 @@ def _without_trim(x: np.ndarray, width: int) -> np.ndarray:
     return x - np.convolve(x, np.ones(width) / width, "same")
 
 
-def _magnitude(signal: Signal, air: Spans) -> tuple[np.ndarray, np.ndarray]:
-    """(time, length of the vector) of a signal's valid samples in the air."""
-    ok = within(signal.time, air) & signal.whole
-    size = np.einsum("ij,ij->i", signal.values, signal.values)[ok]
-    return signal.time[ok], np.sqrt(size, out=size)
+def _lengths(signal: Signal, air: Spans) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """(time, length of the vector) of a signal's valid samples in the air, some at a time."""
+    for start in range(0, len(signal), BLOCK):
+        some = signal.part(slice(start, start + BLOCK))
+        ok = within(some.time, air) & some.whole
+        if ok.any():
+            yield some.time[ok], np.sqrt(np.einsum("ij,ij->i", some.values, some.values))[ok]
+
+
+def _mean_of_next(x: np.ndarray, width: int) -> np.ndarray:
+    """Mean of each value and those after it, `width` in all; of those that are followed by so many."""
+    total = np.cumsum(np.concatenate([[0.0], x]))
+    return (total[width:] - total[:-width]) / width
 
 
 def _upwards(accel: Signal, attitude: Signal, air: Spans) -> float:
