@@ -29,7 +29,7 @@ from rotorwatch.answer import (
 )
 from rotorwatch.answer.ledger import Merged
 from rotorwatch.base import discovery
-from rotorwatch.base.progress import portion
+from rotorwatch.base.progress import READ, portion
 from rotorwatch.engine.diagnoser import Diagnoser, fly
 from rotorwatch.engine.front.decisions import MATTERS
 from rotorwatch.engine.host import events, residual_evidence
@@ -66,7 +66,7 @@ NOT_COMPARED = (
     "flights of a vehicle that does not hover are not compared with healthy ones: the balance of its rotors follows what it flies, "
     "so damage that was there from take-off is not judged"
 )
-READ, PREPARED, ESTIMATED, JUDGED = 0.25, 0.4, 0.85, 0.97  # share of the work when that is done
+PREPARED, ESTIMATED, JUDGED = 0.4, 0.85, 0.97  # share of the work when that is done
 LONGEST_UP_US = 1e14  # a start later than that counts from 1970, not from the autopilot's boot
 
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+READ = 0.25
+"""Share of a diagnosis when the log is read."""
+
 
 def portion(tell: Callable | None, first: float, last: float, text: str = "") -> Callable[[float], None]:
     """What a part of a work is given to tell its own share, 0..1: it takes the whole from `first` to `last`. text: what is done meanwhile.

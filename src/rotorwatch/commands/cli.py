@@ -23,7 +23,7 @@ import click
 
 from rotorwatch import __version__
 from rotorwatch.base import optional
-from rotorwatch.base.progress import portion
+from rotorwatch.base.progress import READ, portion
 from rotorwatch.commands import (
     ask,
     benchmark,
@@ -255,7 +255,6 @@ def diagnose(context, **options) -> None:
 
 def _diagnose(request: several.Request) -> int:
     """`rotorwatch diagnose` of one log; returns the exit code."""
-    from rotorwatch.diagnose import READ
     from rotorwatch.diagnose_many import timed
     from rotorwatch.witnesses.healthy.baselines import Candidate
 

@@ -82,27 +82,27 @@ def read(path, progress=None) -> Flight:
     """
     from rotorwatch.logs.container import open_log
 
-    path = Path(path)
+    path, tell = Path(path), progress and portion(progress, 0.0, READ)
     if path.is_dir():
         own = next((m for m in formats() if hasattr(m, "sniff_folder") and m.sniff_folder(path)), None)
         module: Any = own or _theirs("sniff_folder", path)
         if module is None:
             raise LogError(f"{path}: a folder without ulog2csv tables or a ROS 2 bag; give the log file itself")
-        return _checked(lambda tell: module.read_folder(path, tell), module, path, (), progress)
+        return _checked(lambda: module.read_folder(path, tell), module, path, (), progress)
     path, part = of_part(path)
     data, name, warnings = open_log(path, progress)
-    module, unpacked = recognise(bytes(data[:HEAD]), name), 0.5 if isinstance(data, bytes) else 0.0
+    module = recognise(bytes(data[:HEAD]), name)
+    if progress and isinstance(data, bytes):  # it was unpacked first
+        tell = portion(progress, 0.5, READ)
     if module is None:
         known = ", ".join(sorted({*(m.FORMAT for m in formats()), *offered()}))
         raise LogError(f"{path}: not a flight log of a known kind; known are {known}")
     if part is None:
-        return _checked(lambda tell: module.read(data, name, tell), module, path, warnings, progress, unpacked)
+        return _checked(lambda: module.read(data, name, tell), module, path, warnings, progress)
     if not hasattr(module, "parts"):
         raise LogError(f"{path}#{part}: a file of this kind ({module.FORMAT}) holds one flight; leave #{part} out")
     path = path.with_name(f"{path.name}#{part}")
-    return _checked(
-        lambda tell: module.read(data, f"{name}#{part}", tell, part=part), module, path, warnings, progress, unpacked
-    )
+    return _checked(lambda: module.read(data, f"{name}#{part}", tell, part=part), module, path, warnings, progress)
 
 
 def of_part(path) -> tuple[Path, int | None]:
@@ -170,10 +170,10 @@ def _theirs(part: str, *arguments) -> Any:
     return None
 
 
-def _checked(job, module, path, warnings, progress, begun=0.0) -> Flight:
-    """Run a reader; anything it trips over becomes a LogError, and so does a log without data. begun: share of the work that is done."""
+def _checked(job, module, path, warnings, progress=None) -> Flight:
+    """Run a reader; anything it trips over becomes a LogError, and so does a log without data."""
     try:
-        flight = job(progress and portion(progress, begun, READ))
+        flight = job()
     except RotorwatchError as error:
         text = str(error)
         raise LogError(text if path.name in text else f"{path}: {text}") from error

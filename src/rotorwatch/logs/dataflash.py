@@ -107,14 +107,14 @@ def read(data, name: str, progress=None) -> Flight:
     )
     for step in steps:
         step()
-    if progress:
-        progress(1.0)
     if not any(len(s) >= 2 for name, s in reader.signals.items() if name not in series.SHOWN):
         raise LogError(
             f"{name}: no data: the log names its messages and parameters but holds no flight; "
             "check that logging was on and the vehicle was armed."
         )
-    version, vehicle = events.firmware(log, clock)
+    (version, vehicle), messages = events.firmware(log, clock), events.messages(log, clock)
+    if progress:
+        progress(1.0)
     return Flight(
         format=FORMAT,
         autopilot="ArduPilot",
@@ -124,7 +124,7 @@ def read(data, name: str, progress=None) -> Flight:
         vehicle_type=vehicle,
         parameters=parameters,
         parameter_changes=tuple(c for c in changes if parameter_ranges.possible(c[1], c[2])),
-        messages=events.messages(log, clock),
+        messages=messages,
         warnings=(*log.warnings, *([source] if source else []), *clock.warnings, *reader.warnings),
         name=name,
         start_us=int(clock.start_us),

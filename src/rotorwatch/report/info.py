@@ -99,6 +99,8 @@ def info(flight: Flight, progress: Callable[[float], object] | None = None) -> d
     """
     frame, warnings = _frame(flight)
     hops = _airborne(flight)
+    if progress:
+        progress(0.1)
     stop = obstacle(flight, progress=portion(progress, 0.1, 0.9))
     missing = _missing(flight, frame, stop)
     return {
@@ -143,6 +145,8 @@ def obstacle(
     if not flight.has("motors"):
         return Obstacle("motors", "The log shows no motor outputs: without them no rotor can be judged.")
     air = airborne(flight)
+    if progress:
+        progress(0.1)
     table = observe(flight, craft, air, READY_S, portion(progress, 0.1, 0.6))
     if table is None:
         return Obstacle("airborne", "No part of this log is in the air.")

@@ -270,6 +270,7 @@ def observe(
     if len(thrust) < 20 or not thrust.valid.all(axis=1).any():  # or one output is never a command
         return None
     tell, B = portion(progress, 0.4, 1.0), vehicle.effectiveness()
+    tell(0.0)
     made = cut_ticks(flight, thrust, B, air, ready_s, hover=known_hover(vehicle), progress=tell)
     return replace(made, curve=vehicle.curve.believed)
 
