@@ -30,7 +30,7 @@ from rotorwatch.answer import (
 from rotorwatch.answer.ledger import Merged
 from rotorwatch.base import discovery
 from rotorwatch.base.progress import READ, portion
-from rotorwatch.engine.diagnoser import Diagnoser, fly
+from rotorwatch.engine.diagnoser import Written, fly
 from rotorwatch.engine.front.decisions import MATTERS
 from rotorwatch.engine.host import events, residual_evidence
 from rotorwatch.engine.host.hypotheses import list_hypotheses
@@ -99,13 +99,14 @@ class Prepared:
 @dataclass(frozen=True)
 class Estimated:
     """What an estimator left behind. table: the ticks as they count for it; last: the default estimator's state, for hindsight; own: it is
-    the default one; diagnoser: which the flight went through, None where it did not. itself: what a published method says by itself."""
+    the default one; written: by the diagnoser which the flight went through, None where it did not. itself: what a published method says
+    by itself."""
 
     table: Ticks
     out: TickOutput
     last: Any = None
     own: bool = True
-    diagnoser: Diagnoser | None = None
+    written: Written | None = None
     itself: MethodSeries | None = None
 
     @functools.cached_property
@@ -264,7 +265,7 @@ def estimated(
         return Estimated(*aerobatic.estimate(ready.flight, ready.vehicle, ready.air, table))
     if estimator == "default":
         one, judged = fly(ready.flight, ready.vehicle, ready.air, ready.ready_s, ready.dynamics, progress)
-        return Estimated(judged.table, judged.out, one.learned, diagnoser=one)
+        return Estimated(judged.table, judged.out, one.learned, written=one)
     from rotorwatch.methods.published import published
 
     out, itself = published.judge(estimator, table, B, ready.dynamics, tuning, progress)
@@ -276,7 +277,7 @@ def _find(ready: Prepared, done: Estimated) -> tuple[Merged, tuple[Event, ...]]:
     """The events of a flight: losses, overridden outputs, contacts, control that was lost, desyncs; with what ESCs say of them. And what
     its trim claims that is no event."""
     flight, craft, air, table, B = ready.flight, ready.vehicle, ready.air, done.table, ready.vehicle.effectiveness()
-    one = done.diagnoser
+    one = done.written
     claims = events.read(done.out, table, B, one and one.losses)
     if done.own and ready.hovers:
         claims, excitation_notes = excitation_response.resolve(claims, table, B, ready.dynamics)

@@ -48,10 +48,23 @@ class Judged:
         """Those that follow each other, in one; None without any. The list is emptied, so that they are not held twice."""
         if len(parts) < 2:
             return parts[0] if parts else None
-        table = joined([one.table for one in parts])
-        columns = [list(column) for column in zip(*(one.out for one in parts), strict=True)]
+        tables, columns = [one.table for one in parts], [list(x) for x in zip(*(one.out for one in parts), strict=True)]
         parts.clear()
+        table = joined(tables)
+        tables.clear()
         return Judged(table, TickOutput(*(np.concatenate(columns.pop(0)) for _ in TickOutput._fields)))
+
+
+@dataclass(frozen=True)
+class Written:
+    """What a diagnoser leaves behind: losses, falls and contacts, the trim, outputs that have not followed the mixer, and what the
+    estimator has come to."""
+
+    losses: events.Losses
+    report: events.Report
+    trim: Rows
+    overrides: tuple[Override, ...]
+    learned: Learned
 
 
 class Diagnoser:
@@ -151,6 +164,13 @@ class Diagnoser:
         """Whether ticks wait because the vehicle may have landed."""
         return bool(self._engine.part("front")["doubting"][0])
 
+    @property
+    def written(self) -> Written:
+        """What is written down so far, of its own."""
+        losses, report, trim = (self._engine.part(name).copy() for name in ("losses", "report", "trim"))
+        B = self.vehicle.effectiveness()
+        return Written(events.Losses(B, losses), events.Report(B, report), trim, self.overrides, self.learned)
+
     def _call(self, function, *arguments) -> int:
         """Ticks that a function of `feed` has made."""
         constants = self._craft, self._plan, self._plant
@@ -161,7 +181,7 @@ class Diagnoser:
         if not count:
             return []
         made, out = self._room
-        table = columns(made.cut(count), self.plan, len(self.vehicle.rotors), self.contacts)
+        table = columns(made.cut(count), self.plan, len(self.vehicle.rotors), self.contacts).part(np.arange(count))
         self.contacts = table.contacts
         return [
             Judged(
@@ -183,8 +203,8 @@ def fly(
     ready_s: float,
     dynamics: dict | None = None,
     progress: Callable[[float], object] | None = None,
-) -> tuple[Diagnoser, Judged]:
-    """A whole flight: a link that is over. Its diagnoser, and its ticks up to the last command.
+) -> tuple[Written, Judged]:
+    """A whole flight: a link that is over. What its diagnoser has written down, and its ticks up to the last command.
 
     air: its flights ((start, end), ...) s; an end before the one that samples show is an impact. ready_s: blind time after lift-off;
     dynamics: what healthy flights have shown; progress: called with the finished share, 0..1. The flight needs motor outputs. Outputs that
@@ -215,4 +235,4 @@ def fly(
     assert judged is not None and judged.table.seen is not None
     commanded = np.flatnonzero(judged.table.seen)
     judged = judged.part(slice(0, int(commanded[-1]) + 1))
-    return diagnoser, replace(judged, table=grounded(judged.table, air))
+    return diagnoser.written, replace(judged, table=grounded(judged.table, air))

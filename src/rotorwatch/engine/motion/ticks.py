@@ -32,7 +32,7 @@ LAG_S = 0.02
 # s in the air before anything is judged; the same where healthy flights have shown the noise.
 READY_S, READY_KNOWN_S = 8.0, 3.0
 LATE_PERIODS = 1.5  # of slow motion, for which a tick waits at least
-ROOM = 4096  # rows in one call
+ROOM = 512  # rows in one call
 
 
 @dataclass(frozen=True)

@@ -421,7 +421,7 @@ def _upwards(accel: Signal, attitude: Signal, air: Spans) -> float:
             near = attitude.part(slice(max(int(first) - 1, 0), int(last) + 1))
             w, x, y, z = near.values.T
             for axis, down in enumerate((2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y))):
-                total += float(np.interp(when, near.time, down) @ force[:, axis])
+                total += float((np.interp(when, near.time, down) * force[:, axis]).sum())
     return -total / float(ok.sum()) / G0
 
 
