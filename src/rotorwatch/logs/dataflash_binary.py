@@ -29,7 +29,7 @@ MOST_FORMATS = 4096  # definitions that differ; a vehicle's log has about 250, a
 SPAN = 1 << 25  # bytes of the file that are looked at at a time
 SCAN_CHUNK = 1 << 22  # bytes compared at a time: the comparison's result stays small
 RARE = 0.01  # share of all records that are of one type
-SCANNED = 0.4  # share of the work when the records are found
+FOUND, CHAINED, SCANNED = 0.1, 0.2, 0.3  # share of the work when headers are found, and which of them are records
 
 # Format character -> (numpy type, divisor); the characters of ArduPilot's Logger. `M` is a flight mode number.
 _TYPES = "i1 u1 <i2 <u2 <i4 <u4 <i8 <u8 <f2 <f4 <f8 S4 S16 S64 u1 <i2 <u2 <i4 <u4 <i4".split()
@@ -141,6 +141,8 @@ class BinaryLog:
         candidates, types, lengths = candidates[known], types[known], lengths[known]
         lengths += candidates
         keep = self._chain(candidates, lengths)
+        if progress:
+            progress(CHAINED)
         del lengths
         self._at = candidates[keep]
         # Only now it is known which FMT headers belong to records; the others were payload.
@@ -167,7 +169,7 @@ class BinaryLog:
             types.append(self._bytes[at + 2])
             self._release()
             if progress:
-                progress(SCANNED * min(1.0, (start + SCAN_CHUNK) / end))
+                progress(FOUND * min(1.0, (start + SCAN_CHUNK) / end))
         return np.concatenate(found), np.concatenate(types)
 
     def _read_formats(self, positions: np.ndarray) -> dict[int, list[tuple[int, Format]]]:
@@ -350,12 +352,7 @@ class BinaryLog:
             yield slice(start, start + some.size), view[some].view(dtype)
             self._release()
             start += some.size
-
-    def _rows(self, fmt: Format, records: np.ndarray) -> Iterator[tuple[slice, np.ndarray]]:
-        """`_items` that are whole records."""
-        for part, rows in self._items(self._at[records], fmt.dtype):
-            yield part, rows
-            self._read += rows.size * fmt.length
+            self._read += some.size * dtype.itemsize
             if self._progress:
                 self._progress(SCANNED + (1.0 - SCANNED) * min(1.0, self._read / self._bytes.size))
 
@@ -417,7 +414,7 @@ class BinaryLog:
         for fmt, records in self._chosen(name, where):
             names = fmt.columns if wanted is None else [c for c in wanted if c in fmt.columns]
             columns: dict[str, np.ndarray] = {}
-            for part, rows in self._rows(fmt, records):
+            for part, rows in self._items(self._at[records], fmt.dtype):
                 for column in names:
                     some = _scaled(rows[column], fmt.codes[fmt.columns.index(column)])
                     if not part.start:
@@ -447,7 +444,7 @@ class BinaryLog:
         held = [
             (k, c) for k, c in enumerate(wanted) if c in codes and not fmt.dtype[c].shape and fmt.dtype[c].kind in "iuf"
         ]
-        for part, rows in self._rows(fmt, records):
+        for part, rows in self._items(self._at[records], fmt.dtype):
             for k, column in held:
                 values[part, k] = _scaled(rows[column], codes[column])
         return Numbers(records, values, codes)
