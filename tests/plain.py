@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from rotorwatch.base.compiling import running, structs
+from rotorwatch.engine.estimator.hypotheses import NOTHING
 from rotorwatch.engine.estimator.plant import THETA, Inputs, Plant, Rows, rows, set_plant
 from rotorwatch.engine.host import program
 
@@ -55,6 +56,12 @@ def plant(B: np.ndarray, dt: float = 0.05, **known: Any) -> Plant:
 def room(*shape: int) -> list:
     """Zeros for a function to write."""
     return structs.local(structs.REAL, *shape)
+
+
+def logs(nats: Any, weight: Any) -> np.ndarray:
+    """Log Bayes factors: of weight e^nats, as the definitions keep them; NOTHING where there is no weight."""
+    weight = np.asarray(weight)
+    return np.where(weight > 0.0, np.asarray(nats) + np.log(np.where(weight > 0.0, weight, 1.0)), NOTHING)
 
 
 def tick(u: np.ndarray, n: int) -> Inputs:

@@ -13,10 +13,12 @@ from rotorwatch.engine.estimator.bank import (
     SHORT,
     YAW_ERROR,
     Bank,
+    Observed,
     Slot,
     Window,
 )
-from rotorwatch.engine.estimator.plant import ANSWER_S, B3, DAMPING, PER_AXIS, SIDEWAYS, THETA, YAW_GAIN
+from rotorwatch.engine.estimator.kalman import Branch
+from rotorwatch.engine.estimator.plant import ANSWER_S, B3, DAMPING, PER_AXIS, SIDEWAYS, THETA, YAW_GAIN, Rows
 from rotorwatch.engine.host.program import square
 
 B = airframes.named("ardupilot-quad-x").effectiveness()
@@ -36,20 +38,23 @@ def directions():
 
 @pytest.fixture(scope="module")
 def run():
-    """Rows, gains, weights and innovations of each tick's axis, and the bank after some ticks."""
+    """Rows, gains, weights and innovations of each tick's axes, and the bank after some ticks."""
     rng, p, bank = np.random.default_rng(0), plant(B, DT), Bank()
-    axis = rng.integers(0, 4, TICKS)
-    states = np.arange(STATES)
-    h = rng.standard_normal((TICKS, STATES)) * ((states // PER_AXIS == axis[:, None]) | (states >= SIDEWAYS))
-    w = np.where(np.arange(TICKS) % 7 == 3, 0.0, rng.uniform(0.5, 2.0, TICKS))  # now and then nothing is measured
-    K, nu = 0.2 * rng.standard_normal((TICKS, STATES)) * (w > 0)[:, None], rng.standard_normal(TICKS)
+    axis, states = np.arange(4), np.arange(STATES)
+    h = rng.standard_normal((TICKS, 4, STATES)) * ((states // PER_AXIS == axis[:, None]) | (states >= SIDEWAYS))
+    w = rng.uniform(0.5, 2.0, (TICKS, 4)) * (rng.random((TICKS, 4)) > 0.2)  # now and then an axis is not measured
+    w[3] = 0.0
+    K, nu = 0.2 * rng.standard_normal((TICKS, 4, STATES)) * (w > 0)[..., None], rng.standard_normal((TICKS, 4)) * (w > 0)
     bank.begin(p)
     kept = {}
     for k in range(TICKS):
         bank.advance(p, k >= FIRST, False, [float(k), float(k) ** 2, 0.0, 0.0], 0, len(bank.slots))
+        rows, told = made(Rows, h=h[k]), Observed()
+        leader = made(Branch, gain=K[k], innovation=nu[k], S=[2.0] * 4)
+        told.by(p, rows, leader, (2.0 * w[k]).tolist(), (w[k] > 0.0).tolist())
         for slot in bank.slots:
-            if slot.age >= 0 and w[k] > 0.0:
-                slot.observe(p, int(axis[k]), h[k].tolist(), K[k].tolist(), float(w[k]), float(nu[k]))
+            if slot.age >= 0:
+                slot.observe(p, rows, leader, told)
         if k in (5, 6, 20, TICKS - 1):
             kept[k] = copied(bank)
     return p, (h, K, w, nu), kept
@@ -68,8 +73,10 @@ def test_a_slot_holds_what_a_jump_at_its_onset_has_done_since(run):
             k = last - slot.age + since
             share = (1 - AGE[1]) * AGE[since] if slot.gradual else float(since == 0)
             M = A[:, None] * M + share * directions()
-            phi = h[k] @ M
-            C, z, M = C + w[k] * np.outer(phi, phi), z + w[k] * nu[k] * phi, M - np.outer(K[k], phi)
+            for a in range(4):
+                phi = h[k, a] @ M
+                C, z = C + w[k, a] * np.outer(phi, phi), z + w[k, a] * nu[k, a] * phi
+                M = M - np.outer(K[k, a], phi)
         np.testing.assert_allclose(square(np.array(slot.C), DIRECTIONS), C, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(array(slot.z, DIRECTIONS), z, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(array(slot.M, STATES, DIRECTIONS), M, rtol=1e-9, atol=1e-12)
@@ -82,13 +89,13 @@ def test_recent_onsets_are_dense_and_older_ones_sparse(run):
     for k, bank in kept.items():
         for group, stride in enumerate(SHORT):
             part = bank.slots[group * GROUP : (group + 1) * GROUP]
-            assert {slot.log_stride for slot in part} == {np.log(stride)} and {s.gradual for s in part} == {group == 2}
+            assert {slot.stride for slot in part} == {stride} and {s.gradual for s in part} == {group == 2}
             onsets = [t for t in range(FIRST, k + 1) if t % stride == 0][-GROUP:]
             assert sorted(k - slot.age for slot in part if slot.age >= 0) == onsets
     assert kept[5].reach == GROUP * max(SHORT)
     long = Bank()
     long.begin(plant(B, 0.2))
-    assert [slot.log_stride for slot in long.slots] == np.log(np.repeat(LONG, GROUP)).tolist()
+    assert [slot.stride for slot in long.slots] == np.repeat(LONG, GROUP).tolist()
 
 
 def test_of_each_onset_is_kept_what_was_noted_then(run):

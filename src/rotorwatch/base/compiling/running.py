@@ -46,7 +46,7 @@ WHOLE = "int", "mask", "small"  # kinds of numbers that are int32 as arguments
 # No fused multiply and add: the same operations as Python's.
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-shared")
 # ... many of them at once, for what is mostly arithmetic: as wide as the processor has it.
-VECTORS = ("-O3", "-fno-trapping-math")
+VECTORS = ("-O3", "-fno-trapping-math", "-fno-semantic-interposition")
 
 TRANSLATOR = tuple(f"base/compiling/{name}.py" for name in ("structs", "body", "translate"))
 """Files that every definition is made by."""

@@ -16,7 +16,8 @@ reveals them.
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import REAL, Real, Reals, Struct, array, exp, local, log, real
+from rotorwatch.base.compiling.structs import REAL, Flags, Real, Reals, Struct, array, exp, local, real
+from rotorwatch.engine.estimator.kalman import Branch
 from rotorwatch.engine.estimator.plant import (
     ANSWER_S,
     B1,
@@ -28,8 +29,12 @@ from rotorwatch.engine.estimator.plant import (
     ROLL,
     SIDEWAYS,
     THETA,
+    THRUST,
+    YAW,
     YAW_GAIN,
     Plant,
+    Rows,
+    dot,
     entry,
 )
 from rotorwatch.engine.estimator.sizes import CROSSES, DIRECTIONS, ROTORS, SLOTS, STATES
@@ -40,12 +45,26 @@ SLOW_S = 0.08
 YAW_ERROR, DAMPING_ERROR, FIRST_LOSS = 4, 5, 6  # directions; before them the steps of four axes
 
 
+class Observed(Struct):
+    """What one tick's measurement does to all onsets alike; an axis that does not count has no weight, as it has no gain."""
+
+    weight = array(REAL, 4)  # 1 / S, times what evidence is worth in this weather
+    absorbed = array(REAL, 4, 4)  # of what axis b shows of a jump axis a sees so much less, as b comes before it: h_a K_b
+
+    def by(self, p: Plant, rows: Rows, leader: Branch, calm: Reals, counts: Flags) -> None:
+        """By the filter whose innovations they are; calm: what evidence is worth in this weather."""
+        for a in range(4):
+            self.weight[a] = calm[a] / leader.S[a] if counts[a] else 0.0
+            for b in range(a):
+                self.absorbed[a][b] = dot(rows.h[a], leader.gain[b], a, THETA + p.rotors)
+
+
 class Slot(Struct):
     """One onset."""
 
     age: int = -1  # ticks since then, -1 unused
     gradual: bool = False  # of the group of losses that build up
-    log_stride: Real = 0.0  # log of the onsets that it stands for
+    stride: Real = 1.0  # onsets that it stands for
     before = array(REAL, ROTORS)  # thrust of each rotor above the mean, lately, just before
     M = array(REAL, STATES, DIRECTIONS)
     C = array(REAL, CROSSES)  # symmetric: row by row, each up to its diagonal
@@ -82,29 +101,47 @@ class Slot(Struct):
         for i in range(p.rotors):
             self.M[THETA + i][FIRST_LOSS + i] += share
 
-    def observe(self, p: Plant, a: int, h: Reals, K: Reals, weight: Real, nu: Real) -> None:
-        """One measurement of an axis, of weight 1 / S."""
+    def observe(self, p: Plant, rows: Rows, leader: Branch, by: Observed) -> None:
+        """One tick's measurement, of all axes at once: what an axis shows of a jump is less by what those before it have absorbed."""
         directions = FIRST_LOSS + p.rotors
-        phi = local(REAL, DIRECTIONS)
-        for part in range(2):
-            first = a * PER_AXIS if part == 0 else SIDEWAYS
-            last = min(first + PER_AXIS, SIDEWAYS) if part == 0 else THETA + p.rotors
-            for r in range(first, last):
-                row = self.M[r]
-                effect = h[r]
+        phi = local(REAL, 4, DIRECTIONS)
+        for a in range(4):
+            shown = phi[a]
+            h = rows.h[a]
+            for part in range(2):
+                first = a * PER_AXIS if part == 0 else SIDEWAYS
+                last = min(first + PER_AXIS, SIDEWAYS) if part == 0 else THETA + p.rotors
+                for r in range(first, last):
+                    row = self.M[r]
+                    effect = h[r]
+                    for d in range(directions):
+                        shown[d] += effect * row[d]
+            for b in range(a):
+                absorbed = by.absorbed[a][b]
+                earlier = phi[b]
                 for d in range(directions):
-                    phi[d] += effect * row[d]
+                    shown[d] -= absorbed * earlier[d]
+        roll = phi[ROLL]
+        pitch = phi[PITCH]
+        yaw = phi[YAW]
+        thrust = phi[THRUST]
         for d in range(directions):
             first = entry(d, 0)
-            known = weight * phi[d]
+            of_roll = by.weight[ROLL] * roll[d]
+            of_pitch = by.weight[PITCH] * pitch[d]
+            of_yaw = by.weight[YAW] * yaw[d]
+            of_thrust = by.weight[THRUST] * thrust[d]
             for e in range(d + 1):
-                self.C[first + e] += known * phi[e]
-            self.z[d] += known * nu
+                self.C[first + e] += of_roll * roll[e] + of_pitch * pitch[e] + of_yaw * yaw[e] + of_thrust * thrust[e]
+            self.z[d] += of_roll * leader.innovation[ROLL] + of_pitch * leader.innovation[PITCH] + of_yaw * leader.innovation[YAW] + of_thrust * leader.innovation[THRUST]
         for r in range(THETA + p.rotors):
             row = self.M[r]
-            gain = K[r]
+            of_roll = leader.gain[ROLL][r]
+            of_pitch = leader.gain[PITCH][r]
+            of_yaw = leader.gain[YAW][r]
+            of_thrust = leader.gain[THRUST][r]
             for d in range(directions):
-                row[d] -= gain * phi[d]
+                row[d] -= of_roll * roll[d] + of_pitch * pitch[d] + of_yaw * yaw[d] + of_thrust * thrust[d]
 
 
 class Bank(Struct):
@@ -119,7 +156,7 @@ class Bank(Struct):
         for k in range(SLOTS):
             stride = _stride(p, k // GROUP)
             self.slots[k].gradual = k // GROUP == GROUPS - 1
-            self.slots[k].log_stride = log(real(stride))
+            self.slots[k].stride = real(stride)
             self.reach = max(self.reach, real(GROUP * stride))
 
     def advance(self, p: Plant, judge: bool, restart: bool, before: Reals, first: int, last: int) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from rotorwatch.base.compiling.structs import FLAG, REAL, Real, Struct, array, embedded, local, real, sqrt
 from rotorwatch.engine.estimator.announcement import Alarm
-from rotorwatch.engine.estimator.bank import Bank
+from rotorwatch.engine.estimator.bank import Bank, Observed
 from rotorwatch.engine.estimator.evidence import Best, Evidence
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
 from rotorwatch.engine.estimator.kalman import Measured
@@ -92,6 +92,7 @@ class Estimator(Struct):
     seen = embedded(Seen)
     rows = embedded(Rows)
     measured = embedded(Measured)
+    observed = embedded(Observed)
     best = embedded(Best)
     usual: Real = 1.0  # mean thrust lately, this tick not counted
     calm = array(REAL, 4)  # weight of this tick's evidence in weather that the noise model lacks
@@ -186,13 +187,11 @@ class Estimator(Struct):
     def _observe(self, p: Plant, first: int, last: int) -> None:
         """The measurement: to the bank of the explanation that leads."""
         leader = self.branches.all[0]
+        if first == 0:
+            self.observed.by(p, self.rows, leader, self.calm, self.measured.counts)
         for k in range(first, last):
-            slot = self.bank.slots[k]
-            if slot.age >= 0:
-                for a in range(4):
-                    if self.measured.counts[a]:
-                        weight = self.calm[a] / leader.S[a]
-                        slot.observe(p, a, self.rows.h[a], leader.gain[a], weight, leader.innovation[a])
+            if self.bank.slots[k].age >= 0:
+                self.bank.slots[k].observe(p, self.rows, leader, self.observed)
 
     def _weigh(self, p: Plant, now: Inputs, judge: bool, out: Result) -> None:
         """The explanations, by this tick's innovations; and what their leader asks of the bank."""

@@ -2,7 +2,7 @@
 
 With prior weights p_h, and onsets equally likely at any tick, the evidence of a hypothesis h is the sum over the slots w of the bank,
 
-    log sum_w exp( log BF_wh + log p_h + log stride_w )
+    log sum_w BF_wh p_h stride_w
 
 and that of a fault the sum over the hypotheses that are one: the Shiryaev-Roberts statistic (Pollak, Ann. Statist. 13, 1985). With the
 most probable onset and size of a hypothesis comes what the augmented filter would hold, had it known of the jump.
@@ -93,12 +93,12 @@ class Evidence(Struct):
     asked = embedded(Asked)
     yaw_error: Real = 0.0  # variance of the gain of yaw
     damping_error: Real = 0.0  # ... of how much roll and pitch are damped
-    log_bf = array(REAL, HYPOTHESES)  # log Bayes factors with the stride of the slot that is looked at
-    top = array(REAL, HYPOTHESES)  # the largest of all slots
+    nats = array(REAL, HYPOTHESES)  # Bayes factors of the slot that is looked at: weight e^nats
+    weight = array(REAL, HYPOTHESES)
+    top = array(REAL, HYPOTHESES)  # the most nats of all slots
     total = array(REAL, HYPOTHESES)  # sum over all slots, relative to that
-    peak = array(REAL, HYPOTHESES)  # the largest of the slots in use
+    peak = array(REAL, HYPOTHESES)  # the largest of the slots, relative to that, too
     place = array(SMALL, HYPOTHESES)  # the first slot that has it
-    unfaulty = array(REAL, SLOTS)  # the largest log Bayes factor of a disturbance
     odds = array(REAL, HYPOTHESES)  # log evidence over all onsets
     probability = array(REAL, HYPOTHESES)  # among faults
     known = array(REAL, ROTORS)  # the most information on each rotor's jump alone
@@ -149,30 +149,33 @@ class Evidence(Struct):
         for i in range(p.rotors):
             self.known[i] = 0.0
         for h in range(hypothesis_count(p.rotors)):
-            self.top[h] = -1e30
-            self.total[h] = 0.0
-            self.peak[h] = -1e30
+            self.top[h] = NOTHING
+            self.total[h] = 1.0
+            self.peak[h] = 0.0
             self.place[h] = 0
 
     def look(self, p: Plant, bank: Bank, first: int, last: int) -> None:
         """What the windows from `first` to `last` say."""
-        count = hypothesis_count(p.rotors)
         for k in range(first, last):
             slot = bank.slots[k]
-            if slot.age >= 0:
-                self.unfaulty[k] = self._weigh(p, slot, self.log_bf)
-                if self.live < 0:
-                    self.live = k
-            for h in range(count):
-                one = (self.log_bf[h] if slot.age >= 0 else NOTHING) + slot.log_stride
-                if slot.age >= 0 and one > self.peak[h]:
+            if slot.age < 0:
+                continue
+            if self.live < 0:
+                self.live = k
+            self._weigh(p, slot)
+            for h in range(hypothesis_count(p.rotors)):
+                if self.weight[h] <= 0.0:
+                    continue
+                if self.nats[h] > self.top[h]:
+                    less = shrunk(self.top[h] - self.nats[h])
+                    self.total[h] *= less
+                    self.peak[h] *= less
+                    self.top[h] = self.nats[h]
+                one = slot.stride * self.weight[h] * shrunk(self.nats[h] - self.top[h])
+                self.total[h] += one
+                if one > self.peak[h]:
                     self.peak[h] = one
                     self.place[h] = k
-                if one > self.top[h]:
-                    self.total[h] = self.total[h] * shrunk(self.top[h] - one) + 1.0
-                    self.top[h] = one
-                else:
-                    self.total[h] += shrunk(one - self.top[h])
 
     def gather(self, p: Plant) -> None:
         """The evidence of all hypotheses, by all windows."""
@@ -183,47 +186,60 @@ class Evidence(Struct):
         self._prior(p)
         self._sum(p)
 
-    def _weigh(self, p: Plant, slot: Slot, out: Reals) -> Real:
-        """Log Bayes factors of one onset; the largest of a disturbance."""
+    def _weigh(self, p: Plant, slot: Slot) -> None:
+        """Bayes factors of one onset."""
         n = p.rotors
         self.window.reduce(p, slot, self.yaw_error, self.damping_error)
         self.freed.free(p, self.window, self.asked)
         for i in range(n):
             self.known[i] = max(self.known[i], self.window.C[FIRST_LOSS + i][FIRST_LOSS + i])
-            self.freed.loss(self.asked, i, self.jump)
-            out[i] = self.jump.factor
+            self.freed.weigh(self.asked, i, self.jump)
+            self._put(i, self.jump)
         h = n
         for i in range(n):
             for j in range(i + 1, n):
                 hypotheses.pair(self.window, self.asked, i, j, self.jump)
-                out[h] = self.jump.factor
+                self._put(h, self.jump)
                 h += 1
         for i in range(n):
-            out[h] = NOTHING
+            self.weight[h] = 0.0
             if self.asked.active[i]:
                 self.freed.recovery(i, self._target(p, slot, i), self.jump)
-                out[h] = self.jump.factor
-            out[h + n] = NOTHING
+                self._put(h, self.jump)
+            self.weight[h + n] = 0.0
             if self.asked.active[i] or not self.asked.weak:
                 hypotheses.one_thrust(p, self.window, self.asked, i, self.jump)
-                out[h + n] = self.jump.factor
+                self._put(h + n, self.jump)
             h += 1
-        steps = local(REAL, DISTURBANCE_COUNT)
-        hypotheses.disturbances(self.window, self.asked.width, 1.0, steps)
-        most = steps[0]
+        nats = local(REAL, DISTURBANCE_COUNT)
+        weight = local(REAL, DISTURBANCE_COUNT)
+        hypotheses.steps(self.window, self.asked.width, 1.0, 0, nats, weight)
         for b in range(DISTURBANCE_COUNT):
-            out[h + n + b] = steps[b]
-            most = max(most, steps[b])
+            self.nats[h + n + b] = nats[b]
+            self.weight[h + n + b] = weight[b]
         # Without a weak rotor, of what moves all torques: a large step of one axis has no direction of a rotor.
-        hypotheses.disturbances(self.window, self.asked.width, FAR, steps)
         first = 0 if self.asked.weak else ALL_TORQUES
+        hypotheses.steps(self.window, self.asked.width, FAR, first, nats, weight)
         for b in range(first, DISTURBANCE_COUNT):
-            one = steps[b] + slot.log_stride
-            if one > self.far:
-                self.far_sum *= exp(self.far - one)
-                self.far = one
-            self.far_sum += exp(one - self.far)
+            if nats[b] > self.far:
+                self.far_sum *= shrunk(self.far - nats[b])
+                self.far = nats[b]
+            self.far_sum += slot.stride * weight[b] * shrunk(nats[b] - self.far)
+
+    def disturbed(self, p: Plant, slot: Slot) -> Real:
+        """The largest log Bayes factor of a disturbance at one onset."""
+        nats = local(REAL, DISTURBANCE_COUNT)
+        weight = local(REAL, DISTURBANCE_COUNT)
+        self.window.reduce(p, slot, self.yaw_error, self.damping_error)
+        hypotheses.steps(self.window, self.asked.width, 1.0, 0, nats, weight)
+        most = nats[0] + log(weight[0])
+        for b in range(1, DISTURBANCE_COUNT):
+            most = max(most, nats[b] + log(weight[b]))
         return most
+
+    def _put(self, h: int, jump: Jump) -> None:
+        self.nats[h] = jump.nats
+        self.weight[h] = jump.weight
 
     def _target(self, p: Plant, slot: Slot, i: int) -> Real:
         """What ends a known loss: of a unit jump the filter has by now, or will have, so much of theta left."""

@@ -6,6 +6,8 @@ Bayes factor against "no jump", with a Gaussian prior of width w on each directi
 
     log BF = z.nu - nu.C.nu / 2  -  1/2 sum log(1 + C_dd|rest w^2)        at the most probable admissible nu
 
+It is kept as BF = weight e^nats, nats = z.nu - nu.C.nu / 2: so no logarithm is needed to add them up.
+
 In their order: each rotor, each pair of rotors, each rotor well again, each rotor giving one thrust, disturbances.
 """
 
@@ -39,7 +41,7 @@ STUCK_WEIGHT, DISTURBANCE_WEIGHT = 0.1, 3.0
 RECOVERY_SHARE = 0.3
 # Hover thrusts that a rotor gives at least that is told to give one thrust; nats of what cannot be.
 MORE, NOTHING = 1.25, -50.0
-LEFT = -746.0  # nats of which exp is 0
+LEFT = -60.0  # nats of which too little is left to count
 # Disturbances: which of roll (1), pitch (2), yaw (4), thrust (8) they touch.
 DISTURBANCES = (1, 2, 4, 8, 9, 10, 12, 7, 15)
 DISTURBANCE_COUNT = 9
@@ -67,7 +69,8 @@ class Asked(Struct):
 class Jump(Struct):
     """The most probable jump of one hypothesis."""
 
-    factor: Real = 0.0  # log Bayes factor
+    nats: Real = 0.0  # Bayes factor: weight e^nats
+    weight: Real = 0.0
     size: Real = 0.0  # of its rotor
     other_size: Real = 0.0  # of its other rotor
     variance: Real = 0.0  # of a single rotor's size, or of `gives`
@@ -81,7 +84,11 @@ class Freed(Struct):
     slop = array(REAL, 4)  # variances
     own = array(REAL, 2, ROTORS)  # information, in still and in moving air
     score = array(REAL, 2, ROTORS)  # vector
-    gain = array(REAL, 2)  # what that freedom gains, nats
+    nats = array(REAL, 2)  # Bayes factor of that freedom: weight e^nats
+    weight = array(REAL, 2)
+    size = array(REAL, 6)  # of one rotor's loss, of each kind: the most probable one, its variance, and how likely the kind is
+    spread = array(REAL, 6)
+    likely = array(REAL, 6)
 
     def free(self, p: Plant, w: Window, a: Asked) -> None:
         """From a window. SLOP is of what the likeliest rotor would lack, and in yaw all of its drag is uncertain."""
@@ -118,35 +125,36 @@ class Freed(Struct):
         gain = 0.0
         grown = 1.0
         for axis in range(THRUST):
-            d = among[axis][axis] + 1.0 / self.slop[axis]
-            gain += 0.5 * step[axis] * step[axis] / d
-            grown *= d * self.slop[axis]
+            more = among[axis][axis] * self.slop[axis] + 1.0
+            inverse = self.slop[axis] / more
+            gain += 0.5 * step[axis] * step[axis] * inverse
+            grown *= more
             for i in range(n):
-                share = cross[axis][i] / d
+                share = cross[axis][i] * inverse
                 own[i] -= cross[axis][i] * share
                 score[i] -= share * step[axis]
                 for other in range(axis + 1, 4):
                     cross[other][i] -= share * among[axis][other]
             for other in range(axis + 1, 4):
-                share = among[axis][other] / d
+                share = among[axis][other] * inverse
                 step[other] -= share * step[axis]
                 for last in range(axis + 1, 4):
                     among[other][last] -= share * among[axis][last]
         for moving in range(2):
             prior = self.slop[THRUST] + (a.air if moving == 1 else 0.0)
-            d = among[THRUST][THRUST] + 1.0 / prior
-            self.gain[moving] = gain + 0.5 * step[THRUST] * step[THRUST] / d - 0.5 * log(grown * d * prior)
+            more = among[THRUST][THRUST] * prior + 1.0
+            inverse = prior / more
+            self.nats[moving] = gain + 0.5 * step[THRUST] * step[THRUST] * inverse
+            self.weight[moving] = 1.0 / sqrt(grown * more)
             for i in range(n):
-                share = cross[THRUST][i] / d
+                share = cross[THRUST][i] * inverse
                 self.own[moving][i] = own[i] - cross[THRUST][i] * share
                 self.score[moving][i] = score[i] - share * step[THRUST]
 
-    def loss(self, a: Asked, i: int, out: Jump) -> None:
-        """Rotor i alone. Losses are small as often as large, and now and then total; each kind may come with a change of the air."""
+    def weigh(self, a: Asked, i: int, out: Jump) -> None:
+        """Rotor i alone: the Bayes factor. Losses are small as often as large, and now and then total; each kind may come with a change of
+        the air."""
         fit = local(REAL, 6)
-        size = local(REAL, 6)
-        spread = local(REAL, 6)
-        likely = local(REAL, 6)
         most = -1e30
         for k in range(6):
             kind = k % 3
@@ -154,29 +162,35 @@ class Freed(Struct):
             mean = a.hi[i] if kind == 2 else 0.0
             width = SMALL_WIDTH if kind == 0 else LOSS_WIDTH if kind == 1 else NONE
             share = TOTAL_SHARE if kind == 2 else 0.5 * (1.0 - TOTAL_SHARE)
-            precision = 1.0 / (width * width)
             c = self.own[moving][i]
             z = self.score[moving][i]
-            spread[k] = 1.0 / (c + precision)
-            size[k] = min(max((z + mean * precision) * spread[k], a.lo[i]), a.hi[i])
-            away = size[k] - mean
-            fit[k] = z * size[k] - 0.5 * c * size[k] * size[k] - 0.5 * away * away * precision + self.gain[moving]
-            likely[k] = share * (AIR_SHARE if moving == 1 else 1.0 - AIR_SHARE) * sqrt(spread[k] * precision)
+            shrinks = 1.0 / (c * (width * width) + 1.0)
+            self.spread[k] = width * width * shrinks
+            size = min(max((z * (width * width) + mean) * shrinks, a.lo[i]), a.hi[i])
+            away = size - mean
+            self.size[k] = size
+            fit[k] = z * size - 0.5 * c * size * size - 0.5 * away * away / (width * width) + self.nats[moving]
+            share *= AIR_SHARE if moving == 1 else 1.0 - AIR_SHARE
+            self.likely[k] = share * self.weight[moving] * sqrt(shrinks)
             most = max(most, fit[k])
-        total = 0.0
-        mean = 0.0
+        out.nats = most
+        out.weight = 0.0
         for k in range(6):
-            likely[k] *= shrunk(fit[k] - most)
-            total += likely[k]
-            mean += likely[k] * size[k]
-        out.size = mean / total
+            self.likely[k] *= shrunk(fit[k] - most)
+            out.weight += self.likely[k]
+
+    def loss(self, a: Asked, i: int, out: Jump) -> None:
+        """Rotor i alone: mean and variance of its loss, too, over all its kinds."""
+        self.weigh(a, i, out)
+        out.size = 0.0
         out.other_size = 0.0
         out.gives = 0.0
         out.variance = 0.0
         for k in range(6):
-            away = size[k] - out.size
-            out.variance += likely[k] / total * (spread[k] + away * away)
-        out.factor = most + log(total)
+            out.size += self.likely[k] * self.size[k] / out.weight
+        for k in range(6):
+            away = self.size[k] - out.size
+            out.variance += self.likely[k] / out.weight * (self.spread[k] + away * away)
 
     def recovery(self, i: int, target: Real, out: Jump) -> None:
         """Rotor i is well again: the jump that ends its loss, within RECOVERY_SHARE of that. It gives more, not less."""
@@ -189,8 +203,9 @@ class Freed(Struct):
         out.other_size = 0.0
         out.gives = 0.0
         out.variance = 1.0 / left
-        fit = z * size - 0.5 * c * size * size - 0.5 * (size - target) * (size - target) / variance
-        out.factor = fit - 0.5 * log(left * variance) + self.gain[0]
+        away = size - target
+        out.nats = z * size - 0.5 * c * size * size - 0.5 * away * away / variance + self.nats[0]
+        out.weight = self.weight[0] / sqrt(left * variance)
 
 
 def shrunk(nats: Real) -> Real:
@@ -239,8 +254,8 @@ def pair(w: Window, a: Asked, i: int, j: int, out: Jump) -> None:
     out.other_size = two
     out.variance = 0.0
     out.gives = 0.0
-    width = LOSS_WIDTH * LOSS_WIDTH
-    out.factor = best - 0.5 * log(max(c11 * c22 - c12 * c12, 1e-9) * width * width)
+    out.nats = best
+    out.weight = precision / sqrt(max(c11 * c22 - c12 * c12, 1e-9))
 
 
 def one_thrust(p: Plant, w: Window, a: Asked, i: int, out: Jump) -> None:
@@ -267,31 +282,35 @@ def one_thrust(p: Plant, w: Window, a: Asked, i: int, out: Jump) -> None:
     out.other_size = 0.0
     out.gives = thrust
     out.variance = 1.0 / total
-    out.factor = NOTHING
-    if thrust > MORE:
-        fit = left * thrust - 0.5 * c * thrust * thrust - 0.5 * (thrust - mean) * (thrust - mean) / variance
-        fit -= 0.5 * log(total * variance)
-        out.factor = fit + z * hi - 0.5 * w.C[FIRST_LOSS + i][FIRST_LOSS + i] * hi * hi
+    away = thrust - mean
+    out.nats = left * thrust - 0.5 * c * thrust * thrust - 0.5 * away * away / variance
+    out.nats += z * hi - 0.5 * w.C[FIRST_LOSS + i][FIRST_LOSS + i] * hi * hi
+    out.weight = 1.0 / sqrt(total * variance) if thrust > MORE else 0.0
 
 
-def disturbances(w: Window, width: Reals, far: Real, out: Reals) -> None:
-    """Log Bayes factors of steps of the axes' biases, of any sign and about `far` times `width` large."""
+def steps(w: Window, width: Reals, far: Real, first: int, nats: Reals, weight: Reals) -> None:
+    """Bayes factors of steps of the axes' biases, of any sign and about `far` times `width` large: of the disturbances from `first` on,
+    0 or ALL_TORQUES."""
     prior = local(REAL, 4)
     for axis in range(4):
         prior[axis] = far * far * width[axis] * width[axis]
-    # One axis; one with thrust.
-    d4 = w.C[THRUST][THRUST] + 1.0 / prior[THRUST]
-    fit4 = 0.5 * w.z[THRUST] * w.z[THRUST] / d4
-    grown4 = d4 * prior[THRUST]
-    out[THRUST] = fit4 - 0.5 * log(grown4)
-    for axis in range(THRUST):
-        c = w.C[axis][axis] + 1.0 / prior[axis]
-        z = w.z[axis]
-        out[axis] = 0.5 * z * z / c - 0.5 * log(c * prior[axis])
-        share = w.C[axis][THRUST] / d4
-        d = c - share * w.C[axis][THRUST]
-        rest = z - share * w.z[THRUST]
-        out[4 + axis] = fit4 + 0.5 * rest * rest / d - 0.5 * log(grown4 * d * prior[axis])
+    if first == 0:  # one axis; one with thrust
+        shrinks4 = 1.0 / (w.C[THRUST][THRUST] * prior[THRUST] + 1.0)
+        inverse4 = prior[THRUST] * shrinks4
+        fit4 = 0.5 * w.z[THRUST] * w.z[THRUST] * inverse4
+        nats[THRUST] = fit4
+        weight[THRUST] = sqrt(shrinks4)
+        for axis in range(THRUST):
+            c = w.C[axis][axis]
+            z = w.z[axis]
+            shrinks = 1.0 / (c * prior[axis] + 1.0)
+            nats[axis] = 0.5 * z * z * prior[axis] * shrinks
+            weight[axis] = sqrt(shrinks)
+            share = w.C[axis][THRUST] * inverse4
+            rest = z - share * w.z[THRUST]
+            shrinks = 1.0 / ((c - share * w.C[axis][THRUST]) * prior[axis] + 1.0)
+            nats[4 + axis] = fit4 + 0.5 * rest * rest * prior[axis] * shrinks
+            weight[4 + axis] = sqrt(shrinks4 * shrinks)
     # All torques; everything.
     among = local(REAL, 4, 4)
     step = local(REAL, 4)
@@ -299,21 +318,23 @@ def disturbances(w: Window, width: Reals, far: Real, out: Reals) -> None:
         step[axis] = w.z[axis]
         for other in range(4):
             among[axis][other] = w.C[axis][other]
-        among[axis][axis] += 1.0 / prior[axis]
     fit = 0.0
     grown = 1.0
     for axis in range(4):
-        d = among[axis][axis]
-        fit += 0.5 * step[axis] * step[axis] / d
-        grown *= d * prior[axis]
+        more = among[axis][axis] * prior[axis] + 1.0
+        inverse = prior[axis] / more
+        fit += 0.5 * step[axis] * step[axis] * inverse
+        grown *= more
         for other in range(axis + 1, 4):
-            share = among[axis][other] / d
+            share = among[axis][other] * inverse
             step[other] -= share * step[axis]
             for last in range(axis + 1, 4):
                 among[other][last] -= share * among[axis][last]
         if axis == YAW:
-            out[7] = fit - 0.5 * log(grown)
-    out[8] = fit - 0.5 * log(grown)
+            nats[7] = fit
+            weight[7] = 1.0 / sqrt(grown)
+    nats[8] = fit
+    weight[8] = 1.0 / sqrt(grown)
 
 
 def pair_count(n: int) -> int:

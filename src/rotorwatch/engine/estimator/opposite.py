@@ -53,24 +53,19 @@ class Opposite(Struct):
         self.pair = -1
         if not calm or p.rotors < LEAST_ROTORS:
             return
-        best = NOTHING
-        gradual = NOTHING
-        sudden = NOTHING
+        best = alarm.limit
         pair = -1
         age = 0
         for k in range(SLOTS):
             slot = bank.slots[k]
-            if slot.age < 0:
+            if slot.age < 0 or slot.gradual:
                 continue
-            if slot.gradual:
-                gradual = max(gradual, found.unfaulty[k])
-                continue
-            sudden = max(sudden, found.unfaulty[k])
             found.window.reduce(p, slot, found.yaw_error, found.damping_error)
             h = p.rotors
             for i in range(p.rotors):
                 for j in range(i + 1, p.rotors):
-                    if torque_free(p, i, j):
+                    # No weight is above 1: most pairs are out by their nats alone.
+                    if torque_free(p, i, j) and _nats(found.window, i, j, LOSS_WIDTH) > best:
                         loss = _shared(found.window, i, j, LOSS_WIDTH)
                         factor = either(
                             _fit(found.window, i, j, SMALL_WIDTH), _fit(found.window, i, j, LOSS_WIDTH)
@@ -83,12 +78,20 @@ class Opposite(Struct):
                     h += 1
         if pair < 0:
             return
+        gradual = NOTHING
+        sudden = NOTHING
+        for k in range(SLOTS):
+            slot = bank.slots[k]
+            if slot.age >= 0 and slot.gradual:
+                gradual = max(gradual, found.disturbed(p, slot))
+            elif slot.age >= 0:
+                sudden = max(sudden, found.disturbed(p, slot))
         forgotten = exp(real(age) * p.dt / USUAL_S)  # of the heaving meanwhile
         steady = (
             missing.heave * forgotten < HEAVING + 2.0 * self.loss / real(p.rotors)
             and missing.rose * forgotten < HEAVING
         )
-        if steady and best > alarm.limit and best > sudden - 2.0 * CLEAR and best > gradual:
+        if steady and best > sudden - 2.0 * CLEAR and best > gradual:
             self.lasted = before + p.dt
             if self.lasted >= ANSWER_S and before < ANSWER_S:
                 self.pair = pair
@@ -108,13 +111,16 @@ def _shared(w: Window, i: int, j: int, width: Real) -> Real:
     return min(max(score / (_information(w, i, j) + 1.0 / (width * width)), 0.0), 1.0)
 
 
+def _nats(w: Window, i: int, j: int, width: Real) -> Real:
+    """The nats of its Bayes factor."""
+    size = _shared(w, i, j, width)
+    left = _information(w, i, j) + 1.0 / (width * width)
+    return (w.z[FIRST_LOSS + i] + w.z[FIRST_LOSS + j]) * size - 0.5 * left * size * size
+
+
 def _fit(w: Window, i: int, j: int, width: Real) -> Real:
     """Its log Bayes factor."""
-    left = _information(w, i, j) + 1.0 / (width * width)
-    size = _shared(w, i, j, width)
-    return (
-        (w.z[FIRST_LOSS + i] + w.z[FIRST_LOSS + j]) * size - 0.5 * left * size * size - 0.5 * log(left * width * width)
-    )
+    return _nats(w, i, j, width) - 0.5 * log(_information(w, i, j) * width * width + 1.0)
 
 
 def _information(w: Window, i: int, j: int) -> Real:
