@@ -44,7 +44,10 @@ def run():
     h = rng.standard_normal((TICKS, 4, STATES)) * ((states // PER_AXIS == axis[:, None]) | (states >= SIDEWAYS))
     w = rng.uniform(0.5, 2.0, (TICKS, 4)) * (rng.random((TICKS, 4)) > 0.2)  # now and then an axis is not measured
     w[3] = 0.0
-    K, nu = 0.2 * rng.standard_normal((TICKS, 4, STATES)) * (w > 0)[..., None], rng.standard_normal((TICKS, 4)) * (w > 0)
+    K, nu = (
+        0.2 * rng.standard_normal((TICKS, 4, STATES)) * (w > 0)[..., None],
+        rng.standard_normal((TICKS, 4)) * (w > 0),
+    )
     bank.begin(p)
     kept = {}
     for k in range(TICKS):

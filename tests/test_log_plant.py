@@ -323,7 +323,9 @@ def test_a_published_methods_wrench_is_weighed_as_the_default_estimator_weighs_a
                     free.loss(ask, *who, jump)
                 else:
                     pair(window, ask, *who, jump)
-                assert factors[h] == pytest.approx(float(logs(jump.nats, jump.weight)), rel=1e-6, abs=1e-6), hyp.names[h]
+                assert factors[h] == pytest.approx(float(logs(jump.nats, jump.weight)), rel=1e-6, abs=1e-6), hyp.names[
+                    h
+                ]
                 assert sizes[h] == pytest.approx([jump.size, jump.other_size], abs=1e-6), hyp.names[h]
         steps(window, [1.0] * 4, 1.0, 0, nats, weight)
         assert factors[-len(nats) :] == pytest.approx(logs(nats, weight), rel=1e-9)

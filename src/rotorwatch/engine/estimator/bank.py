@@ -49,7 +49,9 @@ class Observed(Struct):
     """What one tick's measurement does to all onsets alike; an axis that does not count has no weight, as it has no gain."""
 
     weight = array(REAL, 4)  # 1 / S, times what evidence is worth in this weather
-    absorbed = array(REAL, 4, 4)  # of what axis b shows of a jump axis a sees so much less, as b comes before it: h_a K_b
+    absorbed = array(
+        REAL, 4, 4
+    )  # of what axis b shows of a jump axis a sees so much less, as b comes before it: h_a K_b
 
     def by(self, p: Plant, rows: Rows, leader: Branch, calm: Reals, counts: Flags) -> None:
         """By the filter whose innovations they are; calm: what evidence is worth in this weather."""
@@ -133,7 +135,12 @@ class Slot(Struct):
             of_thrust = by.weight[THRUST] * thrust[d]
             for e in range(d + 1):
                 self.C[first + e] += of_roll * roll[e] + of_pitch * pitch[e] + of_yaw * yaw[e] + of_thrust * thrust[e]
-            self.z[d] += of_roll * leader.innovation[ROLL] + of_pitch * leader.innovation[PITCH] + of_yaw * leader.innovation[YAW] + of_thrust * leader.innovation[THRUST]
+            self.z[d] += (
+                of_roll * leader.innovation[ROLL]
+                + of_pitch * leader.innovation[PITCH]
+                + of_yaw * leader.innovation[YAW]
+                + of_thrust * leader.innovation[THRUST]
+            )
         for r in range(THETA + p.rotors):
             row = self.M[r]
             of_roll = leader.gain[ROLL][r]

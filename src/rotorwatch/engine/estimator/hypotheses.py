@@ -86,7 +86,9 @@ class Freed(Struct):
     score = array(REAL, 2, ROTORS)  # vector
     nats = array(REAL, 2)  # Bayes factor of that freedom: weight e^nats
     weight = array(REAL, 2)
-    size = array(REAL, 6)  # of one rotor's loss, of each kind: the most probable one, its variance, and how likely the kind is
+    size = array(
+        REAL, 6
+    )  # of one rotor's loss, of each kind: the most probable one, its variance, and how likely the kind is
     spread = array(REAL, 6)
     likely = array(REAL, 6)
 
