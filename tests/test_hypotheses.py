@@ -84,8 +84,9 @@ def with_spread(n, C, z, gone=None, **known):
         nats, weight = room(len(hyp.blocks)), room(len(hyp.blocks))
         hypotheses.steps(one, ask.width, 1.0, 0, nats, weight)
         stuck = [jumps[h] for h, kind in enumerate(hyp.kinds) if kind == "stuck"]
+        of_rotors = logs([jump.nats for jump in jumps], [jump.weight for jump in jumps])
         rows.append((
-            [*(float(logs(jump.nats, jump.weight)) for jump in jumps), *logs(nats, weight)], [(jump.size, jump.other_size) for jump in jumps],
+            [*of_rotors, *logs(nats, weight)], [(jump.size, jump.other_size) for jump in jumps],
             [jump.variance for jump in jumps[:n]], [(jump.gives, jump.variance) for jump in stuck],
         ))  # fmt: skip
     logbf, nu, spread, gives = (np.array(column) for column in zip(*rows))

@@ -127,6 +127,7 @@ class Slot(Struct):
         pitch = phi[PITCH]
         yaw = phi[YAW]
         thrust = phi[THRUST]
+        nu = leader.innovation
         for d in range(directions):
             first = entry(d, 0)
             of_roll = by.weight[ROLL] * roll[d]
@@ -135,12 +136,7 @@ class Slot(Struct):
             of_thrust = by.weight[THRUST] * thrust[d]
             for e in range(d + 1):
                 self.C[first + e] += of_roll * roll[e] + of_pitch * pitch[e] + of_yaw * yaw[e] + of_thrust * thrust[e]
-            self.z[d] += (
-                of_roll * leader.innovation[ROLL]
-                + of_pitch * leader.innovation[PITCH]
-                + of_yaw * leader.innovation[YAW]
-                + of_thrust * leader.innovation[THRUST]
-            )
+            self.z[d] += of_roll * nu[ROLL] + of_pitch * nu[PITCH] + of_yaw * nu[YAW] + of_thrust * nu[THRUST]
         for r in range(THETA + p.rotors):
             row = self.M[r]
             of_roll = leader.gain[ROLL][r]
