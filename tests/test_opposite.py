@@ -54,15 +54,15 @@ def suspect(
     heave, rose: at the onset."""
     n, p, bank = B.shape[1], plant(B, DT), Bank()
     bank.begin(p)
-    for age, each in enumerate(bank.slots):
-        each.age = age
-    bank.slots[slot].age = slot % len(bank.slots) if live else -1
+    for age, each in enumerate(bank.packs):
+        each.age = float(age)
+    bank.packs[slot].age = float(slot % len(bank.packs)) if live else -1.0
     C, z = of_one_loss(n, pair, fit, loss)
-    filled(bank.slots[slot], C=lower(C), z=z)
+    filled(bank.packs[slot], C=lower(C), z=z)
     for k, nats in ((0, sudden), (2 * GROUP + 3, gradual)):  # z^2 / 4 - log(2) / 2 of a step of roll
         C, z = np.zeros((FIRST_LOSS + n,) * 2), np.zeros(FIRST_LOSS + n)
         C[0, 0], z[0] = 1.0, 2.0 * np.sqrt(nats + 0.5 * np.log(2.0))
-        filled(bank.slots[k], C=lower(C), z=z)
+        filled(bank.packs[k], C=lower(C), z=z)
     left = np.exp(-slot * DT / USUAL_S)
     missing, alarm = SimpleNamespace(heave=heave * left, rose=rose * left), SimpleNamespace(limit=LIMIT)
     out, found = made(Opposite, lasted=lasted), made(Evidence, yaw_error=1e-12, damping_error=1e-12)

@@ -35,6 +35,7 @@ from rotorwatch.errors import FirstUse
 TYPES = {
     "real": np.float64,
     "time": np.float64,
+    "each": np.float64,
     "int": np.int32,
     "flag": np.bool_,
     "mask": np.uint16,
@@ -43,6 +44,8 @@ TYPES = {
     "byte": np.uint8,
 }
 WHOLE = "int", "mask", "small"  # kinds of numbers that are int32 as arguments
+LANES = 4
+"""How many are calculated at once in machine code (`structs.Each`): a vector of AVX2, or two of a smaller processor."""
 # No fused multiply and add: the same operations as Python's.
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-shared")
 # ... many of them at once, for what is mostly arithmetic: as wide as the processor has it.
@@ -241,7 +244,8 @@ class Definition:
         from rotorwatch.base.compiling.translate import Translation
 
         whole = Translation(self.modules, *self.sizes)
-        config = "".join(f"#define RW_{name} {value}\n" for name, value in whole.sizes.items())
+        sizes = {**whole.sizes, "LANES": LANES}
+        config = "".join(f"#define RW_{name} {value}\n" for name, value in sizes.items())
         return config, whole.header("For this computer.", name=self.name), whole.source(f"rw_{self.name}.h")
 
     def build(self, folder: Path, level: str = shipped.BASELINE) -> Path:
@@ -280,19 +284,19 @@ class Definition:
             fields = []
             for name, value in kind.declared():
                 if isinstance(value, structs.Array):
-                    inner = TYPES[value.kind] if isinstance(value.kind, str) else self.type_of(value.kind)
-                    fields.append((name, inner, value.shape))
+                    shape = tuple(n // LANES if isinstance(n, structs.Packed) else n for n in value.shape)
+                    fields.append((name, self._stored(value.kind), shape))
                 else:
-                    fields.append(
-                        (
-                            name,
-                            self.type_of(value)
-                            if isinstance(value, type)
-                            else TYPES[structs.SCALARS[kind.__annotations__[name]]],
-                        )
-                    )
+                    kept = value if isinstance(value, type) else structs.SCALARS[kind.__annotations__[name]]
+                    fields.append((name, self._stored(kept)))
             self._types[kind] = np.dtype(fields, align=True)
         return self._types[kind]
+
+    def _stored(self, kind: str | type[Struct]) -> Any:
+        """An element of a kind as C lays it out."""
+        if isinstance(kind, type):
+            return self.type_of(kind)
+        return np.dtype((TYPES[kind], (LANES,))) if kind == structs.EACH else TYPES[kind]
 
     def new(self, kind: type[Struct]) -> Rows:
         """A struct with the values that it has at first."""
