@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from rotorwatch.base.compiling import running, structs
+from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.estimator.hypotheses import NOTHING
 from rotorwatch.engine.estimator.plant import THETA, Inputs, Plant, Rows, rows, set_plant
 from rotorwatch.engine.host import program
@@ -89,7 +90,7 @@ def unpacked(kind: type[S], record: Any, lane: int = 0) -> S:
         if (inner if isinstance(inner, str) else structs.SCALARS.get(kind.__annotations__.get(name))) == structs.EACH:
             setattr(one, name, value[..., lane].tolist())
         elif isinstance(field, structs.Array) and not isinstance(inner, str):
-            lanes = range(running.LANES if isinstance(field.shape[0], structs.Packed) else 1)
+            lanes = range(ENGINE.lanes if isinstance(field.shape[0], structs.Packed) else 1)
             setattr(one, name, [unpacked(inner, each, lane) for each in value for lane in lanes])
         else:
             setattr(one, name, unpacked(field, value) if isinstance(field, type) else value.tolist())

@@ -43,7 +43,7 @@ Bytes = Sequence[int]
 Vectors = list[list[float]]  # rows of three
 
 LANES = 1
-"""How many stand side by side in Python; `running.LANES` in machine code of a computer."""
+"""How many stand side by side in Python; in machine code of a computer, as many as a vector holds (`running.LANES`)."""
 LASTS = 1e30
 """Later than all times: the end of what lasts."""
 NAN = math.nan
