@@ -133,6 +133,16 @@ def test_two_rotors_at_once_need_ten_thousand_times_the_odds():
     assert PAIR_WEIGHT == 1e-4 and DISTURBANCE_WEIGHT > 1.0  # of one rotor: 1
 
 
+def test_the_loudest_disturbance_is_that_of_one_onset_sudden_or_gradual():
+    bank = told(strength=600.0)
+    found = gather(bank)
+    single = factors(found)[:, ~FAULT] - np.log([[slot.stride] for slot in bank.packs])
+    gradual = np.array([slot.gradual for slot in bank.packs])
+    for kind in (False, True):
+        wanted = single[in_use(bank) & (gradual == kind)].max()
+        assert found.disturbed(P, kind) == pytest.approx(wanted, rel=1e-9)
+
+
 @pytest.mark.parametrize(("active", "first"), [((), ALL_TORQUES), ((2,), 0)])
 def test_something_else_is_a_fifth_of_disturbances_and_larger_than_this_flights(active, first):
     """Four times as wide as the noise model has them, within limits; in thrust also as the air that moves. Of all torques together, and

@@ -107,6 +107,8 @@ class Evidence(Struct):
     total = array(REAL, HYPOTHESES)  # sum over all slots, relative to that
     peak = array(REAL, HYPOTHESES)  # the largest of the slots, relative to that, too
     place = array(SMALL, HYPOTHESES)  # the first slot that has it
+    # The largest Bayes factor of each disturbance at sudden and at gradual onsets, relative to that.
+    loud = array(REAL, 2, DISTURBANCE_COUNT)
     odds = array(REAL, HYPOTHESES)  # log evidence over all onsets
     probability = array(REAL, HYPOTHESES)  # among faults
     known = array(REAL, ROTORS)  # the most information on each rotor's jump alone
@@ -158,6 +160,9 @@ class Evidence(Struct):
         self.far_sum = 1.0
         for i in range(p.rotors):
             self.known[i] = 0.0
+        for b in range(DISTURBANCE_COUNT):
+            self.loud[0][b] = 0.0
+            self.loud[1][b] = 0.0
         for h in range(hypothesis_count(p.rotors)):
             self.top[h] = NOTHING
             self.total[h] = 1.0
@@ -222,7 +227,9 @@ class Evidence(Struct):
             self.live = slot
         for i in range(p.rotors):
             self.known[i] = max(self.known[i], one(self.window.C[FIRST_LOSS + i][FIRST_LOSS + i], lane))
-        for h in range(hypothesis_count(p.rotors)):
+        faults = hypothesis_count(p.rotors) - DISTURBANCE_COUNT
+        loud = self.loud[1 if slots.gradual else 0]
+        for h in range(faults + DISTURBANCE_COUNT):
             weight = one(self.weight[h], lane)
             nats = one(self.nats[h], lane)
             if weight <= 0.0:
@@ -232,7 +239,13 @@ class Evidence(Struct):
                 self.total[h] *= less
                 self.peak[h] *= less
                 self.top[h] = nats
-            told = slots.stride * weight * shrunk(nats - self.top[h])
+                if h >= faults:
+                    self.loud[0][h - faults] *= less
+                    self.loud[1][h - faults] *= less
+            factor = weight * shrunk(nats - self.top[h])
+            if h >= faults:
+                loud[h - faults] = max(loud[h - faults], factor)
+            told = slots.stride * factor
             self.total[h] += told
             if told > self.peak[h]:
                 self.peak[h] = told
@@ -248,15 +261,14 @@ class Evidence(Struct):
         """Without a weak rotor, of what moves all torques: a large step of one axis has no direction of a rotor."""
         return 0 if self.asked.weak else ALL_TORQUES
 
-    def disturbed(self, p: Plant, slots: Slots, lane: int) -> Real:
-        """The largest log Bayes factor of a disturbance at one onset."""
-        nats = local(EACH, DISTURBANCE_COUNT)
-        weight = local(EACH, DISTURBANCE_COUNT)
-        self.window.reduce(p, slots, self.yaw_error, self.damping_error)
-        hypotheses.steps(self.window, self.asked.width, 1.0, 0, nats, weight)
-        most = one(nats[0], lane) + log(one(weight[0], lane))
-        for b in range(1, DISTURBANCE_COUNT):
-            most = max(most, one(nats[b], lane) + log(one(weight[b], lane)))
+    def disturbed(self, p: Plant, gradual: bool) -> Real:
+        """The largest log Bayes factor of a disturbance at any sudden, or any gradual onset."""
+        faults = hypothesis_count(p.rotors) - DISTURBANCE_COUNT
+        loud = self.loud[1 if gradual else 0]
+        most = NOTHING
+        for b in range(DISTURBANCE_COUNT):
+            if loud[b] > 0.0:
+                most = max(most, self.top[faults + b] + log(loud[b]))
         return most
 
     def _put(self, h: int, jump: Jump) -> None:

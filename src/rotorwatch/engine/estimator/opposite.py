@@ -19,7 +19,6 @@ from rotorwatch.engine.estimator.hypotheses import (
     CLEAR,
     LOSS_WIDTH,
     NONE,
-    NOTHING,
     PAIR,
     SMALL_WIDTH,
     kind_of,
@@ -81,23 +80,13 @@ class Opposite(Struct):
                         h += 1
         if pair < 0:
             return
-        gradual = NOTHING
-        sudden = NOTHING
-        for k in range(SLOTS // LANES):
-            pack = bank.packs[k]
-            for lane in range(LANES):
-                if one(pack.age, lane) >= 0.0:
-                    most = found.disturbed(p, pack, lane)
-                    if pack.gradual:
-                        gradual = max(gradual, most)
-                    else:
-                        sudden = max(sudden, most)
         forgotten = exp(age * p.dt / USUAL_S)  # of the heaving meanwhile
         steady = (
             missing.heave * forgotten < HEAVING + 2.0 * self.loss / real(p.rotors)
             and missing.rose * forgotten < HEAVING
         )
-        if steady and best > sudden - 2.0 * CLEAR and best > gradual:
+        disturbed = max(found.disturbed(p, False) - 2.0 * CLEAR, found.disturbed(p, True))
+        if steady and best > disturbed:
             self.lasted = before + p.dt
             if self.lasted >= ANSWER_S and before < ANSWER_S:
                 self.pair = pair
