@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import minimize
 from tests.loss_prior import KINDS, moments
-from tests.plain import array, made, room
+from tests.plain import array, logs, made, room
 
 from rotorwatch.engine.estimator import hypotheses
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Window
@@ -81,11 +81,12 @@ def with_spread(n, C, z, gone=None, **known):
             elif kind == "stuck":
                 hypotheses.one_thrust(p, one, ask, *who, jump)
             jumps += [jump] * (kind != "disturbance")
-        steps = room(len(hyp.blocks))
-        hypotheses.disturbances(one, ask.width, 1.0, steps)
+        nats, weight = room(len(hyp.blocks)), room(len(hyp.blocks))
+        hypotheses.steps(one, ask.width, 1.0, 0, nats, weight)
         stuck = [jumps[h] for h, kind in enumerate(hyp.kinds) if kind == "stuck"]
+        of_rotors = logs([jump.nats for jump in jumps], [jump.weight for jump in jumps])
         rows.append((
-            [*(jump.factor for jump in jumps), *steps], [(jump.size, jump.other_size) for jump in jumps],
+            [*of_rotors, *logs(nats, weight)], [(jump.size, jump.other_size) for jump in jumps],
             [jump.variance for jump in jumps[:n]], [(jump.gives, jump.variance) for jump in stuck],
         ))  # fmt: skip
     logbf, nu, spread, gives = (np.array(column) for column in zip(*rows))
@@ -167,7 +168,8 @@ def test_slop_is_steps_of_the_axes_integrated_out(seed):
                 assert told[i] == pytest.approx(z[w, i] - C[w, i, n:] @ inner @ z[w, n:], rel=1e-8, abs=1e-8)
                 for nu in (0.0, 0.3):
                     expected = with_steps(C[w], z[w], i, prior, nu)
-                    assert found.gain[moving] + told[i] * nu - 0.5 * own[i] * nu**2 == pytest.approx(expected, rel=1e-9)
+                    gain = float(logs(found.nats[moving], found.weight[moving]))
+                    assert gain + told[i] * nu - 0.5 * own[i] * nu**2 == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("loss, sd", [(0.15, 0.02), (0.4, 0.05)])
@@ -324,13 +326,13 @@ def test_a_manoeuvre_in_calm_air_is_no_loss():
     """A pitch step ten times as large as calm air knows, with a little of everything else: rotor 1 fits better than anything usual,
     and worse than a disturbance far larger."""
     C, z = quad_evidence(wrong=(0.25, 1.0, 0.2, 0.5), loss=0.3, sd=0.02)
-    calm, far = np.full(4, 0.03), room(hypotheses.DISTURBANCE_COUNT)
+    calm, far, weight = np.full(4, 0.03), room(hypotheses.DISTURBANCE_COUNT), room(hypotheses.DISTURBANCE_COUNT)
     hyp, logbf, _ = factors(4, C, z, reach=1.0, air=1e-12, width=calm)
     told = dict(zip(hyp.names, logbf[0]))
-    hypotheses.disturbances(window(C[0], z[0]), calm.tolist(), hypotheses.FAR, far)
+    hypotheses.steps(window(C[0], z[0]), calm.tolist(), hypotheses.FAR, 0, far, weight)
     usual = max(v for name, v in told.items() if "rotor" not in name)
     assert told["rotor 1"] > usual + np.log(10.0)
-    assert max(far) > told["rotor 1"] + np.log(10.0)
+    assert max(logs(far, weight)) > told["rotor 1"] + np.log(10.0)
 
 
 def test_no_data_says_nothing():

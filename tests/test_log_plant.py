@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.plain import made, room
+from tests.plain import logs, made, room
 
 from rotorwatch import airframes
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Window
-from rotorwatch.engine.estimator.hypotheses import Asked, Freed, Jump, disturbances, pair
+from rotorwatch.engine.estimator.hypotheses import Asked, Freed, Jump, pair, steps
 from rotorwatch.engine.estimator.plant import Plant
 from rotorwatch.engine.host import events
 from rotorwatch.engine.host.hypotheses import list_hypotheses
@@ -314,7 +314,8 @@ def test_a_published_methods_wrench_is_weighed_as_the_default_estimator_weighs_a
         Phi, place = np.concatenate([B, np.eye(4)], axis=1), [*range(FIRST_LOSS, FIRST_LOSS + n), *range(4)]
         C, z = np.zeros((FIRST_LOSS + n,) * 2), np.zeros(FIRST_LOSS + n)
         C[np.ix_(place, place)], z[place] = Phi.T @ (w[:, None] * Phi), Phi.T @ (w * away)
-        window, free, jump, steps = made(Window, C=C, z=z), Freed(), Jump(), room(len(hyp.blocks))
+        window, free, jump = made(Window, C=C, z=z), Freed(), Jump()
+        nats, weight = room(len(hyp.blocks)), room(len(hyp.blocks))
         free.free(p, window, ask)
         for h, (kind, who) in enumerate(zip(hyp.kinds, hyp.rotors)):
             if kind in ("single", "pair"):
@@ -322,10 +323,12 @@ def test_a_published_methods_wrench_is_weighed_as_the_default_estimator_weighs_a
                     free.loss(ask, *who, jump)
                 else:
                     pair(window, ask, *who, jump)
-                assert factors[h] == pytest.approx(jump.factor, rel=1e-6, abs=1e-6), hyp.names[h]
+                assert factors[h] == pytest.approx(float(logs(jump.nats, jump.weight)), rel=1e-6, abs=1e-6), hyp.names[
+                    h
+                ]
                 assert sizes[h] == pytest.approx([jump.size, jump.other_size], abs=1e-6), hyp.names[h]
-        disturbances(window, [1.0] * 4, 1.0, steps)
-        assert factors[-len(steps) :] == pytest.approx(steps, rel=1e-9)
+        steps(window, [1.0] * 4, 1.0, 0, nats, weight)
+        assert factors[-len(nats) :] == pytest.approx(logs(nats, weight), rel=1e-9)
 
 
 def test_an_end_is_written_down_and_another_set_takes_over():

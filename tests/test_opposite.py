@@ -7,7 +7,7 @@ import pytest
 from tests.plain import filled, lower, made, plant
 
 from rotorwatch import airframes
-from rotorwatch.engine.estimator.bank import FIRST_LOSS, GROUP, Bank
+from rotorwatch.engine.estimator.bank import FIRST_LOSS, Bank
 from rotorwatch.engine.estimator.evidence import Evidence
 from rotorwatch.engine.estimator.hypotheses import CLEAR, LOSS_WIDTH, NONE, PAIR, SMALL_WIDTH, kind_of
 from rotorwatch.engine.estimator.opposite import Opposite, contested
@@ -54,16 +54,17 @@ def suspect(
     heave, rose: at the onset."""
     n, p, bank = B.shape[1], plant(B, DT), Bank()
     bank.begin(p)
-    unfaulty = np.full(len(bank.slots), 1.0)
-    unfaulty[0], unfaulty[2 * GROUP + 3] = sudden, gradual
-    for age, each in enumerate(bank.slots):
-        each.age = age
-    bank.slots[slot].age = slot % len(bank.slots) if live else -1
+    for age, each in enumerate(bank.packs):
+        each.age = float(age)
+    bank.packs[slot].age = float(slot % len(bank.packs)) if live else -1.0
     C, z = of_one_loss(n, pair, fit, loss)
-    filled(bank.slots[slot], C=lower(C), z=z)
+    filled(bank.packs[slot], C=lower(C), z=z)
     left = np.exp(-slot * DT / USUAL_S)
     missing, alarm = SimpleNamespace(heave=heave * left, rose=rose * left), SimpleNamespace(limit=LIMIT)
-    out, found = made(Opposite, lasted=lasted), made(Evidence, yaw_error=1e-12, damping_error=1e-12, unfaulty=unfaulty)
+    out, found = made(Opposite, lasted=lasted), made(Evidence, yaw_error=1e-12, damping_error=1e-12)
+    most = 1.0 + max(sudden, gradual)
+    found.top[list_hypotheses(n).kinds.index("disturbance")] = most
+    found.loud[0][0], found.loud[1][0] = float(np.exp(sudden - most)), float(np.exp(gradual - most))
     out.suspect(p, bank, found, missing, alarm, calm)
     return out, out.lasted, list_hypotheses(n).rotors.index(pair)
 

@@ -6,12 +6,31 @@ Bayes factor against "no jump", with a Gaussian prior of width w on each directi
 
     log BF = z.nu - nu.C.nu / 2  -  1/2 sum log(1 + C_dd|rest w^2)        at the most probable admissible nu
 
+It is kept as BF = weight e^nats, nats = z.nu - nu.C.nu / 2: so no logarithm is needed to add them up.
+
 In their order: each rotor, each pair of rotors, each rotor well again, each rotor giving one thrust, disturbances.
 """
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import FLAG, REAL, Real, Reals, Struct, array, exp, local, log, sqrt
+import math
+
+from rotorwatch.base.compiling.structs import (
+    EACH,
+    FLAG,
+    REAL,
+    Each,
+    Eaches,
+    Real,
+    Reals,
+    Struct,
+    array,
+    each,
+    exp,
+    local,
+    log,
+    sqrt,
+)
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Window
 from rotorwatch.engine.estimator.plant import THRUST, YAW, Plant
 from rotorwatch.engine.estimator.sizes import ROTORS
@@ -39,7 +58,8 @@ STUCK_WEIGHT, DISTURBANCE_WEIGHT = 0.1, 3.0
 RECOVERY_SHARE = 0.3
 # Hover thrusts that a rotor gives at least that is told to give one thrust; nats of what cannot be.
 MORE, NOTHING = 1.25, -50.0
-LEFT = -746.0  # nats of which exp is 0
+SERIES = tuple(1.0 / math.factorial(k) for k in range(11, -1, -1))  # of exp, the highest power first
+LEFT = -60.0  # nats of which too little is left to count
 # Disturbances: which of roll (1), pitch (2), yaw (4), thrust (8) they touch.
 DISTURBANCES = (1, 2, 4, 8, 9, 10, 12, 7, 15)
 DISTURBANCE_COUNT = 9
@@ -65,120 +85,131 @@ class Asked(Struct):
 
 
 class Jump(Struct):
-    """The most probable jump of one hypothesis."""
+    """The most probable jump of one hypothesis at each onset."""
 
-    factor: Real = 0.0  # log Bayes factor
-    size: Real = 0.0  # of its rotor
-    other_size: Real = 0.0  # of its other rotor
-    variance: Real = 0.0  # of a single rotor's size, or of `gives`
-    gives: Real = 0.0  # thrust that its rotor gives, whatever it is commanded
+    nats: Each = 0.0  # Bayes factor: weight e^nats
+    weight: Each = 0.0
+    size: Each = 0.0  # of its rotor
+    other_size: Each = 0.0  # of its other rotor
+    variance: Each = 0.0  # of a single rotor's size, or of `gives`
+    gives: Each = 0.0  # thrust that its rotor gives, whatever it is commanded
 
 
 class Freed(Struct):
     """Each rotor's jump alone when the axes may differ by `slop` from what it does to them: Gaussian steps integrated out. Of losses that
     come with a change of the air thrust may differ by more."""
 
-    slop = array(REAL, 4)  # variances
-    own = array(REAL, 2, ROTORS)  # information, in still and in moving air
-    score = array(REAL, 2, ROTORS)  # vector
-    gain = array(REAL, 2)  # what that freedom gains, nats
+    slop = array(EACH, 4)  # variances
+    own = array(EACH, 2, ROTORS)  # information, in still and in moving air
+    score = array(EACH, 2, ROTORS)  # vector
+    nats = array(EACH, 2)  # Bayes factor of that freedom: weight e^nats
+    weight = array(EACH, 2)
+    size = array(EACH, 6)  # of a rotor's loss of each kind: the most probable one, its variance, how likely the kind is
+    spread = array(EACH, 6)
+    likely = array(EACH, 6)
 
     def free(self, p: Plant, w: Window, a: Asked) -> None:
         """From a window. SLOP is of what the likeliest rotor would lack, and in yaw all of its drag is uncertain."""
         n = p.rotors
-        best = -1e30
-        lacks = 0.0
-        dragged = 0.0
+        best = each(-1e30)
+        lacks = each(0.0)
+        dragged = each(0.0)
         for i in range(n):
             c = w.C[FIRST_LOSS + i][FIRST_LOSS + i] + 1.0 / (LOSS_WIDTH * LOSS_WIDTH)
             z = w.z[FIRST_LOSS + i]
             nu = min(max(z / c, a.lo[i]), a.hi[i])
             fit = z * nu - 0.5 * c * nu * nu
-            if fit > best:
-                best = fit
-                lacks = abs(nu * a.reach[i])
-                dragged = abs(nu * a.drag[i])
+            lacks = abs(nu * a.reach[i]) if fit > best else lacks
+            dragged = abs(nu * a.drag[i]) if fit > best else dragged
+            best = max(best, fit)
         for axis in range(4):
             self.slop[axis] = SLOP[axis] * lacks * (SLOP[axis] * lacks) + 1e-12
         self.slop[YAW] += dragged * dragged
-        among = local(REAL, 4, 4)
-        cross = local(REAL, 4, ROTORS)
-        step = local(REAL, 4)
+        among = local(EACH, 4, 4)
+        cross = local(EACH, 4, ROTORS)
+        step = local(EACH, 4)
         for axis in range(4):
             step[axis] = w.z[axis]
             for other in range(4):
                 among[axis][other] = w.C[axis][other]
             for i in range(n):
                 cross[axis][i] = w.C[axis][FIRST_LOSS + i]
-        own = local(REAL, ROTORS)
-        score = local(REAL, ROTORS)
+        own = local(EACH, ROTORS)
+        score = local(EACH, ROTORS)
         for i in range(n):
             own[i] = w.C[FIRST_LOSS + i][FIRST_LOSS + i]
             score[i] = w.z[FIRST_LOSS + i]
-        gain = 0.0
-        grown = 1.0
+        gain = each(0.0)
+        grown = each(1.0)
         for axis in range(THRUST):
-            d = among[axis][axis] + 1.0 / self.slop[axis]
-            gain += 0.5 * step[axis] * step[axis] / d
-            grown *= d * self.slop[axis]
+            more = among[axis][axis] * self.slop[axis] + 1.0
+            inverse = self.slop[axis] / more
+            gain += 0.5 * step[axis] * step[axis] * inverse
+            grown *= more
             for i in range(n):
-                share = cross[axis][i] / d
+                share = cross[axis][i] * inverse
                 own[i] -= cross[axis][i] * share
                 score[i] -= share * step[axis]
                 for other in range(axis + 1, 4):
                     cross[other][i] -= share * among[axis][other]
             for other in range(axis + 1, 4):
-                share = among[axis][other] / d
+                share = among[axis][other] * inverse
                 step[other] -= share * step[axis]
                 for last in range(axis + 1, 4):
                     among[other][last] -= share * among[axis][last]
         for moving in range(2):
             prior = self.slop[THRUST] + (a.air if moving == 1 else 0.0)
-            d = among[THRUST][THRUST] + 1.0 / prior
-            self.gain[moving] = gain + 0.5 * step[THRUST] * step[THRUST] / d - 0.5 * log(grown * d * prior)
+            more = among[THRUST][THRUST] * prior + 1.0
+            inverse = prior / more
+            self.nats[moving] = gain + 0.5 * step[THRUST] * step[THRUST] * inverse
+            self.weight[moving] = 1.0 / sqrt(grown * more)
             for i in range(n):
-                share = cross[THRUST][i] / d
+                share = cross[THRUST][i] * inverse
                 self.own[moving][i] = own[i] - cross[THRUST][i] * share
                 self.score[moving][i] = score[i] - share * step[THRUST]
 
-    def loss(self, a: Asked, i: int, out: Jump) -> None:
-        """Rotor i alone. Losses are small as often as large, and now and then total; each kind may come with a change of the air."""
-        fit = local(REAL, 6)
-        size = local(REAL, 6)
-        spread = local(REAL, 6)
-        likely = local(REAL, 6)
-        most = -1e30
+    def weigh(self, a: Asked, i: int, out: Jump) -> None:
+        """Rotor i alone: the Bayes factor. Losses are small as often as large, and now and then total; each kind may come with a change of
+        the air."""
+        fit = local(EACH, 6)
+        most = each(-1e30)
         for k in range(6):
             kind = k % 3
             moving = k // 3
             mean = a.hi[i] if kind == 2 else 0.0
             width = SMALL_WIDTH if kind == 0 else LOSS_WIDTH if kind == 1 else NONE
             share = TOTAL_SHARE if kind == 2 else 0.5 * (1.0 - TOTAL_SHARE)
-            precision = 1.0 / (width * width)
             c = self.own[moving][i]
             z = self.score[moving][i]
-            spread[k] = 1.0 / (c + precision)
-            size[k] = min(max((z + mean * precision) * spread[k], a.lo[i]), a.hi[i])
-            away = size[k] - mean
-            fit[k] = z * size[k] - 0.5 * c * size[k] * size[k] - 0.5 * away * away * precision + self.gain[moving]
-            likely[k] = share * (AIR_SHARE if moving == 1 else 1.0 - AIR_SHARE) * sqrt(spread[k] * precision)
+            shrinks = 1.0 / (c * (width * width) + 1.0)
+            self.spread[k] = width * width * shrinks
+            size = min(max((z * (width * width) + mean) * shrinks, a.lo[i]), a.hi[i])
+            away = size - mean
+            self.size[k] = size
+            fit[k] = z * size - 0.5 * c * size * size - 0.5 * away * away / (width * width) + self.nats[moving]
+            share *= AIR_SHARE if moving == 1 else 1.0 - AIR_SHARE
+            self.likely[k] = share * self.weight[moving] * sqrt(shrinks)
             most = max(most, fit[k])
-        total = 0.0
-        mean = 0.0
+        out.nats = most
+        out.weight = each(0.0)
         for k in range(6):
-            likely[k] *= shrunk(fit[k] - most)
-            total += likely[k]
-            mean += likely[k] * size[k]
-        out.size = mean / total
-        out.other_size = 0.0
-        out.gives = 0.0
-        out.variance = 0.0
-        for k in range(6):
-            away = size[k] - out.size
-            out.variance += likely[k] / total * (spread[k] + away * away)
-        out.factor = most + log(total)
+            self.likely[k] *= vanishing(fit[k] - most)
+            out.weight += self.likely[k]
 
-    def recovery(self, i: int, target: Real, out: Jump) -> None:
+    def loss(self, a: Asked, i: int, out: Jump) -> None:
+        """Rotor i alone: mean and variance of its loss, too, over all its kinds."""
+        self.weigh(a, i, out)
+        out.size = each(0.0)
+        out.other_size = each(0.0)
+        out.gives = each(0.0)
+        out.variance = each(0.0)
+        for k in range(6):
+            out.size += self.likely[k] * self.size[k] / out.weight
+        for k in range(6):
+            away = self.size[k] - out.size
+            out.variance += self.likely[k] / out.weight * (self.spread[k] + away * away)
+
+    def recovery(self, i: int, target: Each, out: Jump) -> None:
         """Rotor i is well again: the jump that ends its loss, within RECOVERY_SHARE of that. It gives more, not less."""
         variance = recovery_variance(target)
         c = self.own[0][i]
@@ -186,11 +217,12 @@ class Freed(Struct):
         left = c + 1.0 / variance
         size = min((z + target / variance) / left, 0.0)
         out.size = size
-        out.other_size = 0.0
-        out.gives = 0.0
+        out.other_size = each(0.0)
+        out.gives = each(0.0)
         out.variance = 1.0 / left
-        fit = z * size - 0.5 * c * size * size - 0.5 * (size - target) * (size - target) / variance
-        out.factor = fit - 0.5 * log(left * variance) + self.gain[0]
+        away = size - target
+        out.nats = z * size - 0.5 * c * size * size - 0.5 * away * away / variance + self.nats[0]
+        out.weight = self.weight[0] / sqrt(left * variance)
 
 
 def shrunk(nats: Real) -> Real:
@@ -198,7 +230,18 @@ def shrunk(nats: Real) -> Real:
     return exp(nats) if nats > LEFT else 0.0
 
 
-def recovery_variance(target: Real) -> Real:
+def vanishing(nats: Each) -> Each:
+    """exp of what is not above 0, to 1e-13 of it, as products that vectors can do: the series of its root, squared again and again."""
+    root = max(nats, LEFT) * (1.0 / 256.0)
+    share = each(SERIES[0])
+    for k in range(1, 12):
+        share = share * root + SERIES[k]
+    for _ in range(8):
+        share *= share
+    return share
+
+
+def recovery_variance(target: Each) -> Each:
     """Variance of the jump `target` that ends a loss."""
     return NONE * NONE + RECOVERY_SHARE * RECOVERY_SHARE * target * target
 
@@ -213,42 +256,31 @@ def pair(w: Window, a: Asked, i: int, j: int, out: Jump) -> None:
     z1 = w.z[FIRST_LOSS + i]
     z2 = w.z[FIRST_LOSS + j]
     det = c11 * c22 - c12 * c12
-    if det <= 1e-12 * c11 * c22:
-        det = 1e-12 * c11 * c22 + 1e-30
+    least = 1e-12 * c11 * c22
+    det = det if det > least else least + 1e-30
     first = (c22 * z1 - c12 * z2) / det
     second = (c11 * z2 - c12 * z1) / det
     nearest = min(max(first, a.lo[i]), a.hi[i])
     other = min(max(second, a.lo[j]), a.hi[j])
-    one = nearest
-    two = other
-    best = -1e30
-    beyond = nearest < first or nearest > first
-    other_beyond = other < second or other > second
-    if beyond:
-        two = min(max((z2 - c12 * nearest) / c22, a.lo[j]), a.hi[j])
-    if beyond or not other_beyond:
-        best = z1 * one + z2 * two - 0.5 * (c11 * one * one + 2.0 * c12 * one * two + c22 * two * two)
-    if other_beyond:
-        edge = min(max((z1 - c12 * other) / c11, a.lo[i]), a.hi[i])
-        score = z1 * edge + z2 * other - 0.5 * (c11 * edge * edge + 2.0 * c12 * edge * other + c22 * other * other)
-        if score > best:
-            best = score
-            one = edge
-            two = other
-    out.size = one
-    out.other_size = two
-    out.variance = 0.0
-    out.gives = 0.0
-    width = LOSS_WIDTH * LOSS_WIDTH
-    out.factor = best - 0.5 * log(max(c11 * c22 - c12 * c12, 1e-9) * width * width)
+    two = min(max((z2 - c12 * nearest) / c22, a.lo[j]), a.hi[j]) if nearest < first or nearest > first else other
+    score = z1 * nearest + z2 * two - 0.5 * (c11 * nearest * nearest + 2.0 * c12 * nearest * two + c22 * two * two)
+    edge = min(max((z1 - c12 * other) / c11, a.lo[i]), a.hi[i])
+    beyond = z1 * edge + z2 * other - 0.5 * (c11 * edge * edge + 2.0 * c12 * edge * other + c22 * other * other)
+    beyond = beyond if other < second or other > second else each(-1e30)
+    out.size = edge if beyond > score else nearest
+    out.other_size = other if beyond > score else two
+    out.variance = each(0.0)
+    out.gives = each(0.0)
+    out.nats = max(score, beyond)
+    out.weight = precision / sqrt(max(c11 * c22 - c12 * c12, 1e-9))
 
 
 def one_thrust(p: Plant, w: Window, a: Asked, i: int, out: Jump) -> None:
     """Rotor i gives one thrust between MORE and full, whatever it is commanded: the command's part is gone, a jump of hi, and a step of
     the axes along its column of -B has come instead."""
-    c = 0.0
-    cross = 0.0
-    left = 0.0
+    c = each(0.0)
+    cross = each(0.0)
+    left = each(0.0)
     for axis in range(4):
         effect = -p.effect[axis][i]
         row = w.C[axis]
@@ -263,57 +295,63 @@ def one_thrust(p: Plant, w: Window, a: Asked, i: int, out: Jump) -> None:
     variance = 0.25 * (a.full - 1.0) * (a.full - 1.0) + 1e-6
     total = c + 1.0 / variance
     thrust = min(max((left + mean / variance) / total, 0.0), a.full)
-    out.size = hi
-    out.other_size = 0.0
+    out.size = each(hi)
+    out.other_size = each(0.0)
     out.gives = thrust
     out.variance = 1.0 / total
-    out.factor = NOTHING
-    if thrust > MORE:
-        fit = left * thrust - 0.5 * c * thrust * thrust - 0.5 * (thrust - mean) * (thrust - mean) / variance
-        fit -= 0.5 * log(total * variance)
-        out.factor = fit + z * hi - 0.5 * w.C[FIRST_LOSS + i][FIRST_LOSS + i] * hi * hi
+    away = thrust - mean
+    out.nats = left * thrust - 0.5 * c * thrust * thrust - 0.5 * away * away / variance
+    out.nats += z * hi - 0.5 * w.C[FIRST_LOSS + i][FIRST_LOSS + i] * hi * hi
+    out.weight = 1.0 / sqrt(total * variance) if thrust > MORE else 0.0
 
 
-def disturbances(w: Window, width: Reals, far: Real, out: Reals) -> None:
-    """Log Bayes factors of steps of the axes' biases, of any sign and about `far` times `width` large."""
+def steps(w: Window, width: Reals, far: Real, first: int, nats: Eaches, weight: Eaches) -> None:
+    """Bayes factors of steps of the axes' biases, of any sign and about `far` times `width` large: of the disturbances from `first` on,
+    0 or ALL_TORQUES."""
     prior = local(REAL, 4)
     for axis in range(4):
         prior[axis] = far * far * width[axis] * width[axis]
-    # One axis; one with thrust.
-    d4 = w.C[THRUST][THRUST] + 1.0 / prior[THRUST]
-    fit4 = 0.5 * w.z[THRUST] * w.z[THRUST] / d4
-    grown4 = d4 * prior[THRUST]
-    out[THRUST] = fit4 - 0.5 * log(grown4)
-    for axis in range(THRUST):
-        c = w.C[axis][axis] + 1.0 / prior[axis]
-        z = w.z[axis]
-        out[axis] = 0.5 * z * z / c - 0.5 * log(c * prior[axis])
-        share = w.C[axis][THRUST] / d4
-        d = c - share * w.C[axis][THRUST]
-        rest = z - share * w.z[THRUST]
-        out[4 + axis] = fit4 + 0.5 * rest * rest / d - 0.5 * log(grown4 * d * prior[axis])
+    if first == 0:  # one axis; one with thrust
+        shrinks4 = 1.0 / (w.C[THRUST][THRUST] * prior[THRUST] + 1.0)
+        inverse4 = prior[THRUST] * shrinks4
+        fit4 = 0.5 * w.z[THRUST] * w.z[THRUST] * inverse4
+        nats[THRUST] = fit4
+        weight[THRUST] = sqrt(shrinks4)
+        for axis in range(THRUST):
+            c = w.C[axis][axis]
+            z = w.z[axis]
+            shrinks = 1.0 / (c * prior[axis] + 1.0)
+            nats[axis] = 0.5 * z * z * prior[axis] * shrinks
+            weight[axis] = sqrt(shrinks)
+            share = w.C[axis][THRUST] * inverse4
+            rest = z - share * w.z[THRUST]
+            shrinks = 1.0 / ((c - share * w.C[axis][THRUST]) * prior[axis] + 1.0)
+            nats[4 + axis] = fit4 + 0.5 * rest * rest * prior[axis] * shrinks
+            weight[4 + axis] = sqrt(shrinks4 * shrinks)
     # All torques; everything.
-    among = local(REAL, 4, 4)
-    step = local(REAL, 4)
+    among = local(EACH, 4, 4)
+    step = local(EACH, 4)
     for axis in range(4):
         step[axis] = w.z[axis]
         for other in range(4):
             among[axis][other] = w.C[axis][other]
-        among[axis][axis] += 1.0 / prior[axis]
-    fit = 0.0
-    grown = 1.0
+    fit = each(0.0)
+    grown = each(1.0)
     for axis in range(4):
-        d = among[axis][axis]
-        fit += 0.5 * step[axis] * step[axis] / d
-        grown *= d * prior[axis]
+        more = among[axis][axis] * prior[axis] + 1.0
+        inverse = prior[axis] / more
+        fit += 0.5 * step[axis] * step[axis] * inverse
+        grown *= more
         for other in range(axis + 1, 4):
-            share = among[axis][other] / d
+            share = among[axis][other] * inverse
             step[other] -= share * step[axis]
             for last in range(axis + 1, 4):
                 among[other][last] -= share * among[axis][last]
         if axis == YAW:
-            out[7] = fit - 0.5 * log(grown)
-    out[8] = fit - 0.5 * log(grown)
+            nats[7] = fit
+            weight[7] = 1.0 / sqrt(grown)
+    nats[8] = fit
+    weight[8] = 1.0 / sqrt(grown)
 
 
 def pair_count(n: int) -> int:
