@@ -146,7 +146,9 @@ class BinaryLog:
         del lengths
         self._at = candidates[keep]
         # Only now it is known which FMT headers belong to records; the others were payload.
-        if bad := sum(int(p in self._at[np.searchsorted(self._at, p) :][:1]) for p in self._bad_formats):
+        bad_at = np.array(self._bad_formats, self._index)
+        place = np.searchsorted(self._at, bad_at)
+        if bad := int((self._at[place[place < self._at.size]] == bad_at[place < self._at.size]).sum()):
             self.warnings.append(f"{amount(bad, 'damaged message definition')} (FMT) ignored.")
         self._types = types[keep]
         self.record_count = self._at.size
