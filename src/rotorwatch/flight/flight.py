@@ -105,7 +105,7 @@ class Signal:
     @property
     def whole(self) -> np.ndarray:
         """(n,) bool: samples of which all columns are valid."""
-        return self.valid[:, 0] if self.valid.strides == (0, 0) else self.valid.all(axis=1)
+        return self.valid[:, 0] if self.valid.strides == (0, 0) else np.asarray(self.valid.all(axis=1))
 
     def wholes(self) -> Signal:
         """The samples of which all columns are valid; itself where all are."""
