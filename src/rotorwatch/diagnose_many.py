@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from os import PathLike
-from typing import Any
+from typing import Any, NamedTuple
 
 from rotorwatch import gathering, logs
 from rotorwatch.base.many.done import Done
@@ -23,8 +23,7 @@ ERROR = 2
 """Exit code of a log without an answer."""
 
 
-@dataclass(frozen=True)
-class Known:
+class Known(NamedTuple):
     """A log that has its answer already, if it is still the same: size in bytes, sha256 of its content."""
 
     size: int

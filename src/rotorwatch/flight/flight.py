@@ -42,6 +42,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.base import optional
+from rotorwatch.base.arrays import median
 from rotorwatch.base.files import printable
 from rotorwatch.errors import ConfigError
 
@@ -89,7 +90,7 @@ class Signal:
         """Median sampling rate; 0 with fewer than two samples."""
         if self.time.size < 2:
             return 0.0
-        step = float(np.median(np.diff(self.time)))
+        step = float(median(np.diff(self.time)))
         return 1.0 / step if step > 0 else 0.0
 
     def to_pandas(self):

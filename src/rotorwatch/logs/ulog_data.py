@@ -8,8 +8,7 @@ that are announced again, or data behind the end - is none of this file's: pyulo
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,8 +25,7 @@ BEGINS = frozenset(b"ALC")  # what ends the definitions
 ONLY_BEFORE = frozenset(b"BF")  # what stands among the definitions alone
 
 
-@dataclass(frozen=True)
-class Messages:
+class Messages(NamedTuple):
     """All messages, in their order: kinds, sizes, places (M,); ids (M,): of the topics of data messages, else -1; rest: the log without
     data messages but the first of each topic; cut: it ends in the middle of a message."""
 

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.engine.motion.allocation import Spans, within
 from rotorwatch.flight import Flight
 
@@ -68,7 +69,7 @@ def _unlike_wanted(flight: Flight, inside: np.ndarray, again: np.ndarray, runs: 
     asked = [np.interp(motors.time, control.time[fine], column) for column in control.values[fine].T]
     asked = np.column_stack([*asked, asked[3] ** 2, np.ones(len(motors))])
     wanted = asked @ np.linalg.lstsq(asked[moving], motors.values[moving], rcond=1e-9)[0]
-    usual = 1.48 * np.median(np.abs(motors.values - wanted)[moving], axis=0)
+    usual = 1.48 * median(np.abs(motors.values - wanted)[moving], axis=0)
     steps = np.abs(np.diff(motors.values[inside], axis=0))
     least = STEPS * steps[steps > 0.0].min() + SIGMAS * usual
     return [(a, b) for a, b in runs if (np.ptp(wanted[a:b], axis=0) > least).sum() >= ROTORS]

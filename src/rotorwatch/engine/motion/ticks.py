@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.base.compiling.running import Rows
 from rotorwatch.base.compiling.structs import LASTS
 from rotorwatch.engine.definition import ENGINE, craft, known, pieces
@@ -126,7 +128,7 @@ def _period(signal: Signal) -> float:
     """Usual time between two samples that are known, s; NaN with fewer than two."""
     time = signal.time[signal.valid.all(axis=1)]
     steps = np.diff(time)
-    return float(np.median(steps[steps > 0])) if (steps > 0).any() else np.nan
+    return float(median(steps[steps > 0])) if (steps > 0).any() else np.nan
 
 
 def samples_in(half: float, period: float) -> int:
@@ -141,8 +143,7 @@ def _span(motion: Signal, commands: Signal, dt: float) -> float:
     return 0.5 * min(dt, max(SHORTEST_S, 1.5 / max(motion.rate_hz, 1e-3)))
 
 
-@dataclass(frozen=True)
-class Plan:
+class Plan(NamedTuple):
     """How a flight is cut into ticks: what its sampling rates decide, once for all of it.
 
     dt: length of a tick; ready_s: blind time after lift-off; lag_s; first: end of the first tick [all s]. gyro: signal that tells angular

@@ -7,10 +7,12 @@ the rates (rates_wanted). Where a log has neither, only a vehicle on its head is
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.motion.airborne import commands, output_range
 from rotorwatch.flight import Flight, Signal
@@ -49,8 +51,7 @@ CRASHES_M_S, STOPS_M_S = (
 FAST_M_S, STAYS_M_S = 2.0, 0.3  # down before a blow, any way after it: a vehicle that fell to the ground
 
 
-@dataclass(frozen=True)
-class LossOfControl:
+class LossOfControl(NamedTuple):
     """onset: when the vehicle began to leave what was wanted; lost: when that was certain; end: when control came back, else None; impact:
     of the ground or what it fell on, None where none was seen [all s]. what: in words. falls: outputs came to rest in the air. landed: it
     had landed before, so that the ground pushed it as well as its rotors."""
@@ -302,7 +303,7 @@ def _long(t: np.ndarray, away: np.ndarray) -> np.ndarray:
 def _began(t: np.ndarray, a: np.ndarray, k: int) -> float:
     """When the angle that passes APART_DEG at k began to grow: the last sample that was as close as is usual in this flight."""
     calm = a[: max(k - 5, 1)]
-    usual = max(2.0, 3.0 * float(np.median(calm))) if calm.size > 5 else 2.0
+    usual = max(2.0, 3.0 * float(median(calm))) if calm.size > 5 else 2.0
     close = np.flatnonzero(a[:k] <= min(usual, 0.5 * ERROR_DEG))
     return float(t[close[-1]] if close.size else t[0])
 
