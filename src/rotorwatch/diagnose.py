@@ -69,7 +69,7 @@ NOT_COMPARED = (
 LONGEST_UP_US = 1e14  # a start later than that counts from 1970, not from the autopilot's boot
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class Prepared:
     """A flight before it is judged.
 
@@ -95,7 +95,7 @@ class Prepared:
     matters: float = MATTERS
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Estimated:
     """What an estimator left behind. table: the ticks as they count for it; last: the default estimator's state, for hindsight; own: it is
     the default one; diagnoser: which the flight went through, None where it did not. itself: what a published method says by itself."""

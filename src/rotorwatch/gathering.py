@@ -39,6 +39,10 @@ def is_several(source: Any) -> bool:
     return not path.exists() and PATTERN.search(str(source)) is not None
 
 
+class Found(tuple):
+    """Logs that have been gathered, and need not be looked for again."""
+
+
 class Gathered:
     """The logs of a call, each once, in the order found: files by name as they are given, what is in folders and fits patterns when it is
     named or recognised as a log. `others`: how many files in those were not, counted while this is iterated over."""

@@ -237,7 +237,7 @@ def diagnose(context, **options) -> None:
     several_ways = request.jsonl or request.html or request.scheduler
     many = len(request.logs) > 1 or bool(several_ways) or gathering.is_several(request.logs[0])
     found = gathering.Gathered(request.logs)
-    logs = tuple(found) if many else request.logs
+    logs = gathering.Found(found) if many else request.logs
     pages, recordings = report_paths(logs, request.report), report_paths(logs, request.mcap, "--mcap", ".mcap")
     posts, document = _post_paths(logs, request.markdown)
     if pages or request.html:

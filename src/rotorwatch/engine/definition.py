@@ -91,7 +91,7 @@ KINDS = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Samples:
     """n samples in the order of time: kind, time [s], and the place of their numbers in `values`; NaN: not known."""
 

@@ -47,7 +47,7 @@ from rotorwatch.base.files import printable
 from rotorwatch.errors import ConfigError
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Signal:
     """One multi-column time series.
 
@@ -137,7 +137,7 @@ class Message:
             object.__setattr__(self, "text", printable(self.text))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Flight:
     """Everything read from one log.
 

@@ -36,7 +36,7 @@ LATE_PERIODS = 1.5  # of slow motion, for which a tick waits at least
 ROOM = 4096  # rows in one call
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Ticks:
     """T ticks of an n-rotor flight.
 
@@ -184,7 +184,7 @@ def plan(flight: Flight, thrust: Signal, ready_s: float, lag_s: float = LAG_S, d
     )  # fmt: skip
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Sensed:
     """What was commanded and measured in T ticks, whether in the air or not: a tick needs no other, and nothing logged after it.
 

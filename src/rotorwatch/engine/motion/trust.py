@@ -62,7 +62,7 @@ GYRO_UNITS = {"degrees/s": np.degrees(1.0), "mrad/s": 1e3, "turns/s": 0.5 / np.p
 GEOMETRY = ("FRAME_CLASS", "FRAME_TYPE", "CA_ROTOR_COUNT", "CA_AIRFRAME", "SYS_AUTOSTART", "MAV_TYPE")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Case:
     """One log to be trusted or not: the flight, what it is said to be, when it was airborne, and its ticks. alike: of `_alike`, for each
     pair of axes that was asked for."""

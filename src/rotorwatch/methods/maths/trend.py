@@ -20,9 +20,9 @@ import numpy as np
 from rotorwatch.engine.trim.fit import DOUBT, WHITE
 from rotorwatch.engine.trim.stretch import LEAST
 from rotorwatch.errors import ConfigError
-from rotorwatch.methods.maths.tails import student_cdf, student_density, student_quantile
+from rotorwatch.methods.maths.tails import student_cdf, student_density
 
-COVERED = 0.95
+COVERED, NORMAL = 0.95, 1.959964  # and that many standard deviations of a normal distribution
 NOTHING = 1e-17  # weights that a sum of all does not show
 
 
@@ -36,7 +36,7 @@ class Slope(NamedTuple):
     @property
     def sd(self) -> float:
         """Standard deviation of a normal distribution with that interval."""
-        return (self.high - self.low) / (2.0 * 1.959964)
+        return (self.high - self.low) / (2.0 * NORMAL)
 
 
 def slope(time: np.ndarray, values: np.ndarray, step: float) -> Slope:
@@ -73,9 +73,9 @@ def _mixed(weight: np.ndarray, mean: np.ndarray, spread: np.ndarray, freedom: in
     counts = weight > NOTHING
     weight, mean, spread = weight[counts], mean[counts], spread[counts]
 
-    def quantile(share: float) -> float:
+    def quantile(share: float, near: float) -> float:
         low, high = (mean - 1e3 * spread).min(), (mean + 1e3 * spread).max()
-        at = float(weight @ (mean + student_quantile(share, freedom) * spread))
+        at = float(weight @ (mean + near * spread))
         while True:  # Newton's steps, halves where one would leave the bracket
             z = (at - mean) / spread
             below = float(weight @ [student_cdf(v, freedom) for v in z.tolist()])
@@ -87,4 +87,6 @@ def _mixed(weight: np.ndarray, mean: np.ndarray, spread: np.ndarray, freedom: in
             at = after
 
     tail = 0.5 * (1.0 - COVERED)
-    return Slope(float(weight @ mean), quantile(tail), quantile(1.0 - tail))
+    # Of t itself, nearly: Abramowitz & Stegun, 26.7.5.
+    near = NORMAL + (NORMAL**3 + NORMAL) / (4.0 * freedom)
+    return Slope(float(weight @ mean), quantile(tail, -near), quantile(1.0 - tail, near))

@@ -128,7 +128,7 @@ def _noise(law: Law, k: int, *counts: int) -> float:
     return sum(mean_variance(law.scatter[k], law.memory[k], count) for count in counts)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Measured:
     """What a rotor's telemetry says of a time after an onset. speed_ratio: S and its sd. current_change: D and its sd, None without
     currents. load: E.

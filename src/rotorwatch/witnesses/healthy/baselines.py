@@ -49,7 +49,7 @@ AXES = ("roll", "pitch", "yaw")
 Diagnose = Callable[[Flight, Vehicle], Diagnosis]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Candidate:
     """A flight that is said to be healthy, and what is worked out of it on demand. given: its airframe; None: as its log says."""
 

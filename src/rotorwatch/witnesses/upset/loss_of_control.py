@@ -310,12 +310,19 @@ def _began(t: np.ndarray, a: np.ndarray, k: int) -> float:
 
 def _back(t: np.ndarray, a: np.ndarray, k: int, lasts: float = BACK_S) -> float | None:
     """When control came back: the begin of so many seconds within BACK_DEG; None where the flight ends before."""
-    since = None
-    for when, fine in zip(t[k:], a[k:] < BACK_DEG):
-        since = (since if since is not None else when) if fine else None
-        if since is not None and when - since >= lasts:
-            return float(since)
-    return None
+    found = _lasting(t[k:], a[k:] < BACK_DEG, lasts)
+    return None if found is None else float(t[k + found[0]])
+
+
+def _lasting(time: np.ndarray, so: np.ndarray, seconds: float) -> tuple[int, int] | None:
+    """(first sample, the one that is so much later) of the first samples in a row that are `so` (m,) for so long; None without any."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], so, [False]])))
+    first, last = edges[::2], edges[1::2] - 1
+    long = np.flatnonzero(time[last] - time[first] >= seconds)
+    if not long.size:
+        return None
+    a, b = int(first[long[0]]), int(last[long[0]])
+    return a, a + int(np.argmax(time[a : b + 1] - time[a] >= seconds))
 
 
 def _falls(flight: Flight, start: float, end: float) -> LossOfControl | None:
@@ -334,16 +341,13 @@ def _falls(flight: Flight, start: float, end: float) -> LossOfControl | None:
     k = np.searchsorted(motors.time, time, side="right") - 1
     rest = (share[np.maximum(k, 0)] < REST) & (k >= 0)
     falling = (force < FALLS) & rest
-    since = None
-    for when, down in zip(time, falling):
-        since = (since if since is not None else when) if down else None
-        if since is not None and when - since >= FALLS_S:
-            quiet = motors.time[(share < REST) & (motors.time <= when) & (motors.time > since - 1.0)]
-            onset = float(min(since, quiet[0])) if quiet.size else float(since)
-            return LossOfControl(
-                onset, float(when), None, hit(flight, float(when), end + 30.0), "falling without thrust", True
-            )
-    return None
+    found = _lasting(time, falling, FALLS_S)
+    if found is None:
+        return None
+    since, when = (float(time[at]) for at in found)
+    quiet = motors.time[(share < REST) & (motors.time <= when) & (motors.time > since - 1.0)]
+    onset = min(since, float(quiet[0])) if quiet.size else since
+    return LossOfControl(onset, when, None, hit(flight, when, end + 30.0), "falling without thrust", True)
 
 
 def _sinks(flight: Flight, start: float, end: float) -> LossOfControl | None:
@@ -357,20 +361,14 @@ def _sinks(flight: Flight, start: float, end: float) -> LossOfControl | None:
     share, age = held(replace(motors, values=_shares(flight, motors)), time)
     push, known = held(_around(flight["accel"], start - 1.0, end), time)
     full = (share.mean(axis=1) > NEARLY_FULL) & (age <= FRESH_S) & (-push[:, 2] < G0) & (known <= FRESH_S)
-    since = None
-    for when, falling in zip(time, full & (down > SINKS_M_S)):
-        since = (since if since is not None else when) if falling else None
-        if since is not None and when - since >= LASTS_S:
-            slow = np.flatnonzero((time < since) & (down < 0.2 * SINKS_M_S))
-            onset = float(time[slow[-1]]) if slow.size else float(since)
-            return LossOfControl(
-                onset,
-                float(when),
-                None,
-                hit(flight, float(when), end + 30.0),
-                f"sinking at {down[time == when][0]:.0f} m/s though nearly full thrust was commanded",
-            )
-    return None
+    found = _lasting(time, full & (down > SINKS_M_S), LASTS_S)
+    if found is None:
+        return None
+    since, when = (float(time[at]) for at in found)
+    slow = np.flatnonzero((time < since) & (down < 0.2 * SINKS_M_S))
+    onset = float(time[slow[-1]]) if slow.size else since
+    said = f"sinking at {down[time == when][0]:.0f} m/s though nearly full thrust was commanded"
+    return LossOfControl(onset, when, None, hit(flight, when, end + 30.0), said)
 
 
 def _strikes(flight: Flight, start: float, end: float) -> LossOfControl | None:
