@@ -190,7 +190,7 @@ def _class_by_outputs(flight: Flight, classes: tuple[str, ...], kind: int) -> tu
     A mixer moves n outputs along four directions only. What of their differences lies off those is compared.
     """
     motors, thrust = flight["motors"], curve(flight, [])
-    rows = motors.valid.all(axis=1) & (motors.values > thrust.u_min).all(axis=1)
+    rows = motors.whole & (motors.values > thrust.u_min).all(axis=1)
     able = [c for c in classes if _of_type(c, kind) in FRAMES]
     if len(able) < 2 or rows.sum() < 50:
         return able[0] if able else classes[0], False

@@ -93,7 +93,7 @@ def vibration(flight: Flight, time: np.ndarray) -> np.ndarray | None:
     if not flight.has("accel") or flight["accel"].rate_hz < LEAST_HZ:
         return None
     signal = flight["accel"]
-    fine = signal.valid.all(axis=1)
+    fine = signal.whole
     when, force = signal.time[fine], signal.values[fine]
     if when.size < 2:
         return None

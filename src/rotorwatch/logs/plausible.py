@@ -190,7 +190,7 @@ def _unasked(signals: Mapping[str, Signal], already: np.ndarray) -> np.ndarray:
     them (without them, W is not yet known for what the vehicle does for the first time).
     """
     motors, control = signals["motors"], signals["control"]
-    fine = control.valid.all(axis=1)
+    fine = control.whole
     if fine.sum() < FIT_EVERY or len(motors) < FIT_EVERY:
         return np.zeros_like(already)
     when = control.time[fine]

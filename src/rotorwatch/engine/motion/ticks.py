@@ -126,7 +126,7 @@ def ready_of(ready_s: float, air: Sequence[tuple[float, float]]) -> float:
 
 def _period(signal: Signal) -> float:
     """Usual time between two samples that are known, s; NaN with fewer than two."""
-    time = signal.time[signal.valid.all(axis=1)]
+    time = signal.time[signal.whole]
     steps = np.diff(time)
     return float(median(steps[steps > 0])) if (steps > 0).any() else np.nan
 
@@ -263,7 +263,7 @@ def observe(flight: Flight, vehicle: Vehicle, air, ready_s: float) -> Ticks | No
     if not flight.has("motors") or not air:
         return None
     thrust = allocation.rotor_thrusts(flight, vehicle)
-    if len(thrust) < 20 or not thrust.valid.all(axis=1).any():  # or one output is never a command
+    if len(thrust) < 20 or not thrust.whole.any():  # or one output is never a command
         return None
     made = cut_ticks(flight, thrust, vehicle.effectiveness(), air, ready_s, hover=known_hover(vehicle))
     return replace(made, curve=vehicle.curve.believed)

@@ -241,7 +241,7 @@ def _scale(measured: np.ndarray, true: np.ndarray) -> tuple[float, float]:
 def outputs_beyond_range(case: Case) -> str | None:
     """Outputs far above what is said to be full thrust: that range is not the one that flew, so no thrust is known."""
     motors, curve = case.flight["motors"], case.vehicle.curve
-    inside = within(motors.time, case.air) & motors.valid.all(axis=1)
+    inside = within(motors.time, case.air) & motors.whole
     if inside.sum() < 50:
         return None
     reached = quantile(motors.values[inside].max(axis=1), 1.0 - SELDOM)
@@ -256,7 +256,7 @@ def outputs_beyond_range(case: Case) -> str | None:
 def outputs_at_rest(case: Case) -> str | None:
     """Outputs that stand still while the vehicle turns: something else drove the motors."""
     motors, curve = case.flight["motors"], case.vehicle.curve
-    inside = within(motors.time, case.air) & motors.valid.all(axis=1)
+    inside = within(motors.time, case.air) & motors.whole
     time, values = motors.time[inside], motors.values[inside]
     if time.size < 5:
         return None
@@ -382,13 +382,13 @@ def _without_trim(x: np.ndarray, width: int) -> np.ndarray:
 
 def _magnitude(signal: Signal, air: Spans) -> tuple[np.ndarray, np.ndarray]:
     """(time, length of the vector) of a signal's valid samples in the air."""
-    ok = within(signal.time, air) & signal.valid.all(axis=1)
+    ok = within(signal.time, air) & signal.whole
     return signal.time[ok], np.sqrt(np.einsum("ij,ij->i", signal.values, signal.values))[ok]
 
 
 def _upwards(accel: Signal, attitude: Signal, air: Spans) -> float:
     """Mean specific force against gravity in the air, in g; 0 where no attitude is valid."""
-    ok, known = within(accel.time, air) & accel.valid.all(axis=1), attitude.valid.all(axis=1)
+    ok, known = within(accel.time, air) & accel.whole, attitude.whole
     if not known.any():
         return 0.0
     at, (w, x, y, z) = attitude.time[known], attitude.values[known].T
@@ -415,9 +415,9 @@ def _turns(
     """Of windows in the air: times (m,) s, mean angular rates rad/s, body, from the attitude (m, 3), and from the gyro (lags, m, 3), by so
     many s later."""
     none = np.zeros(0), np.zeros((0, 3)), np.zeros((len(lags), 0, 3))
-    fine = attitude.valid.all(axis=1) & within(attitude.time, air)
+    fine = attitude.whole & within(attitude.time, air)
     step, rows = max(1, round(WINDOW_S * attitude.rate_hz)), np.flatnonzero(fine)
-    good = gyro.valid.all(axis=1)
+    good = gyro.whole
     when, rate = (gyro.time, gyro.values) if good.all() else (gyro.time[good], gyro.values[good])
     if rows.size < 2 * step or when.size < 2:
         return none

@@ -57,8 +57,8 @@ def channels(flight: Flight, vehicle: Vehicle, air: Spans) -> list[Channel]:
     if gyro is None or not flight.has("motors"):
         return []
     thrusts = motor_thrusts(flight, vehicle)
-    known = thrusts.valid.all(axis=1)
-    if known.sum() < 100 or gyro.valid.all(axis=1).sum() < 100:
+    known = thrusts.whole
+    if known.sum() < 100 or gyro.whole.sum() < 100:
         return []
     time, share = thrusts.time[known], thrusts.values[known]
     dt = float(median(np.diff(time)))

@@ -50,8 +50,8 @@ class Response(NamedTuple):
 def respond(flight: Flight, vehicle: Vehicle, air: Spans) -> Response | None:
     """The response of a flight's angular motion to its outputs; None where it flew too little, or an axis does not answer."""
     thrusts, gyro = motor_thrusts(flight, vehicle), flight.angular_rate()
-    known = thrusts.valid.all(axis=1)
-    if known.sum() < LEAST or gyro is None or gyro.valid.all(axis=1).sum() < LEAST:
+    known = thrusts.whole
+    if known.sum() < LEAST or gyro is None or gyro.whole.sum() < LEAST:
         return None
     time, share = thrusts.time[known], thrusts.values[known]
     rate = np.column_stack([np.interp(time, *_valid(gyro.time, gyro.values[:, a], gyro.valid[:, a])) for a in range(3)])

@@ -239,7 +239,7 @@ def _mixed_up(bins: Binned) -> bool:
 def binned(time, speed: Quantity, current: Quantity, voltage: Quantity, thrust: Signal, air) -> Binned | None:
     """Means over bins of BIN_S within each stretch in the air; None without any. A bin counts for a rotor commanded to turn in it."""
     parts = []
-    sent = thrust.valid.all(axis=1)
+    sent = thrust.whole
     sent_time, sent_values = thrust.time[sent], thrust.values[sent]
     for start, end in air:
         edges = np.arange(start, end, BIN_S)

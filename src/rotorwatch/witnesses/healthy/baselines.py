@@ -337,7 +337,7 @@ def _same_geometry(a: Vehicle, b: Vehicle) -> bool:
 def _hover_command(one: Candidate) -> float:
     """Median of the outputs in the air, in their unit."""
     motors = one.flight["motors"]
-    values = motors.values[within(motors.time, one.air) & motors.valid.all(axis=1)]
+    values = motors.values[within(motors.time, one.air) & motors.whole]
     return float(median(values)) if values.size else float("nan")
 
 

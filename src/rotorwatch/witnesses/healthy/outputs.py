@@ -90,7 +90,7 @@ class _Outputs(NamedTuple):
 def _outputs(flight: Flight, vehicle: Vehicle, spans: Spans) -> _Outputs:
     motors, curve = flight["motors"], vehicle.curve
     share = (motors.values - curve.u_min) / (curve.u_max - curve.u_min)
-    use = np.asarray(motors.valid).all(axis=1) & allocation.within(motors.time, spans)
+    use = motors.whole & allocation.within(motors.time, spans)
     time = motors.time[use]
     lasts = np.minimum(np.diff(time, append=time[-1:]), SAMPLE_S)
     return _Outputs(time, share[use], lasts)

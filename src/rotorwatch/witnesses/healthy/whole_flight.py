@@ -253,7 +253,7 @@ def _block_means(
     """(k, c) means over the blocks and (k,) whether there was a sample. columns: only the first ones."""
     if signal is None or not len(signal):
         return np.zeros((len(starts), columns or 1)), np.zeros(len(starts), bool)
-    ok = signal.valid[:, :columns].all(axis=1)
+    ok = signal.whole if columns is None else signal.valid[:, :columns].all(axis=1)
     time, values = signal.time[ok], signal.values[ok, :columns]
     total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
     a, b = np.searchsorted(time, starts), np.searchsorted(time, starts + BLOCK_S)

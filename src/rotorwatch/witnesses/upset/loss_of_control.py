@@ -86,7 +86,7 @@ def held(signal: Signal, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def known(signal: Signal) -> tuple[np.ndarray, np.ndarray]:
     """Times and values of the samples of which all columns are known."""
-    ok = signal.valid.all(axis=1)
+    ok = signal.whole
     return (signal.time, signal.values) if ok.all() else (signal.time[ok], signal.values[ok])
 
 
@@ -249,7 +249,7 @@ def _turns_over(flight: Flight, powered: list[tuple[float, float]], end: float) 
         return None
     until = max((b for a, b in powered if a <= end <= b), default=end)
     attitude = flight["attitude"].between(end, until)
-    ok = attitude.valid.all(axis=1)
+    ok = attitude.whole
     t, up = attitude.time[ok], thrust_axis(attitude.values[ok])[:, 2]
     tilt = np.degrees(np.arccos(np.clip(up, -1.0, 1.0)))
     over = np.flatnonzero(tilt > OVER_DEG)
@@ -332,7 +332,7 @@ def _falls(flight: Flight, start: float, end: float) -> LossOfControl | None:
     motors = _around(flight["motors"], start - 1.0, end + 5.0)
     share = _shares(flight, motors).max(axis=1)
     accel = _around(flight["accel"], start, end + 5.0)
-    ok = accel.valid.all(axis=1)
+    ok = accel.whole
     time, force = accel.time[ok], np.linalg.norm(accel.values[ok], axis=1) / G0
     near = (time >= start) & (time <= end + 5.0)
     time, force = time[near], force[near]
@@ -355,7 +355,7 @@ def _sinks(flight: Flight, start: float, end: float) -> LossOfControl | None:
     if not flight.has("motors", "velocity", "accel"):
         return None
     velocity = flight["velocity"]
-    inside = (velocity.time >= start) & (velocity.time <= end) & velocity.valid.all(axis=1)
+    inside = (velocity.time >= start) & (velocity.time <= end) & velocity.whole
     time, down = velocity.time[inside], velocity.values[inside, 2]
     motors = _around(flight["motors"], start - 1.0, end)
     share, age = held(replace(motors, values=_shares(flight, motors)), time)
