@@ -55,7 +55,9 @@ def test_logs_of_a_folder_are_looked_for_once(folder, monkeypatch):
     real = gathering.Gathered._of
     monkeypatch.setattr(gathering.Gathered, "_of", lambda self, source: looked.append(source) or real(self, source))
     found = gathering.Found(gathering.Gathered([folder]))
-    assert {a.path for a in rotorwatch.diagnose_many(found, jobs=1)} == {str(path) for path in found} and looked == [folder]
+    assert {a.path for a in rotorwatch.diagnose_many(found, jobs=1)} == {str(path) for path in found} and looked == [
+        folder
+    ]
 
 
 def test_a_log_in_a_folder_that_cannot_be_read_is_an_error_and_not_left_out(folder):

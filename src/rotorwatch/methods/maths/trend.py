@@ -20,7 +20,7 @@ import numpy as np
 from rotorwatch.engine.trim.fit import DOUBT, WHITE
 from rotorwatch.engine.trim.stretch import LEAST
 from rotorwatch.errors import ConfigError
-from rotorwatch.methods.maths.tails import student_cdf, student_density
+from rotorwatch.methods.maths.tails import student_density, student_shares
 
 COVERED, NORMAL = 0.95, 1.959964  # and that many standard deviations of a normal distribution
 NOTHING = 1e-17  # weights that a sum of all does not show
@@ -78,7 +78,7 @@ def _mixed(weight: np.ndarray, mean: np.ndarray, spread: np.ndarray, freedom: in
         at = float(weight @ (mean + near * spread))
         while True:  # Newton's steps, halves where one would leave the bracket
             z = (at - mean) / spread
-            below = float(weight @ [student_cdf(v, freedom) for v in z.tolist()])
+            below = float(weight @ student_shares(z, freedom))
             low, high = (at, high) if below < share else (low, at)
             step = (share - below) / float((weight / spread) @ student_density(z, freedom))
             after = at + step if low < at + step < high else 0.5 * (low + high)

@@ -292,18 +292,20 @@ def of_wind(force: Any, slope: Any) -> np.ndarray:
 
 def _wind_fit(w: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Intercept (3,), slopes and their sd (2,) of w (k, 3) on the crosswise force; robust, with the prior SLOPE_SD."""
-    intercept, slope, sd = huber.mean(w), np.zeros(2), np.full(2, SLOPE_SD)
-    for axis, cause in ((0, 1), (1, 0)):
-        centre = force[:, cause].mean()
-        x, y = force[:, cause] - centre, w[:, axis]
-        level, s = median(y), 0.0
-        for _ in range(huber.ROUNDS):
-            weight, scale = huber.weights(y - level - s * x, 1e-6)
-            level = np.average(y - s * x, weights=weight)
-            precision = np.sum(weight * x * x) / scale**2 / 4.0  # neighbouring blocks are alike: count every fourth
-            s = np.sum(weight * x * (y - level)) / scale**2 / 4.0 / (precision + SLOPE_SD**-2)
-            sd[axis] = (precision + SLOPE_SD**-2) ** -0.5
-        slope[axis], intercept[axis] = s, level - s * centre
+    intercept = huber.mean(w)
+    x, y = (
+        force[:, ::-1] - force[:, ::-1].mean(axis=0),
+        w[:, :2],
+    )  # roll by the force to the right, pitch by that forward
+    level, slope, sd = median(y, axis=0), np.zeros(2), np.full(2, SLOPE_SD)
+    for _ in range(huber.ROUNDS):
+        weight, scale = huber.weights(y - level - slope * x, 1e-6)
+        level = np.sum(weight * (y - slope * x), axis=0) / np.sum(weight, axis=0)
+        certain = 0.25 / scale**2  # neighbouring blocks are alike: count every fourth
+        precision = certain * np.sum(weight * x * x, axis=0) + SLOPE_SD**-2
+        slope = certain * np.sum(weight * x * (y - level), axis=0) / precision
+        sd = precision**-0.5
+    intercept[:2] = level - slope * force[:, ::-1].mean(axis=0)
     return intercept, slope, sd
 
 
