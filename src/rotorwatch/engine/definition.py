@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.base.arrays import distinct
 from rotorwatch.base.compiling.running import Definition, Rows
 from rotorwatch.base.compiling.shipped import files_in
 from rotorwatch.engine import engine, feed
@@ -91,7 +92,7 @@ KINDS = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Samples:
     """n samples in the order of time: kind, time [s], and the place of their numbers in `values`; NaN: not known."""
 
@@ -143,7 +144,7 @@ def pieces(parts: Iterable[Part], most: int = PIECE) -> Iterator[Samples]:
         yield merged(parts)
         return
     longest = max((part.time for part in parts), key=len)
-    edges = np.unique(longest[np.arange(1, count) * len(longest) // count])
+    edges = distinct(longest[np.arange(1, count) * len(longest) // count])
     cuts = [[0, *np.searchsorted(part.time, edges).tolist(), len(part.time)] for part in parts]
     for k in range(len(edges) + 1):
         piece = merged(part.rows(slice(c[k], c[k + 1])) for part, c in zip(parts, cuts))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,8 +33,7 @@ WRITTEN = "best", "probability", "onsets", "active", "each", "share", "gives", "
 """Outputs of ticks, half of all, of which nothing is asked once losses are written down."""
 
 
-@dataclass(frozen=True)
-class Judged:
+class Judged(NamedTuple):
     """Ticks that have become certain, and what the estimator made of them."""
 
     table: Ticks
@@ -55,8 +55,7 @@ class Judged:
         return Judged(table, TickOutput(*(np.concatenate(columns.pop(0)) for _ in TickOutput._fields)))
 
 
-@dataclass(frozen=True)
-class Written:
+class Written(NamedTuple):
     """What a diagnoser leaves behind: losses, falls and contacts, the trim, outputs that have not followed the mixer, and what the
     estimator has come to."""
 
@@ -193,7 +192,7 @@ class Diagnoser:
 def _to_be_read(one: Judged) -> Judged:
     """Without the outputs WRITTEN."""
     none = np.empty((len(one.table.time), 0))
-    return replace(one, out=one.out._replace(**dict.fromkeys(WRITTEN, none)))
+    return one._replace(out=one.out._replace(**dict.fromkeys(WRITTEN, none)))
 
 
 def fly(
@@ -235,4 +234,4 @@ def fly(
     assert judged is not None and judged.table.seen is not None
     commanded = np.flatnonzero(judged.table.seen)
     judged = judged.part(slice(0, int(commanded[-1]) + 1))
-    return diagnoser.written, replace(judged, table=grounded(judged.table, air))
+    return diagnoser.written, judged._replace(table=grounded(judged.table, air))

@@ -7,10 +7,12 @@ the rates (rates_wanted). Where a log has neither, only a vehicle on its head is
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.motion.airborne import commands, output_range
 from rotorwatch.flight import Flight, Signal
@@ -49,8 +51,7 @@ CRASHES_M_S, STOPS_M_S = (
 FAST_M_S, STAYS_M_S = 2.0, 0.3  # down before a blow, any way after it: a vehicle that fell to the ground
 
 
-@dataclass(frozen=True)
-class LossOfControl:
+class LossOfControl(NamedTuple):
     """onset: when the vehicle began to leave what was wanted; lost: when that was certain; end: when control came back, else None; impact:
     of the ground or what it fell on, None where none was seen [all s]. what: in words. falls: outputs came to rest in the air. landed: it
     had landed before, so that the ground pushed it as well as its rotors."""
@@ -252,7 +253,7 @@ def _turns_over(flight: Flight, powered: list[tuple[float, float]], end: float) 
         return None
     until = max((b for a, b in powered if a <= end <= b), default=end)
     attitude = flight["attitude"].between(end, until)
-    ok = attitude.valid.all(axis=1)
+    ok = attitude.whole
     t, up = attitude.time[ok], thrust_axis(attitude.values[ok])[:, 2]
     tilt = np.degrees(np.arccos(np.clip(up, -1.0, 1.0)))
     over = np.flatnonzero(tilt > OVER_DEG)
@@ -308,7 +309,7 @@ def _long(t: np.ndarray, away: np.ndarray) -> np.ndarray:
 def _began(t: np.ndarray, a: np.ndarray, k: int) -> float:
     """When the angle that passes APART_DEG at k began to grow: the last sample that was as close as is usual in this flight."""
     calm = a[: max(k - 5, 1)]
-    usual = max(2.0, 3.0 * float(np.median(calm))) if calm.size > 5 else 2.0
+    usual = max(2.0, 3.0 * float(median(calm))) if calm.size > 5 else 2.0
     close = np.flatnonzero(a[:k] <= min(usual, 0.5 * ERROR_DEG))
     return float(t[close[-1]] if close.size else t[0])
 
@@ -316,21 +317,22 @@ def _began(t: np.ndarray, a: np.ndarray, k: int) -> float:
 def _back(t: np.ndarray, a: np.ndarray, k: int, lasts: float = BACK_S) -> float | None:
     """When control came back: the begin of so many seconds within BACK_DEG; None where the flight ends before."""
     length = BLOCK >> 6
-    while length:
-        back = _lasts(t[k : k + length], a[k : k + length] < BACK_DEG, lasts)
-        if back is not None:
-            return back[0]
-        length = 4 * length if k + length < t.size else 0
-    return None
+    while True:  # mostly soon
+        found = _lasting(t[k : k + length], a[k : k + length] < BACK_DEG, lasts)
+        if found is not None or k + length >= t.size:
+            return None if found is None else float(t[k + found[0]])
+        length *= 4
 
 
-def _lasts(time: np.ndarray, state: np.ndarray, seconds: float) -> tuple[float, float] | None:
-    """(since when, when that is certain) a state (n,) has lasted so long, for the first time; None where it never does."""
-    rows = np.flatnonzero(state)
-    begins = np.diff(rows, prepend=-2) > 1
-    since = time[rows[begins]][np.cumsum(begins) - 1]
-    certain = np.flatnonzero(time[rows] - since >= seconds)
-    return (float(since[certain[0]]), float(time[rows[certain[0]]])) if certain.size else None
+def _lasting(time: np.ndarray, so: np.ndarray, seconds: float) -> tuple[int, int] | None:
+    """(first sample, the one that is so much later) of the first samples in a row that are `so` (m,) for so long; None without any."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], so, [False]])))
+    first, last = edges[::2], edges[1::2] - 1
+    long = np.flatnonzero(time[last] - time[first] >= seconds)
+    if not long.size:
+        return None
+    a, b = int(first[long[0]]), int(last[long[0]])
+    return a, a + int(np.argmax(time[a : b + 1] - time[a] >= seconds))
 
 
 def _falls(flight: Flight, start: float, end: float) -> LossOfControl | None:
@@ -350,11 +352,12 @@ def _falls(flight: Flight, start: float, end: float) -> LossOfControl | None:
         rest = (share[np.maximum(k, 0)] < REST) & (k >= 0)
         return (np.linalg.norm(force, axis=1) / G0 < FALLS) & rest
 
-    if (fell := _lasts(time, _blockwise(falling, time, force), FALLS_S)) is None:
+    found = _lasting(time, _blockwise(falling, time, force), FALLS_S)
+    if found is None:
         return None
-    since, when = fell
+    since, when = (float(time[at]) for at in found)
     quiet = motors.time[(share < REST) & (motors.time <= when) & (motors.time > since - 1.0)]
-    onset = float(min(since, quiet[0])) if quiet.size else since
+    onset = min(since, float(quiet[0])) if quiet.size else since
     return LossOfControl(onset, when, None, hit(flight, when, end + 30.0), "falling without thrust", True)
 
 
@@ -363,19 +366,20 @@ def _sinks(flight: Flight, start: float, end: float) -> LossOfControl | None:
     if not flight.has("motors", "velocity", "accel"):
         return None
     velocity = flight["velocity"]
-    inside = (velocity.time >= start) & (velocity.time <= end) & velocity.valid.all(axis=1)
+    inside = (velocity.time >= start) & (velocity.time <= end) & velocity.whole
     time, down = velocity.time[inside], velocity.values[inside, 2]
     motors = _around(flight["motors"], start - 1.0, end)
     share, age = held(replace(motors, values=_shares(flight, motors)), time)
     push, known = held(_around(flight["accel"], start - 1.0, end), time)
     full = (share.mean(axis=1) > NEARLY_FULL) & (age <= FRESH_S) & (-push[:, 2] < G0) & (known <= FRESH_S)
-    if (sank := _lasts(time, full & (down > SINKS_M_S), LASTS_S)) is None:
+    found = _lasting(time, full & (down > SINKS_M_S), LASTS_S)
+    if found is None:
         return None
-    since, when = sank
+    since, when = (float(time[at]) for at in found)
     slow = np.flatnonzero((time < since) & (down < 0.2 * SINKS_M_S))
     onset = float(time[slow[-1]]) if slow.size else since
-    what = f"sinking at {down[time == when][0]:.0f} m/s though nearly full thrust was commanded"
-    return LossOfControl(onset, when, None, hit(flight, when, end + 30.0), what)
+    said = f"sinking at {down[time == when][0]:.0f} m/s though nearly full thrust was commanded"
+    return LossOfControl(onset, when, None, hit(flight, when, end + 30.0), said)
 
 
 def _strikes(flight: Flight, start: float, end: float) -> LossOfControl | None:
