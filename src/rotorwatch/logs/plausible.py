@@ -422,7 +422,7 @@ def _support(time, values, valid, size: Lone, floor: float, at, own) -> np.ndarr
 def _around_them(valid: np.ndarray, size: Lone, at: np.ndarray) -> np.ndarray:
     """(m,) rows around the samples `at`, in order: as many that in each stretch of them the first and the last row are valid in every
     column and not lone, or the table ends there."""
-    calm = valid.all(axis=1)
+    calm = np.asarray(valid.all(axis=1))
     calm[size.rows] = False
     n, reach = len(valid), BEFORE + 2
     while True:
