@@ -205,7 +205,7 @@ def prepare(
     tell(0.1)
     flight = without_missed(flight, air)
     tell(0.2)
-    upsets = upset.judged(flight, craft, air)
+    upsets = upset.judged(flight, craft, air, portion(tell, 0.2, 0.5))
     tell(0.5)
     air = upset.until_impact(flight, air, upsets)
     ready_s = ticks.ready_of(ready_s, air) if turns else ready_s

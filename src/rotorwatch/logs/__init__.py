@@ -34,7 +34,7 @@ HEAD = 4096
 """Bytes that sniff sees."""
 CHUNK = 1 << 20
 """Bytes that are hashed at once."""
-READ = 0.9
+READ = 0.75
 """Share of the work when a file is read; then its values are looked at."""
 USUAL = {b"\xa3\x95": "dataflash", b"ULog": "ulog", b"H Product:Blackbox": "blackbox"}
 """What the most usual logs begin with: their module is asked first, and where it says yes no other is imported."""

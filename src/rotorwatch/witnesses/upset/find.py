@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -71,9 +71,12 @@ class Judged(NamedTuple):
         return self.left.impact is not None and self.left.impact - self.onset > HIT_S
 
 
-def judged(flight: Flight, vehicle: Vehicle, air) -> tuple[Judged, ...]:
-    """Every loss of control of a flight with its cause. air: intervals ((start, end), ...) s in the air."""
-    found = (judge(flight, vehicle, air, left) for left in loss_of_control.find(flight, air))
+def judged(
+    flight: Flight, vehicle: Vehicle, air, progress: Callable[[float], object] | None = None
+) -> tuple[Judged, ...]:
+    """Every loss of control of a flight with its cause. air: intervals ((start, end), ...) s in the air. progress: called with the finished
+    share, 0..1."""
+    found = (judge(flight, vehicle, air, left) for left in loss_of_control.find(flight, air, progress))
     return tuple(one._replace(commanded=_commanded(flight, one.onset)) for one in found)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from rotorwatch.base.arrays import median
 from rotorwatch.base.physics import G0
+from rotorwatch.base.progress import portion
 from rotorwatch.engine.motion.airborne import commands, output_range
 from rotorwatch.flight import Flight, Signal
 
@@ -26,6 +27,7 @@ TUMBLED_DEG = 100.0  # two samples so far from all that was wanted: it tumbled, 
 SPINS = 20.0  # rad/s of yaw, faster than anybody asks for
 ANSWERS_S = 0.6  # within which a vehicle under control has the attitude, or the rates, that were wanted
 BLOCK = 1 << 16  # samples that are compared at a time
+Progress = Callable[[float], object] | None
 BACK = np.linspace(0.0, ANSWERS_S, 7)
 TURNS_S, TURNED_RAD = (
     10.0,
@@ -98,7 +100,7 @@ def _held(time: np.ndarray, values: np.ndarray, at: np.ndarray) -> tuple[np.ndar
     return values[np.maximum(k, 0)], age
 
 
-def attitude_error(flight: Flight) -> tuple[np.ndarray, np.ndarray, str]:
+def attitude_error(flight: Flight, progress: Progress = None) -> tuple[np.ndarray, np.ndarray, str]:
     """Times (m,) s, angle (m,) in degrees by which the direction of thrust differs from what was wanted, and what that is, in words.
 
     NaN where it is not known. A difference of rates counts as the angle that it makes within LASTS_S. Where all are below AWAY_DEG,
@@ -108,7 +110,7 @@ def attitude_error(flight: Flight) -> tuple[np.ndarray, np.ndarray, str]:
         time, q = known(flight["attitude"])
         angle, words = np.full(time.size, np.nan), "tilted {:.0f} degrees away from what was wanted"
         if flight.has("attitude_wanted"):
-            angle = _angle(flight["attitude_wanted"], time, q)
+            angle = _angle(flight["attitude_wanted"], time, q, progress)
         if flight.has("rates_wanted"):
             both = np.isnan(angle) & _known_rates(flight, time)
             rate = np.minimum(_rate_error(flight, time) / RATE_ERROR * ERROR_DEG, 90.0)
@@ -120,23 +122,31 @@ def attitude_error(flight: Flight) -> tuple[np.ndarray, np.ndarray, str]:
     return np.empty(0), np.empty(0), ""
 
 
-def _angle(wanted: Signal, time: np.ndarray, q: np.ndarray) -> np.ndarray:
+def _angle(wanted: Signal, time: np.ndarray, q: np.ndarray, progress: Progress = None) -> np.ndarray:
     """(m,) degrees between the direction of thrust, of attitudes (m, 4), and the nearest of those wanted in the last ANSWERS_S: a vehicle
     that follows what it is asked follows it late. NaN where nothing fresh was wanted. A vehicle on its way to another heading that is
     wanted leans as asked, seen from itself, while that points elsewhere in the world: there the nearer of the two directions counts."""
     at, asked = known(wanted)
     # To know whether it turns takes longest, and makes the angle only less: asked where that may matter.
-    angle = _blockwise(lambda when, own: _nearest(at, asked, when, own), time, q)
+    angle = _blockwise(lambda when, own: _nearest(at, asked, when, own), time, q, progress=portion(progress, 0.0, 0.5))
     if not (angle > AWAY_DEG).any():
         return angle
     headings = np.unwrap(heading(asked))
-    return _blockwise(lambda when, own: _nearest(at, asked, when, own, headings), time, q)
+    tell = portion(progress, 0.5, 1.0)
+    return _blockwise(lambda when, own: _nearest(at, asked, when, own, headings), time, q, progress=tell)
 
 
-def _blockwise(work: Callable[..., np.ndarray], time: np.ndarray, *rows: np.ndarray) -> np.ndarray:
-    """work(time, *rows) of BLOCK times after the other."""
-    parts = [slice(k, k + BLOCK) for k in range(0, time.size, BLOCK)]
-    return np.concatenate([work(time[part], *(x[part] for x in rows)) for part in parts]) if parts else np.zeros(0)
+def _blockwise(
+    work: Callable[..., np.ndarray], time: np.ndarray, *rows: np.ndarray, progress: Progress = None
+) -> np.ndarray:
+    """work(time, *rows) of BLOCK times after the other. progress: called with the finished share, 0..1."""
+    found = []
+    for start in range(0, time.size, BLOCK):
+        part = slice(start, start + BLOCK)
+        found.append(work(time[part], *(x[part] for x in rows)))
+        if progress:
+            progress(min(1.0, part.stop / time.size))
+    return np.concatenate(found) if found else np.zeros(0)
 
 
 def _nearest(
@@ -204,9 +214,10 @@ def _spins(flight: Flight, time: np.ndarray) -> np.ndarray:
     return _blockwise(spins, time).astype(bool)
 
 
-def find(flight: Flight, air) -> tuple[LossOfControl, ...]:
-    """The losses of control of a flight, one at most in each of the intervals `air` ((start, end), ...) s in which it was in the air."""
-    time, angle, words = attitude_error(flight)
+def find(flight: Flight, air, progress: Progress = None) -> tuple[LossOfControl, ...]:
+    """The losses of control of a flight, one at most in each of the intervals `air` ((start, end), ...) s in which it was in the air.
+    progress: called with the finished share, 0..1."""
+    time, angle, words = attitude_error(flight, progress)
     powered, found = _powered(flight), []
     for start, end in _from_the_ground(powered, time, angle, air) or powered:
         spans = [
