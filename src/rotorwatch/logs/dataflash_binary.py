@@ -26,8 +26,7 @@ SDLOG2 = re.compile(rb"\xa3\x95\x80..(ATTC|ATSP|OUT0)", re.DOTALL)  # definition
 FMT_TYPE = 128
 FMT_LENGTH = 89
 MOST_FORMATS = 4096  # definitions that differ; a vehicle's log has about 250, and those of several may be joined
-SPAN = 1 << 25  # bytes of the file that are looked at at a time
-SCAN_CHUNK = 1 << 22  # bytes compared at a time: the comparison's result stays small
+SPAN = 1 << 22  # bytes of the file that are looked at at a time, and stay in memory meanwhile
 RARE = 0.01  # share of all records that are of one type
 FOUND, CHAINED, SCANNED = 0.1, 0.2, 0.3  # share of the work when headers are found, and which of them are records
 
@@ -166,14 +165,14 @@ class BinaryLog:
         """Positions of A3 95 with a type byte after it, and that byte; some lie inside payloads."""
         found, types = [np.zeros(0, self._index)], [np.zeros(0, np.uint8)]
         end = self._bytes.size - 2
-        for start in range(0, max(end, 0), SCAN_CHUNK):
-            at = np.flatnonzero(self._bytes[start : min(start + SCAN_CHUNK, end)] == HEADER[0]) + start
+        for start in range(0, max(end, 0), SPAN):
+            at = np.flatnonzero(self._bytes[start : min(start + SPAN, end)] == HEADER[0]) + start
             at = at[self._bytes[at + 1] == HEADER[1]].astype(self._index)
             found.append(at)
             types.append(self._bytes[at + 2])
             self._release()
             if progress:
-                progress(FOUND * min(1.0, (start + SCAN_CHUNK) / end))
+                progress(FOUND * min(1.0, (start + SPAN) / end))
         return np.concatenate(found), np.concatenate(types)
 
     def _read_formats(self, positions: np.ndarray) -> dict[int, list[tuple[int, Format]]]:
@@ -485,7 +484,7 @@ def _zero_tail(data: np.ndarray) -> int:
     """How many zero bytes end the file."""
     stop, step = data.size, 256
     while stop > 0:
-        start, step = max(stop - step, 0), min(16 * step, SCAN_CHUNK)
+        start, step = max(stop - step, 0), min(16 * step, SPAN)
         used = np.flatnonzero(data[start:stop])
         if used.size:
             return int(data.size - (start + used[-1] + 1))
