@@ -88,6 +88,17 @@ def read(path, progress=None) -> Flight:
         return _checked(lambda: module.read_folder(path, progress), module, path, ())
     path, part = of_part(path)
     data, name, warnings = open_log(path, progress)
+    return _of(data, name, path, part, warnings, progress)
+
+
+def from_bytes(data, name: str) -> Flight:
+    """The flight of a log file that is in memory, not compressed: what `read` gives of a file of that name that holds these bytes. Raises
+    LogError as it does."""
+    return _of(data, name, Path(name), None, ())
+
+
+def _of(data, name: str, path: Path, part: int | None, warnings, progress=None) -> Flight:
+    """The flight in an open log file."""
     module = recognise(bytes(data[:HEAD]), name)
     if module is None:
         known = ", ".join(sorted({*(m.FORMAT for m in formats()), *offered()}))
