@@ -111,7 +111,7 @@ class Multirotor:
     def reference(self, plan: Plan, ticks: int, dt: float) -> trajectories.Reference:
         """Take-off, the manoeuvre and the landing."""
         stir = outside.stirred(plan.seed, plan.craft.x.shape[0], ticks, dt)
-        return trajectories.table(plan.way, ticks, dt)._replace(stir=stir)
+        return trajectories.table(plan.way, ticks, dt)._replace(stir=stir.astype(plan.craft.x.dtype))
 
     def begin(self, plan: Plan, state: State, reference, blowing, turning, dt: float) -> tuple[Moment, Array]:
         """Outer loops, and what the autopilot believes of its battery."""
