@@ -15,7 +15,6 @@ N flights and three times as many into new folders; the difference of the two co
 from __future__ import annotations
 
 import argparse
-import importlib
 import os
 import statistics
 import subprocess
@@ -44,16 +43,14 @@ BY_TICKS = {
     "default estimator": (batch, "by_default"),
     "learning for published ones": (batch, "learned_states"),
 }
-VERDICT = importlib.import_module("rotorwatch.diagnose")
 BY_LOGS = {
     "flights drawn": (open_world, "flight_plan"),
     "simulated": (open_world, "fly_in_turn"),
     "logs written": (logbook, "log"),
     "logs read": (logs, "from_bytes"),
-    "prepared": (VERDICT, "prepare"),
-    "estimated": (VERDICT, "estimated"),
-    "judged": (VERDICT, "judge"),
-    "answered": (VERDICT, "_conclude"),
+    "prepared": (open_world, "prepare"),
+    "estimated": (open_world, "estimated"),
+    "judged": (open_world, "conclude"),
 }
 FEW = 8  # flights of a cell, of a plan that is judged by logs
 COMMAND = [sys.executable, "-m", "rotorwatch", "campaign"]

@@ -35,6 +35,7 @@ Missing samples are the norm: ``valid`` masks them, values there are 0, never Na
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -84,7 +85,7 @@ class Signal:
     def __len__(self):
         return self.time.size
 
-    @property
+    @functools.cached_property
     def rate_hz(self) -> float:
         """Median sampling rate; 0 with fewer than two samples."""
         if self.time.size < 2:
@@ -115,6 +116,7 @@ class Signal:
         """The same signal with other samples: arrays that are as those of a Signal are, which is not checked."""
         new = object.__new__(Signal)
         new.__dict__.update(self.__dict__, time=time, values=values, valid=valid)
+        new.__dict__.pop("rate_hz", None)  # of these samples
         return new
 
 

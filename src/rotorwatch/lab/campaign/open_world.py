@@ -17,8 +17,12 @@ from typing import Any
 import numpy as np
 
 from rotorwatch import logs
-from rotorwatch.diagnose import diagnose
+from rotorwatch.answer.conclusion import Conclusion
+from rotorwatch.diagnose import diagnose, estimated, prepare
+from rotorwatch.diagnose import judge as conclude
 from rotorwatch.errors import ConfigError, RotorwatchError
+from rotorwatch.flight import Flight
+from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.lab.campaign import open_score, work
 from rotorwatch.lab.campaign.plan import Plan
 from rotorwatch.lab.campaign.score import read_columns
@@ -67,16 +71,24 @@ def _row(scenario: Scenario, record: Any, log: bytes, name: str) -> dict[str, An
         "crashed_s": float(record.time[crashed[0]]) if crashed.size else None,
     }  # fmt: skip
     try:
-        answer = diagnose(logs.from_bytes(log, name))
+        answer, air = _answer(logs.from_bytes(log, name))
     except RotorwatchError as why:
         return row | {"verdict": "error", "outcome": "error", "headline": str(why), "accused": ""}
-    air = answer.flight["airborne_s"]
     about = {
         "verdict": answer.verdict,
         "headline": answer.headline,
         "airborne_s": float(air[1] - air[0]) if air else 0.0,
     }
     return row | about | open_score.judged(scenario, answer)
+
+
+def _answer(flight: Flight) -> tuple[Diagnosis | Conclusion, list[float]]:
+    """What `diagnose` answers to a flight, and [first take-off, last landing] s; without what only pages about it show."""
+    ready = prepare(flight)
+    if ready.table is None:
+        answer = diagnose(flight)
+        return answer, answer.flight["airborne_s"]
+    return conclude(ready, estimated(ready)).end, [round(ready.air[0][0], 3), round(ready.air[-1][1], 3)]
 
 
 def run(
