@@ -35,7 +35,6 @@ Missing samples are the norm: ``valid`` masks them, values there are 0, never Na
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -85,7 +84,7 @@ class Signal:
     def __len__(self):
         return self.time.size
 
-    @functools.cached_property
+    @property
     def rate_hz(self) -> float:
         """Median sampling rate; 0 with fewer than two samples."""
         if self.time.size < 2:
@@ -116,7 +115,6 @@ class Signal:
         """The same signal with other samples: arrays that are as those of a Signal are, which is not checked."""
         new = object.__new__(Signal)
         new.__dict__.update(self.__dict__, time=time, values=values, valid=valid)
-        new.__dict__.pop("rate_hz", None)  # of these samples
         return new
 
 

@@ -88,17 +88,6 @@ def read(path, progress=None) -> Flight:
         return _checked(lambda: module.read_folder(path, progress), module, path, ())
     path, part = of_part(path)
     data, name, warnings = open_log(path, progress)
-    return _of(data, name, path, part, warnings, progress)
-
-
-def from_bytes(data, name: str) -> Flight:
-    """The flight of a log file that is in memory, not compressed: what `read` gives of a file of that name that holds these bytes. Raises
-    LogError as it does."""
-    return _of(data, name, Path(name), None, ())
-
-
-def _of(data, name: str, path: Path, part: int | None, warnings, progress=None) -> Flight:
-    """The flight in an open log file."""
     module = recognise(bytes(data[:HEAD]), name)
     if module is None:
         known = ", ".join(sorted({*(m.FORMAT for m in formats()), *offered()}))
@@ -109,6 +98,15 @@ def _of(data, name: str, path: Path, part: int | None, warnings, progress=None) 
         raise LogError(f"{path}#{part}: a file of this kind ({module.FORMAT}) holds one flight; leave #{part} out")
     path = path.with_name(f"{path.name}#{part}")
     return _checked(lambda: module.read(data, f"{name}#{part}", progress, part=part), module, path, warnings)
+
+
+def from_bytes(data: bytes, name: str) -> Flight:
+    """The flight of a log file that is in memory, one flight, not compressed: what `read` gives of a file of that name that holds these
+    bytes. Raises LogError as it does."""
+    module = recognise(data[:HEAD], name)
+    if module is None:
+        raise LogError(f"{name}: not a flight log of a known kind")
+    return _checked(lambda: module.read(data, name), module, Path(name), ())
 
 
 def of_part(path) -> tuple[Path, int | None]:

@@ -40,7 +40,6 @@ HABIT = 0.05  # share of a signal's values beyond which it is not damage but wha
 FITTED, FIT_EVERY = 512, 64  # samples that the mixer's matrix is fitted to, and how often
 PARTNER_S = 0.1  # a command further than this from any output of the controller is not compared
 TINY = 1e-12
-TOGETHER = 1 << 16  # values that are looked at in one go
 NAMED = 3  # times that a warning names
 # Share and number of lone values of a signal beyond which chance does not explain them; and number of impossible ones beside them
 HEAVY, LEAST_HEAVY = 0.002, 5
@@ -265,16 +264,14 @@ def _size(time, values, valid, floor: float, alike: bool = False) -> Lone:
                 rough[k][known(k)] = np.abs(_residual(x, times.single, 1, 1)[0])
         mean = rough.T.sum(axis=1) / np.maximum((rough > 0.0).sum(axis=0), 1)
         rough = np.maximum(rough, mean)
-    # Of a short log several columns are looked at in one go, of a long one each by itself: it takes less memory.
-    several = max(1, TOGETHER // max(len(time), 1)) if every else 1
-    for first in range(0, values.shape[1], several):
-        where, some = known(first), slice(first, first + several)
+    for k in range(values.shape[1]):
+        where = known(k)
         times = every or _Times(time[where])
         if len(times.t) > 2 * AHEAD:
-            x = np.ascontiguousarray(values[where, some].T)
-            size = _alone(times, x, None if rough is None else rough[some, where], floor)
-            columns, at = np.nonzero(size)
-            lone.append((at if every else where[at], first + columns, size[columns, at]))
+            x = np.ascontiguousarray(values[where, k])
+            size = _alone(times, x, None if rough is None else rough[k][where], floor)
+            at = np.flatnonzero(size)
+            lone.append((at if every else where[at], np.full(at.size, k), size[at]))
     if not lone:
         return Lone(np.zeros(0, int), np.zeros(0, int), np.zeros(0))
     rows, columns, sizes = map(np.concatenate, zip(*lone))
@@ -308,7 +305,7 @@ def _share(t: np.ndarray, first, middle, last) -> np.ndarray:
 
 
 def _alone(times: _Times, x: np.ndarray, rough: np.ndarray | None, floor: float) -> np.ndarray:
-    """(k, n) as `_size`, of columns x (k, n) without gaps in validity; rough: (k, n) |r| that say what is usual, None: their own."""
+    """(n,) as `_size`, of one column without gaps in validity; rough: (n,) |r| that say what is usual, None: its own."""
     t, near = times.t, times.near
     r, spread = _residual(x, times.single, 1, 1)
     rough = np.abs(r) if rough is None else rough
@@ -320,37 +317,28 @@ def _alone(times: _Times, x: np.ndarray, rough: np.ndarray | None, floor: float)
         r = np.abs(r)
         some = (r > floor) & (r > AGREE * spread)
         at, r = at[some], r[some]
-        row = at % t.size
-        some = (t[row] - t[row - before] <= near * before) & (t[row + after] - t[row] <= near * after)
+        some = (t[at] - t[at - before] <= near * before) & (t[at + after] - t[at] <= near * after)
         at, r = at[some], r[some]
-        if at.size:
-            some = r > np.maximum(
-                SCALES * _around(rough, at), max(floor, TINY)
-            )  # few are, and the other scale takes longer
-            at, r = at[some], r[some]
-        if not at.size:
-            return at, r
+        some = r > np.maximum(
+            SCALES * _around(rough, at), max(floor, TINY)
+        )  # few are, and the other scale takes longer
+        at, r = at[some], r[some]
         size = r / np.maximum(SCALES * _scale(rough, at), max(floor, TINY))
         return at[size > 1.0], size[size > 1.0]
 
-    # Samples are places in the whole table, column after column; the ends of a column are never among them.
-    size, flat = np.zeros(x.size), x.reshape(-1)
+    size = np.zeros(x.size)
     inner = np.flatnonzero((np.abs(r) > floor) & (np.abs(r) > AGREE * spread))
-    at, off = far(inner, 1, 1, r.reshape(-1)[inner], spread.reshape(-1)[inner])
+    at, off = far(inner, 1, 1, r[inner], spread[inner])
     size[at] = off
     # Two in a row: the first is held against the samples one before and two after it, the second the other way round.
     r, spread = _residual(x, times.pair, 1, 2)
     inner = np.flatnonzero((np.abs(r) > floor) & (np.abs(r) > AGREE * spread))
-    first, off = far(inner, 1, 2, r.reshape(-1)[inner], spread.reshape(-1)[inner])
-    if first.size:
-        row = (first + 1) % t.size
-        share = _share(t, row - 2, row, row + 1)
-        residual = _off(flat[first - 1], flat[first + 1], flat[first + 2], share)
-        second, other = far(first + 1, 2, 1, *residual)
-        pair = np.minimum(off[np.isin(first + 1, second)], other)
-        for at in (second - 1, second):
-            size[at] = np.maximum(size[at], pair)
-    return size.reshape(x.shape)
+    first, off = far(inner, 1, 2, r[inner], spread[inner])
+    second, other = far(first + 1, 2, 1, *_residual_at(t, x, 2, 1, first + 1))
+    pair = np.minimum(off[np.isin(first + 1, second)], other)
+    for at in (second - 1, second):
+        size[at] = np.maximum(size[at], pair)
+    return size
 
 
 def _support(time, values, valid, size: Lone, floor: float, at, own) -> np.ndarray:
@@ -383,14 +371,11 @@ def _nearest(time: np.ndarray, wanted: np.ndarray) -> np.ndarray:
 
 
 def _residual(x: np.ndarray, share: np.ndarray, before: int, after: int) -> tuple[np.ndarray, np.ndarray]:
-    """(r, D) of each sample of x (.., n) against the line from the one `before` steps before it to the one `after` steps after it; 0 where
-    one of the two is missing. share: how far on that line each is in time."""
-    r, spread = np.zeros(x.shape), np.zeros(x.shape)
-    n = x.shape[-1]
-    middle = slice(before, n - after)
-    r[..., middle], spread[..., middle] = _off(
-        x[..., : n - before - after], x[..., middle], x[..., before + after :], share
-    )
+    """(r, D) of each sample against the line from the one `before` steps before it to the one `after` steps after it; 0 where one of the
+    two is missing. share: how far on that line each is in time."""
+    r, spread = np.zeros(x.size), np.zeros(x.size)
+    middle = slice(before, x.size - after)
+    r[middle], spread[middle] = _off(x[: x.size - before - after], x[middle], x[before + after :], share)
     return r, spread
 
 
@@ -406,8 +391,7 @@ def _off(first: np.ndarray, middle: np.ndarray, last: np.ndarray, share: np.ndar
 
 
 def _scale(rough: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """How large a residual is usual at the samples `at`: the larger of what was before and what is around. rough (.., n); at: places in all
-    of it."""
+    """How large a residual is usual at the samples `at`: the larger of what was before and what is around."""
     before = np.median(_those(rough, at, np.arange(-BEFORE, -2)), axis=1)
     return np.maximum(_around(rough, at), before)
 
@@ -420,11 +404,9 @@ def _around(rough: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 def _those(rough: np.ndarray, at: np.ndarray, offsets: np.ndarray) -> np.ndarray:
     """(m, k) residuals at these offsets from the samples `at`, on the other side of them where there are none."""
-    n = rough.shape[-1]
-    row = (at % n)[:, None]
-    index = row + offsets
-    inside = (index >= 1) & (index <= n - 2)  # the first and the last sample have no residual
-    return rough.reshape(-1)[(at[:, None] - row) + np.clip(np.where(inside, index, row - offsets), 1, n - 2)]
+    index = at[:, None] + offsets
+    inside = (index >= 1) & (index <= rough.size - 2)  # the first and the last sample have no residual
+    return rough[np.clip(np.where(inside, index, at[:, None] - offsets), 1, rough.size - 2)]
 
 
 def _floor(name: str, signal: Signal) -> float:

@@ -63,12 +63,7 @@ def claims(
         return ()
     found = []
     if calm:
-        hover = whole_flight.steady(flight, vehicle, calm)
-        found += [
-            *at_limit(flight, vehicle, calm),
-            *heavy(flight, vehicle, hover),
-            *unequal(flight, vehicle, calm, hover),
-        ]
+        found += [*at_limit(flight, vehicle, calm), *heavy(flight, vehicle, calm), *unequal(flight, vehicle, calm)]
     return (*found, *exhausted(flight, vehicle, table, air, events))
 
 
@@ -125,6 +120,12 @@ def at_limit(flight: Flight, vehicle: Vehicle, air: Spans) -> list[Event]:
     return [_claim(AT_LIMIT, float(when[0]), float(when[-1]), reason, extra)]
 
 
+def _hover(flight: Flight, vehicle: Vehicle, air: Spans) -> tuple[np.ndarray, np.ndarray]:
+    """(k,) starts of blocks of hover, and (k,) thrust in them over what the outputs could give at that voltage."""
+    time, share = whole_flight.steady(flight, vehicle, air)
+    return time, share.mean(axis=1) / _most(flight, vehicle, time)
+
+
 def _most(flight: Flight, vehicle: Vehicle, at: np.ndarray) -> np.ndarray:
     """(k,) the share of full thrust that outputs at their limit give with the battery as it is at times `at`."""
     motors = flight["motors"]
@@ -138,13 +139,11 @@ def _assumed(vehicle: Vehicle) -> str:
     return "" if vehicle.curve.known else ", by a thrust curve that is assumed"
 
 
-def heavy(flight: Flight, vehicle: Vehicle, hover: tuple[np.ndarray, np.ndarray]) -> list[Event]:
-    """A vehicle that hovers near full thrust. Where no velocity is logged a climb looks the same, and nothing is told. hover:
-    `whole_flight.steady`."""
+def heavy(flight: Flight, vehicle: Vehicle, air: Spans) -> list[Event]:
+    """A vehicle that hovers near full thrust. Where no velocity is logged a climb looks the same, and nothing is told."""
     if not flight.has("velocity"):
         return []
-    time, share = hover
-    takes = share.mean(axis=1) / _most(flight, vehicle, time)  # of what the outputs could give at that voltage
+    time, takes = _hover(flight, vehicle, air)
     much = takes >= HEAVY_SHARE
     if much.sum() * whole_flight.BLOCK_S < HEAVY_S:
         return []
@@ -156,14 +155,13 @@ def heavy(flight: Flight, vehicle: Vehicle, hover: tuple[np.ndarray, np.ndarray]
     return [_claim(HEAVY, start, end, reason, {"hover_share": round(share, 3)})]
 
 
-def unequal(flight: Flight, vehicle: Vehicle, air: Spans, hover: tuple[np.ndarray, np.ndarray]) -> list[Event]:
-    """Rotors that have to work unequally since take-off: one of all, or else those of one sense of rotation. hover: `whole_flight.steady`
-    of the flights `air`."""
-    found = whole_flight.features(flight, vehicle, air, hover)
+def unequal(flight: Flight, vehicle: Vehicle, air: Spans) -> list[Event]:
+    """Rotors that have to work unequally since take-off: one of all, or else those of one sense of rotation."""
+    found = whole_flight.features(flight, vehicle, air)
     if not found.usable or max(found.limited) > whole_flight.LIMITED:
         return []
     start, B = air[0][0] + AFTER_TAKE_OFF_S, vehicle.effectiveness()
-    blocks = hover[1]
+    blocks = whole_flight.steady(flight, vehicle, air)[1]
     halves = [np.median(half, axis=0) for half in np.array_split(blocks, 2)]
     one, *both = (_one(B[:3] @ share / share.sum(), B) for share in (np.array(found.share), *halves))
     if one is None or any(half is None or half[:2] != one[:2] for half in both):

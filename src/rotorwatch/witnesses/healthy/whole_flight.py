@@ -166,14 +166,8 @@ class WholeFlight:
 # One flight
 
 
-def features(
-    flight: Flight,
-    vehicle: Vehicle,
-    airborne: Sequence[tuple[float, float]],
-    hover: tuple[np.ndarray, np.ndarray] | None = None,
-) -> Features:
-    """How this flight hovered. airborne: ((start, end), ...) s; hover: `steady` of it, where that is known. With too little steady flight
-    it is not `usable`.
+def features(flight: Flight, vehicle: Vehicle, airborne: Sequence[tuple[float, float]]) -> Features:
+    """How this flight hovered. airborne: ((start, end), ...) s. With too little steady flight it is not `usable`.
 
     Raises VehicleError when the vehicle has another number of rotors than the log.
     """
@@ -181,7 +175,7 @@ def features(
     if not flight.has("motors"):
         return empty
     airframes.check(vehicle, flight)
-    time, share = steady(flight, vehicle, airborne) if hover is None else hover
+    time, share = steady(flight, vehicle, airborne)
     if len(time) < LEAST_BLOCKS:
         return empty
     w = (share @ vehicle.effectiveness()[:3].T) / share.sum(axis=1, keepdims=True)
