@@ -46,11 +46,10 @@ SAME = 1e-9
 GAPS, FULL = 2000, 300  # rows compared: with missing measurements, and all there, for those who cannot miss any
 SHARE = {"mhe": 0.05}  # of the steps of one flight
 PEER_SECONDS = 0.5  # that a peer's turn may take
-BATCH, BATCH_STEPS, CHUNK = (
-    {"mhe": 100},
-    60,
-    {"mhe": 10},
-)  # flights (else 1000); steps of each; flights at once (else 50)
+BATCH, CHUNK = {"mhe": 100}, {"mhe": 10}  # flights (else 1000); flights at once (else 50)
+BATCH_STEPS = (
+    300  # of each: the C++ moving horizon solves the part of its window that is filled, ours always solves all of it
+)
 LIVE_STEPS = 20_000
 DEVICES = {
     "mhe": 1

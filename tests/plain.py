@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from rotorwatch.base.compiling import running, structs
+from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.estimator.hypotheses import NOTHING
 from rotorwatch.engine.estimator.plant import THETA, Inputs, Plant, Rows, rows, set_plant
 from rotorwatch.engine.host import program
@@ -80,14 +81,17 @@ def measured(p: Plant, u: np.ndarray, s: np.ndarray | None = None, usual: float 
     return array(out.h, 4, states), array(out.drag, p.rotors)
 
 
-def unpacked(kind: type[S], record: Any) -> S:
-    """A struct of what machine code has written."""
+def unpacked(kind: type[S], record: Any, lane: int = 0) -> S:
+    """A struct of what machine code has written; lane: of what stands side by side there, and alone here."""
     one = kind()
     for name, field in kind.declared():
         inner = field.kind if isinstance(field, structs.Array) else field
         value = record[name]
-        if isinstance(field, structs.Array) and not isinstance(inner, str):
-            setattr(one, name, [unpacked(inner, each) for each in value])
+        if (inner if isinstance(inner, str) else structs.SCALARS.get(kind.__annotations__.get(name))) == structs.EACH:
+            setattr(one, name, value[..., lane].tolist())
+        elif isinstance(field, structs.Array) and not isinstance(inner, str):
+            lanes = range(ENGINE.lanes if isinstance(field.shape[0], structs.Packed) else 1)
+            setattr(one, name, [unpacked(inner, each, lane) for each in value for lane in lanes])
         else:
             setattr(one, name, unpacked(field, value) if isinstance(field, type) else value.tolist())
     return one

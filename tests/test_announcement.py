@@ -36,7 +36,7 @@ def decide(
     """One tick more."""
     alarm = alarm or made(Alarm, limit=LIMIT)
     found = SimpleNamespace(fault=fault, other=other, far=far, asked=SimpleNamespace(weak=weak))
-    best = SimpleNamespace(kind=PAIR if pair else SINGLE, since=since, jump=SimpleNamespace(gives=gives))
+    best = SimpleNamespace(kind=PAIR if pair else SINGLE, since=since, gives=gives)
     may = SimpleNamespace(asked=asked, missing=missing)
     alarm.decide(made(Plant, rotors=N, dt=dt), found, best, SimpleNamespace(reach=REACH), may, judge, pushed)
     return alarm

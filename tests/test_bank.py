@@ -14,7 +14,7 @@ from rotorwatch.engine.estimator.bank import (
     YAW_ERROR,
     Bank,
     Observed,
-    Slot,
+    Slots,
     Window,
 )
 from rotorwatch.engine.estimator.kalman import Branch
@@ -51,11 +51,11 @@ def run():
     bank.begin(p)
     kept = {}
     for k in range(TICKS):
-        bank.advance(p, k >= FIRST, False, [float(k), float(k) ** 2, 0.0, 0.0], 0, len(bank.slots))
+        bank.advance(p, k >= FIRST, False, [float(k), float(k) ** 2, 0.0, 0.0], 0, len(bank.packs))
         rows, told = made(Rows, h=h[k]), Observed()
         leader = made(Branch, gain=K[k], innovation=nu[k], S=[2.0] * 4)
         told.by(p, rows, leader, (2.0 * w[k]).tolist(), (w[k] > 0.0).tolist())
-        for slot in bank.slots:
+        for slot in bank.packs:
             if slot.age >= 0:
                 slot.observe(p, rows, leader, told)
         if k in (5, 6, 20, TICKS - 1):
@@ -67,13 +67,13 @@ def test_a_slot_holds_what_a_jump_at_its_onset_has_done_since(run):
     """Two filters of the same gains, one of which is given the jump: the difference of their innovations is phi, of their states M."""
     p, (h, K, w, nu), kept = run
     last, seen, A = TICKS - 1, set(), array(p.decay, STATES)
-    for slot in kept[last].slots[::5]:
+    for slot in kept[last].packs[::5]:
         if slot.age < 0:
             continue
         seen.add(slot.gradual)
         M, C, z = np.zeros((STATES, DIRECTIONS)), np.zeros((DIRECTIONS, DIRECTIONS)), np.zeros(DIRECTIONS)
-        for since in range(slot.age + 1):
-            k = last - slot.age + since
+        for since in range(int(slot.age) + 1):
+            k = last - int(slot.age) + since
             share = (1 - AGE[1]) * AGE[since] if slot.gradual else float(since == 0)
             M = A[:, None] * M + share * directions()
             for a in range(4):
@@ -91,28 +91,28 @@ def test_recent_onsets_are_dense_and_older_ones_sparse(run):
     kept = run[2]
     for k, bank in kept.items():
         for group, stride in enumerate(SHORT):
-            part = bank.slots[group * GROUP : (group + 1) * GROUP]
+            part = bank.packs[group * GROUP : (group + 1) * GROUP]
             assert {slot.stride for slot in part} == {stride} and {s.gradual for s in part} == {group == 2}
             onsets = [t for t in range(FIRST, k + 1) if t % stride == 0][-GROUP:]
             assert sorted(k - slot.age for slot in part if slot.age >= 0) == onsets
     assert kept[5].reach == GROUP * max(SHORT)
     long = Bank()
     long.begin(plant(B, 0.2))
-    assert [slot.stride for slot in long.slots] == np.repeat(LONG, GROUP).tolist()
+    assert [slot.stride for slot in long.packs] == np.repeat(LONG, GROUP).tolist()
 
 
 def test_of_each_onset_is_kept_what_was_noted_then(run):
-    used = [(TICKS - 1 - slot.age, slot.before[:2]) for slot in run[2][TICKS - 1].slots if slot.age >= 0]
+    used = [(TICKS - 1 - slot.age, slot.before[:2]) for slot in run[2][TICKS - 1].packs if slot.age >= 0]
     assert used and all(before == [float(k), float(k) ** 2] for k, before in used)
 
 
 def test_losses_that_build_up_are_there_after_a_while(run):
     """All shares of a gradual jump add up to one, 63 % of them within its time constant."""
-    p, slot = run[0], made(Slot, gradual=True)
+    p, slot = run[0], made(Slots, gradual=True)
     shares = []
     for k in range(400):
-        before = slot.M[THETA][FIRST_LOSS]
-        slot.advance(p, (1 - AGE[1]) * AGE[k])
+        before, slot.age = slot.M[THETA][FIRST_LOSS], float(k)
+        slot.advance(p, float(AGE[1]))
         shares.append(slot.M[THETA][FIRST_LOSS] - before)
     assert sum(shares) == pytest.approx(1.0) and sum(shares[: round(ANSWER_S / DT)]) == pytest.approx(1 - np.exp(-1.0))
 
@@ -124,7 +124,7 @@ def test_errors_of_the_model_integrated_out_leave_the_marginal(run):
         A = rng.standard_normal((20, DIRECTIONS))
         C, z = A.T @ A, rng.standard_normal(DIRECTIONS)
         window = Window()
-        window.reduce(p, made(Slot, C=lower(C), z=z), 0.3, 0.7)
+        window.reduce(p, made(Slots, C=lower(C), z=z), 0.3, 0.7)
         errors, rest = [YAW_ERROR, DAMPING_ERROR], [d for d in range(DIRECTIONS) if d not in (YAW_ERROR, DAMPING_ERROR)]
         more = 0.7 if z[DAMPING_ERROR] > 0.0 else 1e-12
         prior = np.zeros((DIRECTIONS, DIRECTIONS))
@@ -138,6 +138,6 @@ def test_errors_of_the_model_integrated_out_leave_the_marginal(run):
 
 def test_what_it_was_compared_with_has_changed_and_all_are_forgotten(run):
     bank = copied(run[2][TICKS - 1])
-    assert any(slot.age >= 0 for slot in bank.slots)
+    assert any(slot.age >= 0 for slot in bank.packs)
     bank.forget()
-    assert all(slot.age == -1 for slot in bank.slots)
+    assert all(slot.age == -1 for slot in bank.packs)

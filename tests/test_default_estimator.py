@@ -62,8 +62,14 @@ class Carries:
         self.P = program.square(np.concatenate([each["P"] for each in branches]), size)
         if whole:
             self.rows = np.concatenate(states)
-            self.variances, self.slots = self.rows["noise"]["v"], self.rows["bank"]["slots"]
+            self.variances, packs = self.rows["noise"]["v"], self.rows["bank"]["packs"]
+            self.slots = {name: of_slots(packs[name]) for name in ("age", "M", "C", "z")}
             self.age = self.slots["age"]
+
+
+def of_slots(value):
+    """Numbers of packs (T, packs, ..., lanes) as of slots (T, slots, ...)."""
+    return np.moveaxis(value, -1, 2).reshape(len(value), -1, *value.shape[2:-1])
 
 
 class Method:
@@ -243,7 +249,8 @@ def test_every_slot_is_an_augmented_kalman_filter(quad, slot):
     last, states = quad.born - 1, THETA + method.n  # at the announcement the bank starts anew
     age = int(carries.age[last, slot])
     assert age >= 0
-    one, s, P0 = carries.slots[last, slot], carries.s[last, 0], carries.P[last, 0]
+    one = {name: value[last, slot] for name, value in carries.slots.items()}
+    s, P0 = carries.s[last, 0], carries.P[last, 0]
     share = shares_of(GRADUAL[slot])
     for rotor, axis in ((0, None), (2, None), (None, 1), (None, 3)):
         direction, d = np.zeros(states), axis if rotor is None else FIRST_LOSS + rotor

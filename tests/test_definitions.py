@@ -204,6 +204,53 @@ def loops(n: int, x: Reals, out: Reals) -> int:
 
 def _last(x: Reals, n: int) -> Real:
     return x[n - 1]
+
+
+class Side(Struct):
+    x: Each = -1.5
+    y = array(EACH, 2)
+    scale: Real = 2.0
+
+    def take(self, lane: int, x: Real, y: Real) -> None:
+        self.x = replaced(self.x, lane, x)
+        self.y[1] = replaced(self.y[1], lane, y)
+
+    def made(self, least: Each) -> Each:
+        x = self.x
+        y = self.y[1]
+        rows = local(EACH, 2, 2)
+        for k in range(2):
+            rows[k][1] = self.scale * x - y / 3.0
+            rows[1][k] += 2.0
+        less = y if x > y or x < -2.0 else -x
+        less += max(abs(x), least) - min(y, 0.25 * x)
+        total = each(0.5)
+        total *= sqrt(abs(less)) + exp(min(max(y, -3.0), 3.0)) - log(abs(x) + 1.0)
+        inside = total if x > -1.0 or y >= 2.0 and x != y else each(self.scale)
+        return inside + rows[1][1] * rows[0][1] - rows[1][0]
+
+
+class Sides(Struct):
+    sides = array(Side, packed(8))
+
+    def run(self, x: Reals, y: Reals, out: Reals) -> None:
+        for k in range(8):
+            self.sides[k // LANES].take(k % LANES, x[k], y[k])
+        for k in range(8 // LANES):
+            made = self.sides[k].made(each(0.1)) + self.sides[k].y[0]
+            for lane in range(LANES):
+                out[k * LANES + lane] = one(made, lane)
+
+
+def side_by_side(x: Reals, y: Reals, out: Reals) -> None:
+    whole = Sides()
+    whole.run(x, y, out)
+
+
+def at_first(out: Reals) -> None:
+    whole = Sides()
+    for k in range(8):
+        out[k] = one(whole.sides[k // LANES].x, k % LANES)
 '''
 COUNT = 5
 
@@ -312,6 +359,14 @@ def test_numbers_of_32_bits_go_on_from_the_other_end(made, a, b, k):
 @given(st.binary(max_size=20))
 def test_bytes(made, data):
     both(made, "from_bytes", "int", 6, np.frombuffer(data, np.uint8), len(data))
+
+
+@settings(max_examples=trials(100), deadline=None)
+@given(st.lists(REAL, min_size=16, max_size=16))
+def test_what_stands_side_by_side(made, numbers):
+    """Each for itself, as if it stood alone: eight in vectors of the processor, and one after the other in Python."""
+    both(made, "side_by_side", "real", 8, np.array(numbers[:8]), np.array(numbers[8:]))
+    both(made, "at_first", "real", 8)
 
 
 def test_python_writes_into_the_arrays_that_are_given(made):
@@ -449,6 +504,12 @@ NOT_C = {
     "with x: pass": "With is not C",
     "y = lambda: x": "Lambda is not C",
     "y: bytes = x": "this type is not known",
+    "y = each(x)\n    if y > 0.0: x = 1.0": "may choose a number, no more",
+    "y = each(x)\n    while y > 0.0: x = 1.0": "may choose a number, no more",
+    "y = each(x)\n    z = y > 0.0": "may choose a number, no more",
+    "y = each(x)\n    z = k > 1 and y > 0.0": "may choose a number, no more",
+    "y = each(x)\n    z = x if 0.0 < y < 1.0 else y": "one by one",
+    "y = each(x)\n    x = y": "side by side, and one is wanted",
 }
 
 

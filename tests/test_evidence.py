@@ -46,14 +46,14 @@ def told(strength=60.0, jump=(0, 0.1), seed=0, sd=0.03):
     rng, bank, q = np.random.default_rng(seed), Bank(), FIRST_LOSS + N
     bank.begin(P)
     directions = np.concatenate([B, np.eye(4)], axis=1)
-    for w, slot in enumerate(bank.slots):
+    for w, slot in enumerate(bank.packs):
         size = strength * (w + 1.0) / SLOTS
         A = 0.4 * rng.standard_normal((N + 4, N + 4))  # no two directions are told apart without the others
         own = size * (directions.T @ directions + A.T @ A)
         score = own @ (jump[1] * np.eye(N + 4)[jump[0]]) + sd * np.sqrt(size) * rng.standard_normal(N + 4)
         C, z = np.zeros((q, q)), np.zeros(q)
         C[np.ix_(PLACE, PLACE)], z[PLACE] = own, score
-        filled(slot, age=-1 if w % 3 == 2 else w, C=lower(C), z=z, M=rng.uniform(0, 1, (THETA + N, q)))
+        filled(slot, age=-1.0 if w % 3 == 2 else float(w), C=lower(C), z=z, M=rng.uniform(0, 1, (THETA + N, q)))
     return bank
 
 
@@ -62,7 +62,7 @@ def gather(bank, theta=(0.0,) * N, active=(), variances=CALM):
     leader = made(Branch, s=np.append(np.zeros(THETA), theta), active=np.isin(np.arange(1, N + 1), active))
     found.ask(P, leader, made(Noise, v=variances), [1.0] * N, [0.0] * N, AIR, OUTSIDE, FULL)
     found.slots = []  # of each, its log Bayes factors
-    for k, slot in enumerate(bank.slots):
+    for k, slot in enumerate(bank.packs):
         found.look(P, bank, k, k + 1)
         row = logs(array(found.nats, len(HYP.names)), array(found.weight, len(HYP.names)))
         found.slots.append((row if slot.age >= 0 else np.full(len(HYP.names), NOTHING)) + np.log(slot.stride))
@@ -71,7 +71,7 @@ def gather(bank, theta=(0.0,) * N, active=(), variances=CALM):
 
 
 def in_use(bank):
-    return np.array([slot.age >= 0 for slot in bank.slots])
+    return np.array([slot.age >= 0 for slot in bank.packs])
 
 
 def factors(found):
@@ -133,6 +133,16 @@ def test_two_rotors_at_once_need_ten_thousand_times_the_odds():
     assert PAIR_WEIGHT == 1e-4 and DISTURBANCE_WEIGHT > 1.0  # of one rotor: 1
 
 
+def test_the_loudest_disturbance_is_that_of_one_onset_sudden_or_gradual():
+    bank = told(strength=600.0)
+    found = gather(bank)
+    single = factors(found)[:, ~FAULT] - np.log([[slot.stride] for slot in bank.packs])
+    gradual = np.array([slot.gradual for slot in bank.packs])
+    for kind in (False, True):
+        wanted = single[in_use(bank) & (gradual == kind)].max()
+        assert found.disturbed(P, kind) == pytest.approx(wanted, rel=1e-9)
+
+
 @pytest.mark.parametrize(("active", "first"), [((), ALL_TORQUES), ((2,), 0)])
 def test_something_else_is_a_fifth_of_disturbances_and_larger_than_this_flights(active, first):
     """Four times as wide as the noise model has them, within limits; in thrust also as the air that moves. Of all torques together, and
@@ -142,7 +152,7 @@ def test_something_else_is_a_fifth_of_disturbances_and_larger_than_this_flights(
     sd = np.sqrt(CALM[1] + CALM[2] + 5.0 * CALM[3])
     assert found.asked.width == pytest.approx(moved(np.clip(3.0 * sd, 0.03, 1.0))) and min(found.asked.width) > 0.03
     wide, nats, weight = [], room(len(HYP.blocks)), room(len(HYP.blocks))
-    for slot in (slot for slot in bank.slots if slot.age >= 0):
+    for slot in (slot for slot in bank.packs if slot.age >= 0):
         found.window.reduce(P, slot, 1e-12, 1e-12)
         hypotheses.steps(found.window, found.asked.width, FAR, first, nats, weight)
         wide.append(logs(nats, weight)[first:] + np.log(slot.stride))
@@ -154,7 +164,7 @@ def test_something_else_is_a_fifth_of_disturbances_and_larger_than_this_flights(
 
 def test_slots_that_are_not_in_use_say_nothing():
     loud = copied(told())
-    for slot in loud.slots:
+    for slot in loud.packs:
         if slot.age < 0:
             slot.z = [1e3] * len(slot.z)
     found, best = gather(loud), Best()
@@ -182,7 +192,7 @@ def test_beside_a_weak_rotor_another_loss_is_less_likely_and_far_less_beside_one
 def ends(bank, w, loss=0.3):
     """The jump that ends the loss of rotor 2 at an onset: all that the filter holds of it by now, or will; of gradual onsets part is still
     to come."""
-    slot = bank.slots[w]
+    slot = bank.packs[w]
     held = slot.M[THETA + 1][FIRST_LOSS + 1] + slot.gradual * np.exp(-DT / ANSWER_S * (slot.age + 1))
     return -loss / max(held, 0.3)
 
@@ -192,12 +202,12 @@ def test_what_ends_a_loss_is_all_that_the_filter_still_holds_of_it():
     bank, best = told(strength=1e-9), Best()
     for w in (0, 4, 33, 46):
         alone = copied(bank)
-        for k, slot in enumerate(alone.slots):
-            slot.age = slot.age if k == w else -1
+        for k, slot in enumerate(alone.packs):
+            slot.age = slot.age if k == w else -1.0
         found = gather(alone, (0.0, 0.3, 0.0, 0.2), (2,))
         found.pick(P, alone, HYP.names.index("rotor 2 is well again"), best)
-        assert best.slot == w and best.jump.size == pytest.approx(ends(bank, w), rel=1e-4)
-    assert bank.slots[33].gradual and not bank.slots[4].gradual
+        assert best.slot == w and best.size == pytest.approx(ends(bank, w), rel=1e-4)
+    assert bank.packs[33].gradual and not bank.packs[4].gradual
 
 
 def jumped(found, bank, name):
@@ -215,11 +225,11 @@ def test_a_jump_has_the_covariance_of_a_gaussian_in_all_its_directions_together(
     found = gather(bank, (0.0, 0.3, 0.0, 0.0), (2,))
     best, size, cov = jumped(found, bank, name)
     w, live = best.slot, np.flatnonzero(in_use(bank))
-    assert w == live[np.argmax(factors(found)[live, h])] and best.since == bank.slots[w].age + 1.0
+    assert w == live[np.argmax(factors(found)[live, h])] and best.since == bank.packs[w].age + 1.0
     who = list(HYP.rotors[h])
     index = [*who, *range(N, N + 4)]
-    C = square(np.array(bank.slots[w].C), FIRST_LOSS + N)[np.ix_(PLACE, PLACE)][np.ix_(index, index)]
-    z = array(bank.slots[w].z)[PLACE][index]
+    C = square(np.array(bank.packs[w].C), FIRST_LOSS + N)[np.ix_(PLACE, PLACE)][np.ix_(index, index)]
+    z = array(bank.packs[w].z)[PLACE][index]
     width = float(np.hypot(NONE, RECOVERY_SHARE * ends(bank, w))) if "again" in name else LOSS_WIDTH
     prior = np.array([width**2] * len(who) + (np.array(found.freed.slop) + 1e-12).tolist())
     dense = np.linalg.inv(C + np.diag(1.0 / prior))[: len(who), : len(who)]
@@ -240,10 +250,10 @@ def test_a_disturbance_is_a_step_of_its_axes_alone():
     best, size, cov = jumped(found, bank, "pitch and common mode")
     index = N + axes
     prior = (FAR * np.array(found.asked.width)[axes]) ** 2
-    own = square(np.array(bank.slots[best.slot].C), FIRST_LOSS + N)[np.ix_(axes, axes)]
+    own = square(np.array(bank.packs[best.slot].C), FIRST_LOSS + N)[np.ix_(axes, axes)]
     dense = np.linalg.inv(own + np.diag(1.0 / prior))
     assert cov[np.ix_(index, index)] == pytest.approx(dense, rel=1e-6)
-    assert size[index] == pytest.approx(dense @ array(bank.slots[best.slot].z)[axes], rel=1e-6)
+    assert size[index] == pytest.approx(dense @ array(bank.packs[best.slot].z)[axes], rel=1e-6)
     assert not np.delete(size, index).any() and best.rotor == best.other == -1
 
 
@@ -251,5 +261,5 @@ def test_a_loss_can_be_measured_as_well_as_the_best_slot_knows_it():
     bank = told()
     found = gather(bank)
     for i in range(N):
-        own = max(slot.C[entry(FIRST_LOSS + i, FIRST_LOSS + i)] for slot in bank.slots if slot.age >= 0)
+        own = max(slot.C[entry(FIRST_LOSS + i, FIRST_LOSS + i)] for slot in bank.packs if slot.age >= 0)
         assert found.detectable(i) == pytest.approx(1.0 / np.sqrt(own + LOSS_WIDTH**-2))

@@ -20,6 +20,7 @@ from rotorwatch.diagnose import diagnose
 from rotorwatch.engine.motion import ticks
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.errors import RotorwatchError
+from rotorwatch.logs import plausible
 from rotorwatch.witnesses.aerobatic import judge as aerobatic
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"
@@ -29,6 +30,8 @@ ROUGH = {
     "px4-ulogassessment": "a loss of a vehicle that tumbles (46 to 78 %) is 5 points off in single precision",
     "hexa-opposite-2.bin.xz": "of opposite rotors that one of three pairs lost (4 to 65 %) the bounds are 4 points off in single precision",
 }
+WAITS = "outputs are missing for 8 s: a board keeps 6 s of ticks that wait until it is certain that the vehicle flies, a computer 8 s"
+LONG = {"gap_hides_loss_1.bin.xz": WAITS, "gap_hides_loss_2.bin.xz": WAITS}
 # At the rates of a board, beside what differs there.
 FED = {
     "ap_quad_m3_dropouts.bin.xz": "a rotor that drops out again and again is announced at one rate and not at the other",
@@ -114,7 +117,9 @@ def test_samples_have_the_same_events_on_board(name, tmp_path):
 @pytest.mark.parametrize("path", every_log() if FULL else [], ids=lambda p: p.name)
 def test_every_log_has_the_same_events_on_board(path, single, tmp_path):
     try:
-        flight = logs.read(path)
+        flight = plausible.checked(
+            logs.read(path)
+        )  # single values that do not fit are found in a whole log, not on board
         aerobatic.decline(flight, "the library models hover.")
         what = flown(flight)
     except (RotorwatchError, IndexError, KeyError) as why:
@@ -130,10 +135,10 @@ def test_every_log_has_the_same_events_on_board(path, single, tmp_path):
         or told.flight["hops"][-1][1] < airborne(flight)[-1][1] - 0.01
     ):
         pytest.skip("loss of control and impacts are judged after the flight")
-    if single and path.name in ROUGH:
-        with pytest.raises(AssertionError, match=r"rtol=0, atol=0\.02"):  # once it passes it goes from the list
+    if why := (ROUGH if single else LONG).get(path.name):
+        with pytest.raises(AssertionError, match=r"rtol=0, atol=(0\.02|1e-06)"):  # once it passes it goes from the list
             same(told, what, tmp_path, single)
-        pytest.xfail(ROUGH[path.name])
+        pytest.xfail(why)
     same(told, what, tmp_path, single)
 
 

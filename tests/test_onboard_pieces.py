@@ -11,6 +11,7 @@ from conftest import trials
 from onboard_law import COMMON, compiled, flown
 from rotorwatch import logs
 from rotorwatch.commands.cli import SAMPLES
+from rotorwatch.engine.trim.trim import LOOK_S
 
 DRIVER = (
     COMMON
@@ -18,6 +19,10 @@ DRIVER = (
 #include "rw_text.h"
 #include <string.h>
 static rw_texts texts;
+static int looked;
+int looks(void);
+/* How often the trim has been looked at in flight. */
+int looks(void) { return looked; }
 int pieces(int rows, const double *table, double until, const int *gaps, int many, double *told, int most);
 /* Feed the rows, with gaps[k % many] pieces of work after each, less where there are none left; gaps NULL: as they are fed. What is told,
    a row each: time, severity, rotors and loss of the first event. Returns how many texts. */
@@ -44,6 +49,7 @@ int pieces(int rows, const double *table, double until, const int *gaps, int man
             }
         }
     }
+    looked = d.engine.trim.looks;
     rw_diagnoser_finish(&d, until);
     rw_diagnoser_poll(&d, notifications);
     return rw_diagnoser_lost(&d) ? -1 : said;
@@ -61,12 +67,12 @@ unsigned hash(void)
 }
 """
 )
-MOST = 40
+MOST, JUDGED_S = 40, 80.0  # texts; of the sample's flight, at least
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """A function: gaps or None -> (hash of all that is remembered, what is told)."""
+    """A function: gaps or None -> (hash of all that is remembered, what is told, how often the trim was looked at in flight)."""
     what = flown(logs.read(SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"))
     library = compiled(tmp_path_factory.mktemp("pieces"), what, DRIVER, single=True)
     table = np.ascontiguousarray(what.table)
@@ -78,7 +84,7 @@ def run(tmp_path_factory):
         arguments = len(table), table.ctypes.data_as(pointer), ctypes.c_double(what.until), spread, len(gaps or ())
         count = library.pieces(*arguments, told.ctypes.data_as(pointer), MOST)
         assert count >= 0, "no sample was lost"
-        return library.hash(), told[:count]
+        return library.hash(), told[:count], library.looks()
 
     return run
 
@@ -91,9 +97,14 @@ def at_once(run):
 @settings(max_examples=trials(5), deadline=None)
 @given(st.lists(st.sampled_from([0, 1, 3, 20, 400]), min_size=1, max_size=12))
 def test_the_results_are_the_same_to_the_bit_however_the_work_is_spread(run, at_once, gaps):
-    same, told = run(gaps)
-    assert same == at_once[0]
+    same, told, looks = run(gaps)
+    assert same == at_once[0] and looks == at_once[2]
     np.testing.assert_array_equal(told, at_once[1])
+
+
+def test_the_trim_is_looked_at_while_the_vehicle_flies(at_once):
+    """Not only at its end: a pilot hears of a slow loss while it grows."""
+    assert at_once[2] >= JUDGED_S // LOOK_S >= 2
 
 
 def test_a_pilot_is_told_once_and_seldom(at_once):

@@ -7,7 +7,7 @@ import pytest
 from tests.plain import filled, lower, made, plant
 
 from rotorwatch import airframes
-from rotorwatch.engine.estimator.bank import FIRST_LOSS, GROUP, Bank
+from rotorwatch.engine.estimator.bank import FIRST_LOSS, Bank
 from rotorwatch.engine.estimator.evidence import Evidence
 from rotorwatch.engine.estimator.hypotheses import CLEAR, LOSS_WIDTH, NONE, PAIR, SMALL_WIDTH, kind_of
 from rotorwatch.engine.estimator.opposite import Opposite, contested
@@ -54,19 +54,17 @@ def suspect(
     heave, rose: at the onset."""
     n, p, bank = B.shape[1], plant(B, DT), Bank()
     bank.begin(p)
-    for age, each in enumerate(bank.slots):
-        each.age = age
-    bank.slots[slot].age = slot % len(bank.slots) if live else -1
+    for age, each in enumerate(bank.packs):
+        each.age = float(age)
+    bank.packs[slot].age = float(slot % len(bank.packs)) if live else -1.0
     C, z = of_one_loss(n, pair, fit, loss)
-    filled(bank.slots[slot], C=lower(C), z=z)
-    for k, nats in ((0, sudden), (2 * GROUP + 3, gradual)):  # z^2 / 4 - log(2) / 2 of a step of roll
-        C, z = np.zeros((FIRST_LOSS + n,) * 2), np.zeros(FIRST_LOSS + n)
-        C[0, 0], z[0] = 1.0, 2.0 * np.sqrt(nats + 0.5 * np.log(2.0))
-        filled(bank.slots[k], C=lower(C), z=z)
+    filled(bank.packs[slot], C=lower(C), z=z)
     left = np.exp(-slot * DT / USUAL_S)
     missing, alarm = SimpleNamespace(heave=heave * left, rose=rose * left), SimpleNamespace(limit=LIMIT)
     out, found = made(Opposite, lasted=lasted), made(Evidence, yaw_error=1e-12, damping_error=1e-12)
-    found.asked.width = [1.0] * 4
+    most = 1.0 + max(sudden, gradual)
+    found.top[list_hypotheses(n).kinds.index("disturbance")] = most
+    found.loud[0][0], found.loud[1][0] = float(np.exp(sudden - most)), float(np.exp(gradual - most))
     out.suspect(p, bank, found, missing, alarm, calm)
     return out, out.lasted, list_hypotheses(n).rotors.index(pair)
 

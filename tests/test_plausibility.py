@@ -4,11 +4,11 @@ from functools import partial
 
 import numpy as np
 import pytest
-from tests.plain import array, copied, filled, made, plant
+from tests.plain import array, copied, made, plant
 
 from rotorwatch import airframes
 from rotorwatch.diagnose import diagnose
-from rotorwatch.engine.estimator.bank import Slot
+from rotorwatch.engine.estimator.bank import Slots
 from rotorwatch.engine.estimator.evidence import Best
 from rotorwatch.engine.estimator.hypotheses import NONE
 from rotorwatch.engine.estimator.kalman import Branch
@@ -40,9 +40,7 @@ def missing(fast=1.0, slow=0.0, limit=NOTHING, climb=0.0, usual=0.0):
 def jump(*rotors, gives=0.0):
     """Rotor (1-based) and size of one or two; gives: the thrust that it gives, whatever it is commanded."""
     (one, size), (other, second) = (*rotors, (0, 0.0))[:2]
-    best = made(Best, rotor=one - 1, other=other - 1)
-    filled(best.jump, size=size, other_size=second, gives=gives)
-    return best
+    return made(Best, rotor=one - 1, other=other - 1, size=size, other_size=second, gives=gives)
 
 
 def possible(what, rise=1.0, now=None, measured=True, active=(), rough=(0.0, 0.0, 0.0, 0.0), smooth=1.0, since=60.0):
@@ -52,7 +50,7 @@ def possible(what, rise=1.0, now=None, measured=True, active=(), rough=(0.0, 0.0
     leader = made(Branch, active=np.isin(np.arange(1, N + 1), active))
     tick = made(Inputs, valid=np.array([True, True, True, measured]))
     what.since = since / DT
-    may.judge(P, what, Slot(), tick, seen, now or missing(), leader, made(Noise, v=v), coupling)
+    may.judge(P, what, Slots(), tick, seen, now or missing(), leader, made(Noise, v=v), coupling)
     return may.asked and may.missing
 
 

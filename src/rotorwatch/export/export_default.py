@@ -21,7 +21,7 @@ from rotorwatch.engine.motion.ticks import JUDGE
 from rotorwatch.export.export_diagnoser import plant_table, settings, text_of
 from rotorwatch.flight.vehicle import Vehicle
 
-BYTES = {"real": 8, "time": 8, "int": 4, "flag": 1, "mask": 2, "small": 2, "letter": 1, "byte": 1}
+BYTES = {"real": 8, "time": 8, "each": 8, "int": 4, "flag": 1, "mask": 2, "small": 2, "letter": 1, "byte": 1}
 
 
 class Project(NamedTuple):

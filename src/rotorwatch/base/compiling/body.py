@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 C_NAMES = {
     "real": "rw_real",
     "time": "rw_time",
+    "each": "rw_each",
     "int": "int32_t",
     "flag": "bool",
     "mask": "uint16_t",
@@ -31,7 +32,7 @@ C_NAMES = {
     "byte": "uint8_t",
     "text": "const char *",
 }
-RANK = {"flag": 0, "ilit": 0, "text": 0, "int": 1, "lit": 2, "real": 3, "time": 4}
+RANK = {"flag": 0, "ilit": 0, "text": 0, "int": 1, "lit": 2, "real": 3, "time": 4, "each": 5}
 WIDE: dict[Any, Any] = {
     "mask": "int",
     "small": "int",
@@ -51,6 +52,7 @@ BINARY = {
 BITS = {ast.BitAnd: "&", ast.BitOr: "|", ast.BitXor: "^", ast.LShift: "<<", ast.RShift: ">>"}  # of whole numbers
 MODULO = {"sum32": "+", "difference32": "-", "shift32": "<<"}  # of whole numbers, of 32 bits
 ROUNDED = {"sqrt": "RW_ROOT", "exp": "RW_EXP", "log": "RW_LOG"}  # of a number in the library's precision
+EACH = {"sqrt": "root_each", "exp": "exp_each", "log": "log_each"}  # the same of each that stand side by side
 COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 BUILTIN = (
     "sqrt",
@@ -69,13 +71,17 @@ BUILTIN = (
     "reset",
     "copy",
     "local",
+    "each",
+    "one",
+    "replaced",
     *MODULO,
 )
 
 
 @dataclass(frozen=True)
 class Type:
-    """base: real, time, int, flag, byte, lit, ilit, none, or a Struct; dims: of an array, in C, the first empty where it is not known."""
+    """base: real, time, each, int, flag, which (a comparison of `each`), byte, lit, ilit, none, or a Struct; dims: of an array, in C, the
+    first empty where it is not known."""
 
     base: Any
     dims: tuple[str, ...] = ()
@@ -181,6 +187,7 @@ class Body:
         self.hoisted: dict[str, str] = {}
         self.loops: set[str] = set()
         self.shown = function.node.lineno
+        self.at: ast.AST = function.node  # the statement that is written
 
     def emit(self) -> str:
         """The definition."""
@@ -214,6 +221,7 @@ class Body:
         return lines
 
     def statement(self, node: ast.stmt, depth: int, top: bool) -> list[str]:
+        self.at = node
         if isinstance(node, ast.Assign):
             if len(node.targets) > 1:  # a = b = value
                 last = self.assign(node.targets[-1], node.value, top)
@@ -249,7 +257,7 @@ class Body:
         if isinstance(node, ast.While | ast.For) and node.orelse:
             raise self.wrong(node, "a loop has no else")
         if isinstance(node, ast.While):
-            head = f"while ({self.expression(node.test).text}) {{"
+            head = f"while ({self.condition_of(node, self.expression(node.test)).text}) {{"
             return [head, *self.inner(node.body, depth), "}"]
         if isinstance(node, ast.For):
             return self.loop(node, depth)
@@ -260,13 +268,19 @@ class Body:
         return [line[pad:] for line in self.block(body, depth + 1)]
 
     def condition(self, node: ast.If, depth: int) -> list[str]:
-        lines = [f"if ({self.expression(node.test).text}) {{", *self.inner(node.body, depth)]
+        test = self.condition_of(node, self.expression(node.test))
+        lines = [f"if ({test.text}) {{", *self.inner(node.body, depth)]
         if len(node.orelse) == 1 and isinstance(node.orelse[0], ast.If):
             rest = self.condition(node.orelse[0], depth)
             return [*lines, "} else " + rest[0], *rest[1:]]
         if node.orelse:
             lines += ["} else {", *self.inner(node.orelse, depth)]
         return [*lines, "}"]
+
+    def condition_of(self, node: ast.AST, test: Code) -> Code:
+        if test.type.base == "which":
+            raise self.wrong(node, "what differs from one to the next side by side may choose a number, no more")
+        return test
 
     def loop(self, node: ast.For, depth: int) -> list[str]:
         if not (
@@ -315,7 +329,7 @@ class Body:
                 self.types[name] = Type(made)
                 self.hoisted[name] = f"{snake(made.__name__)} {name};"
                 return f"{snake(made.__name__)}_init(&{name});"
-        got = self.expression(value)
+        got = self.condition_of(target, self.expression(value))
         if "text" in (got.type.base, wanted.base if wanted else ""):
             raise self.wrong(target, "a text is passed on, not kept")
         if not got.type.scalar:  # another name for part of a struct
@@ -333,7 +347,8 @@ class Body:
             known = self.types[name] = wanted or Type(base)
             if top:
                 return f"{known.c} {name} = {self.cast(got, known)};"
-            self.hoisted[name] = f"{known.c} {name} = {'false' if known.base == 'flag' else 0};"
+            nothing = {"flag": "false", "each": "each_of(0)"}.get(known.base, "0")
+            self.hoisted[name] = f"{known.c} {name} = {nothing};"
         return f"{name} = {self.cast(got, known)};"
 
     def change(self, root: str) -> None:
@@ -345,10 +360,14 @@ class Body:
 
     def cast(self, code: Code, wanted: Type) -> str:
         have, want = WIDE.get(code.type.base, code.type.base), wanted.base
+        if have == "which" or (have == "each" and want != "each"):
+            raise self.wrong(self.at, f"{code.text} is of several side by side, and one is wanted")
         if want in WIDE and code.type.base != want:
             return f"({C_NAMES[want]}){code.within(14)}"
         if have == want or code.type.base == want or not code.type.scalar:
             return code.text
+        if want == "each":
+            return f"each_of({self.cast(code, Type('real'))})"
         if have in ("lit", "ilit"):
             return self.literal(code, want)
         if want == "flag":
@@ -393,6 +412,8 @@ class Body:
         value = getattr(self.module, name, None)
         if isinstance(value, bool):
             return Code("true" if value else "false", Type("flag"))
+        if name == "LANES":
+            return Code("RW_LANES", Type("int"))
         if name == "LASTS":
             return Code("RW_LASTS", Type("time"))
         if isinstance(value, int | float):
@@ -443,7 +464,8 @@ class Body:
     def operand(self, code: Code, what: Type, tight: int) -> str:
         if code.type.base == what.base or (what.base == "lit" and code.type.base == "ilit"):
             return code.within(tight)
-        text = self.cast(code, what)
+        # In C a number beside a vector counts for each of its elements.
+        text = self.cast(code, what if what.base != "each" else Type("real"))
         return text if text != code.text or code.tight >= tight else f"({text})"
 
     def on_binop(self, node: ast.BinOp) -> Code:
@@ -470,16 +492,29 @@ class Body:
                 raise self.wrong(node, "this comparison is not C")
             left, right = self.expression(sides[k]), self.expression(sides[k + 1])
             what = self.join(left, right)
+            if what.base == "each":
+                if len(node.ops) > 1:
+                    raise self.wrong(node, "compare those side by side one by one")
+                sign = COMPARE[type(op)]
+                return Code(f"{self.cast(left, what)} {sign} {self.cast(right, what)}", Type("which"), 4)
             parts.append(f"{self.operand(left, what, 6)} {COMPARE[type(op)]} {self.operand(right, what, 6)}")
         return Code(" && ".join(parts), Type("flag"), 4 if len(parts) == 1 else 2)
 
     def on_boolop(self, node: ast.BoolOp) -> Code:
+        sides = [self.expression(v) for v in node.values]
         sign, tight = ("&&", 2) if isinstance(node.op, ast.And) else ("||", 1)
-        return Code(f" {sign} ".join(self.expression(v).within(3) for v in node.values), Type("flag"), tight)
+        if all(side.type.base == "which" for side in sides):
+            return Code(f" {sign[0]} ".join(f"({side.text})" for side in sides), Type("which"), tight)
+        return Code(f" {sign} ".join(self.condition_of(node, side).within(3) for side in sides), Type("flag"), tight)
 
     def on_ifexp(self, node: ast.IfExp) -> Code:
         test, yes, no = self.expression(node.test), self.expression(node.body), self.expression(node.orelse)
         what = self.join(yes, no)
+        if test.type.base == "which":
+            what = Type("each")
+            return Code(f"choose_each({test.text}, {self.cast(yes, what)}, {self.cast(no, what)})", what)
+        if what.base == "each":
+            return Code(f"{test.within(3)} ? {self.cast(yes, what)} : {self.cast(no, what)}", what, 0)
         return Code(f"{test.within(3)} ? {self.operand(yes, what, 1)} : {self.operand(no, what, 1)}", what, 0)
 
     def on_call(self, node: ast.Call) -> Code:
@@ -540,6 +575,14 @@ class Body:
             return first
         if name == "isnan":
             return Code(f"isnan({first.text})", Type("flag"))
+        if name == "each":
+            return Code(self.cast(first, Type("each")), Type("each"))
+        if name in ("one", "replaced"):
+            numbers = (Type("each"), Type("int"), Type("real"))
+            given = ", ".join(self.cast(g, what) for g, what in zip(arguments, numbers))
+            return Code(f"{name}_each({given})", Type("real" if name == "one" else "each"))
+        if name in EACH and first.type.base == "each":
+            return Code(f"{EACH[name]}({first.text})", Type("each"))
         if name in ("int", "float", "real"):
             what = Type({"int": "int", "float": "time", "real": "real"}[name])
             fixed = first.type.base == "lit" and what.base == "int"  # of a number that is written out, the whole part

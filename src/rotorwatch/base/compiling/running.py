@@ -35,6 +35,7 @@ from rotorwatch.errors import FirstUse
 TYPES = {
     "real": np.float64,
     "time": np.float64,
+    "each": np.float64,
     "int": np.int32,
     "flag": np.bool_,
     "mask": np.uint16,
@@ -43,6 +44,8 @@ TYPES = {
     "byte": np.uint8,
 }
 WHOLE = "int", "mask", "small"  # kinds of numbers that are int32 as arguments
+# How many are calculated at once in machine code (`structs.Each`), by level of the processor: as many as its vectors hold.
+LANES, OTHER_LANES = {"x86-64-v3": 4}, 2
 # No fused multiply and add: the same operations as Python's.
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-shared")
 # ... many of them at once, for what is mostly arithmetic: as wide as the processor has it.
@@ -179,6 +182,11 @@ class Definition:
             warnings.warn(f"{why} Python runs instead, slowly.", FirstUse, stacklevel=2)
             return None
 
+    @property
+    def lanes(self) -> int:
+        """How many stand side by side."""
+        return 1 if self.library is None else ctypes.c_int32.in_dll(self.library, "rw_lanes").value
+
     @contextmanager
     def changed(self, values: Mapping[str, float]) -> Iterator[None]:
         """While this lasts, constants of the modules have other values: "losses.HIDDEN" -> value. Machine code with them is built once."""
@@ -236,13 +244,17 @@ class Definition:
         others = json.loads(index.read_text(encoding="utf-8")) if index.exists() else {}
         index.write_text(json.dumps({**others, self.name: known}, indent=1) + "\n", encoding="utf-8")
 
-    def translated(self) -> tuple[str, str, str]:
+    def translated(self, level: str = shipped.BASELINE) -> tuple[str, str, str]:
         """(rw_config.h, header, source) for a computer."""
         from rotorwatch.base.compiling.translate import Translation
 
         whole = Translation(self.modules, *self.sizes)
-        config = "".join(f"#define RW_{name} {value}\n" for name, value in whole.sizes.items())
-        return config, whole.header("For this computer.", name=self.name), whole.source(f"rw_{self.name}.h")
+        sizes = {**whole.sizes, "LANES": LANES.get(level, OTHER_LANES)}
+        config = "".join(f"#define RW_{name} {value}\n" for name, value in sizes.items())
+        source = (
+            whole.source(f"rw_{self.name}.h") + "\nextern const int32_t rw_lanes;\nconst int32_t rw_lanes = RW_LANES;\n"
+        )
+        return config, whole.header("For this computer.", name=self.name), source
 
     def build(self, folder: Path, level: str = shipped.BASELINE) -> Path:
         """The library in a folder, built unless it is there. level: of processors that it is for. Raises toolchain.Unavailable."""
@@ -258,7 +270,7 @@ class Definition:
         toolchain.building(self.name)
         with tempfile.TemporaryDirectory() as scratch:
             place = Path(scratch)
-            for name, text in zip(("rw_config.h", f"rw_{self.name}.h", f"rw_{self.name}.c"), self.translated()):
+            for name, text in zip(("rw_config.h", f"rw_{self.name}.h", f"rw_{self.name}.c"), self.translated(level)):
                 (place / name).write_text(text, encoding="utf-8")
             made = place / "made.so"
             command = [compiler, *flags, "-o", str(made), str(place / f"rw_{self.name}.c"), "-lm"]
@@ -280,19 +292,19 @@ class Definition:
             fields = []
             for name, value in kind.declared():
                 if isinstance(value, structs.Array):
-                    inner = TYPES[value.kind] if isinstance(value.kind, str) else self.type_of(value.kind)
-                    fields.append((name, inner, value.shape))
+                    shape = tuple(n // self.lanes if isinstance(n, structs.Packed) else n for n in value.shape)
+                    fields.append((name, self._stored(value.kind), shape))
                 else:
-                    fields.append(
-                        (
-                            name,
-                            self.type_of(value)
-                            if isinstance(value, type)
-                            else TYPES[structs.SCALARS[kind.__annotations__[name]]],
-                        )
-                    )
+                    kept = value if isinstance(value, type) else structs.SCALARS[kind.__annotations__[name]]
+                    fields.append((name, self._stored(kept)))
             self._types[kind] = np.dtype(fields, align=True)
         return self._types[kind]
+
+    def _stored(self, kind: str | type[Struct]) -> Any:
+        """An element of a kind as C lays it out."""
+        if isinstance(kind, type):
+            return self.type_of(kind)
+        return np.dtype((TYPES[kind], (self.lanes,))) if kind == structs.EACH else TYPES[kind]
 
     def new(self, kind: type[Struct]) -> Rows:
         """A struct with the values that it has at first."""

@@ -15,9 +15,11 @@ order, so that double precision gives the same bits.
             self.count += 1
 
 Real: a number in the library's precision, float on small boards. Time: seconds or sums, always double. int: 32 bits. Mask: a set, and
-Small: 16 bits, which are read as int. Sums, products and `<<` must stay within these; `//` and `%` are of numbers that are not negative:
-Python and C differ beyond; where sums may not stay within, `sum32`, `difference32` and `shift32` go on from the other end. str: a text in
-ASCII, read by `len(text)` and `ord(text[k])`. Bytes: what is only read, each a number from 0 to 255.
+Small: 16 bits, which are read as int. Each: a number of each of LANES things that stand side by side, and all are calculated at once:
+machine code of a computer has several, in one vector of its processor; a flight controller and Python have one. No `if` may depend on it,
+only a conditional expression. Sums, products and `<<` must stay within these; `//` and `%` are of numbers that are not negative: Python
+and C differ beyond; where sums may not stay within, `sum32`, `difference32` and `shift32` go on from the other end. str: a text in ASCII,
+read by `len(text)` and `ord(text[k])`. Bytes: what is only read, each a number from 0 to 255.
 """
 
 from __future__ import annotations
@@ -29,7 +31,9 @@ from typing import Any, ClassVar, TypeVar
 
 Real = float
 Time = float
+Each = float  # of each of LANES that stand side by side
 Reals = list[float]
+Eaches = list[float]
 Times = list[float]
 Mask = int  # a set: bit k is element k; 16 bits
 Small = int  # 16 bits
@@ -38,13 +42,16 @@ Flags = list[bool]
 Bytes = Sequence[int]
 Vectors = list[list[float]]  # rows of three
 
+LANES = 1
+"""How many stand side by side in Python; in machine code of a computer, as many as a vector holds (`running.LANES`)."""
 LASTS = 1e30
 """Later than all times: the end of what lasts."""
 NAN = math.nan
 
-REAL, TIME, INT, FLAG, MASK, SMALL, LETTER = (
+REAL, TIME, EACH, INT, FLAG, MASK, SMALL, LETTER = (
     "real",
     "time",
+    "each",
     "int",
     "flag",
     "mask",
@@ -56,6 +63,7 @@ SCALARS = {
     "Real": REAL,
     "Time": TIME,
     "float": TIME,
+    "Each": EACH,
     "int": INT,
     "bool": FLAG,
     "Mask": MASK,
@@ -64,9 +72,18 @@ SCALARS = {
 }
 
 # The same, of arrays.
-LISTS = {"Reals": REAL, "Times": TIME, "Ints": INT, "Flags": FLAG, "Bytes": "byte"}
+LISTS = {"Reals": REAL, "Eaches": EACH, "Times": TIME, "Ints": INT, "Flags": FLAG, "Bytes": "byte"}
 
 S = TypeVar("S", bound="Struct")
+
+
+class Packed(int):
+    """So many, LANES of them in one element of an array."""
+
+
+def packed(count: int) -> int:
+    """The size of an array whose elements hold LANES each, of `count` in all."""
+    return Packed(count)
 
 
 class Array:
@@ -87,7 +104,7 @@ class Array:
 
 
 def array(kind: Any, *shape: int, fill: Any = None) -> Any:
-    """A field, or a local variable, of fixed size. kind: REAL, TIME, INT, FLAG, MASK, SMALL, LETTER (ASCII, of a text), or a Struct."""
+    """A field, or a local variable, of fixed size. kind: REAL, TIME, EACH, INT, FLAG, MASK, SMALL, LETTER (of a text), or a Struct."""
     nothing: Any = 0 if kind in (INT, MASK, SMALL, LETTER) else False if kind == FLAG else 0.0
     return Array(kind, shape, nothing if fill is None else fill)
 
@@ -154,6 +171,21 @@ sqrt, exp, log, isnan, floor = math.sqrt, math.exp, math.log, math.isnan, math.f
 def real(value: float) -> Real:
     """A number in the library's precision: for what is known better than that."""
     return value
+
+
+def each(value: Real) -> Each:
+    """The same number for each that stand side by side."""
+    return value
+
+
+def one(value: Each, lane: int) -> Real:
+    """That of one lane."""
+    return value
+
+
+def replaced(value: Each, lane: int, other: Real) -> Each:
+    """With another number in one lane."""
+    return other
 
 
 def sum32(a: int, b: int) -> int:

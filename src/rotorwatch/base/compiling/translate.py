@@ -15,6 +15,7 @@ from types import ModuleType
 from typing import Any
 
 from rotorwatch.base.compiling.body import Body, Function, Type, comment, is_struct, number
+from rotorwatch.base.compiling.structs import EACH as EACH_KIND
 from rotorwatch.base.compiling.structs import LISTS, SCALARS, snake
 from rotorwatch.errors import ConfigError
 
@@ -36,8 +37,48 @@ typedef double rw_real;
 #define ROTORWATCH_TIME
 typedef double rw_time;
 #endif
-/* Later than all times: the end of what lasts. */
+@EACH@/* Later than all times: the end of what lasts. */
 #define RW_LASTS ((rw_time)1e30)
+"""
+EACH = """
+/* So many stand side by side, and all are calculated at once, in vectors of the processor. */
+#ifndef ROTORWATCH_EACH
+#define ROTORWATCH_EACH
+#ifndef RW_LANES
+#define RW_LANES 1
+#endif
+#if RW_LANES > 1
+typedef rw_real rw_each __attribute__((vector_size(RW_LANES * sizeof(rw_real)), aligned(sizeof(rw_real))));
+#else
+typedef rw_real rw_each;
+#endif
+#endif
+
+"""
+SIDE_BY_SIDE = """#if RW_LANES > 1
+#pragma GCC diagnostic ignored "-Wpsabi" /* how vectors are passed matters only between libraries */
+typedef __typeof__((rw_each){0} < (rw_each){0}) rw_which;
+static inline rw_each each_of(rw_real a) { return a - (rw_each){0}; }
+static inline rw_real one_each(rw_each a, int32_t k) { return a[k]; }
+static inline rw_each replaced_each(rw_each a, int32_t k, rw_real b) { a[k] = b; return a; }
+static inline rw_each choose_each(rw_which c, rw_each a, rw_each b) { return (rw_each)((c & (rw_which)a) | (~c & (rw_which)b)); }
+static inline rw_each root_each(rw_each a) { for (int k = 0; k < RW_LANES; k++) { a[k] = RW_ROOT(a[k]); } return a; }
+static inline rw_each exp_each(rw_each a) { for (int k = 0; k < RW_LANES; k++) { a[k] = RW_EXP(a[k]); } return a; }
+static inline rw_each log_each(rw_each a) { for (int k = 0; k < RW_LANES; k++) { a[k] = RW_LOG(a[k]); } return a; }
+#else
+typedef bool rw_which;
+static inline rw_each each_of(rw_real a) { return a; }
+static inline rw_real one_each(rw_each a, int32_t k) { (void)k; return a; }
+static inline rw_each replaced_each(rw_each a, int32_t k, rw_real b) { (void)a; (void)k; return b; }
+static inline rw_each choose_each(rw_which c, rw_each a, rw_each b) { return c ? a : b; }
+#define root_each RW_ROOT
+#define exp_each RW_EXP
+#define log_each RW_LOG
+#endif
+static inline rw_each min_each(rw_each a, rw_each b) { return choose_each(b < a, b, a); }
+static inline rw_each max_each(rw_each a, rw_each b) { return choose_each(b > a, b, a); }
+static inline rw_each abs_each(rw_each a) { return choose_each(a < each_of(0), -a, a); }
+
 """
 HELPERS = """#ifdef ROTORWATCH_FLOAT
 #define RW_ROOT sqrtf
@@ -115,6 +156,8 @@ class Translation:
     def _size(self, module: ModuleType, node: ast.AST) -> str:
         if isinstance(node, ast.Name) and node.id in self.sizes:
             return f"RW_{node.id}"
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "packed":
+            return f"({self._size(module, node.args[0])} / RW_LANES)"
         if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult):
             return f"({self._size(module, node.left)} * {self._size(module, node.right)})"
         return str(eval(compile(ast.Expression(node), "", "eval"), vars(module)))  # type: ignore[arg-type]  # of our own source
@@ -156,13 +199,19 @@ class Translation:
         function.changed |= body.changed & set(function.parameters)
         return len(function.changed) > before
 
+    @property
+    def side_by_side(self) -> bool:
+        """Whether anything is calculated for several things at once."""
+        return any(what.base == EACH_KIND for fields in self.fields.values() for what, _ in fields.values())
+
     # Text
 
     def header(self, about: str, includes: Sequence[str] = ("rw_config.h",), name: str = "front") -> str:
         """The header: types, structs, functions. name: of the definition, for what keeps it from being included twice."""
         guard = f"RW_{name.upper()}_H"
         included = [f'#include "{file}"' for file in includes]
-        parts = [f"/* {about} */", f"#ifndef {guard}", f"#define {guard}", "", *included, HEAD]
+        head = HEAD.replace("@EACH@", EACH.lstrip() if self.side_by_side else "")
+        parts = [f"/* {about} */", f"#ifndef {guard}", f"#define {guard}", "", *included, head]
         for module, tree in self.trees.items():
             parts.append(comment(ast.get_docstring(tree) or ""))
             for name in _enumerated(tree):
@@ -196,19 +245,21 @@ class Translation:
     def source(self, header: str) -> str:
         """The source."""
         bodies = [Body(self, f).emit() for f in self.own]
-        used = set(re.findall(r"\w+", "\n".join(bodies)))  # of the helpers, those that nothing calls would be a warning
-        helpers = [
-            line for line in HELPERS.splitlines() if "(" not in line or used & set(re.findall(r"\w+(?=\()", line))
-        ]
-        parts = [
-            f'#include "{header}"\n\n#include <math.h>\n#include <string.h>\n',
-            *helpers,
-            "",
-            *self.tables.values(),
-        ]
+        parts = [f'#include "{header}"\n\n#include <math.h>\n#include <string.h>\n', *self._helpers(bodies), ""]
+        parts += self.tables.values()
         parts += [f"static {self.signature(f)};" for f in self.own if not f.public]
         parts += [self._init(kind) for kind in self.home]
         return "\n".join([*parts, "", *bodies])
+
+    def _helpers(self, bodies: Iterable[str]) -> list[str]:
+        """Of the helpers, those that are called: others would be a warning."""
+        lines = [*HELPERS.splitlines(), *(SIDE_BY_SIDE.splitlines() if self.side_by_side else [])]
+        called = set(re.findall(r"\w+", "\n".join([*bodies, *map(self._init, self.home)])))
+        kept: list[str] = []
+        for _ in range(3):  # helpers call helpers
+            kept = [x for x in lines if not x.startswith("static") or called & set(re.findall(r"\w+(?=\()", x)[:1])]
+            called |= set(re.findall(r"\w+", "\n".join(x for x in kept if x.startswith("static"))))
+        return kept
 
     def signature(self, f: Function) -> str:
         out = []
@@ -240,6 +291,8 @@ class Translation:
         return f"void {name}_init({name} *self)\n{{\n" + "\n".join(rows) + "\n}\n"
 
     def _start(self, what: Type, place: str, value: Any) -> str:
+        if what.base == EACH_KIND:
+            return f"{place} = each_of({number(value, 'real')});"
         return f"{what.c}_init(&{place});" if what.struct else f"{place} = {number(value, what.base)};"
 
     def wrong(self, module: ModuleType, node: ast.AST, why: str) -> ConfigError:

@@ -56,7 +56,7 @@ class Alarm(Struct):
         # against a rotor: neither where no disturbance comes near one rotor, for manoeuvres swing commands by more. Two rotors fit the
         # drift of thrust of a vehicle that begins to sink. However strong evidence is, thrust has to be missing: the ground and a hand are
         # in no model.
-        sure = self.statistic > CERTAIN_NATS and best.kind != PAIR and best.jump.gives <= 0.0
+        sure = self.statistic > CERTAIN_NATS and best.kind != PAIR and best.gives <= 0.0
         self.possible = may.missing and not pushed and ((may.asked and best.since < EDGE * bank.reach) or sure)
         self.above = self.above + 1 if judge and self.statistic > 0.0 and self.possible else 0
         self.alarm = self.above >= TICKS

@@ -16,7 +16,24 @@ reveals them.
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import REAL, Flags, Real, Reals, Struct, array, exp, local, real
+from rotorwatch.base.compiling.structs import (
+    EACH,
+    LANES,
+    REAL,
+    Each,
+    Flags,
+    Real,
+    Reals,
+    Struct,
+    array,
+    each,
+    exp,
+    local,
+    one,
+    packed,
+    real,
+    replaced,
+)
 from rotorwatch.engine.estimator.kalman import Branch
 from rotorwatch.engine.estimator.plant import (
     ANSWER_S,
@@ -61,39 +78,54 @@ class Observed(Struct):
                 self.absorbed[a][b] = dot(rows.h[a], leader.gain[b], a, THETA + p.rotors)
 
 
-class Slot(Struct):
-    """One onset."""
+class Slots(Struct):
+    """LANES onsets of a group, side by side."""
 
-    age: int = -1  # ticks since then, -1 unused
+    age: Each = -1.0  # ticks since then, -1 unused
     gradual: bool = False  # of the group of losses that build up
-    stride: Real = 1.0  # onsets that it stands for
-    before = array(REAL, ROTORS)  # thrust of each rotor above the mean, lately, just before
-    M = array(REAL, STATES, DIRECTIONS)
-    C = array(REAL, CROSSES)  # symmetric: row by row, each up to its diagonal
-    z = array(REAL, DIRECTIONS)
+    stride: Real = 1.0  # onsets that each stands for
+    before = array(EACH, ROTORS)  # thrust of each rotor above the mean, lately, just before
+    M = array(EACH, STATES, DIRECTIONS)
+    C = array(EACH, CROSSES)  # symmetric: row by row, each up to its diagonal
+    z = array(EACH, DIRECTIONS)
 
-    def open(self, p: Plant, before: Reals) -> None:
+    def used(self) -> bool:
+        """Whether any is."""
+        for lane in range(LANES):
+            if one(self.age, lane) >= 0.0:
+                return True
+        return False
+
+    def open(self, p: Plant, lane: int, before: Reals) -> None:
         """A jump now."""
-        self.age = 0
+        directions = FIRST_LOSS + p.rotors
+        self.age = replaced(self.age, lane, 0.0)
         for r in range(THETA + p.rotors):
-            for d in range(FIRST_LOSS + p.rotors):
-                self.M[r][d] = 0.0
-        for d in range(FIRST_LOSS + p.rotors):
-            self.z[d] = 0.0
-            for e in range(d + 1):
-                self.C[entry(d, e)] = 0.0
+            for d in range(directions):
+                self.M[r][d] = replaced(self.M[r][d], lane, 0.0)
+        for d in range(directions):
+            self.z[d] = replaced(self.z[d], lane, 0.0)
+        for e in range(entry(directions, 0)):
+            self.C[e] = replaced(self.C[e], lane, 0.0)
         for i in range(p.rotors):
-            self.before[i] = before[i]
+            self.before[i] = replaced(self.before[i], lane, before[i])
 
-    def advance(self, p: Plant, share: Real) -> None:
-        """One tick on; by `share` of its size the jump comes now."""
+    def advance(self, p: Plant, fades: Real) -> None:
+        """One tick on: a sudden jump comes at once, a gradual one by its share of each tick; fades: what of it is left after a tick."""
         directions = FIRST_LOSS + p.rotors
         for a in range(4):
             for b in range(a * PER_AXIS + B1, a * PER_AXIS + B2 + 1):
                 row = self.M[b]
                 for d in range(directions):
                     row[d] *= p.decay[b]
-        if share <= 0.0:
+        share = each(0.0)
+        comes = False
+        for lane in range(LANES):
+            age = one(self.age, lane)
+            if age >= 0.0 and (self.gradual or age <= 0.0):
+                share = replaced(share, lane, (1.0 - fades) * exp(-p.dt / ANSWER_S * age) if self.gradual else 1.0)
+                comes = True
+        if not comes:
             return
         for a in range(4):
             self.M[a * PER_AXIS + B3][a] += share
@@ -106,7 +138,7 @@ class Slot(Struct):
     def observe(self, p: Plant, rows: Rows, leader: Branch, by: Observed) -> None:
         """One tick's measurement, of all axes at once: what an axis shows of a jump is less by what those before it have absorbed."""
         directions = FIRST_LOSS + p.rotors
-        phi = local(REAL, 4, DIRECTIONS)
+        phi = local(EACH, 4, DIRECTIONS)
         for a in range(4):
             shown = phi[a]
             h = rows.h[a]
@@ -148,74 +180,73 @@ class Slot(Struct):
 
 
 class Bank(Struct):
-    """All onsets."""
+    """All onsets, slot k in lane k % LANES of its pack."""
 
-    slots = array(Slot, SLOTS)
+    packs = array(Slots, packed(SLOTS))
     count: int = 0  # ticks so far
     reach: Real = 0.0  # ticks
 
     def begin(self, p: Plant) -> None:
         """All slots unused."""
-        for k in range(SLOTS):
-            stride = _stride(p, k // GROUP)
-            self.slots[k].gradual = k // GROUP == GROUPS - 1
-            self.slots[k].stride = real(stride)
-            self.reach = max(self.reach, real(GROUP * stride))
+        for k in range(SLOTS // LANES):
+            group = k * LANES // GROUP
+            self.packs[k].gradual = group == GROUPS - 1
+            self.packs[k].stride = real(_stride(p, group))
+            self.reach = max(self.reach, real(GROUP * _stride(p, group)))
 
     def advance(self, p: Plant, judge: bool, restart: bool, before: Reals, first: int, last: int) -> None:
-        """The slots from `first` to `last` one tick on: where the flight is judged a slot of each group becomes a jump now; elsewhere all
+        """The packs from `first` to `last` one tick on: where the flight is judged a slot of each group becomes a jump now; elsewhere all
         are unused."""
         fades = exp(-p.dt / ANSWER_S)
         for k in range(first, last):
-            slot = self.slots[k]
-            stride = _stride(p, k // GROUP)
-            if not judge or restart:
-                slot.age = -1
-            elif self.count % stride == 0 and self.count // stride % GROUP == k % GROUP:
-                slot.open(p, before)
-            elif slot.age >= 0:
-                slot.age += 1
-            if slot.age >= 0:
-                slot.advance(
-                    p,
-                    (1.0 - fades) * exp(-p.dt / ANSWER_S * real(slot.age))
-                    if slot.gradual
-                    else 1.0
-                    if slot.age == 0
-                    else 0.0,
-                )
-        if last == SLOTS:
+            pack = self.packs[k]
+            stride = _stride(p, k * LANES // GROUP)
+            fresh = self.count // stride % GROUP if self.count % stride == 0 else -1
+            for lane in range(LANES):
+                if not judge or restart:
+                    pack.age = replaced(pack.age, lane, -1.0)
+                elif fresh == (k * LANES + lane) % GROUP:
+                    pack.open(p, lane, before)
+                elif one(pack.age, lane) >= 0.0:
+                    pack.age = replaced(pack.age, lane, one(pack.age, lane) + 1.0)
+            if pack.used():
+                pack.advance(p, fades)
+        if last == SLOTS // LANES:
             self.count += 1
+
+    def age(self, slot: int) -> Real:
+        """Ticks since the onset of a slot, -1 unused."""
+        return one(self.packs[slot // LANES].age, slot % LANES)
 
     def forget(self) -> None:
         """All slots unused: what they were compared with has changed."""
-        for k in range(SLOTS):
-            self.slots[k].age = -1
+        for k in range(SLOTS // LANES):
+            self.packs[k].age = each(-1.0)
 
 
 class Window(Struct):
-    """What the ticks since one onset say of a jump then, whatever the errors of the model: information C and vector z of its size."""
+    """What the ticks since each onset say of a jump then, whatever the errors of the model: information C and vector z of its size."""
 
-    C = array(REAL, DIRECTIONS, DIRECTIONS)
-    z = array(REAL, DIRECTIONS)
+    C = array(EACH, DIRECTIONS, DIRECTIONS)
+    z = array(EACH, DIRECTIONS)
 
-    def reduce(self, p: Plant, slot: Slot, yaw_error: Real, damping_error: Real) -> None:
-        """Of a slot, with both errors of the model integrated out, of given variances: C - c c' / (C_ll + 1 / variance), and z alike.
+    def reduce(self, p: Plant, slots: Slots, yaw_error: Real, damping_error: Real) -> None:
+        """Of slots, with both errors of the model integrated out, of given variances: C - c c' / (C_ll + 1 / variance), and z alike.
         Damping has a least, which is 0: less of it than is known is not allowed for."""
         directions = FIRST_LOSS + p.rotors
-        damping = local(REAL, DIRECTIONS)
+        damping = local(EACH, DIRECTIONS)
         for d in range(directions):
-            damping[d] = slot.C[entry(d, DAMPING_ERROR)]
-        prior = damping_error if slot.z[DAMPING_ERROR] > 0.0 else 1e-12
+            damping[d] = slots.C[entry(d, DAMPING_ERROR)]
+        prior = damping_error if slots.z[DAMPING_ERROR] > 0.0 else 1e-12
         inverse = 1.0 / (damping[DAMPING_ERROR] + 1.0 / prior)
         for d in range(directions):
             first = entry(d, 0)
             out = self.C[d]
             share = damping[d] * inverse
             for e in range(d + 1):
-                out[e] = slot.C[first + e] - share * damping[e]
-            self.z[d] = slot.z[d] - share * slot.z[DAMPING_ERROR]
-        yaw = local(REAL, DIRECTIONS)
+                out[e] = slots.C[first + e] - share * damping[e]
+            self.z[d] = slots.z[d] - share * slots.z[DAMPING_ERROR]
+        yaw = local(EACH, DIRECTIONS)
         for d in range(directions):
             yaw[d] = self.C[max(d, YAW_ERROR)][min(d, YAW_ERROR)]
         score = self.z[YAW_ERROR]

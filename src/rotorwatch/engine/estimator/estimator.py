@@ -9,7 +9,7 @@ have happened becomes a few explanations (posterior.py); the best of them leads.
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import FLAG, REAL, Real, Struct, array, embedded, local, real, sqrt
+from rotorwatch.base.compiling.structs import FLAG, LANES, REAL, Real, Struct, array, embedded, local, real, sqrt
 from rotorwatch.engine.estimator.announcement import Alarm
 from rotorwatch.engine.estimator.bank import Bank, Observed
 from rotorwatch.engine.estimator.evidence import Best, Evidence
@@ -49,7 +49,7 @@ LEAST_USUAL = 0.1  # hover thrusts
 # Stages of a tick: all filters and the bank a tick ahead; the measurement to the filters and to the bank; explanations weighed; what each
 # onset says; what that means; the explanations that follow; what is told.
 AHEAD, SHIFTED, MEASURED, OBSERVED, WEIGHED, ASKED, DECIDED, BORN, TOLD = 0, 1, 2, 3, 4, 5, 6, 7, 8
-PIECE = 2  # slots of the bank in a piece of a tick
+PIECE = 2  # packs of the bank in a piece of a tick
 
 
 class Result(Struct):
@@ -122,7 +122,7 @@ class Estimator(Struct):
         judge = now.mode == JUDGE
         flying = now.mode > GROUND
         first = self.place
-        last = min(first + PIECE, SLOTS)
+        last = min(first + PIECE, SLOTS // LANES)
         size = PLACES
         self.place += 1
         if self.stage == AHEAD:
@@ -130,7 +130,7 @@ class Estimator(Struct):
         elif self.stage == SHIFTED:
             self.bank.advance(p, judge, now.restart, self.memory.thrust, first, last)
             self.place = last
-            size = SLOTS
+            size = SLOTS // LANES
         elif self.stage == MEASURED:
             if first == 0:
                 self._look(p, now, judge, flying)
@@ -139,14 +139,14 @@ class Estimator(Struct):
         elif self.stage == OBSERVED:
             self._observe(p, first, last)
             self.place = last
-            size = SLOTS
+            size = SLOTS // LANES
         elif self.stage == WEIGHED:
             self._weigh(p, now, judge, out)
             size = 1
         elif self.stage == ASKED:
             self.evidence.look(p, self.bank, first, last)
             self.place = last
-            size = SLOTS
+            size = SLOTS // LANES
         elif self.stage == DECIDED:
             if first == 0:
                 self._decide(p, now, judge, out)
@@ -190,8 +190,8 @@ class Estimator(Struct):
         if first == 0:
             self.observed.by(p, self.rows, leader, self.calm, self.measured.counts)
         for k in range(first, last):
-            if self.bank.slots[k].age >= 0:
-                self.bank.slots[k].observe(p, self.rows, leader, self.observed)
+            if self.bank.packs[k].used():
+                self.bank.packs[k].observe(p, self.rows, leader, self.observed)
 
     def _weigh(self, p: Plant, now: Inputs, judge: bool, out: Result) -> None:
         """The explanations, by this tick's innovations; and what their leader asks of the bank."""
@@ -223,8 +223,8 @@ class Estimator(Struct):
         found = self.evidence
         found.gather(p)
         found.pick(p, self.bank, found.first, self.best)
-        slot = self.bank.slots[self.best.slot]
-        self.may.judge(p, self.best, slot, now, self.seen, self.missing, leader, self.noise, self.coupling)
+        slots = self.bank.packs[self.best.slot // LANES]
+        self.may.judge(p, self.best, slots, now, self.seen, self.missing, leader, self.noise, self.coupling)
         out.pushed = self.memory.outside(p) > 0.0
         self.alarm.decide(p, found, self.best, self.bank, self.may, judge, out.pushed)
 

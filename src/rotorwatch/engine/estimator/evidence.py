@@ -11,22 +11,27 @@ most probable onset and size of a hypothesis comes what the augmented filter wou
 from __future__ import annotations
 
 from rotorwatch.base.compiling.structs import (
+    EACH,
+    LANES,
     REAL,
     SMALL,
+    Each,
     Real,
     Reals,
     Struct,
     array,
+    each,
     embedded,
     exp,
     local,
     log,
+    one,
     real,
     reset,
     sqrt,
 )
 from rotorwatch.engine.estimator import hypotheses
-from rotorwatch.engine.estimator.bank import FIRST_LOSS, Bank, Slot, Window
+from rotorwatch.engine.estimator.bank import FIRST_LOSS, Bank, Slots, Window
 from rotorwatch.engine.estimator.hypotheses import (
     ALL_TORQUES,
     CLEAR,
@@ -72,11 +77,14 @@ class Best(Struct):
     kind: int = 0
     rotor: int = -1
     other: int = -1
-    jump = embedded(Jump)
+    size: Real = 0.0  # of the jump of its rotor
+    other_size: Real = 0.0  # ... of its other rotor
+    variance: Real = 0.0  # of a single rotor's size, or of `gives`
+    gives: Real = 0.0  # thrust that its rotor gives, whatever it is commanded
 
     def size_of(self, rotor: int) -> Real:
         """Size of the jump of a rotor."""
-        return self.jump.size if rotor == self.rotor else self.jump.other_size if rotor == self.other else 0.0
+        return self.size if rotor == self.rotor else self.other_size if rotor == self.other else 0.0
 
 
 class Shift(Struct):
@@ -93,12 +101,14 @@ class Evidence(Struct):
     asked = embedded(Asked)
     yaw_error: Real = 0.0  # variance of the gain of yaw
     damping_error: Real = 0.0  # ... of how much roll and pitch are damped
-    nats = array(REAL, HYPOTHESES)  # Bayes factors of the slot that is looked at: weight e^nats
-    weight = array(REAL, HYPOTHESES)
+    nats = array(EACH, HYPOTHESES)  # Bayes factors of the slots that are looked at: weight e^nats
+    weight = array(EACH, HYPOTHESES)
     top = array(REAL, HYPOTHESES)  # the most nats of all slots
     total = array(REAL, HYPOTHESES)  # sum over all slots, relative to that
     peak = array(REAL, HYPOTHESES)  # the largest of the slots, relative to that, too
     place = array(SMALL, HYPOTHESES)  # the first slot that has it
+    # The largest Bayes factor of each disturbance at sudden and at gradual onsets, relative to that.
+    loud = array(REAL, 2, DISTURBANCE_COUNT)
     odds = array(REAL, HYPOTHESES)  # log evidence over all onsets
     probability = array(REAL, HYPOTHESES)  # among faults
     known = array(REAL, ROTORS)  # the most information on each rotor's jump alone
@@ -106,6 +116,8 @@ class Evidence(Struct):
     other: Real = 0.0  # ... over all disturbances
     far: Real = 0.0  # ... over disturbances much larger than this flight's: something else
     far_sum: Real = 0.0  # of which exp(far) is a factor, while it is gathered
+    far_nats = array(EACH, DISTURBANCE_COUNT)  # as nats and weight, of these
+    far_weight = array(EACH, DISTURBANCE_COUNT)
     first: int = 0  # the likeliest fault
     live: int = 0  # the first slot in use, else 0
     window = embedded(Window)
@@ -148,6 +160,9 @@ class Evidence(Struct):
         self.far_sum = 1.0
         for i in range(p.rotors):
             self.known[i] = 0.0
+        for b in range(DISTURBANCE_COUNT):
+            self.loud[0][b] = 0.0
+            self.loud[1][b] = 0.0
         for h in range(hypothesis_count(p.rotors)):
             self.top[h] = NOTHING
             self.total[h] = 1.0
@@ -155,27 +170,15 @@ class Evidence(Struct):
             self.place[h] = 0
 
     def look(self, p: Plant, bank: Bank, first: int, last: int) -> None:
-        """What the windows from `first` to `last` say."""
+        """What the packs from `first` to `last` say."""
         for k in range(first, last):
-            slot = bank.slots[k]
-            if slot.age < 0:
+            pack = bank.packs[k]
+            if not pack.used():
                 continue
-            if self.live < 0:
-                self.live = k
-            self._weigh(p, slot)
-            for h in range(hypothesis_count(p.rotors)):
-                if self.weight[h] <= 0.0:
-                    continue
-                if self.nats[h] > self.top[h]:
-                    less = shrunk(self.top[h] - self.nats[h])
-                    self.total[h] *= less
-                    self.peak[h] *= less
-                    self.top[h] = self.nats[h]
-                one = slot.stride * self.weight[h] * shrunk(self.nats[h] - self.top[h])
-                self.total[h] += one
-                if one > self.peak[h]:
-                    self.peak[h] = one
-                    self.place[h] = k
+            self._weigh(p, pack)
+            for lane in range(LANES):
+                if one(pack.age, lane) >= 0.0:
+                    self._add(p, k * LANES + lane, pack, lane)
 
     def gather(self, p: Plant) -> None:
         """The evidence of all hypotheses, by all windows."""
@@ -186,13 +189,12 @@ class Evidence(Struct):
         self._prior(p)
         self._sum(p)
 
-    def _weigh(self, p: Plant, slot: Slot) -> None:
-        """Bayes factors of one onset."""
+    def _weigh(self, p: Plant, slots: Slots) -> None:
+        """Bayes factors of some onsets."""
         n = p.rotors
-        self.window.reduce(p, slot, self.yaw_error, self.damping_error)
+        self.window.reduce(p, slots, self.yaw_error, self.damping_error)
         self.freed.free(p, self.window, self.asked)
         for i in range(n):
-            self.known[i] = max(self.known[i], self.window.C[FIRST_LOSS + i][FIRST_LOSS + i])
             self.freed.weigh(self.asked, i, self.jump)
             self._put(i, self.jump)
         h = n
@@ -202,49 +204,83 @@ class Evidence(Struct):
                 self._put(h, self.jump)
                 h += 1
         for i in range(n):
-            self.weight[h] = 0.0
+            self.weight[h] = each(0.0)
             if self.asked.active[i]:
-                self.freed.recovery(i, self._target(p, slot, i), self.jump)
+                self.freed.recovery(i, self._target(p, slots, i), self.jump)
                 self._put(h, self.jump)
-            self.weight[h + n] = 0.0
+            self.weight[h + n] = each(0.0)
             if self.asked.active[i] or not self.asked.weak:
                 hypotheses.one_thrust(p, self.window, self.asked, i, self.jump)
                 self._put(h + n, self.jump)
             h += 1
-        nats = local(REAL, DISTURBANCE_COUNT)
-        weight = local(REAL, DISTURBANCE_COUNT)
+        nats = local(EACH, DISTURBANCE_COUNT)
+        weight = local(EACH, DISTURBANCE_COUNT)
         hypotheses.steps(self.window, self.asked.width, 1.0, 0, nats, weight)
         for b in range(DISTURBANCE_COUNT):
             self.nats[h + n + b] = nats[b]
             self.weight[h + n + b] = weight[b]
-        # Without a weak rotor, of what moves all torques: a large step of one axis has no direction of a rotor.
-        first = 0 if self.asked.weak else ALL_TORQUES
-        hypotheses.steps(self.window, self.asked.width, FAR, first, nats, weight)
-        for b in range(first, DISTURBANCE_COUNT):
-            if nats[b] > self.far:
-                self.far_sum *= shrunk(self.far - nats[b])
-                self.far = nats[b]
-            self.far_sum += slot.stride * weight[b] * shrunk(nats[b] - self.far)
+        hypotheses.steps(self.window, self.asked.width, FAR, self._first_far(), self.far_nats, self.far_weight)
 
-    def disturbed(self, p: Plant, slot: Slot) -> Real:
-        """The largest log Bayes factor of a disturbance at one onset."""
-        nats = local(REAL, DISTURBANCE_COUNT)
-        weight = local(REAL, DISTURBANCE_COUNT)
-        self.window.reduce(p, slot, self.yaw_error, self.damping_error)
-        hypotheses.steps(self.window, self.asked.width, 1.0, 0, nats, weight)
-        most = nats[0] + log(weight[0])
-        for b in range(1, DISTURBANCE_COUNT):
-            most = max(most, nats[b] + log(weight[b]))
+    def _add(self, p: Plant, slot: int, slots: Slots, lane: int) -> None:
+        """What one onset says, to that of the others."""
+        if self.live < 0:
+            self.live = slot
+        for i in range(p.rotors):
+            self.known[i] = max(self.known[i], one(self.window.C[FIRST_LOSS + i][FIRST_LOSS + i], lane))
+        faults = hypothesis_count(p.rotors) - DISTURBANCE_COUNT
+        loud = self.loud[1 if slots.gradual else 0]
+        for h in range(faults + DISTURBANCE_COUNT):
+            weight = one(self.weight[h], lane)
+            nats = one(self.nats[h], lane)
+            if weight <= 0.0:
+                continue
+            if nats > self.top[h]:
+                less = shrunk(self.top[h] - nats)
+                self.total[h] *= less
+                self.peak[h] *= less
+                self.top[h] = nats
+                if h >= faults:
+                    self.loud[0][h - faults] *= less
+                    self.loud[1][h - faults] *= less
+            factor = weight * shrunk(nats - self.top[h])
+            if h >= faults:
+                loud[h - faults] = max(loud[h - faults], factor)
+            told = slots.stride * factor
+            self.total[h] += told
+            if told > self.peak[h]:
+                self.peak[h] = told
+                self.place[h] = slot
+        for b in range(self._first_far(), DISTURBANCE_COUNT):
+            nats = one(self.far_nats[b], lane)
+            if nats > self.far:
+                self.far_sum *= shrunk(self.far - nats)
+                self.far = nats
+            self.far_sum += slots.stride * one(self.far_weight[b], lane) * shrunk(nats - self.far)
+
+    def _first_far(self) -> int:
+        """Without a weak rotor, of what moves all torques: a large step of one axis has no direction of a rotor."""
+        return 0 if self.asked.weak else ALL_TORQUES
+
+    def disturbed(self, p: Plant, gradual: bool) -> Real:
+        """The largest log Bayes factor of a disturbance at any sudden, or any gradual onset."""
+        faults = hypothesis_count(p.rotors) - DISTURBANCE_COUNT
+        loud = self.loud[1 if gradual else 0]
+        most = NOTHING
+        for b in range(DISTURBANCE_COUNT):
+            if loud[b] > 0.0:
+                most = max(most, self.top[faults + b] + log(loud[b]))
         return most
 
     def _put(self, h: int, jump: Jump) -> None:
         self.nats[h] = jump.nats
         self.weight[h] = jump.weight
 
-    def _target(self, p: Plant, slot: Slot, i: int) -> Real:
+    def _target(self, p: Plant, slots: Slots, i: int) -> Each:
         """What ends a known loss: of a unit jump the filter has by now, or will have, so much of theta left."""
-        to_come = exp(-p.dt / ANSWER_S * real(slot.age + 1)) if slot.gradual else 0.0
-        return -self.asked.theta[i] / max(slot.M[THETA + i][FIRST_LOSS + i] + to_come, 0.3)
+        to_come = each(0.0)
+        if slots.gradual:
+            to_come = exp(-p.dt / ANSWER_S * (slots.age + 1.0))
+        return -self.asked.theta[i] / max(slots.M[THETA + i][FIRST_LOSS + i] + to_come, 0.3)
 
     def barred(self, n: int, h: int) -> bool:
         """Whether a fault is not asked for beside what is known. With a rotor lost altogether the vehicle flies at its limits, where the
@@ -308,24 +344,29 @@ class Evidence(Struct):
         out.rotor = rotor_of(n, h)
         out.other = other_rotor_of(n, h)
         out.slot = self.live
-        if bank.slots[self.live].age >= 0 and (out.kind == DISTURBANCE or not self.barred(n, h)):
+        if bank.age(self.live) >= 0.0 and (out.kind == DISTURBANCE or not self.barred(n, h)):
             out.slot = self.place[h]
-        slot = bank.slots[out.slot]
-        out.since = real(slot.age + 1)
-        reset(out.jump)
-        if slot.age < 0:
-            return
-        self.window.reduce(p, slot, self.yaw_error, self.damping_error)
-        self.freed.free(p, self.window, self.asked)
-        if out.kind == SINGLE:
-            self.freed.loss(self.asked, out.rotor, out.jump)
-        elif out.kind == PAIR:
-            hypotheses.pair(self.window, self.asked, out.rotor, out.other, out.jump)
-        elif out.kind == RECOVERY:
-            target = self._target(p, slot, out.rotor) if self.asked.active[out.rotor] else 0.0
-            self.freed.recovery(out.rotor, target, out.jump)
-        elif out.kind == ONE_THRUST:
-            hypotheses.one_thrust(p, self.window, self.asked, out.rotor, out.jump)
+        slots = bank.packs[out.slot // LANES]
+        lane = out.slot % LANES
+        out.since = bank.age(out.slot) + 1.0
+        jump = self.jump
+        reset(jump)
+        if out.since > 0.0:
+            self.window.reduce(p, slots, self.yaw_error, self.damping_error)
+            self.freed.free(p, self.window, self.asked)
+            if out.kind == SINGLE:
+                self.freed.loss(self.asked, out.rotor, jump)
+            elif out.kind == PAIR:
+                hypotheses.pair(self.window, self.asked, out.rotor, out.other, jump)
+            elif out.kind == RECOVERY:
+                target = self._target(p, slots, out.rotor) if self.asked.active[out.rotor] else each(0.0)
+                self.freed.recovery(out.rotor, target, jump)
+            elif out.kind == ONE_THRUST:
+                hypotheses.one_thrust(p, self.window, self.asked, out.rotor, jump)
+        out.size = one(jump.size, lane)
+        out.other_size = one(jump.other_size, lane)
+        out.variance = one(jump.variance, lane)
+        out.gives = one(jump.gives, lane)
 
     def detectable(self, i: int) -> Real:
         """Standard deviation with which a loss of a rotor would be measured now."""
@@ -335,53 +376,55 @@ class Evidence(Struct):
         """Size and covariance of a jump in all directions, after `pick` of it. What geometry is wrong by counts in how well a loss is
         known; it does not become a disturbance."""
         w = self.window
+        lane = best.slot % LANES
         reset(out)
         if best.kind == DISTURBANCE:
             steps = int(DISTURBANCES[best.hypothesis - hypothesis_count(p.rotors) + DISTURBANCE_COUNT])
             for a in range(4):
                 wide = FAR * self.asked.width[a] if (steps >> a) & 1 == 1 else 0.0
                 for b in range(4):
-                    out.A[a][b] = w.C[a][b]
+                    out.A[a][b] = one(w.C[a][b], lane)
                 out.A[a][a] += 1.0 / (wide * wide + 1e-12)
             invert(out, 4)
             for a in range(4):
                 if (steps >> a) & 1 == 1:
                     for b in range(4):
-                        out.size[a] += out.A[a][b] * w.z[b]
+                        out.size[a] += out.A[a][b] * one(w.z[b], lane)
                         out.cov[a][b] = out.A[a][b] if (steps >> b) & 1 == 1 else 0.0
             return
         rotor = FIRST_LOSS + best.rotor
         other = FIRST_LOSS + best.other
-        out.size[rotor] = best.jump.size
+        out.size[rotor] = best.size
         if best.kind == SINGLE:
-            out.cov[rotor][rotor] = best.jump.variance
+            out.cov[rotor][rotor] = best.variance
         elif best.kind == ONE_THRUST:
             out.cov[rotor][rotor] = NONE * NONE
             for a in range(4):  # what it gives instead of what it is commanded
-                out.size[a] = -p.effect[a][best.rotor] * best.jump.gives
+                out.size[a] = -p.effect[a][best.rotor] * best.gives
                 for b in range(4):
-                    out.cov[a][b] = best.jump.variance * p.effect[a][best.rotor] * p.effect[b][best.rotor]
+                    out.cov[a][b] = best.variance * p.effect[a][best.rotor] * p.effect[b][best.rotor]
         else:
             variance = LOSS_WIDTH * LOSS_WIDTH
             if best.kind == RECOVERY:
                 active = self.asked.active[best.rotor]
-                variance = recovery_variance(self._target(p, bank.slots[best.slot], best.rotor) if active else 0.0)
+                target = self._target(p, bank.packs[best.slot // LANES], best.rotor) if active else each(0.0)
+                variance = one(recovery_variance(target), lane)
             for a in range(4):
                 for b in range(4):
-                    out.A[a][b] = w.C[a][b]
-                out.A[a][a] += 1.0 / (self.freed.slop[a] + 1e-12)
-                out.A[a][4] = w.C[a][rotor]
-                out.A[4][a] = w.C[a][rotor]
-            out.A[4][4] = w.C[rotor][rotor] + 1.0 / variance
+                    out.A[a][b] = one(w.C[a][b], lane)
+                out.A[a][a] += 1.0 / (one(self.freed.slop[a], lane) + 1e-12)
+                out.A[a][4] = one(w.C[a][rotor], lane)
+                out.A[4][a] = one(w.C[a][rotor], lane)
+            out.A[4][4] = one(w.C[rotor][rotor], lane) + 1.0 / variance
             if best.kind == PAIR:
                 for a in range(4):
-                    out.A[a][5] = w.C[a][other]
-                    out.A[5][a] = w.C[a][other]
-                out.A[4][5] = w.C[rotor][other]
-                out.A[5][4] = w.C[rotor][other]
-                out.A[5][5] = w.C[other][other] + 1.0 / variance
+                    out.A[a][5] = one(w.C[a][other], lane)
+                    out.A[5][a] = one(w.C[a][other], lane)
+                out.A[4][5] = one(w.C[rotor][other], lane)
+                out.A[5][4] = one(w.C[rotor][other], lane)
+                out.A[5][5] = one(w.C[other][other], lane) + 1.0 / variance
                 invert(out, 6)
-                out.size[other] = best.jump.other_size
+                out.size[other] = best.other_size
                 out.cov[rotor][other] = out.A[4][5]
                 out.cov[other][rotor] = out.A[4][5]
                 out.cov[other][other] = out.A[5][5]

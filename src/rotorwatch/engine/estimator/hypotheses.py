@@ -13,7 +13,24 @@ In their order: each rotor, each pair of rotors, each rotor well again, each rot
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import FLAG, REAL, Real, Reals, Struct, array, exp, local, log, sqrt
+import math
+
+from rotorwatch.base.compiling.structs import (
+    EACH,
+    FLAG,
+    REAL,
+    Each,
+    Eaches,
+    Real,
+    Reals,
+    Struct,
+    array,
+    each,
+    exp,
+    local,
+    log,
+    sqrt,
+)
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Window
 from rotorwatch.engine.estimator.plant import THRUST, YAW, Plant
 from rotorwatch.engine.estimator.sizes import ROTORS
@@ -41,6 +58,7 @@ STUCK_WEIGHT, DISTURBANCE_WEIGHT = 0.1, 3.0
 RECOVERY_SHARE = 0.3
 # Hover thrusts that a rotor gives at least that is told to give one thrust; nats of what cannot be.
 MORE, NOTHING = 1.25, -50.0
+SERIES = tuple(1.0 / math.factorial(k) for k in range(11, -1, -1))  # of exp, the highest power first
 LEFT = -60.0  # nats of which too little is left to count
 # Disturbances: which of roll (1), pitch (2), yaw (4), thrust (8) they touch.
 DISTURBANCES = (1, 2, 4, 8, 9, 10, 12, 7, 15)
@@ -67,65 +85,62 @@ class Asked(Struct):
 
 
 class Jump(Struct):
-    """The most probable jump of one hypothesis."""
+    """The most probable jump of one hypothesis at each onset."""
 
-    nats: Real = 0.0  # Bayes factor: weight e^nats
-    weight: Real = 0.0
-    size: Real = 0.0  # of its rotor
-    other_size: Real = 0.0  # of its other rotor
-    variance: Real = 0.0  # of a single rotor's size, or of `gives`
-    gives: Real = 0.0  # thrust that its rotor gives, whatever it is commanded
+    nats: Each = 0.0  # Bayes factor: weight e^nats
+    weight: Each = 0.0
+    size: Each = 0.0  # of its rotor
+    other_size: Each = 0.0  # of its other rotor
+    variance: Each = 0.0  # of a single rotor's size, or of `gives`
+    gives: Each = 0.0  # thrust that its rotor gives, whatever it is commanded
 
 
 class Freed(Struct):
     """Each rotor's jump alone when the axes may differ by `slop` from what it does to them: Gaussian steps integrated out. Of losses that
     come with a change of the air thrust may differ by more."""
 
-    slop = array(REAL, 4)  # variances
-    own = array(REAL, 2, ROTORS)  # information, in still and in moving air
-    score = array(REAL, 2, ROTORS)  # vector
-    nats = array(REAL, 2)  # Bayes factor of that freedom: weight e^nats
-    weight = array(REAL, 2)
-    size = array(
-        REAL, 6
-    )  # of one rotor's loss, of each kind: the most probable one, its variance, and how likely the kind is
-    spread = array(REAL, 6)
-    likely = array(REAL, 6)
+    slop = array(EACH, 4)  # variances
+    own = array(EACH, 2, ROTORS)  # information, in still and in moving air
+    score = array(EACH, 2, ROTORS)  # vector
+    nats = array(EACH, 2)  # Bayes factor of that freedom: weight e^nats
+    weight = array(EACH, 2)
+    size = array(EACH, 6)  # of a rotor's loss of each kind: the most probable one, its variance, how likely the kind is
+    spread = array(EACH, 6)
+    likely = array(EACH, 6)
 
     def free(self, p: Plant, w: Window, a: Asked) -> None:
         """From a window. SLOP is of what the likeliest rotor would lack, and in yaw all of its drag is uncertain."""
         n = p.rotors
-        best = -1e30
-        lacks = 0.0
-        dragged = 0.0
+        best = each(-1e30)
+        lacks = each(0.0)
+        dragged = each(0.0)
         for i in range(n):
             c = w.C[FIRST_LOSS + i][FIRST_LOSS + i] + 1.0 / (LOSS_WIDTH * LOSS_WIDTH)
             z = w.z[FIRST_LOSS + i]
             nu = min(max(z / c, a.lo[i]), a.hi[i])
             fit = z * nu - 0.5 * c * nu * nu
-            if fit > best:
-                best = fit
-                lacks = abs(nu * a.reach[i])
-                dragged = abs(nu * a.drag[i])
+            lacks = abs(nu * a.reach[i]) if fit > best else lacks
+            dragged = abs(nu * a.drag[i]) if fit > best else dragged
+            best = max(best, fit)
         for axis in range(4):
             self.slop[axis] = SLOP[axis] * lacks * (SLOP[axis] * lacks) + 1e-12
         self.slop[YAW] += dragged * dragged
-        among = local(REAL, 4, 4)
-        cross = local(REAL, 4, ROTORS)
-        step = local(REAL, 4)
+        among = local(EACH, 4, 4)
+        cross = local(EACH, 4, ROTORS)
+        step = local(EACH, 4)
         for axis in range(4):
             step[axis] = w.z[axis]
             for other in range(4):
                 among[axis][other] = w.C[axis][other]
             for i in range(n):
                 cross[axis][i] = w.C[axis][FIRST_LOSS + i]
-        own = local(REAL, ROTORS)
-        score = local(REAL, ROTORS)
+        own = local(EACH, ROTORS)
+        score = local(EACH, ROTORS)
         for i in range(n):
             own[i] = w.C[FIRST_LOSS + i][FIRST_LOSS + i]
             score[i] = w.z[FIRST_LOSS + i]
-        gain = 0.0
-        grown = 1.0
+        gain = each(0.0)
+        grown = each(1.0)
         for axis in range(THRUST):
             more = among[axis][axis] * self.slop[axis] + 1.0
             inverse = self.slop[axis] / more
@@ -156,8 +171,8 @@ class Freed(Struct):
     def weigh(self, a: Asked, i: int, out: Jump) -> None:
         """Rotor i alone: the Bayes factor. Losses are small as often as large, and now and then total; each kind may come with a change of
         the air."""
-        fit = local(REAL, 6)
-        most = -1e30
+        fit = local(EACH, 6)
+        most = each(-1e30)
         for k in range(6):
             kind = k % 3
             moving = k // 3
@@ -176,25 +191,25 @@ class Freed(Struct):
             self.likely[k] = share * self.weight[moving] * sqrt(shrinks)
             most = max(most, fit[k])
         out.nats = most
-        out.weight = 0.0
+        out.weight = each(0.0)
         for k in range(6):
-            self.likely[k] *= shrunk(fit[k] - most)
+            self.likely[k] *= vanishing(fit[k] - most)
             out.weight += self.likely[k]
 
     def loss(self, a: Asked, i: int, out: Jump) -> None:
         """Rotor i alone: mean and variance of its loss, too, over all its kinds."""
         self.weigh(a, i, out)
-        out.size = 0.0
-        out.other_size = 0.0
-        out.gives = 0.0
-        out.variance = 0.0
+        out.size = each(0.0)
+        out.other_size = each(0.0)
+        out.gives = each(0.0)
+        out.variance = each(0.0)
         for k in range(6):
             out.size += self.likely[k] * self.size[k] / out.weight
         for k in range(6):
             away = self.size[k] - out.size
             out.variance += self.likely[k] / out.weight * (self.spread[k] + away * away)
 
-    def recovery(self, i: int, target: Real, out: Jump) -> None:
+    def recovery(self, i: int, target: Each, out: Jump) -> None:
         """Rotor i is well again: the jump that ends its loss, within RECOVERY_SHARE of that. It gives more, not less."""
         variance = recovery_variance(target)
         c = self.own[0][i]
@@ -202,8 +217,8 @@ class Freed(Struct):
         left = c + 1.0 / variance
         size = min((z + target / variance) / left, 0.0)
         out.size = size
-        out.other_size = 0.0
-        out.gives = 0.0
+        out.other_size = each(0.0)
+        out.gives = each(0.0)
         out.variance = 1.0 / left
         away = size - target
         out.nats = z * size - 0.5 * c * size * size - 0.5 * away * away / variance + self.nats[0]
@@ -215,7 +230,18 @@ def shrunk(nats: Real) -> Real:
     return exp(nats) if nats > LEFT else 0.0
 
 
-def recovery_variance(target: Real) -> Real:
+def vanishing(nats: Each) -> Each:
+    """exp of what is not above 0, to 1e-13 of it, as products that vectors can do: the series of its root, squared again and again."""
+    root = max(nats, LEFT) * (1.0 / 256.0)
+    share = each(SERIES[0])
+    for k in range(1, 12):
+        share = share * root + SERIES[k]
+    for _ in range(8):
+        share *= share
+    return share
+
+
+def recovery_variance(target: Each) -> Each:
     """Variance of the jump `target` that ends a loss."""
     return NONE * NONE + RECOVERY_SHARE * RECOVERY_SHARE * target * target
 
@@ -230,42 +256,31 @@ def pair(w: Window, a: Asked, i: int, j: int, out: Jump) -> None:
     z1 = w.z[FIRST_LOSS + i]
     z2 = w.z[FIRST_LOSS + j]
     det = c11 * c22 - c12 * c12
-    if det <= 1e-12 * c11 * c22:
-        det = 1e-12 * c11 * c22 + 1e-30
+    least = 1e-12 * c11 * c22
+    det = det if det > least else least + 1e-30
     first = (c22 * z1 - c12 * z2) / det
     second = (c11 * z2 - c12 * z1) / det
     nearest = min(max(first, a.lo[i]), a.hi[i])
     other = min(max(second, a.lo[j]), a.hi[j])
-    one = nearest
-    two = other
-    best = -1e30
-    beyond = nearest < first or nearest > first
-    other_beyond = other < second or other > second
-    if beyond:
-        two = min(max((z2 - c12 * nearest) / c22, a.lo[j]), a.hi[j])
-    if beyond or not other_beyond:
-        best = z1 * one + z2 * two - 0.5 * (c11 * one * one + 2.0 * c12 * one * two + c22 * two * two)
-    if other_beyond:
-        edge = min(max((z1 - c12 * other) / c11, a.lo[i]), a.hi[i])
-        score = z1 * edge + z2 * other - 0.5 * (c11 * edge * edge + 2.0 * c12 * edge * other + c22 * other * other)
-        if score > best:
-            best = score
-            one = edge
-            two = other
-    out.size = one
-    out.other_size = two
-    out.variance = 0.0
-    out.gives = 0.0
-    out.nats = best
+    two = min(max((z2 - c12 * nearest) / c22, a.lo[j]), a.hi[j]) if nearest < first or nearest > first else other
+    score = z1 * nearest + z2 * two - 0.5 * (c11 * nearest * nearest + 2.0 * c12 * nearest * two + c22 * two * two)
+    edge = min(max((z1 - c12 * other) / c11, a.lo[i]), a.hi[i])
+    beyond = z1 * edge + z2 * other - 0.5 * (c11 * edge * edge + 2.0 * c12 * edge * other + c22 * other * other)
+    beyond = beyond if other < second or other > second else each(-1e30)
+    out.size = edge if beyond > score else nearest
+    out.other_size = other if beyond > score else two
+    out.variance = each(0.0)
+    out.gives = each(0.0)
+    out.nats = max(score, beyond)
     out.weight = precision / sqrt(max(c11 * c22 - c12 * c12, 1e-9))
 
 
 def one_thrust(p: Plant, w: Window, a: Asked, i: int, out: Jump) -> None:
     """Rotor i gives one thrust between MORE and full, whatever it is commanded: the command's part is gone, a jump of hi, and a step of
     the axes along its column of -B has come instead."""
-    c = 0.0
-    cross = 0.0
-    left = 0.0
+    c = each(0.0)
+    cross = each(0.0)
+    left = each(0.0)
     for axis in range(4):
         effect = -p.effect[axis][i]
         row = w.C[axis]
@@ -280,8 +295,8 @@ def one_thrust(p: Plant, w: Window, a: Asked, i: int, out: Jump) -> None:
     variance = 0.25 * (a.full - 1.0) * (a.full - 1.0) + 1e-6
     total = c + 1.0 / variance
     thrust = min(max((left + mean / variance) / total, 0.0), a.full)
-    out.size = hi
-    out.other_size = 0.0
+    out.size = each(hi)
+    out.other_size = each(0.0)
     out.gives = thrust
     out.variance = 1.0 / total
     away = thrust - mean
@@ -290,7 +305,7 @@ def one_thrust(p: Plant, w: Window, a: Asked, i: int, out: Jump) -> None:
     out.weight = 1.0 / sqrt(total * variance) if thrust > MORE else 0.0
 
 
-def steps(w: Window, width: Reals, far: Real, first: int, nats: Reals, weight: Reals) -> None:
+def steps(w: Window, width: Reals, far: Real, first: int, nats: Eaches, weight: Eaches) -> None:
     """Bayes factors of steps of the axes' biases, of any sign and about `far` times `width` large: of the disturbances from `first` on,
     0 or ALL_TORQUES."""
     prior = local(REAL, 4)
@@ -314,14 +329,14 @@ def steps(w: Window, width: Reals, far: Real, first: int, nats: Reals, weight: R
             nats[4 + axis] = fit4 + 0.5 * rest * rest * prior[axis] * shrinks
             weight[4 + axis] = sqrt(shrinks4 * shrinks)
     # All torques; everything.
-    among = local(REAL, 4, 4)
-    step = local(REAL, 4)
+    among = local(EACH, 4, 4)
+    step = local(EACH, 4)
     for axis in range(4):
         step[axis] = w.z[axis]
         for other in range(4):
             among[axis][other] = w.C[axis][other]
-    fit = 0.0
-    grown = 1.0
+    fit = each(0.0)
+    grown = each(1.0)
     for axis in range(4):
         more = among[axis][axis] * prior[axis] + 1.0
         inverse = prior[axis] / more

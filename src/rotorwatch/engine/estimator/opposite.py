@@ -11,7 +11,7 @@ Only steady flight can tell: who climbs, drops or turns changes the air that all
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import Real, Struct, exp, log, real
+from rotorwatch.base.compiling.structs import LANES, Real, Struct, exp, log, one, real
 from rotorwatch.engine.estimator.announcement import Alarm, either
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Bank, Window
 from rotorwatch.engine.estimator.evidence import Evidence
@@ -19,7 +19,6 @@ from rotorwatch.engine.estimator.hypotheses import (
     CLEAR,
     LOSS_WIDTH,
     NONE,
-    NOTHING,
     PAIR,
     SMALL_WIDTH,
     kind_of,
@@ -55,47 +54,43 @@ class Opposite(Struct):
             return
         best = alarm.limit
         pair = -1
-        age = 0
-        for k in range(SLOTS):
-            slot = bank.slots[k]
-            if slot.age < 0 or slot.gradual:
+        age = 0.0
+        for k in range(SLOTS // LANES):
+            pack = bank.packs[k]
+            if pack.gradual or not pack.used():
                 continue
-            found.window.reduce(p, slot, found.yaw_error, found.damping_error)
-            h = p.rotors
-            for i in range(p.rotors):
-                for j in range(i + 1, p.rotors):
-                    # No weight is above 1: most pairs are out by their nats alone.
-                    if torque_free(p, i, j) and _nats(found.window, i, j, LOSS_WIDTH) > best:
-                        loss = _shared(found.window, i, j, LOSS_WIDTH)
-                        factor = either(
-                            _fit(found.window, i, j, SMALL_WIDTH), _fit(found.window, i, j, LOSS_WIDTH)
-                        ) - log(2.0)
-                        if loss > NONE and factor > best:
-                            best = factor
-                            pair = h
-                            age = slot.age
-                            self.loss = loss
-                    h += 1
+            found.window.reduce(p, pack, found.yaw_error, found.damping_error)
+            for lane in range(LANES):
+                if one(pack.age, lane) < 0.0:
+                    continue
+                h = p.rotors
+                for i in range(p.rotors):
+                    for j in range(i + 1, p.rotors):
+                        # No weight is above 1: most pairs are out by their nats alone.
+                        if torque_free(p, i, j) and _nats(found.window, lane, i, j, LOSS_WIDTH) > best:
+                            loss = _shared(found.window, lane, i, j, LOSS_WIDTH)
+                            factor = either(
+                                _fit(found.window, lane, i, j, SMALL_WIDTH), _fit(found.window, lane, i, j, LOSS_WIDTH)
+                            ) - log(2.0)
+                            if loss > NONE and factor > best:
+                                best = factor
+                                pair = h
+                                age = one(pack.age, lane)
+                                self.loss = loss
+                        h += 1
         if pair < 0:
             return
-        gradual = NOTHING
-        sudden = NOTHING
-        for k in range(SLOTS):
-            slot = bank.slots[k]
-            if slot.age >= 0 and slot.gradual:
-                gradual = max(gradual, found.disturbed(p, slot))
-            elif slot.age >= 0:
-                sudden = max(sudden, found.disturbed(p, slot))
-        forgotten = exp(real(age) * p.dt / USUAL_S)  # of the heaving meanwhile
+        forgotten = exp(age * p.dt / USUAL_S)  # of the heaving meanwhile
         steady = (
             missing.heave * forgotten < HEAVING + 2.0 * self.loss / real(p.rotors)
             and missing.rose * forgotten < HEAVING
         )
-        if steady and best > sudden - 2.0 * CLEAR and best > gradual:
+        disturbed = max(found.disturbed(p, False) - 2.0 * CLEAR, found.disturbed(p, True))
+        if steady and best > disturbed:
             self.lasted = before + p.dt
             if self.lasted >= ANSWER_S and before < ANSWER_S:
                 self.pair = pair
-                self.onset = real(age + 1)
+                self.onset = age + 1.0
 
 
 def contested(p: Plant, h: int) -> bool:
@@ -105,24 +100,26 @@ def contested(p: Plant, h: int) -> bool:
     return torque_free(p, rotor_of(p.rotors, h), other_rotor_of(p.rotors, h))
 
 
-def _shared(w: Window, i: int, j: int, width: Real) -> Real:
+def _shared(w: Window, lane: int, i: int, j: int, width: Real) -> Real:
     """The most probable loss that both rotors have, of losses about so large."""
-    score = w.z[FIRST_LOSS + i] + w.z[FIRST_LOSS + j]
-    return min(max(score / (_information(w, i, j) + 1.0 / (width * width)), 0.0), 1.0)
+    score = one(w.z[FIRST_LOSS + i], lane) + one(w.z[FIRST_LOSS + j], lane)
+    return min(max(score / (_information(w, lane, i, j) + 1.0 / (width * width)), 0.0), 1.0)
 
 
-def _nats(w: Window, i: int, j: int, width: Real) -> Real:
+def _nats(w: Window, lane: int, i: int, j: int, width: Real) -> Real:
     """The nats of its Bayes factor."""
-    size = _shared(w, i, j, width)
-    left = _information(w, i, j) + 1.0 / (width * width)
-    return (w.z[FIRST_LOSS + i] + w.z[FIRST_LOSS + j]) * size - 0.5 * left * size * size
+    size = _shared(w, lane, i, j, width)
+    left = _information(w, lane, i, j) + 1.0 / (width * width)
+    score = one(w.z[FIRST_LOSS + i], lane) + one(w.z[FIRST_LOSS + j], lane)
+    return score * size - 0.5 * left * size * size
 
 
-def _fit(w: Window, i: int, j: int, width: Real) -> Real:
+def _fit(w: Window, lane: int, i: int, j: int, width: Real) -> Real:
     """Its log Bayes factor."""
-    return _nats(w, i, j, width) - 0.5 * log(_information(w, i, j) * width * width + 1.0)
+    return _nats(w, lane, i, j, width) - 0.5 * log(_information(w, lane, i, j) * width * width + 1.0)
 
 
-def _information(w: Window, i: int, j: int) -> Real:
-    first = w.C[FIRST_LOSS + i]
-    return first[FIRST_LOSS + i] + w.C[FIRST_LOSS + j][FIRST_LOSS + j] + 2.0 * first[FIRST_LOSS + j]
+def _information(w: Window, lane: int, i: int, j: int) -> Real:
+    a = FIRST_LOSS + i
+    b = FIRST_LOSS + j
+    return one(w.C[a][a], lane) + one(w.C[b][b], lane) + 2.0 * one(w.C[a][b], lane)

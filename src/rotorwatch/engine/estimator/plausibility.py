@@ -5,9 +5,9 @@ Evidence says which explanation fits best; these gates say whether the best one 
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import REAL, Real, Struct, array, exp, local, real, sqrt
+from rotorwatch.base.compiling.structs import LANES, REAL, Real, Struct, array, exp, local, one, real, sqrt
 from rotorwatch.base.physics import G0
-from rotorwatch.engine.estimator.bank import Slot
+from rotorwatch.engine.estimator.bank import Slots
 from rotorwatch.engine.estimator.evidence import Best
 from rotorwatch.engine.estimator.hypotheses import NONE
 from rotorwatch.engine.estimator.kalman import Branch
@@ -125,7 +125,7 @@ class Plausible(Struct):
         self,
         p: Plant,
         best: Best,
-        slot: Slot,
+        slots: Slots,
         now: Inputs,
         seen: Seen,
         missing: Missing,
@@ -135,9 +135,10 @@ class Plausible(Struct):
     ) -> None:
         """Of the likeliest fault at this tick."""
         n = p.rotors
+        lane = best.slot % LANES
         since = best.since * p.dt
         # Two rotors at once are rare: they have to show as they would in calm air.
-        two = best.other >= 0 and abs(best.jump.other_size) > 0.0 and abs(best.jump.size) > 0.0
+        two = best.other >= 0 and abs(best.other_size) > 0.0 and abs(best.size) > 0.0
         rough = 0.0 if two else noise.spread(0) + noise.spread(1) + noise.spread(2)
         swing = max(DEMAND_SLACK, sqrt(rough) / real(n))
         # A controller asks more of a rotor that gives less, and less of one that gives more: a candidate whose command went the other way
@@ -154,7 +155,7 @@ class Plausible(Struct):
             # Of a rotor that gives one thrust counts what that is more, or less, than its command.
             jump[i] = best.size_of(i)
             if jump[i] > 0.0:
-                jump[i] -= best.jump.gives / max(seen.thrust[i], LEAST_THRUST)
+                jump[i] -= best.gives / max(seen.thrust[i], LEAST_THRUST)
         for i in range(n):
             if i == best.rotor or i == best.other:
                 commanded += seen.thrust[i]
@@ -165,9 +166,15 @@ class Plausible(Struct):
                 demanded += coupling.raises[i][j] * (jump[j] * seen.thrust[j])
             # A manoeuvre swings commands about their trim: what a rotor was commanded at the onset counts as well.
             if jump[i] > 0.0:
-                asked = asked and seen.part[i] - min(seen.trim[i], slot.before[i]) > DEMAND_SHARE * demanded - swing
+                asked = (
+                    asked
+                    and seen.part[i] - min(seen.trim[i], one(slots.before[i], lane)) > DEMAND_SHARE * demanded - swing
+                )
             if jump[i] < 0.0 and not leader.active[i]:
-                asked = asked and seen.part[i] - max(seen.trim[i], slot.before[i]) < DEMAND_SHARE * demanded + swing
+                asked = (
+                    asked
+                    and seen.part[i] - max(seen.trim[i], one(slots.before[i], lane)) < DEMAND_SHARE * demanded + swing
+                )
             # ... and not because a rotor at its limit gives no more.
             if jump[i] > 0.0 and not leader.active[i]:
                 fits = fits and jump[i] > missing.limit[i]
@@ -180,7 +187,7 @@ class Plausible(Struct):
         if now.valid[THRUST] and lost > 0.0:
             fits = fits and missing.fast - missing.usual > DEMAND_SHARE * lost - slack
         # What pushes a vehicle from below for a moment looks as if a rotor gave more: one that does is taken off the command, and stays so.
-        if best.jump.gives > 0.0:
+        if best.gives > 0.0:
             fits = fits and since >= 0.5 * ANSWER_S and commanded < CUT_SHARE * mean
         self.asked = asked
         self.missing = fits

@@ -17,6 +17,7 @@ from __future__ import annotations
 from rotorwatch.base.compiling.structs import (
     FLAG,
     INT,
+    LANES,
     REAL,
     Flags,
     Real,
@@ -29,10 +30,11 @@ from rotorwatch.base.compiling.structs import (
     isnan,
     local,
     log,
+    one,
     sqrt,
 )
 from rotorwatch.engine.estimator.announcement import either
-from rotorwatch.engine.estimator.bank import FIRST_LOSS, Bank, Slot
+from rotorwatch.engine.estimator.bank import FIRST_LOSS, Bank, Slots
 from rotorwatch.engine.estimator.evidence import Best, Evidence, Shift
 from rotorwatch.engine.estimator.hypotheses import (
     CLEAR,
@@ -191,8 +193,8 @@ class Branches(Struct):
         found.shift(p, bank, best, self.shift)
         copy(out, self.parent)
         out.weight = self.start[k]
-        if bank.slots[best.slot].age >= 0:
-            _add(p, bank.slots[best.slot], self.shift, out)
+        if bank.age(best.slot) >= 0.0:
+            _add(p, bank.packs[best.slot // LANES], best.slot % LANES, self.shift, out)
         off = local(FLAG, ROTORS)
         any_off = False
         for i in range(n):
@@ -210,7 +212,7 @@ class Branches(Struct):
                 out.learning[i] = 0.0 if off[i] else USUAL_S
                 out.variance[i] = 0.0 if off[i] else out.variance[i]
                 out.mean[i] = out.s[THETA + i]
-                out.gives[i] = 0.0 if off[i] else best.jump.gives
+                out.gives[i] = 0.0 if off[i] else best.gives
                 out.alike[i] = out.alike[i] or contested(p, h)
                 out.onset = best.since
         if any_off:
@@ -258,23 +260,23 @@ def _contest(p: Plant, found: Evidence, first: int, shared: bool, odds: Reals) -
             odds[h] = 2.0 * NOTHING
 
 
-def _add(p: Plant, slot: Slot, shift: Shift, out: Branch) -> None:
+def _add(p: Plant, slots: Slots, lane: int, shift: Shift, out: Branch) -> None:
     """s + M size, P + M cov M'."""
     directions = FIRST_LOSS + p.rotors
     states = THETA + p.rotors
     half = local(REAL, DIRECTIONS)
     for r in range(states):
-        row = slot.M[r]
+        row = slots.M[r]
         for e in range(directions):
-            out.s[r] += row[e] * shift.size[e]
+            out.s[r] += one(row[e], lane) * shift.size[e]
             half[e] = 0.0
             for d in range(directions):
-                half[e] += row[d] * shift.cov[d][e]
+                half[e] += one(row[d], lane) * shift.cov[d][e]
         first = entry(r, 0)
         for c in range(r + 1):
-            other = slot.M[c]
+            other = slots.M[c]
             for d in range(directions):
-                out.P[first + c] += half[d] * other[d]
+                out.P[first + c] += half[d] * one(other[d], lane)
 
 
 def _well(p: Plant, i: int, out: Branch) -> None:

@@ -54,8 +54,8 @@ NOT_CHOSEN = {
     *(f"noise.{name}" for name in ("WHITE", "FAST", "SLOW", "DRIFT", "LAGS", "LAG_COUNT", "ITERATIONS")),
     *(f"bank.{name}" for name in ("GROUP", "GROUPS", "SHORT", "LONG", "SLOW_S", "YAW_ERROR", "DAMPING_ERROR", "FIRST_LOSS")),
     *(f"hypotheses.{name}" for name in ("SINGLE", "PAIR", "RECOVERY", "ONE_THRUST", "DISTURBANCE", "DISTURBANCES", "DISTURBANCE_COUNT")),
-    "hypotheses.ALL_TORQUES", "hypotheses.NOTHING", "hypotheses.LEFT", "opposite.LEAST_ROTORS", "plausibility.CANCELS",
-    "decisions.FALSE_ALARM_PERIOD_S", "posterior.NEVER",
+    "hypotheses.ALL_TORQUES", "hypotheses.NOTHING", "hypotheses.LEFT", "hypotheses.SERIES", "opposite.LEAST_ROTORS",
+    "plausibility.CANCELS", "decisions.FALSE_ALARM_PERIOD_S", "posterior.NEVER",
     "posterior.OLD_S", "losses.WITHIN_95", "losses.CANCELS",
 }  # fmt: skip
 # Thresholds of decisions that are not the estimator's.
