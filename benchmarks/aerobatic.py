@@ -49,7 +49,7 @@ def alarmed(known: judge.Blocks, B: np.ndarray) -> bool:
     """Whether anything is announced in these blocks."""
     variance = judge.scatter(known)
     for k in range(judge.LEARN, len(known.end)):
-        if judge.examine(judge.Blocks(*(x[: k + 1] for x in vars(known).values())), B, variance, []).statistic > 0.0:
+        if judge.examine(judge.Blocks(*(x[: k + 1] for x in known)), B, variance, []).statistic > 0.0:
             return True
     return False
 

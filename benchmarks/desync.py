@@ -147,7 +147,7 @@ def real(folder: Path, hours: float) -> None:
         own = float(seen[0].flies.sum()) * seen[0].width
         seconds += own
         print(
-            json.dumps({"log": name, "flies_s": round(own, 1), "found": [vars(d) for d in desync.search(seen)]}),
+            json.dumps({"log": name, "flies_s": round(own, 1), "found": [d._asdict() for d in desync.search(seen)]}),
             flush=True,
         )
         turn = responses(flight, vehicle, air)
@@ -164,7 +164,7 @@ def real(folder: Path, hours: float) -> None:
             for c, s in zip(seen, sign):
                 left = c.left.copy()
                 left[rows] = s * np.roll(c.left[rows], shift)
-                moved.append(replace(c, left=left))
+                moved.append(c._replace(left=left))
             false += len(desync.search(moved))
             shifted += len(rows) * seen[0].width
         print(json.dumps({"shifted_hours": round(shifted / 3600.0, 2), "false": false}), flush=True)

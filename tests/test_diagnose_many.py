@@ -49,6 +49,17 @@ def test_a_folder_stands_for_the_logs_in_it(folder):
     assert found.others == 2
 
 
+def test_logs_of_a_folder_are_looked_for_once(folder, monkeypatch):
+    """What the command has found is judged as it is: packed logs take as long to be recognised as to be read."""
+    looked = []
+    real = gathering.Gathered._of
+    monkeypatch.setattr(gathering.Gathered, "_of", lambda self, source: looked.append(source) or real(self, source))
+    found = gathering.Found(gathering.Gathered([folder]))
+    assert {a.path for a in rotorwatch.diagnose_many(found, jobs=1)} == {str(path) for path in found} and looked == [
+        folder
+    ]
+
+
 def test_a_log_in_a_folder_that_cannot_be_read_is_an_error_and_not_left_out(folder):
     """A name that only logs have says that it is one, and was worth keeping; what is wrong is said by whoever reads it."""
     for name in ("broken.ulg", "broken.TLOG", "broken.bin.xz"):

@@ -2,7 +2,6 @@
 
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -418,9 +417,8 @@ def test_a_message_of_as_many_fields_as_are_allowed_is_read_and_one_more_is_dama
     """Fields of nested messages count as often as they are in it."""
 
     def check(inner, outer):
-        inner = SimpleNamespace(fields=[("float", 0, f"f{k}") for k in range(inner)])
-        formats = {"in": inner, "out": SimpleNamespace(fields=[("in", outer, "x"), ("uint64_t", 0, "timestamp")])}
-        ulog._check_definitions(SimpleNamespace(message_formats=formats))
+        fields = [("float", 0, f"f{k}") for k in range(inner)]
+        ulog._check_definitions({"in": fields, "out": [("in", outer, "x"), ("uint64_t", 0, "timestamp")]})
 
     most = ulog._MOST_FIELDS
     check(3, (most - 1) // 3)

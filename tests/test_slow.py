@@ -58,7 +58,7 @@ def but(grown, **facts) -> Any:
     """The same growth, but for this."""
     rows = grown.rows.copy()
     rows.set(**facts)
-    return replace(grown, rows=rows, **{name: value for name, value in facts.items() if hasattr(grown, name)})
+    return grown._replace(rows=rows, **{name: value for name, value in facts.items() if hasattr(grown, name)})
 
 
 @pytest.mark.parametrize("B", [QUAD, HEXA])

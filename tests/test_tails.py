@@ -13,6 +13,12 @@ def test_student(dof):
     np.testing.assert_allclose([tails.student_cdf(v, dof) for v in x], stats.t.cdf(x, dof), rtol=1e-10, atol=1e-300)
 
 
+@pytest.mark.parametrize("dof", [1, 2, 3, 4, 13, 14, 38])
+def test_student_of_many_is_that_of_each(dof):
+    x = np.linspace(-50.0, 50.0, 41)
+    np.testing.assert_allclose(tails.student_shares(x, dof), [tails.student_cdf(v, dof) for v in x], rtol=0, atol=1e-14)
+
+
 @pytest.mark.parametrize("dof", [1.0, 6.0, 40.0])
 @pytest.mark.parametrize("share", [0.001, 0.4, 0.975])
 def test_student_quantile(share, dof):

@@ -1,7 +1,6 @@
 """Whole-flight damage: calibrated on flights drawn from the model, and right on real ones."""
 
 import itertools
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -174,7 +173,7 @@ def test_certainty_is_how_often_it_is_right():
             yaw = wf.CENTRE_RHO_SD * np.hypot(*shift) * rng.standard_normal()
             weight = wf.WEIGHT_SD * np.hypot(*shift) * rng.standard_normal()
         flight = drawn(rng, QUAD, *spreads, share=share, extra_yaw=yaw, shift=shift)
-        flight = replace(flight, share=tuple(np.exp(weight) * np.array(flight.share)))
+        flight = flight._replace(share=tuple(np.exp(weight) * np.array(flight.share)))
         baseline = [drawn(rng, QUAD, *spreads) for _ in range((2, 3, 6)[k % 3])]
         found = wf._weigh(
             *wf._difference(flight, baseline),

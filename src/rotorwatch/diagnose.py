@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from os import PathLike
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from rotorwatch.answer import (
 )
 from rotorwatch.answer.ledger import Merged
 from rotorwatch.base import discovery
+from rotorwatch.base.arrays import median
 from rotorwatch.engine.diagnoser import Diagnoser, fly
 from rotorwatch.engine.front.decisions import MATTERS
 from rotorwatch.engine.host import events, residual_evidence
@@ -68,7 +69,7 @@ NOT_COMPARED = (
 LONGEST_UP_US = 1e14  # a start later than that counts from 1970, not from the autopilot's boot
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class Prepared:
     """A flight before it is judged.
 
@@ -94,7 +95,7 @@ class Prepared:
     matters: float = MATTERS
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Estimated:
     """What an estimator left behind. table: the ticks as they count for it; last: the default estimator's state, for hindsight; own: it is
     the default one; diagnoser: which the flight went through, None where it did not. itself: what a published method says by itself."""
@@ -290,11 +291,10 @@ def _find(ready: Prepared, done: Estimated) -> tuple[Merged, tuple[Event, ...]]:
     ready.warnings += notes
     if not ready.hovers or aerobatic.flown_by_rates(flight):
         found = tuple(sorted((*found, *desync.find(flight, craft, air, found)), key=lambda e: e.detected_s))
-    return replace(merged, events=found), slow.suspected(grown)
+    return merged._replace(events=found), slow.suspected(grown)
 
 
-@dataclass(frozen=True)
-class Judgement:
+class Judgement(NamedTuple):
     """The answer, and what it rests on. evidence: what no event explains; whole: the comparison with healthy flights, or None."""
 
     end: conclusion.Conclusion
@@ -337,12 +337,12 @@ def judge(ready: Prepared, done: Estimated) -> Judgement:
         judged_until=float(table.time[judged][-1]) if judged.any() else np.inf,
     )  # fmt: skip
     if ready.hovers and (shaken := unjudged.shaken(flight, air)) is not None:
-        seen = replace(seen, hidden=None, unjudged=shaken)
+        seen = seen._replace(hidden=None, unjudged=shaken)
     elif not doubts and (judged_s < conclusion.LEAST_S or seen.vague):
         needed = (ready.ready_s if ready.hovers else aerobatic.READY_S) + conclusion.LEAST_S
         stepped = bool(np.max(steps.losses()) >= np.max(hidden))
         why = unjudged.find(air, table, judged_s, needed, ready.hovers, conclusion.LEAST_S, stepped)
-        seen = replace(seen, unjudged=why)
+        seen = seen._replace(unjudged=why)
     return Judgement(conclusion.conclude(seen, doubts), doubts, tuple(seen.residual_evidence), whole)
 
 
@@ -429,6 +429,6 @@ def _hidden(out, table: Ticks, seen: unseen.Unseen, B: np.ndarray, hovers: bool)
         return np.ones(out.theta.shape[1]), 1.0
     if not hovers:  # its bound is of all blocks so far; two opposite rotors at once are not looked for
         return np.minimum(1.0, 1.96 * out.detectable[judged][-1]), 0.0
-    measured = 1.96 * np.median(out.detectable[judged], axis=0)
+    measured = 1.96 * median(out.detectable[judged], axis=0)
     single = np.minimum(1.0, np.maximum(measured, seen.losses()))
     return single, min(1.0, seen.pair(events.opposites(B)))

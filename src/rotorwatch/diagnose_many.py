@@ -8,23 +8,23 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rotorwatch import gathering, logs
-from rotorwatch.base.many.done import Done
-from rotorwatch.base.many.spread import run, useful_jobs
 from rotorwatch.engine.front.decisions import MATTERS
 from rotorwatch.errors import ConfigError, RotorwatchError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import SCHEMA, Diagnosis
 from rotorwatch.flight.vehicle import Vehicle
 
+if TYPE_CHECKING:
+    from rotorwatch.base.many import Done
+
 ERROR = 2
 """Exit code of a log without an answer."""
 
 
-@dataclass(frozen=True)
-class Known:
+class Known(NamedTuple):
     """A log that has its answer already, if it is still the same: size in bytes, sha256 of its content."""
 
     size: int
@@ -88,6 +88,7 @@ def diagnose_many(
     change are not judged again. Raises ConfigError, VehicleError or LogError where no log can be judged: a folder without logs, a wrong
     vehicle or baseline, a scheduler that does not answer.
     """
+    from rotorwatch.base.many.spread import run, useful_jobs
     from rotorwatch.witnesses.healthy.baselines import vehicle_of
 
     known = known or {}
@@ -98,7 +99,7 @@ def diagnose_many(
     healthy = tuple(source if isinstance(source, Flight) else _named(source, scheduler) for source in baseline)
     judge = _Judge(craft, healthy, estimator, tuning, pages, recordings, pictures, hashed, matters)
     if isinstance(paths, Sequence):
-        paths = list(gathering.Gathered(paths))
+        paths = paths if isinstance(paths, gathering.Found) else list(gathering.Gathered(paths))
         if jobs is None and scheduler is None:
             jobs = useful_jobs(len(paths))
     else:
@@ -135,7 +136,7 @@ def read(path: str | PathLike, progress: Any = None) -> Flight:
         return logs.read(here, progress=progress)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class _Judge:
     """The work on one log, in any process; baselines are read and judged once by each process."""
 

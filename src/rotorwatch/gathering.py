@@ -3,15 +3,12 @@
 
 from __future__ import annotations
 
-import glob
 import os
 import re
-import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote, urlsplit
 
 from rotorwatch import logs
 from rotorwatch.base import incoming, optional
@@ -40,6 +37,10 @@ def is_several(source: Any) -> bool:
     if path.is_file():
         return len(logs.sessions(path)) > 1
     return not path.exists() and PATTERN.search(str(source)) is not None
+
+
+class Found(tuple):
+    """Logs that have been gathered, and need not be looked for again."""
 
 
 class Gathered:
@@ -74,6 +75,8 @@ class Gathered:
         elif Path(source).is_dir():
             yield from self._inside(Path(source))
         else:
+            import glob
+
             for name in sorted(glob.glob(str(source), recursive=True)):
                 path = Path(name)
                 if not path.is_dir() or is_log(path):
@@ -131,6 +134,9 @@ def fetched(log: str | os.PathLike) -> Iterator[Path]:
     if not is_address(log):
         yield Path(log)
         return
+    import tempfile
+    from urllib.parse import unquote, urlsplit
+
     address = str(log)
     try:
         name = unquote(urlsplit(address).path)

@@ -10,12 +10,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from importlib import resources
 from types import ModuleType
 from typing import Any
 
 from rotorwatch.base import discovery
-from rotorwatch.base.optional import tomllib
 from rotorwatch.errors import VehicleError
 from rotorwatch.flight import Flight, vehicle_kind
 from rotorwatch.flight.vehicle import Vehicle
@@ -24,9 +22,9 @@ KINDS = {2: "quad", 15: "tri", 13: "hexa", 14: "octa", 29: "dodecahexa", 35: "de
 WORDS = {"tricopter": "tri", "octo": "octa", "dodeca": "dodecahexa", **{w: w for w in ("quad", "hexa", "octa", "deca")}}
 
 
-def modules() -> tuple[ModuleType, ...]:
-    """The airframe modules found in this folder, by name."""
-    return tuple(discovery.modules(__name__))
+def modules() -> Iterator[ModuleType]:
+    """The airframe modules found in this folder, by name, each imported when it is reached."""
+    return discovery.modules(__name__)
 
 
 def offered() -> tuple[tuple[Any, Any], ...]:
@@ -103,18 +101,26 @@ def _theirs(flight: Flight) -> Vehicle | None:
 def paper(name: str) -> dict:
     """The parameters (SI) of an airframe that a paper describes, from `airframes/papers/NAME.toml`. Raises VehicleError."""
     try:
-        text = (resources.files(__name__) / "papers" / f"{name}.toml").read_text("utf-8")
+        text = (_papers() / f"{name}.toml").read_text("utf-8")
     except OSError as error:
         raise VehicleError(f"There is no paper's airframe called {name!r}; known are {', '.join(papers())}.") from error
+    from rotorwatch.base.optional import tomllib
+
     return tomllib.loads(text)
 
 
 def papers() -> tuple[str, ...]:
     """Names of the airframes that `paper` knows."""
-    folder = resources.files(__name__) / "papers"
+    folder = _papers()
     if not folder.is_dir():
         return ()
     return tuple(sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml")))
+
+
+def _papers() -> Any:
+    from importlib import resources
+
+    return resources.files(__name__) / "papers"
 
 
 def kind(flight: Flight) -> str | None:

@@ -13,12 +13,11 @@ import functools
 import math
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
 from rotorwatch import airframes
-from rotorwatch.base.optional import tomllib
+from rotorwatch.airframes._ardupilot_frames import FRAMES
 from rotorwatch.errors import VehicleError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Rotor, ThrustCurve, Vehicle, coaxial, note_on_coaxial
@@ -30,11 +29,6 @@ UNSUPPORTED = {6: "a helicopter", 8: "a single copter", 9: "a coaxial copter", 1
 UNSUPPORTED |= {11: "a dual helicopter", 13: "a quad helicopter", **dict.fromkeys((15, 16, 17), "a scripted frame")}
 ROTORS = {"tri": 3, "quad": 4, "hexa": 6, "octa": 8, "octaquad": 8, "y6": 6, "dodecahexa": 12, "deca": 10}
 
-FRAMES: dict[str, tuple[tuple[float, ...], ...]] = {
-    name: tuple(map(tuple, motors))
-    for name, motors in tomllib.loads(Path(__file__).with_name("ardupilot_frames.toml").read_text("utf-8")).items()
-}
-"""Motors of each frame: (angle, yaw factor) or (right, forward, yaw factor)."""
 # The lower rotors of coaxial frames, counted from 0. ArduPilot's motor test turns clockwise from the front and takes the
 # upper motor of an arm before the lower; its numbers of the default Y6 do not follow that order, those of the others do
 # (testing_order and the comments "top", "bottom" in AP_MotorsMatrix.cpp; drawings of "Connect ESCs and Motors").
@@ -196,7 +190,7 @@ def _class_by_outputs(flight: Flight, classes: tuple[str, ...], kind: int) -> tu
     A mixer moves n outputs along four directions only. What of their differences lies off those is compared.
     """
     motors, thrust = flight["motors"], curve(flight, [])
-    rows = motors.valid.all(axis=1) & (motors.values > thrust.u_min).all(axis=1)
+    rows = motors.whole & (motors.values > thrust.u_min).all(axis=1)
     able = [c for c in classes if _of_type(c, kind) in FRAMES]
     if len(able) < 2 or rows.sum() < 50:
         return able[0] if able else classes[0], False

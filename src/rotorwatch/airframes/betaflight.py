@@ -10,22 +10,16 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
 from rotorwatch import airframes
-from rotorwatch.base.optional import tomllib
+from rotorwatch.airframes._betaflight_frames import FRAMES
 from rotorwatch.errors import VehicleError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Rotor, ThrustCurve, Vehicle, coaxial, lower_of_pairs, note_on_coaxial
 
 FIRMWARES = ("betaflight", "inav", "emuflight", "cleanflight", "baseflight", "butterflight", "rotorflight")
-FRAMES: dict[str, tuple[tuple[float, ...], ...]] = {
-    name: tuple(map(tuple, motors))
-    for name, motors in tomllib.loads(Path(__file__).with_name("betaflight_frames.toml").read_text("utf-8")).items()
-}
-"""Motors of each frame: (angle, yaw) or (right, forward, yaw)."""
 USUAL = {3: "tri", 4: "quad-x", 6: "hexa-x", 8: "octa-x8"}
 FEATURE_3D = 1 << 12
 NEAR = 0.35  # root mean square of what a frame's factors are off, where that of the factors is about 0.8

@@ -19,7 +19,7 @@ AFTER_S = 2.0
 def told(end: Conclusion, itself: MethodSeries) -> Conclusion:
     """The conclusion with the method's name in its headline, and its own estimate at every loss."""
     events = tuple(_with_own(event, itself) for event in end.events)
-    return replace(end, headline=_headline(end, events, itself), events=events)
+    return end._replace(headline=_headline(end, events, itself), events=events)
 
 
 def _with_own(event: Event, itself: MethodSeries) -> Event:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.methods.maths.tails import student_quantile
 
 BLOCKS = 5  # in each third of the flight
@@ -23,7 +24,7 @@ def thrust_shift(collective: np.ndarray) -> dict[str, Any]:
     if third < BLOCKS * LEAST:
         return {}
     ends = (np.array_split(part, BLOCKS) for part in (collective[:third], collective[-third:]))
-    first, last = (np.array([np.median(block) for block in blocks]) for blocks in ends)
+    first, last = (np.array([median(block) for block in blocks]) for blocks in ends)
     shift = last.mean() - first.mean()
     half = student_quantile(0.975, 2 * BLOCKS - 2) * np.sqrt((first.var(ddof=1) + last.var(ddof=1)) / BLOCKS)
     interval = [float(shift - half), float(shift + half)]

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -58,8 +58,7 @@ LOPSIDED = (
 )
 
 
-@dataclass(frozen=True)
-class Conclusion:
+class Conclusion(NamedTuple):
     """verdict, reason, headline: as in the answer. main: index into events of the one that matters most, or None. rotors: their states.
     advice: what to do next, sentences. events: those that are shown. story: of a loss of control (`story.narrate`)."""
 
@@ -73,8 +72,7 @@ class Conclusion:
     story: tuple[StoryLine, ...] = ()
 
 
-@dataclass(frozen=True)
-class Evidence:
+class Evidence(NamedTuple):
     """What the conclusion is drawn from.
 
     n: rotors; places: `places.names`. hidden (n,): loss of each rotor that could have gone unseen in flight, None when nothing was judged;
@@ -159,7 +157,7 @@ def conclude(seen: Evidence, doubts: Sequence[str] = ()) -> Conclusion:
         )
         headline = _with_reports(seen, None, [_not_judged(doubts[0])])
         return _concluded(seen, "inconclusive", doubts[0], headline, None, doubts)
-    seen = replace(seen, events=tuple(seen.events), hidden=seen.hidden if seen.judged_s >= LEAST_S else None)
+    seen = seen._replace(events=tuple(seen.events), hidden=seen.hidden if seen.judged_s >= LEAST_S else None)
     main = main_event(seen.events)
     verdict, reason = _verdict(seen, main)
     return _concluded(seen, verdict, reason, _headline(seen, verdict, main), main, ())

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.flight import Flight, Signal
 
 GAP_S, GAP_STEPS = 0.6, 4.0
@@ -81,7 +82,7 @@ def _straight(signal: Signal, column: int, time: np.ndarray) -> np.ndarray:
 def _between(when: np.ndarray, values: np.ndarray, time: np.ndarray) -> np.ndarray:
     if when.size < 2:
         return np.full(time.size, np.nan)
-    gap = max(GAP_S, GAP_STEPS * float(np.median(np.diff(when))))
+    gap = max(GAP_S, GAP_STEPS * float(median(np.diff(when))))
     after = np.clip(np.searchsorted(when, time), 1, when.size - 1)
     known = (when[after] - when[after - 1] <= gap) & (time >= when[0]) & (time <= when[-1])
     return np.where(known, np.interp(time, when, values), np.nan)
@@ -92,7 +93,7 @@ def vibration(flight: Flight, time: np.ndarray) -> np.ndarray | None:
     if not flight.has("accel") or flight["accel"].rate_hz < LEAST_HZ:
         return None
     signal = flight["accel"]
-    fine = signal.valid.all(axis=1)
+    fine = signal.whole
     when, force = signal.time[fine], signal.values[fine]
     if when.size < 2:
         return None

@@ -76,17 +76,16 @@ def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
     left, window = judged.left, judged.window
     weak = _weak(events_, left)
     if weak is not None and judged.cause in ("rotor", "saturated", "unknown", "controller"):
-        judged = replace(
-            judged, cause="rotor", found=(), evidence=(f"{_who(weak.rotors)} had been weak since {weak.onset_s:.1f} s",)
-        )
+        since = f"{_who(weak.rotors)} had been weak since {weak.onset_s:.1f} s"
+        judged = judged._replace(cause="rotor", found=(), evidence=(since,))
         return [*events_, _control_lost(judged, n, weak.rotors, (), left.lost)]
     touched = any(e.kind == CONTACT and 0.0 <= judged.onset - e.onset_s < TOUCHED_S for e in events_)
     if judged.cause == "unknown" and touched:
-        judged = replace(judged, cause="knock", evidence=("something had struck the vehicle just before",))
+        judged = judged._replace(cause="knock", evidence=("something had struck the vehicle just before",))
     announced = _announced_near(events_, left)
     cleared = judged.found and judged.found[0].kind == "healthy" and judged.probability[0] > SURE
     if announced is not None and judged.cause in ("controller", "saturated", "unknown") and not cleared:
-        judged = replace(judged, cause="rotor", found=(), evidence=(announced.reason,))
+        judged = judged._replace(cause="rotor", found=(), evidence=(announced.reason,))
         return [*events_, _control_lost(judged, n, announced.rotors, announced.alternatives, left.lost)]
     decided = left.lost if window is None else float(window.time[-1])
     rotors = [(e, float(p)) for e, p in zip(judged.found, judged.probability) if e.kind == "rotor" and p >= CREDIBLE]
@@ -108,8 +107,8 @@ def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
             result.append(e)
     held = [e for e in result if e.kind == OVERRIDE and left.onset - SAME_S < e.onset_s <= left.lost]
     if held and judged.cause not in ("rotor", ORDER):  # what the mixer did not ask for is the cause
-        judged = replace(judged, cause="rotor", evidence=(held[0].reason,))
-        return [*result, _control_lost(replace(judged, found=()), n, held[0].rotors, (), decided)]
+        judged = judged._replace(cause="rotor", evidence=(held[0].reason,))
+        return [*result, _control_lost(judged._replace(found=()), n, held[0].rotors, (), decided)]
     if accused:
         best, p = rotors[0]
         sure = p > SURE and judged.cause == "rotor" and best.low > 0.0  # a fault has a loss above nothing

@@ -73,7 +73,7 @@ def trends(out, table: Ticks, B: np.ndarray, found: Sequence[Event]) -> tuple[Tr
     usual = mean(T.mean(axis=1))
     when, minutes = (mean(time) - time[0]) / 60.0, float(time[-1] - time[0]) / 60.0
     z = np.column_stack([mean(w) / usual for w in wrench.T])
-    slopes = [line.slope(when, values, step / 60.0) for values in z.T]
+    slopes = line.slopes(when, z, step / 60.0)
     theta, early = out.theta[rows], slice(0, max(1, rows.size // 4))
     # A rotor that makes up for theta is commanded T = c / (1 - theta), and T theta grows by T^2 / c times what theta does.
     need = np.maximum((T[early] * (1.0 - theta[early])).mean(axis=0), LEAST_THRUST)

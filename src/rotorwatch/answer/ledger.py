@@ -32,8 +32,8 @@ Claims that are no events of their own (kinds of weight OPEN) are heard after al
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -53,8 +53,7 @@ CRASH_S = 0.3  # before control is lost, and before a rotor is lost: what happen
 MOST = 0.5  # of a rotor's thrust
 
 
-@dataclass(frozen=True)
-class Merged:
+class Merged(NamedTuple):
     """events: what is said; faint: losses that accuse no rotor, which are evidence; shared: outputs that left the mixer together."""
 
     events: tuple[Event, ...]

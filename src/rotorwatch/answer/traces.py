@@ -95,7 +95,7 @@ def angles(flight: Flight, name: str, time: np.ndarray) -> np.ndarray | None:
     if not flight.has(name):
         return None
     signal = flight[name]
-    fine = signal.valid.all(axis=1)
+    fine = signal.whole
     when, (w, x, y, z) = signal.time[fine], signal.values[fine].T
     if when.size < 2:
         return None

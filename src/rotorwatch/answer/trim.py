@@ -3,7 +3,7 @@ thrust and accuses no rotor."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,8 +19,7 @@ from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import TURNED
 
 
-@dataclass(frozen=True)
-class Growth:
+class Growth(NamedTuple):
     """A loss that has grown, or a step: `engine.trim.told.Growth`, with rotors from 1; rows: the same as the definition has it."""
 
     rotors: tuple[int, ...]

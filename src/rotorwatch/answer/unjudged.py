@@ -8,6 +8,7 @@ import numpy as np
 
 from rotorwatch.answer import context
 from rotorwatch.answer.wording import listed, seconds
+from rotorwatch.base.arrays import median
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.front.ticks import UPSET_LEVEL
 from rotorwatch.engine.motion.airborne import commands
@@ -51,7 +52,7 @@ def shaken(flight: Flight, air: Spans) -> Unjudged | None:
     """Why a flight was taken for over while its rotors carried it on: vibration that is as large as its weight; None where it was not."""
     time, level = commands(flight)
     up = within(time, air)
-    if not up.any() or (level[~up] > CARRIED * np.median(level[up])).sum() < up.sum():
+    if not up.any() or (level[~up] > CARRIED * median(level[up])).sum() < up.sum():
         return None
     size = vibration(flight)
     if size < SHAKEN:
@@ -83,7 +84,7 @@ def vibration(flight: Flight) -> float:
     size = context.vibration(flight, running[:: 1 + len(running) // LOOKS])
     known = np.zeros(0) if size is None else np.linalg.norm(size, axis=1)
     known = known[np.isfinite(known)]
-    return float(np.median(known)) if known.size else 0.0
+    return float(median(known)) if known.size else 0.0
 
 
 def _too_little(air: Spans, table: Ticks, needed_s: float, hovers: bool) -> Unjudged:

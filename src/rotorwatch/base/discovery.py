@@ -17,7 +17,6 @@ import importlib
 import importlib.machinery
 import inspect
 import os
-import pkgutil
 import sys
 import warnings
 from collections.abc import Callable, Iterator
@@ -212,6 +211,8 @@ def modules(package: str) -> Iterator[ModuleType]:
 
 @functools.cache
 def _names(package: str) -> tuple[str, ...]:
+    import pkgutil
+
     parent = importlib.import_module(package)
     names = (info.name for info in pkgutil.walk_packages(parent.__path__, f"{package}."))
     return tuple(name for name in names if not name.rpartition(".")[2].startswith("_"))

@@ -5,14 +5,11 @@ from __future__ import annotations
 
 import os
 import re
-import tempfile
-import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from rotorwatch.base.optional import tomllib
 from rotorwatch.errors import ConfigError
 
 ADDRESS = re.compile(r"[a-z][a-z0-9+.-]*:/{1,2}[^/]", re.IGNORECASE)  # a Path has lost one of two slashes
@@ -33,6 +30,8 @@ def no_address(path: str | os.PathLike) -> None:
 def toml(path: str | os.PathLike, what: str, most: int = 10_000_000) -> tuple[dict[str, Any], str]:
     """The table in a TOML file of at most `most` bytes, and its text. what: names the file in sentences, such as "plan". Raises
     ConfigError."""
+    from rotorwatch.base.optional import tomllib
+
     try:
         with open(path, "rb") as file:
             data = file.read(most + 1)
@@ -70,6 +69,8 @@ def writable(path: str | os.PathLike, what: str, make: bool = False) -> Path:
 
 def folder(path: str | os.PathLike, what: str, make: bool = True) -> Path:
     """The path, when files can be written into that folder; with `make` it is made. Raises ConfigError."""
+    import tempfile
+
     no_address(path)
     path = Path(path)
     try:
@@ -92,6 +93,8 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
 
     Raises ConfigError when it cannot be written.
     """
+    import tempfile
+
     path = Path(path)
     try:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
@@ -125,6 +128,8 @@ def printable(text: str) -> str:
 def one_line(text: str, most: int) -> str:
     """The text in one line of at most `most` letters (40 or more), its end kept, without signs that control a terminal, turn the direction
     of writing around or are no letters at all."""
+    import unicodedata
+
     words = " ".join(text.split())
     plain = " ".join("".join(c for c in words if unicodedata.category(c)[0] != "C").split())
     return plain if len(plain) <= most else f"{plain[: most - 30]}…{plain[-29:]}"

@@ -6,11 +6,7 @@ from __future__ import annotations
 import atexit
 import importlib
 import os
-import queue
-import shutil
 import signal
-import tempfile
-import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -30,6 +26,8 @@ _spool: dict[int, Path] = {}
 
 def spool() -> Path:
     """The temporary folder of this process. Processes that it starts keep theirs in it."""
+    import tempfile
+
     if os.getpid() not in _spool:  # after a fork the parent's is not ours to remove
         _spool.clear()
         _spool[os.getpid()] = Path(tempfile.mkdtemp(prefix="rotorwatch-"))
@@ -50,6 +48,8 @@ def tidy() -> None:
 
 def _remove(process: int, folder: Path) -> None:
     if process == os.getpid():
+        import shutil
+
         shutil.rmtree(folder, ignore_errors=True)
 
 
@@ -69,6 +69,9 @@ def keep(stream: Any, path: Path, name: str, waits: bool = False) -> None:
 
 def _in_time(stream: Any, name: str) -> Iterator[bytes]:
     """The blocks of a stream, read by a thread: a read cannot be given up, but one that waits for a thread can."""
+    import queue
+    import threading
+
     blocks: queue.Queue = queue.Queue(maxsize=4)
     wanted = threading.Event()
     wanted.set()

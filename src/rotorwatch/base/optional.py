@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import importlib
 import sys
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rotorwatch.errors import ConfigError
 
-if sys.version_info >= (3, 11):
+if TYPE_CHECKING:
     import tomllib as tomllib
-else:  # the same, as a package
-    import tomli as tomllib  # noqa: F401  # pyright: ignore[reportMissingImports]
+
+
+def __getattr__(name: str) -> Any:
+    """tomllib, once it is asked for; on Python 3.10 the same, as a package."""
+    if name == "tomllib":
+        return importlib.import_module("tomllib" if sys.version_info >= (3, 11) else "tomli")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def library(name: str, what: str) -> Any:

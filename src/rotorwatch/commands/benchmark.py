@@ -11,11 +11,6 @@ from rotorwatch.commands.tools import OUT, common, findable, say, show
 from rotorwatch.errors import ConfigError
 
 
-def register(group: click.Group) -> None:
-    """Add the command of this module to the command line."""
-    group.add_command(benchmark)
-
-
 @click.command(short_help="Try methods on fixed flights, and rank them.")
 @click.argument("what", nargs=-1, metavar="[PLAN | --rank FILE...]")
 @click.option("--methods", default="", metavar="A,B,...", help="Methods to try; default: all that are installed.")

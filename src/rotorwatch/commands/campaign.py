@@ -7,14 +7,6 @@ import click
 from rotorwatch.commands.tools import LOG, OUT, common, counting, progress, resumable, say, spread
 
 
-def register(group: click.Group) -> None:
-    """Add the commands of this module to the command line."""
-    group.add_command(campaign)
-    group.add_command(sequences)
-    group.add_command(ablate)
-    group.add_command(closed_loop)
-
-
 @click.command(short_help="Judge thousands of simulated flights.")
 @click.argument("plan", type=LOG)
 @click.option(

@@ -14,8 +14,9 @@ import os
 import signal
 import sys
 import warnings
+from collections import UserDict
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -23,22 +24,7 @@ import click
 
 from rotorwatch import __version__
 from rotorwatch.base import optional
-from rotorwatch.commands import (
-    ask,
-    benchmark,
-    campaign,
-    estimate,
-    export,
-    fleet_flights,
-    mcp,
-    research,
-    serve,
-    several,
-    simulate,
-    survive,
-    tune,
-    watch,
-)
+from rotorwatch.commands import several
 from rotorwatch.commands.tools import (
     DEBUG,
     JSON,
@@ -166,7 +152,27 @@ def explain(why: Exception) -> str:
     return f"An error in rotorwatch itself ({text}); please report it with the output of the same command with --debug."
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+class Commands(UserDict):
+    """Commands by their names. Those of other files are imported when they are asked for: each process runs one."""
+
+    def __getitem__(self, name: str) -> click.Command:
+        command = super().__getitem__(name)
+        if isinstance(command, str):
+            family = import_module(f"rotorwatch.commands.{command}")
+            command = self.data[name] = getattr(family, name.replace("-", "_"))
+        return command
+
+
+ELSEWHERE = {
+    "ask": "ask", "ask-flights": "ask", "benchmark": "benchmark", "campaign": "campaign", "sequences": "campaign", "ablate": "campaign",
+    "closed-loop": "campaign", "estimate": "estimate", "export-c": "export", "fleet": "fleet_flights", "mcp": "mcp",
+    "observability": "research", "reproduce": "research", "serve": "serve", "simulate": "simulate", "survive": "survive", "tune": "tune",
+    "compare": "tune", "watch": "watch",
+}  # fmt: skip
+"""Name of a command -> the file that it is in."""
+
+
+@click.group(commands=Commands(ELSEWHERE), context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="rotorwatch", message="%(prog)s %(version)s")
 @DEBUG
 def cli() -> None:
@@ -231,25 +237,25 @@ def diagnose(context, **options) -> None:
     several_ways = request.jsonl or request.html or request.scheduler
     many = len(request.logs) > 1 or bool(several_ways) or gathering.is_several(request.logs[0])
     found = gathering.Gathered(request.logs)
-    logs = tuple(found) if many else request.logs
+    logs = gathering.Found(found) if many else request.logs
     pages, recordings = report_paths(logs, request.report), report_paths(logs, request.mcap, "--mcap", ".mcap")
     posts, document = _post_paths(logs, request.markdown)
     if pages or request.html:
         optional.library("bokeh", "--report" if pages else "--html")
     if recordings:
         optional.library("mcap", "--mcap")
-    request = replace(
-        request, logs=logs, pages=pages, recordings=recordings, posts=posts, document=document, others=found.others
+    request = request._replace(
+        logs=logs, pages=pages, recordings=recordings, posts=posts, document=document, others=found.others
     )
     if request.tuning:
         from rotorwatch.witnesses.healthy.tune import read
 
-        request = replace(request, tuned=read(request.tuning, request.estimator))
+        request = request._replace(tuned=read(request.tuning, request.estimator))
     if not many:
         context.exit(_diagnose(request))
     out = files.writable(request.out, "--out", make=True) if request.out else None
     html = files.folder(request.html, "--html") if request.html else None
-    context.exit(several.diagnose(replace(request, out=out, html=html), explain))
+    context.exit(several.diagnose(request._replace(out=out, html=html), explain))
 
 
 def _diagnose(request: several.Request) -> int:
@@ -473,15 +479,6 @@ def _read(path: Any, report: Callable | None) -> Any:
     from rotorwatch.diagnose_many import read
 
     return read(path, report)
-
-
-for module in (research, simulate, campaign, benchmark):
-    module.register(cli)
-for command in (
-    ask.ask, ask.ask_flights, estimate.estimate, tune.tune, tune.compare, export.export_c, survive.survive, watch.watch,
-    fleet_flights.fleet, serve.serve, mcp.mcp,
-):  # fmt: skip
-    cli.add_command(command)
 
 
 if __name__ == "__main__":

@@ -20,12 +20,6 @@ EVERY_S = 120.0  # between two lines of a run that no bar shows
 KEPT = "Keep each paper's result in this folder as soon as it is there, and do not run again what is kept there."
 
 
-def register(group: click.Group) -> None:
-    """Add the commands of this module to the command line."""
-    for command in (observability, reproduce):
-        group.add_command(command)
-
-
 @click.command(short_help="Which losses can be distinguished on an airframe.")
 @click.option(
     "--vehicle",

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 import click
 
@@ -25,8 +23,7 @@ SEVERITY = (2, 1, 3, 0)
 KEYS = ("path", "exit_code", "size", "sha256")  # that a line of --jsonl begins with
 
 
-@dataclass(frozen=True)
-class Request:
+class Request(NamedTuple):
     """The options of `rotorwatch diagnose` by their names, and their values. logs: those found; others: how many files were none;
     tuned: what --tuning holds; pages, recordings, posts: where --report, --mcap
     and --markdown put each log's; document: where --markdown puts one post of all, or -."""
@@ -65,6 +62,8 @@ class Request:
 
 def settings(estimator: str, matters: float, *files: Path | None) -> str:
     """A digest of everything but the logs that the answers depend on: this version, the estimator, what matters, and files."""
+    import hashlib
+
     digest = hashlib.sha256(f"{__version__}\0{estimator}\0{matters!r}".encode())
     for path in files:
         digest.update(b"\0" + (path.read_bytes() if path and path.is_file() else b"-"))
@@ -178,6 +177,8 @@ def _page(request: Request, path: str) -> str | None:
     """The file name of a log's page below --html: its own name, and what distinguishes it from others of that name."""
     if not request.html:
         return None
+    import hashlib
+
     name = path.rstrip("/").rpartition("/")[2]
     stem = name.removesuffix(".xz").removesuffix(".gz").removesuffix(".bz2").rpartition(".")[0] or name
     return f"{label(stem)}-{hashlib.sha256(os.fsencode(path)).hexdigest()[:8]}.html"
@@ -215,8 +216,7 @@ def _recorded(path: str) -> str:
     return path if shown == path.encode("utf-8", "backslashreplace").decode() else shown
 
 
-@dataclass(frozen=True)
-class _Line:
+class _Line(NamedTuple):
     """A line of an earlier call. known: None where it has to be made again."""
 
     code: int

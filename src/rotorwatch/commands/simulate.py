@@ -14,11 +14,6 @@ from rotorwatch.commands.tools import LOG, OUT, common, progress, say
 from rotorwatch.errors import ConfigError
 
 
-def register(group: click.Group) -> None:
-    """Add the commands of this module to the command line."""
-    group.add_command(simulate)
-
-
 @click.command(short_help="Simulate a flight and write its log.")
 @click.argument("scenario", type=LOG)
 @click.option(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotorwatch.base.arrays import distinct
 from rotorwatch.base.compiling.running import Definition, Rows
 from rotorwatch.base.compiling.shipped import files_in
 from rotorwatch.engine import engine, feed
@@ -90,7 +91,7 @@ KINDS = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Samples:
     """n samples in the order of time: kind, time [s], and the place of their numbers in `values`; NaN: not known."""
 
@@ -119,7 +120,7 @@ def pieces(parts: Iterable[Part], most: int = PIECE) -> Iterator[Samples]:
         yield merged(parts)
         return
     longest = max((time for _, time, _ in parts), key=len)
-    edges = np.unique(longest[np.arange(1, count) * len(longest) // count])
+    edges = distinct(longest[np.arange(1, count) * len(longest) // count])
     cuts = [[0, *np.searchsorted(time, edges).tolist(), len(time)] for _, time, _ in parts]
     for k in range(len(edges) + 1):
         part = merged((name, t[c[k] : c[k + 1]], x[c[k] : c[k + 1]]) for (name, t, x), c in zip(parts, cuts))

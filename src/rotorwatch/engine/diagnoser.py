@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,8 +31,7 @@ ROOM = 512  # ticks in one call
 PIECE = 1 << 15  # samples of a log between two words of progress
 
 
-@dataclass(frozen=True)
-class Judged:
+class Judged(NamedTuple):
     """Ticks that have become certain, and what the estimator made of them."""
 
     table: Ticks
@@ -206,4 +206,4 @@ def fly(
     assert judged is not None and judged.table.seen is not None
     commanded = np.flatnonzero(judged.table.seen)
     judged = judged.part(slice(0, int(commanded[-1]) + 1))
-    return diagnoser, replace(judged, table=grounded(judged.table, air))
+    return diagnoser, judged._replace(table=grounded(judged.table, air))

@@ -146,7 +146,7 @@ class StoryLine:
     text: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Trace:
     """What a picture of the flight needs, on the diagnoser's own ticks (T of them, n rotors).
 
@@ -208,7 +208,7 @@ class Trace:
         return f"<Trace: {len(self.time)} ticks of {self.loss.shape[1]} rotors{span}>"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Diagnosis:
     """Everything `rotorwatch diagnose` says.
 

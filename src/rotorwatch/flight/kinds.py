@@ -7,7 +7,6 @@ braces.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
 from typing import Any, NamedTuple
 
@@ -63,8 +62,7 @@ _ADVICE = Words(
 _WATCH = Words("{noun} of {who} at {ago}{over}", nameless="{noun} at {ago}{over}")
 
 
-@dataclass(frozen=True)
-class Kind:
+class Kind(NamedTuple):
     """name: in JSON. noun: in tables and titles. meaning: in a few words (docs/json.md). weight, span: see there. weakens: its rotors lack
     a share of their thrust, its `loss`. by_outputs: it rests on outputs being what drives the motors, so that it is not said where they may
     not be. brief: follows its rotors on a ground station's screen, in 30 letters. headline: for a pilot.

@@ -13,7 +13,7 @@ INTERVAL, SET = "95 % interval", "bound"
 MOST_ROWS = 1000  # of a diagnosis' JSON
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class MethodSeries:
     """T steps of one method on one plant, as the method itself has them: nothing is clipped, held or decided.
 

@@ -6,7 +6,7 @@ Pieces of any length give the same ticks.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -113,7 +113,7 @@ class Stream:
         if (new.dt, new.gyro, new.accel, mixing) != (old.dt, old.gyro, old.accel, self._mixing):
             return flight
         if any(not 1 / CHANGED < new.period[name] / old.period[name] < CHANGED for name in new.period):
-            diagnoser.planned(replace(old, half=new.half, period=new.period))
+            diagnoser.planned(old._replace(half=new.half, period=new.period))
         return None
 
     def _begin(self) -> Diagnoser | None:

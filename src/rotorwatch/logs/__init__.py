@@ -17,10 +17,10 @@ It is tried when no format of ours recognises the file.
 
 from __future__ import annotations
 
-import hashlib
 import re
 from dataclasses import replace
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,8 @@ HEAD = 4096
 """Bytes that sniff sees."""
 CHUNK = 1 << 20
 """Bytes that are hashed at once."""
+USUAL = {b"\xa3\x95": "dataflash", b"ULog": "ulog", b"H Product:Blackbox": "blackbox"}
+"""What the most usual logs begin with: their module is asked first, and where it says yes no other is imported."""
 FILE_PARTS, FOLDER_PARTS = ("sniff", "read"), ("sniff_folder", "read_folder")
 
 
@@ -121,6 +123,8 @@ def of_part(path) -> tuple[Path, int | None]:
 def fingerprint(path) -> tuple[int, str]:
     """(size in bytes, SHA-256 in hexadecimal) of a log: of a file its bytes; of a folder name, size and bytes of each file in order; of a
     flight in a file its number, too. Raises OSError."""
+    import hashlib
+
     path, number = of_part(path)
     folder, total, digest = path.is_dir(), 0, hashlib.sha256()
     if number is not None:
@@ -155,6 +159,9 @@ def sessions(path) -> list[str]:
 
 def recognise(head: bytes, name: str) -> Any:
     """The format for a file that starts with `head`: by content, failing that by `name`; None when unknown. Ours are tried first."""
+    for start, module in USUAL.items():
+        if head.startswith(start) and (usual := import_module(f"{__name__}.{module}")).sniff(head, ""):
+            return usual
     files: list[Any] = [m for m in formats() if hasattr(m, "sniff")]
     for label in ("", name):
         found = next((m for m in files if m.sniff(head, label)), None) or _theirs("sniff", head, label)

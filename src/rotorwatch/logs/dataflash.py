@@ -21,6 +21,7 @@ import re
 
 import numpy as np
 
+from rotorwatch.base.arrays import median, quantile
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.logs import dataflash_esc, parameter_ranges, series, wall_clock
@@ -315,8 +316,8 @@ class _Signals:
         if near.sum() < 10:
             return guess
         ours, theirs = np.abs(rates[near]).ravel(), np.abs(gyro.values[at[near]]).ravel()
-        fast = theirs >= np.quantile(theirs, 0.9)
-        return float(np.median(ours[fast])) > 10.0 * float(np.median(theirs[fast]))
+        fast = theirs >= quantile(theirs, 0.9)
+        return float(median(ours[fast])) > 10.0 * float(median(theirs[fast]))
 
     def _control_is_raw(self, time: np.ndarray, control: np.ndarray) -> bool:
         """Are controller outputs in RAW_TORQUE for full output, or in 1? By how far the motors move apart for them.
@@ -335,9 +336,7 @@ class _Signals:
                 PWM_RANGE_US[1] - PWM_RANGE_US[0]
             )
             # Of most of the flight: a crash or a damaged record does not count, nor does calm air.
-            moved, output = (
-                float(np.quantile(np.abs(v), 0.8)) if v.size else 0.0 for v in (differential, control[near])
-            )
+            moved, output = (quantile(np.abs(v), 0.8) if v.size else 0.0 for v in (differential, control[near]))
             if moved > 5e-4 and output > 0.0:
                 return output > 2.0 * np.sqrt(RAW_TORQUE) * moved
         return _typical_peak(control) > np.sqrt(RAW_TORQUE)
@@ -452,4 +451,4 @@ class _Signals:
 def _typical_peak(values: np.ndarray) -> float:
     """99th percentile of the magnitudes: the scale of a column, whatever a few damaged values say."""
     finite = np.abs(values[np.isfinite(values)])
-    return float(np.quantile(finite, 0.99)) if finite.size else 0.0
+    return quantile(finite, 0.99) if finite.size else 0.0

@@ -33,7 +33,9 @@ SCAN_CHUNK = 1 << 22  # bytes compared at a time: the comparison's result stays 
 _TYPES = "i1 u1 <i2 <u2 <i4 <u4 <i8 <u8 <f2 <f4 <f8 S4 S16 S64 u1 <i2 <u2 <i4 <u4 <i4".split()
 _DIVISORS = {**dict.fromkeys("cCeE", 1e2), "L": 1e7}
 CODES: dict[str, tuple[Any, float | None]] = {"a": (("<i2", (32,)), None)}
+_NAME = re.compile(r"[A-Za-z0-9_]{1,4}")
 CODES |= {code: (kind, _DIVISORS.get(code)) for code, kind in zip("bBhHiIqQgfdnNZMcCeEL", _TYPES, strict=True)}
+_SIZES = {code: np.dtype(kind).itemsize for code, (kind, _) in CODES.items()}
 
 
 @dataclass(frozen=True)
@@ -68,9 +70,9 @@ def make_format(
     type_: int, length: int, name: str, codes: str, columns: str, check_length: bool = True
 ) -> Format | None:
     """A Format from the fields of a FMT record, or None where they contradict each other (a damaged record)."""
-    if not re.fullmatch(r"[A-Za-z0-9_]{1,4}", name) or any(c not in CODES for c in codes):
+    if not _NAME.fullmatch(name) or any(c not in CODES for c in codes):
         return None
-    size = 3 + sum(np.dtype(CODES[c][0]).itemsize for c in codes)
+    size = 3 + sum(_SIZES[c] for c in codes)
     names = [c.strip() for c in columns.split(",")] if columns else []
     if (check_length and not size <= length <= 255) or len(names) > len(codes) or not all(n.isascii() for n in names):
         return None

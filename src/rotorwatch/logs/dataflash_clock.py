@@ -9,10 +9,11 @@ not stretch and squeeze what lies between two of them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.logs.dataflash_binary import amount
 from rotorwatch.logs.series import Impossible, wrong_gap
 
@@ -32,8 +33,7 @@ GAP_S = 2.0  # a longer step of the GPS clock is damage or a lost fix, not time 
 LOOP_S = 0.1  # MOT and CTUN are written ten times a second
 
 
-@dataclass(frozen=True)
-class Clock:
+class Clock(NamedTuple):
     """time: (n,) s since the first record, for every record. good: (n,) False where the stamp is garbage.
 
     start_us: boot time of the first record. jumps: times [s] where the log's clock was set back. Records without a
@@ -172,7 +172,7 @@ def _anchors(log, paced) -> tuple[np.ndarray | None, np.ndarray, str]:
         steps = np.diff(gps[column].astype(float)) / 1e3
         real = (steps > 0) & (steps < GAP_S)
         if real.sum() > len(steps) / 2:
-            usual = float(np.median(steps[real]))
+            usual = float(median(steps[real]))
             return (
                 gps.record,
                 np.r_[0.0, np.cumsum(np.where(real, steps, usual))],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 
 import numpy as np
@@ -26,7 +27,7 @@ def parameters(log, clock) -> tuple[dict[str, float], tuple[tuple[float, str, fl
     changes: list[tuple[float, str, float]] = []
     now: dict[str, float] = {}
     for time, name, value in _rows(log, clock, "PARM", "Name", "Value"):
-        if not PARAMETER_NAME.fullmatch(name) or name.startswith("SIM_") or not np.isfinite(value):
+        if not PARAMETER_NAME.fullmatch(name) or name.startswith("SIM_") or not math.isfinite(value):
             continue
         value = float(value)
         if name not in now:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.flight import Signal
 from rotorwatch.logs import series
 
@@ -84,7 +85,7 @@ def together(
         return None
     base = max(reporting, key=lambda r: len(r[0]))[0]
     middle = 0.5 * (base[1:] + base[:-1])
-    spacing = float(np.median(np.diff(base))) if len(base) > 1 else 1.0
+    spacing = float(median(np.diff(base))) if len(base) > 1 else 1.0
     measured = {quantity: np.full((len(base), len(reports)), np.nan) for quantity in QUANTITIES}
     for column, report in enumerate(reports):
         if report is None or not len(report[0]):

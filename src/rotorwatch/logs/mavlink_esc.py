@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.flight import Signal
 from rotorwatch.logs import esc_columns
 
@@ -60,7 +61,7 @@ def _status(get: Callable) -> dict:
             degrees = np.where(degrees == NO_TEMPERATURE, np.nan, 0.01 * degrees)
             last = np.searchsorted(slow[rows], time, side="right") - 1
             values["temperature"] = np.where(last >= 0, degrees[np.maximum(last, 0)], np.nan)
-    most = int(np.median(table["count"])) if table["count"].any() else len(reports)
+    most = int(median(table["count"])) if table["count"].any() else len(reports)
     return {number: report for number, report in reports.items() if number < most}
 
 

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import json
 import struct
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 
-@dataclass(frozen=True)
-class Message:
+class Message(NamedTuple):
     """name, id; seed: of its check sum; form: of its payload, as `struct` has it; fields: in the order on the wire."""
 
     name: str

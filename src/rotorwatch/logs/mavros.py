@@ -18,6 +18,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.logs import dataflash_rotors, esc_columns, parameter_ranges, px4_outputs, series, wall_clock
@@ -151,7 +152,7 @@ def _time(columns, received) -> np.ndarray:
     stamp = columns["header.stamp.sec"].astype(np.float64) + 1e-9 * columns["header.stamp.nanosec"].astype(np.float64)
     known = stamp > 0
     received = received * 1e-9
-    later = float(np.median(stamp[known] - received[known])) if known.any() else 0.0
+    later = float(median(stamp[known] - received[known])) if known.any() else 0.0
     return np.where(known, stamp, received + later)
 
 

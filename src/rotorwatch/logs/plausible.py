@@ -24,6 +24,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.logs import esc_columns, series
 from rotorwatch.logs.series import Impossible
@@ -40,6 +41,7 @@ HABIT = 0.05  # share of a signal's values beyond which it is not damage but wha
 FITTED, FIT_EVERY = 512, 64  # samples that the mixer's matrix is fitted to, and how often
 PARTNER_S = 0.1  # a command further than this from any output of the controller is not compared
 TINY = 1e-12
+TOGETHER = 1 << 18  # values of columns that are looked at together
 NAMED = 3  # times that a warning names
 # Share and number of lone values of a signal beyond which chance does not explain them; and number of impossible ones beside them
 HEAVY, LEAST_HEAVY = 0.002, 5
@@ -147,7 +149,7 @@ def _whole_records(motors: Signal) -> tuple[Signal, list[str]]:
     broken = np.asarray(2 * valid.sum(axis=1) <= valid.shape[1])
     whole = np.asarray(valid.all(axis=1))
     at = np.flatnonzero(broken[1:-1] & whole[:-2] & whole[2:]) + 1
-    at = at[motors.time[at + 1] - motors.time[at - 1] < FAR * max(float(np.median(np.diff(motors.time))), 1e-6)]
+    at = at[motors.time[at + 1] - motors.time[at - 1] < FAR * max(float(median(np.diff(motors.time))), 1e-6)]
     if not at.size or at.size > HABIT * len(motors):
         return motors, []
     cleaned = valid.copy()
@@ -188,7 +190,7 @@ def _unasked(signals: Mapping[str, Signal], already: np.ndarray) -> np.ndarray:
     them (without them, W is not yet known for what the vehicle does for the first time).
     """
     motors, control = signals["motors"], signals["control"]
-    fine = control.valid.all(axis=1)
+    fine = control.whole
     if fine.sum() < FIT_EVERY or len(motors) < FIT_EVERY:
         return np.zeros_like(already)
     when = control.time[fine]
@@ -249,34 +251,43 @@ def _size(time, values, valid, floor: float, alike: bool = False) -> Lone:
     idle) does not show how rough it will be when it moves, so at least the mean of those that move is taken.
     """
     lone: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-    every = _Times(time) if valid.all() else None  # what only times say is the same of all columns then
-
-    def known(k: int) -> Any:
-        return slice(None) if every else np.flatnonzero(valid[:, k])
-
+    groups = [(columns, where, _Times(time[where])) for columns, where in _groups(valid)]
     rough = None
     if alike:
         rough = np.zeros(values.shape[::-1])
-        for k in range(len(rough)):
-            times = every or _Times(time[known(k)])
+        for columns, where, times in groups:
             if len(times.t) > 2 * AHEAD:
-                x = np.ascontiguousarray(values[known(k), k])
-                rough[k][known(k)] = np.abs(_residual(x, times.single, 1, 1)[0])
+                rough[columns, where] = np.abs(_residual(_columns(values, columns, where), times.single, 1, 1)[0])
         mean = rough.T.sum(axis=1) / np.maximum((rough > 0.0).sum(axis=0), 1)
         rough = np.maximum(rough, mean)
-    for k in range(values.shape[1]):
-        where = known(k)
-        times = every or _Times(time[where])
+    for columns, where, times in groups:
         if len(times.t) > 2 * AHEAD:
-            x = np.ascontiguousarray(values[where, k])
-            size = _alone(times, x, None if rough is None else rough[k][where], floor)
-            at = np.flatnonzero(size)
-            lone.append((at if every else where[at], np.full(at.size, k), size[at]))
+            usual = None if rough is None else np.ascontiguousarray(rough[columns, where])
+            size = _alone(times, _columns(values, columns, where), usual, floor)
+            who, at = np.nonzero(size)
+            rows = at if isinstance(where, slice) else where[at]
+            lone.append((rows, who + columns.start, size[who, at]))
     if not lone:
         return Lone(np.zeros(0, int), np.zeros(0, int), np.zeros(0))
     rows, columns, sizes = map(np.concatenate, zip(*lone))
     order = np.lexsort((columns, rows))
     return Lone(rows[order], columns[order], sizes[order])
+
+
+def _groups(valid: np.ndarray) -> list[tuple[slice, Any]]:
+    """Columns of valid (n, k) that are known at the same times, next to each other, and the rows of these; of a long log each by itself,
+    for the sake of memory."""
+    n, k = valid.shape
+    width = k if n * k <= TOGETHER else 1
+    if (valid == valid[:, :1]).all():
+        where = slice(None) if valid[:, :1].all() else np.flatnonzero(valid[:, 0])
+        return [(slice(first, min(first + width, k)), where) for first in range(0, k, width)]
+    return [(slice(j, j + 1), np.flatnonzero(valid[:, j])) for j in range(k)]
+
+
+def _columns(values: np.ndarray, columns: slice, where: Any) -> np.ndarray:
+    """(k, n) of values (n, k): some columns at some rows."""
+    return np.ascontiguousarray(values[where, columns].T)
 
 
 class _Times:
@@ -288,7 +299,7 @@ class _Times:
 
     @functools.cached_property
     def near(self) -> float:
-        return FAR * max(float(np.median(np.diff(self.t))), 1e-6)
+        return FAR * max(float(median(np.diff(self.t))), 1e-6)
 
     @functools.cached_property
     def single(self) -> np.ndarray:
@@ -305,40 +316,44 @@ def _share(t: np.ndarray, first, middle, last) -> np.ndarray:
 
 
 def _alone(times: _Times, x: np.ndarray, rough: np.ndarray | None, floor: float) -> np.ndarray:
-    """(n,) as `_size`, of one column without gaps in validity; rough: (n,) |r| that say what is usual, None: its own."""
-    t, near = times.t, times.near
-    r, spread = _residual(x, times.single, 1, 1)
-    rough = np.abs(r) if rough is None else rough
+    """(k, n) as `_size`, of columns x (k, n) without gaps in validity; rough: (k, n) |r| that say what is usual, None: their own."""
+    t, near, n = times.t, times.near, len(times.t)
+    least = max(floor, TINY)
 
-    def far(
-        at: np.ndarray, before: int, after: int, r: np.ndarray, spread: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Those of the samples `at` that are lone, and how far off; r, spread: `_residual` at these."""
+    def candidates(r: np.ndarray, spread: np.ndarray) -> np.ndarray:
         r = np.abs(r)
-        some = (r > floor) & (r > AGREE * spread)
-        at, r = at[some], r[some]
-        some = (t[at] - t[at - before] <= near * before) & (t[at + after] - t[at] <= near * after)
-        at, r = at[some], r[some]
-        some = r > np.maximum(
-            SCALES * _around(rough, at), max(floor, TINY)
-        )  # few are, and the other scale takes longer
-        at, r = at[some], r[some]
-        size = r / np.maximum(SCALES * _scale(rough, at), max(floor, TINY))
+        return np.flatnonzero((r > floor) & (r > AGREE * spread))
+
+    def far(at: np.ndarray, before: int, after: int, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Those of the samples `at` that are lone, and how far off; r: `_residual` at these. Places in x, row after row."""
+        place, r = at % n, np.abs(r)
+        some = (t[place] - t[place - before] <= near * before) & (t[place + after] - t[place] <= near * after)
+        at, place, r = at[some], place[some], r[some]
+        around = _around(usual, at, place, n)
+        some = r > np.maximum(SCALES * around, least)  # few are, and the other scale takes longer
+        at, place, r, around = at[some], place[some], r[some], around[some]
+        size = r / np.maximum(SCALES * np.maximum(around, _before(usual, at, place, n)), least)
         return at[size > 1.0], size[size > 1.0]
 
     size = np.zeros(x.size)
-    inner = np.flatnonzero((np.abs(r) > floor) & (np.abs(r) > AGREE * spread))
-    at, off = far(inner, 1, 1, r[inner], spread[inner])
+    r, spread = _residual(x, times.single, 1, 1)
+    usual = (np.abs(r) if rough is None else rough).reshape(-1)
+    inner = candidates(r, spread)
+    at, off = far(inner, 1, 1, r.reshape(-1)[inner])
     size[at] = off
     # Two in a row: the first is held against the samples one before and two after it, the second the other way round.
     r, spread = _residual(x, times.pair, 1, 2)
-    inner = np.flatnonzero((np.abs(r) > floor) & (np.abs(r) > AGREE * spread))
-    first, off = far(inner, 1, 2, r[inner], spread[inner])
-    second, other = far(first + 1, 2, 1, *_residual_at(t, x, 2, 1, first + 1))
-    pair = np.minimum(off[np.isin(first + 1, second)], other)
-    for at in (second - 1, second):
-        size[at] = np.maximum(size[at], pair)
-    return size
+    inner = candidates(r, spread)
+    first, off = far(inner, 1, 2, r.reshape(-1)[inner])
+    if first.size:
+        second = first + 1
+        r, spread = _residual_at(t, x.reshape(-1), 2, 1, second, second % n)
+        some = (np.abs(r) > floor) & (np.abs(r) > AGREE * spread)
+        second, other = far(second[some], 2, 1, r[some])
+        pair = np.minimum(off[np.isin(first + 1, second)], other)
+        for at in (second - 1, second):
+            size[at] = np.maximum(size[at], pair)
+    return size.reshape(x.shape)
 
 
 def _support(time, values, valid, size: Lone, floor: float, at, own) -> np.ndarray:
@@ -346,23 +361,35 @@ def _support(time, values, valid, size: Lone, floor: float, at, own) -> np.ndarr
 
     Against the line between their neighbours where those are valid and not lone themselves; what is not valid does not jump.
     """
-    support = np.zeros(at.size)
+    if not at.size:
+        return np.zeros(0)
     # Nothing but what is near the samples is looked at; `_scale` reaches furthest.
-    begins = np.bincount(np.maximum(at - BEFORE - 1, 0), minlength=len(time) + 1)
-    begins -= np.bincount(np.minimum(at + BEFORE + 2, len(time)), minlength=len(time) + 1)
+    n, columns = values.shape
+    begins = np.bincount(np.maximum(at - BEFORE - 1, 0), minlength=n + 1)
+    begins -= np.bincount(np.minimum(at + BEFORE + 2, n), minlength=n + 1)
     near = np.cumsum(begins[:-1]) > 0
     there, inner = np.flatnonzero(near), np.flatnonzero(near[:-2] & near[1:-1] & near[2:]) + 1
-    calm, r = np.zeros(len(time)), np.zeros(len(time))
-    for k in range(values.shape[1]):
+    middle, place = np.searchsorted(there, inner), np.searchsorted(there, at)
+    calm, r, known = np.zeros((columns, there.size)), np.zeros((columns, there.size)), np.zeros(columns, bool)
+    when, seen = time[there], valid[there]
+    apart = bool((when[1:] > when[:-1]).all())
+    for k in range(columns):
+        mine = size.rows[size.columns == k]
+        if apart and not mine.size and seen[:, k].all():  # as the line between them is there
+            calm[k], known[k] = values[there, k], True
+            continue
         good = valid[:, k].copy()
-        good[size.rows[size.columns == k]] = False
-        if good.any():
-            calm[there] = np.interp(time[there], time[good], values[good, k])
-            r[inner] = _residual_at(time, calm, 1, 1, inner)[0]
-            jump = np.abs(r[at] + np.where(valid[at, k], values[at, k] - calm[at], 0.0))
-            jump /= np.maximum(SCALES * _scale(np.abs(r), at), max(floor, TINY))
-            support = np.maximum(support, np.where(own == k, 0.0, jump))
-    return support
+        good[mine] = False
+        known[k] = good.any()
+        if known[k]:
+            calm[k] = np.interp(when, time[good], values[good, k])
+    share = _share(time, inner - 1, inner, inner + 1)
+    r[:, middle] = _off(calm[:, middle - 1], calm[:, middle], calm[:, middle + 1], share)[0]
+    jump = np.abs(r[:, place] + np.where(valid[at].T, values[at].T - calm[:, place], 0.0))
+    each = (np.arange(columns)[:, None] * there.size + place).reshape(-1)
+    usual = _scale(np.abs(r).reshape(-1), each, np.tile(at, columns), n).reshape(jump.shape)
+    jump /= np.maximum(SCALES * usual, max(floor, TINY))
+    return np.where((own == np.arange(columns)[:, None]) | ~known[:, None], 0.0, jump).max(axis=0)
 
 
 def _nearest(time: np.ndarray, wanted: np.ndarray) -> np.ndarray:
@@ -371,17 +398,17 @@ def _nearest(time: np.ndarray, wanted: np.ndarray) -> np.ndarray:
 
 
 def _residual(x: np.ndarray, share: np.ndarray, before: int, after: int) -> tuple[np.ndarray, np.ndarray]:
-    """(r, D) of each sample against the line from the one `before` steps before it to the one `after` steps after it; 0 where one of the
-    two is missing. share: how far on that line each is in time."""
-    r, spread = np.zeros(x.size), np.zeros(x.size)
-    middle = slice(before, x.size - after)
-    r[middle], spread[middle] = _off(x[: x.size - before - after], x[middle], x[before + after :], share)
+    """(r, D) of each sample of x (..., n) against the line from the one `before` steps before it to the one `after` steps after it; 0
+    where one of the two is missing. share: how far on that line each is in time."""
+    r, spread, n = np.zeros(x.shape), np.zeros(x.shape), x.shape[-1]
+    middle = (..., slice(before, n - after))
+    r[middle], spread[middle] = _off(x[..., : n - before - after], x[middle], x[..., before + after :], share)
     return r, spread
 
 
-def _residual_at(t, x, before: int, after: int, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same of the samples `at`, which have both."""
-    return _off(x[at - before], x[at], x[at + after], _share(t, at - before, at, at + after))
+def _residual_at(t, x, before: int, after: int, at: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same of the samples x[at], which have both, at times t[place]."""
+    return _off(x[at - before], x[at], x[at + after], _share(t, place - before, place, place + after))
 
 
 def _off(first: np.ndarray, middle: np.ndarray, last: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -390,23 +417,30 @@ def _off(first: np.ndarray, middle: np.ndarray, last: np.ndarray, share: np.ndar
         return middle - first - step * share, np.abs(step)
 
 
-def _scale(rough: np.ndarray, at: np.ndarray) -> np.ndarray:
+def _scale(rough: np.ndarray, at: np.ndarray, place: np.ndarray, n: int) -> np.ndarray:
     """How large a residual is usual at the samples `at`: the larger of what was before and what is around."""
-    before = np.median(_those(rough, at, np.arange(-BEFORE, -2)), axis=1)
-    return np.maximum(_around(rough, at), before)
+    return np.maximum(_around(rough, at, place, n), _before(rough, at, place, n))
 
 
-def _around(rough: np.ndarray, at: np.ndarray) -> np.ndarray:
+def _before(rough: np.ndarray, at: np.ndarray, place: np.ndarray, n: int) -> np.ndarray:
+    """How large a residual was usual before the samples `at`."""
+    return median(_those(rough, at, place, n, np.arange(-BEFORE, -2)), axis=1)
+
+
+def _around(rough: np.ndarray, at: np.ndarray, place: np.ndarray, n: int) -> np.ndarray:
     """How large a residual is usual around the samples `at`."""
     around = np.concatenate([np.arange(-AHEAD, -2), np.arange(3, AHEAD + 1)])
-    return np.partition(_those(rough, at, around), around.size // 2, axis=1)[:, around.size // 2]
+    return np.partition(_those(rough, at, place, n, around), around.size // 2, axis=1)[:, around.size // 2]
 
 
-def _those(rough: np.ndarray, at: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-    """(m, k) residuals at these offsets from the samples `at`, on the other side of them where there are none."""
-    index = at[:, None] + offsets
-    inside = (index >= 1) & (index <= rough.size - 2)  # the first and the last sample have no residual
-    return rough[np.clip(np.where(inside, index, at[:, None] - offsets), 1, rough.size - 2)]
+def _those(rough: np.ndarray, at: np.ndarray, place: np.ndarray, n: int, offsets: np.ndarray) -> np.ndarray:
+    """(m, k) residuals at these offsets from the samples rough[at], on the other side of them where there are none: these are the samples
+    `place` of n."""
+    index = place[:, None] + offsets
+    inside = (index >= 1) & (index <= n - 2)  # the first and the last sample have no residual
+    if not inside.all():
+        index = np.clip(np.where(inside, index, place[:, None] - offsets), 1, n - 2)
+    return rough.take(index + (at - place)[:, None])
 
 
 def _floor(name: str, signal: Signal) -> float:

@@ -21,11 +21,12 @@ https://docs.px4.io/main/en/msg_docs/EscStatus.html and EscReport.html
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.flight import Signal
 from rotorwatch.flight.output_functions import MOTOR_1, MOTOR_12, in_order, motor_outputs
 from rotorwatch.logs import esc_columns
@@ -44,8 +45,7 @@ MOST_ESCS = 12
 ESC_FIELDS = {"speed": "esc_rpm", "current": "esc_current", "voltage": "esc_voltage", "temperature": "esc_temperature"}
 
 
-@dataclass(frozen=True)
-class Reading:
+class Reading(NamedTuple):
     """One instance read as rotors: values (n, rotors) in us or shares, swing as a share of full, facts on limits.
 
     named: the log's output functions name these outputs as motors. outputs: of each rotor, from 1.
@@ -55,7 +55,7 @@ class Reading:
     unit: str
     swing: float
     named: bool
-    facts: dict = field(default_factory=dict)
+    facts: Mapping = MappingProxyType({})
     note: str = ""
     outputs: tuple[int, ...] = ()
 
@@ -106,7 +106,7 @@ def _scaled(values, picked, driver, parameters, moving=False) -> Reading | None:
     moving: only when all of them move as rotors do.
     """
     found = _in_unit(values, picked, driver, parameters, moving)
-    return None if found is None else replace(found, outputs=tuple(k + 1 for k in picked))
+    return None if found is None else found._replace(outputs=tuple(k + 1 for k in picked))
 
 
 def _in_unit(values, picked, driver, parameters, moving) -> Reading | None:
@@ -216,7 +216,7 @@ def flown(values: np.ndarray, found: list[np.ndarray]) -> np.ndarray | None:
     """The one of two series that moves while the other rests: what reached the motors. None when both move."""
     if len(found) == 1:
         return found[0]
-    moves = [float(np.median(np.abs(np.diff(values[i], axis=0)).max(axis=1))) for i in found]
+    moves = [float(median(np.abs(np.diff(values[i], axis=0)).max(axis=1))) for i in found]
     return found[int(np.argmax(moves))] if min(moves) <= AT_REST * max(moves) else None
 
 
@@ -246,7 +246,7 @@ def _places(table: Mapping[str, np.ndarray], escs: list[int]) -> dict[int, int]:
         return place
     used = int(np.max(table["esc_count"])) if "esc_count" in table and np.size(table["esc_count"]) else 0
     escs = escs[:used] if 0 < used < len(escs) else escs
-    addresses = [int(np.median(np.asarray(table.get(f"esc[{i}].esc_address", [0])))) for i in escs]
+    addresses = [int(median(np.asarray(table.get(f"esc[{i}].esc_address", [0])))) for i in escs]
     if sorted(addresses) in (list(range(len(escs))), list(range(1, len(escs) + 1))):
         return {address - min(addresses): i for address, i in zip(addresses, escs)}
     return dict(enumerate(escs))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.flight import Message, vehicle_kind
 from rotorwatch.logs import px4_outputs, px4_reports, series, wall_clock
 
@@ -146,7 +147,7 @@ def _kind(topics: Topics) -> dict:
     found = topics.table("vehicle_status", early=True)
     if found is None or not found[0].size:
         return {}
-    usual = {k: float(np.median(found[1][k])) for k in ("system_type", "is_vtol", "vehicle_type") if k in found[1]}
+    usual = {k: float(median(found[1][k])) for k in ("system_type", "is_vtol", "vehicle_type") if k in found[1]}
     if usual.get("system_type", 0) > 0:
         return {"mav_type": int(usual["system_type"])}
     if usual.get("is_vtol", 0) > 0:

@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.flight import Message, Signal
 
 """Standard gravity, m/s^2."""
@@ -132,7 +133,7 @@ def within_ends(t: np.ndarray) -> slice:
     if t.size < 4 * FEW:
         return slice(None)
     steps = np.diff(t)
-    usual = END_GAPS * float(np.median(steps))
+    usual = END_GAPS * float(median(steps))
     first = [k for k in range(FEW) if steps[k] > usual and wrong_gap(steps[k])]
     last = [k for k in range(t.size - 1 - FEW, t.size - 1) if steps[k] > usual and wrong_gap(steps[k])]
     return slice(first[-1] + 1 if first else 0, last[0] + 1 if last else t.size)

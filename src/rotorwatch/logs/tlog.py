@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple, Protocol
 
@@ -243,8 +242,7 @@ class Messages(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class Reading:
+class Reading(NamedTuple):
     """One message that carries a signal. make(log): the signal, or None where the log has nothing usable of it."""
 
     source: str

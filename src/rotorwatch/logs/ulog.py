@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -35,7 +36,6 @@ def read(data, name: str, progress=None) -> Flight:
     """
     from pyulog import ULog
 
-    _check_definitions(_pyulog(ULog, _File(data), parse_header_only=True)[0])
     log, damaged, cut = _whole(ULog, data, progress)
     tables = {(d.name, d.multi_id): d.data for d in log.data_list if d.name in px4_topics.TOPICS}
     start, notes = _start(log, tables)
@@ -93,16 +93,20 @@ def _whole(ulog, data, progress):
     topics = [*px4_topics.TOPICS, px4_reports.EVENTS]
     found = ulog_data.messages(data, topics)
     if found is not None:
+        _check_definitions(found.formats)
         log, damaged = _pyulog(ulog, _File(found.rest, progress), message_name_filter_list=topics)
         if not damaged and found.fill(log):
             return log, False, found.cut
+    else:
+        header = _pyulog(ulog, _File(data), parse_header_only=True)[0]
+        _check_definitions({name: kind.fields for name, kind in header.message_formats.items()})
     file = _File(data, progress)
     return *_pyulog(ulog, file, message_name_filter_list=topics), file.cut
 
 
-def _check_definitions(log) -> None:
-    """Refuse message definitions that nest endlessly or flatten to absurd sizes: only damage makes such."""
-    formats = log.message_formats
+def _check_definitions(formats: Mapping[str, Sequence[tuple[str, int, str]]]) -> None:
+    """Refuse message definitions that nest endlessly or flatten to absurd sizes: only damage makes such. formats: name -> (type, count,
+    name) of each field."""
     sizes: dict[str, int] = {}
 
     def size(name, depth=0):
@@ -110,7 +114,7 @@ def _check_definitions(log) -> None:
             raise LogError(f"this {FORMAT} has damaged message definitions and cannot be read")
         if name not in sizes:
             total = 0
-            for kind, count, _ in formats[name].fields:
+            for kind, count, _ in formats[name]:
                 total += max(1, count) * (size(kind, depth + 1) if kind in formats else 1)
             if total > _MOST_FIELDS:
                 raise LogError(f"this {FORMAT} has damaged message definitions and cannot be read")

@@ -8,8 +8,7 @@ that are announced again, or data behind the end - is none of this file's: pyulo
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,10 +25,10 @@ BEGINS = frozenset(b"ALC")  # what ends the definitions
 ONLY_BEFORE = frozenset(b"BF")  # what stands among the definitions alone
 
 
-@dataclass(frozen=True)
-class Messages:
+class Messages(NamedTuple):
     """All messages, in their order: kinds, sizes, places (M,); ids (M,): of the topics of data messages, else -1; rest: the log without
-    data messages but the first of each topic; cut: it ends in the middle of a message."""
+    data messages but the first of each topic; cut: it ends in the middle of a message; formats: name of a message -> (type, count, name) of
+    each field, as the log defines them."""
 
     data: np.ndarray
     kinds: np.ndarray
@@ -38,6 +37,7 @@ class Messages:
     ids: np.ndarray
     rest: bytes
     cut: bool
+    formats: dict[str, list[tuple[str, int, str]]]
 
     def fill(self, log: Any) -> bool:
         """Give `log`, which pyulog has made of `rest`, all data; False where a message has not the size that its topic has."""
@@ -82,6 +82,12 @@ def messages(data: Any, wanted: Collection[str]) -> Messages | None:
     begins = int(np.flatnonzero(np.isin(kinds, [*BEGINS]))[0])
     if np.isin(kinds[:begins], [*(KNOWN - DEFINES)]).any() or np.isin(kinds[begins:], [*ONLY_BEFORE]).any():
         return None
+    try:
+        formats = dict(
+            _format(raw[places[k] : places[k] + sizes[k]].tobytes()) for k in np.flatnonzero(kinds == ord("F"))
+        )
+    except ValueError:
+        return None
     flags = np.flatnonzero(kinds == ord("B"))
     if any(bytes(raw[places[k] + 16 : places[k] + 40]).strip(b"\0") for k in flags):  # data behind the end
         return None
@@ -100,7 +106,18 @@ def messages(data: Any, wanted: Collection[str]) -> Messages | None:
     kept = ~is_data
     kept[[k for i, k in zip(found.tolist(), first.tolist()) if i >= 0]] = True
     parts = [raw[p - 3 : p + s].tobytes() for p, s in zip(places[kept].tolist(), sizes[kept].tolist())]
-    return Messages(raw, kinds, sizes, places, ids, raw[:HEADER].tobytes() + b"".join(parts), end < len(raw))
+    return Messages(raw, kinds, sizes, places, ids, raw[:HEADER].tobytes() + b"".join(parts), end < len(raw), formats)
+
+
+def _format(text: bytes) -> tuple[str, list[tuple[str, int, str]]]:
+    """(name, fields) of a definition. Raises ValueError for what is none."""
+    name, rest = text.decode("latin-1").split(":")
+    fields = []
+    for field in filter(None, rest.split(";")):
+        kind, label = field.split(" ")
+        kind, _, count = kind.partition("[")
+        fields.append((kind, int(count[:-1]) if count else 0, label))
+    return name, fields
 
 
 def _walked(raw: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:

@@ -6,6 +6,8 @@ from datetime import datetime, timedelta, timezone
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
+
 GPS_EPOCH = datetime(1980, 1, 6, tzinfo=timezone.utc)
 WEEK_S = 604_800.0
 # GPS time has no leap seconds: so many it is ahead of UTC from that day on (IERS Bulletin C).
@@ -40,7 +42,7 @@ def start(time, unix) -> str | None:
     if not fine.any():
         return None
     offset = unix[fine] - time[fine]
-    middle = float(np.median(offset))
+    middle = float(median(offset))
     if np.mean(np.abs(offset - middle) < AGREE_S) < 0.5:
         return None
     return stamp(middle)

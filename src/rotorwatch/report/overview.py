@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
 from datetime import datetime, timedelta
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
 from rotorwatch import __version__
@@ -42,8 +41,7 @@ box.addEventListener("input", () => {
 """
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(NamedTuple):
     """One flight. path: full; when: UTC where the log has it, else on its own clock; loss: the largest of a rotor; page: its report's
     file name, where there is one; reason: why, where the headline does not say so already."""
 

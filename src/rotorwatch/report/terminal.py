@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich import box
 from rich.console import Console, Group, RenderableType
@@ -19,7 +19,9 @@ from rotorwatch import report
 from rotorwatch.flight.diagnosis import Diagnosis, RotorState
 from rotorwatch.flight.kinds import LOST
 from rotorwatch.report import plain, words
-from rotorwatch.report.overview import Row
+
+if TYPE_CHECKING:
+    from rotorwatch.report.overview import Row
 
 STYLES = {
     "healthy": "bold green",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.flight import Flight, Signal
 
@@ -88,9 +89,9 @@ def collapse(flight: Flight, air: Spans) -> tuple[float, float, float] | None:
             if fell(part, moment) is None:
                 continue
             beyond = unexplained(part, moment, moment - 1e-6, min(moment + LASTS_S, float(time[last]) + 1e-6))
-            if beyond is not None and beyond.size >= FEWEST and float(np.median(beyond)) > 0.0:
+            if beyond is not None and beyond.size >= FEWEST and float(median(beyond)) > 0.0:
                 own = (time < moment - BEFORE_S) & (time > moment - BATTERY_S)
-                return moment, float(volts[first : last + 1].min()), float(np.median(volts[own]))
+                return moment, float(volts[first : last + 1].min()), float(median(volts[own]))
     return None
 
 

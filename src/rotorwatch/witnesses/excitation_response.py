@@ -23,12 +23,13 @@ times the probability that the losses of S are above 0, over what it was before.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.engine.estimator import hypotheses
 from rotorwatch.engine.estimator.model_error import AT_LIMIT
 from rotorwatch.engine.estimator.plant import GAIN, PER_AXIS, SHARE, TAU
@@ -58,8 +59,7 @@ AFTER_S = 2.0  # for which an excitation still shows in the evidence of jumps
 DELAYS_S = (0.0, 0.02, 0.04, 0.07, 0.1)  # of a rotor behind what the ticks take for granted
 
 
-@dataclass(frozen=True)
-class ExcitationEvidence:
+class ExcitationEvidence(NamedTuple):
     """The evidence of one excitation. start, end [s]. J (D, n, n), z (D, n): information on the losses, for each of DELAYS_S."""
 
     start: float
@@ -145,7 +145,7 @@ def _unneeded(table: Ticks, N: np.ndarray, usable: np.ndarray) -> np.ndarray:
     """q (T, n): thrusts in the null space, less what the commanded wrench says of them (twice: at first with excitations in it)."""
     own = table.thrust @ N
     inputs = np.column_stack([table.wrench, np.ones(len(own))])
-    calm, q = usable, (own - np.median(own[usable], axis=0)) @ N.T
+    calm, q = usable, (own - median(own[usable], axis=0)) @ N.T
     for _ in range(2):
         if calm.sum() < 4 * inputs.shape[1]:
             break

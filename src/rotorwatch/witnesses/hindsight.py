@@ -16,6 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.engine.estimator import hypotheses
 from rotorwatch.engine.estimator.plant import AIR, CURVE, DAMPING, GAIN, PER_AXIS, SHARE
 from rotorwatch.engine.host import events
@@ -71,10 +72,10 @@ def _clear(ticks: Ticks, flying: np.ndarray, blind: int) -> int:
     known = ticks.valid[flying, 3]
     if not known[blind:].any():
         return 0
-    carried = np.where(known, carried, np.median(carried[blind:][known[blind:]]))
+    carried = np.where(known, carried, median(carried[blind:][known[blind:]]))
     few = max(1, round(CARRIES_S / ticks.dt))
     mean = np.convolve(carried, np.ones(few) / few, "valid")
-    enough = np.flatnonzero(mean >= CARRIES * np.median(carried[blind:]))
+    enough = np.flatnonzero(mean >= CARRIES * median(carried[blind:]))
     return int(enough[0]) if enough.size else blind
 
 

@@ -16,9 +16,6 @@ import functools
 import hashlib
 import json
 import os
-import shutil
-import subprocess
-import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -234,6 +231,8 @@ class Definition:
     def ship(self, folder: Path, levels: Sequence[str] = (shipped.BASELINE,)) -> None:
         """Put the library into the folder of what comes with the package, beside those of other definitions. levels: of processors, where
         each has its own."""
+        import shutil
+
         libraries = {}
         for level in levels if self.vectors else (shipped.BASELINE,):
             name = f"{self.name}{level and '-' + level}.so"
@@ -267,6 +266,9 @@ class Definition:
         seal = goal.with_suffix(".sha256")
         if goal.exists() and seal.exists() and seal.read_text() == shipped.digest_of(goal):
             return goal
+        import subprocess
+        import tempfile
+
         toolchain.building(self.name)
         with tempfile.TemporaryDirectory() as scratch:
             place = Path(scratch)

@@ -8,9 +8,6 @@ from __future__ import annotations
 import functools
 import os
 import platform
-import shlex
-import shutil
-import subprocess
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -36,6 +33,9 @@ def building(what: str) -> None:
 
 def compiler() -> str:
     """The C compiler: $CC, else cc, gcc or clang. Raises Unavailable."""
+    import shlex
+    import shutil
+
     candidates = [os.environ["CC"]] if os.environ.get("CC") else ["cc", "gcc", "clang"]
     for name in candidates:
         found = shutil.which(shlex.split(name)[0])
@@ -48,6 +48,8 @@ def compiler() -> str:
 def processor() -> str:
     """The kind of processor that the compiler builds for, as in `platform.machine()`: another one than this computer's when it is a cross
     compiler (CC=aarch64-linux-gnu-gcc). Raises Unavailable without a compiler."""
+    import subprocess
+
     done = subprocess.run([compiler(), "-dumpmachine"], capture_output=True, text=True, check=False)
     target = done.stdout.strip().partition("-")[0]
     same = not target or done.returncode or {target, platform.machine().lower()} == {"x86_64", "amd64"}

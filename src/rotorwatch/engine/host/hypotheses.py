@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,8 +21,7 @@ KINDS = ("single", "pair", "recovery", "stuck", "disturbance")
 AXES = ("roll", "pitch", "yaw", "common mode")
 
 
-@dataclass(frozen=True)
-class Hypotheses:
+class Hypotheses(NamedTuple):
     """All hypotheses of an n-rotor vehicle, a column each: names; kinds, of KINDS; rotors: 0-based sets; fault (n_h,): bool; weight (n_h,):
     prior weights. pairs (n_pairs, 2): rotors. blocks: of each disturbance, the last columns, the axes that it steps."""
 

@@ -6,7 +6,7 @@ the landing or the fall began to show, up to `CONFIRM_S` before it was certain; 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -63,8 +63,7 @@ def _ended(follow) -> list[tuple[float, float]]:
     return [(start, min(end, last)) for start, end in spans]
 
 
-@dataclass(frozen=True)
-class Gap:
+class Gap(NamedTuple):
     """Commands that a log lacks in the air. rotors: 1-based; start, end: from the last command of these before it, or from lift-off, to the
     first after it, or to the end of the flight [s]; first: none comes before it in this flight; lasts: none after it."""
 

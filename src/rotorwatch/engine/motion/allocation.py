@@ -15,8 +15,8 @@ All functions here are causal: a value at time s uses nothing logged after s.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -121,8 +121,7 @@ def faster_control(flight: Flight) -> bool:
     return bool(coarse and FASTER * control.rate_hz >= motors.rate_hz)
 
 
-@dataclass(frozen=True)
-class Comparison:
+class Comparison(NamedTuple):
     """Logged against rebuilt demand at the m motor samples that have control samples around them.
 
     time (m,): of the motor sample. known (m,): when its comparison could be made (the later control sample has come).

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,8 +19,7 @@ __all__ = ["G0", "LEAST_GAIN", "Contact", "contacts", "look_back"]
 WORDS = (("hover thrusts of one rotor", "turned it"), ("g", "pushed it sideways"), ("g", "pushed it upwards"))
 
 
-@dataclass(frozen=True)
-class Contact:
+class Contact(NamedTuple):
     """time s; size: of the force in g, or of the torque in hover thrusts of one rotor, by push (TURNED and so on of
     engine/front/contact.py)."""
 

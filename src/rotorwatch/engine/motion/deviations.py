@@ -6,7 +6,7 @@ Loss of effectiveness never shows here: the commands are what is compared.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,8 +25,7 @@ LEAST = 3  # comparisons
 KINDS = {deviations.STUCK: "stuck", deviations.OFF: "off", deviations.OVERRIDDEN: "overridden"}
 
 
-@dataclass(frozen=True)
-class Override:
+class Override(NamedTuple):
     """An output that no longer follows the mixer.
 
     rotor: 1-based. kind: stuck, off or overridden. Times in s, end None while it lasts. reason: one sentence. demanded: share of
@@ -63,7 +62,7 @@ def overrides(flight: Flight, vehicle: Vehicle, airborne: Spans) -> tuple[Overri
             checks, checked = check.rows, check.time
     thrust = np.ascontiguousarray(allocation.motor_thrusts(flight, vehicle).values)
     logged = np.ascontiguousarray(motors.values, float)
-    known = np.asarray(motors.valid).all(axis=1)
+    known = motors.whole
     compared = len(checked), checks, within(checked, airborne)
     outputs = len(motors), motors.time, logged, thrust, known, within(motors.time, airborne)
     ENGINE.call(whole.deviate, state, craft, *compared, *outputs)
@@ -76,7 +75,7 @@ def in_flight(found: Iterable[Override], spans: Spans) -> list[Override]:
     for one in found:
         for start, end in spans:
             if start <= one.onset < end and one.detected <= end + CONFIRM_S:
-                inside.append(one if (one.end or np.inf) <= end else replace(one, end=end))
+                inside.append(one if (one.end or np.inf) <= end else one._replace(end=end))
     return inside
 
 

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.engine.motion.allocation import Spans, within
 from rotorwatch.flight import Flight
 
@@ -28,7 +29,7 @@ def without_missed(flight: Flight, air: Spans) -> Flight:
     if not flight.has("motors"):
         return flight
     motors = flight["motors"]
-    inside = within(motors.time, air) & motors.valid.all(axis=1)
+    inside = within(motors.time, air) & motors.whole
     again = np.zeros(len(motors), bool)
     again[1:] = (motors.values[1:] == motors.values[:-1]).all(axis=1) & inside[1:] & inside[:-1]
     edges = np.flatnonzero(np.diff(np.concatenate([[False], again, [False]]).astype(np.int8)))
@@ -62,13 +63,13 @@ def _unlike_wanted(flight: Flight, inside: np.ndarray, again: np.ndarray, runs: 
     What it asks for is a straight line of its output (and its throttle squared), fitted to the rest of the flight.
     """
     motors, control = flight["motors"], flight["control"]
-    moving, fine = inside & ~again, control.valid.all(axis=1)
+    moving, fine = inside & ~again, control.whole
     if fine.sum() < ENOUGH:
         return []
     asked = [np.interp(motors.time, control.time[fine], column) for column in control.values[fine].T]
     asked = np.column_stack([*asked, asked[3] ** 2, np.ones(len(motors))])
     wanted = asked @ np.linalg.lstsq(asked[moving], motors.values[moving], rcond=1e-9)[0]
-    usual = 1.48 * np.median(np.abs(motors.values - wanted)[moving], axis=0)
+    usual = 1.48 * median(np.abs(motors.values - wanted)[moving], axis=0)
     steps = np.abs(np.diff(motors.values[inside], axis=0))
     least = STEPS * steps[steps > 0.0].min() + SIGMAS * usual
     return [(a, b) for a, b in runs if (np.ptp(wanted[a:b], axis=0) > least).sum() >= ROTORS]
@@ -80,7 +81,7 @@ def _unlike_motion(flight: Flight, inside: np.ndarray, again: np.ndarray, runs: 
     if not flight.has("gyro"):
         return []
     time, gyro = flight["motors"].time, flight["gyro"]
-    fine, count, rests = gyro.valid.all(axis=1), int(inside.sum()), int(again.sum())
+    fine, count, rests = gyro.whole, int(inside.sum()), int(again.sum())
 
     def restless(begin, end) -> float:
         here = gyro.values[fine & (gyro.time >= begin) & (gyro.time <= end)]

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.base.compiling.running import Rows
 from rotorwatch.base.compiling.structs import LASTS
 from rotorwatch.engine.definition import ENGINE, craft, known, pieces
@@ -34,7 +36,7 @@ LATE_PERIODS = 1.5  # of slow motion, for which a tick waits at least
 ROOM = 4096  # rows in one call
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Ticks:
     """T ticks of an n-rotor flight.
 
@@ -124,9 +126,9 @@ def ready_of(ready_s: float, air: Sequence[tuple[float, float]]) -> float:
 
 def _period(signal: Signal) -> float:
     """Usual time between two samples that are known, s; NaN with fewer than two."""
-    time = signal.time[signal.valid.all(axis=1)]
+    time = signal.time[signal.whole]
     steps = np.diff(time)
-    return float(np.median(steps[steps > 0])) if (steps > 0).any() else np.nan
+    return float(median(steps[steps > 0])) if (steps > 0).any() else np.nan
 
 
 def samples_in(half: float, period: float) -> int:
@@ -141,8 +143,7 @@ def _span(motion: Signal, commands: Signal, dt: float) -> float:
     return 0.5 * min(dt, max(SHORTEST_S, 1.5 / max(motion.rate_hz, 1e-3)))
 
 
-@dataclass(frozen=True)
-class Plan:
+class Plan(NamedTuple):
     """How a flight is cut into ticks: what its sampling rates decide, once for all of it.
 
     dt: length of a tick; ready_s: blind time after lift-off; lag_s; first: end of the first tick [all s]. gyro: signal that tells angular
@@ -183,7 +184,7 @@ def plan(flight: Flight, thrust: Signal, ready_s: float, lag_s: float = LAG_S, d
     )  # fmt: skip
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Sensed:
     """What was commanded and measured in T ticks, whether in the air or not: a tick needs no other, and nothing logged after it.
 
@@ -262,7 +263,7 @@ def observe(flight: Flight, vehicle: Vehicle, air, ready_s: float) -> Ticks | No
     if not flight.has("motors") or not air:
         return None
     thrust = allocation.rotor_thrusts(flight, vehicle)
-    if len(thrust) < 20 or not thrust.valid.all(axis=1).any():  # or one output is never a command
+    if len(thrust) < 20 or not thrust.whole.any():  # or one output is never a command
         return None
     made = cut_ticks(flight, thrust, vehicle.effectiveness(), air, ready_s, hover=known_hover(vehicle))
     return replace(made, curve=vehicle.curve.believed)

@@ -8,12 +8,14 @@ no healthy or faulty flight shows; docs/limits.md has how often each was wrong.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.base.arrays import median, quantile
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.motion.allocation import within
 from rotorwatch.engine.motion.ticks import Ticks
@@ -60,14 +62,16 @@ GYRO_UNITS = {"degrees/s": np.degrees(1.0), "mrad/s": 1e3, "turns/s": 0.5 / np.p
 GEOMETRY = ("FRAME_CLASS", "FRAME_TYPE", "CA_ROTOR_COUNT", "CA_AIRFRAME", "SYS_AUTOSTART", "MAV_TYPE")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Case:
-    """One log to be trusted or not: the flight, what it is said to be, when it was airborne, and its ticks."""
+    """One log to be trusted or not: the flight, what it is said to be, when it was airborne, and its ticks. alike: of `_alike`, for each
+    pair of axes that was asked for."""
 
     flight: Flight
     vehicle: Vehicle
     air: Spans
     table: Ticks
+    alike: dict = field(default_factory=dict)
 
     @cached_property
     def turning(self) -> Signal | None:
@@ -139,7 +143,7 @@ def weightless(case: Case) -> str | None:
     time, size = _magnitude(case.flight["accel"], case.air)
     if time.size < 50:
         return None
-    typical = float(np.median(size)) / G0
+    typical = float(median(size)) / G0
     wrong = not 1.0 / SCALE < typical < SCALE and np.ptp(time) >= LONG_S
     if not wrong and case.flight.has("attitude"):
         up = _upwards(case.flight["accel"], case.flight["attitude"], case.air)
@@ -158,7 +162,7 @@ def attitude_against_gyro(case: Case) -> str | None:
     if len(rate) < 50:
         return None
     # Of most of the flight: knocks and a crash show sensors' limits.
-    bound = 5.0 * np.median(np.abs(rate)) + 1.0, 5.0 * np.median(np.abs(turned)) + 1.0
+    bound = 5.0 * median(np.abs(rate)) + 1.0, 5.0 * median(np.abs(turned)) + 1.0
     calm = (np.abs(rate) < bound[0]).all(axis=1) & (np.abs(turned) < bound[1]).all(axis=1)
     rate, turned = rate[calm], turned[calm]
     if len(rate) < 50:
@@ -196,7 +200,7 @@ def two_clocks(case: Case) -> str | None:
     when, apart = when[found], lags[alike.argmax(axis=0)][found]
     if found.sum() < LEAST_PARTS or found.mean() < 0.5:
         return None
-    if np.median(np.abs(apart - np.polyval(np.polyfit(when, apart, 1), when))) > 2.0 * LAG_S:
+    if median(np.abs(apart - np.polyval(np.polyfit(when, apart, 1), when))) > 2.0 * LAG_S:
         return None
     least, most = (f"{value:.1f}" for value in sorted(np.abs(apart[[0, -1]])))
     far = most if least == most else f"{least} to {most}"
@@ -237,10 +241,10 @@ def _scale(measured: np.ndarray, true: np.ndarray) -> tuple[float, float]:
 def outputs_beyond_range(case: Case) -> str | None:
     """Outputs far above what is said to be full thrust: that range is not the one that flew, so no thrust is known."""
     motors, curve = case.flight["motors"], case.vehicle.curve
-    inside = within(motors.time, case.air) & motors.valid.all(axis=1)
+    inside = within(motors.time, case.air) & motors.whole
     if inside.sum() < 50:
         return None
-    reached = float(np.quantile(motors.values[inside].max(axis=1), 1.0 - SELDOM))
+    reached = quantile(motors.values[inside].max(axis=1), 1.0 - SELDOM)
     if reached < curve.u_max + BEYOND * (curve.u_max - curve.u_min):
         return None
     return (
@@ -252,7 +256,7 @@ def outputs_beyond_range(case: Case) -> str | None:
 def outputs_at_rest(case: Case) -> str | None:
     """Outputs that stand still while the vehicle turns: something else drove the motors."""
     motors, curve = case.flight["motors"], case.vehicle.curve
-    inside = within(motors.time, case.air) & motors.valid.all(axis=1)
+    inside = within(motors.time, case.air) & motors.whole
     time, values = motors.time[inside], motors.values[inside]
     if time.size < 5:
         return None
@@ -296,7 +300,7 @@ def command_without_effect(case: Case) -> str | None:
         return None
     least = PLAIN * LEAST_GAIN * case.table.thrust.shape[1]
     rates = np.abs(case.table.rate[case.flying][:, :2])
-    still = float(np.quantile(rates, 0.8)) < PLAIN_RATE
+    still = quantile(rates, 0.8) < PLAIN_RATE
     if all(c.needed > HELD * LEAST_GAIN / MOST_GAIN * c.commanded and (still or c.needed < least) for c in found[:2]):
         return None
     return "the motor outputs explain nothing of how the vehicle moves: they are of another vehicle, another time or another airframe."
@@ -322,8 +326,7 @@ def outputs_of_other_rotors(case: Case) -> str | None:
     return f"the motor outputs drive other rotors than the ones they were taken for: {', '.join(astray)}."
 
 
-@dataclass(frozen=True)
-class Coherence:
+class Coherence(NamedTuple):
     """Commanded torque and angular acceleration of one axis. alike: correlation, -1..1, at the best lag; sigmas: how far above that at
     wrong times; needed, commanded: usual size of the torque that the motion takes at least, and of the one commanded (hover thrusts)."""
 
@@ -336,39 +339,41 @@ class Coherence:
 def _coherence(case: Case, axis: int, commanded: int | None = None, sign: float = 1.0) -> Coherence | None:
     """Of the motion of an axis with the torque commanded of it, or of the axis `commanded`, times a sign. None where the flight is too
     short or too slowly logged. Trim, over a second, is left out."""
-    table, ok = case.table, case.flying & case.table.valid[:, axis]
-    if ok.sum() * table.dt < LONG_S or table.dt > SLOWEST_S:
+    table = case.table
+    if (case.flying & table.valid[:, axis]).sum() * table.dt < LONG_S or table.dt > SLOWEST_S:
         return None
-    width = max(3, round(1.0 / table.dt))
-    torque = sign * table.wrench[:, axis if commanded is None else commanded]
-    command, motion = (_without_trim(np.where(ok, x, 0.0), width) for x in (torque, table.rate_dot[:, axis]))
-    command, motion = np.where(ok, command, 0.0), np.where(ok, motion, 0.0)
-    # Bounded to what is usual: one knock must not speak for a flight.
-    usual = [float(np.quantile(np.abs(x[ok]), 0.8)) for x in (command, motion)]
-    if min(usual) <= 0.0:
-        return Coherence(0.0, 0.0, LEAST_GAIN * table.thrust.shape[1] * usual[1], usual[0]) if usual[1] > 1.0 else None
-    command, motion = np.clip(command, -3 * usual[0], 3 * usual[0]), np.clip(motion, -3 * usual[1], 3 * usual[1])
-    lags = range(0, max(2, round(0.3 / table.dt)))
-
-    count = len(command)
-    sizes = max(np.sqrt(np.sum(command * command) * np.sum(motion * motion)), 1e-12)
-    # At every shift at once, going round; not products of one shift after the other, which BLAS would spread over busy processors.
-    alike_at = np.fft.irfft(np.fft.rfft(motion) * np.conj(np.fft.rfft(command)), count) / sizes
-
-    def best(shift: int) -> float:
-        return float(alike_at[(shift + np.asarray(lags)) % count].max())
-
+    commanded = axis if commanded is None else commanded
+    if (axis, commanded) not in case.alike:
+        case.alike[axis, commanded] = _alike(case, axis, commanded)
+    alike_at, usual = case.alike[axis, commanded]
+    needed = LEAST_GAIN * table.thrust.shape[1] * usual[1]
+    if alike_at is None:
+        return Coherence(0.0, 0.0, needed, usual[0]) if usual[1] > 1.0 else None
+    count, lags = len(alike_at), np.arange(max(2, round(0.3 / table.dt)))
     step = count // (SHIFTS + 2)
     if step * table.dt < 0.5:
         return None
-    elsewhere = np.array([best(step * (k + 1)) for k in range(SHIFTS)])
-    alike = best(0)
-    return Coherence(
-        alike,
-        (alike - float(elsewhere.mean())) / max(float(elsewhere.std()), 1e-3),
-        LEAST_GAIN * table.thrust.shape[1] * usual[1],
-        usual[0],
-    )
+    shifts = step * np.arange(SHIFTS + 1)[:, None]
+    alike, *others = (sign * alike_at[(shifts + lags) % count]).max(axis=1)
+    elsewhere = np.array(others)
+    return Coherence(float(alike), float((alike - elsewhere.mean()) / max(elsewhere.std(), 1e-3)), needed, usual[0])
+
+
+def _alike(case: Case, axis: int, commanded: int) -> tuple[np.ndarray | None, tuple[float, float]]:
+    """(correlation of an axis' motion with a commanded torque at every shift, going round (T,), usual sizes of command and motion); None
+    where one of these is nothing."""
+    table, ok = case.table, case.flying & case.table.valid[:, axis]
+    width = max(3, round(1.0 / table.dt))
+    columns = table.wrench[:, commanded], table.rate_dot[:, axis]
+    command, motion = (np.where(ok, _without_trim(np.where(ok, x, 0.0), width), 0.0) for x in columns)
+    # Bounded to what is usual: one knock must not speak for a flight.
+    usual = quantile(np.abs(command[ok]), 0.8), quantile(np.abs(motion[ok]), 0.8)
+    if min(usual) <= 0.0:
+        return None, usual
+    command, motion = (np.clip(x, -3 * size, 3 * size) for x, size in zip((command, motion), usual))
+    sizes = max(np.sqrt(np.sum(command * command) * np.sum(motion * motion)), 1e-12)
+    # At every shift at once; not products of one shift after the other, which BLAS would spread over busy processors.
+    return np.fft.irfft(np.fft.rfft(motion) * np.conj(np.fft.rfft(command)), len(command)) / sizes, usual
 
 
 def _without_trim(x: np.ndarray, width: int) -> np.ndarray:
@@ -377,13 +382,13 @@ def _without_trim(x: np.ndarray, width: int) -> np.ndarray:
 
 def _magnitude(signal: Signal, air: Spans) -> tuple[np.ndarray, np.ndarray]:
     """(time, length of the vector) of a signal's valid samples in the air."""
-    ok = within(signal.time, air) & signal.valid.all(axis=1)
+    ok = within(signal.time, air) & signal.whole
     return signal.time[ok], np.sqrt(np.einsum("ij,ij->i", signal.values, signal.values))[ok]
 
 
 def _upwards(accel: Signal, attitude: Signal, air: Spans) -> float:
     """Mean specific force against gravity in the air, in g; 0 where no attitude is valid."""
-    ok, known = within(accel.time, air) & accel.valid.all(axis=1), attitude.valid.all(axis=1)
+    ok, known = within(accel.time, air) & accel.whole, attitude.whole
     if not known.any():
         return 0.0
     at, (w, x, y, z) = attitude.time[known], attitude.values[known].T
@@ -410,9 +415,9 @@ def _turns(
     """Of windows in the air: times (m,) s, mean angular rates rad/s, body, from the attitude (m, 3), and from the gyro (lags, m, 3), by so
     many s later."""
     none = np.zeros(0), np.zeros((0, 3)), np.zeros((len(lags), 0, 3))
-    fine = attitude.valid.all(axis=1) & within(attitude.time, air)
+    fine = attitude.whole & within(attitude.time, air)
     step, rows = max(1, round(WINDOW_S * attitude.rate_hz)), np.flatnonzero(fine)
-    good = gyro.valid.all(axis=1)
+    good = gyro.whole
     when, rate = (gyro.time, gyro.values) if good.all() else (gyro.time[good], gyro.values[good])
     if rows.size < 2 * step or when.size < 2:
         return none

@@ -153,7 +153,7 @@ def _control(flight: Flight, vehicle: Vehicle, raised: Callable, onset: float) -
     last = np.clip(np.searchsorted(check.known, control.time, side="right") - 1, 0, len(weights) - 1)
     values = control.values.copy()
     own, believed = vehicle.curve.expo, allocation.mixer_curve(vehicle).expo
-    later = np.flatnonzero((control.time > onset) & control.valid.all(axis=1))
+    later = np.flatnonzero((control.time > onset) & control.whole)
     for part in np.array_split(later, len(later) // 8192 + 1):  # weights of all rows: much memory
         if not part.size:
             continue

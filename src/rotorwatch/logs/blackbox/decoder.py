@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,8 +33,7 @@ class Table:
         return len(self.before)
 
 
-@dataclass(frozen=True)
-class Session:
+class Session(NamedTuple):
     """One session. main, slow, gps: its frames; time (n,) of main frames, us, does not begin again where their clock does. events (m, 5):
     main frames before, kind, time, and two numbers. corrupt: frames that were not whole; orphans: P frames without an I frame before
     them; garbage: bytes between frames; ended: whether the end that the firmware writes is there; cut: whether not all was read."""

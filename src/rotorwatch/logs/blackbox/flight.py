@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.base.physics import G0
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.logs import esc_columns, series, wall_clock
@@ -137,7 +138,7 @@ def _motors(columns: Columns) -> tuple[Signal | None, np.ndarray | None, dict[st
     if values is None:
         return None, None, {}
     low, high = columns.header.motor_range
-    dshot = low < DSHOT_BELOW if high else bool(np.median(values) < DSHOT_BELOW)
+    dshot = low < DSHOT_BELOW if high else bool(median(values) < DSHOT_BELOW)
     if not high:
         low, high = (np.nan, DSHOT_OFF + DSHOT_SPAN) if dshot else (1000.0, 2000.0)
         columns.notes.append("The header has no range of the motor outputs.")

@@ -9,7 +9,8 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,8 +32,7 @@ HIGH_RESOLUTION = 10.0
 """What gyro, setpoint and sticks are multiplied by where `blackbox_high_resolution` is on."""
 
 
-@dataclass(frozen=True)
-class Layout:
+class Layout(NamedTuple):
     """Fields of one kind of frame: names, and numbers as in `encodings` and `frames`; signed (n,) bool."""
 
     names: tuple[str, ...]
@@ -41,14 +41,13 @@ class Layout:
     predictor: tuple[int, ...]
 
 
-@dataclass(frozen=True)
-class Header:
+class Header(NamedTuple):
     """One session. start: byte at which its frames begin; settings: name -> value, as written; layouts: kind of frame -> fields;
     lost: kinds whose fields are damaged."""
 
     start: int
     settings: Mapping[str, str]
-    layouts: Mapping[str, Layout] = field(default_factory=dict)
+    layouts: Mapping[str, Layout] = MappingProxyType({})
     lost: tuple[str, ...] = ()
 
     def numbers(self, name: str) -> list[float]:

@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
+
 BOUND = 1.5  # residuals [s] beyond which weights fall
 ROUNDS = 10  # of a mean
 
@@ -26,13 +28,13 @@ class Fit(NamedTuple):
 def weights(residual: np.ndarray, least: float = 1e-9) -> tuple[np.ndarray, np.ndarray]:
     """Weights of residuals (n, ...) and their scale (...) by the median, `least` more than that."""
     size = np.abs(residual)
-    scale = 1.4826 * np.median(size, axis=0) + least
+    scale = 1.4826 * median(size, axis=0) + least
     return np.minimum(1.0, BOUND * scale / np.maximum(size, 1e-12)), scale
 
 
 def mean(values: np.ndarray) -> np.ndarray:
     """Column means (d,) of values (n, d)."""
-    centre = np.median(values, axis=0)
+    centre = median(values, axis=0)
     for _ in range(ROUNDS):
         weight, _ = weights(values - centre)
         centre = np.sum(weight * values, axis=0) / np.sum(weight, axis=0)

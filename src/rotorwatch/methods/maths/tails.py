@@ -77,6 +77,19 @@ def student_cdf(x: float, dof: float) -> float:
     return tail if x < 0.0 else 1.0 - tail
 
 
+def student_shares(x: np.ndarray, dof: int) -> np.ndarray:
+    """P(t < x) for each x (m,), of a whole number of degrees of freedom, all at once: the finite sums of Abramowitz & Stegun, 26.7.3 and
+    26.7.4. Exact to 1e-15, not in relation to a small tail."""
+    square = 1.0 / (1.0 + np.square(x) / dof)  # of the cosine of the angle whose tangent is x / sqrt(dof)
+    sine, odd = x / math.sqrt(dof) * np.sqrt(square), dof % 2
+    factors = [(2.0 * k + odd - 1.0) / (2.0 * k + odd) for k in range(1, (dof - odd) // 2)]
+    terms = 1.0 + np.cumprod(np.multiply.outer(square, factors), axis=1).sum(axis=1)
+    if not odd:
+        return 0.5 + 0.5 * sine * terms
+    angle = np.arctan(x / math.sqrt(dof))
+    return 0.5 + (angle + (sine * np.sqrt(square) * terms if dof > 1 else 0.0)) / math.pi
+
+
 @functools.lru_cache
 def student_quantile(share: float, dof: float) -> float:
     """x with student_cdf(x, dof) = share; 0 < share < 1."""

@@ -18,7 +18,7 @@ again: so long a motor takes from rest to full thrust.
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -54,8 +54,7 @@ KNOCK_S = (
 APART_S = 0.06  # two that are nearer are one
 
 
-@dataclass(frozen=True)
-class Desync:
+class Desync(NamedTuple):
     """One of rotor `rotor` (from 0), from start to end [s]. ratio: log likelihood ratio, above the threshold; size: of what was commanded;
     commanded: how long of it the motor was to give more than idle [s]; others: rotors that explain it as well."""
 
@@ -95,7 +94,7 @@ def events(found: list[Desync], rpm: bool) -> tuple[Event, ...]:
     sure = {d.rotor for d in found if not d.others}
     for d in found:  # a motor that certainly lost step once did it again
         again = [r for r in (d.rotor, *d.others) if r in sure]
-        d = replace(d, rotor=again[0], others=()) if d.others and len(again) == 1 else d
+        d = d._replace(rotor=again[0], others=()) if d.others and len(again) == 1 else d
         sets.setdefault(tuple(sorted((d.rotor, *d.others))), []).append(d)
     return tuple(sorted((_event(who, group, rpm) for who, group in sets.items()), key=lambda e: e.detected_s))
 

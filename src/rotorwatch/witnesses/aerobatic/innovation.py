@@ -10,10 +10,11 @@ Identification, 2nd ed., 13.4).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.engine.motion.allocation import Spans, motor_thrusts, within
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
@@ -32,8 +33,7 @@ UNSURE = 1.0  # share that is doubted until then
 SPEEDS = 0.7  # share of the time that a motor's speed is reported
 
 
-@dataclass(frozen=True)
-class Channel:
+class Channel(NamedTuple):
     """K windows of an axis or of a motor's speed. rotor: the motor, None for an axis.
 
     time (K,) s, of their beginnings; width s; flies (K,) bool; thrust (K, n): commanded share of full thrust, without lag; left (K,):
@@ -57,11 +57,11 @@ def channels(flight: Flight, vehicle: Vehicle, air: Spans) -> list[Channel]:
     if gyro is None or not flight.has("motors"):
         return []
     thrusts = motor_thrusts(flight, vehicle)
-    known = thrusts.valid.all(axis=1)
-    if known.sum() < 100 or gyro.valid.all(axis=1).sum() < 100:
+    known = thrusts.whole
+    if known.sum() < 100 or gyro.whole.sum() < 100:
         return []
     time, share = thrusts.time[known], thrusts.values[known]
-    dt = float(np.median(np.diff(time)))
+    dt = float(median(np.diff(time)))
     if not 0.0 < dt < 1.0 / LEAST_HZ or gyro.rate_hz < LEAST_HZ:
         return []
     width = max(WIDTH_S, 1.01 * dt)
@@ -153,7 +153,7 @@ def _slow(x: np.ndarray, width: float) -> np.ndarray:
 
 def _scale(error: np.ndarray, flies: np.ndarray, width: float) -> np.ndarray:
     """(K,) scale of Student's t: that within LOCAL_S, but not much less than the flight's, by medians."""
-    overall = float(np.median(error[flies])) / QUARTILE
+    overall = float(median(error[flies])) / QUARTILE
     half = max(1, round(0.5 * LOCAL_S / width))
     blocks = len(error) // half + 1
     padded = np.full(blocks * half, np.nan)
@@ -164,5 +164,5 @@ def _scale(error: np.ndarray, flies: np.ndarray, width: float) -> np.ndarray:
         near = table[max(0, k - 1) : k + 2]
         near = near[np.isfinite(near)]
         if len(near) >= half:
-            values[k] = max(CALMEST * overall, float(np.median(near)) / QUARTILE)
+            values[k] = max(CALMEST * overall, float(median(near)) / QUARTILE)
     return np.interp(np.arange(len(error)), (at + 0.5) * half, values)

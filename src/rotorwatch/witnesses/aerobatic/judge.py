@@ -11,11 +11,13 @@ against the Shiryaev-Roberts threshold (engine/estimator/announcement.py), and m
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from rotorwatch import airframes
+from rotorwatch.base.arrays import median
 from rotorwatch.engine.estimator import hypotheses
 from rotorwatch.engine.estimator.posterior import PLACES
 from rotorwatch.engine.front.decisions import FALSE_ALARM_PERIOD_S
@@ -57,8 +59,7 @@ NOTHING = -20.0  # the statistic where nothing is known
 CURVE_SD = 0.2  # of theta (1 - theta): the thrust curve is assumed; what curves from linear to quadratic in the command make of a loss
 
 
-@dataclass(frozen=True)
-class Blocks:
+class Blocks(NamedTuple):
     """K blocks of a flight. start, end (K,) s; missing (K, 3); thrust (K, n)."""
 
     start: np.ndarray
@@ -80,8 +81,7 @@ def blocks(seen: Response, air: Spans) -> Blocks:
     return Blocks(*(np.concatenate(column) for column in zip(*parts)))
 
 
-@dataclass(frozen=True)
-class Weak:
+class Weak(NamedTuple):
     """A rotor that is known to be weak from block `onset` on, up to block `end`; None: still."""
 
     rotor: int
@@ -89,8 +89,7 @@ class Weak:
     end: int | None = None
 
 
-@dataclass(frozen=True)
-class Look:
+class Look(NamedTuple):
     """What the blocks up to one say: statistic (above 0: announced); rotor, onset (block) of the likeliest loss; share (n,) of each
     rotor; loss, sd (n,) of the rotors that are known to be weak; most (n,): the largest loss of each that the blocks leave possible."""
 
@@ -212,14 +211,14 @@ def _most(moment: np.ndarray, information: np.ndarray) -> np.ndarray:
 def scatter(known: Blocks) -> np.ndarray:
     """(3,) variance of the noise of a block: of neighbours' differences, which steps do not widen, and what is expected."""
     change = np.diff(known.missing, axis=0)
-    seen = (1.4826 * np.median(np.abs(change), axis=0)) ** 2 / (2.0 * (1.0 - ALIKE)) if len(change) else np.zeros(3)
+    seen = (1.4826 * median(np.abs(change), axis=0)) ** 2 / (2.0 * (1.0 - ALIKE)) if len(change) else np.zeros(3)
     expected = (np.array(SCATTER) * known.thrust.mean()) ** 2
     return (len(change) * seen + PRIOR_BLOCKS * expected) / (len(change) + PRIOR_BLOCKS)
 
 
 def _precision(z: np.ndarray, variance: np.ndarray) -> np.ndarray:
     """(K, 3) weight of each block and axis: less for what lies far out."""
-    far = ((z - np.median(z, axis=0)) ** 2 / variance).max(axis=1)
+    far = ((z - median(z, axis=0)) ** 2 / variance).max(axis=1)
     return np.minimum(1.0, OUTLIER**2 / np.maximum(far, 1e-9))[:, None] / (variance * (1.0 + ALIKE) / (1.0 - ALIKE))
 
 
@@ -260,14 +259,14 @@ def _follow(out: TickOutput, known: Blocks, table: Ticks, B: np.ndarray, learn: 
     variance = scatter(known)
     for k in range(learn, len(known.end)):
         first = int(np.searchsorted(table.time, known.end[k]))
-        so_far = Blocks(*(x[: k + 1] for x in vars(known).values()))
+        so_far = Blocks(*(x[: k + 1] for x in known))
         now = examine(so_far, B, variance, weak, learn)
         out.statistic[first:] = now.statistic
         if now.statistic > 0.0 and first < len(table.time):
             active = {one.rotor for one in weak if one.end is None}
             over = [one for one in weak if one.end is None and one.rotor == now.rotor]
             weak = [one for one in weak if one not in over]
-            weak += [replace(one, end=now.onset) for one in over] or [Weak(now.rotor, now.onset)]
+            weak += [one._replace(end=now.onset) for one in over] or [Weak(now.rotor, now.onset)]
             age = np.searchsorted(table.command_time, (known.end[k], known.start[now.onset]))
             _announce(out, first, now, active, float(age[0] - age[1]))
             now = examine(so_far, B, variance, weak, learn)

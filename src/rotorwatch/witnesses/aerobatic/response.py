@@ -10,10 +10,11 @@ rotors do, trim and air take longer, so only what is faster than a second is fit
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.engine.motion.allocation import Spans, motor_thrusts, within
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
@@ -27,8 +28,7 @@ EDGE_S = 1.0  # after lift-off and before landing: the ground is near
 LEAST = 250  # windows
 
 
-@dataclass(frozen=True)
-class Response:
+class Response(NamedTuple):
     """K windows of 20 ms.
 
     time (K,) s, of their ends; thrust (K, n): share of full thrust, lagged; missing (K, 3): roll, pitch and yaw torque that the motion
@@ -50,8 +50,8 @@ class Response:
 def respond(flight: Flight, vehicle: Vehicle, air: Spans) -> Response | None:
     """The response of a flight's angular motion to its outputs; None where it flew too little, or an axis does not answer."""
     thrusts, gyro = motor_thrusts(flight, vehicle), flight.angular_rate()
-    known = thrusts.valid.all(axis=1)
-    if known.sum() < LEAST or gyro is None or gyro.valid.all(axis=1).sum() < LEAST:
+    known = thrusts.whole
+    if known.sum() < LEAST or gyro is None or gyro.whole.sum() < LEAST:
         return None
     time, share = thrusts.time[known], thrusts.values[known]
     rate = np.column_stack([np.interp(time, *_valid(gyro.time, gyro.values[:, a], gyro.valid[:, a])) for a in range(3)])
@@ -63,7 +63,7 @@ def respond(flight: Flight, vehicle: Vehicle, air: Spans) -> Response | None:
         return None
     turning, motion = _derivative(rate, edges)
     B, best = vehicle.effectiveness(), None
-    for lag, late in zip(LAGS_S, _lagged(share, float(np.median(np.diff(time))), LAGS_S)):
+    for lag, late in zip(LAGS_S, _lagged(share, float(median(np.diff(time))), LAGS_S)):
         thrust = _smooth(_means(late, edges))
         fits = [_fit(thrust @ B[a], turning[:, a], motion, a, flies) for a in range(3)]
         score = sum(np.log(scale) for _, scale in fits)
@@ -106,7 +106,7 @@ def _smooth(x: np.ndarray) -> np.ndarray:
 
 def _derivative(rate: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Angular acceleration and rate (K, 3) of windows: of rates (N, 3) averaged over a window about each edge."""
-    half = max(1, int(np.median(np.diff(edges))) // 2)
+    half = max(1, int(median(np.diff(edges))) // 2)
     total = np.concatenate([np.zeros((1, 3)), np.cumsum(rate, axis=0)])
     low, high = np.clip(edges - half, 0, len(rate) - 1), np.clip(edges + half, 1, len(rate))
     at = (total[high] - total[low]) / (high - low)[:, None]

@@ -26,8 +26,11 @@ and Bayes' rule with Gaussian likelihoods, whose variances hold the flight's own
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+
+from rotorwatch.base.arrays import median
 
 PROPELLER, MOTOR, BEARING, UNKNOWN = "propeller", "motor_or_esc", "bearing", "unknown"
 PRIOR = {PROPELLER: 0.4, MOTOR: 0.3, BEARING: 0.15, UNKNOWN: 0.15}
@@ -49,8 +52,7 @@ THETA_SD = 0.15  # share of the loss by which commands and motion may be off: a 
 STANDS = 0.05
 
 
-@dataclass(frozen=True)
-class Law:
+class Law(NamedTuple):
     """log y_k = own_k + power x_k + common, learned from healthy bins. own (n,); power, power_sd; known (n,) bool: rotors it holds for;
     scatter (n,): standard deviation of a bin about it; memory (n,): correlation of neighbouring bins."""
 
@@ -73,14 +75,14 @@ def learn(y: np.ndarray, x: np.ndarray, known: np.ndarray, prior: tuple[float, f
     power, power_sd = mean, sd
     for _ in range(3):
         rest = dy - power * dx
-        noise = max(float(np.median(np.abs(rest)) / 0.6745) if rest.size else 0.0, 1e-4)
+        noise = max(float(median(np.abs(rest)) / 0.6745) if rest.size else 0.0, 1e-4)
         usable = np.abs(rest) < 5.0 * noise
         precision = 1.0 / sd**2 + float(np.sum(dx[usable] ** 2)) / noise**2
         power = (mean / sd**2 + float(dx[usable] @ dy[usable]) / noise**2) / precision
         power_sd = max(precision**-0.5, LEAST_POWER_SD)
     enough = known.sum(axis=0) >= FEWEST
     level = np.where(known, y - power * x, 0.0)
-    own = np.array([np.median(level[k, i]) if k.any() else 0.0 for i, k in enumerate(known.T)])
+    own = np.array([median(level[k, i]) if k.any() else 0.0 for i, k in enumerate(known.T)])
     law = Law(own, float(power), float(power_sd), enough, np.full(own.size, 0.1), np.zeros(own.size))
     rest, there = residual(law, y, x, known)
     scatter, memory = np.full(own.size, 0.1), np.zeros(own.size)
@@ -88,9 +90,9 @@ def learn(y: np.ndarray, x: np.ndarray, known: np.ndarray, prior: tuple[float, f
         at = there[:, k]
         r = rest[at, k]
         if r.size >= FEWEST:
-            r = r - np.median(r)
-            own[k] += float(np.median(rest[at, k]))
-            spread = max(float(np.median(np.abs(r)) / 0.6745), 0.3 * float(np.std(r)), 1e-4)
+            r = r - median(r)
+            own[k] += float(median(rest[at, k]))
+            spread = max(float(median(np.abs(r)) / 0.6745), 0.3 * float(np.std(r)), 1e-4)
             scatter[k] = spread
             r = np.clip(r, -4.0 * spread, 4.0 * spread)
             memory[k] = np.clip(float(r[1:] @ r[:-1]) / max(float(r @ r), 1e-12), 0.0, 0.95)
@@ -126,7 +128,7 @@ def _noise(law: Law, k: int, *counts: int) -> float:
     return sum(mean_variance(law.scatter[k], law.memory[k], count) for count in counts)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Measured:
     """What a rotor's telemetry says of a time after an onset. speed_ratio: S and its sd. current_change: D and its sd, None without
     currents. load: E.
@@ -246,7 +248,7 @@ def log_power(bins) -> np.ndarray:
 def _reach(x: np.ndarray, a: np.ndarray, b: np.ndarray, k: int) -> float:
     """How far the law is stretched: change of x of rotor k from b to a, against the other rotors' median change."""
     change = x[a].mean(axis=0) - x[b].mean(axis=0)
-    return float(change[k] - np.median(np.delete(change, k)))
+    return float(change[k] - median(np.delete(change, k)))
 
 
 def _volts(bins, k: int, a: np.ndarray, b: np.ndarray) -> tuple[float, float] | None:
@@ -257,6 +259,6 @@ def _volts(bins, k: int, a: np.ndarray, b: np.ndarray) -> tuple[float, float] | 
     a, b = a & ok, b & ok
     if not a.any() or b.sum() < FEWEST:
         return None
-    difference = np.median(bins.voltage[:, others], axis=1) - bins.voltage[:, k]
+    difference = median(bins.voltage[:, others], axis=1) - bins.voltage[:, k]
     sd = float(np.std(difference[b]) * np.sqrt(1.0 / a.sum() + 1.0 / b.sum()))
     return float(difference[a].mean() - difference[b].mean()), max(sd, 0.02)

@@ -15,6 +15,7 @@ import numpy as np
 
 from rotorwatch.answer.ledger import explained
 from rotorwatch.answer.wording import rotors, seconds
+from rotorwatch.base.arrays import median
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.witnesses.esc import evidence, ratios
 from rotorwatch.witnesses.esc.telemetry import Binned
@@ -67,7 +68,7 @@ def find(bins: Binned, events: Sequence[Event], air, upset: np.ndarray) -> tuple
             if spell is not None:
                 onset, known = _times(bins, spell)
                 lasted = bins.report_time[at[-1]] - onset
-                claim = _unloaded(rotor, onset, known, float(np.median(load[at >= spell[1]])))
+                claim = _unloaded(rotor, onset, known, float(median(load[at >= spell[1]])))
                 if onset < end - DOWN_S and lasted > UNLOADED_S and not explained(claim, events):
                     out.append(claim)
     return tuple(out), warnings

@@ -8,12 +8,12 @@ wrong number. What never leaves 0 in flight is not connected.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from rotorwatch.answer.wording import rotors, seconds
+from rotorwatch.base.arrays import median
 from rotorwatch.engine.motion import allocation
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.methods.maths.nonnegative import best_total
@@ -30,8 +30,7 @@ SHIFT_FIT, SHIFT_BETTER = 0.6, 0.2  # correlation that counts, and by how much i
 ORDER_FIT, ORDER_BETTER, ORDINARY = 0.6, 0.3, 0.25
 
 
-@dataclass(frozen=True)
-class Binned:
+class Binned(NamedTuple):
     """T bins of BIN_S of a flight of n rotors, in the air only. Values are 1 where not valid.
 
     time (T,): middle of the bin [s]. thrust (T, n): commanded, share of full; power (T, n): mean square of speed [rad^2/s^2], known (T, n);
@@ -58,8 +57,7 @@ class Binned:
     width: float = BIN_S
 
 
-@dataclass(frozen=True)
-class Quantity:
+class Quantity(NamedTuple):
     """One quantity of all rotors: values (m, n) with valid (m, n)."""
 
     values: np.ndarray
@@ -206,10 +204,10 @@ def _shifted(time, speed: Quantity, usable, thrust: Signal, notes: list[str]) ->
     if np.count_nonzero(late) < max(2, 0.5 * np.count_nonzero(usable)):
         return None
     if late.any():
-        way = "after" if np.median(by) > 0 else "before"
+        way = "after" if median(by) > 0 else "before"
         who = rotors((np.flatnonzero(late) + 1).tolist())
         notes.append(
-            f"ESC telemetry of {who} follows the commands {abs(np.median(by)):.1f} s {way} they were sent: its time stamps are wrong, "
+            f"ESC telemetry of {who} follows the commands {abs(median(by)):.1f} s {way} they were sent: its time stamps are wrong, "
             "and it is not used."
         )
     return late
@@ -230,7 +228,7 @@ def _mixed_up(bins: Binned) -> bool:
         return False
     changes = [np.diff(np.log(v[fine]), axis=0) for v in (bins.power, bins.thrust)]
     # Its end is a jump that nothing else in the flight comes near to.
-    changes = [np.clip(c, *(s * 5.0 * np.median(np.abs(c)) for s in (-1.0, 1.0))) for c in changes]
+    changes = [np.clip(c, *(s * 5.0 * median(np.abs(c)) for s in (-1.0, 1.0))) for c in changes]
     w, f = (c - c.mean(axis=1, keepdims=True) for c in changes)
     fits = np.array([[_correlation(a, b) for b in f.T] for a in w.T])
     own = float(np.mean(np.diag(fits)))
@@ -241,7 +239,7 @@ def _mixed_up(bins: Binned) -> bool:
 def binned(time, speed: Quantity, current: Quantity, voltage: Quantity, thrust: Signal, air) -> Binned | None:
     """Means over bins of BIN_S within each stretch in the air; None without any. A bin counts for a rotor commanded to turn in it."""
     parts = []
-    sent = thrust.valid.all(axis=1)
+    sent = thrust.whole
     sent_time, sent_values = thrust.time[sent], thrust.values[sent]
     for start, end in air:
         edges = np.arange(start, end, BIN_S)

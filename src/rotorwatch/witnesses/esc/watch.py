@@ -16,6 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch.answer.wording import interval, percent, rotors, seconds
+from rotorwatch.base.arrays import median
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import HIGH, LOW, SLOW
 from rotorwatch.witnesses.esc import evidence, ratios
@@ -164,9 +165,9 @@ def _changed(blocks, full, loads, power_sd: float, k: int, kind: str) -> tuple[i
     if at.size < BEFORE + AFTER:
         return None
     v = blocks[at, k]
-    u = loads[at, k] - np.median(np.delete(loads[at], k, axis=1), axis=1)
+    u = loads[at, k] - median(np.delete(loads[at], k, axis=1), axis=1)
     steps = np.diff(v)
-    scatter = max(float(np.median(np.abs(steps))) / (0.6745 * np.sqrt(2.0)), 1e-4)
+    scatter = max(float(median(np.abs(steps))) / (0.6745 * np.sqrt(2.0)), 1e-4)
     best = None
     for j in range(BEFORE, at.size - AFTER + 1):
         size = float(v[j:].mean() - v[:j].mean())

@@ -24,6 +24,7 @@ import numpy as np
 
 from rotorwatch import airframes
 from rotorwatch.answer.conclusion import LOPSIDED
+from rotorwatch.base.arrays import median
 from rotorwatch.engine.motion import trust
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.allocation import within
@@ -33,7 +34,6 @@ from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.witnesses.healthy import whole_flight
-from rotorwatch.witnesses.healthy.learned import learned
 
 READY_S = 3.0  # after lift-off, before the dynamics of a flight are learned from
 
@@ -49,7 +49,7 @@ AXES = ("roll", "pitch", "yaw")
 Diagnose = Callable[[Flight, Vehicle], Diagnosis]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Candidate:
     """A flight that is said to be healthy, and what is worked out of it on demand. given: its airframe; None: as its log says."""
 
@@ -190,6 +190,8 @@ def settle(
     told = _other_frame(flight, vehicle)
     given = several(baseline)
     if given:
+        from rotorwatch.witnesses.healthy.learned import learned
+
         own = Candidate(flight, vehicle)
         accepted, rejected = healthy(given, diagnose, vehicle, None if own.unusable else own, progress)
         known = learned(accepted)
@@ -335,8 +337,8 @@ def _same_geometry(a: Vehicle, b: Vehicle) -> bool:
 def _hover_command(one: Candidate) -> float:
     """Median of the outputs in the air, in their unit."""
     motors = one.flight["motors"]
-    values = motors.values[within(motors.time, one.air) & motors.valid.all(axis=1)]
-    return float(np.median(values)) if values.size else float("nan")
+    values = motors.values[within(motors.time, one.air) & motors.whole]
+    return float(median(values)) if values.size else float("nan")
 
 
 def _slope(curve, u: float) -> float:

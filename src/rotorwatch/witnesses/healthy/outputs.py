@@ -29,6 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.answer.wording import listed, percent, rotors
+from rotorwatch.base.arrays import median
 from rotorwatch.engine.motion import allocation
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.ticks import Ticks
@@ -39,6 +40,8 @@ from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.methods.control.attainable import margins
 from rotorwatch.witnesses.healthy import whole_flight
 from rotorwatch.witnesses.healthy.whole_flight import AFTER_TAKE_OFF_S, BEFORE_LANDING_S
+
+Hover = tuple[np.ndarray, np.ndarray]  # `whole_flight.steady`
 
 NEAR = 0.05  # of the range
 LIMIT_S = 5.0
@@ -63,7 +66,12 @@ def claims(
         return ()
     found = []
     if calm:
-        found += [*at_limit(flight, vehicle, calm), *heavy(flight, vehicle, calm), *unequal(flight, vehicle, calm)]
+        hover = whole_flight.steady(flight, vehicle, calm)
+        found += [
+            *at_limit(flight, vehicle, calm),
+            *heavy(flight, vehicle, hover),
+            *unequal(flight, vehicle, calm, hover),
+        ]
     return (*found, *exhausted(flight, vehicle, table, air, events))
 
 
@@ -82,7 +90,7 @@ class _Outputs(NamedTuple):
 def _outputs(flight: Flight, vehicle: Vehicle, spans: Spans) -> _Outputs:
     motors, curve = flight["motors"], vehicle.curve
     share = (motors.values - curve.u_min) / (curve.u_max - curve.u_min)
-    use = np.asarray(motors.valid).all(axis=1) & allocation.within(motors.time, spans)
+    use = motors.whole & allocation.within(motors.time, spans)
     time = motors.time[use]
     lasts = np.minimum(np.diff(time, append=time[-1:]), SAMPLE_S)
     return _Outputs(time, share[use], lasts)
@@ -120,12 +128,6 @@ def at_limit(flight: Flight, vehicle: Vehicle, air: Spans) -> list[Event]:
     return [_claim(AT_LIMIT, float(when[0]), float(when[-1]), reason, extra)]
 
 
-def _hover(flight: Flight, vehicle: Vehicle, air: Spans) -> tuple[np.ndarray, np.ndarray]:
-    """(k,) starts of blocks of hover, and (k,) thrust in them over what the outputs could give at that voltage."""
-    time, share = whole_flight.steady(flight, vehicle, air)
-    return time, share.mean(axis=1) / _most(flight, vehicle, time)
-
-
 def _most(flight: Flight, vehicle: Vehicle, at: np.ndarray) -> np.ndarray:
     """(k,) the share of full thrust that outputs at their limit give with the battery as it is at times `at`."""
     motors = flight["motors"]
@@ -139,11 +141,12 @@ def _assumed(vehicle: Vehicle) -> str:
     return "" if vehicle.curve.known else ", by a thrust curve that is assumed"
 
 
-def heavy(flight: Flight, vehicle: Vehicle, air: Spans) -> list[Event]:
+def heavy(flight: Flight, vehicle: Vehicle, hover: Hover) -> list[Event]:
     """A vehicle that hovers near full thrust. Where no velocity is logged a climb looks the same, and nothing is told."""
     if not flight.has("velocity"):
         return []
-    time, takes = _hover(flight, vehicle, air)
+    time, share = hover
+    takes = share.mean(axis=1) / _most(flight, vehicle, time)
     much = takes >= HEAVY_SHARE
     if much.sum() * whole_flight.BLOCK_S < HEAVY_S:
         return []
@@ -155,14 +158,13 @@ def heavy(flight: Flight, vehicle: Vehicle, air: Spans) -> list[Event]:
     return [_claim(HEAVY, start, end, reason, {"hover_share": round(share, 3)})]
 
 
-def unequal(flight: Flight, vehicle: Vehicle, air: Spans) -> list[Event]:
+def unequal(flight: Flight, vehicle: Vehicle, air: Spans, hover: Hover) -> list[Event]:
     """Rotors that have to work unequally since take-off: one of all, or else those of one sense of rotation."""
-    found = whole_flight.features(flight, vehicle, air)
+    found = whole_flight.features(flight, vehicle, air, hover)
     if not found.usable or max(found.limited) > whole_flight.LIMITED:
         return []
     start, B = air[0][0] + AFTER_TAKE_OFF_S, vehicle.effectiveness()
-    blocks = whole_flight.steady(flight, vehicle, air)[1]
-    halves = [np.median(half, axis=0) for half in np.array_split(blocks, 2)]
+    halves = [median(half, axis=0) for half in np.array_split(hover[1], 2)]
     one, *both = (_one(B[:3] @ share / share.sum(), B) for share in (np.array(found.share), *halves))
     if one is None or any(half is None or half[:2] != one[:2] for half in both):
         return _twisted(flight, vehicle, np.array(found.share), halves, air, start)
@@ -240,7 +242,7 @@ def exhausted(flight: Flight, vehicle: Vehicle, table: Ticks, air: Spans, events
     after = (table.time > onset) & (table.time <= end) & table.thrust.any(axis=1)
     if not before.any() or not after.any():
         return []
-    weight = n * float(np.median(table.thrust[before].mean(axis=1) / np.clip(table.load[before], 0.5, 2.0)))
+    weight = n * float(median(table.thrust[before].mean(axis=1) / np.clip(table.load[before], 0.5, 2.0)))
     alive = _left(gone, n)
     time, given = table.time[after], (table.thrust[after] @ alive.T).max(axis=1) / weight
     seen, velocity = _outputs(flight, vehicle, ((onset, end),)), flight["velocity"]
@@ -255,7 +257,7 @@ def exhausted(flight: Flight, vehicle: Vehicle, table: Ticks, air: Spans, events
     seconds, sank = float(fall.sum() * table.dt), float(down[fall].sum() * table.dt)
     if seconds < SINKS_S or sank < SANK_M:
         return []
-    most = _most(flight, vehicle, time[fall][:1])[0] / float(np.median(table.hover[before]))
+    most = _most(flight, vehicle, time[fall][:1])[0] / float(median(table.hover[before]))
     lifts = [
         [margins(B, weight, free_yaw=yaw).lift for yaw in (False, True)]
         for B in vehicle.effectiveness()[[3, 0, 1, 2]] * (alive * most)[:, None]

@@ -36,12 +36,12 @@ from __future__ import annotations
 import functools
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from rotorwatch import airframes
+from rotorwatch.base.arrays import distinct, median
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.front.decisions import DAMAGED, FALSE_ALARM, FALSE_FAULT, MENTIONED
 from rotorwatch.errors import ConfigError
@@ -75,8 +75,7 @@ WEIGHT_SD = (
 SHIFT_SD = 0.08  # of the centre of mass, arm lengths
 
 
-@dataclass(frozen=True)
-class Features:
+class Features(NamedTuple):
     """How one flight hovered. n rotors; axes roll, pitch, yaw; w as in the module docstring.
 
     share (n,): mean share of full thrust. wrench (3,), force (2,): mean w; mean lateral specific force x, y in g.
@@ -107,12 +106,12 @@ class Features:
 
     def to_dict(self) -> dict:
         """Plain text, floats and lists, for a vehicle file."""
-        return {k: _plain(v) for k, v in asdict(self).items()}
+        return {k: _plain(v) for k, v in self._asdict().items()}
 
     @classmethod
     def from_dict(cls, table: Mapping) -> Features:
         """The inverse of `to_dict`. Raises ConfigError when something is missing or not a number."""
-        none = asdict(_no_hover("", np.size(table.get("share", ()))))
+        none = _no_hover("", np.size(table.get("share", ())))._asdict()
         like = {k: np.shape(v) for k, v in none.items() if k != "name"}
         try:
             arrays = {k: np.asarray(table[k], float) for k in like}
@@ -123,8 +122,7 @@ class Features:
         return cls(name=str(table.get("name", "")), **{k: _frozen(a) for k, a in arrays.items()})
 
 
-@dataclass(frozen=True)
-class Cause:
+class Cause(NamedTuple):
     """One explanation. kind: rotors or centre_of_mass. rotors: 1-based; none for the centre of mass."""
 
     kind: str
@@ -132,8 +130,7 @@ class Cause:
     probability: float
 
 
-@dataclass(frozen=True)
-class WholeFlight:
+class WholeFlight(NamedTuple):
     """The judgement.
 
     rotors: 1-based, those damaged (fault) or most likely so if any are (ambiguous).
@@ -160,14 +157,23 @@ class WholeFlight:
 
     def to_dict(self) -> dict:
         """Plain data, as it goes into the JSON answer."""
-        return {k: _plain(v) for k, v in asdict(self).items()} | {"false_alarm_rate": FALSE_ALARM}
+        causes = [cause._asdict() for cause in self.causes]
+        return {k: _plain(v) for k, v in {**self._asdict(), "causes": causes}.items()} | {
+            "false_alarm_rate": FALSE_ALARM
+        }
 
 
 # One flight
 
 
-def features(flight: Flight, vehicle: Vehicle, airborne: Sequence[tuple[float, float]]) -> Features:
-    """How this flight hovered. airborne: ((start, end), ...) s. With too little steady flight it is not `usable`.
+def features(
+    flight: Flight,
+    vehicle: Vehicle,
+    airborne: Sequence[tuple[float, float]],
+    hover: tuple[np.ndarray, np.ndarray] | None = None,
+) -> Features:
+    """How this flight hovered. airborne: ((start, end), ...) s; hover: its `steady`, where that is known. With too little steady flight it
+    is not `usable`.
 
     Raises VehicleError when the vehicle has another number of rotors than the log.
     """
@@ -175,7 +181,7 @@ def features(flight: Flight, vehicle: Vehicle, airborne: Sequence[tuple[float, f
     if not flight.has("motors"):
         return empty
     airframes.check(vehicle, flight)
-    time, share = steady(flight, vehicle, airborne)
+    time, share = steady(flight, vehicle, airborne) if hover is None else hover
     if len(time) < LEAST_BLOCKS:
         return empty
     w = (share @ vehicle.effectiveness()[:3].T) / share.sum(axis=1, keepdims=True)
@@ -230,7 +236,7 @@ def _no_hover(name: str, n: int) -> Features:
 def _block_starts(samples: np.ndarray, start: float, end: float) -> np.ndarray:
     """Starts of the whole blocks in which there are samples, well after take-off and before landing."""
     first, last = start + AFTER_TAKE_OFF_S, end - BEFORE_LANDING_S
-    index = np.unique(np.floor((samples[(samples >= first) & (samples < last)] - first) / BLOCK_S))
+    index = distinct(np.floor((np.sort(samples[(samples >= first) & (samples < last)]) - first) / BLOCK_S))
     starts = first + BLOCK_S * index
     return starts[starts + BLOCK_S <= last]
 
@@ -247,7 +253,7 @@ def _block_means(
     """(k, c) means over the blocks and (k,) whether there was a sample. columns: only the first ones."""
     if signal is None or not len(signal):
         return np.zeros((len(starts), columns or 1)), np.zeros(len(starts), bool)
-    ok = signal.valid[:, :columns].all(axis=1)
+    ok = signal.whole if columns is None else signal.valid[:, :columns].all(axis=1)
     time, values = signal.time[ok], signal.values[ok, :columns]
     total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
     a, b = np.searchsorted(time, starts), np.searchsorted(time, starts + BLOCK_S)
@@ -286,18 +292,20 @@ def of_wind(force: Any, slope: Any) -> np.ndarray:
 
 def _wind_fit(w: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Intercept (3,), slopes and their sd (2,) of w (k, 3) on the crosswise force; robust, with the prior SLOPE_SD."""
-    intercept, slope, sd = huber.mean(w), np.zeros(2), np.full(2, SLOPE_SD)
-    for axis, cause in ((0, 1), (1, 0)):
-        centre = force[:, cause].mean()
-        x, y = force[:, cause] - centre, w[:, axis]
-        level, s = np.median(y), 0.0
-        for _ in range(huber.ROUNDS):
-            weight, scale = huber.weights(y - level - s * x, 1e-6)
-            level = np.average(y - s * x, weights=weight)
-            precision = np.sum(weight * x * x) / scale**2 / 4.0  # neighbouring blocks are alike: count every fourth
-            s = np.sum(weight * x * (y - level)) / scale**2 / 4.0 / (precision + SLOPE_SD**-2)
-            sd[axis] = (precision + SLOPE_SD**-2) ** -0.5
-        slope[axis], intercept[axis] = s, level - s * centre
+    intercept = huber.mean(w)
+    x, y = (
+        force[:, ::-1] - force[:, ::-1].mean(axis=0),
+        w[:, :2],
+    )  # roll by the force to the right, pitch by that forward
+    level, slope, sd = median(y, axis=0), np.zeros(2), np.full(2, SLOPE_SD)
+    for _ in range(huber.ROUNDS):
+        weight, scale = huber.weights(y - level - slope * x, 1e-6)
+        level = np.sum(weight * (y - slope * x), axis=0) / np.sum(weight, axis=0)
+        certain = 0.25 / scale**2  # neighbouring blocks are alike: count every fourth
+        precision = certain * np.sum(weight * x * x, axis=0) + SLOPE_SD**-2
+        slope = certain * np.sum(weight * x * (y - level), axis=0) / precision
+        sd = precision**-0.5
+    intercept[:2] = level - slope * force[:, ::-1].mean(axis=0)
     return intercept, slope, sd
 
 
@@ -459,8 +467,7 @@ def _within(own, others: list) -> np.ndarray:
 # What explains a difference
 
 
-@dataclass(frozen=True)
-class _Hypothesis:
+class _Hypothesis(NamedTuple):
     """weight: posterior, not normalised. theta (g, len(rotors)): grid of losses; mass (g,): posterior on it, sum 1."""
 
     kind: str
@@ -537,7 +544,7 @@ def _frozen(value) -> Any:
 
 
 def _plain(value):
-    """Tuples as lists, data classes' dictionaries kept: what TOML and JSON hold."""
+    """Tuples as lists, dictionaries kept: what TOML and JSON hold."""
     if isinstance(value, Mapping):
         return {k: _plain(v) for k, v in value.items()}
     return [_plain(v) for v in value] if isinstance(value, (list, tuple)) else value

@@ -17,10 +17,11 @@ nothing), commands that are logged slowly are snapshots. A share of all ticks sa
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.base.physics import G0
 
 # For each rotor: inertia and its scatter in hover thrusts per rad/s^2, as in `default.plant`, but positive for certain.
@@ -50,8 +51,7 @@ TURNS = 12  # of the coordinate descent
 FALLS = 14.0  # m/s: a vehicle that sinks so fast is carried by the air, up to about the whole of its weight
 
 
-@dataclass(frozen=True)
-class Window:
+class Window(NamedTuple):
     """K ticks: time (K,); thrust (K, n) commanded, in hover thrusts; full (float): a rotor's largest thrust; rate, rate_dot (K, 3); load
     (K,); torque_ok (K, 3), load_ok (K,) bool; before, after (K, n): commands of the ticks beside; onset: when control began
     to be lost [s]."""
@@ -69,16 +69,14 @@ class Window:
     onset: float = np.inf
 
 
-@dataclass(frozen=True)
-class Offset:
+class Offset(NamedTuple):
     """b of each axis: mean (3,) and standard deviation (3,) [hover thrusts]."""
 
     mean: np.ndarray
     sd: np.ndarray
 
 
-@dataclass(frozen=True)
-class Fit:
+class Fit(NamedTuple):
     """log_evidence (H,); residual (H, K, 4) in standard deviations."""
 
     log_evidence: np.ndarray
@@ -96,7 +94,7 @@ def _near(window: Window) -> np.ndarray:
 
 def _step(window: Window) -> float:
     """Usual time between two ticks [s]; inf of one tick alone."""
-    return float(np.median(np.diff(window.time))) if window.time.size > 1 else np.inf
+    return float(median(np.diff(window.time))) if window.time.size > 1 else np.inf
 
 
 def noise_variance(window: Window, B: np.ndarray, air: np.ndarray) -> np.ndarray:

@@ -7,8 +7,8 @@ other's motor; yaw works the wrong way round. Sizes and onsets are summed over a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,8 +30,7 @@ EXTERNAL_SD = 1.0  # hover thrusts of one rotor, of a torque from outside that l
 CHUNK = 256  # courses that are fitted at once
 
 
-@dataclass(frozen=True)
-class Explanation:
+class Explanation(NamedTuple):
     """One kind of explanation, summed over sizes and onsets. kind: healthy, rotor, common, outside, order or yaw; rotors (0-based); log:
     of its evidence with its prior; onset: most probable [s]; size: mean loss, low, high: its 95 % interval; residual (K, 4) of the best;
     gives: the thrust that the rotor gave whatever it was commanded, in hover thrusts, where that is the likeliest, else 0."""

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.engine.front.decisions import CREDIBLE, SURE
 from rotorwatch.engine.motion import allocation, ticks
 from rotorwatch.engine.motion.contact import LEAST_GAIN
@@ -49,8 +51,7 @@ LEVEL_DEG = 40.0
 TRIM = 0.1  # arm lengths: healthy vehicles are commanded less of roll and pitch in calm flight (witnesses/healthy/population.py, 95 %)
 
 
-@dataclass(frozen=True)
-class Judged:
+class Judged(NamedTuple):
     """The verdict on one loss of control. cause; explanations with their probabilities, () where the log shows too little; window; onset
     [s]; evidence: sentences; commanded: until when the log holds commands of each rotor, infinite where up to the onset, None where it
     never did [s]."""
@@ -73,7 +74,7 @@ class Judged:
 def judged(flight: Flight, vehicle: Vehicle, air) -> tuple[Judged, ...]:
     """Every loss of control of a flight with its cause. air: intervals ((start, end), ...) s in the air."""
     found = (judge(flight, vehicle, air, left) for left in loss_of_control.find(flight, air))
-    return tuple(replace(one, commanded=_commanded(flight, one.onset)) for one in found)
+    return tuple(one._replace(commanded=_commanded(flight, one.onset)) for one in found)
 
 
 def _commanded(flight: Flight, onset: float) -> tuple[float | None, ...]:
@@ -103,7 +104,7 @@ def judge(flight: Flight, vehicle: Vehicle, air, left: LossOfControl) -> Judged:
     if cause == "controller" and np.abs(offset.mean[:2]).max() > TRIM * len(vehicle.rotors):
         cause, evidence = "unknown", ("its rotors had been commanded unlike those of healthy vehicles since take-off",)
     if left.impact is None and ground is not None:
-        left = replace(left, impact=ground)
+        left = left._replace(impact=ground)
     return Judged(left, cause, found, probability, window, onset, evidence)
 
 
@@ -196,7 +197,7 @@ def _strays(window: Window, residual: np.ndarray, onset: float) -> float:
 def until_impact(flight: Flight, air, found: Sequence[Judged]) -> tuple[tuple[float, float], ...]:
     """`loss_of_control.until_impact` for losses of control whose onset has been judged."""
     return loss_of_control.until_impact(
-        flight, air, tuple(replace(j.left, onset=min(j.onset, j.left.onset)) for j in found)
+        flight, air, tuple(j.left._replace(onset=min(j.onset, j.left.onset)) for j in found)
     )
 
 
@@ -285,7 +286,7 @@ def _hover(flight: Flight, seen: Sensed, vehicle: Vehicle, until: float, at_take
         & (seen.time < until)
     )
     if not at_take_off and carried.any():
-        return float(np.clip(np.median(mean[carried] / load[carried]), 0.05, 1.0))
+        return float(np.clip(median(mean[carried] / load[carried]), 0.05, 1.0))
     learned = [flight.parameters[name] for name in HOVER_PARAMETERS if 0.05 < flight.parameters.get(name, 0.0) < 0.8]
     return float(learned[0]) if learned else USUAL_HOVER
 
@@ -296,4 +297,4 @@ def _offset(window: Window, B: np.ndarray, until: float, at_take_off: bool) -> O
     if at_take_off or calm.size < 2 or window.time[calm[-1]] - window.time[calm[0]] < CALM_S:
         return Offset(np.zeros(3), np.full(3, UNKNOWN_SD))
     w = (window.thrust @ B.T)[calm, :3] - B.shape[1] * INERTIA * window.rate_dot[calm]
-    return Offset(-np.median(w, axis=0), CALM_SD + 0.5 * w.std(axis=0))
+    return Offset(-median(w, axis=0), CALM_SD + 0.5 * w.std(axis=0))

@@ -7,10 +7,12 @@ the rates (rates_wanted). Where a log has neither, only a vehicle on its head is
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.motion.airborne import commands, output_range
 from rotorwatch.flight import Flight, Signal
@@ -49,8 +51,7 @@ CRASHES_M_S, STOPS_M_S = (
 FAST_M_S, STAYS_M_S = 2.0, 0.3  # down before a blow, any way after it: a vehicle that fell to the ground
 
 
-@dataclass(frozen=True)
-class LossOfControl:
+class LossOfControl(NamedTuple):
     """onset: when the vehicle began to leave what was wanted; lost: when that was certain; end: when control came back, else None; impact:
     of the ground or what it fell on, None where none was seen [all s]. what: in words. falls: outputs came to rest in the air. landed: it
     had landed before, so that the ground pushed it as well as its rotors."""
@@ -85,7 +86,7 @@ def held(signal: Signal, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def known(signal: Signal) -> tuple[np.ndarray, np.ndarray]:
     """Times and values of the samples of which all columns are known."""
-    ok = signal.valid.all(axis=1)
+    ok = signal.whole
     return (signal.time, signal.values) if ok.all() else (signal.time[ok], signal.values[ok])
 
 
@@ -248,7 +249,7 @@ def _turns_over(flight: Flight, powered: list[tuple[float, float]], end: float) 
         return None
     until = max((b for a, b in powered if a <= end <= b), default=end)
     attitude = flight["attitude"].between(end, until)
-    ok = attitude.valid.all(axis=1)
+    ok = attitude.whole
     t, up = attitude.time[ok], thrust_axis(attitude.values[ok])[:, 2]
     tilt = np.degrees(np.arccos(np.clip(up, -1.0, 1.0)))
     over = np.flatnonzero(tilt > OVER_DEG)
@@ -302,19 +303,26 @@ def _long(t: np.ndarray, away: np.ndarray) -> np.ndarray:
 def _began(t: np.ndarray, a: np.ndarray, k: int) -> float:
     """When the angle that passes APART_DEG at k began to grow: the last sample that was as close as is usual in this flight."""
     calm = a[: max(k - 5, 1)]
-    usual = max(2.0, 3.0 * float(np.median(calm))) if calm.size > 5 else 2.0
+    usual = max(2.0, 3.0 * float(median(calm))) if calm.size > 5 else 2.0
     close = np.flatnonzero(a[:k] <= min(usual, 0.5 * ERROR_DEG))
     return float(t[close[-1]] if close.size else t[0])
 
 
 def _back(t: np.ndarray, a: np.ndarray, k: int, lasts: float = BACK_S) -> float | None:
     """When control came back: the begin of so many seconds within BACK_DEG; None where the flight ends before."""
-    since = None
-    for when, fine in zip(t[k:], a[k:] < BACK_DEG):
-        since = (since if since is not None else when) if fine else None
-        if since is not None and when - since >= lasts:
-            return float(since)
-    return None
+    found = _lasting(t[k:], a[k:] < BACK_DEG, lasts)
+    return None if found is None else float(t[k + found[0]])
+
+
+def _lasting(time: np.ndarray, so: np.ndarray, seconds: float) -> tuple[int, int] | None:
+    """(first sample, the one that is so much later) of the first samples in a row that are `so` (m,) for so long; None without any."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], so, [False]])))
+    first, last = edges[::2], edges[1::2] - 1
+    long = np.flatnonzero(time[last] - time[first] >= seconds)
+    if not long.size:
+        return None
+    a, b = int(first[long[0]]), int(last[long[0]])
+    return a, a + int(np.argmax(time[a : b + 1] - time[a] >= seconds))
 
 
 def _falls(flight: Flight, start: float, end: float) -> LossOfControl | None:
@@ -324,7 +332,7 @@ def _falls(flight: Flight, start: float, end: float) -> LossOfControl | None:
     motors = _around(flight["motors"], start - 1.0, end + 5.0)
     share = _shares(flight, motors).max(axis=1)
     accel = _around(flight["accel"], start, end + 5.0)
-    ok = accel.valid.all(axis=1)
+    ok = accel.whole
     time, force = accel.time[ok], np.linalg.norm(accel.values[ok], axis=1) / G0
     near = (time >= start) & (time <= end + 5.0)
     time, force = time[near], force[near]
@@ -333,16 +341,13 @@ def _falls(flight: Flight, start: float, end: float) -> LossOfControl | None:
     k = np.searchsorted(motors.time, time, side="right") - 1
     rest = (share[np.maximum(k, 0)] < REST) & (k >= 0)
     falling = (force < FALLS) & rest
-    since = None
-    for when, down in zip(time, falling):
-        since = (since if since is not None else when) if down else None
-        if since is not None and when - since >= FALLS_S:
-            quiet = motors.time[(share < REST) & (motors.time <= when) & (motors.time > since - 1.0)]
-            onset = float(min(since, quiet[0])) if quiet.size else float(since)
-            return LossOfControl(
-                onset, float(when), None, hit(flight, float(when), end + 30.0), "falling without thrust", True
-            )
-    return None
+    found = _lasting(time, falling, FALLS_S)
+    if found is None:
+        return None
+    since, when = (float(time[at]) for at in found)
+    quiet = motors.time[(share < REST) & (motors.time <= when) & (motors.time > since - 1.0)]
+    onset = min(since, float(quiet[0])) if quiet.size else since
+    return LossOfControl(onset, when, None, hit(flight, when, end + 30.0), "falling without thrust", True)
 
 
 def _sinks(flight: Flight, start: float, end: float) -> LossOfControl | None:
@@ -350,26 +355,20 @@ def _sinks(flight: Flight, start: float, end: float) -> LossOfControl | None:
     if not flight.has("motors", "velocity", "accel"):
         return None
     velocity = flight["velocity"]
-    inside = (velocity.time >= start) & (velocity.time <= end) & velocity.valid.all(axis=1)
+    inside = (velocity.time >= start) & (velocity.time <= end) & velocity.whole
     time, down = velocity.time[inside], velocity.values[inside, 2]
     motors = _around(flight["motors"], start - 1.0, end)
     share, age = held(replace(motors, values=_shares(flight, motors)), time)
     push, known = held(_around(flight["accel"], start - 1.0, end), time)
     full = (share.mean(axis=1) > NEARLY_FULL) & (age <= FRESH_S) & (-push[:, 2] < G0) & (known <= FRESH_S)
-    since = None
-    for when, falling in zip(time, full & (down > SINKS_M_S)):
-        since = (since if since is not None else when) if falling else None
-        if since is not None and when - since >= LASTS_S:
-            slow = np.flatnonzero((time < since) & (down < 0.2 * SINKS_M_S))
-            onset = float(time[slow[-1]]) if slow.size else float(since)
-            return LossOfControl(
-                onset,
-                float(when),
-                None,
-                hit(flight, float(when), end + 30.0),
-                f"sinking at {down[time == when][0]:.0f} m/s though nearly full thrust was commanded",
-            )
-    return None
+    found = _lasting(time, full & (down > SINKS_M_S), LASTS_S)
+    if found is None:
+        return None
+    since, when = (float(time[at]) for at in found)
+    slow = np.flatnonzero((time < since) & (down < 0.2 * SINKS_M_S))
+    onset = float(time[slow[-1]]) if slow.size else since
+    said = f"sinking at {down[time == when][0]:.0f} m/s though nearly full thrust was commanded"
+    return LossOfControl(onset, when, None, hit(flight, when, end + 30.0), said)
 
 
 def _strikes(flight: Flight, start: float, end: float) -> LossOfControl | None:

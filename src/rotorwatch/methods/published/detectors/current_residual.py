@@ -19,11 +19,11 @@ expected current, for 0.4 s, of a vehicle of 75 A).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.engine.motion import allocation
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
@@ -43,8 +43,7 @@ LOWEST = 0.05  # share of the commands of that flight below the lowest that coun
 USUAL, PRIOR_SD = 1.5, 0.5  # standard deviations from which a sample counts less; of the coefficients, of the largest
 
 
-@dataclass(frozen=True)
-class _Rule:
+class _Rule(NamedTuple):
     """model: a, b, c [A]; for less and for more current: flat part of the band [A] (inf: not checked) and the time it is left [s]; share:
     of the expected current, added to both; tau_s: of the filter. fitted: to this flight; least: the command below which less current says
     nothing, as it was not flown then."""
@@ -108,7 +107,7 @@ def _rule(parameters: Mapping[str, float], command: np.ndarray, current: np.ndar
         sides = (under, given("MOTFAIL_UND_TIME", hold)), (over, given("MOTFAIL_OVR_TIME", hold))
         plain = {"MOTFAIL_LOW_OFF", "MOTFAIL_HIGH_OFF"} & parameters.keys()
         return _Rule(model, *sides, given("MOTFAIL_REL", 0.0), 0.0 if plain else TAU_S)
-    if command.size < FEWEST or not np.median(command) > 0.0 or not np.median(current) > 0.0:
+    if command.size < FEWEST or not median(command) > 0.0 or not median(current) > 0.0:
         return None
     model = _fit(command, current)
     side = FLAT * float(np.polyval(model, 1.0)), FITTED_HOLD_S
@@ -118,12 +117,12 @@ def _rule(parameters: Mapping[str, float], command: np.ndarray, current: np.ndar
 def _fit(command: np.ndarray, current: np.ndarray) -> np.ndarray:
     """(3,) a, b, c [A] by reweighted least squares. What the commands flown do not show stays at a (u^2 + IDLE)."""
     X = np.vander(command, 3)
-    largest = float(np.median(current) / np.median(command**2 + IDLE))
+    largest = float(median(current) / median(command**2 + IDLE))
     start = largest * np.array([1.0, 0.0, IDLE])
     model, prior = start, np.eye(3) / (PRIOR_SD * largest)
     for _ in range(TURNS):
         error = current - X @ model
-        sd = max(1.48 * float(np.median(np.abs(error))), 1e-3 * largest)
+        sd = max(1.48 * float(median(np.abs(error))), 1e-3 * largest)
         weight = 1.0 / (sd * np.sqrt(np.maximum(np.abs(error) / (USUAL * sd), 1.0)))
         A, y = np.vstack([X * weight[:, None], prior]), np.concatenate([current * weight, prior @ start])
         model = np.linalg.lstsq(A, y, rcond=None)[0]
@@ -133,7 +132,7 @@ def _fit(command: np.ndarray, current: np.ndarray) -> np.ndarray:
 def _filtered(time: np.ndarray, beyond: np.ndarray, valid: np.ndarray, tau_s: float) -> np.ndarray:
     """(K, n) low-passed; from nothing after a gap, and as it was where a sample is not valid."""
     step = np.diff(time, prepend=time[:1])
-    gap = max(GAP_S, 2.0 * float(np.median(step)))  # of logs that hold fewer reports than the check had
+    gap = max(GAP_S, 2.0 * float(median(step)))  # of logs that hold fewer reports than the check had
     out, last = np.zeros_like(beyond), np.zeros(beyond.shape[1])
     for k, dt in enumerate(step):
         share = dt / (tau_s + dt) if tau_s + dt > 0.0 else 1.0

@@ -52,6 +52,8 @@ def _check(flight: Flight, vehicle: Vehicle, airborne: allocation.Spans) -> list
     limited = thrust.max(axis=1) > TOP
     holds = ((throttle > HIGH_THROTTLE) | limited) & (throttle > LOW_THROTTLE) & sinking & (tilt < MAX_TILT)
     holds &= allocation.within(time, airborne)
+    if not holds.any():
+        return []
     found, since, smooth = [], None, thrust[0].copy()
     for k in range(len(time)):
         step = time[k] - time[max(k - 1, 0)]
