@@ -57,6 +57,7 @@ from rotorwatch.engine.estimator.hypotheses import (
     recovery_variance,
     rotor_of,
     shrunk,
+    vanishing,
     weight_of,
 )
 from rotorwatch.engine.estimator.kalman import Branch
@@ -176,9 +177,7 @@ class Evidence(Struct):
             if not pack.used():
                 continue
             self._weigh(p, pack)
-            for lane in range(LANES):
-                if one(pack.age, lane) >= 0.0:
-                    self._add(p, k * LANES + lane, pack, lane)
+            self._add(p, k * LANES, pack)
 
     def gather(self, p: Plant) -> None:
         """The evidence of all hypotheses, by all windows."""
@@ -221,41 +220,53 @@ class Evidence(Struct):
             self.weight[h + n + b] = weight[b]
         hypotheses.steps(self.window, self.asked.width, FAR, self._first_far(), self.far_nats, self.far_weight)
 
-    def _add(self, p: Plant, slot: int, slots: Slots, lane: int) -> None:
-        """What one onset says, to that of the others."""
-        if self.live < 0:
-            self.live = slot
-        for i in range(p.rotors):
-            self.known[i] = max(self.known[i], one(self.window.C[FIRST_LOSS + i][FIRST_LOSS + i], lane))
+    def _add(self, p: Plant, first: int, slots: Slots) -> None:
+        """What the onsets from slot `first` on say, to that of the others."""
         faults = hypothesis_count(p.rotors) - DISTURBANCE_COUNT
         loud = self.loud[1 if slots.gradual else 0]
+        for lane in range(LANES):
+            if one(slots.age, lane) >= 0.0:
+                self.live = first + lane if self.live < 0 else self.live
+                for i in range(p.rotors):
+                    self.known[i] = max(self.known[i], one(self.window.C[FIRST_LOSS + i][FIRST_LOSS + i], lane))
         for h in range(faults + DISTURBANCE_COUNT):
-            weight = one(self.weight[h], lane)
-            nats = one(self.nats[h], lane)
-            if weight <= 0.0:
-                continue
-            if nats > self.top[h]:
-                less = shrunk(self.top[h] - nats)
-                self.total[h] *= less
-                self.peak[h] *= less
-                self.top[h] = nats
+            weight = self.weight[h] if slots.age >= 0.0 else each(0.0)
+            share = vanishing(self.nats[h] - self.top[h])
+            for lane in range(LANES):
+                if one(weight, lane) <= 0.0:
+                    continue
+                if one(self.nats[h], lane) > self.top[h]:
+                    self._rise(h, faults, one(self.nats[h], lane))
+                    share = vanishing(self.nats[h] - self.top[h])
+                factor = one(weight, lane) * one(share, lane)
+                told = slots.stride * factor
+                self.total[h] += told
+                if told > self.peak[h]:
+                    self.peak[h] = told
+                    self.place[h] = first + lane
                 if h >= faults:
-                    self.loud[0][h - faults] *= less
-                    self.loud[1][h - faults] *= less
-            factor = weight * shrunk(nats - self.top[h])
-            if h >= faults:
-                loud[h - faults] = max(loud[h - faults], factor)
-            told = slots.stride * factor
-            self.total[h] += told
-            if told > self.peak[h]:
-                self.peak[h] = told
-                self.place[h] = slot
+                    loud[h - faults] = max(loud[h - faults], factor)
         for b in range(self._first_far(), DISTURBANCE_COUNT):
-            nats = one(self.far_nats[b], lane)
-            if nats > self.far:
-                self.far_sum *= shrunk(self.far - nats)
-                self.far = nats
-            self.far_sum += slots.stride * one(self.far_weight[b], lane) * shrunk(nats - self.far)
+            weight = self.far_weight[b] if slots.age >= 0.0 else each(0.0)
+            share = vanishing(self.far_nats[b] - self.far)
+            for lane in range(LANES):
+                if one(weight, lane) <= 0.0:
+                    continue
+                if one(self.far_nats[b], lane) > self.far:
+                    self.far_sum *= shrunk(self.far - one(self.far_nats[b], lane))
+                    self.far = one(self.far_nats[b], lane)
+                    share = vanishing(self.far_nats[b] - self.far)
+                self.far_sum += slots.stride * one(weight, lane) * one(share, lane)
+
+    def _rise(self, h: int, faults: int, nats: Real) -> None:
+        """More nats than any onset had for a hypothesis so far: all are relative to that from now on."""
+        less = shrunk(self.top[h] - nats)
+        self.top[h] = nats
+        self.total[h] *= less
+        self.peak[h] *= less
+        if h >= faults:
+            self.loud[0][h - faults] *= less
+            self.loud[1][h - faults] *= less
 
     def _first_far(self) -> int:
         """Without a weak rotor, of what moves all torques: a large step of one axis has no direction of a rotor."""

@@ -233,9 +233,13 @@ def shrunk(nats: Real) -> Real:
 def vanishing(nats: Each) -> Each:
     """exp of what is not above 0, to 1e-13 of it, as products that vectors can do: the series of its root, squared again and again."""
     root = max(nats, LEFT) * (1.0 / 256.0)
-    share = each(SERIES[0])
-    for k in range(1, 12):
-        share = share * root + SERIES[k]
+    square = root * root
+    odd = each(SERIES[0])  # powers of the square: twice as many at a time
+    even = each(SERIES[1])
+    for k in range(1, 6):
+        odd = odd * square + SERIES[2 * k]
+        even = even * square + SERIES[2 * k + 1]
+    share = odd * root + even
     for _ in range(8):
         share *= share
     return share
