@@ -3,70 +3,153 @@
 On a processor: processor seconds of this process (compiled programs use threads; wall time on a busy machine says little); where
 JAX has an accelerator, which does its work elsewhere: seconds by the clock. After a first run that compiles. Where they go, phase
 by phase, and how they grow: exponents of a power law fitted to the flights of one batch after the other, and to flights of several
-lengths. 1 is linear. At last the simulator alone, in flight-steps a second, in double and single precision.
+lengths. 1 is linear. At last the simulator alone, in flight-steps a second, in double and single precision. Of a plan that is judged by
+logs (plans/open.toml) all cells are flown unless one is named, and of each cell fewer flights.
+
+    python benchmarks/campaign.py PLAN --ways [--flights N] [--rounds R]
+
+Whole campaigns, as the command runs them: by one process and by two, by one worker of a Dask scheduler and by two, in turn. Each flies
+N flights and three times as many into new folders; the difference of the two counts, so that starting does not.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import statistics
+import subprocess
+import sys
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
+import many
 import numpy as np
 
+from rotorwatch import logs
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.lab import campaign
-from rotorwatch.lab.campaign import batch
+from rotorwatch.lab.campaign import batch, open_world
 from rotorwatch.lab.campaign.plan import Plan
 from rotorwatch.lab.simulation import logbook, loop, prepare
 from rotorwatch.lab.simulation.multirotor import MULTIROTOR
 
-PHASES = {
-    "flights simulated, logged, turned into ticks": "fly",
-    "bounds": "_bounds",
-    "default estimator": "by_default",
-    "learning for published ones": "learned_states",
+BY_TICKS = {
+    "flights simulated, logged, turned into ticks": (batch, "fly"),
+    "bounds": (batch, "_bounds"),
+    "default estimator": (batch, "by_default"),
+    "learning for published ones": (batch, "learned_states"),
 }
+BY_LOGS = {
+    "flights drawn": (open_world, "flight_plan"),
+    "simulated": (open_world, "fly_in_turn"),
+    "logs written": (logbook, "log"),
+    "logs read": (logs, "from_bytes"),
+    "prepared": (open_world, "prepare"),
+    "estimated": (open_world, "estimated"),
+    "judged": (open_world, "conclude"),
+}
+FEW = 8  # flights of a cell, of a plan that is judged by logs
+COMMAND = [sys.executable, "-m", "rotorwatch", "campaign"]
+WAYS = {"one process": 1, "two processes": 2, "one Dask worker": 1, "two Dask workers": 2}
 
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("plan", nargs="?", default=Path(__file__).parents[1] / "plans" / "default.toml")
-    parser.add_argument("--cell", type=int, default=0, help="which combination of frame, autopilot and profile")
-    parser.add_argument("--flights", type=int, help="most flights of the first exponent; default: four batches")
+    parser.add_argument("--cell", type=int, help="which combination of frame, autopilot and profile")
+    parser.add_argument(
+        "--flights", type=int, help="most flights of a cell; with --ways: of a campaign, the shorter one"
+    )
     parser.add_argument("--seconds", type=float, nargs="*", default=[60.0, 90.0, 120.0], help="lengths of the second")
     parser.add_argument("--repeats", type=int, default=2, help="the least of so many runs counts")
+    parser.add_argument("--ways", action="store_true", help="whole campaigns by processes and by Dask workers")
+    parser.add_argument("--rounds", type=int, default=2, help="of these; their median counts")
     options = parser.parse_args()
     plan = campaign.read(options.plan)
-    width = batch.width()
-    print(f"{' '.join(plan.cells[options.cell])}, {batch.where()}, load {os.getloadavg()[0]:.1f}")
+    width, by_logs = batch.width(), plan.judge == "log"
+    if options.ways:
+        ways(options.plan, options.flights or 2 * FEW * len(plan.cells), options.rounds)
+        return
+    named = [options.cell] if options.cell is not None or not by_logs else range(len(plan.cells))
+    cells = [cell or 0 for cell in named]
+    what = " ".join(plan.cells[cells[0]]) if len(cells) == 1 else f"{len(cells)} cells"
+    print(f"{what}, {batch.where()}, load {os.getloadavg()[0]:.1f}")
 
-    counts = [n for n in (width, 2 * width, 4 * width) if n <= (options.flights or 4 * width)]
-    judged(plan, options.cell, width, width)  # compiles
-    spent = [best(lambda n=n: judged(plan, options.cell, n, width), options.repeats) for n in counts]
+    least, each = FEW if by_logs else width, len(cells)
+    counts = [n for n in (least, 2 * least, 4 * least) if n <= (options.flights or 4 * least)]
+    judged(plan, cells, least, width)  # compiles
+    spent = [best(lambda n=n: judged(plan, cells, n, width), options.repeats) for n in counts]
     for n, cost in zip(counts, spent, strict=True):
-        print(f"{n:6d} flights of {plan.scenario['duration_s']:g} s: {cost:7.2f} s, {cost / n:.4f} s a flight")
+        print(
+            f"{n * each:6d} flights of {plan.scenario['duration_s']:g} s: {cost:7.2f} s, {cost / n / each:.4f} s a flight"
+        )
     if len(counts) > 1:
         print(f"grows with flights as their number to the power of {exponent(counts, spent):.2f}")
-    phases(plan, options.cell, width)
+    phases(plan, cells, least, width, BY_LOGS if by_logs else BY_TICKS)
 
     costs = []
     for seconds in options.seconds:
         longer = replace(plan, scenario={**plan.scenario, "duration_s": seconds})
-        judged(longer, options.cell, width, width)
-        costs.append(best(lambda p=longer: judged(p, options.cell, width, width), options.repeats))
-        print(f"{width:6d} flights of {seconds:g} s: {costs[-1]:7.2f} s, {costs[-1] / width:.4f} s a flight")
+        longer = replace(
+            longer, kinds=tuple(k._replace(scenario={**k.scenario, "duration_s": seconds}) for k in plan.kinds)
+        )
+        judged(longer, cells, least, width)
+        costs.append(best(lambda p=longer: judged(p, cells, least, width), options.repeats))
+        print(
+            f"{least * each:6d} flights of {seconds:g} s: {costs[-1]:7.2f} s, {costs[-1] / least / each:.4f} s a flight"
+        )
     if len(costs) > 1:
         print(f"grows with their length to the power of {exponent(options.seconds, costs):.2f}")
-    for name, cost in simulated(plan, options.cell, width, options.repeats).items():
-        steps = width * plan.scenario["duration_s"] * plan.flight(options.cell).rate_hz
+    for name, cost in simulated(plan, cells[0], width, options.repeats).items():
+        steps = width * plan.scenario["duration_s"] * plan.flight(cells[0]).rate_hz
         print(
             f"{steps / cost:.3g} flight-steps a second by the clock: the simulator alone in {name}, {width} flights side by side"
         )
+
+
+def ways(plan: Path, flights: int, rounds: int) -> None:
+    """Print what whole campaigns take, each way."""
+    for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NPROC"):  # of what is started here: one of each
+        os.environ.setdefault(threads, "1")
+    clock: dict[str, list[float]] = {name: [] for name in WAYS}
+    busy: dict[str, list[float]] = {name: [] for name in WAYS}
+    with ExitStack() as stack:
+        clusters = {name: stack.enter_context(many.cluster(n)) for name, n in WAYS.items() if "Dask" in name}
+
+        def flown(name: str, count: int) -> np.ndarray:
+            """Seconds by the clock, and of processors."""
+            dask = clusters.get(name)
+            how = ["--scheduler", dask.address] if dask else ["--jobs", str(WAYS[name])]
+            with tempfile.TemporaryDirectory() as folder:
+                command = [*COMMAND, str(plan), "--flights", str(count), *how, "-o", folder, "-q"]
+                before = many.spent_s(dask)
+                passed = many.timed(lambda: subprocess.run(command, check=True, stdout=subprocess.DEVNULL))
+                return np.array([passed, many.spent_s(dask) - before])
+
+        for name in WAYS:  # each cell is compiled, each worker has begun
+            flown(name, flights)
+        for k in range(rounds):
+            for name in WAYS:
+                few, more = flown(name, flights), flown(name, 3 * flights)
+                passed, spent = (more - few) / (2 * flights)
+                clock[name].append(passed)
+                busy[name].append(spent)
+                print(
+                    f"round {k + 1}, {name}: {1.0 / passed:.2f} flights a second, {1e3 * spent:.0f} ms of processors each; "
+                    f"{few[0] - passed * flights:.1f} s to begin and end, load {os.getloadavg()[0]:.1f}",
+                    flush=True,
+                )
+    print("\n| | flights a second | ms of processors a flight |\n|---|---|---|")
+    for name in WAYS:
+        print(f"| {name} | {1.0 / statistics.median(clock[name]):.1f} | {1e3 * statistics.median(busy[name]):.0f} |")
+    for one, two in (("one process", "two processes"), ("one Dask worker", "two Dask workers")):
+        times = statistics.median(a / b for a, b in zip(clock[one], clock[two], strict=True))
+        print(f"{two}: {times:.2f} times as fast as {one}, {times / 2:.2f} of twice")
 
 
 def simulated(plan: Plan, cell: int, width: int, repeats: int) -> dict[str, float]:
@@ -92,10 +175,13 @@ def clock() -> float:
     return time.process_time() if load_jax().default_backend() == "cpu" else time.perf_counter()
 
 
-def judged(plan: Plan, cell: int, flights: int, width: int) -> None:
-    """Fly and judge the cell's first flights, batch by batch, as `campaign.run` does in one process."""
-    for start in range(0, flights, width):
-        batch.judge(plan, [cell + len(plan.cells) * k for k in range(start, start + width)], width)
+def judged(plan: Plan, cells: Sequence[int], flights: int, width: int) -> None:
+    """Fly and judge the cells' first flights, batch by batch, as a campaign does in one process."""
+    judge = open_world.judge if plan.judge == "log" else batch.judge
+    for cell in cells:
+        for start in range(0, flights, width):
+            places = range(start, min(start + width, flights))
+            judge(plan, [cell + len(plan.cells) * k for k in places], width)
 
 
 def best(run: Callable[[], None], repeats: int) -> float:
@@ -113,34 +199,48 @@ def exponent(sizes, costs) -> float:
     return float(np.polyfit(np.log(sizes), np.log(costs), 1)[0])
 
 
-def phases(plan: Plan, cell: int, width: int) -> None:
-    """Print what each phase of one batch takes."""
-    spent = dict.fromkeys(PHASES.values(), 0.0)
+def phases(plan: Plan, cells: Sequence[int], flights: int, width: int, parts: dict) -> None:
+    """Print what each phase takes of so many flights of each cell. parts: what a phase is called -> (module, function)."""
+    spent = dict.fromkeys(parts, 0.0)
 
-    def timed(name: str, function: Callable) -> Callable:
-        def run(*args):
+    def timed(text: str, function: Callable) -> Callable:
+        def run(*args, **more):
             began = clock()
             try:
-                return function(*args)
+                made = function(*args, **more)
             finally:
-                spent[name] += clock() - began
+                spent[text] += clock() - began
+            return each(text, made) if isinstance(made, Iterator) else made
 
         return run
 
-    originals = {name: getattr(batch, name) for name in PHASES.values()}
+    def each(text: str, made: Iterator) -> Iterator:
+        while True:
+            began = clock()
+            try:
+                one = next(made)
+            except StopIteration:
+                return
+            finally:
+                spent[text] += clock() - began
+            yield one
+
+    originals = {text: getattr(*place) for text, place in parts.items()}
     try:
-        for name, function in originals.items():
-            setattr(batch, name, timed(name, function))
+        for text, (module, name) in parts.items():
+            setattr(module, name, timed(text, originals[text]))
         began = clock()
-        judged(plan, cell, width, width)
+        judged(plan, cells, flights, width)
         whole = clock() - began
     finally:
-        for name, function in originals.items():
-            setattr(batch, name, function)
-    for text, name in PHASES.items():
-        if spent[name]:
-            print(f"{spent[name] / width:10.4f} s a flight: {text}")
-    print(f"{(whole - sum(spent.values())) / width:10.4f} s a flight: events, scores and the rest")
+        for text, (module, name) in parts.items():
+            setattr(module, name, originals[text])
+    count = flights * len(cells)
+    for text, seconds in spent.items():
+        if seconds:
+            print(f"{1e3 * seconds / count:10.1f} ms a flight, {seconds / whole:4.0%}: {text}")
+    rest = whole - sum(spent.values())
+    print(f"{1e3 * rest / count:10.1f} ms a flight, {rest / whole:4.0%}: events, scores and the rest")
 
 
 if __name__ == "__main__":

@@ -49,9 +49,7 @@ from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.logs import plausible
 from rotorwatch.methods.published import detectors
 from rotorwatch.witnesses import excitation_response, hindsight, reports
-from rotorwatch.witnesses.aerobatic import desync
 from rotorwatch.witnesses.aerobatic import judge as aerobatic
-from rotorwatch.witnesses.esc import consistency
 from rotorwatch.witnesses.healthy import baselines, outputs, population
 from rotorwatch.witnesses.healthy.baselines import Given
 from rotorwatch.witnesses.upset import find as upset
@@ -296,9 +294,15 @@ def _find(ready: Prepared, done: Estimated) -> tuple[Merged, tuple[Event, ...]]:
     report = events.Report(B).add(table, air).finish(air) if one is None else one.report
     merged = ledger.merge(claims, report, ready.upsets, B.shape[1], grown)
     ready.warnings += [text for text, lasts in wording.together(merged.shared) if not lasts]
-    found, notes = consistency.check(flight, craft, air, table, merged.events)
-    ready.warnings += notes
+    found = merged.events
+    if "esc" in flight.signals:
+        from rotorwatch.witnesses.esc import consistency
+
+        found, notes = consistency.check(flight, craft, air, table, found)
+        ready.warnings += notes
     if not ready.hovers or aerobatic.flown_by_rates(flight):
+        from rotorwatch.witnesses.aerobatic import desync
+
         found = tuple(sorted((*found, *desync.find(flight, craft, air, found)), key=lambda e: e.detected_s))
     return merged._replace(events=found), slow.suspected(grown)
 

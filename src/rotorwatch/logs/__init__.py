@@ -107,6 +107,15 @@ def read(path, progress=None) -> Flight:
     return _checked(lambda: module.read(data, f"{name}#{part}", tell, part=part), module, path, warnings, progress)
 
 
+def from_bytes(data: bytes, name: str) -> Flight:
+    """The flight of a log file that is in memory, one flight, not compressed: what `read` gives of a file of that name that holds these
+    bytes. Raises LogError as it does."""
+    module = recognise(data[:HEAD], name)
+    if module is None:
+        raise LogError(f"{name}: not a flight log of a known kind")
+    return _checked(lambda: module.read(data, name), module, Path(name), ())
+
+
 def of_part(path) -> tuple[Path, int | None]:
     """(file, number of a flight in it) of LOG.BFL#2; (path, None) of any other path, also of a file that is really called so."""
     path = Path(path)

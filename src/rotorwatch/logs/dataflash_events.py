@@ -29,9 +29,9 @@ def parameters(log, clock) -> tuple[dict[str, float], tuple[tuple[float, str, fl
     changes: list[tuple[float, str, float]] = []
     now: dict[str, float] = {}
     for time, name, value in _rows(log, clock, "PARM", "Name", "Value"):
+        value = float(value)
         if not PARAMETER_NAME.fullmatch(name) or name.startswith("SIM_") or not math.isfinite(value):
             continue
-        value = float(value)
         if name not in now:
             first[name] = value
         elif now[name] != value:

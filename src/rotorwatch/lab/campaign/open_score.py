@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from rotorwatch.answer.conclusion import Conclusion
 from rotorwatch.flight.diagnosis import Diagnosis, Event
 from rotorwatch.flight.kinds import DESYNC, LOSS, OVERRIDE
 from rotorwatch.lab.experiments.counting import EARLY_S
@@ -52,7 +53,7 @@ def losses(scenario: Scenario) -> dict[int, float]:
     return found
 
 
-def accused(answer: Diagnosis) -> set[int]:
+def accused(answer: Diagnosis | Conclusion) -> set[int]:
     """Rotors that the answer accuses with certainty."""
     named = {rotor for event in _sure(answer) for rotor in event.rotors}
     if answer.verdict == "fault" and not named:
@@ -60,16 +61,16 @@ def accused(answer: Diagnosis) -> set[int]:
     return named
 
 
-def _sure(answer: Diagnosis) -> list[Event]:
+def _sure(answer: Diagnosis | Conclusion) -> list[Event]:
     return [e for e in answer.events if e.kind in ACCUSES and e.rotors and not e.alternatives]
 
 
-def _candidates(answer: Diagnosis) -> set[int]:
+def _candidates(answer: Diagnosis | Conclusion) -> set[int]:
     sets = (s for e in answer.events if e.alternatives for s in (e.rotors, *e.alternatives))
     return {r for s in sets for r in s} | {r.rotor for r in answer.rotors if r.status == "suspect"}
 
 
-def judged(scenario: Scenario, answer: Diagnosis) -> dict[str, Any]:
+def judged(scenario: Scenario, answer: Diagnosis | Conclusion) -> dict[str, Any]:
     """The columns of `open_world` that depend on the answer's content: outcome, accused, and what there is of delay_s, error, holds and
     ended."""
     who, truth = accused(answer), {f["rotor"] for f in scenario.faults}
@@ -89,7 +90,7 @@ def judged(scenario: Scenario, answer: Diagnosis) -> dict[str, Any]:
     return found | _size(losses(scenario), own)
 
 
-def _outcome(scenario: Scenario, answer: Diagnosis, who: set[int], truth: set[int], early: bool) -> str:
+def _outcome(scenario: Scenario, answer: Diagnosis | Conclusion, who: set[int], truth: set[int], early: bool) -> str:
     doubt = answer.verdict == "ambiguous"
     if not truth:
         return "accused" if who or answer.verdict == "fault" else "doubt" if doubt else "clean"

@@ -1,5 +1,5 @@
-"""Campaigns judged by `diagnose` itself: each flight's log is written as its autopilot writes it, read again and answered, and the answers
-are counted by kind of flight (open_score.py says what each is worth).
+"""Campaigns judged by `diagnose` itself: each flight's log is written in memory as its autopilot writes it, read and answered, and the
+answers are counted by kind of flight (open_score.py says what each is worth).
 
     from rotorwatch.lab.campaign import open_world, read
     plan = read("plans/open.toml")
@@ -11,22 +11,25 @@ from __future__ import annotations
 
 import itertools
 import os
-import tempfile
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from rotorwatch.diagnose import diagnose
+from rotorwatch import logs
+from rotorwatch.answer.conclusion import Conclusion
+from rotorwatch.diagnose import diagnose, estimated, prepare
+from rotorwatch.diagnose import judge as conclude
 from rotorwatch.errors import ConfigError, RotorwatchError
+from rotorwatch.flight import Flight
+from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.lab.campaign import open_score, work
 from rotorwatch.lab.campaign.plan import Plan
 from rotorwatch.lab.campaign.score import read_columns
 from rotorwatch.lab.experiments import tools
 from rotorwatch.lab.simulation import logbook
 from rotorwatch.lab.simulation import plan as flight_plan
-from rotorwatch.lab.simulation.loop import fly_each
+from rotorwatch.lab.simulation.loop import fly_in_turn
 from rotorwatch.lab.simulation.multirotor import MULTIROTOR
 from rotorwatch.lab.simulation.scenario import Scenario
 
@@ -46,20 +49,18 @@ def judge(plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
             plans.append(flight_plan(scenario))
         except ConfigError as error:
             raise ConfigError(f"flight {k}: {error}") from error
-    records = fly_each(MULTIROTOR, plans, first.duration_s, first.rate_hz, first.record_hz, logbook.needed, size)
+    records = fly_in_turn(MULTIROTOR, plans, first.duration_s, first.rate_hz, first.record_hz, logbook.needed, size)
     found = []
-    with tempfile.TemporaryDirectory(prefix="rotorwatch-") as folder:
-        for k, scenario, numbers, record in zip(flights, scenarios, plans, records, strict=True):
-            path = Path(folder) / f"flight-{k}{SUFFIX[scenario.autopilot]}"
-            logbook.write(scenario, numbers, record, path)
-            kind = plan.kind(k)
-            found.append(_row(scenario, record, path) | {"flight": k, "kind": kind.name if kind else ""})
-            path.unlink()
+    for k, scenario, numbers, record in zip(flights, scenarios, plans, records, strict=True):
+        log = logbook.log(scenario, numbers, record)
+        kind = plan.kind(k)
+        row = _row(scenario, record, log, f"flight-{k}{SUFFIX[scenario.autopilot]}")
+        found.append(row | {"flight": k, "kind": kind.name if kind else ""})
     return found
 
 
-def _row(scenario: Scenario, record: Any, path: Path) -> dict[str, Any]:
-    """The columns of one flight whose log lies at `path`."""
+def _row(scenario: Scenario, record: Any, log: bytes, name: str) -> dict[str, Any]:
+    """The columns of one flight. log: what its log file holds, of that name."""
     faults, sizes = scenario.faults, open_score.losses(scenario).values()
     crashed = np.flatnonzero(np.asarray(record.flies) < 0.5)
     row: dict[str, Any] = dict.fromkeys(COLUMNS) | {
@@ -70,16 +71,24 @@ def _row(scenario: Scenario, record: Any, path: Path) -> dict[str, Any]:
         "crashed_s": float(record.time[crashed[0]]) if crashed.size else None,
     }  # fmt: skip
     try:
-        answer = diagnose(path)
+        answer, air = _answer(logs.from_bytes(log, name))
     except RotorwatchError as why:
         return row | {"verdict": "error", "outcome": "error", "headline": str(why), "accused": ""}
-    air = answer.flight["airborne_s"]
     about = {
         "verdict": answer.verdict,
         "headline": answer.headline,
         "airborne_s": float(air[1] - air[0]) if air else 0.0,
     }
     return row | about | open_score.judged(scenario, answer)
+
+
+def _answer(flight: Flight) -> tuple[Diagnosis | Conclusion, list[float]]:
+    """What `diagnose` answers to a flight, and [first take-off, last landing] s; without what only pages about it show."""
+    ready = prepare(flight)
+    if ready.table is None:
+        answer = diagnose(flight)
+        return answer, answer.flight["airborne_s"]
+    return conclude(ready, estimated(ready)).end, [round(ready.air[0][0], 3), round(ready.air[-1][1], 3)]
 
 
 def run(

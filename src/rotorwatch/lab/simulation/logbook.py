@@ -195,15 +195,20 @@ def _px4_parameters(scenario: Scenario, craft: Vehicle, plan: Plan) -> dict[str,
     return {k: float(v) for k, v in found.items()}
 
 
+def log(scenario: Scenario, plan: Plan, record: Record) -> bytes:
+    """What the autopilot's log file holds."""
+    from rotorwatch.lab.simulation.write_dataflash import dataflash
+    from rotorwatch.lab.simulation.write_ulog import ulog
+
+    return (ulog if scenario.autopilot == "px4" else dataflash)(flight(scenario, plan, record))
+
+
 def write(scenario: Scenario, plan: Plan, record: Record, path: Path) -> None:
     """Write the autopilot's log. Raises ConfigError when it writes another kind of log."""
-    from rotorwatch.lab.simulation.write_dataflash import write_dataflash
-    from rotorwatch.lab.simulation.write_ulog import write_ulog
-
     if SUFFIXES.get(path.suffix.lower()) != scenario.autopilot:
         kind = next(k for k, v in SUFFIXES.items() if v == scenario.autopilot)
         raise ConfigError(f"{path.name}: a log of the autopilot {scenario.autopilot} is a {kind} file.")
-    (write_ulog if scenario.autopilot == "px4" else write_dataflash)(flight(scenario, plan, record), path)
+    path.write_bytes(log(scenario, plan, record))
 
 
 def write_truth(scenario: Scenario, plan: Plan, record: Record, stem: Path) -> tuple[Path, Path]:

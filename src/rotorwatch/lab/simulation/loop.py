@@ -9,7 +9,7 @@ operation on long vectors; `fly_each` steps it as machine code, flight by flight
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from typing import Any, NamedTuple, Protocol
 
@@ -245,11 +245,26 @@ def fly_each(
     """The records (T, ...) of each of many flights, as NumPy arrays. As native code one by one where there is a C compiler, on a processor
     several times as fast as side by side; else by `fly_many`, filled up to `size` flights, so that one program serves all numbers
     of flights up to that. The two differ in their last digits. Raises ConfigError."""
+    return list(fly_in_turn(aircraft, plans, duration, rate_hz, record_hz, select, size))
+
+
+def fly_in_turn(
+    aircraft: Aircraft,
+    plans: Sequence[Any],
+    duration: float,
+    rate_hz: float = 400.0,
+    record_hz: float = 100.0,
+    select: Callable = everything,
+    size: int | None = None,
+) -> Iterator[Any]:
+    """As `fly_each`, each record when it is asked for: as native code only one is held in memory."""
     jax = load_jax()
     if aircraft.made is None or compiled.engine() != "native":
         filled = stack([*plans, *[plans[-1]] * ((size or len(plans)) - len(plans))])
         many = jax.tree.map(np.asarray, fly_many(aircraft, filled, duration, rate_hz, record_hz, select))
-        return [jax.tree.map(lambda a, k=k: a[..., k], many) for k in range(len(plans))]
+        for k in range(len(plans)):
+            yield jax.tree.map(lambda a, k=k: a[..., k], many)
+        return
     ticks, dt, steps = grid(duration, rate_hz, record_hz)
     kind = f"{type(aircraft).__module__}:{type(aircraft).__qualname__}"
     build, inputs, none = (
@@ -257,12 +272,10 @@ def fly_each(
         _inputs(aircraft, ticks, dt, steps),
         np.zeros((ticks, 1)),
     )
-    records = []
     for plan in plans:
         state, u = jax.tree.map(np.asarray, inputs(plan))
         plan = jax.tree.map(np.asarray, plan)
-        records.append(compiled.run_built(build, plan, u, none, none, select, carry=state, backend="native")[1])
-    return records
+        yield compiled.run_built(build, plan, u, none, none, select, carry=state, backend="native")[1]
 
 
 def grid(duration: float, rate_hz: float, record_hz: float) -> tuple[int, float, int]:

@@ -110,7 +110,13 @@ class Multirotor:
 
     def reference(self, plan: Plan, ticks: int, dt: float) -> trajectories.Reference:
         """Take-off, the manoeuvre and the landing."""
-        stir = outside.stirred(plan.seed, plan.craft.x.shape[0], ticks, dt)
+        jax, n, kind = load_jax(), plan.craft.x.shape[0], plan.craft.x.dtype
+        stir = jax.lax.cond(
+            plan.outside.wash > 0.0,  # else nothing comes of it
+            lambda seed: outside.stirred(seed, n, ticks, dt).astype(kind),
+            lambda seed: jax.numpy.zeros((ticks, n), kind),
+            plan.seed,
+        )
         return trajectories.table(plan.way, ticks, dt)._replace(stir=stir)
 
     def begin(self, plan: Plan, state: State, reference, blowing, turning, dt: float) -> tuple[Moment, Array]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
-from rotorwatch.lab.simulation.logged import LOGGED
+from rotorwatch.lab.simulation.logged import LOGGED, in_order
 from rotorwatch.logs import esc_columns
 
 HEAD = b"\xa3\x95"
@@ -26,17 +26,18 @@ EVENTS = {("armed", 1.0): 10, ("armed", 0.0): 11, ("landed", 1.0): 18, ("landed"
 
 def write_dataflash(flight: Flight, path: str | os.PathLike) -> None:
     """Write the flight's signals, parameters and messages. Raises ConfigError when it is no ArduPilot flight of up to 14 rotors."""
+    Path(path).write_bytes(dataflash(flight))
+
+
+def dataflash(flight: Flight) -> bytes:
+    """What `write_dataflash` writes. Raises ConfigError as it does."""
     if not flight.autopilot.lower().startswith("ardu"):
         raise ConfigError(f"a DataFlash log is ArduPilot's; this flight is of {flight.autopilot}: write a ULog.")
-    records: list[tuple[int, bytes]] = []
-    for message in _tables(flight):
-        records += _packed(*message, flight.start_us)
-    records += _events(flight)
-    records.sort(key=lambda r: r[0])
+    records = [_packed(*message, flight.start_us) for message in _tables(flight)]
     first = [_record("FMT", t, _size(f), n.encode(), f.encode(), c.encode()) for n, (t, f, c) in MESSAGES.items()]
     first += [_record("MSG", flight.start_us, flight.firmware.encode())]
     first += [_record("PARM", flight.start_us, k.encode(), v, v) for k, v in sorted(flight.parameters.items())]
-    Path(path).write_bytes(b"".join([*first, *(data for _, data in records)]))
+    return b"".join([*first, in_order(records, _events(flight))])
 
 
 def _tables(flight: Flight):
@@ -105,8 +106,8 @@ def _size(form: str) -> int:
     return 3 + struct.calcsize("<" + "".join(CODES[c] for c in form))
 
 
-def _packed(name: str, time: np.ndarray, values: np.ndarray, start_us: int) -> list[tuple[int, bytes]]:
-    """(TimeUS, bytes) of each record of one message."""
+def _packed(name: str, time: np.ndarray, values: np.ndarray, start_us: int) -> tuple[np.ndarray, np.ndarray]:
+    """(TimeUS, records) of one message."""
     number, form, _ = MESSAGES[name]
     kinds = [
         ("head", "S3"),
@@ -118,8 +119,7 @@ def _packed(name: str, time: np.ndarray, values: np.ndarray, start_us: int) -> l
     table["c0"] = stamps
     for k in range(values.shape[1]):
         table[f"c{k + 1}"] = np.round(100.0 * values[:, k]) if form[k + 1] == "c" else values[:, k]
-    data, size = table.tobytes(), table.dtype.itemsize
-    return [(stamp, data[i * size : (i + 1) * size]) for i, stamp in enumerate(stamps.tolist())]
+    return stamps, table
 
 
 def _record(name: str, *values) -> bytes:

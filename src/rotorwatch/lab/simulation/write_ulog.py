@@ -14,7 +14,7 @@ import numpy as np
 
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
-from rotorwatch.lab.simulation.logged import LOGGED
+from rotorwatch.lab.simulation.logged import LOGGED, in_order
 from rotorwatch.lab.simulation.write_dataflash import nearest
 from rotorwatch.logs import esc_columns
 
@@ -30,6 +30,11 @@ ARMED, STANDBY = 2, 1
 
 def write_ulog(flight: Flight, path: str | os.PathLike) -> None:
     """Write the flight's signals, parameters and messages. Raises ConfigError when it is no PX4 flight of up to 12 rotors."""
+    Path(path).write_bytes(ulog(flight))
+
+
+def ulog(flight: Flight) -> bytes:
+    """What `write_ulog` writes. Raises ConfigError as it does."""
     if flight.autopilot.lower() != "px4":
         raise ConfigError(f"a ULog is PX4's; this flight is of {flight.autopilot}: write a DataFlash log.")
     tables = {name: rows for name, rows in _tables(flight) if len(rows)}
@@ -45,20 +50,18 @@ def write_ulog(flight: Flight, path: str | os.PathLike) -> None:
         whole = name in WHOLE
         packed = struct.pack("<i", int(value)) if whole else struct.pack("<f", value)
         parts.append(_message(b"P", _keyed(f"{'int32_t' if whole else 'float'} {name}") + packed))
-    records: list[tuple[int, bytes]] = []
+    records, texts = [], []
     for number, (name, rows) in enumerate(tables.items()):
         parts.append(_message(b"A", struct.pack("<BH", 0, number) + name.encode()))
-        data, size = rows.tobytes(), rows.dtype.itemsize
-        head = struct.pack("<HBH", size + 2, ord("D"), number)
-        stamps = rows["timestamp"].tolist()
-        records += [(stamp, head + data[i * size : (i + 1) * size]) for i, stamp in enumerate(stamps)]
+        data = np.empty(len(rows), [("size", "<u2"), ("type", "u1"), ("id", "<u2"), ("data", rows.dtype)])
+        data["size"], data["type"], data["id"], data["data"] = rows.dtype.itemsize + 2, ord("D"), number, rows
+        records.append((rows["timestamp"].astype(np.int64), data))
     for m in flight.messages:
         if m.kind in ("text", "error"):
             stamp = flight.start_us + round(m.time * 1e6)
             level = b"3" if m.kind == "error" else b"6"
-            records.append((stamp, _message(b"L", level + struct.pack("<Q", stamp) + m.text.encode())))
-    records.sort(key=lambda r: r[0])
-    Path(path).write_bytes(b"".join([*parts, *(data for _, data in records)]))
+            texts.append((stamp, _message(b"L", level + struct.pack("<Q", stamp) + m.text.encode())))
+    return b"".join([*parts, in_order(records, texts)])
 
 
 def _message(kind: bytes, body: bytes) -> bytes:
