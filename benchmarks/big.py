@@ -1,10 +1,11 @@
-"""How long does a very large log take, and how much memory?
+"""How long does a large log take, and how much memory?
 
-    python benchmarks/big.py LOG.bin[.xz] FOLDER [--megabytes 1500]
+    python benchmarks/big.py LOG.bin[.xz] FOLDER [--megabytes 1500 ...]
 
-A DataFlash log of that size is made in FOLDER: the flight part of LOG is repeated, with its time stamps moved on. `rotorwatch info` and
-`rotorwatch diagnose` then each take it in a process of their own. Memory is the largest resident size as a multiple of the log; what is
-mapped of the file counts. The log is deleted at the end.
+A DataFlash log of each size is made in FOLDER: the flight part of LOG is repeated, with its time stamps moved on; 0 is LOG as it is.
+`rotorwatch info` and `rotorwatch diagnose` then each take it in a process of their own. Memory is the largest resident size, as a multiple
+of the log; what is mapped of the file counts. The last column is without what a process takes that has only loaded the program. Logs are
+deleted at the end.
 """
 
 from __future__ import annotations
@@ -43,21 +44,34 @@ def measured(command: list[str]) -> tuple[float, float, float]:
     return time.perf_counter() - began, used.ru_utime + used.ru_stime, peak * 1024 / 1e6
 
 
+LOADED = """
+from rotorwatch import diagnose, logs
+from rotorwatch.commands import cli
+from rotorwatch.engine.definition import ENGINE
+from rotorwatch.report import info, terminal
+logs.formats(), ENGINE.library
+"""
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("log", type=Path)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--megabytes", type=float, default=1500.0)
+    parser.add_argument("--megabytes", type=float, nargs="+", default=[1500.0])
     arguments = parser.parse_args()
-    with tempfile.TemporaryDirectory(dir=arguments.folder) as scratch:
-        path = Path(scratch) / "big.bin"
-        with path.open("wb") as file:
-            file.writelines(pieces(unpacked(arguments.log), int(arguments.megabytes * 1e6)))
-        size = path.stat().st_size / 1e6
-        print(f"{size:.0f} MB\n\n| command | s | processor s | peak MB | of the log |\n|---|---|---|---|---|")
-        for command in ("info", "diagnose"):
-            wall, spent, peak = measured([sys.executable, "-m", "rotorwatch", command, str(path)])
-            print(f"| `{command}` | {wall:.0f} | {spent:.0f} | {peak:.0f} | {peak / size:.2f} |", flush=True)
+    *_, bare = measured([sys.executable, "-c", LOADED])
+    print(f"Loaded alone: {bare:.0f} MB\n\n| MB | command | s | processor s | peak MB | of the log | without loading |")
+    print("|---|---|---|---|---|---|---|")
+    for megabytes in arguments.megabytes:
+        with tempfile.TemporaryDirectory(dir=arguments.folder) as scratch:
+            path = Path(scratch) / "big.bin"
+            with path.open("wb") as file:
+                file.writelines(pieces(unpacked(arguments.log), int(megabytes * 1e6)))
+            size = path.stat().st_size / 1e6
+            for command in ("info", "diagnose"):
+                wall, spent, peak = measured([sys.executable, "-m", "rotorwatch", command, str(path)])
+                figures = f"{wall:.1f} | {spent:.1f} | {peak:.0f} | {peak / size:.2f} | {(peak - bare) / size:.2f}"
+                print(f"| {size:.1f} | `{command}` | {figures} |", flush=True)
 
 
 if __name__ == "__main__":

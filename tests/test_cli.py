@@ -352,7 +352,7 @@ def test_verbs_are_functions_and_modules_at_once():
     code = (
         "import inspect, rotorwatch.report.info, rotorwatch as rw; from rotorwatch.flight import Flight; "
         "assert rw.info(Flight('csv', '', {}, 0.0)) == rw.info.info(Flight('csv', '', {}, 0.0)); "
-        "assert list(inspect.signature(rw.info).parameters) == ['flight']; "
+        "assert list(inspect.signature(rw.info).parameters) == ['flight', 'progress']; "
         "assert rw.inject.PART and callable(rw.inject) and rw.Flight is Flight; print('ok')"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "ok\n"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rotorwatch.errors import LogError
-from rotorwatch.logs import dataflash
+from rotorwatch.logs import dataflash, dataflash_clock
 from rotorwatch.logs.dataflash_binary import CODES, BinaryLog
 from rotorwatch.logs.dataflash_clock import LOOK_BACK, make_clock
 
@@ -442,6 +442,36 @@ def test_header_bytes_inside_payloads_are_no_records():
     assert read.table("IMU")["GyrX"].tolist() == list(range(50))
 
 
+@pytest.mark.parametrize("piece", [1, 3, 1 << 20])
+def test_times_that_are_read_where_they_are_asked_for(monkeypatch, piece):
+    """They are those of all records at once: of records without a stamp, in older units, and of a type that is defined anew."""
+    monkeypatch.setattr(dataflash_clock, "PIECE", piece)
+    log = Writer()
+    log.define(*IMU)
+    log.define("OLD", "If", "TimeMS,X")
+    log.define("BARE", "Bf", "I,X")
+    for k in range(12):
+        log.add("IMU", 5_000_000 + 10_000 * k - 1000 * (k % 3), 0, *[0] * 6)
+        log.add("OLD", 5000 + 10 * k, 1.0)
+        if k % 4 == 0:
+            log.add("BARE", 1, 2.0)
+            log.define("OLD", "If" if k % 8 else "Qf", "TimeMS,X" if k % 8 else "TimeUS,X", log.types["OLD"][0])
+            log.add("OLD", *((5000 + 10 * k, 1.0) if k % 8 else (5_000_000 + 10_000 * k, 1.0)))
+            log.define("OLD", "If", "TimeMS,X", log.types["OLD"][0])
+    read = BinaryLog(log.data)
+    clock, source = dataflash_clock.clock_of(read)
+    whole, every = make_clock(read.stamps()), np.arange(read.record_count)
+    assert isinstance(clock, dataflash_clock.SteadyClock) and source == ""
+    assert (clock.start_us, clock.end, clock.jumps) == (whole.start_us, whole.end, whole.jumps)
+    for some in (every, every[::3], every[:1], every[-1:]):
+        np.testing.assert_array_equal(clock.of(some), whole.of(some))
+    back = Writer()
+    back.define(*IMU)
+    for k in [*range(50), *range(20, 70)]:
+        back.add("IMU", 5_000_000 + 100_000 * k, 0, *[0] * 6)
+    assert dataflash_clock.clock_of(BinaryLog(back.data))[0].jumps == (pytest.approx(4.9),)
+
+
 def test_clock_keeps_small_steps_and_long_gaps():
     later = [900.0, 900.01, 900.02, 900.03, 900.04, 900.05]
     stamps = np.array([5.0, 5.01, 5.005, np.nan, 5.02, 5.03, 5.04, *later]) * 1e6
@@ -507,7 +537,7 @@ def test_a_log_without_flight_or_of_another_kind_is_refused():
 def test_progress_runs_to_the_end():
     seen = []
     dataflash.read(old_log(), "x.bin", seen.append)
-    assert seen == sorted(seen) and seen[0] == 0.5 and seen[-1] == 1.0  # half of the work is finding records
+    assert seen == sorted(seen) and seen[0] == 0.1 and seen[-1] == 1.0  # first the headers are found
 
 
 @pytest.mark.parametrize("wrap", [memoryview, bytearray])

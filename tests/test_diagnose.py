@@ -1,20 +1,23 @@
 """From a log to a verdict, end to end: the command on real files, and what it promises whatever the flight."""
 
 import csv
+import functools
 import json
 import subprocess
 import sys
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from rotorwatch import airframes, diagnose, logs
+from rotorwatch.engine import definition, diagnoser
 from rotorwatch.engine.motion import allocation
+from rotorwatch.engine.motion import ticks as motion_ticks
 from rotorwatch.errors import ConfigError, RotorwatchError
 from rotorwatch.flight import Signal
+from rotorwatch.report import info
 
 ROOT = Path(__file__).resolve().parents[1]
 FLIGHTS = ROOT / ".." / "shared" / "flights"
@@ -40,12 +43,12 @@ def shared(name):
     return path
 
 
-@cache
+@functools.cache
 def flight(path):
     return logs.read(path)
 
 
-@cache
+@functools.cache
 def judged(path):
     return diagnose(flight(path))
 
@@ -249,10 +252,16 @@ def test_an_unknown_estimator_is_refused_with_the_known_ones():
         diagnose(sample(HEALTHY), estimator="crystal ball")
 
 
-def test_progress_is_told_in_order():
+def test_progress_is_told_in_order_and_all_the_way(monkeypatch):
+    """No step of a diagnosis, nor of `info`, is silent: of a long log each takes seconds."""
+    for module in (diagnoser, motion_ticks):
+        monkeypatch.setattr(module, "pieces", functools.partial(definition.pieces, most=1000))
     told = []
     diagnose(sample(HEALTHY), progress=lambda share, text="": told.append(share))
-    assert told == sorted(told) and told[-1] == 1.0 and len(told) > 3
+    assert told == sorted(told) and told[-1] == 1.0 and max(np.diff(told)) < 0.08
+    told = []
+    info.info(flight(sample(HEALTHY)), progress=told.append)
+    assert told == sorted(told) and max(np.diff([0.0, *told, 1.0])) < 0.25
 
 
 # Other faults

@@ -75,6 +75,22 @@ def test_a_value_far_off_in_a_smooth_signal_is_found(at, sign, beyond, sd, seed)
     assert at in found(x)
 
 
+@pytest.mark.parametrize("alike", [False, True])
+def test_a_long_signal_is_looked_at_a_stretch_at_a_time(monkeypatch, alike):
+    """What is lone in it is the same, at the ends of the stretches as well."""
+    rng = np.random.default_rng(2)
+    time = np.cumsum(rng.uniform(0.01, 0.03, 2000))
+    values = rng.normal(size=(2000, 3)).cumsum(axis=0)
+    values[rng.integers(0, 2000, 60), rng.integers(0, 3, 60)] += 40.0
+    values[[499, 500, 999, 1000, 1500], 1] += [50.0, 50.0, 50.0, 0.0, 50.0]
+    how = time, values, np.ones(values.shape, bool), 0.1, alike
+    whole = plausible._size(*how)
+    monkeypatch.setattr(plausible, "PIECE", 500)
+    assert len(whole.rows) > 30
+    for one, other in zip(whole, plausible._size(*how), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 def test_two_in_a_row_are_found():
     x = 1500.0 + noise(200, 1.0)
     x[[100, 101]] += [512.0, -256.0]

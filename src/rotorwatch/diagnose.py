@@ -30,7 +30,8 @@ from rotorwatch.answer import (
 from rotorwatch.answer.ledger import Merged
 from rotorwatch.base import discovery
 from rotorwatch.base.arrays import median
-from rotorwatch.engine.diagnoser import Diagnoser, fly
+from rotorwatch.base.progress import READ, portion
+from rotorwatch.engine.diagnoser import Written, fly
 from rotorwatch.engine.front.decisions import MATTERS
 from rotorwatch.engine.host import events, residual_evidence
 from rotorwatch.engine.host.hypotheses import list_hypotheses
@@ -48,9 +49,7 @@ from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.logs import plausible
 from rotorwatch.methods.published import detectors
 from rotorwatch.witnesses import excitation_response, hindsight, reports
-from rotorwatch.witnesses.aerobatic import desync
 from rotorwatch.witnesses.aerobatic import judge as aerobatic
-from rotorwatch.witnesses.esc import consistency
 from rotorwatch.witnesses.healthy import baselines, outputs, population
 from rotorwatch.witnesses.healthy.baselines import Given
 from rotorwatch.witnesses.upset import find as upset
@@ -66,6 +65,7 @@ NOT_COMPARED = (
     "flights of a vehicle that does not hover are not compared with healthy ones: the balance of its rotors follows what it flies, "
     "so damage that was there from take-off is not judged"
 )
+PREPARED, ESTIMATED, JUDGED = 0.4, 0.85, 0.97  # share of the work when that is done
 LONGEST_UP_US = 1e14  # a start later than that counts from 1970, not from the autopilot's boot
 
 
@@ -98,13 +98,14 @@ class Prepared:
 @dataclass(frozen=True, eq=False, repr=False)
 class Estimated:
     """What an estimator left behind. table: the ticks as they count for it; last: the default estimator's state, for hindsight; own: it is
-    the default one; diagnoser: which the flight went through, None where it did not. itself: what a published method says by itself."""
+    the default one; written: by the diagnoser which the flight went through, None where it did not. itself: what a published method says
+    by itself."""
 
     table: Ticks
     out: TickOutput
     last: Any = None
     own: bool = True
-    diagnoser: Diagnoser | None = None
+    written: Written | None = None
     itself: MethodSeries | None = None
 
     @functools.cached_property
@@ -161,20 +162,21 @@ def diagnose(
     if not isinstance(flight, Flight):
         from rotorwatch import logs
 
-        flight = logs.read(flight, lambda share: tell(0.3 * share, "reading"))
+        flight = logs.read(flight, portion(tell, 0.0, READ, "reading"))
     flight = plausible.checked(flight)
     clock.lap("read_s")
     if estimator != "default":
         aerobatic.decline(flight, "the published methods model hover; leave out the estimator.")
     if not 0.0 < matters <= 1.0:
         raise ConfigError(f"A loss that matters is a share above 0 and up to 1, not {matters:g}.")
-    ready = replace(prepare(flight, vehicle, baseline, clock), matters=matters)
+    ready = prepare(flight, vehicle, baseline, clock, portion(tell, READ, PREPARED, "preparing"))
+    ready = replace(ready, matters=matters)
     if ready.table is None:
         return _no_flight(ready, clock)
-    tell(0.3, "preparing the estimator (built the first time)")
-    done = estimated(ready, estimator, tuning, lambda share: tell(0.3 + 0.6 * share, "estimating"))
+    tell(PREPARED, "preparing the estimator (built the first time)")
+    done = estimated(ready, estimator, tuning, portion(tell, PREPARED, ESTIMATED, "estimating"))
     clock.lap("estimate_s")
-    last = judge(ready, done)
+    last = judge(ready, done, portion(tell, ESTIMATED, JUDGED, "judging"))
     clock.lap("events_s")
     diagnosis = _conclude(ready, done, last, discovery.title(estimator), clock)
     tell(1.0, "done")
@@ -186,9 +188,11 @@ def prepare(
     vehicle: Vehicle | str | PathLike | None = None,
     baseline: Given | Iterable[Given] = (),
     clock: _Clock | None = None,
+    progress: Callable[[float], object] | None = None,
 ) -> Prepared:
-    """The vehicle, what is known of it, when it flew, and the ticks to be judged. Arguments as of `diagnose`."""
-    clock = clock or _Clock()
+    """The vehicle, what is known of it, when it flew, and the ticks to be judged. Arguments as of `diagnose`; progress: called with the
+    finished share, 0..1."""
+    clock, tell = clock or _Clock(), progress or (lambda share: None)
     craft, source, notes = baselines.settle(flight, baselines.vehicle_of(vehicle), baseline, diagnose)
     clock.lap("baseline_s")
     known, dynamics = bool(craft.identified), (craft.identified or {}).get("dynamics")
@@ -196,11 +200,14 @@ def prepare(
     turns = flight.has("gyro")
     ready_s = READY_KNOWN_S if dynamics and turns else READY_S
     air = airborne(flight) if flight.has("motors") else ()
+    tell(0.1)
     flight = without_missed(flight, air)
+    tell(0.2)
     upsets = upset.judged(flight, craft, air)
+    tell(0.5)
     air = upset.until_impact(flight, air, upsets)
     ready_s = ticks.ready_of(ready_s, air) if turns else ready_s
-    table = observe(flight, craft, air, ready_s)
+    table = observe(flight, craft, air, ready_s, portion(tell, 0.5, 1.0))
     hovers = not aerobatic.applies(flight, table)
     warnings = [*flight.warnings, *notes]
     missing = gaps(flight, air) if air else ()
@@ -257,7 +264,7 @@ def estimated(
         return Estimated(*aerobatic.estimate(ready.flight, ready.vehicle, ready.air, table))
     if estimator == "default":
         one, judged = fly(ready.flight, ready.vehicle, ready.air, ready.ready_s, ready.dynamics, progress)
-        return Estimated(judged.table, judged.out, one.learned, diagnoser=one)
+        return Estimated(judged.table, judged.out, one.learned, written=one)
     from rotorwatch.methods.published import published
 
     out, itself = published.judge(estimator, table, B, ready.dynamics, tuning, progress)
@@ -269,7 +276,7 @@ def _find(ready: Prepared, done: Estimated) -> tuple[Merged, tuple[Event, ...]]:
     """The events of a flight: losses, overridden outputs, contacts, control that was lost, desyncs; with what ESCs say of them. And what
     its trim claims that is no event."""
     flight, craft, air, table, B = ready.flight, ready.vehicle, ready.air, done.table, ready.vehicle.effectiveness()
-    one = done.diagnoser
+    one = done.written
     claims = events.read(done.out, table, B, one and one.losses)
     if done.own and ready.hovers:
         claims, excitation_notes = excitation_response.resolve(claims, table, B, ready.dynamics)
@@ -287,9 +294,15 @@ def _find(ready: Prepared, done: Estimated) -> tuple[Merged, tuple[Event, ...]]:
     report = events.Report(B).add(table, air).finish(air) if one is None else one.report
     merged = ledger.merge(claims, report, ready.upsets, B.shape[1], grown)
     ready.warnings += [text for text, lasts in wording.together(merged.shared) if not lasts]
-    found, notes = consistency.check(flight, craft, air, table, merged.events)
-    ready.warnings += notes
+    found = merged.events
+    if "esc" in flight.signals:
+        from rotorwatch.witnesses.esc import consistency
+
+        found, notes = consistency.check(flight, craft, air, table, found)
+        ready.warnings += notes
     if not ready.hovers or aerobatic.flown_by_rates(flight):
+        from rotorwatch.witnesses.aerobatic import desync
+
         found = tuple(sorted((*found, *desync.find(flight, craft, air, found)), key=lambda e: e.detected_s))
     return merged._replace(events=found), slow.suspected(grown)
 
@@ -303,13 +316,15 @@ class Judgement(NamedTuple):
     whole: dict | None
 
 
-def judge(ready: Prepared, done: Estimated) -> Judgement:
-    """The answer to a flight that an estimator has seen. `diagnose` shows it, and campaigns count it."""
-    flight, craft, air = ready.flight, ready.vehicle, ready.air
+def judge(ready: Prepared, done: Estimated, progress: Callable[[float], object] | None = None) -> Judgement:
+    """The answer to a flight that an estimator has seen. `diagnose` shows it, and campaigns count it. progress: called with the finished
+    share, 0..1."""
+    flight, craft, air, tell = ready.flight, ready.vehicle, ready.air, progress or (lambda share: None)
     found, claims = _find(ready, done)
+    tell(0.1)
     table, out, B = done.table, done.out, ready.vehicle.effectiveness()
     n, hyp = B.shape[1], list_hypotheses(B.shape[1])
-    doubts = trust.contradictions(flight, craft, air, cast(Ticks, ready.table))
+    doubts = trust.contradictions(flight, craft, air, cast(Ticks, ready.table), portion(tell, 0.1, 0.6))
     doubts += tuple(text for text, lasts in wording.together(found.shared) if lasts)
     doubts += () if ready.hovers else aerobatic.lacks(flight)
     trusted = not doubts and ready.hovers
@@ -318,6 +333,7 @@ def judge(ready: Prepared, done: Estimated) -> Judgement:
     if trusted and not ready.known:
         other = population.judge(flight, craft, air, _undisturbed(table, found.events))
         claims += from_takeoff.claims(other, Source.VEHICLES, air)
+    tell(0.7)
     judged = (table.mode == JUDGE) & table.valid.any(axis=1)
     claims += residual_evidence.find(out, table, hyp, done.limit, found.events, B)
     claims += residual_evidence.faint(found.faint, found.events, float(table.time[-1]))
@@ -325,6 +341,7 @@ def judge(ready: Prepared, done: Estimated) -> Judgement:
     if done.own and ready.hovers:
         seen_events, claims = steps.doubted(found.events), claims + steps.suspected(found.events, float(table.time[-1]))
     claims = ledger.open_claims(claims, seen_events)
+    tell(0.8)
     if trusted:  # said last, for nothing that is judged rests on them
         setup = outputs.claims(flight, craft, table, air, ledger.undisturbed(seen_events, claims), seen_events)
         seen_events = ledger.joined(seen_events, setup)

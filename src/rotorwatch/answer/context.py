@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rotorwatch.base import windows
 from rotorwatch.base.arrays import median
 from rotorwatch.flight import Flight, Signal
 
@@ -92,23 +93,24 @@ def vibration(flight: Flight, time: np.ndarray) -> np.ndarray | None:
     """(T, 3) standard deviation [m/s^2] of the accelerometer above the motion, body x, y, z; None where it is logged too slowly."""
     if not flight.has("accel") or flight["accel"].rate_hz < LEAST_HZ:
         return None
-    signal = flight["accel"]
-    fine = signal.whole
-    when, force = signal.time[fine], signal.values[fine]
+    signal = flight["accel"].wholes()
+    when, force = signal.time, signal.values
     if when.size < 2:
         return None
-    motion, count = _means(when, force, when, MOTION_S)
-    # Of k samples of white noise their mean takes away one in k.
-    enough = (count >= 3)[:, None]
-    above = np.where(enough, np.square(force - motion) * (count / np.maximum(count - 1, 1))[:, None], 0.0)
-    variance, count = _means(when, above, time, SPREAD_S)
-    return np.where((count >= 0.5 * SPREAD_S * LEAST_HZ)[:, None], np.sqrt(np.maximum(variance, 0.0)), np.nan)
+    (low, high), variance = _around(when, time, SPREAD_S), np.empty((time.size, 3))
+    for some in windows.groups(low, high):
+        begin, end = int(low[some.start]), int(high[some.stop - 1])
+        first, last = _around(when, when[begin:end], MOTION_S)
+        count = last - first
+        motion = windows.sums(force, first, last) / np.maximum(count, 1)[:, None]
+        # Of k samples of white noise their mean takes away one in k.
+        factor = np.where(count >= 3, count / np.maximum(count - 1, 1), 0.0)[:, None]
+        above = np.square(force[begin:end] - motion) * factor
+        variance[some] = windows.sums(above, low[some] - begin, high[some] - begin)
+    count = (high - low)[:, None]
+    return np.where(count >= 0.5 * SPREAD_S * LEAST_HZ, np.sqrt(variance / np.maximum(count, 1)), np.nan)
 
 
-def _means(when: np.ndarray, values: np.ndarray, at: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
-    """((m, k) means of values (n, k) within `width` s around the times `at` (m,), (m,) numbers of samples)."""
-    low, high = np.searchsorted(when, at - width / 2), np.searchsorted(when, at + width / 2, side="right")
-    sums = np.zeros((when.size + 1, values.shape[1]))
-    np.cumsum(values, axis=0, out=sums[1:])
-    count = high - low
-    return (sums[high] - sums[low]) / np.maximum(count, 1)[:, None], count
+def _around(when: np.ndarray, at: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
+    """First row of those within `width` s around each of the times `at`, and the row after the last."""
+    return np.searchsorted(when, at - width / 2), np.searchsorted(when, at + width / 2, side="right")

@@ -94,17 +94,18 @@ def angles(flight: Flight, name: str, time: np.ndarray) -> np.ndarray | None:
     """(T, 3) roll, pitch, yaw [degrees] at the latest sample of each tick; NaN where the last one is older than BRIDGE_S."""
     if not flight.has(name):
         return None
-    signal = flight[name]
-    fine = signal.whole
-    when, (w, x, y, z) = signal.time[fine], signal.values[fine].T
+    signal = flight[name].wholes()
+    when = signal.time
     if when.size < 2:
         return None
+    at = np.searchsorted(when, time, side="right") - 1
+    fresh, at = at >= 0, np.maximum(at, 0)
+    fresh &= time - when[at] <= BRIDGE_S
+    w, x, y, z = signal.values[at].T
     roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
     yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    at = np.searchsorted(when, time, side="right") - 1
-    fresh = (at >= 0) & (time - when[np.maximum(at, 0)] <= BRIDGE_S)
-    return np.where(fresh[:, None], np.degrees(np.stack([roll, pitch, yaw], axis=1))[np.maximum(at, 0)], np.nan)
+    return np.where(fresh[:, None], np.degrees(np.stack([roll, pitch, yaw], axis=1)), np.nan)
 
 
 def rates(flight: Flight) -> tuple[Signal | None, Signal | None]:

@@ -24,6 +24,7 @@ import click
 
 from rotorwatch import __version__
 from rotorwatch.base import optional
+from rotorwatch.base.progress import READ, portion
 from rotorwatch.commands import several
 from rotorwatch.commands.tools import (
     DEBUG,
@@ -268,7 +269,7 @@ def _diagnose(request: several.Request) -> int:
         healthy = tuple(Candidate(_read(path, report), known) for path in request.baselines)
     with progress(request.quiet) as report:
         result = timed(
-            lambda: _read(request.logs[0], report),
+            lambda: _read(request.logs[0], portion(report, 0.0, READ)),
             known,
             healthy,
             request.estimator,
@@ -381,7 +382,7 @@ def info(log, as_json, quiet) -> None:
     from rotorwatch.report.info import info as run
 
     with progress(quiet) as report:
-        facts = run(_read(log, report))
+        facts = run(_read(log, portion(report, 0.0, 0.6)), portion(report, 0.6, 1.0))
     if as_json:
         print_json(facts)
     else:

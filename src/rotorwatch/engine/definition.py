@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -84,7 +85,7 @@ ENGINE = Definition(
     ],
     vectors=True,
 )
-PIECE = 1 << 18  # samples
+PIECE = 1 << 15  # samples
 KINDS = {
     "motors": front.OUTPUTS, "control": front.CONTROL, "gyro": front.GYRO, "accel": front.ACCEL, "velocity": front.VELOCITY,
     "state": front.STATE, "attitude": front.ATTITUDE, "voltage": front.VOLTAGE, "thrust": front.THRUSTS, "rates": front.RATES,
@@ -108,43 +109,63 @@ class Samples:
         return Samples(self.kind[first:last], self.time[first:last], self.at[first:last], self.values)
 
 
-Part = tuple[str, np.ndarray, np.ndarray]
+class Part(NamedTuple):
+    """Samples of one kind: name, time (n,), values (n, columns), and which of them are known, (n,) or (n, columns) bool (None: all)."""
+
+    name: str
+    time: np.ndarray
+    values: np.ndarray
+    valid: np.ndarray | None = None
+
+    @staticmethod
+    def of(flight: Flight, name: str, columns: int | None = None) -> Part:
+        """A signal; columns: only the first ones."""
+        signal = flight[name]
+        return Part(name, signal.time, signal.values[:, :columns], signal.valid[:, :columns])
+
+    def rows(self, which: slice | np.ndarray) -> Part:
+        """Some of them."""
+        valid = None if self.valid is None else self.valid[which]
+        return Part(self.name, self.time[which], self.values[which], valid)
+
+    def numbers(self) -> np.ndarray:
+        """The values, NaN where they are not known."""
+        if self.valid is None or self.valid.all():
+            return self.values
+        return np.where(self.valid if self.valid.ndim > 1 else self.valid[:, None], self.values, np.nan)
 
 
 def pieces(parts: Iterable[Part], most: int = PIECE) -> Iterator[Samples]:
     """As `merged`, about `most` samples at a time, so that those of a long log are never all held at once. Samples of equal times come in
     one piece."""
-    parts = [(name, time, numbers) for name, time, numbers in map(_in_order, parts) if len(time)]
-    count = -(-sum(len(time) for _, time, _ in parts) // most)
+    parts = [part for part in map(_in_order, parts) if len(part.time)]
+    count = -(-sum(len(part.time) for part in parts) // most)
     if count < 2:
         yield merged(parts)
         return
-    longest = max((time for _, time, _ in parts), key=len)
+    longest = max((part.time for part in parts), key=len)
     edges = distinct(longest[np.arange(1, count) * len(longest) // count])
-    cuts = [[0, *np.searchsorted(time, edges).tolist(), len(time)] for _, time, _ in parts]
+    cuts = [[0, *np.searchsorted(part.time, edges).tolist(), len(part.time)] for part in parts]
     for k in range(len(edges) + 1):
-        part = merged((name, t[c[k] : c[k + 1]], x[c[k] : c[k + 1]]) for (name, t, x), c in zip(parts, cuts))
-        if len(part):
-            yield part
+        piece = merged(part.rows(slice(c[k], c[k + 1])) for part, c in zip(parts, cuts))
+        if len(piece):
+            yield piece
 
 
 def _in_order(part: Part) -> Part:
-    name, time, numbers = part
-    if (time[1:] >= time[:-1]).all():
-        return part
-    order = np.argsort(time, kind="stable")
-    return name, time[order], numbers[order]
+    time = part.time
+    return part if (time[1:] >= time[:-1]).all() else part.rows(np.argsort(time, kind="stable"))
 
 
 def merged(parts: Iterable[Part]) -> Samples:
-    """Samples of several signals in one order: (name, time (n,), values (n, columns))."""
+    """Samples of several signals in one order."""
     kinds, times, places, values, total = [], [], [], [], 0
-    for name, time, numbers in parts:
-        count, width = numbers.shape
-        kinds.append(np.full(count, KINDS[name], np.int32))
-        times.append(time)
+    for part in parts:
+        count, width = part.values.shape
+        kinds.append(np.full(count, KINDS[part.name], np.int32))
+        times.append(part.time)
         places.append((total + width * np.arange(count)).astype(np.int32))
-        values.append(np.ascontiguousarray(numbers, float).reshape(-1))
+        values.append(np.ascontiguousarray(part.numbers(), float).reshape(-1))
         total += count * width
     values.append(np.full(sizes.ROTORS, np.nan))  # as many as any kind reads
     if not times:
@@ -154,17 +175,11 @@ def merged(parts: Iterable[Part]) -> Samples:
     return Samples(kind[order], time[order], np.concatenate(places)[order], np.concatenate(values))
 
 
-def known(flight: Flight, name: str) -> np.ndarray:
-    """(n, columns) values of a signal, NaN where they are not valid."""
-    signal = flight[name]
-    return signal.values if signal.valid.all() else np.where(signal.valid, signal.values, np.nan)
-
-
-def states(messages: Iterable[Message]) -> tuple[np.ndarray, np.ndarray]:
-    """(time (n,), (n, 2): landed, armed): 1 or 0, -1: nothing new."""
+def states(messages: Iterable[Message]) -> Part:
+    """(n, 2): landed, armed: 1 or 0, -1: nothing new."""
     words = [(m.time, m.value > 0.5, m.kind == "armed") for m in messages if m.kind in ("landed", "armed")]
     rows = [(-1.0, float(value)) if armed else (float(value), -1.0) for _, value, armed in words]
-    return np.array([time for time, _, _ in words]), np.array(rows).reshape(-1, 2)
+    return Part("state", np.array([time for time, _, _ in words]), np.array(rows).reshape(-1, 2))
 
 
 def craft(rotors: int, **facts: object) -> Rows:

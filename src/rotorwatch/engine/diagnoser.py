@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.base import memory
 from rotorwatch.base.compiling.running import Rows
 from rotorwatch.base.compiling.structs import LASTS
 from rotorwatch.engine import engine, feed
@@ -28,7 +29,8 @@ from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 
 ROOM = 512  # ticks in one call
-PIECE = 1 << 15  # samples of a log between two words of progress
+WRITTEN = "best", "probability", "onsets", "active", "each", "share", "gives", "plausible"
+"""Outputs of ticks, half of all, of which nothing is asked once losses are written down."""
 
 
 class Judged(NamedTuple):
@@ -42,15 +44,26 @@ class Judged(NamedTuple):
         return Judged(self.table.part(keep), TickOutput(*(column[keep] for column in self.out)))
 
     @staticmethod
-    def joined(parts: Iterable[Judged]) -> Judged | None:
-        """Those that follow each other, in one; None without any."""
-        parts = list(parts)
+    def joined(parts: list[Judged]) -> Judged | None:
+        """Those that follow each other, in one; None without any. The list is emptied, so that they are not held twice."""
         if len(parts) < 2:
             return parts[0] if parts else None
-        table = joined([one.table for one in parts])
-        columns = [list(column) for column in zip(*(one.out for one in parts), strict=True)]
+        tables, columns = [one.table for one in parts], [list(x) for x in zip(*(one.out for one in parts), strict=True)]
         parts.clear()
+        table = joined(tables)
+        tables.clear()
         return Judged(table, TickOutput(*(np.concatenate(columns.pop(0)) for _ in TickOutput._fields)))
+
+
+class Written(NamedTuple):
+    """What a diagnoser leaves behind: losses, falls and contacts, the trim, outputs that have not followed the mixer, and what the
+    estimator has come to."""
+
+    losses: events.Losses
+    report: events.Report
+    trim: Rows
+    overrides: tuple[Override, ...]
+    learned: Learned
 
 
 class Diagnoser:
@@ -150,6 +163,13 @@ class Diagnoser:
         """Whether ticks wait because the vehicle may have landed."""
         return bool(self._engine.part("front")["doubting"][0])
 
+    @property
+    def written(self) -> Written:
+        """What is written down so far, of its own."""
+        losses, report, trim = (self._engine.part(name).copy() for name in ("losses", "report", "trim"))
+        B = self.vehicle.effectiveness()
+        return Written(events.Losses(B, losses), events.Report(B, report), trim, self.overrides, self.learned)
+
     def _call(self, function, *arguments) -> int:
         """Ticks that a function of `feed` has made."""
         constants = self._craft, self._plan, self._plant
@@ -160,13 +180,19 @@ class Diagnoser:
         if not count:
             return []
         made, out = self._room
-        table = columns(made.cut(count), self.plan, len(self.vehicle.rotors), self.contacts)
+        table = columns(made.cut(count), self.plan, len(self.vehicle.rotors), self.contacts).part(np.arange(count))
         self.contacts = table.contacts
         return [
             Judged(
                 replace(table, curve=self.vehicle.curve.believed), program.outputs(out, count, len(self.vehicle.rotors))
             )
         ]
+
+
+def _to_be_read(one: Judged) -> Judged:
+    """Without the outputs WRITTEN."""
+    none = np.empty((len(one.table.time), 0))
+    return one._replace(out=one.out._replace(**dict.fromkeys(WRITTEN, none)))
 
 
 def fly(
@@ -176,20 +202,21 @@ def fly(
     ready_s: float,
     dynamics: dict | None = None,
     progress: Callable[[float], object] | None = None,
-) -> tuple[Diagnoser, Judged]:
-    """A whole flight: a link that is over. Its diagnoser, and its ticks up to the last command.
+) -> tuple[Written, Judged]:
+    """A whole flight: a link that is over. What its diagnoser has written down, and its ticks up to the last command.
 
     air: its flights ((start, end), ...) s; an end before the one that samples show is an impact. ready_s: blind time after lift-off;
-    dynamics: what healthy flights have shown; progress: called with the finished share, 0..1. The flight needs motor outputs.
+    dynamics: what healthy flights have shown; progress: called with the finished share, 0..1. The flight needs motor outputs. Outputs that
+    the diagnoser has written down (WRITTEN) have no columns.
     """
     mixing = allocation.faster_control(flight)
     how = plan(flight, flight["control" if mixing else "motors"], ready_s)
     diagnoser = Diagnoser(vehicle, allocation.laid_out(vehicle, flight), how, mixing, dynamics)
     diagnoser.trim.set(every=LASTS)  # nobody asks before the end
     taken = parts(flight.signals, flight.messages, vehicle, how.gyro, "battery" in flight.signals)
-    left, done, total = list(air), 0, sum(len(time) for _, time, _ in taken)
+    left, done, total = list(air), 0, sum(len(part.time) for part in taken)
     found: list[Judged] = []
-    for samples in pieces(taken, PIECE):
+    for samples in pieces(taken):
         lifted = {}
         while left and left[0][0] <= samples.time[-1]:
             start, end = left.pop(0)
@@ -197,13 +224,14 @@ def fly(
         for first, last in itertools.pairwise(sorted({0, *lifted, len(samples)})):
             if first in lifted:
                 diagnoser.fell(lifted[first])
-            found += diagnoser.feed(samples.part(first, last))
+            found += map(_to_be_read, diagnoser.feed(samples.part(first, last)))
         done += len(samples)
         if progress:
             progress(done / total)
-    found += diagnoser.finish(max(flight.duration, float(flight["motors"].time[-1])))
+    found += map(_to_be_read, diagnoser.finish(max(flight.duration, float(flight["motors"].time[-1]))))
     judged = Judged.joined(found)
+    memory.give_back()  # many small pieces
     assert judged is not None and judged.table.seen is not None
     commanded = np.flatnonzero(judged.table.seen)
     judged = judged.part(slice(0, int(commanded[-1]) + 1))
-    return diagnoser, judged._replace(table=grounded(judged.table, air))
+    return diagnoser.written, judged._replace(table=grounded(judged.table, air))

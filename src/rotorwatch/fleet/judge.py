@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Sequence
 
 from rotorwatch import __version__, airframes
+from rotorwatch.base.progress import READ, portion
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.fleet.store import Entry
 from rotorwatch.flight import Flight, identity
@@ -21,7 +22,7 @@ def entry(
     from rotorwatch import logs
 
     hash = logs.fingerprint(path)[1]
-    flight = logs.read(path, (lambda share: progress(0.3 * share, "reading")) if progress else None)
+    flight = logs.read(path, progress and portion(progress, 0.0, READ, "reading"))
     return of_flight(
         flight, hash, os.path.abspath(path), logs.of_part(path)[0].stat().st_size, aircraft, vehicle, progress
     )

@@ -36,7 +36,7 @@ Missing samples are the norm: ``valid`` masks them, values there are 0, never Na
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -53,9 +53,9 @@ class Signal:
     """One multi-column time series.
 
     time: (n,) s since the first record of the log, non-decreasing. values: (n, k), finite everywhere.
-    valid: (n, k) bool; False where the log had no usable number; left out, or (n,), it is completed to that.
+    valid: (n, k) bool; False where the log had no usable number; left out, or (n,), it is completed to that. Not to be written to.
     columns: names of the k columns. unit: of all of them, or one for each, separated by commas. frame: "FRD", "NED" or "" for none.
-    source: the log's own name for it.
+    source: the log's own name for it. made: the values were made for this signal, which keeps them instead of a copy.
     """
 
     time: np.ndarray
@@ -66,7 +66,9 @@ class Signal:
     source: str = ""
     valid: np.ndarray = None  # pyright: ignore[reportAssignmentType]: always an array once constructed
 
-    def __post_init__(self):
+    made: InitVar[bool] = False
+
+    def __post_init__(self, made: bool):
         time = np.ascontiguousarray(self.time, dtype=np.float64)
         values = np.ascontiguousarray(self.values, dtype=np.float64)
         if values.ndim == 1:
@@ -78,9 +80,17 @@ class Signal:
         if self.valid is not None:
             given = np.asarray(self.valid, dtype=bool)
             valid &= given[:, None] if given.ndim == 1 else given
+        whole = valid.all()
+        if whole:  # as most are: one byte for all of them
+            valid = np.broadcast_to(np.True_, valid.shape)
         object.__setattr__(self, "time", time)
-        own = values.base is not self.values and values is not self.values  # made here: nobody else can change it
-        object.__setattr__(self, "values", values if own and valid.all() else np.where(valid, values, 0.0))
+        # Copied on the way here: nobody else can change it.
+        own = made or (values.base is not self.values and values is not self.values)
+        if not own:
+            values = np.where(valid, values, 0.0)
+        elif not whole:
+            values[~valid] = 0.0
+        object.__setattr__(self, "values", values)
         object.__setattr__(self, "valid", valid)
 
     def __len__(self):
@@ -89,6 +99,8 @@ class Signal:
     @cached_property
     def whole(self) -> np.ndarray:
         """(n,) bool, not to be changed: samples with a usable number in every column."""
+        if self.valid.strides == (0, 0):
+            return self.valid[:, 0]
         found = self.valid[:, 0].copy() if self.valid.shape[1] else np.ones(len(self), bool)
         for column in self.valid.T[1:]:  # many times faster than all(axis=1) of short rows
             found &= column
@@ -102,6 +114,11 @@ class Signal:
             return 0.0
         step = float(median(np.diff(self.time)))
         return 1.0 / step if step > 0 else 0.0
+
+    def wholes(self) -> Signal:
+        """The samples of which all columns are valid; itself where all are."""
+        rows = self.whole
+        return self if rows.all() else self.with_arrays(self.time[rows], self.values[rows], self.valid[rows])
 
     def to_pandas(self):
         """A pandas DataFrame: a column each, the time [s] as its index, NaN where the log had no usable number. Raises ConfigError

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -110,6 +111,10 @@ class Vehicle:
 
         FRD: thrust T at (x, y) pointing up gives roll -y T, pitch +x T; yaw is spin times a common drag ratio.
         """
+        return self._effectiveness.copy()
+
+    @cached_property
+    def _effectiveness(self) -> np.ndarray:
         x, y, spin, share = (np.array([getattr(r, k) for r in self.rotors], float) for k in ("x", "y", "spin", "share"))
         scale = max(np.abs(x).max(), np.abs(y).max())
         return np.stack([-y / scale, x / scale, spin, np.ones_like(x)]) * (share / share.mean())

@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from rotorwatch.base import discovery
+from rotorwatch.base.progress import portion
 from rotorwatch.errors import LogError, RotorwatchError
 from rotorwatch.flight import Flight
 from rotorwatch.logs import plausible, series
@@ -33,6 +34,8 @@ HEAD = 4096
 """Bytes that sniff sees."""
 CHUNK = 1 << 20
 """Bytes that are hashed at once."""
+READ = 0.9
+"""Share of the work when a file is read; then its values are looked at."""
 USUAL = {b"\xa3\x95": "dataflash", b"ULog": "ulog", b"H Product:Blackbox": "blackbox"}
 """What the most usual logs begin with: their module is asked first, and where it says yes no other is imported."""
 FILE_PARTS, FOLDER_PARTS = ("sniff", "read"), ("sniff_folder", "read_folder")
@@ -81,25 +84,27 @@ def read(path, progress=None) -> Flight:
     """
     from rotorwatch.logs.container import open_log
 
-    path = Path(path)
+    path, tell = Path(path), progress and portion(progress, 0.0, READ)
     if path.is_dir():
         own = next((m for m in formats() if hasattr(m, "sniff_folder") and m.sniff_folder(path)), None)
         module: Any = own or _theirs("sniff_folder", path)
         if module is None:
             raise LogError(f"{path}: a folder without ulog2csv tables or a ROS 2 bag; give the log file itself")
-        return _checked(lambda: module.read_folder(path, progress), module, path, ())
+        return _checked(lambda: module.read_folder(path, tell), module, path, (), progress)
     path, part = of_part(path)
     data, name, warnings = open_log(path, progress)
     module = recognise(bytes(data[:HEAD]), name)
+    if progress and isinstance(data, bytes):  # it was unpacked first
+        tell = portion(progress, 0.5, READ)
     if module is None:
         known = ", ".join(sorted({*(m.FORMAT for m in formats()), *offered()}))
         raise LogError(f"{path}: not a flight log of a known kind; known are {known}")
     if part is None:
-        return _checked(lambda: module.read(data, name, progress), module, path, warnings)
+        return _checked(lambda: module.read(data, name, tell), module, path, warnings, progress)
     if not hasattr(module, "parts"):
         raise LogError(f"{path}#{part}: a file of this kind ({module.FORMAT}) holds one flight; leave #{part} out")
     path = path.with_name(f"{path.name}#{part}")
-    return _checked(lambda: module.read(data, f"{name}#{part}", progress, part=part), module, path, warnings)
+    return _checked(lambda: module.read(data, f"{name}#{part}", tell, part=part), module, path, warnings, progress)
 
 
 def from_bytes(data: bytes, name: str) -> Flight:
@@ -181,7 +186,7 @@ def _theirs(part: str, *arguments) -> Any:
     return None
 
 
-def _checked(job, module, path, warnings) -> Flight:
+def _checked(job, module, path, warnings, progress=None) -> Flight:
     """Run a reader; anything it trips over becomes a LogError, and so does a log without data."""
     try:
         flight = job()
@@ -196,4 +201,5 @@ def _checked(job, module, path, warnings) -> Flight:
         )
     if not any(len(s) >= 2 for name, s in flight.signals.items() if name not in series.SHOWN):
         raise LogError(f"{path}: this {module.FORMAT} holds no flight data; was logging switched on?")
-    return plausible.checked(replace(flight, name=path.name, warnings=(*warnings, *flight.warnings)))
+    flight = replace(flight, name=path.name, warnings=(*warnings, *flight.warnings))
+    return plausible.checked(flight, portion(progress, READ, 1.0))

@@ -28,7 +28,7 @@ from rotorwatch.logs import dataflash_esc, parameter_ranges, series, wall_clock
 from rotorwatch.logs import dataflash_events as events
 from rotorwatch.logs import dataflash_rotors as rotors
 from rotorwatch.logs.dataflash_binary import SDLOG2, BinaryLog, amount
-from rotorwatch.logs.dataflash_clock import Clock, make_clock, rebuilt
+from rotorwatch.logs.dataflash_clock import Clock, SteadyClock, clock_of
 from rotorwatch.logs.dataflash_text import FIRST_LINE, TextLog
 from rotorwatch.logs.series import SHAPES, quaternion, steady
 
@@ -89,11 +89,7 @@ def read(data, name: str, progress=None) -> Flight:
     log = (TextLog if FMT_HEADER not in head and FIRST_LINE.search(head) else BinaryLog)(data, progress)
     if not log.counts:
         raise LogError(f"{name}: this is not a DataFlash log; no message definition (FMT) was found in it.")
-    stamps, source = log.stamps(), ""
-    if not np.isfinite(stamps).any():
-        stamps, source = rebuilt(log)
-    clock = make_clock(stamps)
-    del stamps
+    clock, source = clock_of(log)
     parameters, changes = events.parameters(log, clock)
     parameters, notes = parameter_ranges.checked(parameters)
     reader = _Signals(log, clock)
@@ -110,16 +106,16 @@ def read(data, name: str, progress=None) -> Flight:
         reader.esc,
         reader.limited,
     )
-    for done, step in enumerate(steps, 1):
+    for step in steps:
         step()
-        if progress:
-            progress(0.5 + 0.5 * done / len(steps))
     if not any(len(s) >= 2 for name, s in reader.signals.items() if name not in series.SHOWN):
         raise LogError(
             f"{name}: no data: the log names its messages and parameters but holds no flight; "
             "check that logging was on and the vehicle was armed."
         )
-    version, vehicle = events.firmware(log, clock)
+    (version, vehicle), messages = events.firmware(log, clock), events.messages(log, clock)
+    if progress:
+        progress(1.0)
     return Flight(
         format=FORMAT,
         autopilot="ArduPilot",
@@ -129,7 +125,7 @@ def read(data, name: str, progress=None) -> Flight:
         vehicle_type=vehicle,
         parameters=parameters,
         parameter_changes=tuple(c for c in changes if parameter_ranges.possible(c[1], c[2])),
-        messages=events.messages(log, clock),
+        messages=messages,
         warnings=(*log.warnings, *([source] if source else []), *clock.warnings, *reader.warnings),
         name=name,
         start_us=int(clock.start_us),
@@ -149,7 +145,7 @@ def read(data, name: str, progress=None) -> Flight:
 class _Signals:
     """Collects the Flight's signals from the tables of one log."""
 
-    def __init__(self, log: BinaryLog | TextLog, clock: Clock):
+    def __init__(self, log: BinaryLog | TextLog, clock: Clock | SteadyClock):
         self.log, self.clock = log, clock
         self.signals: dict[str, Signal] = {}
         self.warnings: list[str] = []
@@ -160,15 +156,10 @@ class _Signals:
 
     def table(self, message: str, columns, where=None):
         """(time (n,), values (n, k), codes) of a message, in time order; None when absent. Lacking columns are NaN."""
-        table = self.log.table(message, columns, where)
-        if table is None or not any(c in table for c in columns):
+        found = self.log.numbers(message, columns, where)
+        if found is None:
             return None
-        time = self.clock.time[table.record]
-        values = np.full((time.size, len(columns)), np.nan)
-        for k, column in enumerate(columns):
-            if column in table and table[column].ndim == 1 and table[column].dtype.kind in "iuf":
-                values[:, k] = table[column]
-        good = self.clock.good[table.record]
+        values, (time, good) = found.values, self.clock.of(found.record)
         if not good.all():
             time, values = time[good], values[good]
         steps = np.diff(time)
@@ -179,7 +170,7 @@ class _Signals:
         elif (steps < 0).any():
             order = np.argsort(time, kind="stable")
             time, values = time[order], values[order]
-        return time, values, table.codes
+        return time, values, found.codes
 
     def instance(self, message: str, columns):
         """As `table`, for sensor instance 0, or for the one with most records where 0 is missing."""
@@ -206,7 +197,7 @@ class _Signals:
         low, high = np.array(LIMITS[name]).T
         wild = np.isfinite(values) & ((values < low) | (values > high))
         mask = ~wild if valid is None else ~wild & valid[:, None]
-        self._store(name, Signal(time, values, columns, unit, frame, source, mask), int(wild.sum()))
+        self._store(name, Signal(time, values, columns, unit, frame, source, mask, made=True), int(wild.sum()))
 
     def _store(self, name: str, signal: Signal, wild: int) -> None:
         if wild:
@@ -258,7 +249,7 @@ class _Signals:
         valid = (values >= low) & (values <= high)  # 0 means that the output is off
         wild = int((np.isfinite(values) & ~valid & (values != 0)).sum())
         columns = tuple(f"r{k}" for k in sorted(self.outputs))
-        self._store("motors", Signal(time, values, columns, "us", "", source, valid), wild)
+        self._store("motors", Signal(time, values, columns, "us", "", source, valid, made=True), wild)
 
     def old_motors(self):
         """(time (n,), pulses (n, rotors) in rotor order) of MOT; None without. Motors that never got a pulse are left out."""

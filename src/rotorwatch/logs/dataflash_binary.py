@@ -11,10 +11,10 @@ from __future__ import annotations
 import mmap
 import re
 from bisect import bisect_left
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,6 +28,8 @@ FMT_LENGTH = 89
 MOST_FORMATS = 4096  # definitions that differ; a vehicle's log has about 250, and those of several may be joined
 SPAN = 1 << 25  # bytes of the file that are looked at at a time
 SCAN_CHUNK = 1 << 22  # bytes compared at a time: the comparison's result stays small
+RARE = 0.01  # share of all records that are of one type
+FOUND, CHAINED, SCANNED = 0.1, 0.2, 0.3  # share of the work when headers are found, and which of them are records
 
 # Format character -> (numpy type, divisor); the characters of ArduPilot's Logger. `M` is a flight mode number.
 _TYPES = "i1 u1 <i2 <u2 <i4 <u4 <i8 <u8 <f2 <f4 <f8 S4 S16 S64 u1 <i2 <u2 <i4 <u4 <i4".split()
@@ -103,6 +105,22 @@ class Table:
     def __getitem__(self, column: str) -> np.ndarray:
         return self.columns[column]
 
+    def numbers(self, wanted: Sequence[str]) -> Numbers | None:
+        """These columns as one array; None without any of them."""
+        values = np.full((len(self), len(wanted)), np.nan)
+        for k, column in enumerate(wanted):
+            if column in self and self[column].ndim == 1 and self[column].dtype.kind in "iuf":
+                values[:, k] = self[column]
+        return Numbers(self.record, values, self.codes) if any(c in self for c in wanted) else None
+
+
+class Numbers(NamedTuple):
+    """Wanted columns of n records. values: (n, columns), NaN where the log has no such numbers; record, codes as of `Table`."""
+
+    record: np.ndarray
+    values: np.ndarray
+    codes: dict[str, str]
+
 
 class BinaryLog:
     """The records of a binary DataFlash log.
@@ -122,17 +140,25 @@ class BinaryLog:
         self._formats = self._read_formats(candidates[types == FMT_TYPE])
         lengths = self._record_lengths(candidates, types)
         known = lengths > 0
-        candidates, types, ends = candidates[known], types[known], (candidates + lengths)[known]
-        keep = self._chain(candidates, ends)
+        candidates, types, lengths = candidates[known], types[known], lengths[known]
+        lengths += candidates
+        keep = self._chain(candidates, lengths)
+        if progress:
+            progress(CHAINED)
+        del lengths
         self._at = candidates[keep]
         # Only now it is known which FMT headers belong to records; the others were payload.
-        if bad := sum(int(p in self._at[np.searchsorted(self._at, p) :][:1]) for p in self._bad_formats):
+        bad_at = np.array(self._bad_formats, self._index)
+        place = np.searchsorted(self._at, bad_at)
+        if bad := int((self._at[place[place < self._at.size]] == bad_at[place < self._at.size]).sum()):
             self.warnings.append(f"{amount(bad, 'damaged message definition')} (FMT) ignored.")
-        types = types[keep]
+        self._types = types[keep]
         self.record_count = self._at.size
-        # One stable radix sort by type number gives each type's records in file order.
-        self._by_type = np.argsort(types, kind="stable").astype(self._index)
-        self._type_start = np.concatenate([[0], np.cumsum(np.bincount(types, minlength=256))])
+        self._progress, self._read = progress, 0  # bytes of records
+        # Records of types that are rare are listed here; those of the few others are looked for when they are read.
+        self._count = np.bincount(self._types, minlength=256)
+        rare = np.flatnonzero((self._count <= RARE * self.record_count)[self._types])
+        self._rare = rare[np.argsort(self._types[rare], kind="stable")].astype(self._index)
 
     # -- finding records -------------------------------------------------------------------------------------------
 
@@ -147,7 +173,7 @@ class BinaryLog:
             types.append(self._bytes[at + 2])
             self._release()
             if progress:
-                progress(0.5 * min(1.0, (start + SCAN_CHUNK) / end))
+                progress(FOUND * min(1.0, (start + SCAN_CHUNK) / end))
         return np.concatenate(found), np.concatenate(types)
 
     def _read_formats(self, positions: np.ndarray) -> dict[int, list[tuple[int, Format]]]:
@@ -284,71 +310,86 @@ class BinaryLog:
     def counts(self) -> dict[str, int]:
         """Records per message name."""
         counts: dict[str, int] = {}
-        for _, fmt, records in self._versions():
-            if records.size:
-                counts[fmt.name] = counts.get(fmt.name, 0) + records.size
+        for type_, versions in self._formats.items():
+            if len(versions) == 1:
+                sizes = [(versions[0][1], int(self._count[type_]))]
+            else:
+                sizes = [(fmt, records.size) for _, fmt, records in self._versions_of(type_)]
+            for fmt, size in sizes:
+                if size:
+                    counts[fmt.name] = counts.get(fmt.name, 0) + size
         return counts
 
-    def _versions(self, name: str | None = None):
+    def _versions(self, name: str | None = None) -> list[tuple[int, Format, np.ndarray]]:
         """(type, Format, record numbers in order) for each definition of `name` (all names if None)."""
-        return self._defined if name is None else [each for each in self._defined if each[1].name == name]
+        wanted = [t for t, many in self._formats.items() if name is None or any(fmt.name == name for _, fmt in many)]
+        found = [each for type_ in wanted for each in self._versions_of(type_)]
+        return [each for each in found if name in (None, each[1].name)]
 
-    @cached_property
-    def _defined(self) -> list[tuple[int, Format, np.ndarray]]:
-        """For all names. A type may be defined anew any number of times; what is defined alike is one."""
-        found = []
-        for type_, versions in self._formats.items():
-            records = self._by_type[self._type_start[type_] : self._type_start[type_ + 1]]
-            limits = np.searchsorted(self._at[records], [since for since, _ in versions[1:]]) if versions[1:] else []
-            pieces: dict[Format, list[np.ndarray]] = {}
-            for (_, fmt), piece in zip(versions, np.split(records, limits), strict=True):
-                pieces.setdefault(fmt, []).append(piece)
-            found += [(type_, fmt, np.concatenate(p) if p[1:] else p[0]) for fmt, p in pieces.items()]
-        return found
+    def _versions_of(self, type_: int) -> list[tuple[int, Format, np.ndarray]]:
+        """Of one type. It may be defined anew any number of times; what is defined alike is one."""
+        versions, records = self._formats[type_], self._records(type_)
+        limits = np.searchsorted(self._at[records], [since for since, _ in versions[1:]]) if versions[1:] else []
+        pieces: dict[Format, list[np.ndarray]] = {}
+        for (_, fmt), piece in zip(versions, np.split(records, limits), strict=True):
+            pieces.setdefault(fmt, []).append(piece)
+        return [(type_, fmt, np.concatenate(p) if p[1:] else p[0]) for fmt, p in pieces.items()]
 
-    def _gather(self, records: np.ndarray, offset: int, dtype: np.dtype) -> np.ndarray:
-        """(n,) `dtype` items `offset` bytes after the start of each record."""
-        items = np.empty(records.size, dtype)
-        for part in self._blocks(records):
-            items[part] = self._items(records[part], offset, dtype)
-        return items
+    def _records(self, type_: int) -> np.ndarray:
+        """Numbers of the records of a type, in order."""
+        if self._count[type_] > RARE * self.record_count:
+            return np.flatnonzero(self._types == type_).astype(self._index)
+        start, stop = np.searchsorted(self._types[self._rare], [type_, type_ + 1])
+        return self._rare[start:stop]
 
-    def _items(self, records: np.ndarray, offset: int, dtype: np.dtype) -> np.ndarray:
-        """As `_gather`, all at once."""
+    def _items(self, at: np.ndarray, dtype: np.dtype) -> Iterator[tuple[slice, np.ndarray]]:
+        """(which, `dtype` items there) of places in the file, in order; block after block of those that lie within SPAN bytes: the bytes of
+        all are never held at once, and what was looked at in one block leaves memory before the next."""
         view = np.ndarray(
             (max(self._bytes.size - dtype.itemsize + 1, 0),), f"V{dtype.itemsize}", buffer=self._bytes, strides=(1,)
         )
-        return view[self._at[records] + offset].view(dtype)
-
-    def _read_columns(self, fmt: Format, records: np.ndarray, names: Iterable[str]) -> dict[str, np.ndarray]:
-        """Columns of these records, scaled. Some records at a time, so that the bytes of all of them are never held at once."""
-        columns: dict[str, np.ndarray] = {}
-        for part in self._blocks(records):
-            rows = self._items(records[part], 0, fmt.dtype)
-            for name in names:
-                some = _scaled(rows[name], fmt.codes[fmt.columns.index(name)])
-                if not part.start:
-                    columns[name] = np.empty((records.size, *some.shape[1:]), some.dtype)
-                columns[name][part] = some
-        return columns
-
-    def _blocks(self, records: np.ndarray) -> Iterator[slice]:
-        """Records that lie within SPAN bytes, block after block; what was looked at in one leaves memory before the next."""
         start = 0
-        while start < records.size:
-            at = self._at[records[start : start + SPAN // 3]]
-            stop = start + int(np.searchsorted(at, int(at[0]) + SPAN))
-            yield slice(start, stop)
+        while start < at.size:
+            some = at[start : start + SPAN // 3]
+            end = some.dtype.type(min(int(some[0]) + SPAN, np.iinfo(some.dtype).max))
+            some = some[: int(np.searchsorted(some, end))]
+            yield slice(start, start + some.size), view[some].view(dtype)
             self._release()
-            start = stop
+            start += some.size
+            self._read += some.size * dtype.itemsize
+            if self._progress:
+                self._progress(SCANNED + (1.0 - SCANNED) * min(1.0, self._read / self._bytes.size))
 
-    def stamps(self) -> np.ndarray:
-        """(record_count,) boot time of each record in us, NaN for records that carry none."""
-        times = np.full(self.record_count, np.nan)
-        for _, fmt, records in self._versions():
-            if fmt.stamp and records.size:
-                raw = self._gather(records, 3, fmt.dtype[fmt.stamp])
-                times[records] = raw if fmt.stamp == "TimeUS" else raw * 1e3
+    @cached_property
+    def _stamped(self) -> tuple[dict, np.ndarray, dict]:
+        """How records are stamped: (type of the number, factor to us) -> a number from 1; that number for each type, 0 for none; and for
+        types whose definitions differ in that (places from which they hold, that number)."""
+        kinds: dict[tuple[np.dtype, float], int] = {}
+        first, changes = np.zeros(256, np.uint8), {}
+        for type_, versions in self._formats.items():
+            own = [
+                kinds.setdefault((fmt.dtype[fmt.stamp], 1.0 if fmt.stamp == "TimeUS" else 1e3), len(kinds) + 1)
+                if fmt.stamp
+                else 0
+                for _, fmt in versions
+            ]
+            first[type_] = own[0]
+            if len(set(own)) > 1:
+                changes[type_] = np.array([since for since, _ in versions]), np.array(own, np.uint8)
+        return kinds, first, changes
+
+    def stamps(self, records: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Boot time in us of these records, by default all, NaN for those that carry none."""
+        kinds, first, changes = self._stamped
+        types, at = self._types[records], self._at[records]
+        kind, times = first[types], np.full(types.size, np.nan)
+        for type_, (since, own) in changes.items():
+            rows = np.flatnonzero(types == type_)
+            kind[rows] = own[np.searchsorted(since, at[rows], "right") - 1]
+        for (dtype, factor), number in kinds.items():
+            rows = np.flatnonzero(kind == number)
+            for part, stamps in self._items(at[rows] + 3, dtype):
+                times[rows[part]] = stamps * factor
         return times
 
     def spans(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -374,14 +415,16 @@ class BinaryLog:
         records of one sensor instance. Numbers keep their type unless scaled; text is bytes without trailing zeros.
         """
         parts = []
-        for _, fmt, records in self._versions(name):
-            if where and where[0] in fmt.columns:
-                field, offset = fmt.dtype.fields[where[0]][:2]  # type: ignore[index]
-                if field.kind in "iuf":
-                    records = records[self._gather(records, offset, field) == where[1]]
-            if records.size:
-                names = fmt.columns if wanted is None else [c for c in wanted if c in fmt.columns]
-                parts.append((fmt, records, self._read_columns(fmt, records, names)))
+        for fmt, records in self._chosen(name, where):
+            names = fmt.columns if wanted is None else [c for c in wanted if c in fmt.columns]
+            columns: dict[str, np.ndarray] = {}
+            for part, rows in self._items(self._at[records], fmt.dtype):
+                for column in names:
+                    some = _scaled(rows[column], fmt.codes[fmt.columns.index(column)])
+                    if not part.start:
+                        columns[column] = np.empty((records.size, *some.shape[1:]), some.dtype)
+                    columns[column][part] = some
+            parts.append((fmt, records, columns))
         if not parts:
             return None
         if len(parts) == 1:
@@ -394,6 +437,35 @@ class BinaryLog:
         merged = {c: np.concatenate([p[2][c] for p in parts])[order] for c in shared}
         return Table(name, records[order], merged, dict(zip(parts[0][0].columns, parts[0][0].codes, strict=True)))
 
+    def numbers(self, name: str, wanted: Sequence[str], where: tuple[str, int] | None = None) -> Numbers | None:
+        """As `table`, columns that hold numbers as one array, which is all that is held of them."""
+        chosen = self._chosen(name, where)
+        if len(chosen) != 1 or not any(c in chosen[0][0].columns for c in wanted):
+            table = self.table(name, wanted, where)
+            return None if table is None else table.numbers(wanted)
+        (fmt, records), codes = chosen[0], dict(zip(*(chosen[0][0].columns, chosen[0][0].codes), strict=True))
+        values = np.full((records.size, len(wanted)), np.nan)
+        held = [
+            (k, c) for k, c in enumerate(wanted) if c in codes and not fmt.dtype[c].shape and fmt.dtype[c].kind in "iuf"
+        ]
+        for part, rows in self._items(self._at[records], fmt.dtype):
+            for k, column in held:
+                values[part, k] = _scaled(rows[column], codes[column])
+        return Numbers(records, values, codes)
+
+    def _chosen(self, name: str, where: tuple[str, int] | None) -> list[tuple[Format, np.ndarray]]:
+        """(Format, record numbers) of the records called `name`, `where` as of `table`; a definition that has none is left out."""
+        found = []
+        for _, fmt, records in self._versions(name):
+            if where and where[0] in fmt.columns:
+                field, offset = fmt.dtype.fields[where[0]][:2]  # type: ignore[index]
+                if field.kind in "iuf":
+                    blocks = self._items(self._at[records] + offset, field)
+                    records = np.concatenate([records[:0], *(records[part][x == where[1]] for part, x in blocks)])
+            if records.size:
+                found.append((fmt, records))
+        return found
+
 
 def amount(number: int, noun: str) -> str:
     """'1 record', '2 records'."""
@@ -402,7 +474,7 @@ def amount(number: int, noun: str) -> str:
 
 def _scaled(values: np.ndarray, code: str) -> np.ndarray:
     divisor = CODES[code][1]
-    return np.ascontiguousarray(values) if divisor is None else values / divisor
+    return values if divisor is None else values / divisor
 
 
 def _text(raw: bytes) -> str:

@@ -9,6 +9,7 @@ not stretch and squeeze what lies between two of them.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +31,7 @@ PACED = ("IMU", "ATT", "MOT", "CTUN")  # written at a steady rate
 GPS_COLUMNS = ("Time", "TimeMS")  # ms of the GPS week: 3.0, 3.1
 SPAN_S = 5.0  # between two places where the GPS clock is believed
 GAP_S = 2.0  # a longer step of the GPS clock is damage or a lost fix, not time between two records
+PIECE = 1 << 20  # records that are looked at at a time
 LOOP_S = 0.1  # MOT and CTUN are written ten times a second
 
 
@@ -46,6 +48,62 @@ class Clock(NamedTuple):
     end: float
     jumps: tuple[float, ...]
     warnings: tuple[str, ...]
+
+    def of(self, records: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """`time` and `good` of these records."""
+        return self.time[records], self.good[records]
+
+
+class SteadyClock(NamedTuple):
+    """The clock of a log in whose stamps nothing is wrong, which are read where they are asked for.
+
+    stamps: of record numbers, us. bare: numbers of the records without a stamp, in order. start_us, end, jumps, warnings as of `Clock`.
+    """
+
+    stamps: Callable[[np.ndarray], np.ndarray]
+    bare: np.ndarray
+    start_us: float
+    end: float
+    jumps: tuple[float, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    def of(self, records: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As of `Clock`."""
+        us = self.stamps(records)
+        if (rows := np.flatnonzero(np.isnan(us))).size:
+            begins = (
+                np.diff(self.bare, prepend=-2) > 1
+            )  # of those without a stamp in a row the first, and the record before it
+            before = (self.bare[begins] - 1)[np.cumsum(begins) - 1][np.searchsorted(self.bare, records[rows])]
+            us[rows] = np.where(before < 0, self.start_us, self.stamps(np.maximum(before, 0)))
+        us -= self.start_us
+        us /= 1e6
+        return us, np.broadcast_to(np.True_, us.shape)
+
+
+def clock_of(log) -> tuple[Clock | SteadyClock, str]:
+    """(the clock of a log, a sentence on where its times are from if they are not its own)."""
+    least, most, last, first = np.inf, -np.inf, np.zeros(0), np.zeros(0)
+    bare, doubt = [], False
+    for start in range(0, log.record_count, PIECE):
+        us = log.stamps(slice(start, start + PIECE))
+        missing = np.isnan(us)
+        bare.append(np.flatnonzero(missing) + start)
+        us = us[~missing] if bare[-1].size else us
+        steps = np.diff(us, prepend=last[-1:])
+        doubt = doubt or bool(((steps < -STEP_BACK_US) | (steps > LONG_GAP_US)).any())
+        if us.size:
+            least, most = min(least, float(us.min())), max(most, float(us.max()))
+            first = first if first.size > EDGE_RECORDS else np.r_[first, us[: EDGE_RECORDS + 1]]
+            last = np.r_[last, us[-EDGE_RECORDS - 1 :]][-EDGE_RECORDS - 1 :]
+        del us, steps
+    if not last.size:
+        stamps, source = rebuilt(log)
+        return make_clock(stamps), source
+    ends = np.r_[np.diff(first[: EDGE_RECORDS + 1]), np.diff(last)]
+    if doubt or any(wrong_gap(step * 1e-6) for step in ends):
+        return make_clock(log.stamps()), ""
+    return SteadyClock(log.stamps, np.concatenate(bare), least, float(most - least) / 1e6), ""
 
 
 def make_clock(stamps: np.ndarray) -> Clock:

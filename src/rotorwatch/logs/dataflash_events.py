@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -27,9 +29,9 @@ def parameters(log, clock) -> tuple[dict[str, float], tuple[tuple[float, str, fl
     changes: list[tuple[float, str, float]] = []
     now: dict[str, float] = {}
     for time, name, value in _rows(log, clock, "PARM", "Name", "Value"):
+        value = float(value)
         if not PARAMETER_NAME.fullmatch(name) or name.startswith("SIM_") or not math.isfinite(value):
             continue
-        value = float(value)
         if name not in now:
             first[name] = value
         elif now[name] != value:
@@ -93,7 +95,7 @@ def messages(log, clock) -> tuple[Message, ...]:
     return tuple(sorted(found, key=lambda m: m.time))
 
 
-def _rows(log, clock, name, *columns):
+def _rows(log, clock, name, *columns) -> Iterator[tuple[Any, ...]]:
     """(time s, column...) of each record of message `name` with a believable time; texts decoded."""
     table = log.table(name, columns)
     if table is None or any(c not in table for c in columns):
@@ -101,7 +103,7 @@ def _rows(log, clock, name, *columns):
     if any((table[c].dtype.kind == "S") != (c in TEXT_COLUMNS) or table[c].ndim > 1 for c in columns):
         return  # a damaged definition
     values = [_texts(table[c]) if table[c].dtype.kind == "S" else table[c].tolist() for c in columns]
-    times, good = clock.time[table.record].tolist(), clock.good[table.record].tolist()
+    times, good = (column.tolist() for column in clock.of(table.record))
     for k, time in enumerate(times):
         if good[k]:
             yield (time, *(v[k] for v in values))

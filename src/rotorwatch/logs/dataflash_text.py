@@ -11,12 +11,13 @@ from __future__ import annotations
 import json
 import re
 from array import array
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from rotorwatch.logs.dataflash_binary import Format, Table, amount, make_format
+from rotorwatch.logs.dataflash_binary import Format, Numbers, Table, amount, make_format
 
 TEXT_CODES = "nNZ"
 FIRST_LINE = re.compile(rb"^[ \t]*FMT[ \t]*,[ \t]*128[ \t]*,[ \t]*89[ \t]*,", re.MULTILINE)
@@ -68,6 +69,7 @@ class TextLog:
             self._starts.setdefault(name, array("q")).append(comma + 1)
             self._records.setdefault(name, array("q")).append(self.record_count)
             self.record_count += 1
+        self._progress, self._read = progress, 0  # records
         if bad:
             self.warnings.append(f"{amount(bad, 'line')} damaged or of unknown type skipped.")
 
@@ -86,15 +88,25 @@ class TextLog:
         """Column names of message `name`; empty when the log has no such records."""
         return self._formats[name].columns if name in self._formats and self._starts.get(name) else ()
 
-    def stamps(self) -> np.ndarray:
-        """(record_count,) boot time of each record in us, NaN for records that carry none."""
+    def stamps(self, records: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Boot time in us of these records, by default all, NaN for those that carry none."""
+        return self._stamps[records]
+
+    @cached_property
+    def _stamps(self) -> np.ndarray:
         times = np.full(self.record_count, np.nan)
         for name in self._starts:
             fmt = self._formats.get(name)
             if name != "FMT" and fmt is not None and fmt.stamp:
                 raw = np.array([_number(line.partition(b",")[0]) for line in self._fields(name)])
                 times[self._records[name]] = raw if fmt.stamp == "TimeUS" else raw * 1e3
+        times[~np.isfinite(times)] = np.nan
         return times
+
+    def numbers(self, name: str, wanted: Sequence[str], where: tuple[str, int] | None = None) -> Numbers | None:
+        """As `table`, columns that hold numbers as one array."""
+        table = self.table(name, wanted, where)
+        return None if table is None else table.numbers(wanted)
 
     def table(
         self, name: str, wanted: Iterable[str] | None = None, where: tuple[str, int] | None = None
@@ -109,6 +121,9 @@ class TextLog:
         width = len(fmt.columns)
         rows = [line.split(b",", width - 1) for line in self._fields(name)]  # the last field may hold commas: a text
         records = np.array(self._records[name])
+        self._read += records.size
+        if self._progress:
+            self._progress(0.5 + 0.5 * min(1.0, self._read / self.record_count))
         if where and where[0] in fmt.columns:
             k = fmt.columns.index(where[0])
             chosen = [len(row) > k and _number(row[k]) == where[1] for row in rows]

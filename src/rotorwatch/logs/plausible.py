@@ -18,7 +18,7 @@ are coupled with it, jumps at the same time.
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -41,6 +41,7 @@ HABIT = 0.05  # share of a signal's values beyond which it is not damage but wha
 FITTED, FIT_EVERY = 512, 64  # samples that the mixer's matrix is fitted to, and how often
 PARTNER_S = 0.1  # a command further than this from any output of the controller is not compared
 TINY = 1e-12
+PIECE, MARGIN = 1 << 15, 64  # samples that are looked at at a time; more on each side than any of them is compared with
 TOGETHER = 1 << 18  # values of columns that are looked at together
 NAMED = 3  # times that a warning names
 # Share and number of lone values of a signal beyond which chance does not explain them; and number of impossible ones beside them
@@ -63,11 +64,11 @@ FLOORS = {
 COUPLED = ("motors", "control", "gyro", "rates", "accel")
 
 
-def checked(flight: Flight) -> Flight:
+def checked(flight: Flight, progress: Callable[[float], object] | None = None) -> Flight:
     """The flight with impossible values and lone ones marked invalid, named in its warnings and counted in facts["damage"]; `checked`.
 
     facts["damage"]: {signal: share of its values that were lone}, only of signals that had any. Lone values of a flight that has been
-    checked before are left alone.
+    checked before are left alone. progress: called with the finished share, 0..1.
     """
     flight = possible(flight)
     if flight.checked:
@@ -78,8 +79,12 @@ def checked(flight: Flight) -> Flight:
         signals["motors"], record_notes = _whole_records(signals["motors"])
         warnings += record_notes
     known = {name: signals[name] for name in FLOORS if name in signals}
-    sizes = {name: _size(s.time, s.values, s.valid, _floor(name, s), name == "motors") for name, s in known.items()}
-    for name, signal in known.items():
+    tell, sizes = progress or (lambda share: None), {}
+    for done, (name, s) in enumerate(known.items(), 1):
+        sizes[name] = _size(s.time, s.values, s.valid, _floor(name, s), name == "motors")
+        tell(0.7 * done / len(known))
+    for done, (name, signal) in enumerate(known.items()):
+        tell(0.7 + 0.3 * done / len(known))
         found = _unsupported(name, signals, sizes)
         if name == "motors" and "control" in signals:
             found |= _unasked(signals, found)
@@ -112,10 +117,11 @@ def possible(flight: Flight) -> Flight:
     it; named in its warnings. A signal of which nothing is left is dropped."""
     signals, notes = dict(flight.signals), list[str]()
     for name, signal in flight.signals.items():
-        limit, steps = _limit(name, signal), np.diff(signal.time)
-        fine = (np.abs(signal.values) <= np.minimum(limit, series.LARGEST)).all() and np.isfinite(signal.time).all()
-        if fine and (steps >= 0.0).all() and len(signal):
-            continue
+        limit = _limit(name, signal)
+        if len(signal) and np.isfinite(signal.time).all() and (signal.time[1:] >= signal.time[:-1]).all():
+            most, parts = np.minimum(limit, series.LARGEST), range(0, len(signal), PIECE)
+            if all((np.abs(signal.values[k : k + PIECE]) <= most).all() for k in parts):
+                continue
         source = signal.source or name
         one = series.build(
             signal.time, signal.values, signal.columns, signal.unit, signal.frame, source, limit, notes, signal.valid
@@ -190,11 +196,11 @@ def _unasked(signals: Mapping[str, Signal], already: np.ndarray) -> np.ndarray:
     them (without them, W is not yet known for what the vehicle does for the first time).
     """
     motors, control = signals["motors"], signals["control"]
-    fine = control.whole
-    if fine.sum() < FIT_EVERY or len(motors) < FIT_EVERY:
+    control = control.wholes()
+    if len(control) < FIT_EVERY or len(motors) < FIT_EVERY:
         return np.zeros_like(already)
-    when = control.time[fine]
-    regressors = np.stack([np.interp(motors.time, when, c) for c in control.values[fine].T], axis=1)
+    when = control.time
+    regressors = np.stack([np.interp(motors.time, when, c) for c in control.values.T], axis=1)
     regressors = np.column_stack([regressors, regressors[:, 3] ** 2, np.ones(len(motors))])
     near = np.abs(when[_nearest(when, motors.time)] - motors.time) < PARTNER_S
     known = near[:, None] & motors.valid & ~already
@@ -250,8 +256,22 @@ def _size(time, values, valid, floor: float, alike: bool = False) -> Lone:
     alike: columns are as rough as each other, as the commands of motors are, which one mixer makes. One that stands still (a motor at
     idle) does not show how rough it will be when it moves, so at least the mean of those that move is taken.
     """
+    if len(time) <= PIECE or not valid.all():
+        return _size_of(time, values, valid, floor, alike)
+    near, found = _Times(time).near, []
+    for start in range(0, len(time), PIECE):
+        first = max(start - MARGIN, 0)
+        part = slice(first, start + PIECE + MARGIN)
+        one = _size_of(time[part], values[part], valid[part], floor, alike, near)
+        own = one.part((one.rows >= start - first) & (one.rows < start - first + PIECE))
+        found.append(own._replace(rows=own.rows + first))
+    return Lone(*map(np.concatenate, zip(*found, strict=True)))
+
+
+def _size_of(time, values, valid, floor: float, alike: bool, near: float | None = None) -> Lone:
+    """The same of a part of a table. near: as of `_Times`, None: of this part."""
     lone: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-    groups = [(columns, where, _Times(time[where])) for columns, where in _groups(valid)]
+    groups = [(columns, where, _Times(time[where], near)) for columns, where in _groups(valid)]
     rough = None
     if alike:
         rough = np.zeros(values.shape[::-1])
@@ -294,8 +314,10 @@ class _Times:
     """Times t (n,) of samples, and what follows from them alone. near: how far a neighbour may be [s]; single, pair: `_share` of all
     samples between the one before and the next one, or the second after."""
 
-    def __init__(self, t: np.ndarray):
+    def __init__(self, t: np.ndarray, near: float | None = None):
         self.t = t
+        if near is not None:
+            self.near = near
 
     @functools.cached_property
     def near(self) -> float:
@@ -364,6 +386,11 @@ def _support(time, values, valid, size: Lone, floor: float, at, own) -> np.ndarr
     if not at.size:
         return np.zeros(0)
     # Nothing but what is near the samples is looked at; `_scale` reaches furthest.
+    if len(time) > PIECE:
+        rows = _around_them(valid, size, at)
+        there = np.isin(size.rows, rows)
+        size = Lone(np.searchsorted(rows, size.rows[there]), size.columns[there], size.sizes[there])
+        time, values, valid, at = time[rows], values[rows], valid[rows], np.searchsorted(rows, at)
     n, columns = values.shape
     begins = np.bincount(np.maximum(at - BEFORE - 1, 0), minlength=n + 1)
     begins -= np.bincount(np.minimum(at + BEFORE + 2, n), minlength=n + 1)
@@ -392,9 +419,28 @@ def _support(time, values, valid, size: Lone, floor: float, at, own) -> np.ndarr
     return np.where((own == np.arange(columns)[:, None]) | ~known[:, None], 0.0, jump).max(axis=0)
 
 
+def _around_them(valid: np.ndarray, size: Lone, at: np.ndarray) -> np.ndarray:
+    """(m,) rows around the samples `at`, in order: as many that in each stretch of them the first and the last row are valid in every
+    column and not lone, or the table ends there."""
+    calm = np.asarray(valid.all(axis=1))
+    calm[size.rows] = False
+    n, reach = len(valid), BEFORE + 2
+    while True:
+        starts, stops = np.maximum(at - reach, 0), np.minimum(at + reach + 1, n)
+        apart = starts[1:] > stops[:-1]
+        starts, stops = starts[np.append(True, apart)], stops[np.append(apart, True)]
+        if (calm[starts] | (starts == 0)).all() and (calm[stops - 1] | (stops == n)).all():
+            lengths = stops - starts
+            return np.arange(lengths.sum()) + np.repeat(starts - np.cumsum(lengths) + lengths, lengths)
+        reach *= 2
+
+
 def _nearest(time: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """Index of the sample nearest to each wanted time."""
-    return np.searchsorted(0.5 * (time[1:] + time[:-1]), wanted)
+    if time.size < 2:
+        return np.zeros(wanted.shape, int)
+    after = np.clip(np.searchsorted(time, wanted), 1, time.size - 1)
+    return after - (wanted <= 0.5 * (time[after] + time[after - 1]))
 
 
 def _residual(x: np.ndarray, share: np.ndarray, before: int, after: int) -> tuple[np.ndarray, np.ndarray]:

@@ -80,9 +80,9 @@ class _Tables:
             c not in table or table[c].ndim > 1 or table[c].dtype.kind not in "iuf" for c in columns
         ):
             return None
-        good = self.clock.good[table.record]
+        time, good = self.clock.of(table.record)
         values = np.stack([table[c].astype(float) for c in columns], axis=1)
-        return (self.clock.time[table.record][good], values[good]) if good.any() else None
+        return (time[good], values[good]) if good.any() else None
 
     def signal(self, kind, message, *columns, valid=None):
         found = self.get(message, *columns)

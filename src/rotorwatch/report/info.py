@@ -5,9 +5,11 @@ The same functions as in the diagnosis decide whether the log can be judged.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 from rotorwatch import airframes
+from rotorwatch.base.progress import portion
 from rotorwatch.engine.motion import trust
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import READY_S, observe, tick_length
@@ -85,10 +87,10 @@ _OBSTACLES = {
 }
 
 
-def info(flight: Flight) -> dict:
+def info(flight: Flight, progress: Callable[[float], object] | None = None) -> dict:
     """What `rotorwatch info --json` prints. Times in s from the first record of the log.
 
-    flight: as `rotorwatch.read` gives it.
+    flight: as `rotorwatch.read` gives it. progress: called with the finished share, 0..1.
 
     Returns schema, name, format, autopilot, firmware, vehicle_type, frame, rotors, duration_s; parameters: how many;
     airborne_s: [[start, end]]; signals: [{name, rate_hz, samples, columns, unit, frame, source, valid (share), start_s,
@@ -97,7 +99,9 @@ def info(flight: Flight) -> dict:
     """
     frame, warnings = _frame(flight)
     hops = _airborne(flight)
-    stop = obstacle(flight)
+    if progress:
+        progress(0.1)
+    stop = obstacle(flight, progress=portion(progress, 0.1, 0.9))
     missing = _missing(flight, frame, stop)
     return {
         "schema": SCHEMA,
@@ -126,10 +130,12 @@ class Obstacle(NamedTuple):
     why: str
 
 
-def obstacle(flight: Flight, vehicle: Vehicle | None = None) -> Obstacle | None:
+def obstacle(
+    flight: Flight, vehicle: Vehicle | None = None, progress: Callable[[float], object] | None = None
+) -> Obstacle | None:
     """The first reason for which `diagnose` refuses this flight, or answers that nothing in it can be judged; None when it judges it.
 
-    vehicle: the airframe, for logs that do not name theirs.
+    vehicle: the airframe, for logs that do not name theirs. progress: called with the finished share, 0..1.
     """
     try:
         craft = vehicle or airframes.identify(flight)
@@ -139,10 +145,12 @@ def obstacle(flight: Flight, vehicle: Vehicle | None = None) -> Obstacle | None:
     if not flight.has("motors"):
         return Obstacle("motors", "The log shows no motor outputs: without them no rotor can be judged.")
     air = airborne(flight)
-    table = observe(flight, craft, air, READY_S)
+    if progress:
+        progress(0.1)
+    table = observe(flight, craft, air, READY_S, portion(progress, 0.1, 0.6))
     if table is None:
         return Obstacle("airborne", "No part of this log is in the air.")
-    doubts = trust.contradictions(flight, craft, air, table)
+    doubts = trust.contradictions(flight, craft, air, table, portion(progress, 0.6, 1.0))
     return Obstacle("trust", doubts[0]) if doubts else None
 
 
@@ -221,7 +229,7 @@ def _gap(signal: str, why: str, setting: str, needed: bool) -> dict:
 
 def _present(flight: Flight, name: str) -> bool:
     valid = flight[name].valid if flight.has(name) else None
-    return valid is not None and int(valid.any(axis=1).sum()) >= 2
+    return valid is not None and (bool(flight[name].whole[:2].all()) or int(valid.any(axis=1).sum()) >= 2)
 
 
 def _family(flight: Flight) -> str:

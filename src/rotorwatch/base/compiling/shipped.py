@@ -7,6 +7,7 @@ runs (`compiling.running`).
 from __future__ import annotations
 
 import hashlib
+import os
 import platform
 import sys
 from collections.abc import Iterable
@@ -47,7 +48,8 @@ def levels() -> tuple[str, ...]:
 
 def files_in(room: str) -> list[str]:
     """Files of the package that the definitions of a room are translated from."""
-    own = [path.relative_to(HOME).as_posix() for path in (HOME / room).glob("*.py")]
+    folder = HOME / room
+    own = [f"{room}/{name}" for name in os.listdir(folder) if name.endswith(".py")] if folder.is_dir() else []
     return sorted([*own, *(f"base/compiling/{name}.py" for name in ("structs", "body", "translate"))])
 
 
@@ -55,8 +57,12 @@ def digest(files: Iterable[str]) -> str:
     """Hash of files of the package as they are now; of a file that is gone, that it is."""
     made = hashlib.sha256(str(FORMAT).encode())
     for name in files:
-        path = HOME / name
-        made.update(name.encode() + b"\0" + (path.read_bytes() if path.exists() else b"\1") + b"\0")
+        try:
+            with open(f"{HOME}/{name}", "rb") as file:
+                text = file.read()
+        except FileNotFoundError:
+            text = b"\1"
+        made.update(name.encode() + b"\0" + text + b"\0")
     return made.hexdigest()
 
 

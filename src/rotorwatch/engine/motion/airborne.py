@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch.engine.definition import ENGINE, craft, known, pieces, states
+from rotorwatch.engine.definition import ENGINE, Part, craft, pieces, states
 from rotorwatch.engine.front import airborne as definition
 from rotorwatch.engine.front import whole
 from rotorwatch.engine.front.airborne import CONFIRM_S, GAP_S, MOST_GAP_S, TICK_S
@@ -32,12 +32,9 @@ def airborne(flight: Flight) -> tuple[tuple[float, float], ...]:
     if not flight.has("motors") or np.count_nonzero(np.asarray(flight["motors"].valid).any(axis=1)) < 2:
         return ()
     low, high = output_range(flight)
-    motors = known(flight, "motors")
-    vehicle = craft(motors.shape[1], output_low=low, output_high=max(high, low + 1e-6))
-    parts = [("motors", flight["motors"].time, motors), ("state", *states(flight.messages))]
-    parts += [(name, flight[name].time, known(flight, name)) for name in ("gyro", "accel") if flight.has(name)]
-    if flight.has("velocity"):
-        parts.append(("velocity", flight["velocity"].time, known(flight, "velocity")))
+    vehicle = craft(flight.rotor_count, output_low=low, output_high=max(high, low + 1e-6))
+    parts = [Part.of(flight, "motors"), states(flight.messages)]
+    parts += [Part.of(flight, name) for name in ("gyro", "accel", "velocity") if flight.has(name)]
     follow = ENGINE.new(definition.Airborne)
     found: list[tuple[float, float]] = []
     for samples in pieces(parts):

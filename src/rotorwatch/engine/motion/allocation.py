@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch.base.compiling.running import Rows
-from rotorwatch.engine.definition import ENGINE, KINDS, craft, known, pieces
+from rotorwatch.engine.definition import ENGINE, KINDS, Part, craft, pieces
 from rotorwatch.engine.front import mixer, whole
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import ThrustCurve, Vehicle
@@ -80,13 +80,14 @@ def rotor_thrusts(flight: Flight, vehicle: Vehicle) -> Signal:
 
 
 def better(logged: Signal, mixed: Signal | None) -> Signal:
-    """The rebuilt thrusts where they can be trusted, the last logged ones elsewhere."""
+    """The rebuilt thrusts where they can be trusted, the last logged ones elsewhere, in the place of those that were rebuilt."""
     if mixed is None:
         return logged
-    held = hold(logged.time, logged.values, mixed.time)
-    known = hold(logged.time, logged.valid, mixed.time, before=False)
-    values = np.where(mixed.valid, mixed.values, held)
-    return Signal(mixed.time, values, logged.columns, "1", "body", mixed.source, mixed.valid | known)
+    rows, values, valid = np.flatnonzero(~mixed.whole), mixed.values, mixed.valid
+    if rows.size:
+        values[rows] = np.where(valid[rows], values[rows], hold(logged.time, logged.values, mixed.time[rows]))
+        valid[rows] |= hold(logged.time, logged.valid, mixed.time[rows], before=False)
+    return Signal(mixed.time, values, logged.columns, "1", "body", mixed.source, valid, made=True)
 
 
 def mixed_thrusts(flight: Flight, vehicle: Vehicle) -> Signal | None:
@@ -104,7 +105,7 @@ def mixed_thrusts(flight: Flight, vehicle: Vehicle) -> Signal | None:
         return None
     control = flight["control"]
     source = f"{control.source} through the mixer"
-    return Signal(control.time, thrust, flight["motors"].columns, "1", "body", source, ok)
+    return Signal(control.time, thrust, flight["motors"].columns, "1", "body", source, ok, made=True)
 
 
 def faster_control(flight: Flight) -> bool:
@@ -151,12 +152,8 @@ def compare(flight: Flight, vehicle: Vehicle) -> Comparison:
 def _mixed(flight: Flight, vehicle: Vehicle) -> tuple[Rows, np.ndarray, np.ndarray]:
     """front.mixer over a flight: its comparisons, and of each sample of the rate controller the thrusts (N, n) and whether they are
     valid."""
-    motors, control, n = flight["motors"], flight["control"], len(vehicle.rotors)
-    parts = [
-        ("motors", motors.time, known(flight, "motors")),
-        ("control", control.time, known(flight, "control")[:, :4]),
-    ]
-    parts.append(("voltage", *voltages(flight)))
+    control, n = flight["control"], len(vehicle.rotors)
+    parts = [Part.of(flight, "motors"), Part.of(flight, "control", 4), Part("voltage", *voltages(flight))]
     state, craft, done = ENGINE.new(mixer.Mixer), laid_out(vehicle, flight), ENGINE.new(whole.Done)
     checks, thrust, ok, at, waiting = [], np.empty((len(control), n)), np.empty((len(control), n), bool), 0, 0
     for samples in pieces(parts):

@@ -62,7 +62,7 @@ def overrides(flight: Flight, vehicle: Vehicle, airborne: Spans) -> tuple[Overri
             checks, checked = check.rows, check.time
     thrust = np.ascontiguousarray(allocation.motor_thrusts(flight, vehicle).values)
     logged = np.ascontiguousarray(motors.values, float)
-    known = motors.whole
+    known = np.ascontiguousarray(motors.whole)
     compared = len(checked), checks, within(checked, airborne)
     outputs = len(motors), motors.time, logged, thrust, known, within(motors.time, airborne)
     ENGINE.call(whole.deviate, state, craft, *compared, *outputs)

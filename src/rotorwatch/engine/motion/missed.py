@@ -62,11 +62,10 @@ def _unlike_wanted(flight: Flight, inside: np.ndarray, again: np.ndarray, runs: 
 
     What it asks for is a straight line of its output (and its throttle squared), fitted to the rest of the flight.
     """
-    motors, control = flight["motors"], flight["control"]
-    moving, fine = inside & ~again, control.whole
-    if fine.sum() < ENOUGH:
+    motors, control, moving = flight["motors"], flight["control"].wholes(), inside & ~again
+    if len(control) < ENOUGH:
         return []
-    asked = [np.interp(motors.time, control.time[fine], column) for column in control.values[fine].T]
+    asked = [np.interp(motors.time, control.time, column) for column in control.values.T]
     asked = np.column_stack([*asked, asked[3] ** 2, np.ones(len(motors))])
     wanted = asked @ np.linalg.lstsq(asked[moving], motors.values[moving], rcond=1e-9)[0]
     usual = 1.48 * median(np.abs(motors.values - wanted)[moving], axis=0)

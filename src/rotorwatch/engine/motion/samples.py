@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-import numpy as np
-
 from rotorwatch.engine.definition import Part, Samples, merged, states
 from rotorwatch.flight import Message, Signal
 from rotorwatch.flight.vehicle import Vehicle
@@ -28,21 +26,20 @@ def parts(
     full = vehicle.extra.get("full_voltage") if battery else None
     found = [part for name, signal in signals.items() if (part := _numbers(name, signal, full, gyro)) is not None]
     words = list(messages)
-    return [*found, ("state", *states(words))] if words else found
+    return [*found, states(words)] if words else found
 
 
 def _numbers(name: str, signal: Signal, full: float | None, gyro: str | None) -> Part | None:
     """Samples of a signal; None where the diagnoser does not take it. full: voltage of a full battery."""
-    value = signal.values if signal.valid.all() else np.where(signal.valid, signal.values, np.nan)
+    time, values, valid = signal.time, signal.values, signal.valid
     if name == "battery" and full:
-        ok = value[:, 0] > 0.5 * full
-        return "voltage", signal.time[ok], value[ok, :1] / full
+        ok = valid[:, 0] & (values[:, 0] > 0.5 * full)
+        return Part("voltage", time[ok], values[ok, :1] / full)
     if name == "lift" and not full and "voltage_ratio" in signal.columns:
-        ratio = value[:, signal.columns.index("voltage_ratio")]
-        ok = ratio > 0.3
-        return "voltage", signal.time[ok], ratio[ok, None]
-    if name == "rates":
-        return (name, signal.time, value) if gyro == "rates" else None
+        column = signal.columns.index("voltage_ratio")
+        ok = valid[:, column] & (values[:, column] > 0.3)
+        return Part("voltage", time[ok], values[ok, column, None])
     if name == "control":
-        return name, signal.time, value[:, :4]
-    return (name, signal.time, value) if name in ("motors", "gyro", "accel", "velocity", "attitude") else None
+        return Part(name, time, values[:, :4], valid[:, :4])
+    taken = name in ("motors", "gyro", "accel", "velocity", "attitude") or (name == "rates" and gyro == "rates")
+    return Part(name, time, values, valid) if taken else None

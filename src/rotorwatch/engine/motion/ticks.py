@@ -6,7 +6,7 @@ A tick at time t uses nothing measured after t. Units: thrusts in hover thrusts 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -15,7 +15,8 @@ import numpy as np
 from rotorwatch.base.arrays import median
 from rotorwatch.base.compiling.running import Rows
 from rotorwatch.base.compiling.structs import LASTS
-from rotorwatch.engine.definition import ENGINE, craft, known, pieces
+from rotorwatch.base.progress import portion
+from rotorwatch.engine.definition import ENGINE, Part, craft, pieces
 from rotorwatch.engine.front import sense as cutting
 from rotorwatch.engine.front import ticks as definition
 from rotorwatch.engine.front import whole
@@ -33,7 +34,7 @@ LAG_S = 0.02
 # s in the air before anything is judged; the same where healthy flights have shown the noise.
 READY_S, READY_KNOWN_S = 8.0, 3.0
 LATE_PERIODS = 1.5  # of slow motion, for which a tick waits at least
-ROOM = 4096  # rows in one call
+ROOM = 512  # rows in one call
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -229,20 +230,20 @@ def table(plan: Plan, hover: float | None = None, rebuilt: bool = False) -> dict
     }  # fmt: skip
 
 
-def sense(flight: Flight, thrust: Signal, plan: Plan) -> Sensed:
-    """The ticks of a flight with these thrusts; none where the thrusts of all rotors are never known together."""
+def sense(flight: Flight, thrust: Signal, plan: Plan, progress: Callable[[float], object] | None = None) -> Sensed:
+    """The ticks of a flight with these thrusts; none where the thrusts of all rotors are never known together. progress: called with the
+    finished share, 0..1."""
     n = thrust.values.shape[1]
-    valid = thrust.valid.all(axis=1, keepdims=True)
-    parts = [("thrust", thrust.time, np.where(valid, thrust.values, np.nan))]
-    parts += [("gyro", flight[plan.gyro].time, known(flight, plan.gyro))] if plan.gyro else []
-    parts += [("accel", flight["accel"].time, known(flight, "accel"))] if plan.accel else []
-    parts += [
-        (name, flight[name].time, known(flight, name)) for name in ("velocity", "attitude") if name in flight.signals
-    ]
+    parts = [Part("thrust", thrust.time, thrust.values, thrust.whole)]
+    parts += [Part.of(flight, plan.gyro)._replace(name="gyro")] if plan.gyro else []
+    parts += [Part.of(flight, "accel")] if plan.accel else []
+    parts += [Part.of(flight, name) for name in ("velocity", "attitude") if name in flight.signals]
     vehicle, how = craft(n), laid_out(plan)
     state, rows, done = ENGINE.new(cutting.Sense), ENGINE.array(cutting.Sensed, ROOM), ENGINE.new(whole.Done)
-    made = []
+    made, done_s = [], max(flight.duration, 1e-9)
     for samples in pieces(parts):
+        if progress and len(samples):
+            progress(float(samples.time[0]) / done_s)
         taken = 0
         while taken < len(samples):
             arguments = (taken, len(samples), samples.kind, samples.time, samples.at, samples.values)
@@ -251,21 +252,27 @@ def sense(flight: Flight, thrust: Signal, plan: Plan) -> Sensed:
             made.append(rows.cut(int(done["rows"][0])))
     while count := ENGINE.call(whole.rest, state, vehicle, how, rows, ROOM):
         made.append(rows.cut(count))
+    last = max((k for k, rows in enumerate(made) if rows["some"].any()), default=0)
+    commanded = np.flatnonzero(made[last]["some"])  # the rows after the last command are no flight
+    made[last:] = [made[last].cut(int(commanded[-1]) + 1 if commanded.size else 0)]
     whole_rows = Rows.joined(made)
-    commanded = np.flatnonzero(whole_rows["some"])  # the rows after the last command are no flight
-    whole_rows = whole_rows.cut(int(commanded[-1]) + 1 if commanded.size else 0)
+    made.clear()
     columns = {name: whole_rows[name] for name in Sensed.__dataclass_fields__ if name not in ("share", "rows")}
     return Sensed(share=whole_rows["share"][:, :n], rows=whole_rows, **columns)
 
 
-def observe(flight: Flight, vehicle: Vehicle, air, ready_s: float) -> Ticks | None:
-    """Ticks of a flight, or None when it shows no motor commands in the air."""
+def observe(
+    flight: Flight, vehicle: Vehicle, air, ready_s: float, progress: Callable[[float], object] | None = None
+) -> Ticks | None:
+    """Ticks of a flight, or None when it shows no motor commands in the air. progress: called with the finished share, 0..1."""
     if not flight.has("motors") or not air:
         return None
     thrust = allocation.rotor_thrusts(flight, vehicle)
     if len(thrust) < 20 or not thrust.whole.any():  # or one output is never a command
         return None
-    made = cut_ticks(flight, thrust, vehicle.effectiveness(), air, ready_s, hover=known_hover(vehicle))
+    tell, B = portion(progress, 0.4, 1.0), vehicle.effectiveness()
+    tell(0.0)
+    made = cut_ticks(flight, thrust, B, air, ready_s, hover=known_hover(vehicle), progress=tell)
     return replace(made, curve=vehicle.curve.believed)
 
 
@@ -283,13 +290,14 @@ def cut_ticks(
     lag_s: float = LAG_S,
     hover: float | None = None,
     dt: float | None = None,
+    progress: Callable[[float], object] | None = None,
 ) -> Ticks:
     """Ticks of one flight. thrust: share of full thrust per rotor over time; B (4, n); ready_s: blind time after lift-off.
 
-    hover: share of full thrust that carries the vehicle, when a vehicle file or baseline knows it.
+    hover: share of full thrust that carries the vehicle, when a vehicle file or baseline knows it. progress: as of `sense`.
     """
     how = plan(flight, thrust, ready_s, lag_s, dt)
-    return assemble(sense(flight, thrust, how), how, B, airborne, hover)
+    return assemble(sense(flight, thrust, how, progress), how, B, airborne, hover)
 
 
 def assemble(
@@ -306,7 +314,7 @@ def assemble(
     made = ENGINE.array(definition.Made, count)
     state, vehicle = ENGINE.new(definition.Ticks), craft(n, effectiveness=B)
     ENGINE.call(whole.assemble, state, vehicle, laid_out(plan, hover), count, seen.rows, lifted, start, made)
-    return columns(made, plan, n)
+    return columns(made, plan, n).part(np.arange(count))  # without what only the definitions need
 
 
 def columns(made: Rows, plan: Plan, n: int, before: tuple[Contact, ...] = ()) -> Ticks:

@@ -7,7 +7,7 @@ no healthy or faulty flight shows; docs/limits.md has how often each was wrong.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -54,6 +54,7 @@ EXCHANGED = (
     8.0  # the same, from which motion that follows the command of another axis is no coupling of a sound vehicle
 )
 AXES = ("roll", "pitch", "yaw")
+BLOCK = 1 << 16  # samples that are looked at at a time
 WINDOW_S = 0.2  # s over which gyro and attitude are compared
 # Gyro and attitude up to so far apart, in such steps; in parts of so long, of which there are at least so many
 APART_S, LAG_S, PART_S, LEAST_PARTS = 5.0, 0.1, 10.0, 3
@@ -79,15 +80,27 @@ class Case:
         return self.flight.angular_rate()
 
     @cached_property
+    def turns(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """`_turns` of attitude and gyro at the same time."""
+        return _turns(self.flight["attitude"], self.flight["gyro"], self.air)
+
+    @cached_property
     def flying(self) -> np.ndarray:
         """(T,) ticks in the air, upset or not."""
         return self.table.mode > 0
 
 
-def contradictions(flight: Flight, vehicle: Vehicle, air: Spans, table: Ticks) -> tuple[str, ...]:
-    """Why the log cannot be what flew, a sentence for each test that fails; empty when nothing contradicts it."""
-    case = Case(flight, vehicle, air, table)
-    return tuple(why for test in TESTS if (why := test(case)))
+def contradictions(
+    flight: Flight, vehicle: Vehicle, air: Spans, table: Ticks, progress: Callable[[float], object] | None = None
+) -> tuple[str, ...]:
+    """Why the log cannot be what flew, a sentence for each test that fails; empty when nothing contradicts it. progress: called with the
+    finished share, 0..1."""
+    case, found = Case(flight, vehicle, air, table), []
+    for done, test in enumerate(TESTS, 1):
+        found += [why] if (why := test(case)) else []
+        if progress:
+            progress(done / len(TESTS))
+    return tuple(found)
 
 
 def two_publishers(case: Case) -> str | None:
@@ -122,14 +135,16 @@ def wild_motion(case: Case) -> str | None:
     ):
         if not case.flight.has(name):
             continue
-        time, size = _magnitude(case.flight[name], case.air)
-        if time.size < 5:
-            continue
-        width = max(1, round(WILD_S * case.flight[name].rate_hz))
-        smooth = np.convolve(size, np.ones(width) / width, "valid")
-        if smooth.size and smooth.max() > limit:
-            at = time[int(np.argmax(smooth))]
-            return f"the vehicle {what} {smooth.max():.0f} {unit} at {at:.1f} s, which none survives: its {name} or its unit is wrong."
+        width, most, at = max(1, round(WILD_S * case.flight[name].rate_hz)), 0.0, 0.0
+        before, sizes = np.zeros(0), np.zeros(0)
+        for time, size in _lengths(case.flight[name], case.air):
+            time, size = np.concatenate([before, time]), np.concatenate([sizes, size])
+            smooth = _mean_of_next(size, width)
+            if smooth.size and smooth.max() > most:
+                most, at = float(smooth.max()), float(time[int(np.argmax(smooth))])
+            before, sizes = time[len(smooth) :], size[len(smooth) :]
+        if most > limit:
+            return f"the vehicle {what} {most:.0f} {unit} at {at:.1f} s, which none survives: its {name} or its unit is wrong."
     return None
 
 
@@ -140,14 +155,16 @@ def weightless(case: Case) -> str | None:
     """
     if not case.flight.has("accel"):
         return None
-    time, size = _magnitude(case.flight["accel"], case.air)
-    if time.size < 50:
+    parts = [(time[[0, -1]], size) for time, size in _lengths(case.flight["accel"], case.air)]
+    size = np.concatenate([size for _, size in parts]) if parts else np.zeros(0)
+    if size.size < 50:
         return None
-    typical = float(median(size)) / G0
-    wrong = not 1.0 / SCALE < typical < SCALE and np.ptp(time) >= LONG_S
+    typical, lasts = float(median(size)) / G0, float(parts[-1][0][1] - parts[0][0][0])
+    del size
+    wrong = not 1.0 / SCALE < typical < SCALE and lasts >= LONG_S
     if not wrong and case.flight.has("attitude"):
         up = _upwards(case.flight["accel"], case.flight["attitude"], case.air)
-        speed = FASTEST_FALL / (G0 * float(np.ptp(time)))
+        speed = FASTEST_FALL / (G0 * lasts)
         wrong = max(typical, up + speed) < 1.0 / NEARER or min(typical, up - speed) > NEARER
     if not wrong:
         return None
@@ -158,7 +175,7 @@ def attitude_against_gyro(case: Case) -> str | None:
     """Gyro and attitude tell of the same turns: same size, same sign, same time."""
     if not case.flight.has("gyro", "attitude"):
         return None
-    _, turned, (rate,) = _turns(case.flight["attitude"], case.flight["gyro"], case.air)
+    _, turned, (rate,) = case.turns
     if len(rate) < 50:
         return None
     # Of most of the flight: knocks and a crash show sensors' limits.
@@ -190,12 +207,12 @@ def two_clocks(case: Case) -> str | None:
     """Gyro and attitude tell of the same turns, but not at the same time: of most parts of the flight, in calm air as well."""
     if not case.flight.has("gyro", "attitude"):
         return None
-    when, (alike,) = _alike_at(case, (0.0,))
+    when, (alike,) = _alike_at(case.turns)
     differ = alike.max(axis=1) < ALIKE
     if differ.sum() < LEAST_PARTS or differ.mean() < 0.5:
         return None
     lags = np.arange(-APART_S, APART_S + 0.5 * LAG_S, LAG_S)
-    alike = _alike_at(case, lags)[1].max(axis=2)
+    alike = _alike_at(_turns(case.flight["attitude"], case.flight["gyro"], case.air, lags))[1].max(axis=2)
     found = differ & (alike.max(axis=0) > THE_SAME)
     when, apart = when[found], lags[alike.argmax(axis=0)][found]
     if found.sum() < LEAST_PARTS or found.mean() < 0.5:
@@ -207,13 +224,13 @@ def two_clocks(case: Case) -> str | None:
     return f"gyro and attitude tell of the same turns {far} s apart: they are not of one clock."
 
 
-def _alike_at(case: Case, lags: Sequence[float] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """When parts of the flight begin (parts,) s, and correlation of gyro and attitude in each at these lags s (lags, parts, 3)."""
-    time, turned, rates = _turns(case.flight["attitude"], case.flight["gyro"], case.air, lags)
+def _alike_at(turns: tuple[np.ndarray, np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """When parts of the flight begin (parts,) s, and correlation of gyro and attitude in each at the lags of `_turns` (lags, parts, 3)."""
+    time, turned, rates = turns
     count = int(np.ptp(time) / PART_S) if time.size else 0
     edges = np.searchsorted(time, time[:1] + PART_S * np.arange(count + 1))
     parts = [slice(a, b) for a, b in pairwise(edges) if b - a > 0.5 * PART_S / WINDOW_S]
-    alike = np.zeros((len(lags), len(parts), 3))
+    alike = np.zeros((len(rates), len(parts), 3))
     for k, part in enumerate(parts):
         x, y = turned[part] - turned[part].mean(axis=0), rates[:, part] - rates[:, part].mean(axis=1, keepdims=True)
         size = np.sqrt(np.sum(x * x, axis=0) * np.sum(y * y, axis=1))
@@ -380,24 +397,37 @@ def _without_trim(x: np.ndarray, width: int) -> np.ndarray:
     return x - np.convolve(x, np.ones(width) / width, "same")
 
 
-def _magnitude(signal: Signal, air: Spans) -> tuple[np.ndarray, np.ndarray]:
-    """(time, length of the vector) of a signal's valid samples in the air."""
-    ok = within(signal.time, air) & signal.whole
-    return signal.time[ok], np.sqrt(np.einsum("ij,ij->i", signal.values, signal.values))[ok]
+def _lengths(signal: Signal, air: Spans) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """(time, length of the vector) of a signal's valid samples in the air, some at a time."""
+    for start in range(0, len(signal), BLOCK):
+        some = signal.part(slice(start, start + BLOCK))
+        ok = within(some.time, air) & some.whole
+        if ok.any():
+            yield some.time[ok], np.sqrt(np.einsum("ij,ij->i", some.values, some.values))[ok]
+
+
+def _mean_of_next(x: np.ndarray, width: int) -> np.ndarray:
+    """Mean of each value and those after it, `width` in all; of those that are followed by so many."""
+    total = np.cumsum(np.concatenate([[0.0], x]))
+    return (total[width:] - total[:-width]) / width
 
 
 def _upwards(accel: Signal, attitude: Signal, air: Spans) -> float:
     """Mean specific force against gravity in the air, in g; 0 where no attitude is valid."""
-    ok, known = within(accel.time, air) & accel.whole, attitude.whole
-    if not known.any():
+    ok, attitude = within(accel.time, air) & accel.whole, attitude.wholes()
+    if not len(attitude):
         return 0.0
-    at, (w, x, y, z) = attitude.time[known], attitude.values[known].T
-    when, force = accel.time[ok], np.zeros(int(ok.sum()))
-    for axis, down in enumerate(
-        (lambda: 2.0 * (x * z - w * y), lambda: 2.0 * (y * z + w * x), lambda: 1.0 - 2.0 * (x * x + y * y))
-    ):
-        force += np.interp(when, at, down()) * accel.values[ok, axis]
-    return -float(np.mean(force)) / G0
+    total = 0.0
+    for start in range(0, len(accel), BLOCK):
+        part = slice(start, start + BLOCK)
+        when, force = accel.time[part][ok[part]], accel.values[part][ok[part]]
+        if when.size:
+            first, last = np.searchsorted(attitude.time, when[[0, -1]])
+            near = attitude.part(slice(max(int(first) - 1, 0), int(last) + 1))
+            w, x, y, z = near.values.T
+            for axis, down in enumerate((2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y))):
+                total += float((np.interp(when, near.time, down) * force[:, axis]).sum())
+    return -total / float(ok.sum()) / G0
 
 
 def _angle(gyro: Signal | None, start: float, end: float) -> float:
@@ -417,8 +447,8 @@ def _turns(
     none = np.zeros(0), np.zeros((0, 3)), np.zeros((len(lags), 0, 3))
     fine = attitude.whole & within(attitude.time, air)
     step, rows = max(1, round(WINDOW_S * attitude.rate_hz)), np.flatnonzero(fine)
-    good = gyro.whole
-    when, rate = (gyro.time, gyro.values) if good.all() else (gyro.time[good], gyro.values[good])
+    known = gyro.wholes()
+    when, rate = known.time, known.values
     if rows.size < 2 * step or when.size < 2:
         return none
     first, last = rows[:-step:step], rows[step::step]
@@ -435,9 +465,12 @@ def _turns(
     sine = np.linalg.norm(turned[:, 1:], axis=1, keepdims=True)
     angle = turned[:, 1:] / np.maximum(sine, 1e-12) * 2.0 * np.arctan2(sine, turned[:, :1])
     mean = np.empty((len(lags), len(starts), 3))
+    total, steps = np.zeros(len(when)), np.diff(when)
     for axis in range(3):  # one after the other: of a long flight one is long enough
-        total = np.zeros(len(when))
-        np.cumsum(0.5 * (rate[1:, axis] + rate[:-1, axis]) * np.diff(when), out=total[1:])
+        np.add(rate[1:, axis], rate[:-1, axis], out=total[1:])
+        total *= 0.5
+        total[1:] *= steps
+        np.cumsum(total[1:], out=total[1:])
         for turns, lag in zip(mean, lags):
             turns[:, axis] = np.interp(ends + lag, when, total) - np.interp(starts + lag, when, total)
     return starts, angle / length, mean / length

@@ -41,6 +41,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch import airframes
+from rotorwatch.base import windows
 from rotorwatch.base.arrays import distinct, median
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.front.decisions import DAMAGED, FALSE_ALARM, FALSE_FAULT, MENTIONED
@@ -254,10 +255,11 @@ def _block_means(
     if signal is None or not len(signal):
         return np.zeros((len(starts), columns or 1)), np.zeros(len(starts), bool)
     ok = signal.whole if columns is None else signal.valid[:, :columns].all(axis=1)
-    time, values = signal.time[ok], signal.values[ok, :columns]
-    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    time, values = signal.time, signal.values[:, :columns]
+    if not ok.all():
+        time, values = time[ok], values[ok]
     a, b = np.searchsorted(time, starts), np.searchsorted(time, starts + BLOCK_S)
-    return (total[b] - total[a]) / np.maximum(b - a, 1)[:, None], b > a
+    return windows.sums(values, a, b) / np.maximum(b - a, 1)[:, None], b > a
 
 
 def _steady(flight: Flight, starts: np.ndarray) -> np.ndarray:

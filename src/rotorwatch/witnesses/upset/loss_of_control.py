@@ -86,8 +86,8 @@ def held(signal: Signal, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def known(signal: Signal) -> tuple[np.ndarray, np.ndarray]:
     """Times and values of the samples of which all columns are known."""
-    ok = signal.whole
-    return (signal.time, signal.values) if ok.all() else (signal.time[ok], signal.values[ok])
+    whole = signal.wholes()
+    return whole.time, whole.values
 
 
 def _held(time: np.ndarray, values: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -196,8 +196,12 @@ def _spins(flight: Flight, time: np.ndarray) -> np.ndarray:
     if not flight.has("gyro"):
         return np.zeros(time.size, bool)
     at, rates = known(flight["gyro"])
-    rate, age = _held(at, rates[:, 2:], time)
-    return (np.abs(rate[:, 0]) > SPINS) & (age <= FRESH_S)
+
+    def spins(when: np.ndarray) -> np.ndarray:
+        rate, age = _held(at, rates[:, 2:], when)
+        return (np.abs(rate[:, 0]) > SPINS) & (age <= FRESH_S)
+
+    return _blockwise(spins, time).astype(bool)
 
 
 def find(flight: Flight, air) -> tuple[LossOfControl, ...]:
@@ -262,10 +266,12 @@ def _turns_over(flight: Flight, powered: list[tuple[float, float]], end: float) 
 
 
 def _leaves(flight, time, angle, words, start, end) -> LossOfControl | None:
-    inside = np.flatnonzero((time >= start) & (time <= end + LASTS_S) & np.isfinite(angle))
-    if inside.size < 3:
-        return None
+    inside = slice(np.searchsorted(time, start), np.searchsorted(time, end + LASTS_S, side="right"))
     t, a = time[inside], angle[inside]
+    if not (told := np.isfinite(a)).all():
+        t, a = t[told], a[told]
+    if t.size < 3:
+        return None
     out = (a > ERROR_DEG) | _long(t, (a > AWAY_DEG) & (a <= ERROR_DEG))
     for k in np.flatnonzero(out & ~np.concatenate([[False], out[:-1]])):
         if t[k] > end:
@@ -310,8 +316,12 @@ def _began(t: np.ndarray, a: np.ndarray, k: int) -> float:
 
 def _back(t: np.ndarray, a: np.ndarray, k: int, lasts: float = BACK_S) -> float | None:
     """When control came back: the begin of so many seconds within BACK_DEG; None where the flight ends before."""
-    found = _lasting(t[k:], a[k:] < BACK_DEG, lasts)
-    return None if found is None else float(t[k + found[0]])
+    length = BLOCK >> 6
+    while True:  # mostly soon
+        found = _lasting(t[k : k + length], a[k : k + length] < BACK_DEG, lasts)
+        if found is not None or k + length >= t.size:
+            return None if found is None else float(t[k + found[0]])
+        length *= 4
 
 
 def _lasting(time: np.ndarray, so: np.ndarray, seconds: float) -> tuple[int, int] | None:
@@ -331,17 +341,18 @@ def _falls(flight: Flight, start: float, end: float) -> LossOfControl | None:
         return None
     motors = _around(flight["motors"], start - 1.0, end + 5.0)
     share = _shares(flight, motors).max(axis=1)
-    accel = _around(flight["accel"], start, end + 5.0)
-    ok = accel.whole
-    time, force = accel.time[ok], np.linalg.norm(accel.values[ok], axis=1) / G0
-    near = (time >= start) & (time <= end + 5.0)
+    time, force = known(flight["accel"])
+    near = slice(np.searchsorted(time, start), np.searchsorted(time, end + 5.0, side="right"))
     time, force = time[near], force[near]
     if not time.size or not motors.time.size:
         return None
-    k = np.searchsorted(motors.time, time, side="right") - 1
-    rest = (share[np.maximum(k, 0)] < REST) & (k >= 0)
-    falling = (force < FALLS) & rest
-    found = _lasting(time, falling, FALLS_S)
+
+    def falling(when: np.ndarray, force: np.ndarray) -> np.ndarray:
+        k = np.searchsorted(motors.time, when, side="right") - 1
+        rest = (share[np.maximum(k, 0)] < REST) & (k >= 0)
+        return (np.linalg.norm(force, axis=1) / G0 < FALLS) & rest
+
+    found = _lasting(time, _blockwise(falling, time, force), FALLS_S)
     if found is None:
         return None
     since, when = (float(time[at]) for at in found)
@@ -408,10 +419,12 @@ def hit(flight: Flight, start: float, end: float) -> float | None:
         return None
     accel = flight["accel"]
     part = accel.between(start, end)
-    force = np.where(part.valid, part.values, 0.0) / G0
-    blow = (np.hypot(force[:, 0], force[:, 1]) > HITS_G) | (force[:, 2] > HITS_G) | (-force[:, 2] > 2.0 * HITS_G)
-    when = part.time[blow]
-    return float(when[0]) if when.size else None
+    for first in range(0, len(part), BLOCK):
+        force = part.values[first : first + BLOCK] / G0  # 0 where it is not known
+        blow = (np.hypot(force[:, 0], force[:, 1]) > HITS_G) | (force[:, 2] > HITS_G) | (-force[:, 2] > 2.0 * HITS_G)
+        if blow.any():
+            return float(part.time[first + int(np.argmax(blow))])
+    return None
 
 
 def until_impact(flight: Flight, air, left: tuple[LossOfControl, ...]) -> tuple[tuple[float, float], ...]:
