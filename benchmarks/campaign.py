@@ -9,20 +9,20 @@ logs (plans/open.toml) all cells are flown unless one is named, and of each cell
     python benchmarks/campaign.py PLAN --ways [--flights N] [--rounds R]
 
 Whole campaigns, as the command runs them: by one process and by two, by one worker of a Dask scheduler and by two, in turn. Each flies
-N flights and three times as many into new folders; the difference of the two counts, so that starting does not.
+N flights and three times as many into new folders; the difference of the two counts, so that starting does not. Others may use the
+computer: what the workers waited for a processor is counted, too.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
-import statistics
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -116,40 +116,62 @@ def ways(plan: Path, flights: int, rounds: int) -> None:
     """Print what whole campaigns take, each way."""
     for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NPROC"):  # of what is started here: one of each
         os.environ.setdefault(threads, "1")
-    clock: dict[str, list[float]] = {name: [] for name in WAYS}
-    busy: dict[str, list[float]] = {name: [] for name in WAYS}
+    found: dict[str, list[np.ndarray]] = {name: [] for name in WAYS}
     with ExitStack() as stack:
         clusters = {name: stack.enter_context(many.cluster(n)) for name, n in WAYS.items() if "Dask" in name}
-
-        def flown(name: str, count: int) -> np.ndarray:
-            """Seconds by the clock, and of processors."""
-            dask = clusters.get(name)
-            how = ["--scheduler", dask.address] if dask else ["--jobs", str(WAYS[name])]
-            with tempfile.TemporaryDirectory() as folder:
-                command = [*COMMAND, str(plan), "--flights", str(count), *how, "-o", folder, "-q"]
-                before = many.spent_s(dask)
-                passed = many.timed(lambda: subprocess.run(command, check=True, stdout=subprocess.DEVNULL))
-                return np.array([passed, many.spent_s(dask) - before])
-
         for name in WAYS:  # each cell is compiled, each worker has begun
-            flown(name, flights)
+            flown(plan, flights, WAYS[name], clusters.get(name))
         for k in range(rounds):
-            for name in WAYS:
-                few, more = flown(name, flights), flown(name, 3 * flights)
-                passed, spent = (more - few) / (2 * flights)
-                clock[name].append(passed)
-                busy[name].append(spent)
+            for name, n in WAYS.items():
+                few, more = (flown(plan, count, n, clusters.get(name)) for count in (flights, 3 * flights))
+                found[name].append((more - few) / (2 * flights))
+                passed, alone, spent = found[name][-1]
                 print(
-                    f"round {k + 1}, {name}: {1.0 / passed:.2f} flights a second, {1e3 * spent:.0f} ms of processors each; "
-                    f"{few[0] - passed * flights:.1f} s to begin and end, load {os.getloadavg()[0]:.1f}",
+                    f"round {k + 1}, {name}: {1.0 / passed:.2f} flights a second, {1.0 / alone:.2f} on free processors, "
+                    f"{1e3 * spent:.0f} ms of processors each, load {os.getloadavg()[0]:.1f}",
                     flush=True,
                 )
-    print("\n| | flights a second | ms of processors a flight |\n|---|---|---|")
-    for name in WAYS:
-        print(f"| {name} | {1.0 / statistics.median(clock[name]):.1f} | {1e3 * statistics.median(busy[name]):.0f} |")
+    middle = {name: np.median(rows, axis=0) for name, rows in found.items()}
+    print("\n| | flights a second | on free processors | ms of processors a flight |\n|---|---|---|---|")
+    for name, (passed, alone, spent) in middle.items():
+        print(f"| {name} | {1.0 / passed:.1f} | {1.0 / alone:.1f} | {1e3 * spent:.0f} |")
     for one, two in (("one process", "two processes"), ("one Dask worker", "two Dask workers")):
-        times = statistics.median(a / b for a, b in zip(clock[one], clock[two], strict=True))
-        print(f"{two}: {times:.2f} times as fast as {one}, {times / 2:.2f} of twice")
+        times = middle[one][:2] / middle[two][:2]
+        print(
+            f"{two}: {times[0]:.2f} times as fast as {one}, on free processors {times[1]:.2f}, {times[1] / 2:.2f} of twice"
+        )
+
+
+def flown(plan: Path, count: int, workers: int, dask: many.Cluster | None) -> np.ndarray:
+    """Seconds of a campaign: by the clock; by the clock, less what its workers waited for a processor that others had, in the mean; of
+    processors."""
+    import psutil  # comes with Dask
+
+    how = ["--scheduler", dask.address] if dask else ["--jobs", str(workers)]
+    with tempfile.TemporaryDirectory() as folder:
+        command = [*COMMAND, str(plan), "--flights", str(count), *how, "-o", folder, "-q"]
+        before, began = many.spent_s(dask), time.perf_counter()
+        first = {part.pid: scheduled(part.pid) for part in dask.parts.values()} if dask else {}
+        last = dict(first)
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+        while process.poll() is None:
+            mine = [process.pid, *(child.pid for child in psutil.Process(process.pid).children(recursive=True)), *first]
+            last |= {pid: np.maximum(last.get(pid, 0.0), scheduled(pid)) for pid in mine}
+            time.sleep(0.1)
+        passed, spent = time.perf_counter() - began, many.spent_s(dask) - before
+    if process.returncode:
+        raise SystemExit(f"{' '.join(command)} ended with {process.returncode}.")
+    busiest = sorted((seen - first.get(pid, 0.0) for pid, seen in last.items()), key=lambda used: -used[0])[:workers]
+    return np.array([passed, passed - np.mean([waited for _, waited in busiest]), spent])
+
+
+def scheduled(pid: int) -> np.ndarray:
+    """Seconds that a process has run, and that it has waited for a processor; Linux tells."""
+    total = np.zeros(2)
+    for path in Path(f"/proc/{pid}/task").glob("*/schedstat"):
+        with suppress(OSError):  # it has ended meanwhile
+            total += [1e-9 * float(word) for word in path.read_text().split()[:2]]
+    return total
 
 
 def simulated(plan: Plan, cell: int, width: int, repeats: int) -> dict[str, float]:

@@ -17,7 +17,9 @@ from rotorwatch import airframes
 from rotorwatch.base.backend import jax
 from rotorwatch.commands.cli import cli
 from rotorwatch.errors import ConfigError
-from rotorwatch.lab.simulation import helicopter, scenario, simulate
+from rotorwatch.lab.campaign import open_score, open_world
+from rotorwatch.lab.simulation import helicopter, logbook, scenario, simulate
+from rotorwatch.lab.simulation.logged import in_order
 from rotorwatch.lab.simulation.prepare import frame_numbers, plan, vehicle
 from rotorwatch.lab.simulation.write_dataflash import write_dataflash
 from rotorwatch.lab.simulation.write_ulog import write_ulog
@@ -66,6 +68,35 @@ def test_our_readers_find_what_was_written(logs, autopilot):
     assert [(m.kind, m.value) for m in found.messages if m.kind in ("armed", "landed")][-4:] == [
         *(("armed", 1.0), ("landed", 0.0), ("landed", 1.0), ("armed", 0.0))
     ]
+
+
+def test_records_follow_each_other_in_time_whatever_they_are_of():
+    """Of equal stamps those of the earlier table come first, single records last; some tables are empty."""
+    one = np.array([b"aaaa", b"bbbb", b"cccc"], "V4")
+    two, none = np.array([(7, 1.0), (8, 2.0)], [("n", "u1"), ("x", "<f4")]), np.zeros(0, "V9")
+    tables = [(np.array([1, 5, 5]), one), (np.zeros(0, int), none), (np.array([0, 5]), two)]
+    alone = [(5, b"end\0"), (0, b"begin")]
+    first, second = (two[k : k + 1].tobytes() for k in range(2))
+    wanted = [first, b"begin", b"aaaa", b"bbbb", b"cccc", second, b"end\0"]
+    assert in_order(tables, alone) == b"".join(wanted)
+    assert in_order([], [(2, b"b"), (1, b"a")]) == b"ab" and in_order([], []) == b""
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_a_campaign_answers_from_memory_what_diagnose_answers_to_the_file(logs, autopilot):
+    path, (one, numbers, record) = (
+        logs[autopilot][0],
+        (made(autopilot).scenario, made(autopilot).plan, made(autopilot).record),
+    )
+    data = logbook.log(one, numbers, record)
+    assert data == path.read_bytes()
+    row, answer = open_world._row(one, record, data, path.name), rw.diagnose(path)
+    wanted = open_score.judged(one, answer)
+    assert {key: row[key] for key in wanted} == wanted and answer.events
+    assert (row["verdict"], row["headline"]) == (answer.verdict, answer.headline)
+    assert row["airborne_s"] == answer.flight["airborne_s"][1] - answer.flight["airborne_s"][0]
+    damaged = open_world._row(one, record, b"nothing", path.name)
+    assert damaged["verdict"] == "error" and damaged["headline"] == f"{path.name}: not a flight log of a known kind"
 
 
 def test_pymavlink_opens_the_dataflash_log(logs):
