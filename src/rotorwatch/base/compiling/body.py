@@ -55,27 +55,9 @@ ROUNDED = {"sqrt": "RW_ROOT", "exp": "RW_EXP", "log": "RW_LOG"}  # of a number i
 EACH = {"sqrt": "root_each", "exp": "exp_each", "log": "log_each"}  # the same of each that stand side by side
 COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 BUILTIN = (
-    "sqrt",
-    "exp",
-    "log",
-    "isnan",
-    "floor",
-    "abs",
-    "min",
-    "max",
-    "int",
-    "float",
-    "real",
-    "len",
-    "ord",
-    "reset",
-    "copy",
-    "local",
-    "each",
-    "one",
-    "replaced",
-    *MODULO,
-)
+    *ROUNDED, "isnan", "floor", "abs", "min", "max", "int", "float", "real", "len", "ord", "reset", "copy", "local", "each", "one",
+    "replaced", *MODULO,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
