@@ -374,6 +374,11 @@ def test_python_writes_into_the_arrays_that_are_given(made):
     out = np.zeros(6, np.int32)
     plain.call(small.bits, 12, 10, 1, out)
     assert out[0] == 12 & 10 | 3 ^ 12
+    reals, flags = np.full((2, 4), np.nan), np.zeros(6, bool)
+    plain.call(small.numbers, 3.0, 2.0, reals)
+    assert reals[0, 2] == 2.0 - 3.0 and reals[1, 0] == 3.0
+    plain.call(small.truths, 1.0, 2.0, 1, flags)
+    assert flags[:2].all() and not flags[2]
 
 
 @pytest.mark.parametrize("way", [1, 2])

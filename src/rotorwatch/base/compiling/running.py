@@ -331,7 +331,12 @@ class Definition:
             if not _fits(kind, x):
                 raise TypeError(f"{function.__name__}: {name} must be {_called(kind)}, not {_called(x)}.")
         if self.library is None:
-            return function(*(_plain(x) for x in arguments))
+            plain = [_plain(x) for x in arguments]
+            result = function(*plain)
+            for x, made in zip(arguments, plain):
+                if isinstance(made, list) and isinstance(x, np.ndarray) and x.flags.writeable:
+                    x.reshape(-1)[:] = made  # a function may write them
+            return result
         name = f"rw_{function.__module__.rpartition('.')[2]}_{function.__name__}"
         called = getattr(self.library, name)
         result = str(function.__annotations__.get("return"))
@@ -393,5 +398,5 @@ def _plain(x: Any) -> Any:
         return x.plain if x.many else x.plain[0]
     if not isinstance(x, np.ndarray):
         return x
-    # Row by row, as C has it. Whole numbers where they lie: a function may write them, and bytes are many.
+    # Row by row, as C has it. Whole numbers where they lie: bytes are many.
     return x.reshape(-1).data if x.dtype in (np.int32, np.uint8) else x.ravel().tolist()
