@@ -45,7 +45,7 @@ BY_TICKS = {
 }
 BY_LOGS = {
     "flights drawn": (open_world, "flight_plan"),
-    "simulated": (open_world, "fly_in_turn"),
+    "simulated": (open_world, "fly_each"),
     "logs written": (logbook, "log"),
     "logs read": (logs, "from_bytes"),
     "prepared": (open_world, "prepare"),

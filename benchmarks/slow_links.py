@@ -163,9 +163,9 @@ def run(flights: int, healthy: int) -> list[dict]:
     ]
     for done, (k, loss) in enumerate(flights_and_losses):
         made = drawn(k, loss)
-        record = fly_each(
+        (record,) = fly_each(
             MULTIROTOR, [flight_plan(made)], made.duration_s, made.rate_hz, made.record_hz, logbook.needed
-        )[0]
+        )
         for hz in RATES_HZ:
             row, part = judged(k, made, record, hz)
             rows.append(row)

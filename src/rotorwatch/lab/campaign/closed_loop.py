@@ -220,7 +220,7 @@ def _flown(craft, first: Scenario, plans: list, made: list, size: int) -> list[A
     """The records of plans with these entries."""
     n = craft.allocator.B.shape[1]
     ready = [p._replace(schedule=reconfigured.schedule(n, m, ENTRIES)) for p, m in zip(plans, made, strict=True)]
-    return loop.fly_each(craft, ready, first.duration_s, first.rate_hz, first.record_hz, logbook.needed, size)
+    return list(loop.fly_each(craft, ready, first.duration_s, first.rate_hz, first.record_hz, logbook.needed, size))
 
 
 def _true(scenario: Scenario, n: int) -> list[reconfigured.Entry]:

@@ -29,7 +29,7 @@ from rotorwatch.lab.campaign.score import read_columns
 from rotorwatch.lab.experiments import tools
 from rotorwatch.lab.simulation import logbook
 from rotorwatch.lab.simulation import plan as flight_plan
-from rotorwatch.lab.simulation.loop import fly_in_turn
+from rotorwatch.lab.simulation.loop import fly_each
 from rotorwatch.lab.simulation.multirotor import MULTIROTOR
 from rotorwatch.lab.simulation.scenario import Scenario
 
@@ -49,7 +49,7 @@ def judge(plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
             plans.append(flight_plan(scenario))
         except ConfigError as error:
             raise ConfigError(f"flight {k}: {error}") from error
-    records = fly_in_turn(MULTIROTOR, plans, first.duration_s, first.rate_hz, first.record_hz, logbook.needed, size)
+    records = fly_each(MULTIROTOR, plans, first.duration_s, first.rate_hz, first.record_hz, logbook.needed, size)
     found = []
     for k, scenario, numbers, record in zip(flights, scenarios, plans, records, strict=True):
         log = logbook.log(scenario, numbers, record)

@@ -67,7 +67,7 @@ def simulate(scenario: Scenario) -> Simulated:
         numbers, craft = helicopter.plan(scenario), helicopter.HelicopterAircraft(scenario.airframe["frame"])
         return Simulated(scenario, numbers, loop.fly(craft, numbers, *rates))
     numbers = plan(scenario)
-    return Simulated(scenario, numbers, loop.fly_each(MULTIROTOR, [numbers], *rates)[0])
+    return Simulated(scenario, numbers, next(loop.fly_each(MULTIROTOR, [numbers], *rates)))
 
 
 def simulate_batch(

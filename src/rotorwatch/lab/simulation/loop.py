@@ -241,23 +241,10 @@ def fly_each(
     record_hz: float = 100.0,
     select: Callable = everything,
     size: int | None = None,
-) -> list[Any]:
-    """The records (T, ...) of each of many flights, as NumPy arrays. As native code one by one where there is a C compiler, on a processor
-    several times as fast as side by side; else by `fly_many`, filled up to `size` flights, so that one program serves all numbers
-    of flights up to that. The two differ in their last digits. Raises ConfigError."""
-    return list(fly_in_turn(aircraft, plans, duration, rate_hz, record_hz, select, size))
-
-
-def fly_in_turn(
-    aircraft: Aircraft,
-    plans: Sequence[Any],
-    duration: float,
-    rate_hz: float = 400.0,
-    record_hz: float = 100.0,
-    select: Callable = everything,
-    size: int | None = None,
 ) -> Iterator[Any]:
-    """As `fly_each`, each record when it is asked for: as native code only one is held in memory."""
+    """The record (T, ...) of each of many flights, as NumPy arrays, when it is asked for. As native code one by one where there is a C
+    compiler, on a processor several times as fast as side by side, and only one is held in memory; else by `fly_many`, filled up to
+    `size` flights, so one program serves all numbers of flights up to that. The two differ in their last digits. Raises ConfigError."""
     jax = load_jax()
     if aircraft.made is None or compiled.engine() != "native":
         filled = stack([*plans, *[plans[-1]] * ((size or len(plans)) - len(plans))])
