@@ -61,7 +61,7 @@ def test_probabilities_are_honest():
         mean, sd = priors.get(who, excitation_response.prior((), 6))
         theta = mean + sd * rng.standard_normal(6)
         one = told(np.where(mean > 0.0, np.abs(theta), theta), seed, sd=0.15)
-        one = replace(one, J=one.J[:1], z=one.z[:1])
+        one = one._replace(J=one.J[:1], z=one.z[:1])
         logs = np.array([0.0, *(excitation_response.evidence([one], k, priors[k])[0] for k in PAIRS)])
         share = np.exp(logs - np.logaddexp.reduce(logs))
         if 0.5 < share.max() < 0.95:

@@ -29,8 +29,8 @@ from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 
 ROOM = 512  # ticks in one call
-WRITTEN = "best", "probability", "onsets", "active", "each", "share", "gives"
-"""Outputs of ticks, half of all, of which nothing is asked once losses are written down."""
+WRITTEN = "best", "probability", "onsets", "gives"
+"""Outputs of ticks of which nothing is asked once losses are written down."""
 
 
 class Judged(NamedTuple):
