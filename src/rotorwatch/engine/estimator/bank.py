@@ -66,9 +66,7 @@ class Observed(Struct):
     """What one tick's measurement does to all onsets alike; an axis that does not count has no weight, as it has no gain."""
 
     weight = array(REAL, 4)  # 1 / S, times what evidence is worth in this weather
-    absorbed = array(
-        REAL, 4, 4
-    )  # of what axis b shows of a jump axis a sees so much less, as b comes before it: h_a K_b
+    absorbed = array(REAL, 4, 4)  # h_a K_b: axis a sees so much less of what axis b, before it, has seen of a jump
 
     def by(self, p: Plant, rows: Rows, leader: Branch, calm: Reals, counts: Flags) -> None:
         """By the filter whose innovations they are; calm: what evidence is worth in this weather."""
