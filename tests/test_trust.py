@@ -176,6 +176,21 @@ def test_rates_that_nothing_survives(monkeypatch, block):
     assert "139 rad/s at 30." in said
 
 
+@pytest.mark.parametrize("block", [7, 1000])
+def test_gravity_is_looked_at_over_the_whole_flight(monkeypatch, block):
+    """However many samples at a time: an accelerometer that turns over half way shows half of what it should."""
+    flight = flown()
+    accel, air = flight["accel"], airborne(flight)
+    turned = accel.values * np.where(accel.time > np.mean(air), -1.0, 1.0)[:, None]
+    for values in (accel.values, turned):
+        signal = replace(accel, values=values)
+        whole = trust._upwards(signal, flight["attitude"], air)
+        with monkeypatch.context() as patch:
+            patch.setattr(trust, "BLOCK", block)
+            assert trust._upwards(signal, flight["attitude"], air) == pytest.approx(whole, abs=1e-9)
+    assert abs(whole) < 0.1
+
+
 def test_clock_frame_and_publishers():
     flight = flown()
     assert any(

@@ -12,6 +12,7 @@ from tests import tumbling
 from rotorwatch import airframes, diagnose
 from rotorwatch.answer import falls
 from rotorwatch.base.physics import G0
+from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.lab import campaign
@@ -107,6 +108,16 @@ def rolled(flight: Flight, name: str, start: float, end: float, degrees: float) 
         ((signal.time >= start) & (signal.time < end))[:, None], [np.cos(half), np.sin(half), 0, 0], signal.values
     )
     return replace(flight, signals={**flight.signals, name: replace(signal, values=q)})
+
+
+@pytest.mark.parametrize("case", ["climb", "swapped"])
+def test_a_loss_of_control_is_found_however_many_samples_are_looked_at_at_a_time(monkeypatch, case):
+    flight, _ = tumbling.fly("quad-x", case, 1, 50.0, 11.0, 9.0)
+    air = airborne(flight)
+    whole = loss_of_control.find(flight, air)
+    assert whole
+    monkeypatch.setattr(loss_of_control, "BLOCK", 64)
+    assert loss_of_control.find(flight, air) == whole
 
 
 def test_control_that_comes_back_at_once_was_not_lost():
