@@ -255,15 +255,20 @@ def _left(ready: Prepared) -> tuple[float, ...]:
 
 
 def estimated(
-    ready: Prepared, estimator: Any = "default", tuning: Tuning | None = None, progress: Callable | None = None
+    ready: Prepared,
+    estimator: Any = "default",
+    tuning: Tuning | None = None,
+    progress: Callable | None = None,
+    whole: bool = False,
 ) -> Estimated:
-    """The ticks of a flight that has some, through the estimator; those of a vehicle that does not hover through its own way."""
+    """The ticks of a flight that has some, through the estimator; those of a vehicle that does not hover through its own way. whole: with
+    the outputs of each tick that a diagnosis does not read (`engine.diagnoser.WRITTEN`)."""
     table, progress = cast(Ticks, ready.table), progress or (lambda share: None)
     B = ready.vehicle.effectiveness()
     if not ready.hovers:
         return Estimated(*aerobatic.estimate(ready.flight, ready.vehicle, ready.air, table))
     if estimator == "default":
-        one, judged = fly(ready.flight, ready.vehicle, ready.air, ready.ready_s, ready.dynamics, progress)
+        one, judged = fly(ready.flight, ready.vehicle, ready.air, ready.ready_s, ready.dynamics, progress, whole)
         return Estimated(judged.table, judged.out, one.learned, written=one)
     from rotorwatch.methods.published import published
 

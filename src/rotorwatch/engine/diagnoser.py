@@ -29,8 +29,8 @@ from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 
 ROOM = 512  # ticks in one call
-WRITTEN = "best", "probability", "onsets", "gives"
-"""Outputs of ticks of which nothing is asked once losses are written down."""
+WRITTEN = "best", "probability", "onsets", "active", "each", "share", "gives"
+"""Outputs of ticks, half of all, of which a diagnosis asks nothing once losses are written down."""
 
 
 class Judged(NamedTuple):
@@ -202,13 +202,15 @@ def fly(
     ready_s: float,
     dynamics: dict | None = None,
     progress: Callable[[float], object] | None = None,
+    whole: bool = False,
 ) -> tuple[Written, Judged]:
     """A whole flight: a link that is over. What its diagnoser has written down, and its ticks up to the last command.
 
     air: its flights ((start, end), ...) s; an end before the one that samples show is an impact. ready_s: blind time after lift-off;
     dynamics: what healthy flights have shown; progress: called with the finished share, 0..1. The flight needs motor outputs. Outputs that
-    the diagnoser has written down (WRITTEN) have no columns.
+    the diagnoser has written down (WRITTEN) have columns only where the outputs are wanted whole.
     """
+    kept = (lambda one: one) if whole else _to_be_read
     mixing = allocation.faster_control(flight)
     how = plan(flight, flight["control" if mixing else "motors"], ready_s)
     diagnoser = Diagnoser(vehicle, allocation.laid_out(vehicle, flight), how, mixing, dynamics)
@@ -224,11 +226,11 @@ def fly(
         for first, last in itertools.pairwise(sorted({0, *lifted, len(samples)})):
             if first in lifted:
                 diagnoser.fell(lifted[first])
-            found += map(_to_be_read, diagnoser.feed(samples.part(first, last)))
+            found += map(kept, diagnoser.feed(samples.part(first, last)))
         done += len(samples)
         if progress:
             progress(done / total)
-    found += map(_to_be_read, diagnoser.finish(max(flight.duration, float(flight["motors"].time[-1]))))
+    found += map(kept, diagnoser.finish(max(flight.duration, float(flight["motors"].time[-1]))))
     judged = Judged.joined(found)
     memory.give_back()  # many small pieces
     assert judged is not None and judged.table.seen is not None

@@ -183,9 +183,9 @@ def _table(table: Ticks, B: np.ndarray, rows: slice = slice(None)) -> tuple[np.n
     return u[rows], y[rows], valid[rows]
 
 
-def by_default(flown: Sequence[Flown]) -> list[Estimated]:
-    """Every flight through the default estimator, as `diagnose` does it."""
-    return [estimated(f.ready) for f in flown]
+def by_default(flown: Sequence[Flown], whole: bool = False) -> list[Estimated]:
+    """Every flight through the default estimator, as `diagnose` does it; whole: as of `estimated`."""
+    return [estimated(f.ready, whole=whole) for f in flown]
 
 
 def learned_states(flown: Sequence[Flown], B: np.ndarray) -> list[tuple | None]:

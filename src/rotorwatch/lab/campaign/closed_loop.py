@@ -267,7 +267,7 @@ def _beliefs(
         return [None] * len(seen)
     B = flown[0].vehicle.effectiveness()
     if driver == "default":
-        kept = [done.out for done in batch.by_default(flown)]
+        kept = [done.out for done in batch.by_default(flown, whole=True)]
     else:
         tables = [f.ticks for f in flown]
         hops = methods.learn(tables, B, batch.learned_states(flown, B))
