@@ -56,7 +56,6 @@ from rotorwatch.engine.estimator.hypotheses import (
     other_rotor_of,
     recovery_variance,
     rotor_of,
-    shrunk,
     vanishing,
     weight_of,
 )
@@ -253,14 +252,14 @@ class Evidence(Struct):
                 if one(weight, lane) <= 0.0:
                     continue
                 if one(self.far_nats[b], lane) > self.far:
-                    self.far_sum *= shrunk(self.far - one(self.far_nats[b], lane))
+                    self.far_sum *= exp(self.far - one(self.far_nats[b], lane))
                     self.far = one(self.far_nats[b], lane)
                     share = vanishing(self.far_nats[b] - self.far)
                 self.far_sum += slots.stride * one(weight, lane) * one(share, lane)
 
     def _rise(self, h: int, faults: int, nats: Real) -> None:
         """More nats than any onset had for a hypothesis so far: all are relative to that from now on."""
-        less = shrunk(self.top[h] - nats)
+        less = exp(self.top[h] - nats)
         self.top[h] = nats
         self.total[h] *= less
         self.peak[h] *= less

@@ -26,7 +26,6 @@ from rotorwatch.base.compiling.structs import (
     Struct,
     array,
     each,
-    exp,
     local,
     log,
     sqrt,
@@ -223,11 +222,6 @@ class Freed(Struct):
         away = size - target
         out.nats = z * size - 0.5 * c * size * size - 0.5 * away * away / variance + self.nats[0]
         out.weight = self.weight[0] / sqrt(left * variance)
-
-
-def shrunk(nats: Real) -> Real:
-    """exp of a difference, without the work where nothing is left: most of what is held against the best is far behind."""
-    return exp(nats) if nats > LEFT else 0.0
 
 
 def vanishing(nats: Each) -> Each:
