@@ -1,5 +1,6 @@
 """A client of a store that says on standard output what it has added, or with `delete` as second argument deleted; run as a program with
-the store's URL, and killed in tests."""
+the store's URL, and killed in tests. It goes on by one flight for each byte on standard input, so that none is through before it is killed.
+"""
 
 from __future__ import annotations
 
@@ -24,6 +25,13 @@ def fill(store: Store, say: bool = False) -> None:
     for k in range(FLIGHTS):
         if store.add(entry(k)) and say:
             print(k, flush=True)
+            may_go_on()
+
+
+def may_go_on() -> None:
+    """Wait for a byte on standard input."""
+    if not sys.stdin.buffer.read(1):
+        sys.exit()
 
 
 def empty(store: Store) -> None:
@@ -31,6 +39,7 @@ def empty(store: Store) -> None:
     for row in store.flights("date", limit=None):
         store.delete(row["hash"])
         print(row["name"], flush=True)
+        may_go_on()
 
 
 if __name__ == "__main__":

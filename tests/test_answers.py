@@ -53,8 +53,7 @@ def test_an_answer_says_what_is_known_and_why_no_more_is(answer):
         assert all(r.since_takeoff is not None and r.since_takeoff[1] <= MATTERS for r in answer.rotors)
     if answer.verdict in ("inconclusive", "crashed"):
         reason = re.sub(r"[;:].*", "", answer.reason)
-        said = answer.headline.lower()
-        assert any(words in said for words in (": ", reason.lower(), "control", "could not be judged"))
+        assert ": " in answer.headline or reason.lower() in answer.headline.lower() or "control" in answer.headline
         assert answer.advice
     assert REASONS.get(name, "") in answer.headline
     for text in (answer.headline, answer.reason, printed(answer)):
