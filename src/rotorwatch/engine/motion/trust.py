@@ -17,6 +17,7 @@ import numpy as np
 
 from rotorwatch.base.arrays import median, quantile
 from rotorwatch.base.physics import G0
+from rotorwatch.engine.motion import mixing
 from rotorwatch.engine.motion.allocation import within
 from rotorwatch.engine.motion.ticks import Ticks
 from rotorwatch.flight import Flight, Signal, output_functions
@@ -75,6 +76,11 @@ class Case:
     alike: dict = field(default_factory=dict)
 
     @cached_property
+    def mixing(self) -> mixing.Mixing | None:
+        """Outputs and what the rate controller asks for."""
+        return mixing.mixing(self.flight, self.vehicle, self.air)
+
+    @cached_property
     def turning(self) -> Signal | None:
         """Angular rates."""
         return self.flight.angular_rate()
@@ -125,6 +131,21 @@ def another_airframe(case: Case) -> str | None:
         if (name in GEOMETRY or (output is not None and output.motor)) and within(np.array([time]), case.air).any():
             return f"the airframe changes in the air ({name} becomes {value:g} at {time:.1f} s): the log is not of one vehicle."
     return None
+
+
+def outputs_in_another_order(case: Case) -> str | None:
+    """Outputs that move as the mixer asks of other rotors."""
+    return mixing.outputs_in_another_order(case.mixing)
+
+
+def outputs_of_another_mixer(case: Case) -> str | None:
+    """Outputs that follow the rate controller by another mixer than the frame's, in whatever order."""
+    return None if outputs_in_another_order(case) else mixing.outputs_of_another_mixer(case.mixing)
+
+
+def outputs_that_never_move(case: Case) -> str | None:
+    """Outputs that stand still through a flight in which the others move."""
+    return mixing.outputs_that_never_move(case.flight, case.air)
 
 
 def wild_motion(case: Case) -> str | None:
@@ -495,6 +516,9 @@ TESTS = (
     two_publishers,
     clock_jumped,
     another_airframe,
+    outputs_in_another_order,
+    outputs_of_another_mixer,
+    outputs_that_never_move,
     outputs_beyond_range,
     wild_motion,
     weightless,

@@ -1,0 +1,189 @@
+"""The mixer that flew: motor outputs held against the rate controller's output of the same moment.
+
+An autopilot mixes the output c = (roll, pitch, yaw, throttle) of its rate controller into thrusts of all rotors, m(u) = g M c
+(engine/front/mixer.py). A log that holds both u and c therefore shows which mixer flew, whatever the weather and whatever a rotor gives.
+Compared are differences between rotors, in windows of `WINDOW_S`, so that neither gain nor collective counts:
+
+    cost[k, j] = sum (y_k - g d_j)^2 / sum y_k^2,        y of m(u),  d of M c,  g^2 = sum y^2 / sum d^2
+
+is 0 where output k follows the mixer's row j, 2 where they have nothing in common, 4 where they are opposite. Sound logs have costs of
+0.00 to 0.02 on the diagonal; loggers that note outputs and controller at different moments of the loop have up to 2 everywhere, so that
+nothing follows from them. Each window votes: in upsets, at limits and while an output is overridden no row fits, and where the vehicle
+only yaws, rotors of one sense of rotation fit alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from rotorwatch.engine.motion import allocation
+from rotorwatch.engine.motion.allocation import Spans, within
+from rotorwatch.flight import Flight, Signal
+from rotorwatch.flight.vehicle import Vehicle
+
+WINDOW_S, LEAST, LEAST_WINDOWS = 4.0, 12, 3  # length of a window, outputs in it, and windows with differences that can be seen
+PAIR_S = 0.16  # outputs further than this from the rate controller's samples around them have no partner
+SEEN = 0.0015  # share of full thrust: rms of differences between rotors, above what rounding to 1 us makes
+LIMIT = 0.01  # share of full thrust from its ends, within which a rotor may be limited
+FOLLOWS, STRAYS = 0.2, 0.4  # cost up to which an output follows a row of the mixer, and from which on it does not
+BETTER = 4.0  # times that another explanation must lower the cost
+LATEST_S, LAG_S, LATE_S = 3.0, 0.02, 0.06  # lags that are tried, in such steps; from which on an output is late
+EXACT = 0.02  # cost below which a fit is no better
+NEARLY_ALL = 0.8  # share of the windows that tell two rows apart
+LEAST_FRAME, SHARE = 5, 0.2  # windows, and share of those that show anything, in which another mixer flew
+STILL = 0.002  # share of the outputs' range: two microseconds
+SAME_S = 0.05  # lags of windows that differ by less are the same
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Mixing:
+    """Outputs and what the rate controller asks for. time (m,) s, of outputs in the air of which none is at a limit; thrust (m, n): m(u);
+    control: all whole samples; mixer (n, 4)."""
+
+    time: np.ndarray
+    thrust: np.ndarray
+    control: Signal
+    mixer: np.ndarray
+
+    @cached_property
+    def starts(self) -> np.ndarray:
+        """First rows of the windows."""
+        return np.flatnonzero(np.diff(np.floor(self.time / WINDOW_S), prepend=-np.inf))
+
+    def costs(self, lag_s: float = 0.0, trim: bool = True) -> np.ndarray:
+        """(windows, n, n), NaN in windows that show too little. lag_s: by which outputs come later than what asks for them. trim: with the
+        means over each window, which tell nothing of time."""
+        n, paired, control = len(self.mixer), *self._asked(lag_s)
+        count = np.add.reduceat(paired, self.starts, dtype=float)
+        y, d = (self._apart(x, paired, count, trim) for x in (self.thrust, control @ self.mixer.T))
+        of_y, of_d = (np.add.reduceat(x * x, self.starts) for x in (y, d))
+        both = np.add.reduceat(y[:, :, None] * d[:, None, :], self.starts)
+        power = of_y.sum(axis=1), of_d.sum(axis=1)
+        seen = (count >= LEAST) & (power[0] > count * n * SEEN**2) & (power[1] > 0.0)
+        gain = np.sqrt(power[0] / np.where(seen, power[1], np.inf))[:, None, None]
+        cost = of_y[:, :, None] + gain**2 * of_d[:, None, :] - 2.0 * gain * both
+        # A rotor that moves less than the others is measured by these: rounding is all that it shows.
+        scale = np.maximum(of_y, 0.1 * power[0][:, None] / n)
+        return np.where(seen[:, None, None], cost / np.maximum(scale, 1e-12)[:, :, None], np.nan)
+
+    def unexplained(self) -> np.ndarray:
+        """(windows, n) share of each output's differences from the others that no mixer at all explains, 1 where too little is shown."""
+        paired, control = self._asked(0.0)
+        y = self.thrust - self.thrust.mean(axis=1, keepdims=True)
+        shares = np.ones((len(self.starts), len(self.mixer)))
+        for w, (a, b) in enumerate(zip(self.starts, [*self.starts[1:], len(self.time)])):
+            rows = np.arange(a, b)[paired[a:b]]
+            if rows.size >= LEAST and (y[rows] ** 2).mean() > SEEN**2:
+                left = y[rows] - control[rows] @ np.linalg.lstsq(control[rows], y[rows], rcond=None)[0]
+                shares[w] = (left**2).sum(axis=0) / np.maximum((y[rows] ** 2).sum(axis=0), 1e-12)
+        return shares
+
+    def _asked(self, lag_s: float) -> tuple[np.ndarray, np.ndarray]:
+        """(m,) bool, whether the rate controller's output is known `lag_s` before an output, and that (m, 4)."""
+        when, time = self.time - lag_s, self.control.time
+        after = np.clip(np.searchsorted(time, when), 1, len(time) - 1)
+        paired = (np.abs(when - time[after - 1]) < PAIR_S) & (np.abs(time[after] - when) < PAIR_S)
+        return paired, np.column_stack([np.interp(when, time, column) for column in self.control.values.T])
+
+    def _apart(self, x: np.ndarray, paired: np.ndarray, count: np.ndarray, trim: bool) -> np.ndarray:
+        """(m, n) without its means over the rotors and, unless `trim`, over the paired rows of each window; 0 elsewhere."""
+        x = np.where(paired[:, None], x - x.mean(axis=1, keepdims=True), 0.0)
+        if trim:
+            return x
+        means = np.add.reduceat(x, self.starts) / np.maximum(count, 1.0)[:, None]
+        lengths = np.diff([*self.starts, len(x)])
+        return np.where(paired[:, None], x - np.repeat(means, lengths, axis=0), 0.0)
+
+
+def mixing(flight: Flight, vehicle: Vehicle, air: Spans) -> Mixing | None:
+    """What a flight shows of its mixer; None where it does not hold both signals, or its mixer is not known."""
+    if vehicle.mixer is None or not flight.has("motors", "control"):
+        return None
+    motors, control = flight["motors"], flight["control"].wholes()
+    ratio = allocation.battery_ratio(flight, motors.time)[:, None]
+    thrust = allocation.mixer_curve(vehicle)(motors.values, ratio)
+    free = ((thrust > LIMIT) & (thrust < (1.0 - LIMIT) * np.maximum(ratio, 1e-3))).all(axis=1)
+    rows = within(motors.time, air) & motors.whole & free
+    if rows.sum() < LEAST * LEAST_WINDOWS or len(control) < 2:
+        return None
+    return Mixing(motors.time[rows], thrust[rows], control, np.asarray(vehicle.mixer, float))
+
+
+def order(costs: np.ndarray) -> tuple[int, ...] | None:
+    """The row of the mixer that each output follows (0-based), where some follow those of other rotors; None where none does.
+
+    costs (windows, n, n), of `Mixing.costs`. The order is that of the least sum of log costs; every output that moves needs `LEAST_WINDOWS`
+    windows that tell its two rows apart, and nearly all of these must be for the other one."""
+    from scipy.optimize import linear_sum_assignment
+
+    costs = costs[np.isfinite(costs[:, 0, 0])]
+    if len(costs) < LEAST_WINDOWS:
+        return None
+    logs, outputs = np.log(np.maximum(costs, EXACT)), np.arange(costs.shape[1])
+    rows = linear_sum_assignment(logs.sum(axis=0))[1]
+    gain = logs[:, outputs, outputs] - logs[:, outputs, rows]
+    tells, fits = np.abs(gain) > np.log(BETTER), costs[:, outputs, rows] < FOLLOWS
+    votes, count = (tells & (gain > 0.0) & fits).sum(axis=0), tells.sum(axis=0)
+    moved = rows != outputs
+    if not moved.any() or (votes < np.maximum(LEAST_WINDOWS, NEARLY_ALL * count))[moved].any():
+        return None
+    return tuple(int(k) for k in rows)
+
+
+def outputs_in_another_order(found: Mixing | None) -> str | None:
+    """Outputs that move as the mixer asks of other rotors: they have other places in the log, or in its parameters, than in the air."""
+    if found is None:
+        return None
+    # Trim may be the same for rotors that motion tells apart, and a logger's time may blur the motion but not the trim.
+    rows = next((rows for trim in (True, False) if (rows := order(found.costs(trim=trim))) is not None), None)
+    if rows is None:
+        return None
+    moved = [f"output {k + 1} as motor {row + 1}" for k, row in enumerate(rows) if row != k]
+    return (
+        f"the motor outputs stand in another order than the frame's: the rate controller's demand moves {', '.join(moved)}. No rotor is "
+        "accused before output functions and frame are those that flew."
+    )
+
+
+def outputs_of_another_mixer(found: Mixing | None) -> str | None:
+    """Outputs that follow the rate controller exactly, but by another mixer than the frame's."""
+    if found is None:
+        return None
+    costs = found.costs()
+    own, left = np.diagonal(costs, axis1=1, axis2=2), found.unexplained()
+    seen = np.isfinite(own[:, 0])
+    against = (own > STRAYS) & (own > BETTER * left) & (left < FOLLOWS)
+    share = against.sum(axis=0) / max(int(seen.sum()), 1)
+    astray = [str(k + 1) for k in np.flatnonzero((against.sum(axis=0) >= LEAST_FRAME) & (share > SHARE))]
+    if not astray:
+        return None
+    which = f"motor output{'s' if len(astray) > 1 else ''} {', '.join(astray)}"
+    return (
+        f"{which} follow{'' if len(astray) > 1 else 's'} the rate controller by another mixer than the frame's: frame, rotor positions or "
+        "directions of rotation are not those that flew."
+    )
+
+
+def outputs_that_never_move(flight: Flight, air: Spans) -> str | None:
+    """Outputs that stand still through a flight in which the others move: no autopilot commands that of a rotor it flies with."""
+    if not flight.has("motors"):
+        return None
+    motors = flight["motors"]
+    rows = within(motors.time, air)
+    known = motors.valid[rows]
+    low, high = allocation.output_range(flight)
+    values = np.where(known, motors.values[rows], np.nan)
+    if len(values) < LEAST * LEAST_WINDOWS:
+        return None
+    moves = np.array([np.ptp(x[~np.isnan(x)]) if (~np.isnan(x)).any() else 0.0 for x in values.T]) > STILL * (high - low)
+    if moves.all() or moves.sum() < 2:
+        return None
+    still = [(k + 1, values[:, k][~np.isnan(values[:, k])]) for k in np.flatnonzero(~moves)]
+    at = ", ".join(f"{k} ({x[0]:.4g})" if x.size else f"{k} (no value)" for k, x in still)
+    return (
+        f"motor output{'s' if len(still) > 1 else ''} {at} never move{'' if len(still) > 1 else 's'} in flight while the others do: the log "
+        "does not hold what drove these motors."
+    )
