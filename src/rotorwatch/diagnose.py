@@ -36,7 +36,7 @@ from rotorwatch.engine.front.decisions import MATTERS
 from rotorwatch.engine.host import events, residual_evidence
 from rotorwatch.engine.host.hypotheses import list_hypotheses
 from rotorwatch.engine.host.program import TickOutput, threshold
-from rotorwatch.engine.motion import deviations, ticks, trust
+from rotorwatch.engine.motion import deviations, mixing, ticks, trust
 from rotorwatch.engine.motion.airborne import Gap, airborne, gaps
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.missed import without_missed
@@ -201,7 +201,7 @@ def prepare(
     ready_s = READY_KNOWN_S if dynamics and turns else READY_S
     air = airborne(flight) if flight.has("motors") else ()
     tell(0.1)
-    flight = without_missed(flight, air)
+    flight = mixing.aligned(without_missed(flight, air), craft, air)
     tell(0.2)
     upsets = upset.judged(flight, craft, air, portion(tell, 0.2, 0.5))
     tell(0.5)

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -165,6 +166,76 @@ def outputs_of_another_mixer(found: Mixing | None) -> str | None:
         f"{which} follow{'' if len(astray) > 1 else 's'} the rate controller by another mixer than the frame's: frame, rotor positions or "
         "directions of rotation are not those that flew."
     )
+
+
+class Lag(NamedTuple):
+    """By how many seconds outputs come later than what asks for them, from a moment on [s]."""
+
+    start: float
+    seconds: float
+
+
+def lags(found: Mixing) -> tuple[Lag, ...] | None:
+    """How late the outputs are: () where they are of the rate controller's clock, one lag, or two with a step between them; None where the
+    windows tell of many lags.
+
+    Each window has the lag at which its differences fit best; one that fits at none tells nothing."""
+    now = _own(found, 0.0)
+    if not (now > STRAYS * FOLLOWS).sum() > 0.5 * LEAST_WINDOWS:
+        return ()
+    tried = np.concatenate([-np.arange(LAG_S, LATEST_S, LAG_S)[::-1], np.arange(0.0, LATEST_S, LAG_S)])
+    costs = np.stack([_own(found, lag) for lag in tried])
+    costs[np.isnan(costs)] = np.inf
+    best, rows = costs.argmin(axis=0), np.arange(costs.shape[1])
+    telling = (costs[best, rows] < FOLLOWS) & (BETTER * costs[best, rows] < np.maximum(np.median(costs, axis=0), 1e-9))
+    found_lags, starts = tried[best][telling], found.time[found.starts][telling]
+    late = np.abs(found_lags) > LATE_S
+    if late.sum() < LEAST_WINDOWS:
+        return ()
+    spread = [_spread(found_lags[:k]) + _spread(found_lags[k:]) for k in range(len(starts))]
+    k = int(np.argmin(spread))
+    k = 0 if spread[0] <= spread[k] + SAME_S else k
+    if spread[k] > SAME_S * len(starts) or 0 < k < LEAST_WINDOWS or len(starts) - k < LEAST_WINDOWS:
+        return None
+    parts = [Lag(-np.inf, float(np.median(found_lags[:k] if k else found_lags)))]
+    if k:  # a clock that is set leaves a gap, or samples that overlap
+        near = np.flatnonzero((found.time >= starts[k - 1]) & (found.time <= starts[k] + WINDOW_S))
+        gap = near[:-1][np.argmax(np.diff(found.time[near]))] + 1
+        parts.append(Lag(float(found.time[gap]), float(np.median(found_lags[k:]))))
+    return tuple(part._replace(seconds=0.0) if abs(part.seconds) <= LATE_S else part for part in parts)
+
+
+def _own(found: Mixing, lag_s: float) -> np.ndarray:
+    """(windows,) mean cost of the outputs by their own rows, without trim."""
+    return np.diagonal(found.costs(lag_s, trim=False), axis1=1, axis2=2).mean(axis=1)
+
+
+def _spread(x: np.ndarray) -> float:
+    """Sum of the distances from the median."""
+    return float(np.abs(x - np.median(x)).sum()) if x.size else 0.0
+
+
+def aligned(flight: Flight, vehicle: Vehicle, air: Spans) -> Flight:
+    """The flight with outputs on the clock of the rate controller, and a warning where they were not."""
+    found = mixing(flight, vehicle, air)
+    late = lags(found) if found is not None else None
+    if not late:
+        return flight
+    motors = flight["motors"]
+    part = np.searchsorted([lag.start for lag in late], motors.time, side="right") - 1
+    time = motors.time - np.array([lag.seconds for lag in late])[part]
+    by_time = np.argsort(time, kind="stable")
+    motors = motors.with_arrays(time[by_time], motors.values[by_time], np.ascontiguousarray(motors.valid[by_time]))
+    told = [
+        f"{abs(lag.seconds):.2f} s {'later' if lag.seconds > 0.0 else 'earlier'}"
+        f"{'' if lag.start == -np.inf else f' from {lag.start:.1f} s on'}"
+        for lag in late
+        if lag.seconds
+    ]
+    warning = (
+        f"motors ({motors.source}): logged {', '.join(told)} than the rate controller's output that they follow; put on its clock."
+    )
+    return replace(flight, signals={**flight.signals, "motors": motors}, warnings=(*flight.warnings, warning))
 
 
 def outputs_that_never_move(flight: Flight, air: Spans) -> str | None:
