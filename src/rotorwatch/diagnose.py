@@ -36,7 +36,7 @@ from rotorwatch.engine.front.decisions import MATTERS
 from rotorwatch.engine.host import events, residual_evidence
 from rotorwatch.engine.host.hypotheses import list_hypotheses
 from rotorwatch.engine.host.program import TickOutput, threshold
-from rotorwatch.engine.motion import deviations, mixing, ticks, trust
+from rotorwatch.engine.motion import deviations, mixing, ticks, trust, turning
 from rotorwatch.engine.motion.airborne import Gap, airborne, gaps
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.missed import without_missed
@@ -195,6 +195,7 @@ def prepare(
     clock, tell = clock or _Clock(), progress or (lambda share: None)
     craft, source, notes = baselines.settle(flight, baselines.vehicle_of(vehicle), baseline, diagnose)
     clock.lap("baseline_s")
+    flight, on_rates = turning.with_rates(flight)
     known, dynamics = bool(craft.identified), (craft.identified or {}).get("dynamics")
     # Without a gyro every take-off swing looks like a torque that is missing: no short blind time then.
     turns = flight.has("gyro")
@@ -207,12 +208,13 @@ def prepare(
     tell(0.5)
     air = upset.until_impact(flight, air, upsets)
     ready_s = ticks.ready_of(ready_s, air) if turns else ready_s
-    table = observe(flight, craft, air, ready_s, portion(tell, 0.5, 1.0))
+    moves = flight.angular_rate() is not None  # commands alone tell of no motion
+    table = observe(flight, craft, air, ready_s, portion(tell, 0.5, 1.0)) if moves else None
     hovers = not aerobatic.applies(flight, table)
     warnings = [*flight.warnings, *notes]
     missing = gaps(flight, air) if air else ()
     warnings += wording.not_commanded(missing, len(craft.rotors))
-    assumptions = list(craft.assumptions)
+    assumptions = [*craft.assumptions, *([on_rates] if on_rates else [])]
     if table is not None and dynamics and dynamics.get("dt") != table.dt:
         assumptions.append(
             f"the healthy flights were logged at another rate (judged every {dynamics.get('dt', 0):.2f} s): their noise is not "
@@ -240,7 +242,9 @@ def prepare(
 def _no_flight(ready: Prepared, clock: _Clock) -> Diagnosis:
     n, never = len(ready.vehicle.rotors), sorted({rotor for gap in ready.missing for rotor in gap.rotors})
     why = unjudged.NEVER if ready.flight.has("motors") else unjudged.SILENT
-    if ready.air:
+    if ready.flight.has("motors") and ready.flight.angular_rate() is None:
+        why = unjudged.MOTIONLESS
+    elif ready.air:
         why = unjudged.silent(f"no command for {wording.rotors(never)}" if never else "too few motor outputs")
     told = reports.claims(ready.flight, ready.air, _left(ready))
     found = ledger.merge(told, events.Report(ready.vehicle.effectiveness()), ready.upsets, n).events

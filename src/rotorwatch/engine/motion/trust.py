@@ -17,7 +17,7 @@ import numpy as np
 
 from rotorwatch.base.arrays import median, quantile
 from rotorwatch.base.physics import G0
-from rotorwatch.engine.motion import mixing
+from rotorwatch.engine.motion import mixing, turning
 from rotorwatch.engine.motion.allocation import within
 from rotorwatch.engine.motion.ticks import Ticks
 from rotorwatch.flight import Flight, Signal, output_functions
@@ -481,10 +481,7 @@ def _turns(
         return none
     a, b = attitude.values[first[use]], attitude.values[last[use]]
     starts, ends, length = starts[use], ends[use], length[use, None]
-    turned = _product(a * [1.0, -1.0, -1.0, -1.0], b)
-    turned *= np.where(turned[:, :1] < 0, -1.0, 1.0)
-    sine = np.linalg.norm(turned[:, 1:], axis=1, keepdims=True)
-    angle = turned[:, 1:] / np.maximum(sine, 1e-12) * 2.0 * np.arctan2(sine, turned[:, :1])
+    angle = turning.between(a, b)
     mean = np.empty((len(lags), len(starts), 3))
     total, steps = np.zeros(len(when)), np.diff(when)
     for axis in range(3):  # one after the other: of a long flight one is long enough
@@ -495,21 +492,6 @@ def _turns(
         for turns, lag in zip(mean, lags):
             turns[:, axis] = np.interp(ends + lag, when, total) - np.interp(starts + lag, when, total)
     return starts, angle / length, mean / length
-
-
-def _product(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Hamilton product of quaternions (m, 4), scalar first."""
-    a, b, c, d = p.T
-    w, x, y, z = q.T
-    return np.stack(
-        [
-            a * w - b * x - c * y - d * z,
-            a * x + b * w + c * z - d * y,
-            a * y - b * z + c * w + d * x,
-            a * z + b * y - c * x + d * w,
-        ],
-        axis=1,
-    )
 
 
 TESTS = (

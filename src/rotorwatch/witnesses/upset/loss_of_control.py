@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -111,7 +111,7 @@ def attitude_error(flight: Flight, progress: Progress = None) -> tuple[np.ndarra
         angle, words = np.full(time.size, np.nan), "tilted {:.0f} degrees away from what was wanted"
         if flight.has("attitude_wanted"):
             angle = _angle(flight["attitude_wanted"], time, q, progress)
-        if flight.has("rates_wanted"):
+        if flight.has("rates_wanted") and flight.angular_rate() is not None:
             both = np.isnan(angle) & _known_rates(flight, time)
             rate = np.minimum(_rate_error(flight, time) / RATE_ERROR * ERROR_DEG, 90.0)
             angle = np.where(both, rate, angle)
@@ -189,23 +189,23 @@ def _turns(at: np.ndarray, headings: np.ndarray, time: np.ndarray, q: np.ndarray
 
 
 def _known_rates(flight: Flight, time: np.ndarray) -> np.ndarray:
-    if not flight.has("gyro", "rates_wanted"):
+    if flight.angular_rate() is None or not flight.has("rates_wanted"):
         return np.zeros(time.size, bool)
     return held(flight["rates_wanted"], time)[1] <= FRESH_S
 
 
 def _rate_error(flight: Flight, time: np.ndarray) -> np.ndarray:
     """(m,) rad/s of roll and pitch between the actual rate and the nearest of those wanted in the last ANSWERS_S."""
-    rates = held(flight["gyro"], time)[0][:, :2]
+    rates = held(cast(Signal, flight.angular_rate()), time)[0][:, :2]
     wanted = (held(flight["rates_wanted"], time - back)[0][:, :2] for back in BACK)
     return np.min([np.linalg.norm(rates - was, axis=1) for was in wanted], axis=0)
 
 
 def _spins(flight: Flight, time: np.ndarray) -> np.ndarray:
     """(m,) bool: the vehicle turns about its vertical axis faster than anybody asks for."""
-    if not flight.has("gyro"):
+    if (turning := flight.angular_rate()) is None:
         return np.zeros(time.size, bool)
-    at, rates = known(flight["gyro"])
+    at, rates = known(turning)
 
     def spins(when: np.ndarray) -> np.ndarray:
         rate, age = _held(at, rates[:, 2:], when)
