@@ -69,6 +69,9 @@ class Topics:
         Samples from before the start (states latched there) are left out, or counted as second 0 with `early`.
         """
         table = self.tables.get((name, instance))
+        if table is None and instance == 0:  # loggers may count instances from 1
+            numbers = [number for topic, number in self.tables if topic == name]
+            table = self.tables[name, min(numbers)] if numbers else None
         if table is None or "timestamp" not in table or any(f not in table for f in fields):
             return None
         stamp = np.asarray(table["timestamp"])

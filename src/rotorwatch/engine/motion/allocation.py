@@ -190,8 +190,11 @@ def output_range(flight: Flight) -> tuple[float, float]:
     """Ends of the outputs' range as the autopilot counts it, in their unit."""
     if flight["motors"].unit != "us":
         return 0.0, 1.0
-    low = flight.facts.get("pwm_min") or flight.parameters.get("MOT_PWM_MIN") or 1000.0
-    return low, flight.facts.get("pwm_max") or flight.parameters.get("MOT_PWM_MAX") or 2000.0
+    for ends in (flight.facts, ("pwm_min", "pwm_max")), (flight.parameters, ("MOT_PWM_MIN", "MOT_PWM_MAX")):
+        low, high = (float(ends[0].get(name) or 0.0) for name in ends[1])
+        if 0.0 < low < high:  # one of them alone is no range: as airframes/ardupilot.py has it
+            return low, high
+    return 1000.0, 2000.0
 
 
 def yaw_always(headroom: float = YAW_HEADROOM) -> float:

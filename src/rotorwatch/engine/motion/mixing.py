@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.base.arrays import median, quantile
 from rotorwatch.engine.motion import allocation
 from rotorwatch.engine.motion.allocation import Spans, within
 from rotorwatch.flight import Flight, Signal
@@ -35,6 +36,8 @@ LATEST_S, LAG_S, LATE_S = 3.0, 0.02, 0.06  # lags that are tried, in such steps;
 EXACT = 0.02  # cost below which a fit is no better
 NEARLY_ALL = 0.8  # share of the windows that tell two rows apart
 LEAST_FRAME, SHARE = 5, 0.2  # windows, and share of those that show anything, in which another mixer flew
+SCALES = 0.7, 1.7  # gain by differences of that by level; sound logs have 0.97 to 1.03, old firmware up to 1.5
+ALIKE = 1.4  # factor between those of most windows
 STILL = 0.002  # share of the outputs' range: two microseconds
 SAME_S = 0.05  # lags of windows that differ by less are the same
 
@@ -81,6 +84,20 @@ class Mixing:
                 left = y[rows] - control[rows] @ np.linalg.lstsq(control[rows], y[rows], rcond=None)[0]
                 shares[w] = (left**2).sum(axis=0) / np.maximum((y[rows] ** 2).sum(axis=0), 1e-12)
         return shares
+
+    def scales(self) -> np.ndarray:
+        """(windows,) gain of the mixer by differences between rotors, of that by the level of their thrust: 1 where m is the curve that the
+        mixer reckoned with. NaN where outputs do not follow their rows."""
+        paired, control = self._asked(0.0)
+        own = np.diagonal(self.costs(), axis1=1, axis2=2).max(axis=1)
+        asked, scales = control @ self.mixer.T, np.full(len(self.starts), np.nan)
+        for w, (a, b) in enumerate(zip(self.starts, [*self.starts[1:], len(self.time)])):
+            if own[w] < 0.5 * FOLLOWS:
+                rows = np.arange(a, b)[paired[a:b]]
+                y, d = self.thrust[rows], asked[rows]
+                apart = d - d.mean(axis=1, keepdims=True)
+                scales[w] = (y * apart).sum() / (apart**2).sum() / (y.mean() / max(float(d.mean()), 1e-9))
+        return scales
 
     def _asked(self, lag_s: float) -> tuple[np.ndarray, np.ndarray]:
         """(m,) bool, whether the rate controller's output is known `lag_s` before an output, and that (m, 4)."""
@@ -236,6 +253,20 @@ def aligned(flight: Flight, vehicle: Vehicle, air: Spans) -> Flight:
         f"motors ({motors.source}): logged {', '.join(told)} than the rate controller's output that they follow; put on its clock."
     )
     return replace(flight, signals={**flight.signals, "motors": motors}, warnings=(*flight.warnings, warning))
+
+
+def outputs_of_another_range(found: Mixing | None) -> str | None:
+    """Outputs whose thrust, by the curve of the parameters, is not what the rate controller asks of that mixer."""
+    scales = np.zeros(0) if found is None else found.scales()
+    scales = scales[np.isfinite(scales)]
+    if len(scales) < LEAST_FRAME or quantile(scales, 0.9) > ALIKE * quantile(scales, 0.1):
+        return None  # a wrong curve makes every window alike
+    if SCALES[0] < (typical := float(median(scales))) < SCALES[1]:
+        return None
+    return (
+        f"the motor outputs differ from each other {typical:.2g} times as much as the rate controller asks for at their level of thrust: the "
+        "range of the outputs or the thrust curve in the parameters is not the one that flew."
+    )
 
 
 def outputs_that_never_move(flight: Flight, air: Spans) -> str | None:

@@ -143,6 +143,11 @@ def outputs_of_another_mixer(case: Case) -> str | None:
     return None if outputs_in_another_order(case) else mixing.outputs_of_another_mixer(case.mixing)
 
 
+def outputs_of_another_range(case: Case) -> str | None:
+    """Outputs whose thrust, by the curve of the parameters, is not what the rate controller asks for."""
+    return mixing.outputs_of_another_range(case.mixing)
+
+
 def outputs_that_never_move(case: Case) -> str | None:
     """Outputs that stand still through a flight in which the others move."""
     return mixing.outputs_that_never_move(case.flight, case.air)
@@ -277,12 +282,19 @@ def _scale(measured: np.ndarray, true: np.ndarray) -> tuple[float, float]:
 
 
 def outputs_beyond_range(case: Case) -> str | None:
-    """Outputs far above what is said to be full thrust: that range is not the one that flew, so no thrust is known."""
+    """Outputs far above what is said to be full thrust, or mostly below what is said to be none: that range is not the one that flew, so no
+    thrust is known."""
     motors, curve = case.flight["motors"], case.vehicle.curve
     inside = within(motors.time, case.air) & motors.whole
     if inside.sum() < 50:
         return None
-    reached = quantile(motors.values[inside].max(axis=1), 1.0 - SELDOM)
+    highest = motors.values[inside].max(axis=1)
+    if (usual := float(median(highest))) <= curve.u_min:
+        return (
+            f"the motor outputs stay at {usual:.4g} and below in the air, but {curve.u_min:.4g} is said to be no thrust: the range of the "
+            "outputs is wrong in the parameters or in the vehicle file."
+        )
+    reached = quantile(highest, 1.0 - SELDOM)
     if reached < curve.u_max + BEYOND * (curve.u_max - curve.u_min):
         return None
     return (
@@ -500,6 +512,7 @@ TESTS = (
     another_airframe,
     outputs_in_another_order,
     outputs_of_another_mixer,
+    outputs_of_another_range,
     outputs_that_never_move,
     outputs_beyond_range,
     wild_motion,
