@@ -73,7 +73,7 @@ def checked(flight: Flight, progress: Callable[[float], object] | None = None) -
     flight = possible(flight)
     if flight.checked:
         return flight
-    flight = replace(flight, checked=True)
+    flight = replace(_once(flight), checked=True)
     signals, warnings, shares, heavy = dict(flight.signals), [], {}, []
     if "motors" in signals:
         signals["motors"], record_notes = _whole_records(signals["motors"])
@@ -110,6 +110,27 @@ def checked(flight: Flight, progress: Callable[[float], object] | None = None) -
         return flight
     facts = {**flight.facts, "damage": shares} if shares else flight.facts
     return replace(flight, signals=signals, warnings=(*map(str, flight.warnings), *warnings), facts=facts)
+
+
+def _once(flight: Flight) -> Flight:
+    """The flight without samples that repeat the one before, time and all, of signals in which that is frequent: a bridge or a merge of
+    files has written records twice. Sampling rates and standard errors would count them twice."""
+    signals, often = dict(flight.signals), []
+    for name, signal in signals.items():
+        again = np.zeros(len(signal), bool)
+        again[1:] = signal.time[1:] == signal.time[:-1]
+        if np.count_nonzero(again) <= HABIT * len(signal):
+            continue
+        again[1:] &= (signal.values[1:] == signal.values[:-1]).all(axis=1)
+        if np.count_nonzero(again) > HABIT * len(signal):
+            keep = ~again
+            signals[name] = signal.with_arrays(signal.time[keep], signal.values[keep], signal.valid[keep])
+            often.append(name)
+    if not set(often) & set(COUPLED):  # counts and levels may well stand still
+        return flight
+    warning = f"Records stand in the log twice, with the same time and values ({', '.join(often)}): each was taken once."
+    messages = tuple(dict.fromkeys(flight.messages))
+    return replace(flight, signals=signals, messages=messages, warnings=(*flight.warnings, warning))
 
 
 def possible(flight: Flight) -> Flight:

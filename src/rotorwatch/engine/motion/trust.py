@@ -54,6 +54,8 @@ SIGNIFICANT = 2.5  # standard deviations of those comparisons
 EXCHANGED = (
     8.0  # the same, from which motion that follows the command of another axis is no coupling of a sound vehicle
 )
+# Change from one attitude or position to the next, how many times that over two samples, and in which share of the samples
+APART_RAD, APART_M, AWAY, ALTERNATES = 0.1, 1.0, 4.0, 0.05
 AXES = ("roll", "pitch", "yaw")
 BLOCK = 1 << 16  # samples that are looked at at a time
 WINDOW_S = 0.2  # s over which gyro and attitude are compared
@@ -116,6 +118,31 @@ def two_publishers(case: Case) -> str | None:
     return None
 
 
+def two_flights(case: Case) -> str | None:
+    """Attitudes or positions that go away and come back from one sample to the next, often: records of two flights in one log."""
+    for name, least in (("attitude", APART_RAD), ("position", APART_M)):
+        if not case.flight.has(name):
+            continue
+        values = case.flight[name].wholes().values
+        if len(values) < 100:
+            continue
+        if name == "attitude":  # q and -q are one attitude: its axes are compared
+            values = _axes(values)
+        away, back = (np.linalg.norm(values[k:] - values[:-k], axis=1) for k in (1, 2))
+        away = np.minimum(away[1:], away[:-1])
+        if np.mean((away > least) & (away > AWAY * back)) > ALTERNATES:
+            return f"two series of {name} alternate in this log: it holds records of two flights, or of two vehicles."
+    return None
+
+
+def _axes(q: np.ndarray) -> np.ndarray:
+    """(n, 6) first and third body axes in the world, of quaternions (n, 4) body to world."""
+    w, x, y, z = q.T
+    forward = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)
+    down = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
+    return np.stack([*forward, *down], axis=1)
+
+
 def clock_jumped(case: Case) -> str | None:
     """A clock that was set in the air: commands and motion around the jump cannot be put in order."""
     when = [t for t in case.flight.facts.get("clock_jumps", ()) if within(np.array([t]), case.air).any()]
@@ -125,11 +152,15 @@ def clock_jumped(case: Case) -> str | None:
 
 
 def another_airframe(case: Case) -> str | None:
-    """Parameters of the airframe that change in the air: two logs, or two vehicles, in one file."""
+    """Parameters of the airframe that change between the first take-off and the last landing: two logs, or two vehicles, in one file."""
+    start, end = case.air[0][0], case.air[-1][1]
     for time, name, value in case.flight.parameter_changes:
         output = output_functions.function(name, value)
-        if (name in GEOMETRY or (output is not None and output.motor)) and within(np.array([time]), case.air).any():
-            return f"the airframe changes in the air ({name} becomes {value:g} at {time:.1f} s): the log is not of one vehicle."
+        if (name in GEOMETRY or (output is not None and output.motor)) and start <= time <= end:
+            return (
+                f"the airframe changes after take-off ({name} becomes {value:g} at {time:.1f} s): the log is not of one vehicle; judge its "
+                "flights one by one."
+            )
     return None
 
 
@@ -508,6 +539,7 @@ def _turns(
 
 TESTS = (
     two_publishers,
+    two_flights,
     clock_jumped,
     another_airframe,
     outputs_in_another_order,
