@@ -134,6 +134,7 @@ def read(data, name: str, progress=None) -> Flight:
             "rates_hz": {k: round(s.rate_hz, 1) for k, s in reader.signals.items()},
             "rotor_outputs": [reader.outputs[k] for k in sorted(reader.outputs)],
             "rotor_numbers": sorted(reader.outputs),
+            "outputs_left_out": reader.left_out,
             "frame_class": frame_class,
             "frame_type": frame_type,
             "clock_jumps": list(clock.jumps),
@@ -150,6 +151,7 @@ class _Signals:
         self.signals: dict[str, Signal] = {}
         self.warnings: list[str] = []
         self.outputs: dict[int, int] = {}
+        self.left_out: list[int] = []
         self.utc_start: str | None = None
 
     # -- helpers ---------------------------------------------------------------------------------------------------
@@ -241,6 +243,7 @@ class _Signals:
                 self.warnings.append("Those outputs do not follow the throttle: they are no motors and were left out.")
                 self.outputs = {}
                 return
+        self.left_out = rotors.left_out(parameters, self.outputs, pwm)
         if absent := [o for o in self.outputs.values() if o not in pwm]:
             self.warnings.append(f"Servo outputs {', '.join(map(str, absent))} are not in the log.")
         missing = np.full(time.size, np.nan)

@@ -16,6 +16,9 @@ FRAME_ROTORS: dict[int, tuple[int, ...]] = {
 } | {7: (1, 2, 4)}
 BY_NUMBER = "No output has a motor function; rotor k was taken to be output k."
 LEAST_THROTTLE = 0.02  # standard deviation below which the throttle counts as constant
+TAIL = 39  # SERVOn_FUNCTION of a tricopter's tail servo: "motor 7"
+DRIVEN_US, ENOUGH, MOVES = 1050.0, 100, 10  # pulses of a motor that runs; samples, and different values, of one that is flown with
+UNLIKE = 0.2  # share of an output's deviation that the others may leave unexplained
 FRAME_NAMES = {"QUAD": 1, "HEXA": 2, "OCTA": 3, "OCTA_QUAD": 4, "OCTAQUAD": 4, "Y6": 5, "HELI": 6, "TRI": 7}
 FRAME_NAMES |= {"SINGLE": 8, "COAX": 9, "BICOPTER": 10, "DODECA_HEXA": 12, "DODECAHEXA": 12, "DECA": 14}
 
@@ -97,6 +100,41 @@ def outputs(
             f"Neither outputs nor frame are named in the log; moving outputs {_listed(moving)} were taken as rotors."
         )
     return {rotor + 1: output for rotor, output in enumerate(moving)}, notes
+
+
+def left_out(parameters: Mapping[str, float], outputs: Mapping[int, int], pwm: Mapping[int, np.ndarray]) -> list[int]:
+    """Servo outputs (from 1) that move as motors do though no rotor of the frame is driven by them, so that the frame is not the one that
+    flew: outputs with a motor function that move, and, where no output's function is known, those that are made of the same demands as
+    the rotors' outputs.
+
+    outputs: {rotor: servo output}, as of `outputs`. A tricopter's tail servo has a motor function too."""
+    functions = {}
+    for name, value in parameters.items():
+        if (one := output_functions.function(name, value)) is not None and one.driver == output_functions.SERVO:
+            functions[one.output] = int(value)
+    rotors = [pwm[output] for output in outputs.values() if output in pwm]
+    found = []
+    for output, pulses in sorted(pwm.items()):
+        function = functions.get(output, 0)
+        if output in outputs.values() or len(rotors) < 3 or function == TAIL:
+            continue
+        columns = np.stack([*rotors, pulses], axis=1)
+        fine = (columns > DRIVEN_US).all(axis=1)
+        if fine.sum() < ENOUGH or np.unique(pulses[fine]).size < MOVES:
+            continue
+        if SERVO_MOTORS.get(function) if functions else _of_one_mixer(columns[fine]):
+            found.append(output)
+    return found
+
+
+def _of_one_mixer(columns: np.ndarray) -> bool:
+    """Is the last of the outputs (n, k) a combination of the others, as large as they are?"""
+    sizes = columns.std(axis=0)
+    if sizes[-1] < 0.5 * sizes[:-1].min():
+        return False
+    apart = columns - columns.mean(axis=0)
+    left = apart[:, -1] - apart[:, :-1] @ np.linalg.lstsq(apart[:, :-1], apart[:, -1], rcond=None)[0]
+    return bool(left.std() < UNLIKE * sizes[-1])
 
 
 def follow(time: np.ndarray, pulses: np.ndarray, stamps: np.ndarray, throttle: np.ndarray) -> bool:

@@ -170,8 +170,9 @@ def _motors(topics: Topics, parameters):
         finite = np.isfinite(values).mean(axis=0)
         used = np.flatnonzero(finite > 0.1 * finite.max())  # a damaged NaN can be a number
         if used.size:
+            left = [int(k) + 1 for k in used[used >= count] if np.nanstd(values[:, k]) > 0.0] if count else []
             values = values[:, : count or used[-1] + 1]
-            return series.motors(time, values, "1", "actuator_motors", topics.notes), {}
+            return series.motors(time, values, "1", "actuator_motors", topics.notes), {"outputs_left_out": left}
 
     def outputs(instance):
         found = topics.table("actuator_outputs", "output[0]", instance=instance)

@@ -164,6 +164,18 @@ def another_airframe(case: Case) -> str | None:
     return None
 
 
+def frame_without_outputs(case: Case) -> str | None:
+    """A frame with fewer rotors than outputs that move as motors do: it is not the one that flew."""
+    left = case.flight.facts.get("outputs_left_out")
+    if not left:
+        return None
+    return (
+        f"the frame {case.vehicle.name} has {len(case.vehicle.rotors)} rotors, but output{'s' if len(left) > 1 else ''} "
+        f"{', '.join(map(str, left))} move{'' if len(left) > 1 else 's'} as a motor's: it is not the frame that flew. Give the right one with "
+        "--vehicle FILE."
+    )
+
+
 def outputs_in_another_order(case: Case) -> str | None:
     """Outputs that move as the mixer asks of other rotors."""
     return mixing.outputs_in_another_order(case.mixing)
@@ -542,6 +554,7 @@ TESTS = (
     two_flights,
     clock_jumped,
     another_airframe,
+    frame_without_outputs,
     outputs_in_another_order,
     outputs_of_another_mixer,
     outputs_of_another_range,
