@@ -46,6 +46,9 @@ VOLTAGE, OUTPUTS, CONTROL, GYRO, ACCEL, VELOCITY, STATE, ATTITUDE, THRUSTS, RATE
     10,
 )
 
+HELD_S = 0.15
+"""Outputs older than this are not what is commanded now, where the rate controller asks for something else in between."""
+
 _LYING_S, _BLOW_S = 0.5, 3.0  # of airborne: by how much an end may lie before what showed it
 
 
@@ -71,6 +74,7 @@ class Front(Struct):
     now: Time = -LASTS
     thrust = array(REAL, ROTORS)  # the last outputs as shares of full thrust
     known = array(FLAG, ROTORS)  # which of these outputs were valid
+    output_time: Time = -LASTS  # of these outputs
     battery: Real = 1.0  # voltage as a share of full
     doubting: bool = False
 
@@ -112,6 +116,7 @@ class Front(Struct):
             self._compare(v, one)
         self.deviations.logged(v, time, output, self.thrust, all_known, self._aloft(time))
         self.logged = min(self.logged, time)
+        self.output_time = time
         if not p.rebuilt:
             self.sense.thrust(v, p, time, self.thrust, all_known)
 
@@ -127,11 +132,12 @@ class Front(Struct):
         if not p.rebuilt:
             return
         all_known = True
+        held = time - self.output_time < HELD_S
         self.mixer.thrust(v, time, demand, valid, self.battery, thrust, valid_thrust)
         for k in range(v.rotors):
             if not valid_thrust[k]:
                 thrust[k] = self.thrust[k]
-            all_known = all_known and (valid_thrust[k] or self.known[k])
+            all_known = all_known and (valid_thrust[k] or (held and self.known[k]))
         self.sense.thrust(v, p, time, thrust, all_known)
 
     def gyro(self, v: Vehicle, p: Plan, time: Time, x: Real, y: Real, z: Real) -> None:

@@ -23,6 +23,7 @@ import numpy as np
 from rotorwatch.base.compiling.running import Rows
 from rotorwatch.engine.definition import ENGINE, KINDS, Part, craft, pieces
 from rotorwatch.engine.front import mixer, whole
+from rotorwatch.engine.front.front import HELD_S
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import ThrustCurve, Vehicle
 
@@ -86,7 +87,8 @@ def better(logged: Signal, mixed: Signal | None) -> Signal:
     rows, values, valid = np.flatnonzero(~mixed.whole), mixed.values, mixed.valid
     if rows.size:
         values[rows] = np.where(valid[rows], values[rows], hold(logged.time, logged.values, mixed.time[rows]))
-        valid[rows] |= hold(logged.time, logged.valid, mixed.time[rows], before=False)
+        age = mixed.time[rows] - hold(logged.time, logged.time, mixed.time[rows], before=-np.inf)
+        valid[rows] |= hold(logged.time, logged.valid, mixed.time[rows], before=False) & (age < HELD_S)[:, None]
     return Signal(mixed.time, values, logged.columns, "1", "body", mixed.source, valid, made=True)
 
 
