@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import pairwise
+from itertools import pairwise, permutations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -61,6 +61,8 @@ BLOCK = 1 << 16  # samples that are looked at at a time
 WINDOW_S = 0.2  # s over which gyro and attitude are compared
 # Gyro and attitude up to so far apart, in such steps; in parts of so long, of which there are at least so many
 APART_S, LAG_S, PART_S, LEAST_PARTS = 5.0, 0.1, 10.0, 3
+# Share of the turning that no choice of axes explains, and how many times as much the gyro's own axes leave
+OF_AXES, AXES_BETTER = 0.15, 4.0
 THE_SAME = 0.8  # correlation of two measurements at a lag, beyond which it is the one they have
 GYRO_UNITS = {"degrees/s": np.degrees(1.0), "mrad/s": 1e3, "turns/s": 0.5 / np.pi}
 GEOMETRY = ("FRAME_CLASS", "FRAME_TYPE", "CA_ROTOR_COUNT", "CA_AIRFRAME", "SYS_AUTOSTART", "MAV_TYPE")
@@ -270,6 +272,58 @@ def attitude_against_gyro(case: Case) -> str | None:
         else "one of them is in a wrong unit, or of another vehicle."
     )
     return f"the gyro turns {(low * high) ** 0.5:.3g} times as fast as the attitude: {why}"
+
+
+def gyro_axes(case: Case) -> str | None:
+    """A gyro whose axes are exchanged or reversed: one of the 48 ways to do so makes its turns those of the attitude, or of the rates that
+    the controller used, far better than leaving it as it is."""
+    if not case.flight.has("gyro"):
+        return None
+    if case.flight.has("attitude"):
+        _, turned, (rate,) = case.turns
+        if why := _other_axes(rate, turned, "the attitude"):
+            return why
+    used = case.flight.signals.get("rates")
+    if used is None or used.source == case.flight["gyro"].source or used.source.endswith("differentiated"):
+        return None
+    return _other_axes(*_together(case.flight["gyro"], used, case.air), "the rates that the controller used")
+
+
+def _together(gyro: Signal, rates: Signal, air: Spans) -> tuple[np.ndarray, np.ndarray]:
+    """Means (m, 3) of two signals over the windows of `WINDOW_S` in the air that hold samples of both."""
+    gyro, rates = gyro.wholes(), rates.wholes()
+    bins = [np.floor(s.time / WINDOW_S).astype(int) for s in (gyro, rates)]
+    size = max((int(b[-1]) + 1 for b in bins if b.size), default=0)
+    counts = [np.bincount(b, minlength=size) for b in bins]
+    both = (counts[0] > 0) & (counts[1] > 0) & within(WINDOW_S * (np.arange(size) + 0.5), air)
+    means = [
+        np.stack([np.bincount(b, column, size)[both] / count[both] for column in s.values.T], axis=1)
+        for s, b, count in zip((gyro, rates), bins, counts)
+    ]
+    return means[0], means[1]
+
+
+def _other_axes(rate: np.ndarray, turned: np.ndarray, what: str) -> str | None:
+    """A sentence where a gyro's mean rates (m, 3) are those of other axes of `turned` (m, 3), or of reversed ones."""
+    if len(rate) < 50:
+        return None
+    rate, turned = (np.clip(x, -5.0 * usual, 5.0 * usual) for x in (rate, turned) if (usual := np.sqrt(np.mean(x * x))) > 0.0)
+    if len(rate) < 50 or np.sqrt(np.mean(turned**2)) < MOVING:
+        return None
+    rate, turned = rate - rate.mean(axis=0), turned - turned.mean(axis=0)
+    both, power = rate.T @ turned, np.sum(rate**2) + np.sum(turned**2)
+    left = power - 2.0 * float(np.trace(both))
+    ways = ((order, signs) for order in permutations(range(3)) for signs in product((1.0, -1.0), repeat=3))
+    order, signs = max(ways, key=lambda way: sum(sign * both[axis, k] for k, (axis, sign) in enumerate(zip(*way))))
+    best = power - 2.0 * sum(sign * both[axis, k] for k, (axis, sign) in enumerate(zip(order, signs)))
+    if best > OF_AXES * power or left < AXES_BETTER * best + OF_AXES * power:
+        return None
+    moved = [
+        f"{AXES[k]} as {'reversed ' if sign < 0.0 else ''}{AXES[axis]}"
+        for k, (axis, sign) in enumerate(zip(order, signs))
+        if (axis, sign) != (k, 1.0) and np.sum(turned[:, k] ** 2) > 0.02 * np.sum(turned**2)
+    ]
+    return f"the axes of the gyro are not those of {what}: it shows {', '.join(moved)}." if moved else None
 
 
 def two_clocks(case: Case) -> str | None:
@@ -563,6 +617,7 @@ TESTS = (
     wild_motion,
     weightless,
     two_clocks,
+    gyro_axes,
     attitude_against_gyro,
     outputs_at_rest,
     motion_without_command,
