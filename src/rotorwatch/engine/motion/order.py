@@ -1,0 +1,77 @@
+"""The order of the outputs, by the motion that follows them: for logs that do not hold what the rate controller asked for.
+
+If output k drives rotor p_k, the torque about axis a is sum_k b_a[p_k] T_k, with b_a the row of the effectiveness and T_k the thrust of
+output k without what all share and without trim. For every order p it explains a share of the angular acceleration w_a,
+
+    R_a^2(p) = max over lags of (b_a[p]^T S_a)^2 / (b_a[p]^T C b_a[p] |w_a|^2),     S_a = sum T w_a,   C = sum T T^T,
+
+of which only gains above 0 count. A rotor that is weak, stuck or gone lowers the share of the true order, but that of the others as well.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations, permutations
+
+import numpy as np
+
+from rotorwatch.base.arrays import quantile
+from rotorwatch.engine.motion.ticks import Ticks
+
+ALL_ORDERS = 6  # rotors, up to which every order is tried; of more, exchanges of two and turns about the frame
+LEAST_S, LATEST_S, TRIM_S = 15.0, 0.25, 1.0  # of flight; lags of motion behind commands; over which trim is taken out
+ALIKE_FOR = 3  # neighbouring ticks with the same error
+LARGE = 3.0  # times the usual size, to which knocks are bounded
+NATS = 20.0  # by which the log-likelihood of another order must be higher
+# Own share of an axis that the other order must keep, own share of an axis that it gains, and that axis' share by it
+KEEPS, GAINS, SHOWS = 0.6, 0.35, 0.1
+
+
+def followed(table: Ticks, B: np.ndarray) -> tuple[int, ...] | None:
+    """The rotor (0-based) whose torque follows each output, where that is another order than the frame's; None where it is not, or not shown.
+
+    B (4, n): effectiveness. The other order must explain at least as much on every axis, and an axis on which the frame's fails."""
+    ok = (table.mode > 0) & table.valid[:, :3].all(axis=1) & ~table.upset
+    if table.seen is not None:
+        ok &= table.seen
+    if ok.sum() * table.dt < LEAST_S:
+        return None
+    thrust, motion = (_shaken(x, ok, table.dt) for x in (table.thrust, table.rate_dot))
+    thrust -= thrust.mean(axis=1, keepdims=True)
+    power, C = np.sum(motion**2, axis=0), thrust.T @ thrust
+    lags = range(max(2, round(LATEST_S / table.dt)))
+    S = np.stack([thrust[: len(thrust) - lag].T @ motion[lag:] for lag in lags])  # (lags, n, 3)
+    orders, share = _orders(B.shape[1]), []
+    for axis in range(3):
+        b = B[axis][orders]
+        along = np.einsum("pk,lk->pl", b, S[:, :, axis]).max(axis=1)
+        size = np.einsum("pk,kj,pj->p", b, C, b) * power[axis]
+        share.append(np.where(along > 0.0, along**2 / np.maximum(size, 1e-12), 0.0))
+    R2 = np.clip(np.stack(share, axis=1), 0.0, 0.999)
+    nats = -0.5 * ok.sum() / ALIKE_FOR * np.log1p(-R2).sum(axis=1)
+    best, own = int(np.argmax(nats)), R2[0]
+    gains = (own < GAINS * R2[best]) & (R2[best] > SHOWS)
+    if nats[best] < nats[0] + NATS or (R2[best] < KEEPS * own).any() or not gains.any():
+        return None
+    return tuple(int(k) for k in orders[best])
+
+
+def _orders(n: int) -> np.ndarray:
+    """(p, n) orders of n rotors that are tried, the frame's own first."""
+    own = tuple(range(n))
+    if n <= ALL_ORDERS:
+        return np.array(list(permutations(own)))
+    turns = [own[k:] + own[:k] for k in range(n)]
+    swaps = [tuple(j if k == i else i if k == j else k for k in own) for i, j in combinations(own, 2)]
+    return np.array([*turns, *swaps])
+
+
+def _shaken(x: np.ndarray, ok: np.ndarray, dt: float) -> np.ndarray:
+    """Columns of (T, k) without trim, 0 where not `ok`, bounded to what is usual."""
+    width = max(3, round(TRIM_S / dt))
+    box, columns = np.ones(width) / width, []
+    for column in x.T:
+        column = np.where(ok, column, 0.0)
+        column = np.where(ok, column - np.convolve(column, box, "same"), 0.0)
+        most = LARGE * max(quantile(np.abs(column[ok]), 0.8), 1e-12)
+        columns.append(np.clip(column, -most, most))
+    return np.stack(columns, axis=1)
