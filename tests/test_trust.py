@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes, diagnose
-from rotorwatch.engine.motion import trust
+from rotorwatch.engine.motion import inertial, trust
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import READY_S, observe
 from rotorwatch.flight import Signal
@@ -142,12 +142,12 @@ def test_a_scale_has_an_error_that_noise_makes():
     for _ in range(50):
         motion = np.convolve(rng.normal(size=600), np.ones(10), "same")
         noise = rng.uniform(0.0, 3.0, 2) * motion.std()
-        low, high = trust._scale(
+        low, high = inertial.scale(
             1.5 * motion + noise[0] * rng.normal(size=600), motion + noise[1] * rng.normal(size=600)
         )
         held += low < 1.5 < high
     assert held >= 48
-    low, high = trust._scale(rng.normal(size=600), rng.normal(size=600))
+    low, high = inertial.scale(rng.normal(size=600), rng.normal(size=600))
     assert low < 0.1 and high > 10.0
 
 

@@ -17,7 +17,11 @@ FRAME_ROTORS: dict[int, tuple[int, ...]] = {
 BY_NUMBER = "No output has a motor function; rotor k was taken to be output k."
 LEAST_THROTTLE = 0.02  # standard deviation below which the throttle counts as constant
 TAIL = 39  # SERVOn_FUNCTION of a tricopter's tail servo: "motor 7"
-DRIVEN_US, ENOUGH, MOVES = 1050.0, 100, 10  # pulses of a motor that runs; samples, and different values, of one that is flown with
+DRIVEN_US, ENOUGH, MOVES = (
+    1050.0,
+    100,
+    10,
+)  # pulses of a motor that runs; samples, and different values, of one that is flown with
 UNLIKE = 0.2  # share of an output's deviation that the others may leave unexplained
 FRAME_NAMES = {"QUAD": 1, "HEXA": 2, "OCTA": 3, "OCTA_QUAD": 4, "OCTAQUAD": 4, "Y6": 5, "HELI": 6, "TRI": 7}
 FRAME_NAMES |= {"SINGLE": 8, "COAX": 9, "BICOPTER": 10, "DODECA_HEXA": 12, "DODECAHEXA": 12, "DECA": 14}

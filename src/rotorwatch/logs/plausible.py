@@ -128,7 +128,9 @@ def _once(flight: Flight) -> Flight:
             often.append(name)
     if not set(often) & set(COUPLED):  # counts and levels may well stand still
         return flight
-    warning = f"Records stand in the log twice, with the same time and values ({', '.join(often)}): each was taken once."
+    warning = (
+        f"Records stand in the log twice, with the same time and values ({', '.join(often)}): each was taken once."
+    )
     messages = tuple(dict.fromkeys(flight.messages))
     return replace(flight, signals=signals, messages=messages, warnings=(*flight.warnings, warning))
 

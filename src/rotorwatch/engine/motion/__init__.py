@@ -9,5 +9,7 @@ samples.py      signals as the definitions take them
 deviations.py   outputs that deviate from the mixer
 contact.py      knocks: motion that no rotor can make
 ticks.py        one uniform table of all that
+inertial.py     gyro, attitude and the controller's rates, held against each other
+order.py        the order of the outputs, by the motion that follows them
 trust.py        is this what flew? the log held against itself
 """

@@ -26,7 +26,11 @@ from rotorwatch.engine.motion.allocation import Spans, within
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle
 
-WINDOW_S, LEAST, LEAST_WINDOWS = 4.0, 12, 3  # length of a window, outputs in it, and windows with differences that can be seen
+WINDOW_S, LEAST, LEAST_WINDOWS = (
+    4.0,
+    12,
+    3,
+)  # length of a window, outputs in it, and windows with differences that can be seen
 PAIR_S = 0.16  # outputs further than this from the rate controller's samples around them have no partner
 SEEN = 0.0015  # share of full thrust: rms of differences between rotors, above what rounding to 1 us makes
 LIMIT = 0.01  # share of full thrust from its ends, within which a rotor may be limited
@@ -249,9 +253,7 @@ def aligned(flight: Flight, vehicle: Vehicle, air: Spans) -> Flight:
         for lag in late
         if lag.seconds
     ]
-    warning = (
-        f"motors ({motors.source}): logged {', '.join(told)} than the rate controller's output that they follow; put on its clock."
-    )
+    warning = f"motors ({motors.source}): logged {', '.join(told)} than the rate controller's output that they follow; put on its clock."
     return replace(flight, signals={**flight.signals, "motors": motors}, warnings=(*flight.warnings, warning))
 
 
@@ -264,7 +266,7 @@ def outputs_of_another_range(found: Mixing | None) -> str | None:
     if SCALES[0] < (typical := float(median(scales))) < SCALES[1]:
         return None
     return (
-        f"the motor outputs differ from each other {typical:.2g} times as much as the rate controller asks for at their level of thrust: the "
+        f"the motor outputs differ from each other {typical:.2g} times as much as the rate controller asks for at their thrust: the "
         "range of the outputs or the thrust curve in the parameters is not the one that flew."
     )
 
@@ -280,12 +282,14 @@ def outputs_that_never_move(flight: Flight, air: Spans) -> str | None:
     values = np.where(known, motors.values[rows], np.nan)
     if len(values) < LEAST * LEAST_WINDOWS:
         return None
-    moves = np.array([np.ptp(x[~np.isnan(x)]) if (~np.isnan(x)).any() else 0.0 for x in values.T]) > STILL * (high - low)
+    moves = np.array([np.ptp(x[~np.isnan(x)]) if (~np.isnan(x)).any() else 0.0 for x in values.T]) > STILL * (
+        high - low
+    )
     if moves.all() or moves.sum() < 2:
         return None
     still = [(k + 1, values[:, k][~np.isnan(values[:, k])]) for k in np.flatnonzero(~moves)]
     at = ", ".join(f"{k} ({x[0]:.4g})" if x.size else f"{k} (no value)" for k, x in still)
     return (
-        f"motor output{'s' if len(still) > 1 else ''} {at} never move{'' if len(still) > 1 else 's'} in flight while the others do: the log "
-        "does not hold what drove these motors."
+        f"motor output{'s' if len(still) > 1 else ''} {at} never move{'' if len(still) > 1 else 's'} in flight while the others do: the "
+        "log does not hold what drove these motors."
     )

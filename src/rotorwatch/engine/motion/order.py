@@ -27,7 +27,7 @@ KEEPS, GAINS, SHOWS = 0.6, 0.35, 0.1
 
 
 def followed(table: Ticks, B: np.ndarray) -> tuple[int, ...] | None:
-    """The rotor (0-based) whose torque follows each output, where that is another order than the frame's; None where it is not, or not shown.
+    """The rotor (0-based) whose torque follows each output, where that is another order than the frame's; None where it is not.
 
     B (4, n): effectiveness. The other order must explain at least as much on every axis, and an axis on which the frame's fails."""
     ok = (table.mode > 0) & table.valid[:, :3].all(axis=1) & ~table.upset

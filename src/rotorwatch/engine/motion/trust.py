@@ -7,17 +7,16 @@ no healthy or faulty flight shows; docs/limits.md has how often each was wrong.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import pairwise, permutations, product
 from typing import NamedTuple
 
 import numpy as np
 
 from rotorwatch.base.arrays import median, quantile
 from rotorwatch.base.physics import G0
-from rotorwatch.engine.motion import mixing, order, turning
+from rotorwatch.engine.motion import inertial, mixing, order, turning
 from rotorwatch.engine.motion.allocation import within
 from rotorwatch.engine.motion.ticks import Ticks
 from rotorwatch.flight import Flight, Signal, output_functions
@@ -35,9 +34,6 @@ SCALE = 2.5  # factor by which the size of the specific force may differ from on
 NEARER = 2.0**0.5  # beyond this factor a scale is nearer to a half or a double than to what it should be
 FASTEST_FALL = 15.0  # m/s by which a multirotor's vertical speed differs at most between two moments
 BEYOND, SELDOM = 0.1, 0.01  # share of the outputs' range, and of a flight, that outputs may lie above that range
-MOVING = 0.05  # rad/s rms of angular rate, above which attitude and gyro that do not agree tell of different turns
-# Parts of a flight in which biases stay, windows in a row that may have the same error, and how many standard errors a scale is given
-PARTS, ALIKE_FOR, ERRORS = 10, 5, 3.0
 ALIKE = 0.5  # correlation of two measurements of one motion
 # Hover thrusts of one rotor and rotor for each rad/s^2: the smallest vehicles turn for no less (radius of gyration 2 cm, arms of 3 cm),
 # large ones for no more.
@@ -53,13 +49,12 @@ SHIFTS = 40  # how often commands are compared with motion at times that are not
 SIGNIFICANT = 2.5  # standard deviations of those comparisons
 # Change from one attitude or position to the next, how many times that over two samples, and in which share of the samples
 APART_RAD, APART_M, AWAY, ALTERNATES = 0.1, 1.0, 4.0, 0.05
-AXES = ("roll", "pitch", "yaw")
 BLOCK = 1 << 16  # samples that are looked at at a time
-WINDOW_S = 0.2  # s over which gyro and attitude are compared
-# Gyro and attitude up to so far apart, in such steps; in parts of so long, of which there are at least so many
-APART_S, LAG_S, PART_S, LEAST_PARTS = 5.0, 0.1, 10.0, 3
-# Share of the turning that no choice of axes explains, and how many times as much the gyro's own axes leave
-OF_AXES, AXES_BETTER = 0.15, 4.0
+APART_S, LAG_S, LEAST_PARTS = (
+    5.0,
+    0.1,
+    3,
+)  # gyro and attitude up to so far apart, in such steps; parts of a flight that there are at least
 THE_SAME = 0.8  # correlation of two measurements at a lag, beyond which it is the one they have
 GYRO_UNITS = {"degrees/s": np.degrees(1.0), "mrad/s": 1e3, "turns/s": 0.5 / np.pi}
 GEOMETRY = ("FRAME_CLASS", "FRAME_TYPE", "CA_ROTOR_COUNT", "CA_AIRFRAME", "SYS_AUTOSTART", "MAV_TYPE")
@@ -88,8 +83,8 @@ class Case:
 
     @cached_property
     def turns(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """`_turns` of attitude and gyro at the same time."""
-        return _turns(self.flight["attitude"], self.flight["gyro"], self.air)
+        """`inertial.turns` of attitude and gyro at the same time."""
+        return inertial.turns(self.flight["attitude"], self.flight["gyro"], self.air)
 
     @cached_property
     def flying(self) -> np.ndarray:
@@ -170,8 +165,8 @@ def frame_without_outputs(case: Case) -> str | None:
         return None
     return (
         f"the frame {case.vehicle.name} has {len(case.vehicle.rotors)} rotors, but output{'s' if len(left) > 1 else ''} "
-        f"{', '.join(map(str, left))} move{'' if len(left) > 1 else 's'} as a motor's: it is not the frame that flew. Give the right one with "
-        "--vehicle FILE."
+        f"{', '.join(map(str, left))} move{'' if len(left) > 1 else 's'} as a motor's: it is not the frame that flew. Give the right one "
+        "with --vehicle FILE."
     )
 
 
@@ -252,14 +247,14 @@ def attitude_against_gyro(case: Case) -> str | None:
     rate, turned = rate[calm], turned[calm]
     if len(rate) < 50:
         return None
-    moving = np.sqrt(np.mean(rate**2)) > MOVING / SCALE and np.sqrt(np.mean(turned**2)) > MOVING
+    moving = np.sqrt(np.mean(rate**2)) > inertial.MOVING / SCALE and np.sqrt(np.mean(turned**2)) > inertial.MOVING
     size = np.sqrt(np.sum(rate**2, axis=0) * np.sum(turned**2, axis=0))
     alike = float((np.sum(rate * turned, axis=0) / np.maximum(size, 1e-12)).max())
     if moving and alike < ALIKE:
         return (
             "gyro and attitude tell of different turns: they are not of one vehicle, one clock or one coordinate frame."
         )
-    low, high = min((_scale(rate[:, k], turned[:, k]) for k in range(3)), key=lambda one: one[1] / one[0])
+    low, high = min((inertial.scale(rate[:, k], turned[:, k]) for k in range(3)), key=lambda one: one[1] / one[0])
     if low <= NEARER and high >= 1.0 / NEARER:
         return None
     units = [name for name, factor in GYRO_UNITS.items() if low < factor * NEARER and high > factor / NEARER]
@@ -278,62 +273,28 @@ def gyro_axes(case: Case) -> str | None:
         return None
     if case.flight.has("attitude"):
         _, turned, (rate,) = case.turns
-        if why := _other_axes(rate, turned, "the attitude"):
+        if why := inertial.other_axes(rate, turned, "the attitude"):
             return why
     used = case.flight.signals.get("rates")
-    if used is None or used.source == case.flight["gyro"].source or used.source.endswith("differentiated"):
+    if used is None or used.source == case.flight["gyro"].source or used.source.endswith(turning.MADE):
         return None
-    return _other_axes(*_together(case.flight["gyro"], used, case.air), "the rates that the controller used")
-
-
-def _together(gyro: Signal, rates: Signal, air: Spans) -> tuple[np.ndarray, np.ndarray]:
-    """Means (m, 3) of two signals over the windows of `WINDOW_S` in the air that hold samples of both."""
-    both_signals = gyro.wholes(), rates.wholes()
-    start = min(s.time[0] for s in both_signals) if all(map(len, both_signals)) else 0.0
-    bins = [np.floor((s.time - start) / WINDOW_S).astype(int) for s in both_signals]
-    size = max((int(b[-1]) + 1 for b in bins if b.size), default=0)
-    counts = [np.bincount(b, minlength=size) for b in bins]
-    both = (counts[0] > 0) & (counts[1] > 0) & within(start + WINDOW_S * (np.arange(size) + 0.5), air)
-    means = [
-        np.stack([np.bincount(b, column, size)[both] / count[both] for column in s.values.T], axis=1)
-        for s, b, count in zip(both_signals, bins, counts)
-    ]
-    return means[0], means[1]
-
-
-def _other_axes(rate: np.ndarray, turned: np.ndarray, what: str) -> str | None:
-    """A sentence where a gyro's mean rates (m, 3) are those of other axes of `turned` (m, 3), or of reversed ones."""
-    if len(rate) < 50:
-        return None
-    rate, turned = (np.clip(x, -5.0 * usual, 5.0 * usual) for x in (rate, turned) if (usual := np.sqrt(np.mean(x * x))) > 0.0)
-    if len(rate) < 50 or np.sqrt(np.mean(turned**2)) < MOVING:
-        return None
-    rate, turned = rate - rate.mean(axis=0), turned - turned.mean(axis=0)
-    both, power = rate.T @ turned, np.sum(rate**2) + np.sum(turned**2)
-    left = power - 2.0 * float(np.trace(both))
-    ways = ((order, signs) for order in permutations(range(3)) for signs in product((1.0, -1.0), repeat=3))
-    order, signs = max(ways, key=lambda way: sum(sign * both[axis, k] for k, (axis, sign) in enumerate(zip(*way))))
-    best = power - 2.0 * sum(sign * both[axis, k] for k, (axis, sign) in enumerate(zip(order, signs)))
-    if best > OF_AXES * power or left < AXES_BETTER * best + OF_AXES * power:
-        return None
-    moved = [
-        f"{AXES[k]} as {'reversed ' if sign < 0.0 else ''}{AXES[axis]}"
-        for k, (axis, sign) in enumerate(zip(order, signs))
-        if (axis, sign) != (k, 1.0) and np.sum(turned[:, k] ** 2) > 0.02 * np.sum(turned**2)
-    ]
-    return f"the axes of the gyro are not those of {what}: it shows {', '.join(moved)}." if moved else None
+    return inertial.other_axes(
+        *inertial.together(case.flight["gyro"], used, case.air), "the rates that the controller used"
+    )
 
 
 def two_clocks(case: Case) -> str | None:
     """Gyro and attitude tell of the same turns, but not at the same time: of most parts of the flight, in calm air as well."""
     if not case.flight.has("gyro", "attitude"):
         return None
-    when, (alike,) = _alike_at(case.turns)
+    when, (alike,) = inertial.alike_at(case.turns)
     differ = alike.max(axis=1) < ALIKE
     if differ.sum() < LEAST_PARTS or differ.mean() < 0.5:
         return None
     lags = np.arange(-APART_S, APART_S + 0.5 * LAG_S, LAG_S)
-    alike = _alike_at(_turns(case.flight["attitude"], case.flight["gyro"], case.air, lags))[1].max(axis=2)
+    alike = inertial.alike_at(inertial.turns(case.flight["attitude"], case.flight["gyro"], case.air, lags))[1].max(
+        axis=2
+    )
     found = differ & (alike.max(axis=0) > THE_SAME)
     when, apart = when[found], lags[alike.argmax(axis=0)][found]
     if found.sum() < LEAST_PARTS or found.mean() < 0.5:
@@ -343,37 +304,6 @@ def two_clocks(case: Case) -> str | None:
     least, most = (f"{value:.1f}" for value in sorted(np.abs(apart[[0, -1]])))
     far = most if least == most else f"{least} to {most}"
     return f"gyro and attitude tell of the same turns {far} s apart: they are not of one clock."
-
-
-def _alike_at(turns: tuple[np.ndarray, np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """When parts of the flight begin (parts,) s, and correlation of gyro and attitude in each at the lags of `_turns` (lags, parts, 3)."""
-    time, turned, rates = turns
-    count = int(np.ptp(time) / PART_S) if time.size else 0
-    edges = np.searchsorted(time, time[:1] + PART_S * np.arange(count + 1))
-    parts = [slice(a, b) for a, b in pairwise(edges) if b - a > 0.5 * PART_S / WINDOW_S]
-    alike = np.zeros((len(rates), len(parts), 3))
-    for k, part in enumerate(parts):
-        x, y = turned[part] - turned[part].mean(axis=0), rates[:, part] - rates[:, part].mean(axis=1, keepdims=True)
-        size = np.sqrt(np.sum(x * x, axis=0) * np.sum(y * y, axis=1))
-        alike[:, k] = np.sum(x * y, axis=1) / np.maximum(size, 1e-12)
-    return np.array([time[part.start] for part in parts]), alike
-
-
-def _scale(measured: np.ndarray, true: np.ndarray) -> tuple[float, float]:
-    """(least, most) by which one measurement (n,) of a motion is larger than another (n,), both with unknown errors of their own.
-
-    The slope on `true` is too low by the errors of `true`, the inverse of the slope on `measured` too high by those of `measured`, each
-    with its standard error, as `ALIKE_FOR` neighbours in time may have the same error. Biases of parts of the flight are left out.
-    """
-    x, y = (np.concatenate([part - part.mean() for part in np.array_split(z, PARTS)]) for z in (measured, true))
-
-    def least_slope(a: np.ndarray, b: np.ndarray) -> float:
-        """Of a on b."""
-        power = max(float(b @ b), 1e-30)
-        slope = float(a @ b) / power
-        return slope - ERRORS * float(np.sqrt(ALIKE_FOR * np.sum((b * (a - slope * b)) ** 2))) / power
-
-    return max(least_slope(x, y), 1e-9), 1.0 / max(least_slope(y, x), 1e-9)
 
 
 def outputs_beyond_range(case: Case) -> str | None:
@@ -554,40 +484,6 @@ def _angle(gyro: Signal | None, start: float, end: float) -> float:
     rate = np.linalg.norm(part.values, axis=1)
     # The trapezoidal rule, whose name changed with NumPy 2.
     return float(np.diff(part.time) @ (rate[1:] + rate[:-1]) / 2)
-
-
-def _turns(
-    attitude: Signal, gyro: Signal, air: Spans, lags: Sequence[float] | np.ndarray = (0.0,)
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of windows in the air: times (m,) s, mean angular rates rad/s, body, from the attitude (m, 3), and from the gyro (lags, m, 3), by so
-    many s later."""
-    none = np.zeros(0), np.zeros((0, 3)), np.zeros((len(lags), 0, 3))
-    fine = attitude.whole & within(attitude.time, air)
-    step, rows = max(1, round(WINDOW_S * attitude.rate_hz)), np.flatnonzero(fine)
-    known = gyro.wholes()
-    when, rate = known.time, known.values
-    if rows.size < 2 * step or when.size < 2:
-        return none
-    first, last = rows[:-step:step], rows[step::step]
-    starts, ends = attitude.time[first], attitude.time[last]
-    length = ends - starts
-    count = np.searchsorted(when, ends) - np.searchsorted(when, starts)
-    use = (length > 0.5 * WINDOW_S) & (length < 3.0 * WINDOW_S) & (count >= max(1, 0.3 * WINDOW_S * gyro.rate_hz))
-    if not use.any():
-        return none
-    a, b = attitude.values[first[use]], attitude.values[last[use]]
-    starts, ends, length = starts[use], ends[use], length[use, None]
-    angle = turning.between(a, b)
-    mean = np.empty((len(lags), len(starts), 3))
-    total, steps = np.zeros(len(when)), np.diff(when)
-    for axis in range(3):  # one after the other: of a long flight one is long enough
-        np.add(rate[1:, axis], rate[:-1, axis], out=total[1:])
-        total *= 0.5
-        total[1:] *= steps
-        np.cumsum(total[1:], out=total[1:])
-        for turns, lag in zip(mean, lags):
-            turns[:, axis] = np.interp(ends + lag, when, total) - np.interp(starts + lag, when, total)
-    return starts, angle / length, mean / length
 
 
 TESTS = (

@@ -1,6 +1,6 @@
 """Angular rates of a log that has no gyro: the attitude's change from one sample to the next.
 
-    omega = 2 log(q_k^* q_{k+1}) / (t_{k+1} - t_k), at the middle of the two times, body FRD
+omega = 2 log(q_k^* q_{k+1}) / (t_{k+1} - t_k), at the middle of the two times, body FRD
 """
 
 from __future__ import annotations
@@ -12,13 +12,14 @@ import numpy as np
 from rotorwatch.flight import Flight, Signal
 
 SLOWEST_HZ = 5.0  # of an attitude whose change is worth a rate
+MADE = ", differentiated"  # behind the source of such rates
 LONGEST_S = 0.5  # between two samples
 NOTE = "the log has no gyro: angular rates are taken from the change of the attitude ({source}, {rate:.0f} Hz)"
 
 
 def with_rates(flight: Flight) -> tuple[Flight, str]:
-    """The flight with a signal `rates` made of its attitude where it has neither gyro nor rates, and a sentence on that; the same flight and
-    "" where it needs none or the attitude is too slow."""
+    """The flight with a signal `rates` made of its attitude where it has neither gyro nor rates, and a sentence on that; the flight itself
+    and "" where it needs none or the attitude is too slow."""
     if flight.angular_rate() is not None or not flight.has("attitude"):
         return flight, ""
     attitude = flight["attitude"].wholes()
@@ -28,11 +29,9 @@ def with_rates(flight: Flight) -> tuple[Flight, str]:
     if len(time) < 2 or attitude.rate_hz < SLOWEST_HZ:
         return flight, ""
     length = np.diff(time)
-    source = attitude.source or "attitude"
-    rates = Signal(
-        0.5 * (time[1:] + time[:-1]), between(q[:-1], q[1:]) / length[:, None], ("x", "y", "z"), "rad/s", "FRD", f"{source}, differentiated",
-        valid=length < LONGEST_S,
-    )  # fmt: skip
+    source, middle = attitude.source or "attitude", 0.5 * (time[1:] + time[:-1])
+    values, columns = between(q[:-1], q[1:]) / length[:, None], ("x", "y", "z")
+    rates = Signal(middle, values, columns, "rad/s", "FRD", f"{source}{MADE}", valid=length < LONGEST_S)
     note = NOTE.format(source=source, rate=attitude.rate_hz)
     return replace(flight, signals={**flight.signals, "rates": rates}), note
 
