@@ -78,7 +78,8 @@ class Mixing:
         return np.where(seen[:, None, None], cost / np.maximum(scale, 1e-12)[:, :, None], np.nan)
 
     def unexplained(self) -> np.ndarray:
-        """(windows, n) share of each output's differences from the others that no mixer at all explains, 1 where too little is shown."""
+        """(windows, n) share of each output's differences from the others that no mixer at all explains; 1 where too little is shown, or the
+        output does not move."""
         paired, control = self._asked(0.0)
         y = self.thrust - self.thrust.mean(axis=1, keepdims=True)
         shares = np.ones((len(self.starts), len(self.mixer)))
@@ -86,7 +87,8 @@ class Mixing:
             rows = np.arange(a, b)[paired[a:b]]
             if rows.size >= LEAST and (y[rows] ** 2).mean() > SEEN**2:
                 left = y[rows] - control[rows] @ np.linalg.lstsq(control[rows], y[rows], rcond=None)[0]
-                shares[w] = (left**2).sum(axis=0) / np.maximum((y[rows] ** 2).sum(axis=0), 1e-12)
+                share = (left**2).sum(axis=0) / np.maximum((y[rows] ** 2).sum(axis=0), 1e-12)
+                shares[w] = np.where(np.ptp(self.thrust[rows], axis=0) > 0.0, share, 1.0)
         return shares
 
     def scales(self) -> np.ndarray:
