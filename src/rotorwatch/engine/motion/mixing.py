@@ -78,17 +78,16 @@ class Mixing:
         return np.where(seen[:, None, None], cost / np.maximum(scale, 1e-12)[:, :, None], np.nan)
 
     def unexplained(self) -> np.ndarray:
-        """(windows, n) share of each output's differences from the others that no mixer at all explains; 1 where too little is shown, or the
-        output does not move."""
+        """(windows, n) share of each output's differences from the others that no mixer at all explains; 1 where too little is shown, or an
+        output stands still, which shifts the mean of all."""
         paired, control = self._asked(0.0)
         y = self.thrust - self.thrust.mean(axis=1, keepdims=True)
         shares = np.ones((len(self.starts), len(self.mixer)))
         for w, (a, b) in enumerate(zip(self.starts, [*self.starts[1:], len(self.time)])):
             rows = np.arange(a, b)[paired[a:b]]
-            if rows.size >= LEAST and (y[rows] ** 2).mean() > SEEN**2:
+            if rows.size >= LEAST and (y[rows] ** 2).mean() > SEEN**2 and np.ptp(self.thrust[rows], axis=0).min() > 0.0:
                 left = y[rows] - control[rows] @ np.linalg.lstsq(control[rows], y[rows], rcond=None)[0]
-                share = (left**2).sum(axis=0) / np.maximum((y[rows] ** 2).sum(axis=0), 1e-12)
-                shares[w] = np.where(np.ptp(self.thrust[rows], axis=0) > 0.0, share, 1.0)
+                shares[w] = (left**2).sum(axis=0) / np.maximum((y[rows] ** 2).sum(axis=0), 1e-12)
         return shares
 
     def scales(self) -> np.ndarray:
