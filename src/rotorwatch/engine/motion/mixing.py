@@ -48,11 +48,12 @@ SAME_S = 0.05  # lags of windows that differ by less are the same
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Mixing:
-    """Outputs and what the rate controller asks for. time (m,) s, of outputs in the air of which none is at a limit; thrust (m, n): m(u);
+    """Outputs and what the rate controller asks for. time (m,) s, of outputs in the air of which none is at a limit; thrust (m, n): m(u); output (m, n): u;
     control: all whole samples; mixer (n, 4)."""
 
     time: np.ndarray
     thrust: np.ndarray
+    output: np.ndarray
     control: Signal
     mixer: np.ndarray
 
@@ -85,7 +86,7 @@ class Mixing:
         shares = np.ones((len(self.starts), len(self.mixer)))
         for w, (a, b) in enumerate(zip(self.starts, [*self.starts[1:], len(self.time)])):
             rows = np.arange(a, b)[paired[a:b]]
-            if rows.size >= LEAST and (y[rows] ** 2).mean() > SEEN**2 and np.ptp(self.thrust[rows], axis=0).min() > 0.0:
+            if rows.size >= LEAST and (y[rows] ** 2).mean() > SEEN**2 and np.ptp(self.output[rows], axis=0).min() > 0.0:
                 left = y[rows] - control[rows] @ np.linalg.lstsq(control[rows], y[rows], rcond=None)[0]
                 shares[w] = (left**2).sum(axis=0) / np.maximum((y[rows] ** 2).sum(axis=0), 1e-12)
         return shares
@@ -132,7 +133,7 @@ def mixing(flight: Flight, vehicle: Vehicle, air: Spans) -> Mixing | None:
     rows = within(motors.time, air) & motors.whole & free
     if rows.sum() < LEAST * LEAST_WINDOWS or len(control) < 2:
         return None
-    return Mixing(motors.time[rows], thrust[rows], control, np.asarray(vehicle.mixer, float))
+    return Mixing(motors.time[rows], thrust[rows], motors.values[rows], control, np.asarray(vehicle.mixer, float))
 
 
 def order(costs: np.ndarray) -> tuple[int, ...] | None:
