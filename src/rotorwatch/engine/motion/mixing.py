@@ -48,8 +48,8 @@ SAME_S = 0.05  # lags of windows that differ by less are the same
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Mixing:
-    """Outputs and what the rate controller asks for. time (m,) s, of outputs in the air of which none is at a limit; thrust (m, n): m(u); output (m, n): u;
-    control: all whole samples; mixer (n, 4)."""
+    """Outputs and what the rate controller asks for. time (m,) s, of outputs in the air of which none is at a limit; thrust (m, n): m(u);
+    output (m, n): u; control: all whole samples; mixer (n, 4)."""
 
     time: np.ndarray
     thrust: np.ndarray
