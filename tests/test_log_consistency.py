@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from tests.altered_logs import doubled, later, reordered, slower, with_signals, with_values
 
 from rotorwatch import airframes, diagnose
 from rotorwatch.engine.motion import mixing, order, turning
@@ -25,31 +26,10 @@ def flown(frame="quad-x", kind="square", loss=0.3, wind=2.0, seed=4, duration=50
     return simulate(scenario.from_table(table)).flight
 
 
-def with_signals(flight, **signals):
-    kept = {k: v for k, v in {**flight.signals, **signals}.items() if v is not None}
-    return replace(flight, signals=kept, checked=False)
-
-
-def with_values(flight, name, values):
-    signal = flight[name]
-    return with_signals(flight, **{name: signal.with_arrays(signal.time, np.ascontiguousarray(values), signal.valid)})
-
-
-def later(signal, seconds, after=-np.inf):
-    """The signal with time stamps that are late from a moment on."""
-    time = signal.time + np.where(signal.time >= after, seconds, 0.0)
-    by_time = np.argsort(time, kind="stable")
-    return signal.with_arrays(time[by_time], signal.values[by_time], np.ascontiguousarray(signal.valid[by_time]))
-
-
 def accused(diagnosis):
     """Rotors that are accused of a loss or an override without an alternative."""
     kinds = ("loss_of_effectiveness", "output_override")
     return {r for e in diagnosis.events if e.kind in kinds and not e.alternatives for r in e.rotors}
-
-
-def reordered(flight, rows):
-    return with_values(flight, "motors", flight["motors"].values[:, list(rows)])
 
 
 @pytest.mark.parametrize("kind", ["square", "hover"])
@@ -167,10 +147,7 @@ def test_sound_logs_keep_their_clock_and_their_order(frame, kind, loss):
 def test_slow_outputs_beside_a_fast_controller():
     """Outputs at 3 Hz: in between, the controller tells what is commanded."""
     flight = flown(loss=0.4)
-    motors = flight["motors"]
-    rows = np.unique(np.floor(motors.time * 3.0), return_index=True)[1]
-    slow = motors.with_arrays(motors.time[rows], motors.values[rows], np.ascontiguousarray(motors.valid[rows]))
-    answer = diagnose(with_signals(flight, motors=slow))
+    answer = diagnose(slower(flight, 3.0))
     assert accused(answer) == {2} and abs(answer.events[0].onset_s - 28.0) < 1.0
 
 
@@ -217,16 +194,9 @@ def test_axes_of_the_gyro(axes, signs, missing):
 # Two logs, and one twice
 
 
-def doubled(signal):
-    return signal.with_arrays(
-        np.repeat(signal.time, 2), np.repeat(signal.values, 2, axis=0), np.repeat(signal.valid, 2, axis=0)
-    )
-
-
 def test_records_that_stand_twice_count_once():
     flight = flown()
-    twice = with_signals(flight, **{name: doubled(signal) for name, signal in flight.signals.items()})
-    once, both = diagnose(flight), diagnose(twice)
+    once, both = diagnose(flight), diagnose(doubled(flight))
     assert both.headline == once.headline and both.rotors == once.rotors
     assert any("stand in the log twice" in warning for warning in both.warnings)
 

@@ -157,6 +157,13 @@ def order(costs: np.ndarray) -> tuple[int, ...] | None:
     return tuple(int(k) for k in rows)
 
 
+def confirmed(found: Mixing | None) -> bool:
+    """Whether the outputs are seen to follow the frame's mixer, in most windows that show anything."""
+    own = np.zeros(0) if found is None else np.diagonal(found.costs(), axis1=1, axis2=2).max(axis=1)
+    own = own[np.isfinite(own)]
+    return len(own) >= LEAST_WINDOWS and bool((own < FOLLOWS).mean() > 0.5)
+
+
 def outputs_in_another_order(found: Mixing | None) -> str | None:
     """Outputs that move as the mixer asks of other rotors: they have other places in the log, or in its parameters, than in the air."""
     if found is None:

@@ -22,14 +22,14 @@ LEAST_S, LATEST_S, TRIM_S = 15.0, 0.25, 1.0  # of flight; lags of motion behind 
 ALIKE_FOR = 3  # neighbouring ticks with the same error
 LARGE = 3.0  # times the usual size, to which knocks are bounded
 NATS = 20.0  # by which the log-likelihood of another order must be higher
-# Own share of an axis that the other order must keep, own share of an axis that it gains, and that axis' share by it
-KEEPS, GAINS, SHOWS = 0.6, 0.35, 0.1
+FAILS, SHOWS = 0.35, 0.1  # own share of an axis, of that which the other order explains of it; and that share
+LOSES = 0.35  # of the gain in log-likelihood, that an axis may lose
 
 
 def followed(table: Ticks, B: np.ndarray) -> tuple[int, ...] | None:
     """The rotor (0-based) whose torque follows each output, where that is another order than the frame's; None where it is not.
 
-    B (4, n): effectiveness. The other order must explain at least as much on every axis, and an axis on which the frame's fails."""
+    B (4, n): effectiveness. The other order must explain an axis on which the frame's fails, and lose hardly anything on the others."""
     ok = (table.mode > 0) & table.valid[:, :3].all(axis=1) & ~table.upset
     if table.seen is not None:
         ok &= table.seen
@@ -47,10 +47,10 @@ def followed(table: Ticks, B: np.ndarray) -> tuple[int, ...] | None:
         size = np.einsum("pk,kj,pj->p", b, C, b) * power[axis]
         share.append(np.where(along > 0.0, along**2 / np.maximum(size, 1e-12), 0.0))
     R2 = np.clip(np.stack(share, axis=1), 0.0, 0.999)
-    nats = -0.5 * ok.sum() / ALIKE_FOR * np.log1p(-R2).sum(axis=1)
-    best, own = int(np.argmax(nats)), R2[0]
-    gains = (own < GAINS * R2[best]) & (R2[best] > SHOWS)
-    if nats[best] < nats[0] + NATS or (R2[best] < KEEPS * own).any() or not gains.any():
+    nats = -0.5 * ok.sum() / ALIKE_FOR * np.log1p(-R2)
+    best = int(np.argmax(nats.sum(axis=1)))
+    more, fails = nats[best] - nats[0], (R2[0] < FAILS * R2[best]) & (R2[best] > SHOWS)
+    if more.sum() < NATS or more.min() < -LOSES * more.sum() or not fails.any():
         return None
     return tuple(int(k) for k in orders[best])
 

@@ -383,7 +383,7 @@ def command_without_effect(case: Case) -> str | None:
 
 def outputs_of_other_rotors(case: Case) -> str | None:
     """Outputs that the vehicle's motion follows in another order than the frame's."""
-    rotors = order.followed(case.table, case.vehicle.effectiveness())
+    rotors = None if mixing.confirmed(case.mixing) else order.followed(case.table, case.vehicle.effectiveness())
     if rotors is None:
         return None
     moved = [f"output {k + 1} as motor {rotor + 1}" for k, rotor in enumerate(rotors) if rotor != k]
