@@ -493,3 +493,12 @@ def test_events_are_told_in_the_words_that_the_log_carries():
     assert any(m.text == "Failsafe warning:" and abs(m.time - 68.15) < 0.1 for m in flight.messages)
     without = logs.read(FLIGHTS / "open" / "px4_q28_esc_m3_dead.ulg.xz")
     assert any(m.text == "failure detector: motor" for m in without.messages)
+
+
+def test_instances_that_are_counted_from_one():
+    """A logger that numbers instances from 1: the lowest is taken for the first."""
+    stamp = np.arange(0, 10_000_000, 10_000)
+    fields = {"timestamp": stamp, **{f"gyro_rad[{k}]": np.sin(stamp * 1e-6 + k) for k in range(3)}}
+    topics = px4_topics.Topics({("sensor_combined", 1): fields, ("sensor_combined", 2): {}}, 0)
+    found, _ = px4_topics.signals(topics, {})
+    assert found["gyro"].values.shape == (len(stamp), 3)
