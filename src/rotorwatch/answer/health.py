@@ -24,6 +24,7 @@ import numpy as np
 
 from rotorwatch.answer.wording import SCALE
 from rotorwatch.engine.estimator.plant import USUAL_S
+from rotorwatch.engine.front.ticks import CARRIES
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event, Trend
 from rotorwatch.methods.maths import trend as line
@@ -53,7 +54,7 @@ def trends(out, table: Ticks, B: np.ndarray, found: Sequence[Event]) -> tuple[Tr
     """
     nothing = (None,) * B.shape[1]
     use = (table.mode == JUDGE) & table.valid[:, :3].all(axis=1) & ~table.upset
-    use &= table.time >= _steady_from(table, found)
+    use &= (table.time >= _steady_from(table, found)) & (table.thrust.mean(axis=1) > CARRIES)
     rows = np.flatnonzero(use)
     if rows.size < line.LEAST or table.time[rows[-1]] - table.time[rows[0]] < LEAST_S:
         return nothing

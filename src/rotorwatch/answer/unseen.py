@@ -36,6 +36,7 @@ from rotorwatch.answer.wording import SCALE
 from rotorwatch.engine.estimator import hypotheses, plant
 from rotorwatch.engine.front.decisions import CERTAIN_NATS
 from rotorwatch.engine.front.losses import WITHIN_95
+from rotorwatch.engine.front.ticks import CARRIES
 from rotorwatch.engine.front.vehicle import YAW
 from rotorwatch.engine.host import events, residual_evidence
 from rotorwatch.engine.host.hypotheses import list_hypotheses
@@ -64,8 +65,11 @@ def bounds(out, table: Ticks, B: np.ndarray) -> Unseen:
 
 
 def usable(table: Ticks) -> np.ndarray:
-    """(T,) bool: the ticks whose biases count. Rotors that are commanded nothing cannot lack anything; those of a tricopter make no yaw."""
-    return (table.mode == JUDGE) & table.valid[:, :YAW].all(axis=1) & ~table.upset & table.thrust.any(axis=1)
+    """(T,) bool: the ticks whose biases count. Rotors that do not carry the vehicle cannot lack anything; those of a tricopter
+    make no yaw."""
+    return (
+        (table.mode == JUDGE) & table.valid[:, :YAW].all(axis=1) & ~table.upset & (table.thrust.mean(axis=1) > CARRIES)
+    )
 
 
 class Rows(NamedTuple):

@@ -12,6 +12,7 @@ from __future__ import annotations
 from rotorwatch.base.compiling.structs import (
     LASTS,
     REAL,
+    Real,
     Reals,
     Small,
     Struct,
@@ -34,7 +35,7 @@ from rotorwatch.engine.front.losses import Losses
 from rotorwatch.engine.front.records import Found, Records
 from rotorwatch.engine.front.sense import Plan
 from rotorwatch.engine.front.sizes import EVENTS, OVERRIDES, PLACES, RECORDS
-from rotorwatch.engine.front.ticks import JUDGE, Made
+from rotorwatch.engine.front.ticks import CARRIES, JUDGE, Made
 from rotorwatch.engine.front.vehicle import PITCH, ROLL, Vehicle
 from rotorwatch.engine.trim.many import SLICES
 from rotorwatch.engine.trim.trim import Trim
@@ -192,7 +193,10 @@ class Engine(Struct):
             lacking[a] = self.out.biases[a]
             for k in range(v.rotors):
                 lacking[a] += v.effectiveness[a][k] * tick.thrust[k] * self.out.theta[k]
-        usable = tick.valid[ROLL] and tick.valid[PITCH] and not tick.upset
+        total: Real = 0.0
+        for k in range(v.rotors):
+            total += tick.thrust[k]
+        usable = tick.valid[ROLL] and tick.valid[PITCH] and not tick.upset and total > CARRIES * real(v.rotors)
         self.trim.tick(v, p.dt, tick.time, tick.mode, usable, lacking, tick.thrust)
 
     def _look(self, was: Time) -> None:

@@ -19,6 +19,8 @@ HOVER_LEARN_S = 1.0  # after lift-off: the first second gives the hover command 
 TUMBLE_S = 0.3  # of tumbling, after which a vehicle does not hover again in this flight
 UPSET_RATE = 6.0  # rad/s of roll or pitch rate: the vehicle tumbles, hover physics is over
 UPSET_LEVEL = 0.42261826174069944  # cosine of 65 degrees
+# Hover thrusts that a rotor is commanded on average, below which the vehicle falls or has landed: its rotors' balance says nothing.
+CARRIES = 0.3
 CONTROLLED_SHARE, CONTROLLED_RATE = 0.9, 2.0  # of full thrust, and rad/s: below both a vehicle is under control
 LEAST_HOVER = 0.02
 LEAST_SEEN = 0.5  # share of the blind time after lift-off in which commands must be known; judging waits for that

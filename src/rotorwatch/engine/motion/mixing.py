@@ -141,13 +141,11 @@ def order(costs: np.ndarray) -> tuple[int, ...] | None:
 
     costs (windows, n, n), of `Mixing.costs`. The order is that of the least sum of log costs; every output that moves needs `LEAST_WINDOWS`
     windows that tell its two rows apart, and nearly all of these must be for the other one."""
-    from scipy.optimize import linear_sum_assignment
-
     costs = costs[np.isfinite(costs[:, 0, 0])]
     if len(costs) < LEAST_WINDOWS:
         return None
     logs, outputs = np.log(np.maximum(costs, EXACT)), np.arange(costs.shape[1])
-    rows = linear_sum_assignment(logs.sum(axis=0))[1]
+    rows = _assigned(logs.sum(axis=0))
     gain = logs[:, outputs, outputs] - logs[:, outputs, rows]
     tells, fits = np.abs(gain) > np.log(BETTER), costs[:, outputs, rows] < FOLLOWS
     votes, count = (tells & (gain > 0.0) & fits).sum(axis=0), tells.sum(axis=0)
@@ -155,6 +153,21 @@ def order(costs: np.ndarray) -> tuple[int, ...] | None:
     if not moved.any() or (votes < np.maximum(LEAST_WINDOWS, NEARLY_ALL * count))[moved].any():
         return None
     return tuple(int(k) for k in rows)
+
+
+def _assigned(cost: np.ndarray) -> np.ndarray:
+    """(n,) a row of the mixer for each output, all different, of which no exchange of two lowers the sum of costs (n, n)."""
+    n, rows = len(cost), np.full(len(cost), -1)
+    for output, row in zip(*np.unravel_index(cost.argsort(axis=None), cost.shape)):  # the likeliest first
+        if rows[output] < 0 and row not in rows:
+            rows[output] = row
+    while True:
+        own = cost[np.arange(n), rows]
+        swapped = cost[:, rows] + cost[:, rows].T - own[:, None] - own  # by exchanging the rows of two outputs
+        i, j = np.unravel_index(swapped.argmin(), swapped.shape)
+        if swapped[i, j] > -1e-9:
+            return rows
+        rows[[i, j]] = rows[[j, i]]
 
 
 def confirmed(found: Mixing | None) -> bool:
