@@ -157,7 +157,7 @@ def test_slow_outputs_beside_a_fast_controller():
 def test_commands_without_motion_are_not_judged():
     flight = with_signals(flown(), gyro=None, rates=None, attitude=None, accel=None)
     answer = diagnose(flight)
-    assert answer.verdict == "inconclusive" and not answer.events and "no angular rate and no attitude" in answer.reason
+    assert answer.verdict == "inconclusive" and not answer.events and "no gyro and no attitude" in answer.reason
     assert any("gyro" in advice for advice in answer.advice)
 
 

@@ -36,7 +36,7 @@ def without(flight, *names):
         (flown, None, ""),
         (lambda: slower(flown()), None, ""),
         (lambda: without(flown(), "motors"), "motors", "no motor outputs"),
-        (lambda: without(flown(), "gyro"), None, ""),
+        (lambda: without(flown(), "gyro"), "gyro", "no gyro and no attitude"),
         (lambda: without(flown(), "accel"), None, ""),
         (on_the_ground, "airborne", "in the air"),
         (lambda: replace(flown(), autopilot="", parameters={}), "frame", "does not say which airframe"),

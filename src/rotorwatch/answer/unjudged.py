@@ -43,7 +43,7 @@ def silent(what: str) -> Unjudged:
 UNKNOWN = Unjudged("hardly any of it was flight", "Fly at least 20 s in the air.")
 SILENT = silent("no motor outputs")
 MOTIONLESS = Unjudged(
-    "the log holds no angular rate and no attitude at 5 Hz or more, and commands alone do not show what a rotor gives",
+    "the log holds no gyro and no attitude at 5 Hz or more, and commands alone do not show what a rotor gives",
     "Log the gyro, or at least the attitude; `rotorwatch info LOG` lists what a log holds and lacks.",
 )
 NEVER = Unjudged(

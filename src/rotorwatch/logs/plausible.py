@@ -131,7 +131,7 @@ def _once(flight: Flight) -> Flight:
     warning = (
         f"Records stand in the log twice, with the same time and values ({', '.join(often)}): each was taken once."
     )
-    messages = tuple(dict.fromkeys(flight.messages))
+    messages = tuple(m for k, m in enumerate(flight.messages) if not k or m != flight.messages[k - 1])
     return replace(flight, signals=signals, messages=messages, warnings=(*flight.warnings, warning))
 
 

@@ -9,9 +9,12 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from rotorwatch import airframes
+from rotorwatch.answer import unjudged
+from rotorwatch.answer.wording import sentence
 from rotorwatch.base.progress import portion
-from rotorwatch.engine.motion import trust
+from rotorwatch.engine.motion import mixing, trust, turning
 from rotorwatch.engine.motion.airborne import airborne
+from rotorwatch.engine.motion.missed import without_missed
 from rotorwatch.engine.motion.ticks import READY_S, observe, tick_length
 from rotorwatch.errors import RotorwatchError
 from rotorwatch.flight import Flight, Signal
@@ -124,7 +127,7 @@ def info(flight: Flight, progress: Callable[[float], object] | None = None) -> d
 
 
 class Obstacle(NamedTuple):
-    """What keeps `diagnose` from judging a flight. what: frame, motors, airborne or trust. why: one sentence."""
+    """What keeps `diagnose` from judging a flight. what: frame, motors, gyro, airborne or trust. why: one sentence."""
 
     what: str
     why: str
@@ -144,9 +147,13 @@ def obstacle(
         return Obstacle("frame", str(why))
     if not flight.has("motors"):
         return Obstacle("motors", "The log shows no motor outputs: without them no rotor can be judged.")
+    flight, _ = turning.with_rates(flight)
+    if flight.angular_rate() is None:
+        return Obstacle("gyro", sentence(f"{unjudged.MOTIONLESS.why}."))
     air = airborne(flight)
     if progress:
         progress(0.1)
+    flight = mixing.aligned(without_missed(flight, air), craft, air)
     table = observe(flight, craft, air, READY_S, portion(progress, 0.1, 0.6))
     if table is None:
         return Obstacle("airborne", "No part of this log is in the air.")
@@ -198,7 +205,7 @@ def _missing(flight: Flight, frame: str, stop: Obstacle | None) -> list[dict]:
         if _ONLY.get(name, _family(flight)) != _family(flight):
             continue
         setting = telemetry or settings.get(name, f"Log it, or give a table with the signal '{name}'.")
-        gaps.append(_gap(name, why, setting, name == "motors"))
+        gaps.append(_gap(name, why, setting, name == "motors" or (stop is not None and stop.what == name)))
     faster = {} if telemetry else _FASTER.get(_family(flight), {})
     for name, setting in faster.items():
         # ArduPilot's motor commands are rebuilt from the rate controller's output where that is logged faster.

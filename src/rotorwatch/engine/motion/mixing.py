@@ -31,6 +31,7 @@ WINDOW_S, LEAST, LEAST_WINDOWS = (
     12,
     3,
 )  # length of a window, outputs in it, and windows with differences that can be seen
+RATE_HZ = 20.0  # of outputs that are looked at, at least, where there are so many
 PAIR_S = 0.16  # outputs further than this from the rate controller's samples around them have no partner
 SEEN = 0.0015  # share of full thrust: rms of differences between rotors, above what rounding to 1 us makes
 LIMIT = 0.01  # share of full thrust from its ends, within which a rotor may be limited
@@ -127,6 +128,7 @@ def mixing(flight: Flight, vehicle: Vehicle, air: Spans) -> Mixing | None:
     if vehicle.mixer is None or not flight.has("motors", "control"):
         return None
     motors, control = flight["motors"], flight["control"].wholes()
+    motors = motors.part(slice(None, None, max(1, int(motors.rate_hz / RATE_HZ))))
     ratio = allocation.battery_ratio(flight, motors.time)[:, None]
     thrust = allocation.mixer_curve(vehicle)(motors.values, ratio)
     free = ((thrust > LIMIT) & (thrust < (1.0 - LIMIT) * np.maximum(ratio, 1e-3))).all(axis=1)

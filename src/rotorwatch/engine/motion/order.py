@@ -19,9 +19,15 @@ from rotorwatch.engine.motion.ticks import Ticks
 
 ALL_ORDERS = 6  # rotors, up to which every order is tried; of more, exchanges of two and turns about the frame
 LEAST_S, LATEST_S, TRIM_S = 15.0, 0.25, 1.0  # of flight; lags of motion behind commands; over which trim is taken out
-ALIKE_FOR = 3  # neighbouring ticks with the same error
+ALIKE_FOR, NOISE_S = (
+    3,
+    0.2,
+)  # neighbouring ticks with the same error; over which the noise of a rate's change is averaged
 LARGE = 3.0  # times the usual size, to which knocks are bounded
-NATS = 20.0  # by which the log-likelihood of another order must be higher
+NATS, PART = (
+    20.0,
+    4.0,
+)  # by which the log-likelihood of another order must be higher; and that share of it in each half of the flight
 FAILS, SHOWS = 0.35, 0.1  # own share of an axis, of that which the other order explains of it; and that share
 LOSES = 0.35  # of the gain in log-likelihood, that an axis may lose
 
@@ -37,22 +43,41 @@ def followed(table: Ticks, B: np.ndarray) -> tuple[int, ...] | None:
         return None
     thrust, motion = (_shaken(x, ok, table.dt) for x in (table.thrust, table.rate_dot))
     thrust -= thrust.mean(axis=1, keepdims=True)
-    power, C = np.sum(motion**2, axis=0), thrust.T @ thrust
-    lags = range(max(2, round(LATEST_S / table.dt)))
-    S = np.stack([thrust[: len(thrust) - lag].T @ motion[lag:] for lag in lags])  # (lags, n, 3)
-    orders, share = _orders(B.shape[1]), []
-    for axis in range(3):
-        b = B[axis][orders]
-        along = np.einsum("pk,lk->pl", b, S[:, :, axis]).max(axis=1)
-        size = np.einsum("pk,kj,pj->p", b, C, b) * power[axis]
-        share.append(np.where(along > 0.0, along**2 / np.maximum(size, 1e-12), 0.0))
-    R2 = np.clip(np.stack(share, axis=1), 0.0, 0.999)
-    nats = -0.5 * ok.sum() / ALIKE_FOR * np.log1p(-R2)
+    lags, orders = range(max(2, round(LATEST_S / table.dt))), _orders(B.shape[1])
+    alike = max(ALIKE_FOR, NOISE_S / table.dt)
+
+    def explained(rows: slice) -> tuple[np.ndarray, np.ndarray]:
+        """(p, 3) shares of the motion that the orders explain, and their log-likelihoods."""
+        R2 = _shares(thrust[rows], motion[rows], B, orders, lags)
+        return R2, -0.5 * ok[rows].sum() / alike * np.log1p(-R2)
+
+    R2, nats = explained(slice(None))
     best = int(np.argmax(nats.sum(axis=1)))
     more, fails = nats[best] - nats[0], (R2[0] < FAILS * R2[best]) & (R2[best] > SHOWS)
     if more.sum() < NATS or more.min() < -LOSES * more.sum() or not fails.any():
         return None
+    middle = int(np.searchsorted(ok.cumsum(), ok.sum() // 2))
+    for rows in (
+        slice(middle),
+        slice(middle, None),
+    ):  # outputs do not change their places in flight; what pushes a vehicle comes and goes
+        part = explained(rows)[1].sum(axis=1)
+        if part[best] < part[0] + NATS / PART:
+            return None
     return tuple(int(k) for k in orders[best])
+
+
+def _shares(thrust: np.ndarray, motion: np.ndarray, B: np.ndarray, orders: np.ndarray, lags: range) -> np.ndarray:
+    """(p, 3): R_a^2 of the module's docstring, of thrusts (T, n) and angular accelerations (T, 3)."""
+    power, C = np.maximum(np.sum(motion**2, axis=0), 1e-12), thrust.T @ thrust
+    S = np.stack([thrust[: len(thrust) - lag].T @ motion[lag:] for lag in lags])  # (lags, n, 3)
+    shares = []
+    for axis in range(3):
+        b = B[axis][orders]
+        along = np.einsum("pk,lk->pl", b, S[:, :, axis]).max(axis=1)
+        size = np.einsum("pk,kj,pj->p", b, C, b) * power[axis]
+        shares.append(np.where(along > 0.0, along**2 / np.maximum(size, 1e-12), 0.0))
+    return np.clip(np.stack(shares, axis=1), 0.0, 0.999)
 
 
 def _orders(n: int) -> np.ndarray:
@@ -66,12 +91,12 @@ def _orders(n: int) -> np.ndarray:
 
 
 def _shaken(x: np.ndarray, ok: np.ndarray, dt: float) -> np.ndarray:
-    """Columns of (T, k) without trim, 0 where not `ok`, bounded to what is usual."""
-    width = max(3, round(TRIM_S / dt))
-    box, columns = np.ones(width) / width, []
+    """Columns of (T, k) without trim and without noise, 0 where not `ok`, bounded to what is usual."""
+    long, short = (np.ones(width) / width for width in (max(3, round(TRIM_S / dt)), max(1, round(NOISE_S / dt))))
+    columns = []
     for column in x.T:
         column = np.where(ok, column, 0.0)
-        column = np.where(ok, column - np.convolve(column, box, "same"), 0.0)
+        column = np.where(ok, np.convolve(column, short, "same") - np.convolve(column, long, "same"), 0.0)
         most = LARGE * max(quantile(np.abs(column[ok]), 0.8), 1e-12)
         columns.append(np.clip(column, -most, most))
     return np.stack(columns, axis=1)

@@ -33,7 +33,8 @@ WILD_RATE, WILD_FORCE, WILD_S = 60.0, 20.0 * G0, 0.5
 SCALE = 2.5  # factor by which the size of the specific force may differ from one g where nothing says how the vehicle was turned
 NEARER = 2.0**0.5  # beyond this factor a scale is nearer to a half or a double than to what it should be
 FASTEST_FALL = 15.0  # m/s by which a multirotor's vertical speed differs at most between two moments
-BEYOND, SELDOM = 0.1, 0.01  # share of the outputs' range, and of a flight, that outputs may lie above that range
+# Share of the outputs' range, and of a flight, that outputs may lie above that range; share of a flight that they are below all of it
+BEYOND, SELDOM, MOSTLY = 0.1, 0.01, 0.95
 ALIKE = 0.5  # correlation of two measurements of one motion
 # Hover thrusts of one rotor and rotor for each rad/s^2: the smallest vehicles turn for no less (radius of gyration 2 cm, arms of 3 cm),
 # large ones for no more.
@@ -49,7 +50,7 @@ SHIFTS = 40  # how often commands are compared with motion at times that are not
 SIGNIFICANT = 2.5  # standard deviations of those comparisons
 # Change from one attitude or position to the next, how many times that over two samples, and in which share of the samples
 APART_RAD, APART_M, AWAY, ALTERNATES = 0.1, 1.0, 4.0, 0.05
-BLOCK = 1 << 16  # samples that are looked at at a time
+BLOCK = 1 << 14  # samples that are looked at at a time
 APART_S, LAG_S, LEAST_PARTS = (
     5.0,
     0.1,
@@ -117,14 +118,14 @@ def two_flights(case: Case) -> str | None:
     for name, least in (("attitude", APART_RAD), ("position", APART_M)):
         if not case.flight.has(name):
             continue
-        values = case.flight[name].wholes().values
-        if len(values) < 100:
-            continue
-        if name == "attitude":  # q and -q are one attitude: its axes are compared
-            values = _axes(values)
-        away, back = (np.linalg.norm(values[k:] - values[:-k], axis=1) for k in (1, 2))
-        away = np.minimum(away[1:], away[:-1])
-        if np.mean((away > least) & (away > AWAY * back)) > ALTERNATES:
+        values, often = case.flight[name].wholes().values, 0
+        for start in range(0, len(values) - 2, BLOCK):
+            part = values[start : start + BLOCK + 2]
+            part = _axes(part) if name == "attitude" else part  # q and -q are one attitude: its axes are compared
+            away, back = (np.linalg.norm(part[k:] - part[:-k], axis=1) for k in (1, 2))
+            away = np.minimum(away[1:], away[:-1])
+            often += int(np.count_nonzero((away > least) & (away > AWAY * back)))
+        if len(values) >= 100 and often > ALTERNATES * len(values):
             return f"two series of {name} alternate in this log: it holds records of two flights, or of two vehicles."
     return None
 
@@ -314,7 +315,7 @@ def outputs_beyond_range(case: Case) -> str | None:
     if inside.sum() < 50:
         return None
     highest = motors.values[inside].max(axis=1)
-    if (usual := float(median(highest))) <= curve.u_min:
+    if (usual := quantile(highest, MOSTLY)) <= curve.u_min:
         return (
             f"the motor outputs stay at {usual:.4g} and below in the air, but {curve.u_min:.4g} is said to be no thrust: the range of the "
             "outputs is wrong in the parameters or in the vehicle file."
