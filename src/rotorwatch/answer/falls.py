@@ -199,12 +199,12 @@ CAUSES = {
 def _control_lost(judged: Judged, n: int, named, others, decided: float) -> Event:
     left = judged.left
     fell = judged.fell
-    end = left.impact if fell else left.end
+    end = left.ground if fell else left.end
     worked = _worked(judged, n, named, others, decided)
     reason = f"the vehicle left control at {judged.onset:.1f} s, {left.what}: {CAUSES[judged.cause]}"
     reason += "".join(f"; {disarmed}" for disarmed in judged.evidence)
     if fell:
-        reason += f"; it hit the ground at {left.impact:.1f} s"
+        reason += f"; it hit the ground at {left.ground:.1f} s"
     p = (
         float(sum(judged.probability[k] for k, e in enumerate(judged.found) if e.kind == "rotor"))
         if judged.cause == "rotor" and judged.found
@@ -213,7 +213,7 @@ def _control_lost(judged: Judged, n: int, named, others, decided: float) -> Even
     return Event(
         LOST, tuple(named), judged.onset, left.lost, end, (), (), p, others, reason,
         {
-            "cause": judged.cause, "live": True, "worked_until_s": worked, "impact_s": left.impact if fell else None,
+            "cause": judged.cause, "live": True, "worked_until_s": worked, "impact_s": left.ground if fell else None,
             "evidence": list(judged.evidence), "how": left.what,
         },
     )  # fmt: skip

@@ -68,7 +68,7 @@ class Judged(NamedTuple):
     @property
     def fell(self) -> bool:
         """Whether it went on until the vehicle hit the ground."""
-        return self.left.impact is not None and self.left.impact - self.onset > HIT_S
+        return self.left.ground is not None and self.left.ground - self.onset > HIT_S
 
 
 def judged(
@@ -107,7 +107,7 @@ def judge(flight: Flight, vehicle: Vehicle, air, left: LossOfControl) -> Judged:
     if cause == "controller" and np.abs(offset.mean[:2]).max() > TRIM * len(vehicle.rotors):
         cause, evidence = "unknown", ("its rotors had been commanded unlike those of healthy vehicles since take-off",)
     if left.impact is None and ground is not None:
-        left = left._replace(impact=ground)
+        left = left._replace(impact=ground, ground=ground if left.end is None else None)
     return Judged(left, cause, found, probability, window, onset, evidence)
 
 

@@ -43,6 +43,12 @@ SINKS_M_S, NEARLY_FULL = 4.0, 0.85  # down, at so much of all outputs' range
 REST = 0.015  # share of the range up to which an output is at rest
 POWERED = 0.1  # share of the range of commands
 HITS_G = 2.0  # g from the side or from above, twice as much from below: no rotor pushes so; the ground does, or another thing
+LEVER_M = 0.1  # m from the axis of a spin that an accelerometer may sit: a spin pushes it outwards, and no blow is needed for that
+# After a blow of the ground a vehicle lies still, for so long, soon; its height does not go on to fall. Where the log ends sooner, the
+# ground is taken for why it ends.
+RESTS_RAD_S, BIAS_RAD_S, RESTS_S, RESTS_SOON_S, CUT_S = 0.3, 3.0, 0.5, 5.0, 1.5
+SOON_S, STAYS_S, FALLS_ON_M, DEAD_STILL, STRIKES_G = 1.0, 3.0, 1.5, 0.03, 8.0
+GONE_S = 2.0
 HIT_S = 0.2  # a blow so soon after the wanted attitude was left made it leave
 SHORT_S = 3.0  # of a flight that ended in its take-off
 LOW_M = 1.5  # above the place of take-off or rest: a blow there is the ground's
@@ -55,7 +61,8 @@ FAST_M_S, STAYS_M_S = 2.0, 0.3  # down before a blow, any way after it: a vehicl
 
 class LossOfControl(NamedTuple):
     """onset: when the vehicle began to leave what was wanted; lost: when that was certain; end: when control came back, else None; impact:
-    of the ground or what it fell on, None where none was seen [all s]. what: in words. falls: outputs came to rest in the air. landed: it
+    the first blow after that, as of the ground or by its own spin, None where none was seen; ground: when it hit the ground, None where
+    that was not seen [all s]. what: in words. falls: outputs came to rest in the air. landed: it
     had landed before, so that the ground pushed it as well as its rotors."""
 
     onset: float
@@ -65,6 +72,7 @@ class LossOfControl(NamedTuple):
     what: str
     falls: bool = False
     landed: bool = False
+    ground: float | None = None
 
 
 def thrust_axis(q: np.ndarray) -> np.ndarray:
@@ -221,7 +229,7 @@ def find(flight: Flight, air, progress: Progress = None) -> tuple[LossOfControl,
     powered, found = _powered(flight), []
     for start, end in _from_the_ground(powered, time, angle, air) or powered:
         spans = [
-            d
+            _to_the_ground(flight, d, start, end)
             for d in (
                 _leaves(flight, time, angle, words, start, end),
                 _falls(flight, start, end),
@@ -234,6 +242,55 @@ def find(flight: Flight, air, progress: Progress = None) -> tuple[LossOfControl,
         if spans or over:
             found.append(over or min(spans, key=lambda d: d.onset))
     return tuple(found)
+
+
+def _to_the_ground(flight: Flight, d: LossOfControl, start: float, end: float) -> LossOfControl:
+    """With the time at which the vehicle hit the ground, if it did. A blow with which control was lost is what struck the vehicle."""
+    if d.impact is None or d.impact - d.onset <= HIT_S:
+        return d
+    at, until = d.impact - HIT_S, end + 30.0
+    while (blow := hit(flight, at + HIT_S, until, spins=True)) is not None:
+        if stops(flight, blow, start):
+            return d._replace(ground=blow)
+        at = blow
+    return d
+
+
+def stops(flight: Flight, blow: float, start: float) -> bool:
+    """Whether a blow was the ground's, of a vehicle that took off at `start`: its record ends there; it lies dead still soon after; or it
+    does not go on to fall, and lies still, stays as low as it took off from, or was struck there as nothing in the air strikes [all s]."""
+    turning = flight.angular_rate()
+    last = turning.time[-1] if turning is not None and len(turning) else flight.duration
+    if last - blow < CUT_S:
+        return True
+    spread = np.zeros(0)
+    if turning is not None:
+        after = turning.between(blow + HIT_S, blow + RESTS_SOON_S)
+        spread = _spreads(after.time[after.whole], after.values[after.whole])
+    above = [height(flight, blow + later, start) for later in (SOON_S, SOON_S + STAYS_S)]
+    if (spread < DEAD_STILL).any():
+        return True
+    if above[0] is None or above[1] is None:
+        return bool((spread < RESTS_RAD_S).any())
+    soon, later = (max(m, 0.0) for m in above if m is not None)  # an estimate of what struck the ground may be below it
+    if soon - later > FALLS_ON_M:
+        return False
+    return soon < LOW_M and (later < LOW_M or bool((spread < RESTS_RAD_S).any()) or load(flight, blow) > STRIKES_G)
+
+
+def load(flight: Flight, at: float) -> float:
+    """The largest specific force in the tenth of a second after a moment [g]; 0 where none is known."""
+    part = flight["accel"].between(at, at + 0.1).values if flight.has("accel") else np.zeros((0, 3))
+    return float(np.linalg.norm(part, axis=1).max(initial=0.0)) / G0
+
+
+def _spreads(time: np.ndarray, rates: np.ndarray) -> np.ndarray:
+    """(k,) rad/s, for each window of RESTS_S: by how much angular rates (n, 3) differ in it, whatever the gyro's bias; infinite where they
+    turn faster than a bias is large."""
+    edges = np.arange(time[0], time[-1] - RESTS_S, 0.5 * RESTS_S) if time.size else np.zeros(0)
+    parts = [rates[slice(*np.searchsorted(time, (a, a + RESTS_S)))] for a in edges]
+    known = [len(x) > 2 and np.abs(x).max() < BIAS_RAD_S for x in parts]
+    return np.array([np.ptp(x, axis=0).max() if fine else np.inf for x, fine in zip(parts, known)])
 
 
 def _from_the_ground(
@@ -424,28 +481,35 @@ def _shares(flight: Flight, motors: Signal) -> np.ndarray:
     return np.where(motors.valid, np.clip((motors.values - low) / max(high - low, 1e-6), 0.0, 1.0), 0.0)
 
 
-def hit(flight: Flight, start: float, end: float) -> float | None:
-    """The first time after `start` [s] at which a force acts that no rotor makes; None where there is none, or no accelerometer."""
+def hit(flight: Flight, start: float, end: float, spins: bool = False) -> float | None:
+    """The first time after `start` [s] at which a force acts that no rotor makes; None where there is none, or no accelerometer. spins:
+    less what the vehicle's own spin makes of it."""
     if not flight.has("accel"):
         return None
-    accel = flight["accel"]
-    part = accel.between(start, end)
+    part = flight["accel"].between(start, end)
+    turning = flight.angular_rate() if spins else None
+    spin = None if turning is None else known(turning.between(start - FRESH_S, end + FRESH_S))
     for first in range(0, len(part), BLOCK):
         force = part.values[first : first + BLOCK] / G0  # 0 where it is not known
-        blow = (np.hypot(force[:, 0], force[:, 1]) > HITS_G) | (force[:, 2] > HITS_G) | (-force[:, 2] > 2.0 * HITS_G)
+        most = np.full(len(force), HITS_G)
+        if spin is not None:
+            rates, age = _held(*spin, part.time[first : first + BLOCK])
+            most += np.where(age < FRESH_S, LEVER_M * np.sum(rates * rates, axis=1) / G0, 0.0)
+        blow = (np.hypot(force[:, 0], force[:, 1]) > most) | (force[:, 2] > most) | (-force[:, 2] > HITS_G + most)
         if blow.any():
             return float(part.time[first + int(np.argmax(blow))])
     return None
 
 
 def until_impact(flight: Flight, air, left: tuple[LossOfControl, ...]) -> tuple[tuple[float, float], ...]:
-    """The intervals `air` ((start, end), ...) s, each cut where the vehicle fell to the ground: what outputs and motion do after that says
-    nothing of its rotors."""
+    """The intervals `air` ((start, end), ...) s, each cut where the vehicle fell to the ground, or tumbles or spins on out of control for
+    `GONE_S`: what outputs and motion do after that says nothing of how its rotors carry it."""
     cut = []
     for start, end in air:
         ends = [
             d.impact for d in left if d.impact is not None and start <= d.onset <= end and d.impact - d.onset > HIT_S
         ]
+        ends += [d.lost + GONE_S for d in left if d.impact is None and d.end is None and start <= d.onset <= end]
         down = _struck_ground(flight, start, end)
         ends += [down] if down is not None else []
         cut.append((start, min([end, *ends])))
