@@ -245,8 +245,8 @@ def find(flight: Flight, air, progress: Progress = None) -> tuple[LossOfControl,
 
 
 def _to_the_ground(flight: Flight, d: LossOfControl, start: float, end: float) -> LossOfControl:
-    """With the time at which the vehicle hit the ground, if it did. A blow with which control was lost is what struck the vehicle."""
-    if d.impact is None or d.impact - d.onset <= HIT_S:
+    """With the time at which the vehicle hit the ground, if it did."""
+    if d.impact is None:
         return d
     at, until = d.impact - HIT_S, end + 30.0
     while (blow := hit(flight, at + HIT_S, until, spins=True)) is not None:
