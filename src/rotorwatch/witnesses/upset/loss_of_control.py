@@ -43,11 +43,11 @@ SINKS_M_S, NEARLY_FULL = 4.0, 0.85  # down, at so much of all outputs' range
 REST = 0.015  # share of the range up to which an output is at rest
 POWERED = 0.1  # share of the range of commands
 HITS_G = 2.0  # g from the side or from above, twice as much from below: no rotor pushes so; the ground does, or another thing
-LEVER_M = 0.1  # m from the axis of a spin that an accelerometer may sit: a spin pushes it outwards, and no blow is needed for that
+LEVER_M = 0.05  # m from the axis of a spin that an accelerometer may sit: a spin pushes it outwards, and no blow is needed for that
 # After a blow of the ground a vehicle lies still, for so long, soon; its height does not go on to fall. Where the log ends sooner, the
 # ground is taken for why it ends.
 RESTS_RAD_S, BIAS_RAD_S, RESTS_S, RESTS_SOON_S, CUT_S = 0.3, 3.0, 0.5, 5.0, 1.5
-SOON_S, STAYS_S, FALLS_ON_M, DEAD_STILL, STRIKES_G = 1.0, 3.0, 1.5, 0.03, 8.0
+LAG_S, SOON_S, STAYS_S, FALLS_ON_M, DEAD_STILL, STRIKES_G = 0.4, 1.0, 3.0, 1.5, 0.03, 8.0
 GONE_S = 2.0
 HIT_S = 0.2  # a blow so soon after the wanted attitude was left made it leave
 SHORT_S = 3.0  # of a flight that ended in its take-off
@@ -248,7 +248,7 @@ def _to_the_ground(flight: Flight, d: LossOfControl, start: float, end: float) -
     """With the time at which the vehicle hit the ground, if it did."""
     if d.impact is None:
         return d
-    at, until = d.impact - HIT_S, end + 30.0
+    at, until = d.impact - HIT_S, end + 30.0 if d.end is None else d.end
     while (blow := hit(flight, at + HIT_S, until, spins=True)) is not None:
         if stops(flight, blow, start):
             return d._replace(ground=blow)
@@ -267,13 +267,13 @@ def stops(flight: Flight, blow: float, start: float) -> bool:
     if turning is not None:
         after = turning.between(blow + HIT_S, blow + RESTS_SOON_S)
         spread = _spreads(after.time[after.whole], after.values[after.whole])
-    above = [height(flight, blow + later, start) for later in (SOON_S, SOON_S + STAYS_S)]
+    above = [height(flight, blow + later, start) for later in (LAG_S, LAG_S + SOON_S, LAG_S + SOON_S + STAYS_S)]
     if (spread < DEAD_STILL).any():
         return True
-    if above[0] is None or above[1] is None:
+    if None in above:
         return bool((spread < RESTS_RAD_S).any())
-    soon, later = (max(m, 0.0) for m in above if m is not None)  # an estimate of what struck the ground may be below it
-    if soon - later > FALLS_ON_M:
+    then, soon, later = (max(m or 0.0, 0.0) for m in above)  # an estimate of what struck the ground may be below it
+    if max(then - soon, soon - later) > FALLS_ON_M:
         return False
     return soon < LOW_M and (later < LOW_M or bool((spread < RESTS_RAD_S).any()) or load(flight, blow) > STRIKES_G)
 
