@@ -3,6 +3,7 @@
 import lzma
 import struct
 import time
+import warnings
 from pathlib import Path
 
 import numpy as np
