@@ -131,7 +131,7 @@ def test_running_numbers_tell_what_was_lost_and_what_came_late(flight, step, los
     """Up to half of the numbers ahead are frames that were lost; more are frames that come late."""
     link, *_ = linked(flight, seconds=1.0)
     (one,) = link._vehicles.values()
-    one._sequence = 250
+    one.routes.followed.sequence = 250
     health = one.watched.health
     before = health.lost, health.twice
     assert one.counted((250 + step) % 256) is new

@@ -54,7 +54,11 @@ def line(watched: Watched, waits_for: str = "") -> Line:
     known = None if session is None else session.losses()
     wrong = lasting(watched.events)
     blind = watched.trouble or (
-        f"waiting for {waits_for}" if waits_for else "not known yet" if session is None else session.blind()
+        f"waiting for {waits_for}"
+        if waits_for
+        else "not known yet"
+        if session is None
+        else watched.gone or session.blind()
     )
     if any(e.kind == LOST for e in wrong):
         state = "LOST"

@@ -46,6 +46,7 @@ class Watched:
 
     def __init__(self, name: str, notify: Notify, vehicle: Vehicle | None = None):
         self.name, self.health, self.trouble, self.notice = name, Health(), "", ""
+        self.gone = ""  # what judging needs and does not come any more, in a few words
         self.broken = False  # by an error of rotorwatch's own, not for what the vehicle is
         self._notify, self._vehicle = notify, vehicle
         self.session: Session | None = None
