@@ -8,9 +8,11 @@ from tests.link_faults import Wire, base, watched
 from tests.mavlink_vehicle import ARDUPILOT, QUAD, Autopilot, mavlink
 from tests.soak import stamped
 
+from rotorwatch.flight import Signal
 from rotorwatch.live.clock import Clock, Restarted
 from rotorwatch.live.frames import seeds, sums
 from rotorwatch.live.link import Link
+from rotorwatch.live.lone import Lone
 
 FAULTY = 4  # a quad hovers; rotor 2 loses a quarter of its thrust 22 s after it begins
 NEEDED = (30, 27, 36)
@@ -38,8 +40,8 @@ def beats(peer, every_s=1.0, begin=0.0, end=45.0):
 
 
 def flown(more=(), change=lambda at, frame: [("a", frame)], which=FAULTY, first="a"):
-    """(alerts, link) of a flight of which each frame comes as change(at, frame) says, a list of (peer, frame), with more besides. first: who
-    is heard first."""
+    """(alerts, link) of a flight of which each frame comes as change(at, frame) says, a list of (peer, frame), with more besides. first:
+    who is heard first."""
     frames, parameters, kind = base(which)
     if first != "a":  # its parameters come when they are fetched
         vehicle = Autopilot(parameters)
@@ -76,8 +78,8 @@ def found_in_time(alerts, undisturbed):
     assert told[0][0] == "announced" and told[0][2] == pytest.approx(undisturbed, abs=0.2)
 
 
-@pytest.mark.parametrize("ahead_s", [0.3, 0.7, 3.0, 9.0, 40.0])
-@pytest.mark.parametrize("every_s", [60.0, 5.0, 1.0])
+@pytest.mark.thorough(keep=2)
+@pytest.mark.parametrize("ahead_s, every_s", [(0.3, 1.0), (0.7, 5.0), (3.0, 60.0), (9.0, 1.0), (40.0, 5.0)])
 def test_a_stamp_ahead_restarts_nothing(ahead_s, every_s, undisturbed):
     due = [20.0 if every_s == 60.0 else 2.0]
 
@@ -139,7 +141,7 @@ def test_an_attitude_without_outputs_wins_nothing(undisturbed):
 
 
 def test_a_path_that_keeps_only_the_heartbeats_does_not_hide_that_the_other_is_gone():
-    alerts, link = flown(beats("b"), lambda at, frame: [("a", frame)] if at < 15.0 or at > 34.0 else [])
+    alerts, _link = flown(beats("b"), lambda at, frame: [("a", frame)] if at < 15.0 or at > 34.0 else [])
     (gone,) = [
         a for a in alerts if "no motor outputs and angular rates that can be used have come" in a.get("text", "")
     ]
@@ -181,13 +183,13 @@ def garbage(begin=0.0, end=45.0, seed=0):
 
 def test_garbage_under_the_id_does_not_take_over_while_the_vehicle_sends(undisturbed):
     found_in_time(flown(garbage())[0], undisturbed)
-    alerts, link = flown(garbage(), lambda at, frame: [] if 10.0 < at < 12.0 else [("a", frame)])
+    alerts, _link = flown(garbage(), lambda at, frame: [] if 10.0 < at < 12.0 else [("a", frame)])
     found_in_time(alerts, undisturbed)
 
 
 def test_after_garbage_has_taken_over_the_vehicle_is_followed_again():
     """It was silent from 8 to 11.5 s; who came in meanwhile sends nothing that can be used."""
-    alerts, link = flown(garbage(), lambda at, frame: [] if 8.0 < at < 11.5 else [("a", frame)])
+    alerts, _link = flown(garbage(), lambda at, frame: [] if 8.0 < at < 11.5 else [("a", frame)])
     told = losses(alerts)
     assert told and all(rotors == [2] for _, rotors, _ in told) and told[-1][0] != "withdrawn" and told[0][2] < 28.0
     assert [text for text in texts(alerts) if "heard through a from now on" in text]
@@ -226,3 +228,50 @@ def test_each_address_is_asked_in_turn_while_none_sends_what_judging_needs():
     link.leave()
     assert any(m.get_type() == "COMMAND_LONG" for m in wire.vehicle.asked[before:]), "its rates are given back"
     assert max(a["at"] for a in alerts if "text" in a) < 12.0, "and nothing more is said"
+
+
+def thinned(hz):
+    """Outputs so often a second; all else as it is."""
+    latest = [-np.inf]
+
+    def keep(at, frame):
+        if identity(frame) != 36:
+            return True
+        if at - latest[0] < 1.0 / hz - 0.001:
+            return False
+        latest[0] = at
+        return True
+
+    return keep
+
+
+@pytest.mark.thorough(keep=4)
+@pytest.mark.parametrize("hz, after_s", [(25.0, 0.008), (25.0, 0.03), (4.0, 0.1)])
+@pytest.mark.parametrize("values", [{3: 2000}, {3: 1000}, {3: 0}, {1: 1600, 3: 1700}, dict.fromkeys(range(1, 5), 2000)])
+def test_outputs_of_one_moment_that_their_neighbours_contradict_accuse_no_rotor(hz, after_s, values):
+    """One every two seconds, of a vehicle without a fault."""
+    due, keep = [12.0], thinned(hz)
+
+    def change(at, frame):
+        if not keep(at, frame):
+            return []
+        if identity(frame) != 36 or at < due[0]:
+            return [("a", frame)]
+        due[0] = at + 2.0
+        return [("a", frame), ("a", forged(frame, lambda old: old + 1e6 * after_s, values))]
+
+    alerts, link = flown((), change, which=0)
+    assert not [a for a in alerts if a["type"] == "event"]
+    assert link.vehicles[0].session.judged
+
+
+def test_outputs_that_jump_and_stay_pass_with_the_next_sample():
+    def outputs(times, values):
+        return Signal(np.array(times), np.array(values)[:, None] * np.ones(4), ("r1", "r2", "r3", "r4"), "us")
+
+    lone = Lone()
+    assert len(lone.take(outputs([0.0, 0.04], [1500, 1505]))) == 2
+    assert lone.take(outputs([0.08], [1900])) is None
+    assert lone.take(outputs([0.12], [1890])).time.tolist() == [0.08, 0.12]
+    assert lone.take(outputs([0.16, 0.2], [1200, 1880])).time.tolist() == [0.2] and lone.left_out == 1
+    assert len(lone.take(outputs([0.9], [1100]))) == 1, "after a pause nothing contradicts it"

@@ -20,6 +20,7 @@ from rotorwatch.live import mavlink, requests
 from rotorwatch.live.clock import Restarted
 from rotorwatch.live.endpoint import Endpoint
 from rotorwatch.live.frames import Frames, Outgoing, Sender
+from rotorwatch.live.lone import Lone
 from rotorwatch.live.record import Record
 from rotorwatch.live.routes import NEEDS, SIGNALS, SILENT_S, WORDS, Route, Routes
 from rotorwatch.live.watched import Notify, Watched
@@ -77,6 +78,7 @@ class LinkedVehicle:
         self.only_beats = True  # nothing but heartbeats has come
         self._first = now = link.clock()
         self.routes = Routes(Route(peer, self._rates(), now), now)
+        self._lone = Lone()
         self._missed: tuple[str, ...] = ()
         self._anew_s, self._anew_at = ANEW_S, math.inf
 
@@ -207,7 +209,7 @@ class LinkedVehicle:
     def _anew(self) -> None:
         messages = mavlink.Messages(self.messages.autopilot, self.messages.vehicle)
         messages.inherit(self.messages)
-        self.messages, self._first = messages, self._link.clock()
+        self.messages, self._first, self._lone = messages, self._link.clock(), Lone()
         self.routes.followed.sequence = None
         for route in self.routes:
             route.rates = self._rates()
@@ -252,6 +254,10 @@ class LinkedVehicle:
             return  # what two vehicles send together is no vehicle's: it waits until that is decided
         signals, messages = self.messages.take(self._outputs, session.flying)
         self.routes.usable.update((need, now) for name, need in SIGNALS.items() if name in signals)
+        if "motors" in signals:
+            motors = self._lone.take(signals.pop("motors"))
+            if motors is not None:
+                signals["motors"] = motors
         if signals or messages:
             self.watched.add(signals, messages)
             self.watched.advance()

@@ -1,7 +1,7 @@
 """The addresses that send under one vehicle's id, and which of them is followed: one that sends what judging needs.
 
-Two radios, a router's copy, another vehicle, or somebody who pretends to be it: heartbeats alone win nothing. The one that is followed stays
-so while its samples can be used; what the others send is left out.
+Two radios, a router's copy, another vehicle, or somebody who pretends to be it: heartbeats alone win nothing. The one that is followed
+stays so while its samples can be used; what the others send is left out.
 """
 
 from __future__ import annotations
