@@ -102,7 +102,7 @@ def test_every_kind_is_said_everywhere(event):
     line = view.words(event, 50.0)
     assert "31.2 s (19 s ago)" in line and ("rotor" in line or "motor" in line or not event.rotors)
     alert = {"type": "event", "state": "announced", "vehicle": "1", "number": 1, "event": event.to_dict()}
-    assert row.noun in view.announced(alert)
+    assert view.announced(alert).startswith(f"announced: {view.words(event)}") and event.reason in view.announced(alert)
     text, severity = ground.text_of(alert)
     assert text.isascii() and len(text) <= 50 and "_" not in text and severity in range(8)
     assert not row.brief or row.weakens or row.brief.lower() in text.lower()

@@ -224,10 +224,10 @@ def test_each_address_is_asked_in_turn_while_none_sends_what_judging_needs():
         link.poll(0.0)
     (vehicle,) = link.vehicles
     assert vehicle.session is not None and vehicle.session.vehicle is not None and vehicle.session.now > 5.0
+    assert max(a["at"] for a in alerts if "text" in a) < 12.0, "nothing more is said"
     before = len(wire.vehicle.asked)
     link.leave()
     assert any(m.get_type() == "COMMAND_LONG" for m in wire.vehicle.asked[before:]), "its rates are given back"
-    assert max(a["at"] for a in alerts if "text" in a) < 12.0, "and nothing more is said"
 
 
 def thinned(hz):
@@ -275,3 +275,13 @@ def test_outputs_that_jump_and_stay_pass_with_the_next_sample():
     assert lone.take(outputs([0.12], [1890])).time.tolist() == [0.08, 0.12]
     assert lone.take(outputs([0.16, 0.2], [1200, 1880])).time.tolist() == [0.2] and lone.left_out == 1
     assert len(lone.take(outputs([0.9], [1100]))) == 1, "after a pause nothing contradicts it"
+
+
+def test_what_a_link_loses_is_said_while_it_does_and_at_the_end():
+    rng = np.random.default_rng(0)
+    alerts, _ = flown((), lambda at, frame: [] if 8.0 < at < 25.0 and rng.random() < 0.4 else [("a", frame)])
+    (bad,) = [a for a in alerts if "of the messages of the last 10 s were lost" in a.get("text", "")]
+    (good,) = [a for a in alerts if "loses few messages again" in a.get("text", "")]
+    assert 10.0 < bad["at"] < 21.0 and 25.0 < good["at"] < 41.0
+    assert "messages came; " in texts(alerts)[-1] and "% lost" in texts(alerts)[-1]
+    assert "messages came; " in texts(flown()[0])[-1] and "lost" not in texts(flown()[0])[-1]

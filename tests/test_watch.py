@@ -225,6 +225,16 @@ def test_memory_does_not_grow_with_the_flight():
     assert max(sizes[30:]) < 1.3 * max(sizes[15:30]) + 3
 
 
+def test_what_is_written_to_a_file_names_the_rotor_first_and_no_more_often_than_there_is_news(capsys, monkeypatch):
+    monkeypatch.setenv("TERM", "dumb")
+    sample = cli.SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"
+    with pytest.raises(SystemExit):
+        cli.main(["watch", str(sample), "--speed", "max"])
+    announced, final = [line.partition(": ")[2] for line in capsys.readouterr().out.splitlines()]
+    assert announced.startswith("announced: rotor 3 lost ") and "the motion does not show" in announced
+    assert final.startswith("final: rotor 3 lost ") and len(final) < 60
+
+
 def test_the_command_replays_a_log_and_ends(capsys):
     sample = SAMPLES / "quadx_healthy_hover.bin.xz"
     with pytest.raises(SystemExit) as left:

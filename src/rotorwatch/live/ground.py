@@ -107,9 +107,8 @@ def gist(alert: dict) -> tuple:
         return (alert["text"],), (), False, False, (), 0.0
     event = alert["event"]
     over = _over(event), alert["state"] == WITHDRAWN
-    return (
-        tuple(event["rotors"]), (event.get("cause"), *map(tuple, event["alternatives"])), *over, tuple(event["loss"]), event.get("gives", 0.0),
-    )  # fmt: skip
+    who = tuple(event["rotors"]), (event.get("cause"), *map(tuple, event["alternatives"]))
+    return *who, *over, tuple(event["loss"]), event.get("gives", 0.0)
 
 
 def _over(event: dict) -> bool:
@@ -118,7 +117,7 @@ def _over(event: dict) -> bool:
 
 
 def worth_sending(reported: tuple | None, alert: dict) -> bool:
-    """Whether it is worth a text: something new, a loss that has moved by STEP since it was sent, or a stuck rotor's thrust by GIVES."""
+    """Whether it is worth a text: something new, or the loss has moved by STEP since it was sent, or a stuck rotor's thrust by GIVES."""
     if "texts" in alert.get("event", ()):
         return False  # the ground stations have heard it from the autopilot itself
     new = gist(alert)

@@ -23,7 +23,7 @@ from rotorwatch.live.frames import Frames, Outgoing, Sender
 from rotorwatch.live.lone import Lone
 from rotorwatch.live.record import Record
 from rotorwatch.live.routes import NEEDS, SIGNALS, SILENT_S, WORDS, Route, Routes
-from rotorwatch.live.watched import Notify, Watched
+from rotorwatch.live.watched import Losing, Notify, Watched
 from rotorwatch.logs.px4_topics import MAV_TYPES
 from rotorwatch.logs.tlog import BY_NUMBER, FORMAT, Outputs, rotor_outputs
 
@@ -78,7 +78,7 @@ class LinkedVehicle:
         self.only_beats = True  # nothing but heartbeats has come
         self._first = now = link.clock()
         self.routes = Routes(Route(peer, self._rates(), now), now)
-        self._lone = Lone()
+        self._lone, self._losing = Lone(), Losing()
         self._missed: tuple[str, ...] = ()
         self._anew_s, self._anew_at = ANEW_S, math.inf
 
@@ -240,6 +240,8 @@ class LinkedVehicle:
         if now - self.watched.health.last_frame > SILENT_S and not self._silent:
             self._silent = True
             self.watched.say(f"nothing has been heard for {SILENT_S:.0f} s")
+        if text := self._losing.look(self.watched.health, now):
+            self.watched.say(text)
         self._reroute(now)
         if self._mixed:
             return
@@ -568,5 +570,7 @@ class Link:
         if self._record is not None:
             self._record.close()
         for vehicle in self._vehicles.values():
+            health = vehicle.watched.health
             vehicle.watched.finish()
+            vehicle.watched.say(f"{health.taken} messages came; {health.words() or 'none was lost'}")
         self.endpoint.close()
