@@ -12,7 +12,7 @@ from rotorwatch.flight import Signal
 from rotorwatch.live.clock import Clock, Restarted
 from rotorwatch.live.frames import seeds, sums
 from rotorwatch.live.link import Link
-from rotorwatch.live.lone import Lone
+from rotorwatch.live.outliers import Outliers
 
 FAULTY = 4  # a quad hovers; rotor 2 loses a quarter of its thrust 22 s after it begins
 NEEDED = (30, 27, 36)
@@ -146,7 +146,7 @@ def test_a_path_that_keeps_only_the_heartbeats_does_not_hide_that_the_other_is_g
         a for a in alerts if "no motor outputs and angular rates that can be used have come" in a.get("text", "")
     ]
     assert gone["missing"] == ["outputs", "rates"] and gone["at"] < 25.0
-    (again,) = [a for a in alerts if "comes again" in a.get("text", "")]
+    (again,) = [a for a in alerts if "come now" in a.get("text", "")]
     assert 34.0 < again["at"] < 35.0
 
 
@@ -167,6 +167,31 @@ def test_of_two_paths_of_one_vehicle_either_may_fade_and_nothing_is_taken_twice(
     found_in_time(alerts, undisturbed + (late if fades == "a" else 0.0))
     assert vehicle.health.reboots == vehicle.health.jumps == 0 and vehicle.health.taken < 1.02 * len(frames)
     assert sum("it is heard through b from now on" in text for text in texts(alerts)) == (fades == "a")
+
+
+def test_a_vehicle_that_was_silent_is_not_said_to_lack_what_then_comes():
+    polls = [(at, "c", b"\0") for at in np.arange(12.0, 24.0, 0.1).tolist()]
+    alerts, _ = flown(polls, lambda at, frame: [] if 12.0 < at < 24.0 else [("a", frame)])
+    assert [t for t in texts(alerts) if "nothing has been heard" in t] and not [
+        t for t in texts(alerts) if "outputs" in t
+    ]
+
+
+def test_who_is_contradicted_by_the_motion_gives_way_to_another_that_sends_too():
+    """Somebody has the vehicle's clock and its attitude, and outputs that stand still."""
+    numbers = iter(range(10**6))
+
+    def change(at, frame):
+        if identity(frame) not in (0, *NEEDED):
+            return []
+        frame = forged(frame, values=dict.fromkeys(range(1, 5), 1500)) if identity(frame) == 36 else frame
+        frame = frame[:4] + bytes((next(numbers) % 256,)) + frame[5:-2]
+        return [("a", frame + sums(frame, seeds()[identity(frame)]))]
+
+    alerts, link = flown([(at, "b", frame) for at, frame in base(0)[0]], change, which=0)
+    assert not [a for a in alerts if a["type"] == "event"]
+    (other,) = [a for a in alerts if "it is heard through b from now on" in a.get("text", "")]
+    assert "contradicts itself" in other["text"] and other["at"] < 40.0 and link.vehicles[0].session.doubt == ""
 
 
 def garbage(begin=0.0, end=45.0, seed=0):
@@ -269,12 +294,12 @@ def test_outputs_that_jump_and_stay_pass_with_the_next_sample():
     def outputs(times, values):
         return Signal(np.array(times), np.array(values)[:, None] * np.ones(4), ("r1", "r2", "r3", "r4"), "us")
 
-    lone = Lone()
-    assert len(lone.take(outputs([0.0, 0.04], [1500, 1505]))) == 2
-    assert lone.take(outputs([0.08], [1900])) is None
-    assert lone.take(outputs([0.12], [1890])).time.tolist() == [0.08, 0.12]
-    assert lone.take(outputs([0.16, 0.2], [1200, 1880])).time.tolist() == [0.2] and lone.left_out == 1
-    assert len(lone.take(outputs([0.9], [1100]))) == 1, "after a pause nothing contradicts it"
+    outliers = Outliers()
+    assert len(outliers.take(outputs([0.0, 0.04], [1500, 1505]))) == 2
+    assert outliers.take(outputs([0.08], [1900])) is None
+    assert outliers.take(outputs([0.12], [1890])).time.tolist() == [0.08, 0.12]
+    assert outliers.take(outputs([0.16, 0.2], [1200, 1880])).time.tolist() == [0.2] and outliers.left_out == 1
+    assert len(outliers.take(outputs([0.9], [1100]))) == 1, "after a pause nothing contradicts it"
 
 
 def test_what_a_link_loses_is_said_while_it_does_and_at_the_end():

@@ -3,6 +3,7 @@
 import io
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -299,6 +300,12 @@ def test_the_view_says_what_is_wrong_first():
     assert crash.events[0] == "loss of control at 31.2 s (0 s ago), rotor 2: a rotor lost its thrust"
     fell = hexa_event(kind="loss_of_control", rotors=(), loss=(), interval=(), extra={"cause": "disarmed"})
     assert view.line(watched_with([fell])).state == "LOST"
+    gone = watched_with([])
+    gone.session, gone.gone = (
+        SimpleNamespace(flying=True, losses=lambda: None, now=50.0),
+        "no motor outputs that can be used",
+    )
+    assert (view.line(gone).state, view.line(gone).blind) == ("BLIND", gone.gone)
     silent = view.line(watched_with([], last_frame=-100.0))
     assert silent.state == "SILENT" and "silent for" in silent.link
     knock = hexa_event(kind="contact", rotors=(), loss=(), interval=(), end_s=31.2)

@@ -20,9 +20,9 @@ from rotorwatch.live import mavlink, requests
 from rotorwatch.live.clock import Restarted
 from rotorwatch.live.endpoint import Endpoint
 from rotorwatch.live.frames import Frames, Outgoing, Sender
-from rotorwatch.live.lone import Lone
+from rotorwatch.live.outliers import Outliers
 from rotorwatch.live.record import Record
-from rotorwatch.live.routes import NEEDS, SIGNALS, SILENT_S, WORDS, Route, Routes
+from rotorwatch.live.routes import NEEDS, SIGNALS, SILENT_S, UNKNOWN_S, WORDS, Route, Routes
 from rotorwatch.live.watched import Losing, Notify, Watched
 from rotorwatch.logs.px4_topics import MAV_TYPES
 from rotorwatch.logs.tlog import BY_NUMBER, FORMAT, Outputs, rotor_outputs
@@ -78,7 +78,7 @@ class LinkedVehicle:
         self.only_beats = True  # nothing but heartbeats has come
         self._first = now = link.clock()
         self.routes = Routes(Route(peer, self._rates(), now), now)
-        self._lone, self._losing = Lone(), Losing()
+        self._outliers, self._losing = Outliers(), Losing()
         self._missed: tuple[str, ...] = ()
         self._anew_s, self._anew_at = ANEW_S, math.inf
 
@@ -96,6 +96,7 @@ class LinkedVehicle:
                     f"needs; if it is another vehicle, {ONE_ID}"
                 )
             if not self.routes.add(route, arrival):
+                self.watched.health.others += 1
                 return False
         route.hear(identity, arrival)
         self.watched.health.last_frame = arrival
@@ -103,24 +104,33 @@ class LinkedVehicle:
         if self._silent:
             self._silent = False
             self.watched.say("the vehicle is heard again")
+            self.routes.usable = dict.fromkeys(self.routes.usable, arrival)  # what it sends shows from now on
         if route is self.routes.followed:
             return True
         self.watched.health.others += 1
         return False
 
+    def _fails(self, now: float) -> str:
+        """Why nothing can be judged of the address that is followed; empty where it can."""
+        routes = self.routes
+        if self._mixed:
+            return "two seem to send there"
+        if self.watched.session is not None:
+            return "" if routes.used(now) else "it sends no motor outputs or no angular rates that can be used"
+        if not routes.followed.carries(now):
+            return "it sends no motor outputs or no angular rates"
+        unknown = self._begun is None and not self._parameters.count and now - routes.since > UNKNOWN_S
+        return "it does not send its parameters" if unknown else ""
+
     def _reroute(self, now: float) -> None:
         """Follow another address where this one does not send what judging needs."""
-        session, routes = self.watched.session, self.routes
+        session, routes, why = self.watched.session, self.routes, self._fails(now)
         doubted = session is not None and bool(session.doubt)
-        other = routes.better(now, None if self._mixed else session is not None, doubted)
+        if doubted:
+            routes.doubt(now)
+        other = routes.better(now, bool(why))
         if other is not None:
-            why = (
-                "what comes from it contradicts itself"
-                if doubted
-                else "it came in with another clock"
-                if routes.followed.doubted
-                else "it sends no motor outputs or no angular rates that can be used"
-            )
+            why = why or ("what comes from it contradicts itself" if doubted else "it came in with another clock")
             self.watched.say(f"it is heard through {other} from now on, not through {routes.followed}: {why}")
         elif self._link.talks or routes.followed.silent(now):
             other = routes.next(now)
@@ -209,7 +219,7 @@ class LinkedVehicle:
     def _anew(self) -> None:
         messages = mavlink.Messages(self.messages.autopilot, self.messages.vehicle)
         messages.inherit(self.messages)
-        self.messages, self._first, self._lone = messages, self._link.clock(), Lone()
+        self.messages, self._first, self._outliers = messages, self._link.clock(), Outliers()
         self.routes.followed.sequence = None
         for route in self.routes:
             route.rates = self._rates()
@@ -257,7 +267,7 @@ class LinkedVehicle:
         signals, messages = self.messages.take(self._outputs, session.flying)
         self.routes.usable.update((need, now) for name, need in SIGNALS.items() if name in signals)
         if "motors" in signals:
-            motors = self._lone.take(signals.pop("motors"))
+            motors = self._outliers.take(signals.pop("motors"))
             if motors is not None:
                 signals["motors"] = motors
         if signals or messages:
@@ -305,14 +315,14 @@ class LinkedVehicle:
         talks, usable = self._link.talks, self.routes.usable
         gone, lost = ([need for need in NEEDS if now - usable.get(need, now) > after] for after in (SILENT_S, GONE_S))
         self.watched.gone = f"no {_words(gone)} that can be used" if gone else ""
-        if self._silent or (not usable and now - self._first < (UNANSWERED_S if talks else MISSED_S)):
-            return
-        if self.messages.clock.start is None and len(self._link.vehicles) > FEW:
+        if self._silent or (self.messages.clock.start is None and len(self._link.vehicles) > FEW):
             return  # many ids that only send heartbeats: nobody's vehicles, and a page of notices
-        coming = talks and self._parameters.count and not self._parameters.given_up
-        missing = [] if self._begun is not None or coming else ["parameters"]
-        never = next((need for need, names in NEEDS.items() if not (need in usable or self.messages.heard(*names))), "")
-        missing += [*([never] if never else []), *lost]
+        missing = lost
+        if now - self._first >= (UNANSWERED_S if talks else MISSED_S):
+            coming = talks and self._parameters.count and not self._parameters.given_up
+            first = [] if self._begun is not None or coming else ["parameters"]
+            never = [n for n, names in NEEDS.items() if not (n in usable or self.messages.heard(*names))]
+            missing = [*first, *never[:1], *lost]
         if tuple(missing) == self._missed:
             return
         before, self._missed = self._missed, tuple(missing)
@@ -325,8 +335,8 @@ class LinkedVehicle:
             self.watched.say(
                 f"nothing can be judged yet: {' '.join(_missing(what, talks) for what in missing)}", missing=missing
             )
-        elif usable and set(before) & set(NEEDS):
-            self.watched.say("all that judging needs comes again")
+        elif set(before) & set(NEEDS):
+            self.watched.say("motor outputs and angular rates come now")
 
     def _begin(self, parameters: dict[str, float]) -> None:
         self._begun = parameters

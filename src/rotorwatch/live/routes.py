@@ -21,6 +21,7 @@ SILENT_S = 3.0  # without a message, or without one that judging needs
 LEAST = 3  # of each that judging needs, before an address is one that sends it
 TURN_S = 5.0  # each is asked for what judging needs, while none sends it
 DOUBT_S = 20.0  # that samples contradict each other, before another address is tried
+UNKNOWN_S = 15.0  # that none of the parameters that were asked for comes
 MOST = 8  # addresses of a vehicle that are known
 
 
@@ -88,26 +89,32 @@ class Routes:
         self._all[route.peer] = route
         return True
 
-    def better(self, now: float, judged: bool | None, doubted: bool) -> Route | None:
-        """Another one that is to be followed, where this one does not send what judging needs. judged: its samples are looked at, None:
-        they cannot be; doubted: they contradict each other."""
-        if judged:
-            sends = all(now - max(self.usable.get(need, -SILENT_S), self.since) <= SILENT_S for need in NEEDS)
-        else:
-            sends = judged is not None and self.followed.carries(now)
-        self.followed.doubted |= doubted and now - self.since > DOUBT_S
-        if sends and not self.followed.doubted:
+    def used(self, now: float) -> bool:
+        """Whether samples of all that judging needs could be used of late."""
+        return all(now - max(self.usable.get(need, -SILENT_S), self.since) <= SILENT_S for need in NEEDS)
+
+    def doubt(self, now: float) -> None:
+        """The samples contradict each other."""
+        self.followed.doubted |= now - self.since > DOUBT_S
+
+    def better(self, now: float, fails: bool) -> Route | None:
+        """Another one that is to be followed. fails: this one does not send what judging needs."""
+        if not fails and not self.followed.doubted:
             return None
-        others = [r for r in self if r is not self.followed and r.carries(now) and not (sends and r.doubted)]
+        others = [r for r in self._after() if r.carries(now) and (fails or not r.doubted)]
         return min(others, key=lambda r: r.doubted, default=None)
 
     def next(self, now: float) -> Route | None:
         """The one whose turn it is to be asked, where none sends what judging needs."""
         if now - self.since <= TURN_S or self.followed.carries(now):
             return None
+        return next((r for r in self._after() if not r.silent(now)), None)
+
+    def _after(self) -> list[Route]:
+        """The others, from the one that is followed on."""
         routes = list(self)
         at = routes.index(self.followed)
-        return next((r for r in (*routes[at + 1 :], *routes[:at]) if not r.silent(now)), None)
+        return [*routes[at + 1 :], *routes[:at]]
 
     def restarted(self, now: float) -> None:
         """The vehicle's clock began anew. All paths of one vehicle have its clock: who took over with another one is a stranger, or the

@@ -20,7 +20,7 @@ NEAR_S, EARLY = 0.15, 0.7  # after the sample before, in s or in usual periods: 
 RANGE = {"us": 1000.0}
 
 
-class Lone:
+class Outliers:
     """One vehicle's outputs, as they come. left_out: samples that were."""
 
     def __init__(self):
