@@ -79,7 +79,7 @@ def found_in_time(alerts, undisturbed):
 
 
 @pytest.mark.thorough(keep=2)
-@pytest.mark.parametrize("ahead_s, every_s", [(0.3, 1.0), (0.7, 5.0), (3.0, 60.0), (9.0, 1.0), (40.0, 5.0)])
+@pytest.mark.parametrize("ahead_s, every_s", [(9.0, 1.0), (0.3, 1.0), (40.0, 5.0), (3.0, 60.0), (0.7, 5.0)])
 def test_a_stamp_ahead_restarts_nothing(ahead_s, every_s, undisturbed):
     due = [20.0 if every_s == 60.0 else 2.0]
 
@@ -271,7 +271,7 @@ def thinned(hz):
 
 
 @pytest.mark.thorough(keep=4)
-@pytest.mark.parametrize("hz, after_s", [(25.0, 0.008), (25.0, 0.03), (4.0, 0.1)])
+@pytest.mark.parametrize("hz, after_s", [(25.0, 0.008), (25.0, 0.036), (4.0, 0.1)])
 @pytest.mark.parametrize("values", [{3: 2000}, {3: 1000}, {3: 0}, {1: 1600, 3: 1700}, dict.fromkeys(range(1, 5), 2000)])
 def test_outputs_of_one_moment_that_their_neighbours_contradict_accuse_no_rotor(hz, after_s, values):
     """One every two seconds, of a vehicle without a fault."""
@@ -298,7 +298,9 @@ def test_outputs_that_jump_and_stay_pass_with_the_next_sample():
     assert len(outliers.take(outputs([0.0, 0.04], [1500, 1505]))) == 2
     assert outliers.take(outputs([0.08], [1900])) is None
     assert outliers.take(outputs([0.12], [1890])).time.tolist() == [0.08, 0.12]
-    assert outliers.take(outputs([0.16, 0.2], [1200, 1880])).time.tolist() == [0.2] and outliers.left_out == 1
+    extra = outliers.take(outputs([0.14, 0.16, 0.2], [1200, 1880, 1890]))
+    assert extra.time.tolist() == [0.16, 0.2] and outliers.left_out == 1
+    assert len(outliers.take(outputs([0.24, 0.28, 0.32], [1300, 1890, 1890]))) == 3, "in the autopilot's own rhythm a peak is true"
     assert len(outliers.take(outputs([0.9], [1100]))) == 1, "after a pause nothing contradicts it"
 
 

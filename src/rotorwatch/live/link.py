@@ -315,7 +315,7 @@ class LinkedVehicle:
         talks, usable = self._link.talks, self.routes.usable
         gone, lost = ([need for need in NEEDS if now - usable.get(need, now) > after] for after in (SILENT_S, GONE_S))
         self.watched.gone = f"no {_words(gone)} that can be used" if gone else ""
-        if self._silent or (self.messages.clock.start is None and len(self._link.vehicles) > FEW):
+        if self._silent or (not usable and self.messages.clock.start is None and len(self._link.vehicles) > FEW):
             return  # many ids that only send heartbeats: nobody's vehicles, and a page of notices
         missing = lost
         if now - self._first >= (UNANSWERED_S if talks else MISSED_S):

@@ -1,7 +1,7 @@
-"""Outputs of one moment that those before and after it contradict: a forged or damaged sample, by which no rotor is accused.
+"""Outputs of one moment that those before and after it contradict, and that come between two of the autopilot's own: a forged sample.
 
-True outputs that jump stay for a while, against what an autopilot sends in a second. A sample that jumps waits for the next one, all others
-pass at once; on slow links only one that comes too early for the autopilot's own rhythm. A true one that is left out is one lost sample.
+True outputs jump too, and back, but an autopilot sends them in a rhythm of its own: a sample that jumps waits for the next one, and is left
+out where both neighbours are of one rhythm without it. All others pass at once; on slow links also those that do not come early.
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ USUAL, WEIGHT = (
     0.05,
 )  # a jump is so many times the usual step from one sample to the next; weight of the latest in what is usual
 BEYOND = 0.5  # of a jump, that is beyond both neighbours
-NEAR_S, EARLY = 0.15, 0.7  # after the sample before, in s or in usual periods: one that comes later is not held back
+NEAR_S, EARLY = 0.15, 0.7  # after the sample before, in s or in periods: one that comes later is not held back
+EXTRA = 1.5  # periods between both neighbours, below which a sample is none of the rhythm; two where none is missing
+LOST = 0.25  # of a period, by which a longer pause counts at most: samples are lost, the rhythm stays
 RANGE = {"us": 1000.0}
 
 
@@ -39,20 +41,21 @@ class Outliers:
         for k, (now, own) in enumerate(zip(time, values)):
             if self._before is not None:
                 then, before = self._before
-                step, near = np.abs(own - before), max(NEAR_S, EARLY * self._period_s)
+                step, pause = np.abs(own - before), now - then
                 jumps = step > max(JUMP, USUAL * self._step)
-                if now - then < near and jumps.any():
+                if pause < max(NEAR_S, EARLY * self._period_s) and jumps.any():
                     if k + 1 == len(time):
                         self._waits, keep[k] = motors.part(slice(k, None)), False
                         break
                     after = values[k + 1]
                     beyond = np.maximum(own - np.maximum(before, after), np.minimum(before, after) - own)
-                    if time[k + 1] - then < 2.0 * near and (beyond > BEYOND * step)[jumps].all():
+                    if time[k + 1] - then < EXTRA * self._period_s and (beyond > BEYOND * step)[jumps].all():
                         keep[k] = False
                         self.left_out += 1
                         continue
                 self._step += WEIGHT * (float(step.mean()) - self._step)
-                self._period_s += WEIGHT * (now - then - self._period_s)
+                period = self._period_s or pause
+                self._period_s = period + WEIGHT * min(pause - period, LOST * period)
             self._before = now, own
         if keep.all():
             return motors
