@@ -13,6 +13,7 @@ from rotorwatch.live.clock import Clock, Restarted
 from rotorwatch.live.frames import seeds, sums
 from rotorwatch.live.link import Link
 from rotorwatch.live.outliers import Outliers
+from rotorwatch.live.routes import Route, Routes
 
 FAULTY = 4  # a quad hovers; rotor 2 loses a quarter of its thrust 22 s after it begins
 NEEDED = (30, 27, 36)
@@ -300,8 +301,26 @@ def test_outputs_that_jump_and_stay_pass_with_the_next_sample():
     assert outliers.take(outputs([0.12], [1890])).time.tolist() == [0.08, 0.12]
     extra = outliers.take(outputs([0.14, 0.16, 0.2], [1200, 1880, 1890]))
     assert extra.time.tolist() == [0.16, 0.2] and outliers.left_out == 1
-    assert len(outliers.take(outputs([0.24, 0.28, 0.32], [1300, 1890, 1890]))) == 3, "in the autopilot's own rhythm a peak is true"
+    assert len(outliers.take(outputs([0.24, 0.28, 0.32], [1300, 1890, 1890]))) == 3, (
+        "in the autopilot's own rhythm a peak is true"
+    )
     assert len(outliers.take(outputs([0.9], [1100]))) == 1, "after a pause nothing contradicts it"
+
+
+def test_a_slow_link_that_loses_some_samples_in_a_row_is_not_left_for_heartbeats():
+    routes, last = Routes(Route("a", None, 0.0), 0.0), -1.0
+    routes.add(Route("b", None, 0.0), 0.0)
+    for k in range(200):
+        now = 0.5 * k
+        routes.find("b").hear(0, now)
+        routes.usable["rates"] = now
+        if k % 4 == 0 and k % 40 not in (8, 12):  # outputs come every 2 s, and two in a row are lost
+            routes.usable["outputs"] = now
+        assert routes.better(now, not routes.used(now)) is None and (now < 10.0 or routes.next(now) is None)
+        last = now
+    assert routes.next(last + 9.0) is None, "nobody is heard any more"
+    routes.find("b").hear(0, last + 9.0)
+    assert routes.next(last + 9.0) is routes.find("b")
 
 
 def test_what_a_link_loses_is_said_while_it_does_and_at_the_end():

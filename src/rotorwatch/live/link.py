@@ -22,7 +22,7 @@ from rotorwatch.live.endpoint import Endpoint
 from rotorwatch.live.frames import Frames, Outgoing, Sender
 from rotorwatch.live.outliers import Outliers
 from rotorwatch.live.record import Record
-from rotorwatch.live.routes import NEEDS, SIGNALS, SILENT_S, UNKNOWN_S, WORDS, Route, Routes
+from rotorwatch.live.routes import FADED_S, NEEDS, SIGNALS, SILENT_S, UNKNOWN_S, WORDS, Route, Routes
 from rotorwatch.live.watched import Losing, Notify, Watched
 from rotorwatch.logs.px4_topics import MAV_TYPES
 from rotorwatch.logs.tlog import BY_NUMBER, FORMAT, Outputs, rotor_outputs
@@ -31,7 +31,6 @@ BEAT_S, HELLO_S = 1.0, 0.5
 ANEW_S, ANEW_MOST_S = 1.0, 60.0  # before a vehicle is watched anew after an error: doubled each time
 VEHICLES = 100  # of a link; five times what one process judges
 ALL_S = 0.05  # between two looks at vehicles of which nothing has come
-GONE_S = 8.0  # that what judging needs does not come any more, before that is said
 MISSED_S, UNANSWERED_S = (
     3.0,
     10.0,
@@ -132,7 +131,7 @@ class LinkedVehicle:
         if other is not None:
             why = why or ("what comes from it contradicts itself" if doubted else "it came in with another clock")
             self.watched.say(f"it is heard through {other} from now on, not through {routes.followed}: {why}")
-        elif self._link.talks or routes.followed.silent(now):
+        elif why and (self._link.talks or routes.followed.silent(now)):
             other = routes.next(now)
         if other is None:
             return
@@ -313,7 +312,7 @@ class LinkedVehicle:
     def _miss(self, now: float) -> None:
         """Say what judging waits for, when it does not come, or comes no more, and what would help."""
         talks, usable = self._link.talks, self.routes.usable
-        gone, lost = ([need for need in NEEDS if now - usable.get(need, now) > after] for after in (SILENT_S, GONE_S))
+        gone, lost = ([need for need in NEEDS if now - usable.get(need, now) > after] for after in (SILENT_S, FADED_S))
         self.watched.gone = f"no {_words(gone)} that can be used" if gone else ""
         if self._silent or (not usable and self.messages.clock.start is None and len(self._link.vehicles) > FEW):
             return  # many ids that only send heartbeats: nobody's vehicles, and a page of notices
@@ -328,7 +327,7 @@ class LinkedVehicle:
         before, self._missed = self._missed, tuple(missing)
         if lost:
             self.watched.say(
-                f"no {_words(lost)} that can be used have come for {GONE_S:.0f} s: nothing is judged until they come again",
+                f"no {_words(lost)} that can be used have come for {FADED_S:.0f} s: nothing is judged until they come again",
                 missing=missing,
             )
         elif missing:

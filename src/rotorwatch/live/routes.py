@@ -19,6 +19,7 @@ SIGNALS = {"motors": "outputs", "gyro": "rates"}  # samples, and what they are o
 WORDS = {"outputs": "motor outputs", "rates": "angular rates"}
 SILENT_S = 3.0  # without a message, or without one that judging needs
 LEAST = 3  # of each that judging needs, before an address is one that sends it
+FADED_S = 8.0  # the same, before it is asked whether another address would send it: slow links lose several in a row
 TURN_S = 5.0  # each is asked for what judging needs, while none sends it
 DOUBT_S = 20.0  # that samples contradict each other, before another address is tried
 UNKNOWN_S = 15.0  # that none of the parameters that were asked for comes
@@ -106,7 +107,8 @@ class Routes:
 
     def next(self, now: float) -> Route | None:
         """The one whose turn it is to be asked, where none sends what judging needs."""
-        if now - self.since <= TURN_S or self.followed.carries(now):
+        last = min(self.usable.get(need, -FADED_S) for need in NEEDS)
+        if now - self.since <= TURN_S or now - last <= FADED_S or self.followed.carries(now):
             return None
         return next((r for r in self._after() if not r.silent(now)), None)
 
