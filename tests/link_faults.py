@@ -138,8 +138,9 @@ class Wire(Endpoint):
         pass
 
 
-def watched(datagrams, parameters, kind, record=None):
-    """(alerts, link) of a link over which these datagrams come; record: folder to record in."""
+def watched(datagrams, parameters, kind, record=None, first="a"):
+    """(alerts, link) of a link over which these datagrams come; record: folder to record in; first: the
+    address that is heard first; where that is not the vehicle's, no parameters come."""
     now, alerts, wire = [0.0], [], Wire()
 
     def tell(alert):
@@ -148,9 +149,10 @@ def watched(datagrams, parameters, kind, record=None):
     link = Link(wire, tell, talks=False, record=record, patience_s=math.inf, clock=lambda: now[0])
     building().done(wait=True)  # native code that is built for the first time
     greeting = Autopilot(parameters)
-    wire.queue.append(("a", greeting.packed(mavlink.MAVLink_heartbeat_message(kind, 3, 0x80, 0, 4, 3))))
+    wire.queue.append((first, greeting.packed(mavlink.MAVLink_heartbeat_message(kind, 3, 0x80, 0, 4, 3))))
     link.poll(0.0)
-    wire.queue += [("a", greeting.packed(greeting._value(k))) for k in range(len(parameters))]
+    if first == "a":
+        wire.queue += [("a", greeting.packed(greeting._value(k))) for k in range(len(parameters))]
     link.poll(0.0)
     due = -np.inf
     for at, peer, data in datagrams:

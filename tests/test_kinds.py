@@ -19,6 +19,7 @@ from rotorwatch.flight import kinds
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.flight.kinds import Kind, Span, Weight, Words
 from rotorwatch.live import ground, view
+from rotorwatch.live.changes import Changes
 from rotorwatch.report import colours, html, terminal
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -101,7 +102,7 @@ def test_every_kind_is_said_everywhere(event):
     line = view.words(event, 50.0)
     assert "31.2 s (19 s ago)" in line and ("rotor" in line or "motor" in line or not event.rotors)
     alert = {"type": "event", "state": "announced", "vehicle": "1", "number": 1, "event": event.to_dict()}
-    assert row.noun in view.announced(alert)
+    assert view.announced(alert).startswith(f"announced: {view.words(event)}") and event.reason in view.announced(alert)
     text, severity = ground.text_of(alert)
     assert text.isascii() and len(text) <= 50 and "_" not in text and severity in range(8)
     assert not row.brief or row.weakens or row.brief.lower() in text.lower()
@@ -131,7 +132,22 @@ def test_a_rotor_that_follows_no_command_is_said_so_everywhere():
     for text in (answer.headline, answer.reason, view.words(event, 50.0)):
         assert "it gives 2.1 times the thrust of hover" in text and "98 %" not in text
     alert = {"type": "event", "state": "announced", "vehicle": "1", "number": 1, "event": event.to_dict()}
-    assert ground.text_of(alert)[0] == "rotorwatch: rotor 3 stuck at 214 %"
+    assert ground.text_of(alert)[0] == "rotorwatch: rotor 3 stuck at 2.1x hover"
+    for gives, words in ((0.04, "0.0x"), (3.3, "3.3x"), (9.96, "10x"), (10.0, "10x"), (33.4, "33x"), (2000.0, "999x")):
+        alert["event"]["gives"] = gives
+        assert ground.text_of(alert)[0] == f"rotorwatch: rotor 3 stuck at {words} hover"
+
+
+def test_what_a_stuck_rotor_gives_is_told_again_when_it_is_another_thrust():
+    """The first estimate was 1.9 times hover, and that of the whole log 3.3."""
+    event = hexa_event(end_s=None, loss=(0.98,), interval=((0.9, 1.0),), extra={"gives": 1.94})
+    changes, alert = Changes(), {"type": "event", "state": "announced", "vehicle": "1", "number": 1}
+    assert [c.what for c in changes.since_last((event,))] == ["announced"]
+    told = ground.gist({**alert, "event": event.to_dict()})
+    for gives, new, worth in ((1.97, [], False), (2.1, ["changed"], False), (3.3, ["changed"], True)):
+        event = replace(event, extra={"gives": gives})
+        assert [c.what for c in changes.since_last((event,))] == new
+        assert ground.worth_sending(told, {**alert, "state": "changed", "event": event.to_dict()}) is worth
 
 
 def test_a_kind_without_words_of_its_own_has_the_plain_ones():

@@ -94,14 +94,15 @@ def test_whole_frames_of_unknown_messages_are_passed_over():
 
 
 class Link:
-    """Messages of one vehicle, put in as they would arrive."""
+    """Messages of one vehicle, put in as they would arrive: at the times of their stamps."""
 
     def __init__(self, autopilot="ArduPilot"):
         self.messages, self._pack, self._now = Messages(autopilot, 2), mavlink.MAVLink(None, srcSystem=1), 0.0
         self._by_name = {layout.name: layout for layout in layouts().values()}
 
     def put(self, message):
-        self._now += 0.001
+        stamp = getattr(message, "time_usec", 1e3 * getattr(message, "time_boot_ms", 0))
+        self._now = max(self._now, 1e-6 * stamp)
         try:
             self.messages.add(self._by_name[message.get_type()], bytes(message.pack(self._pack)), self._now)
         except Restarted:

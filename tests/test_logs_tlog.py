@@ -3,6 +3,7 @@
 import lzma
 import struct
 import time
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from rotorwatch import logs
 from rotorwatch.errors import LogError
+from rotorwatch.live.frames import Outgoing, Sender
 from rotorwatch.logs import mavlink_frames, mavlink_messages, tlog
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"
@@ -185,6 +187,22 @@ def test_damaged_frames_are_skipped_and_said():
     flight = tlog.read(bytes(data), "x.tlog")
     assert 100 < len(flight["gyro"]) < 200 and "damaged" in flight.warnings[0]
     assert set(flight["motors"].values[:, 0]) == {1500.0}
+
+
+def test_no_value_that_damage_can_make_is_warned_of():
+    """Floats that are signalling NaNs and infinities, in all messages that are read."""
+    rng, log, sender = np.random.default_rng(0), Writer().flight(100), Sender(1, 1)
+    special = [b"\x01\x00\xa0\x7f", b"\x00\x00\x80\x7f", b"\x00\x00\x80\xff", b"\x00\x00\xc0\x7f"]
+    for layout in [one for name, one in tlog.layouts().items() if name != "HEARTBEAT"] * 4:
+        kind = mavlink_frames.payload_type(layout)
+        body = np.frombuffer(b"".join(special[k] for k in rng.integers(0, 4, 80))[: kind.itemsize], kind).copy()
+        for name, unit in (("time_boot_ms", 1), ("time_usec", 1000)):
+            if name in (kind.names or ()):
+                body[name] = unit * int(rng.integers(5000, 7000))
+        log.data += struct.pack(">Q", log.stamp) + sender.frame(Outgoing(layout.name, body.tobytes()))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(read(log)["motors"]) >= 100
 
 
 def test_truncation_anywhere_is_read_or_refused(amount):

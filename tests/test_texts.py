@@ -56,6 +56,16 @@ def test_a_loss_that_wanders_within_its_interval_is_told_once():
     assert pilot.said == [WARNING]
 
 
+def test_what_a_stuck_rotor_gives_is_told_again_when_it_is_another_thrust():
+    def stuck(gives):
+        known = loss(lost=0.98, width=0.02)
+        known.event.size = gives
+        return known
+
+    assert Pilot().flies(10.0, stuck(1.94)).flies(30.0, stuck(2.1)).said == [CRITICAL]
+    assert Pilot().flies(10.0, stuck(1.94)).flies(30.0, stuck(3.3)).said == [CRITICAL, CRITICAL]
+
+
 def test_a_loss_that_moves_within_a_wide_interval_is_told_once():
     assert Pilot().flies(10.0, loss(lost=0.3)).flies(60.0, loss(lost=0.38, width=0.1)).said == [WARNING]
 

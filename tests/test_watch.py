@@ -3,6 +3,7 @@
 import io
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -225,6 +226,16 @@ def test_memory_does_not_grow_with_the_flight():
     assert max(sizes[30:]) < 1.3 * max(sizes[15:30]) + 3
 
 
+def test_what_is_written_to_a_file_names_the_rotor_first_and_no_more_often_than_there_is_news(capsys, monkeypatch):
+    monkeypatch.setenv("TERM", "dumb")
+    sample = cli.SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"
+    with pytest.raises(SystemExit):
+        cli.main(["watch", str(sample), "--speed", "max"])
+    announced, final = [line.partition(": ")[2] for line in capsys.readouterr().out.splitlines()]
+    assert announced.startswith("announced: rotor 3 lost ") and "the motion does not show" in announced
+    assert final.startswith("final: rotor 3 lost ") and len(final) < 60
+
+
 def test_the_command_replays_a_log_and_ends(capsys):
     sample = SAMPLES / "quadx_healthy_hover.bin.xz"
     with pytest.raises(SystemExit) as left:
@@ -289,6 +300,12 @@ def test_the_view_says_what_is_wrong_first():
     assert crash.events[0] == "loss of control at 31.2 s (0 s ago), rotor 2: a rotor lost its thrust"
     fell = hexa_event(kind="loss_of_control", rotors=(), loss=(), interval=(), extra={"cause": "disarmed"})
     assert view.line(watched_with([fell])).state == "LOST"
+    gone = watched_with([])
+    gone.session, gone.gone = (
+        SimpleNamespace(flying=True, losses=lambda: None, now=50.0),
+        "no motor outputs that can be used",
+    )
+    assert (view.line(gone).state, view.line(gone).blind) == ("BLIND", gone.gone)
     silent = view.line(watched_with([], last_frame=-100.0))
     assert silent.state == "SILENT" and "silent for" in silent.link
     knock = hexa_event(kind="contact", rotors=(), loss=(), interval=(), end_s=31.2)

@@ -82,10 +82,13 @@ def settle(link, autopilot=None, polls=400):
     raise AssertionError("the parameters never came")
 
 
-def sent_over(link, wire, data, mangled=list, step_s=0.04):
-    """All messages of [(time, message, autopilot)], in pieces of some ms of flight; mangled: what the link makes of a piece."""
-    piece, due = [], -np.inf
+def sent_over(link, wire, data, mangled=list, step_s=0.04, timed=False):
+    """All messages of [(time, message, autopilot)], in pieces of some ms of flight; mangled: what the link makes of a piece; timed: by the
+    link's clock it takes as long as in flight."""
+    piece, due, began, start = [], -np.inf, link.clock(), data[0][0]
     for at, message, autopilot in data:
+        if timed:
+            link.clock = lambda at=at: began + max(at - start, 0.0)
         piece.append(autopilot.packed(message))
         if at >= due:
             for frame in mangled(piece):
@@ -128,7 +131,7 @@ def test_running_numbers_tell_what_was_lost_and_what_came_late(flight, step, los
     """Up to half of the numbers ahead are frames that were lost; more are frames that come late."""
     link, *_ = linked(flight, seconds=1.0)
     (one,) = link._vehicles.values()
-    one._sequence = 250
+    one.routes.followed.sequence = 250
     health = one.watched.health
     before = health.lost, health.twice
     assert one.counted((250 + step) % 256) is new
@@ -185,7 +188,7 @@ def test_a_reboot_in_flight_and_silence_are_told_and_survived(flight):
     sent_over(link, wire, of(autopilot, data))
     link.vehicles[0].health.last_frame -= 10.0
     link.poll(0.0)
-    sent_over(link, wire, of(autopilot, messages(flight, boot_s=1.0, seconds=20.0)))
+    sent_over(link, wire, of(autopilot, messages(flight, boot_s=1.0, seconds=20.0)), timed=True)
     now = link.vehicles[0].session.now
     link.leave()
     texts = [a["text"] for a in alerts if a["type"] == "notice"]
@@ -358,7 +361,7 @@ def test_the_clock_is_the_vehicles_and_one_wrong_stamp_is_no_reboot():
     assert clock.take(5.2e6 - 2**32, 0.0, True) is None or clock.now == pytest.approx(0.2)
     with pytest.raises(Restarted) as why:
         for k in range(10):
-            clock.take(1e5 + k, 0.0, False)
+            clock.take(1e5 + 0.1e6 * k, 0.1 * k, False)
     assert why.value.reboot
 
 

@@ -179,12 +179,21 @@ def _lines(alert: dict) -> None:
 
 def _sentences(quiet: bool):
     """Alerts for people, where no picture can be drawn."""
+    from rotorwatch.live.ground import gist, worth_sending
     from rotorwatch.live.view import announced
 
+    said: dict[tuple[str, int], tuple] = {}  # (vehicle, event) -> what was said of it last
+
     def show(alert: dict) -> None:
-        if alert["type"] == "event":
-            click.echo(f"{alert['vehicle']}: {announced(alert)}")
-        elif not quiet and alert["type"] != "vehicle":
+        if alert["type"] == "vehicle":  # a flight begins: its events are numbered anew
+            for key in [key for key in said if key[0] == alert["vehicle"]]:
+                del said[key]
+        elif alert["type"] == "event":
+            key = alert["vehicle"], alert["number"]
+            if alert["state"] != "changed" or worth_sending(said.get(key), alert):
+                said[key] = gist(alert)
+                click.echo(f"{alert['vehicle']}: {announced(alert)}")
+        elif not quiet:
             say(alert["text"] if alert["vehicle"] in alert["text"] else f"{alert['vehicle']}: {alert['text']}")
 
     return show

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
@@ -136,6 +136,12 @@ class Event:
     def to_dict(self) -> dict:
         """The documented JSON structure of an event (docs/json.md)."""
         return _round({name: getattr(self, name) for name in EVENT} | dict(self.extra))
+
+    @classmethod
+    def from_dict(cls, found: Mapping[str, Any]) -> Event:
+        """What `to_dict` gave as an event again, numbers as rounded."""
+        own = {name: value for name, value in found.items() if name in EVENT}
+        return cls(**_tuples(own), extra={name: value for name, value in found.items() if name not in own})
 
 
 @dataclass(frozen=True)
@@ -277,14 +283,11 @@ class Diagnosis:
         if found.get("schema") != SCHEMA:
             raise ConfigError(f"This answer has the schema {found.get('schema')}, not {SCHEMA}; judge the log again.")
         rotors = [{**r, "trend": None if r["trend"] is None else Trend(**_tuples(r["trend"]))} for r in found["rotors"]]
-        names = {f.name for f in fields(Event)}
-        events = [{k: v for k, v in e.items() if k in names} for e in found["events"]]
-        extras = ({k: v for k, v in e.items() if k not in names} for e in found["events"])
         optional_ = {"timing": {}, "picture": None, "story": ()}
         answer = {name: found.get(name, optional_[name]) if name in optional_ else found[name] for name in ANSWER}
         answer |= {name: tuple(answer[name]) for name in ("assumptions", "warnings", "comparison", "advice")}
         answer["rotors"] = tuple(RotorState(**_tuples(r)) for r in rotors)
-        answer["events"] = tuple(Event(**_tuples(e), extra=extra) for e, extra in zip(events, extras))
+        answer["events"] = tuple(map(Event.from_dict, found["events"]))
         answer["story"] = tuple(StoryLine(**line) for line in answer["story"])
         return cls(main=answer.pop("main_event"), **answer)
 

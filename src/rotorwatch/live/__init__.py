@@ -2,9 +2,11 @@
 
 endpoint.py   bytes of UDP, TCP and serial ports
 frames.py     bytes to sound MAVLink frames
-senders.py    how many send under one id
+routes.py     the addresses that send under one id, and which of them is followed
+senders.py    how many send from one address
 clock.py      a vehicle's own time
 mavlink.py    frames to samples
+outliers.py   outputs that those before and after contradict
 requests.py   what is requested of a vehicle: parameters, rates, who it is
 link.py       one endpoint: its frames by vehicle, recorded
 replay.py     a recorded flight instead of a link

@@ -1,4 +1,4 @@
-"""A vehicle's own clock on a link: its stamps put in order, reboots and damaged stamps distinguished."""
+"""A vehicle's own clock on a link: its stamps put in order, reboots and wrong stamps distinguished."""
 
 from __future__ import annotations
 
@@ -6,18 +6,24 @@ import math
 
 WRAP_US = 2.0**32  # SERVO_OUTPUT_RAW's microseconds start again there
 BACK_US = 0.5e6  # messages of one moment come in any order; a longer step back is no matter of that
-AHEAD_US = 10e6  # a stamp so much ahead of what the time of arrival allows is damaged, unless others follow it
-AGREEING = 5  # stamps in a row that agree on another time are believed
+# A link delays, and never hastens: no stamp is further ahead of its arrival than that of the message that was delayed least, but for this.
+AHEAD_US = 0.1e6
+SET_US = 10e6  # a longer step ahead that others follow is a clock that was set; a shorter one is a link that delays less from now on
+# So many stamps that follow each other, over so long, are believed against the clock if none comes that fits it: it has begun anew.
+AGREEING, AGREEING_S, TOGETHER_US = 5, 0.25, 2e6
 
 
 class Clock:
-    """start: the vehicle's first stamp [us], None before. now: the latest one [s since start]. restarted: how often it was set back or
-    ahead; `began` is called then, before the message that shows it is taken."""
+    """start: the vehicle's first stamp [us], None before. now: the latest one [s since start]. refused: stamps that were not believed."""
 
     def __init__(self):
         self.start: float | None = None
-        self._last = self._arrived = 0.0
-        self._other: list[float] = []
+        self._last = 0.0
+        self._lead = 0.0  # of the message that was delayed least: its stamp less its arrival [us]
+        self._other: list[
+            tuple[float, float]
+        ] = []  # (stamp us, arrival s) of those in a row that do not fit, the first and the latest
+        self._others = 0
         self.refused = 0
 
     @property
@@ -32,23 +38,38 @@ class Clock:
         if self.start is None:
             if short:
                 return None
-            self.start = self._last = stamp
-            self._arrived = arrival
+            self.start = stamp
+            self._set(stamp, arrival)
         if short:
             stamp += WRAP_US * round((self._last - stamp) / WRAP_US)
-        ahead = stamp - self._last
-        if -BACK_US <= ahead <= AHEAD_US + 1e6 * max(arrival - self._arrived, 0.0):
-            self._other.clear()
-            if ahead > 0.0:
-                self._last, self._arrived = stamp, arrival
+        latest = max(self._last, 1e6 * arrival + self._lead)
+        if self._last - BACK_US <= stamp <= latest + AHEAD_US:
+            self._others = 0
+            if stamp > self._last:
+                self._last, self._lead = stamp, max(self._lead, stamp - 1e6 * arrival)
             return (stamp - self.start) * 1e-6
         self.refused += 1
-        if self._other and abs(stamp - self._other[-1]) > AHEAD_US:
-            self._other.clear()
-        self._other = [*self._other[-AGREEING:], stamp]  # short ones alone decide nothing, however many come
-        if len(self._other) >= AGREEING and not short:
+        if short or not self._agreed(
+            stamp, arrival
+        ):  # those of 32 bits decide nothing: how often they wrapped is read off this clock
+            return None
+        if not self._last < stamp <= latest + SET_US:
             raise Restarted(reboot=bool(stamp < self._last))
-        return None
+        self._set(stamp, arrival)
+        return (stamp - self.start) * 1e-6
+
+    def _set(self, stamp: float, arrival: float) -> None:
+        self._last, self._lead, self._others = stamp, stamp - 1e6 * arrival, 0
+
+    def _agreed(self, stamp: float, arrival: float) -> bool:
+        """Whether enough stamps in a row follow each other, this one the last."""
+        if self._others:
+            before, came = self._other[1]
+            if abs(stamp - before - 1e6 * (arrival - came)) > TOGETHER_US:
+                self._others = 0
+        self._others += 1
+        self._other = [self._other[0] if self._others > 1 else (stamp, arrival), (stamp, arrival)]
+        return self._others >= AGREEING and arrival - self._other[0][1] >= AGREEING_S
 
 
 class Restarted(Exception):

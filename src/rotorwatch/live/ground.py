@@ -16,6 +16,7 @@ from typing import Any
 
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.front import whole, words
+from rotorwatch.engine.front.texts import GIVES
 from rotorwatch.engine.front.words import CRITICAL, NOTICE, WARNING
 from rotorwatch.engine.host.events import packed
 from rotorwatch.flight.kinds import Span, Weight, kind_of
@@ -103,12 +104,11 @@ class Ground:
 def gist(alert: dict) -> tuple:
     """What of an alert is worth a text when it changes."""
     if alert["type"] == "notice":
-        return (alert["text"],), (), False, False, ()
+        return (alert["text"],), (), False, False, (), 0.0
     event = alert["event"]
     over = _over(event), alert["state"] == WITHDRAWN
-    return (
-        tuple(event["rotors"]), (event.get("cause"), *map(tuple, event["alternatives"])), *over, tuple(event["loss"]),
-    )  # fmt: skip
+    who = tuple(event["rotors"]), (event.get("cause"), *map(tuple, event["alternatives"]))
+    return *who, *over, tuple(event["loss"]), event.get("gives", 0.0)
 
 
 def _over(event: dict) -> bool:
@@ -117,7 +117,7 @@ def _over(event: dict) -> bool:
 
 
 def worth_sending(reported: tuple | None, alert: dict) -> bool:
-    """Whether it is worth a text: something new, or a loss that has moved by STEP since it was sent."""
+    """Whether it is worth a text: something new, or the loss has moved by STEP since it was sent, or a stuck rotor's thrust by GIVES."""
     if "texts" in alert.get("event", ()):
         return False  # the ground stations have heard it from the autopilot itself
     new = gist(alert)
@@ -125,6 +125,9 @@ def worth_sending(reported: tuple | None, alert: dict) -> bool:
         return not new[3]  # taken back before it was said
     if reported[:4] != new[:4]:
         return True
+    before, gives = reported[5], new[5]
+    if before or gives:  # of a rotor that follows no command its loss is not said
+        return not (before and gives) or abs(gives - before) > GIVES * before
     return any(abs(a - b) >= STEP for a, b in zip(reported[4], new[4]))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -20,17 +20,17 @@ from rotorwatch.live import mavlink, requests
 from rotorwatch.live.clock import Restarted
 from rotorwatch.live.endpoint import Endpoint
 from rotorwatch.live.frames import Frames, Outgoing, Sender
+from rotorwatch.live.outliers import Outliers
 from rotorwatch.live.record import Record
-from rotorwatch.live.senders import Senders
-from rotorwatch.live.watched import Notify, Watched
+from rotorwatch.live.routes import FADED_S, NEEDS, SIGNALS, SILENT_S, UNKNOWN_S, WORDS, Route, Routes
+from rotorwatch.live.watched import Losing, Notify, Watched
 from rotorwatch.logs.px4_topics import MAV_TYPES
-from rotorwatch.logs.tlog import BY_NUMBER, FORMAT, MOTORS, STATUS, Outputs, rotor_outputs
+from rotorwatch.logs.tlog import BY_NUMBER, FORMAT, Outputs, rotor_outputs
 
 BEAT_S, HELLO_S = 1.0, 0.5
 ANEW_S, ANEW_MOST_S = 1.0, 60.0  # before a vehicle is watched anew after an error: doubled each time
 VEHICLES = 100  # of a link; five times what one process judges
 ALL_S = 0.05  # between two looks at vehicles of which nothing has come
-SILENT_S = 3.0
 MISSED_S, UNANSWERED_S = (
     3.0,
     10.0,
@@ -43,13 +43,17 @@ NO_AUTOPILOT = 8
 COMMAND_ACK, MESSAGE_INTERVAL = 77, 244
 
 
+def _words(needs: Iterable[str]) -> str:
+    return " and ".join(WORDS[need] for need in needs)
+
+
 def _missing(what: str, asked: bool) -> str:
     """What has not come, and what would help. asked: it was requested of the vehicle."""
-    if what == "outputs":
+    if what != "parameters":
         helps = "the vehicle has to send them here" + (
             "." if asked else ", or leave out --listen-only, so that they are requested."
         )
-        return f"no motor outputs come ({MOTORS} or {STATUS}); {helps}"
+        return f"no {WORDS[what]} come ({' or '.join(NEEDS[what][:2])}); {helps}"
     why = "the parameters have not come, which say what airframe it is and which output drives which rotor; "
     if asked:
         return why + "they were requested, so let a ground station fetch them, or give --vehicle FILE."
@@ -63,44 +67,106 @@ class LinkedVehicle:
     """One vehicle on a link. watched: what is made of its samples."""
 
     def __init__(self, watched: Watched, key: tuple[int, int], autopilot: str, kind: int, link: Link, peer: Any):
-        self.watched, self._key, self._link, self.peer = watched, key, link, peer
+        self.watched, self._key, self._link = watched, key, link
         self.messages = mavlink.Messages(autopilot, kind)
         self._parameters, self._identity = requests.Parameters(*key), requests.Identity(*key)
-        self._rates = requests.Rates(*key, autopilot, link.endpoint.slow)
         self._begun: dict[str, float] | None = None
         self._unfit = False  # the parameters kept of it
         self._outputs = Outputs(())
-        self._sequence: int | None = None
         self._silent = self._mixed = False
         self.only_beats = True  # nothing but heartbeats has come
-        self._senders = Senders()
-        self._first = link.clock()
+        self._first = now = link.clock()
+        self.routes = Routes(Route(peer, self._rates(), now), now)
+        self._outliers, self._losing = Outliers(), Losing()
         self._missed: tuple[str, ...] = ()
         self._anew_s, self._anew_at = ANEW_S, math.inf
 
+    def _rates(self) -> requests.Rates:
+        return requests.Rates(*self._key, self.messages.autopilot, self._link.endpoint.slow)
+
+    def hear(self, peer: Any, identity: int, arrival: float) -> bool:
+        """A frame with its id has come from there; whether it is of the address that is followed."""
+        route = self.routes.find(peer)
+        if route is None:
+            route = Route(peer, self._rates(), arrival)
+            if not self.watched.health.others:
+                self.watched.say(
+                    f"it is heard from a second address too ({route}), which is left out while {self.routes.followed} sends what judging "
+                    f"needs; if it is another vehicle, {ONE_ID}"
+                )
+            if not self.routes.add(route, arrival):
+                self.watched.health.others += 1
+                return False
+        route.hear(identity, arrival)
+        self.watched.health.last_frame = arrival
+        self.only_beats = self.only_beats and identity == 0
+        if self._silent:
+            self._silent = False
+            self.watched.say("the vehicle is heard again")
+            self.routes.usable = dict.fromkeys(self.routes.usable, arrival)  # what it sends shows from now on
+        if route is self.routes.followed:
+            return True
+        self.watched.health.others += 1
+        return False
+
+    def _fails(self, now: float) -> str:
+        """Why nothing can be judged of the address that is followed; empty where it can."""
+        routes = self.routes
+        if self._mixed:
+            return "two seem to send there"
+        if self.watched.session is not None:
+            return "" if routes.used(now) else "it sends no motor outputs or no angular rates that can be used"
+        if not routes.followed.carries(now):
+            return "it sends no motor outputs or no angular rates"
+        unknown = self._begun is None and not self._parameters.count and now - routes.since > UNKNOWN_S
+        return "it does not send its parameters" if unknown else ""
+
+    def _reroute(self, now: float) -> None:
+        """Follow another address where this one does not send what judging needs."""
+        session, routes, why = self.watched.session, self.routes, self._fails(now)
+        doubted = session is not None and bool(session.doubt)
+        if doubted:
+            routes.doubt(now)
+        other = routes.better(now, bool(why))
+        if other is not None:
+            why = why or ("what comes from it contradicts itself" if doubted else "it came in with another clock")
+            self.watched.say(f"it is heard through {other} from now on, not through {routes.followed}: {why}")
+        elif why and (self._link.talks or routes.followed.silent(now)):
+            other = routes.next(now)
+        if other is None:
+            return
+        routes.follow(other, now)
+        if not self._parameters.complete:
+            self._parameters = requests.Parameters(*self._key)
+        if self._identity.key is None:
+            self._identity = requests.Identity(*self._key)
+        if doubted:
+            self._anew()
+
     def counted(self, sequence: int) -> bool:
         """Whether a frame with this running number is new."""
-        health, last = self.watched.health, self._sequence
-        step = 1 if last is None else (sequence - last) % 256
-        self._senders.count(sequence)
+        health, route = self.watched.health, self.routes.followed
+        step = 1 if route.sequence is None else (sequence - route.sequence) % 256
+        route.senders.count(sequence)
         if step == 0 or step > 128:
             health.twice += 1
             return step != 0
         health.lost += step - 1
         health.taken += 1
-        self._sequence = sequence
+        route.sequence = sequence
         return True
 
     def _one_sender(self) -> bool:
         """Whether all frames are of one sender: nothing can be judged of what two send together."""
-        if self._senders.several and not self._mixed:
+        several = self.routes.followed.senders.several
+        if several and not self._mixed:
             self.watched.say(f"{TWO_SENDERS}; nothing is judged until only one is left", "error")
             self.watched.session = None
-        elif self._mixed and not self._senders.several:
+        elif self._mixed and not several:
             self.watched.say("only one vehicle is heard with this id again; it is watched anew")
             self._anew()
-        self._mixed = self._senders.several
-        return not self._mixed
+        self._mixed = several
+        return not several
 
     def take(self, identity: int, frame: bytes, arrival: float) -> None:
         """One frame of the autopilot. What goes wrong with it is this vehicle's alone."""
@@ -110,13 +176,8 @@ class LinkedVehicle:
             self.watched.fail(why)
 
     def _on(self, identity: int, frame: bytes, arrival: float) -> None:
-        self.watched.health.last_frame = arrival
-        self.only_beats = self.only_beats and identity == 0
         if not self._one_sender():
             return
-        if self._silent:
-            self._silent = False
-            self.watched.say("the vehicle is heard again")
         layout = mavlink.layouts().get(identity)
         if layout is None:
             self._answer(identity, frame)
@@ -125,6 +186,7 @@ class LinkedVehicle:
             self.messages.add(layout, frame, arrival)
         except Restarted as why:
             self._restart(why.reboot)
+            self.routes.restarted(arrival)
             self.messages.add(layout, frame, arrival)
         if layout.name == "PARAM_VALUE":
             row = mavlink.row(frame, layout)
@@ -135,9 +197,9 @@ class LinkedVehicle:
         if answer is None:
             return
         if identity == COMMAND_ACK:
-            self._rates.answered(answer["command"], answer["result"])
+            self.routes.followed.rates.answered(answer["command"], answer["result"])
         elif identity == MESSAGE_INTERVAL:
-            self._rates.interval(answer["message_id"], answer["interval_us"])
+            self.routes.followed.rates.interval(answer["message_id"], answer["interval_us"])
         elif identity == requests.VERSION_ID:
             self._identity.received(answer["uid"], answer["uid2"], answer["flight_sw_version"], self.messages.autopilot)
 
@@ -156,8 +218,10 @@ class LinkedVehicle:
     def _anew(self) -> None:
         messages = mavlink.Messages(self.messages.autopilot, self.messages.vehicle)
         messages.inherit(self.messages)
-        self.messages, self._sequence, self._first = messages, None, self._link.clock()
-        self._rates = requests.Rates(*self._key, messages.autopilot, self._link.endpoint.slow)
+        self.messages, self._first, self._outliers = messages, self._link.clock(), Outliers()
+        self.routes.followed.sequence = None
+        for route in self.routes:
+            route.rates = self._rates()
         if self._begun is not None:
             self._begin(self._begun)
 
@@ -185,6 +249,9 @@ class LinkedVehicle:
         if now - self.watched.health.last_frame > SILENT_S and not self._silent:
             self._silent = True
             self.watched.say(f"nothing has been heard for {SILENT_S:.0f} s")
+        if text := self._losing.look(self.watched.health, now):
+            self.watched.say(text)
+        self._reroute(now)
         if self._mixed:
             return
         self._know(now)
@@ -194,9 +261,14 @@ class LinkedVehicle:
         session = self.watched.session
         if session is None or not self.messages.pending or not self.messages.reached(session.due_s):
             return
-        if self._senders.suspected:
+        if self.routes.followed.senders.suspected:
             return  # what two vehicles send together is no vehicle's: it waits until that is decided
         signals, messages = self.messages.take(self._outputs, session.flying)
+        self.routes.usable.update((need, now) for name, need in SIGNALS.items() if name in signals)
+        if "motors" in signals:
+            motors = self._outliers.take(signals.pop("motors"))
+            if motors is not None:
+                signals["motors"] = motors
         if signals or messages:
             self.watched.add(signals, messages)
             self.watched.advance()
@@ -206,8 +278,9 @@ class LinkedVehicle:
         if self._link.talks and not self._silent:
             self._parameters.step(now, self._send)
             self._identity.step(now, self._send)
-            if now - self._first > HELLO_S and not self._rates.done:
-                self._rates.step(now, self._send, self.messages.rates_hz())
+            rates = self.routes.followed.rates
+            if now - max(self._first, self.routes.since) > HELLO_S and not rates.done:
+                rates.step(now, self._send, self.messages.rates_hz())
         if self._parameters.complete and not self._parameters.used:
             self._parameters.used = True
             there = self.messages.parameters()
@@ -237,25 +310,32 @@ class LinkedVehicle:
             self._begin(there)
 
     def _miss(self, now: float) -> None:
-        """Say what judging waits for, when it does not come, and what would help."""
-        talks = self._link.talks
-        if self._silent or now - self._first < (UNANSWERED_S if talks else MISSED_S):
-            return
-        if self.messages.clock.start is None and len(self._link.vehicles) > FEW:
+        """Say what judging waits for, when it does not come, or comes no more, and what would help."""
+        talks, usable = self._link.talks, self.routes.usable
+        gone, lost = ([need for need in NEEDS if now - usable.get(need, now) > after] for after in (SILENT_S, FADED_S))
+        self.watched.gone = f"no {_words(gone)} that can be used" if gone else ""
+        if self._silent or (not usable and self.messages.clock.start is None and len(self._link.vehicles) > FEW):
             return  # many ids that only send heartbeats: nobody's vehicles, and a page of notices
-        coming = talks and self._parameters.count and not self._parameters.given_up
-        missing = [] if self._begun is not None or coming else ["parameters"]
-        if (self.watched.session is None or self.watched.session.vehicle is None) and not self.messages.heard(
-            MOTORS, STATUS
-        ):
-            missing.append("outputs")
+        missing = lost
+        if now - self._first >= (UNANSWERED_S if talks else MISSED_S):
+            coming = talks and self._parameters.count and not self._parameters.given_up
+            first = [] if self._begun is not None or coming else ["parameters"]
+            never = [n for n, names in NEEDS.items() if not (n in usable or self.messages.heard(*names))]
+            missing = [*first, *never[:1], *lost]
         if tuple(missing) == self._missed:
             return
-        self._missed = tuple(missing)
-        if missing:
+        before, self._missed = self._missed, tuple(missing)
+        if lost:
+            self.watched.say(
+                f"no {_words(lost)} that can be used have come for {FADED_S:.0f} s: nothing is judged until they come again",
+                missing=missing,
+            )
+        elif missing:
             self.watched.say(
                 f"nothing can be judged yet: {' '.join(_missing(what, talks) for what in missing)}", missing=missing
             )
+        elif set(before) & set(NEEDS):
+            self.watched.say("motor outputs and angular rates come now")
 
     def _begin(self, parameters: dict[str, float]) -> None:
         self._begun = parameters
@@ -289,7 +369,7 @@ class LinkedVehicle:
         return outputs, vehicle.rotors, vehicle.curve
 
     def _send(self, message: Outgoing) -> None:
-        self._link.send(message, self.peer)
+        self._link.send(message, self.routes.followed.peer)
 
     def waits_for(self) -> str:
         """What is not known of it yet, in a few words."""
@@ -300,7 +380,8 @@ class LinkedVehicle:
     def restore_rates(self) -> None:
         """Rates as they were before."""
         if self._link.talks:
-            self._rates.restore(self._send)
+            for route in self.routes:
+                route.rates.restore(lambda message, peer=route.peer: self._link.send(message, peer))
 
     @property
     def empty(self) -> bool:
@@ -436,22 +517,11 @@ class Link:
             if beat is not None:
                 self._meet(peer, beat, system, component, identity != 0)
             return
-        if vehicle.peer != peer and not self._followed(vehicle, peer, arrival):
+        if not vehicle.hear(peer, identity, arrival):
             return
         self._fresh[vehicle] = None
         if vehicle.counted(sequence):
             vehicle.take(identity, frame, arrival)
-
-    def _followed(self, vehicle: LinkedVehicle, peer: Any, arrival: float) -> bool:
-        """Whether a vehicle is now heard through another peer. While its own still sends, what the other one sends under its id is another
-        copy of it, or another vehicle: left out."""
-        if arrival - vehicle.watched.health.last_frame > SILENT_S:
-            vehicle.peer = peer
-            return True
-        if not vehicle.watched.health.others:
-            vehicle.watched.say(f"it is heard from a second address too, which is left out; {ONE_ID}")
-        vehicle.watched.health.others += 1
-        return False
 
     def _meet(self, peer: Any, frame: bytes, system: int, component: int, more: bool) -> None:
         """A heartbeat of someone new. more: it has sent something else as well."""
@@ -509,5 +579,7 @@ class Link:
         if self._record is not None:
             self._record.close()
         for vehicle in self._vehicles.values():
+            health = vehicle.watched.health
             vehicle.watched.finish()
+            vehicle.watched.say(f"{health.taken} messages came; {health.words() or 'none was lost'}")
         self.endpoint.close()

@@ -9,9 +9,9 @@ from typing import Any
 
 from rotorwatch.answer.falls import CAUSES
 from rotorwatch.answer.wording import percent, said
-from rotorwatch.flight import kinds
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import LOST, Span
+from rotorwatch.live.changes import ANNOUNCED
 from rotorwatch.live.watch import Source
 from rotorwatch.live.watched import Watched
 
@@ -54,7 +54,11 @@ def line(watched: Watched, waits_for: str = "") -> Line:
     known = None if session is None else session.losses()
     wrong = lasting(watched.events)
     blind = watched.trouble or (
-        f"waiting for {waits_for}" if waits_for else "not known yet" if session is None else session.blind()
+        f"waiting for {waits_for}"
+        if waits_for
+        else "not known yet"
+        if session is None
+        else watched.gone or session.blind()
     )
     if any(e.kind == LOST for e in wrong):
         state = "LOST"
@@ -81,9 +85,11 @@ def line(watched: Watched, waits_for: str = "") -> Line:
 
 
 def announced(alert: dict) -> str:
-    """The alert of an event, as a sentence."""
-    event = alert["event"]
-    return f"{alert['state']}: {kinds.kind_of(event['kind']).noun} at {event['onset_s']:.1f} s; {event['reason']}"
+    """The alert of an event, as a sentence that names the rotors first; of a new one with the reason."""
+    event = Event.from_dict(alert["event"])
+    what = words(event)
+    why = f"; {event.reason}" if alert["state"] == ANNOUNCED and event.reason not in what else ""
+    return f"{alert['state']}: {what}{why}"
 
 
 def words(event: Event, now: float | None = None) -> str:
@@ -97,16 +103,7 @@ def words(event: Event, now: float | None = None) -> str:
 
 def _link(health, silence: float) -> str:
     parts = [f"silent for {silence:.0f} s"] if silence > SILENT_S else []
-    if health.loss >= 0.0005:
-        parts.append(f"{percent(health.loss, 1)} lost")
-    for count, what in (
-        (health.twice, "twice or late"),
-        (health.damaged, "damaged"),
-        (health.reboots, "reboots"),
-        (health.jumps, "clock jumps"),
-    ):
-        if count:
-            parts.append(f"{count} {what}")
+    parts += [health.words()] if health.words() else []
     return ", ".join(parts) or "good"
 
 

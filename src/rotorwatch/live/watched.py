@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from rotorwatch.answer.wording import percent
 from rotorwatch.errors import RotorwatchError
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.diagnosis import Event
@@ -18,6 +19,11 @@ from rotorwatch.live.rotors import Rotors
 from rotorwatch.live.session import Session
 
 Notify = Callable[[dict], None]
+LOSING_S, MANY_LOST, FEW_LOST = (
+    10.0,
+    0.2,
+    0.1,
+)  # over which losses are counted; shares from which it is said, and no longer
 LOOK_S = 0.5  # of the vehicle's time, between two looks at events that are known
 
 
@@ -40,12 +46,47 @@ class Health:
         """Share of messages lost."""
         return self.lost / max(self.lost + self.taken, 1)
 
+    def words(self) -> str:
+        """What the link did to the messages; empty where it did nothing."""
+        counts = (
+            (self.twice, "twice or late"),
+            (self.damaged, "damaged"),
+            (self.others, "from other addresses left out"),
+            (self.reboots, "reboots"),
+            (self.jumps, "clock jumps"),
+        )
+        lost = [f"{percent(self.loss, 1)} lost"] if self.loss >= 0.0005 else []
+        return ", ".join([*lost, *(f"{count} {what}" for count, what in counts if count)])
+
+
+class Losing:
+    """Says when a link begins to lose many messages, and when it no longer does."""
+
+    def __init__(self):
+        self._since, self._taken, self._lost, self._bad = -np.inf, 0, 0, False
+
+    def look(self, health: Health, now: float) -> str:
+        """A sentence where that has changed; empty otherwise."""
+        if now - self._since < LOSING_S:
+            return ""
+        taken, lost = health.taken - self._taken, health.lost - self._lost
+        first = self._since == -np.inf
+        self._since, self._taken, self._lost = now, health.taken, health.lost
+        share = lost / max(taken + lost, 1)
+        if first or not taken or self._bad == (share > (FEW_LOST if self._bad else MANY_LOST)):
+            return ""
+        self._bad = not self._bad
+        if self._bad:
+            return f"{percent(share)} of the messages of the last {LOSING_S:.0f} s were lost: what is found may be found later"
+        return f"the link loses few messages again, {percent(share, 1)}"
+
 
 class Watched:
     """A vehicle by its name. notify: called with each alert, a dict (docs/watch.md)."""
 
     def __init__(self, name: str, notify: Notify, vehicle: Vehicle | None = None):
         self.name, self.health, self.trouble, self.notice = name, Health(), "", ""
+        self.gone = ""  # what judging needs and does not come any more, in a few words
         self.broken = False  # by an error of rotorwatch's own, not for what the vehicle is
         self._notify, self._vehicle = notify, vehicle
         self.session: Session | None = None

@@ -16,7 +16,7 @@ import numpy as np
 
 from rotorwatch.base.arrays import median
 from rotorwatch.flight import Signal
-from rotorwatch.logs import esc_columns
+from rotorwatch.logs import esc_columns, series
 
 TELEMETRY = tuple(f"ESC_TELEMETRY_{n}_TO_{n + 3}" for n in range(1, 33, 4))
 STATUS, INFO = "ESC_STATUS", "ESC_INFO"
@@ -67,7 +67,7 @@ def _status(get: Callable) -> dict:
 
 def _measured(table, k: int, unit: float = 1.0) -> dict[str, np.ndarray]:
     """Speed, current and voltage of the k-th ESC of a message. unit: of current and voltage [A, V]."""
-    found = {quantity: unit * table[quantity][:, k].astype(float) for quantity in ("current", "voltage")}
+    found = {quantity: unit * series.floats(table[quantity][:, k]) for quantity in ("current", "voltage")}
     return {"speed": table["rpm"][:, k] * esc_columns.RPM, **found}
 
 

@@ -83,9 +83,15 @@ def motors(time, values, unit, source, notes, valid=None) -> Signal | None:
     return build(time, values, columns, unit, "", source, MOTORS[unit], notes, valid)
 
 
+def floats(values) -> np.ndarray:
+    """As float64. A damaged 32-bit float may be a signalling NaN, which becomes a NaN as any other, without a warning."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(values, np.float64)
+
+
 def build(time, values, columns, unit, frame, source, limit, notes, valid=None) -> Signal | None:
     """A Signal with any columns; see `make`. limit: largest absolute value taken seriously, of all columns or of each."""
-    time, values = np.asarray(time, np.float64), np.asarray(values, np.float64)
+    time, values = floats(time), floats(values)
     if values.ndim == 1:
         values = values[:, None]
     with np.errstate(invalid="ignore"):
@@ -180,8 +186,9 @@ def _longest_rise(t: np.ndarray) -> np.ndarray:
 def quaternion(roll, pitch, yaw) -> np.ndarray:
     """(n, 4) scalar-first quaternion body FRD -> world NED from roll, pitch, yaw in rad (order yaw, pitch, roll)."""
     with np.errstate(invalid="ignore"):  # damaged angles
-        cr, cp, cy = (np.cos(np.asarray(a) / 2) for a in (roll, pitch, yaw))
-        sr, sp, sy = (np.sin(np.asarray(a) / 2) for a in (roll, pitch, yaw))
+        half = [np.asarray(a) / 2 for a in (roll, pitch, yaw)]
+        cr, cp, cy = map(np.cos, half)
+        sr, sp, sy = map(np.sin, half)
     return np.stack(
         [
             cr * cp * cy + sr * sp * sy,
@@ -195,7 +202,7 @@ def quaternion(roll, pitch, yaw) -> np.ndarray:
 
 def unit_quaternion(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Quaternions (n, 4) scaled to length 1, and (n,) bool: True where they were quaternions (length 0.9 .. 1.1)."""
-    q = np.asarray(q, float)
+    q = floats(q)
     with np.errstate(invalid="ignore", over="ignore"):
         length = np.sqrt(np.sum(q * q, axis=1))
         fine = np.abs(length - 1) < 0.1
@@ -204,10 +211,10 @@ def unit_quaternion(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def changes(time, state) -> list[tuple[float, float]]:
     """(time, value) of the first sample and of each one that differs from the sample before."""
-    state = np.asarray(state, float)
+    state = floats(state)
     if state.size == 0:
         return []
-    at = np.r_[0, np.flatnonzero(np.diff(state) != 0) + 1]
+    at = np.r_[0, np.flatnonzero(state[1:] != state[:-1]) + 1]
     return [(float(time[i]), float(state[i])) for i in at]
 
 
@@ -228,8 +235,7 @@ def rises(time, state) -> list[tuple[float, float]]:
 def stacked(table, fields) -> np.ndarray:
     """(n, k) floats: the given fields of a table, NaN for those that it lacks."""
     none = np.full(len(next(iter(table.values()))), np.nan)
-    with np.errstate(invalid="ignore"):  # damaged floats may be signalling NaNs
-        return np.stack([np.asarray(table.get(f, none), np.float64) for f in fields], axis=1)
+    return np.stack([floats(table.get(f, none)) for f in fields], axis=1)
 
 
 def gps(time, degrees, altitude, speed, fixed, source) -> Signal | None:

@@ -203,7 +203,7 @@ def boot_us(table):
 
 
 def _columns(table, fields) -> np.ndarray:
-    return np.array([table[f] for f in fields], float).T
+    return series.floats([table[f] for f in fields]).T
 
 
 # Signals that several messages may carry: the fastest counts. Of the others the first one that there is.
@@ -296,7 +296,7 @@ def readings(outputs: Outputs) -> dict[str, tuple[Reading, ...]]:
         "accel": (of("accel", "HIGHRES_IMU", PUSH), *(of("accel", name, PUSH, _MG) for name in IMUS)),
         "attitude": (by("attitude", "ATTITUDE", _angles), by("attitude", "ATTITUDE_QUATERNION", _quaternions)),
         "attitude_wanted": (
-            by("attitude_wanted", "ATTITUDE_TARGET", lambda table: series.unit_quaternion(table["q"].astype(float))),
+            by("attitude_wanted", "ATTITUDE_TARGET", lambda table: series.unit_quaternion(table["q"])),
         ),
         "velocity": (
             of("velocity", "LOCAL_POSITION_NED", ("vx", "vy", "vz")),
@@ -418,7 +418,7 @@ def _status(log: Messages) -> tuple[np.ndarray, np.ndarray] | None:
     found = log.get(STATUS)
     if found is None:
         return None
-    return found[0], found[1]["actuator"][:, : int(found[1]["active"].max())].astype(float)
+    return found[0], series.floats(found[1]["actuator"][:, : int(found[1]["active"].max())])
 
 
 def _motors(log: Messages, outputs: Outputs) -> Signal | None:
@@ -444,7 +444,7 @@ def _actuators(log: Messages, outputs: Outputs) -> Signal | None:
     found = log.get(STATUS)
     if found is None or not outputs.numbers:
         return None
-    values = found[1]["actuator"][:, [n - 1 for n in outputs.numbers]].astype(float)
+    values = series.floats(found[1]["actuator"][:, [n - 1 for n in outputs.numbers]])
     with np.errstate(invalid="ignore"):
         driven = (values > 0) & (np.array(outputs.numbers) <= found[1]["active"][:, None])
     return _commands(log, found[0], values, outputs, STATUS, driven)

@@ -10,6 +10,7 @@ from rotorwatch.engine.front.sizes import EVENTS, TOGETHER
 ANNOUNCED, CHANGED, WITHDRAWN = 0, 1, 2
 
 LOSS_STEP = 0.02  # by which a loss or a bound of it must move to be a change
+GIVES_STEP = 0.1  # hover thrusts by which what a rotor gives that follows no command must move to be a change
 
 
 class Known(Struct):
@@ -133,6 +134,8 @@ def _moved(old: Real, new: Real) -> bool:
 
 def _differs(old: Event, new: Event) -> bool:
     if old.rotors != new.rotors or old.alternative_count != new.alternative_count or old.detail != new.detail:
+        return True
+    if new.kind == LOSS and (abs(old.size - new.size) >= GIVES_STEP or (old.size > 0.0) != (new.size > 0.0)):
         return True
     if (old.end < LASTS) != (new.end < LASTS) or abs(old.onset - new.onset) >= SAME_S:
         return True

@@ -8,14 +8,15 @@ graver.
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import LASTS, REAL, TIME, Small, Struct, Time, array, copy, embedded, reset
+from rotorwatch.base.compiling.structs import LASTS, REAL, TIME, Real, Small, Struct, Time, array, copy, embedded, reset
 from rotorwatch.engine.front.changes import Known
-from rotorwatch.engine.front.events import CONTACT, Event
+from rotorwatch.engine.front.events import CONTACT, LOSS, Event
 from rotorwatch.engine.front.sizes import EVENTS, ROTORS, TOGETHER
 from rotorwatch.engine.front.words import INFO, severity
 
 EVERY_S = 5.0  # between two texts
 MOVED = 0.05  # of effectiveness, by which a loss must have changed at least to be told again
+GIVES = 0.2  # share by which what a rotor gives that follows no command must have changed to be told again
 AGAIN_S = 10.0  # between what was told of a rotor and what is new of it; twice as long each time, up to
 AGAIN_MOST_S = 160.0
 CALM_S = 300.0  # without an event of its own, after which a rotor is as if nothing had been told of it
@@ -32,6 +33,7 @@ class Told(Struct):
     certain: bool = False  # it was told without other explanations
     rotors: int = 0  # that were told
     loss = array(REAL, TOGETHER)
+    gives: Real = 0.0  # that was told of a rotor that follows no command
 
 
 class Texts(Struct):
@@ -97,6 +99,7 @@ class Texts(Struct):
         self.told[place].rotors = self.told[place].event.rotors
         for k in range(TOGETHER):
             self.told[place].loss[k] = self.told[place].event.loss[k]
+        self.told[place].gives = _gives(self.told[place].event)
         for r in range(ROTORS + 1):
             if _of(self.told[place].event, r):
                 if not self.told[place].over:
@@ -149,9 +152,19 @@ def _of(e: Event, r: int) -> bool:
     return (e.rotors & (1 << r)) != 0
 
 
+def _gives(e: Event) -> Real:
+    """Hover thrusts that its rotor gives, whatever it is commanded; 0 of one that follows."""
+    return e.size if e.kind == LOSS else 0.0
+
+
 def _changed(t: Told) -> bool:
     """Whether it is another event than the one that was told: of other rotors, certain or no longer so, or of a loss whose interval has
     left what was told."""
+    gives = _gives(t.event)
+    if (t.gives > 0.0) != (gives > 0.0) or abs(gives - t.gives) > GIVES * t.gives:
+        return True
+    if gives > 0.0:
+        return t.rotors != t.event.rotors or t.certain != (t.event.alternative_count == 0)
     if t.rotors != t.event.rotors or t.certain != (t.event.alternative_count == 0):
         return True
     for k in range(TOGETHER):

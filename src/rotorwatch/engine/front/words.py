@@ -30,9 +30,9 @@ class Words(Struct):
             self._rotors(e.rotors)
             self._add(" ")
         if e.kind == LOSS and e.size > 0.0:
-            self._add("stuck at ")  # of hover's thrust, as far as there is room
-            self._percent(e.size)
-            self._add(" %")
+            self._add("stuck at ")
+            self._times(e.size)
+            self._add("x hover")
         elif e.kind == LOSS:
             self._add("lost ")
             place = 0
@@ -85,7 +85,17 @@ class Words(Struct):
 
     def _percent(self, share: Real) -> None:
         """A share, 0 to 1, in percent."""
-        self._number(int(100.0 * share + 0.5))
+        self._number(int(100.0 * min(max(share, 0.0), 1.0) + 0.5))
+
+    def _times(self, factor: Real) -> None:
+        """A factor, as 2.1, or as 14 from 10 on."""
+        tenths = int(10.0 * min(max(factor, 0.0), 999.0) + 0.5)
+        if tenths >= 100:
+            self._number((tenths + 5) // 10)
+        else:
+            self._number(tenths // 10)
+            self._add(".")
+            self._number(tenths % 10)
 
     def _rotors(self, rotors: int) -> None:
         """As 1+3."""
