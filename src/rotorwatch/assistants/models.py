@@ -257,6 +257,10 @@ class Aircraft(BaseModel):
     flights: int
     airborne_h: float
     last_utc: str | None
+    state: str = Field(description="fault, suspect, not judged or healthy: by its rotors over all flights, and by its last flights")
+    last_verdict: str | None = Field(description="of the last flight")
+    verdicts: dict[str, int] = Field(description="how many flights were judged how")
+    new: dict[str, int] = Field({}, description="the same, of those since somebody last ran `rotorwatch fleet list`")
     headline: str
     out_of_date: bool = Field(description="flights came since this was worked out")
     rotors: list[FleetRotor] = Field([], description="those that are not well, the worst first")
