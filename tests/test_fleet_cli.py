@@ -131,7 +131,11 @@ def test_an_aircraft_that_crashes_stands_first(call, folder, quick):
     quick["verdict"] = "crashed"
     call("add", folder / "b.bin", "--aircraft", "wreck")
     rows = json.loads(call("list", "--json")[1])["aircraft"]
-    assert [(a["name"], a["state"]) for a in rows] == [("wreck", "fault"), ("doubtful", "not judged"), ("calm", "healthy")]
+    assert [(a["name"], a["state"]) for a in rows] == [
+        ("wreck", "fault"),
+        ("doubtful", "not judged"),
+        ("calm", "healthy"),
+    ]
     assert rows[0]["standing"]["last"]["verdict"] == "crashed" and "crashed" in rows[0]["standing"]["headline"]
     assert not any(a["new"] for a in rows), "nothing is new before the first look"
     assert " 1 crashed" not in call("list")[1].replace("Of 1 flight 1 crashed", "")

@@ -257,7 +257,9 @@ class Aircraft(BaseModel):
     flights: int
     airborne_h: float
     last_utc: str | None
-    state: str = Field(description="fault, suspect, not judged or healthy: by its rotors over all flights, and by its last flights")
+    state: str = Field(
+        description="fault, suspect, not judged or healthy: by its rotors over all flights, and by its last flights"
+    )
     last_verdict: str | None = Field(description="of the last flight")
     verdicts: dict[str, int] = Field(description="how many flights were judged how")
     new: dict[str, int] = Field({}, description="the same, of those since somebody last ran `rotorwatch fleet list`")

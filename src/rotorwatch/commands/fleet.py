@@ -108,8 +108,12 @@ def add(store, logs, aircraft, vehicle, follow, jobs, scheduler, quiet) -> None:
 
 def _say_refused(names: list[str]) -> None:
     if names:
-        shown = ", ".join(names[:REFUSED_SHOWN]) + (f" and {len(names) - REFUSED_SHOWN} more" if names[REFUSED_SHOWN:] else "")
-        say(f"{len(names)} could not be judged before, and not tried again as unchanged: {shown}; give one by itself to see why.")
+        shown = ", ".join(names[:REFUSED_SHOWN]) + (
+            f" and {len(names) - REFUSED_SHOWN} more" if names[REFUSED_SHOWN:] else ""
+        )
+        say(
+            f"{len(names)} could not be judged before, and not tried again as unchanged: {shown}; give one by itself to see why."
+        )
 
 
 def _print_outcome(outcome) -> None:

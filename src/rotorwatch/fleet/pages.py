@@ -21,9 +21,10 @@ td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; }
 svg { width: 100%; height: auto; display: block; } svg text { font: 11px system-ui, sans-serif; fill: currentColor; }
 .fault, .worn, .damaged { color: var(--bad); font-weight: 600; } .suspect { color: var(--doubt); font-weight: 600; } .healthy { color:
 var(--good); } .lead { font-size: 1.15rem; }
-td, h1, h2, p, li { overflow-wrap: anywhere; }
-@media (max-width: 40rem) { .more { display: none; } th, td { padding: .3rem; } body { margin: 1rem auto; padding: 0 .6rem; }
-tr { display: grid; grid-template-columns: 1fr auto auto auto; } th, td { border: 0; } tr { border-bottom: 1px solid var(--line); }
+body { overflow-wrap: anywhere; } .not-judged { color: inherit; }
+@media (max-width: 40rem) { body { margin: 1rem auto; } .more { display: none; } table, thead, tbody { display: block; }
+tr { display: grid; grid-template-columns: 1fr auto auto auto; border-bottom: 1px solid var(--line); }
+th, td { border: 0; padding: .2rem .3rem; }
 td:last-child, th:last-child { grid-column: 1 / -1; } }
 """
 
@@ -52,7 +53,8 @@ def _put(path: Path, text: str) -> Path:
 
 
 def _page(title: str, body: str) -> str:
-    head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{escape(title)}</title><style>{STYLE}</style>'
+    view = '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
+    head = f"{view}<title>{escape(title)}</title><style>{STYLE}</style>"
     return f'<!doctype html><html lang="en"><head>{head}</head><body><main><h1>{escape(title)}</h1>{body}</main></body></html>\n'
 
 

@@ -282,7 +282,9 @@ class Store:
     def refused(self, hash: str, given: str) -> str:
         """Why a file with these bytes could not be judged with the same (`refuse`); empty where that is not known."""
         with self._database.reading() as db:
-            return db.value("SELECT why FROM refused WHERE hash = :hash AND given = :given", hash=hash, given=given) or ""
+            return (
+                db.value("SELECT why FROM refused WHERE hash = :hash AND given = :given", hash=hash, given=given) or ""
+            )
 
     def paths(self) -> set[str]:
         """Paths and addresses of all logs in the store, and of files that could not be judged."""

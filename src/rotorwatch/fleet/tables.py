@@ -155,7 +155,7 @@ def _rank_again(connection: Any) -> None:
 
 def _remember_refused(connection: Any) -> None:
     """Files that could not be judged. Standings say more of an aircraft since then, and are to be worked out again."""
-    metadata.create_all(connection, tables=[refused], checkfirst=False)
+    metadata.create_all(connection, tables=[refused])
     connection.execute(sa.update(standings).values(seen=-1))
 
 
