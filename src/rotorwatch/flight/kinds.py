@@ -65,10 +65,10 @@ _WATCH = Words("{noun} of {who} at {ago}{over}", nameless="{noun} at {ago}{over}
 class Kind(NamedTuple):
     """number: in compiled definitions (engine/front/events.py) and on boards; a new kind takes the next one wherever its row stands, and no
     number is ever given to another kind. name: in JSON. noun: in tables and titles. meaning: in a few words (docs/json.md). weight, span:
-    see there. weakens: its rotors lack a share of their thrust, its `loss`. by_outputs: it rests on outputs being what drives the motors, so that it is not said where they may
-    not be. brief: follows its rotors on a ground station's screen, in 30 letters. headline: for a pilot.
-    reason: of the verdict. began: how a loss of control began. now, past: what a rotor's note says while it holds, and after it; of an
-    event with several explanations, where `now` has no words for that, only its own rotors are suspects.
+    see there. weakens: its rotors lack a share of their thrust, its `loss`. by_outputs: it rests on outputs being what drives the motors,
+    so that it is not said where they may not be. brief: follows its rotors on a ground station's screen, in 30 letters. headline: for a
+    pilot. reason: of the verdict. began: how a loss of control began. now, past: what a rotor's note says while it holds, and after it; of
+    an event with several explanations, where `now` has no words for that, only its own rotors are suspects.
     advice: what to do. watch: a line on the screen while the vehicle flies."""
 
     number: int
@@ -239,7 +239,8 @@ ROWS = (
         "and see whether it moves along.",
     ),
     _setup(
-        15, EXHAUSTED, "too little without a rotor", "a vehicle sank without a rotor, for the others did not carry it", "others at their limit",
+        15, EXHAUSTED, "too little without a rotor", "a vehicle sank without a rotor, for the others did not carry it",
+        "others at their limit",
         "Fly this vehicle lighter if it is to stay up without a rotor: `rotorwatch survive` says how heavy it may be.",
     ),
     Kind(16, EVIDENCE, "unexplained evidence", "evidence against rotors that no event explains", Weight.OPEN, Span.SPELLS),
