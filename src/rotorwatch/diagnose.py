@@ -433,7 +433,7 @@ def _answer(end: conclusion.Conclusion, ready: Prepared, common: dict, clock: _C
     return Diagnosis(
         _facts(flight, craft, ready.air, ready.table), end.verdict, end.reason, end.rotors, end.events, common, ready.source,
         ready.assumptions, ready.warnings, clock.stop(), headline=end.headline, main=end.main, advice=end.advice,
-        story=end.story, picture=picture.compose(flight, craft, end.events, end.main, end.story),
+        story=end.story, picture=picture.compose(flight, craft, end.events, end.main, ready.air),
         aircraft=identity.identify(flight).text, **more,
     )  # fmt: skip
 
