@@ -17,6 +17,7 @@ from tests import tumbling
 import test_json
 from agreement import walk
 from conftest import hexa_event
+from fleet_history import row as history_row
 from rotorwatch import airframes, diagnose
 from rotorwatch.answer import story
 from rotorwatch.answer.conclusion import Evidence, conclude
@@ -209,15 +210,13 @@ def test_each_rotor_has_the_time_until_which_it_worked():
 def test_a_crash_teaches_a_fleet_nothing_and_its_page_says_so():
     row = {"verdict": "inconclusive", "trim": {"lost": True}}
     assert assess._why_not(row, 4) == assess.FELL
-    standing = {
-        "headline": "All rotors pull alike.", "rotors": [{"rotor": 1, "status": "healthy"}],
-        "left_out": [{"name": "fell.bin", "why": assess.FELL}],
-    }  # fmt: skip
-    craft = {"name": "A", "key": "ab", "flights": 2, "airborne_s": 60.0, "last": None, "standing": standing}
-    shown = pages._index([craft])
-    assert '<td class="suspect">All rotors pull alike. Control was lost in fell.bin.</td>' in shown
-    assert 'class="healthy"' not in shown
-    assert 'class="healthy"' in pages._index([{**craft, "standing": {**standing, "left_out": []}}])
+    flown = [history_row(k, [0.0, 0.0, 0.0], 4) for k in range(2)]
+    flown[1]["trim"]["lost"] = True
+    for rows, state in ((flown, "fault"), (flown[::-1], "fault"), (flown[:1], "healthy")):
+        standing = assess.standings({"ab": rows}, {})[0]["ab"]
+        craft = {"name": "A", "key": "ab", "flights": 2, "airborne_s": 60.0, "last": None, "standing": standing}
+        shown = pages._index([craft | {"state": standing["state"]}])
+        assert f'class="{state}"' in shown and ("1 lost control" in shown) == (state == "fault")
 
 
 PROBE = """<script>
