@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import rotorwatch
 from rotorwatch import airframes, diagnose, logs
 from rotorwatch.engine import definition, diagnoser
 from rotorwatch.engine.motion import allocation
@@ -360,3 +361,15 @@ def test_a_flight_that_is_judged_twice_gets_the_same_answer(estimator):
     )
     assert (ready.assumptions, ready.warnings) == before
     assert estimated(ready, estimator).assumptions == done.assumptions
+
+
+def test_a_fast_table_with_its_vehicle_is_judged_by_a_published_method(monkeypatch):
+    """A table names no frame: the vehicle that is given is asked everywhere, also whether a fast log hovers."""
+    from rotorwatch.witnesses.aerobatic import judge
+
+    monkeypatch.setattr(judge, "LEAST_HZ", 1.0)
+    table, craft = replace(flight(sample(HEALTHY)), autopilot="", parameters={}), airframes.named("ardupilot-quad-x")
+    with pytest.raises(rotorwatch.VehicleError, match="--vehicle"):
+        diagnose(table, estimator="ekf")
+    assert diagnose(table, vehicle=craft, estimator="ekf").verdict == "healthy"
+    assert rotorwatch.estimate(table, "ekf", vehicle=craft)

@@ -166,8 +166,9 @@ def diagnose(
         flight = logs.read(flight, portion(tell, 0.0, READ, "reading"))
     flight = plausible.checked(flight)
     clock.lap("read_s")
+    vehicle = baselines.vehicle_of(vehicle)
     if estimator != "default":
-        aerobatic.decline(flight, "the published methods model hover; leave out the estimator.")
+        aerobatic.decline(flight, "the published methods model hover; leave out the estimator.", vehicle)
     if not 0.0 < matters <= 1.0:
         raise ConfigError(f"A loss that matters is a share above 0 and up to 1, not {matters:g}.")
     ready = prepare(flight, vehicle, baseline, clock, portion(tell, READ, PREPARED, "preparing"))

@@ -23,8 +23,8 @@ VERDICTS = {
 
 # Grade of health, and the loss from which it holds. 5 %: propellers and motors of one build differ by as much. 20 %: the rotor turns 12 %
 # faster for the same thrust, which controllers hardly notice below. 50 %: of a vehicle with twice its weight in thrust, the rotor no
-# longer carries its own share at full command. Above TOTAL_LOSS it carries next to nothing: the status "failed" as well. The status "degraded"
-# is of any loss that was found, and so no grade has its name.
+# longer carries its own share at full command. Above TOTAL_LOSS it carries next to nothing: the status "failed" as well. The status
+# "degraded" is of any loss that was found, and so no grade has its name.
 SCALE = (("healthy", 0.0), ("worn", WORN), ("weak", MATTERS), ("critical", 0.50), ("failed", TOTAL_LOSS))
 
 
