@@ -145,7 +145,7 @@ def headline(parts: Sequence[str], main: int = 0, caveats: Sequence[str] = ()) -
             k = (said_elsewhere or beside)[-1]
             left += not said_elsewhere
             del kept[k]
-        elif not shorter(_without_clause, True) and not shorter(_without_last_candidate, True):
+        elif not shorter(_without_last_candidate, True) and not shorter(_without_clause, True):
             break
     return text()
 
@@ -161,6 +161,9 @@ def _without_clause(text: str) -> str:
 
 
 def _without_last_candidate(text: str) -> str:
+    """A sentence that ends with sets of rotors, without the last of them."""
+    if not re.search(": (rotor|all )", text):
+        return text
     first, found, _ = text.removesuffix(", or others.").rpartition(", or ")
     return f"{first}, or others." if found else text
 
