@@ -14,7 +14,7 @@ from rotorwatch.flight.kinds import Words
 
 CAUSES = {"propeller": "propeller", "motor_or_esc": "motor or ESC", "bearing": "bearing"}
 BASELINE = "To see smaller damage that was there from take-off, give a healthy flight of the same build: --baseline HEALTHY.LOG."
-LONGEST = 200  # letters of a headline
+LONGEST, SAYS = 200, 40  # letters of a headline; of a sentence that says something without its last clause
 NAMED = 5  # gaps that warnings name
 VERDICTS = {
     "healthy": "Healthy", "fault": "Fault found", "crashed": "Crashed, not a rotor", "ambiguous": "Ambiguous",
@@ -141,6 +141,8 @@ def headline(parts: Sequence[str], main: int = 0, caveats: Sequence[str] = ()) -
             continue
         beside = [k for k, (_, stays) in enumerate(kept) if not stays]
         said_elsewhere = [k for k in beside if kept[k][0] in caveats]
+        if beside and not said_elsewhere and shorter(_without_reason, True):
+            continue
         if beside:
             k = (said_elsewhere or beside)[-1]
             left += not said_elsewhere
@@ -158,6 +160,12 @@ def _without_clause(text: str) -> str:
     """A sentence without what follows its last colon or semicolon, and without further ones after that."""
     cut = re.match(r'((?:[^":;]|"[^"]*"|[:;](?! ))*(?:[:;] .*)?)[:;] ', text)
     return f"{cut[1].rstrip('.')}." if cut else text
+
+
+def _without_reason(text: str) -> str:
+    """A sentence without its last clause, where what is before that says something and is no list of candidates."""
+    cut = _without_clause(text)
+    return cut if len(cut) > SAYS and not re.search(": (rotor|all )", text) else text
 
 
 def _without_last_candidate(text: str) -> str:

@@ -206,7 +206,9 @@ ROWS = (
     Kind(
         9, TURNED, "turned motor mount", "the vehicle needs more yaw than before: a motor mount or an arm has turned", Weight.NOTICE,
         brief="a mount turned",
-        headline=Words("sits on a mount that has turned", nameless="A motor mount or an arm seems to have turned: {why}."),
+        headline=Words(
+            "sits on a mount that has turned", nameless="A motor mount or an arm seems to have turned, and yaws the vehicle: {why}."
+        ),
         past=Words("its mount has turned at {at}"),
         advice=Words(
             "Look at the mount and the arm of {who} before the next flight.",
