@@ -190,7 +190,7 @@ def spoilt(field):
         "status": replace(good, rotors=others(status="healthy")),
         "loss": replace(good, rotors=others(loss=0.2)),
         "interval": replace(good, rotors=others(interval=(0.36, 0.38))),
-        "small interval": replace(good, rotors=(replace(good.rotors[0], interval=(0.0, 0.04)), *good.rotors[1:])),
+        "small interval": replace(good, rotors=(replace(good.rotors[0], interval=(0.0, 0.001)), *good.rotors[1:])),
         "verdict": replace(good, verdict="healthy"),
         "headline": replace(good, headline=good.headline.replace("otor 3", "otor 4")),
         "take-off": replace(unjudged, headline=unjudged.headline.replace("Damage from take-off was not judged.", "")),

@@ -25,7 +25,7 @@ REASONS = {  # of logs whose reason is known
     "on-its-side-1.bin.xz": "no motor outputs", "time_jumps_backwards.bin": "clock jumps at 53.2 s",
 }  # fmt: skip
 NEVER = (
-    "This log cannot say", r"\b0 % (of one rotor )?could", r"at most 0 %", "in all", r"degraded to critical", r"-\d+ to \d+ % a minute",
+    "This log cannot say", r"\b0 % (of one rotor )?could", r"at most 0 %", "in all", r"weak to critical", r"-\d+ to \d+ % a minute",
     "hardly in the air, or its motion",
 )  # fmt: skip
 

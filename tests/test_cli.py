@@ -306,10 +306,13 @@ def settings(flight):
 
 def test_info_names_the_setting_that_would_log_what_is_missing():
     ardupilot = settings(a_flight())
-    assert "bit 1 " in ardupilot["control"] and "bit 0 " in ardupilot["motors"] and "bit 7 " in ardupilot["accel"]
-    assert "bit 9 " in ardupilot["battery"] and "bit 17 " in ardupilot["lift"] and "bit 18 " not in ardupilot["motors"]
+    assert "bit 0, which adds 1 " in ardupilot["motors"] and "bit 18, which adds 262144 " in ardupilot["accel"]
+    assert "bit 9, " in ardupilot["battery"] and "bit 17, " in ardupilot["lift"] and "bit 18" not in ardupilot["motors"]
+    known = settings(a_flight(parameters={"LOG_BITMASK": 1024.0}))
+    whole = 1024 | 1 << 0 | 1 << 9 | 1 << 17 | 1 << 18  # all that is named, whichever setting is followed
+    assert {text.split(" to ")[1].split(" ")[0] for text in known.values() if "LOG_BITMASK" in text} == {str(whole)}
     px4 = settings(a_flight(autopilot="PX4"))
-    assert "SDLOG_PROFILE bit 4" in px4["motors"] and "battery_status" in px4["battery"] and "lift" not in px4
+    assert "SDLOG_PROFILE bit 4," in px4["motors"] and "battery_status" in px4["battery"] and "lift" not in px4
 
 
 def test_info_says_what_prevents_a_diagnosis():

@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 import subprocess
 import sys
 import warnings
@@ -259,3 +260,24 @@ def test_a_table_of_truth_is_read_before_anything_is_simulated(tmp_path, monkeyp
         assert isinstance(done.exception, ConfigError) and words in str(done.exception)
     done = CliRunner().invoke(cli.cli, ["compare", "--estimators", "crystal"])
     assert isinstance(done.exception, ConfigError) and "no estimator called 'crystal'" in str(done.exception)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_a_pipe_in_a_folder_is_passed_over_and_one_without_a_writer_is_said(tmp_path, run, monkeypatch):  # noqa: F811
+    """To open such a pipe waits for ever."""
+    from rotorwatch.gathering import Gathered
+    from rotorwatch.logs import LogError, fingerprint, read
+
+    monkeypatch.setattr(tools, "WRITER_S", 0.1)
+    pipe = tmp_path / "a.bin"
+    os.mkfifo(pipe)
+    (tmp_path / "log.bin").write_bytes(b"no log")
+    (tmp_path / "other.txt").write_bytes(b"no log")
+    found = Gathered([tmp_path])
+    assert [path.name for path in found] == ["log.bin"] and found.others == 2
+    for command in ("diagnose", "info"):
+        code, out, err = run(command, pipe)
+        assert code == 2 and not out and "a pipe into which nobody writes" in err and len(err.strip().splitlines()) == 1
+    for ask in (read, fingerprint):
+        with pytest.raises(LogError, match="a pipe"):
+            ask(pipe)

@@ -157,7 +157,7 @@ def test_damage_from_take_off_is_not_judged_without_healthy_flights_and_that_is_
     assert ("Damage from take-off was not judged." in diagnosis.headline) is unjudged
     assert ({r.from_takeoff for r in diagnosis.rotors} == {"not judged"}) is (said or "doubts" in changes)
     healthy = [r for r in diagnosis.rotors if r.status == "healthy"]
-    assert all((r.interval == (0.0, 1.0)) is said for r in healthy)
+    assert all((r.interval == r.since_takeoff) is said for r in healthy), "the interval is of what was judged"
     assert all(r.since_takeoff == (0.0, 0.04) for r in healthy)
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import rotorwatch
 from rotorwatch import airframes, diagnose, logs
 from rotorwatch.engine import definition, diagnoser
 from rotorwatch.engine.motion import allocation
@@ -342,3 +343,33 @@ def test_a_damaged_file_gives_one_sentence_or_a_verdict_that_is_never_fault(name
         return
     assert diagnosis.verdict != "fault"
     json.loads(diagnosis.to_json())
+
+
+@pytest.mark.parametrize("estimator", ["default", "ekf"])
+def test_a_flight_that_is_judged_twice_gets_the_same_answer(estimator):
+    """`judge` is a function of its arguments: no sentence is said twice."""
+    from rotorwatch.diagnose import estimated, judge, prepare
+
+    ready = prepare(flight(sample("quadx_healthy_hover.bin.xz")))
+    before = ready.assumptions, ready.warnings
+    done = estimated(ready, estimator)
+    first, again = judge(ready, done), judge(ready, done)
+    assert (first.assumptions, first.warnings, first.end.headline) == (
+        again.assumptions,
+        again.warnings,
+        again.end.headline,
+    )
+    assert (ready.assumptions, ready.warnings) == before
+    assert estimated(ready, estimator).assumptions == done.assumptions
+
+
+def test_a_fast_table_with_its_vehicle_is_judged_by_a_published_method(monkeypatch):
+    """A table names no frame: the vehicle that is given is asked everywhere, also whether a fast log hovers."""
+    from rotorwatch.witnesses.aerobatic import judge
+
+    monkeypatch.setattr(judge, "LEAST_HZ", 1.0)
+    table, craft = replace(flight(sample(HEALTHY)), autopilot="", parameters={}), airframes.named("ardupilot-quad-x")
+    with pytest.raises(rotorwatch.VehicleError, match="--vehicle"):
+        diagnose(table, estimator="ekf")
+    assert diagnose(table, vehicle=craft, estimator="ekf").verdict == "healthy"
+    assert rotorwatch.estimate(table, "ekf", vehicle=craft)

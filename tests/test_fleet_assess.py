@@ -89,6 +89,30 @@ def test_a_flight_without_a_time_stays_where_it_was_added():
     assert [r["ordinal"] for r in one.rows] == [1, 2, 3, 4, 5, 6]
 
 
+@pytest.mark.parametrize(
+    ("verdicts", "cut", "state"),
+    [
+        (["crashed"] * 7, 0, "fault"),
+        (["healthy", "fault"], 0, "fault"),
+        (["fault", "inconclusive"], 0, "fault"),  # nothing was shown to be well since
+        (["fault", "healthy"], 0, "suspect"),
+        (["fault", "healthy"], 1, "healthy"),  # it was serviced in between
+        (["healthy", "ambiguous"], 0, "suspect"),
+        (["healthy", "inconclusive"], 0, "not judged"),
+        (["inconclusive"] * 3, 0, "not judged"),
+        (["healthy"] * 3, 0, "healthy"),
+        (["healthy", "fault"], 2, "not judged"),  # no flight since
+    ],
+)
+def test_the_state_of_an_aircraft(verdicts, cut, state):
+    rows = flights(losses(len(verdicts), 4))
+    for r, verdict in zip(rows, verdicts, strict=True):
+        r["verdict"] = verdict
+    given = {"A": [service(0, after=cut)]} if cut else {}
+    found, _ = assess.standings({"A": rows}, given)
+    assert found["A"]["state"] == state and found["A"]["last"]["verdict"] == verdicts[-1]
+
+
 def service(rotor, utc=None, after=0, number=1):
     return {"aircraft": "A", "number": number, "rotor": rotor, "what": "new propeller", "utc": utc, "after": after}
 

@@ -108,6 +108,49 @@ def test_what_cannot_be_judged_is_said_and_the_rest_added(call, folder, quick):
     assert code == 2 and "fits no flight log" in err
 
 
+def test_a_bad_file_of_a_folder_is_remembered(call, folder, quick):
+    """A folder with one bad file is not an error for ever: it is named, and tried again once it has changed."""
+    (folder / "broken.bin").write_bytes(SAMPLE[:200])
+    assert call("add", folder)[0] == 2
+    code, _, err = call("add", folder)
+    assert code == 0 and "failed" not in err and "1 could not be judged before" in err and "broken.bin" in err
+    code, _, err = call("add", folder / "broken.bin")
+    assert code == 2 and "1 could not be judged" in err, "one that is named by itself is tried again"
+    (folder / "broken.bin").write_bytes(SAMPLE[:300])
+    assert call("add", folder)[0] == 2
+    (folder / "broken.bin").write_bytes(SAMPLE + b"whole")
+    code, _, err = call("add", folder)
+    assert code == 0 and "1 added" in err and "before" not in err
+
+
+def test_an_aircraft_that_crashes_stands_first(call, folder, quick):
+    """What its flights were judged counts, and not only the trend of its rotors; what is not judged is not green."""
+    call("add", folder / "a.bin", "--aircraft", "calm")
+    quick["verdict"] = "inconclusive"
+    call("add", folder / "below" / "c.bin", "--aircraft", "doubtful")
+    quick["verdict"] = "crashed"
+    call("add", folder / "b.bin", "--aircraft", "wreck")
+    rows = json.loads(call("list", "--json")[1])["aircraft"]
+    assert [(a["name"], a["state"]) for a in rows] == [
+        ("wreck", "fault"),
+        ("doubtful", "not judged"),
+        ("calm", "healthy"),
+    ]
+    assert rows[0]["standing"]["last"]["verdict"] == "crashed" and "crashed" in rows[0]["standing"]["headline"]
+    assert not any(a["new"] for a in rows), "nothing is new before the first look"
+    assert " 1 crashed" not in call("list")[1].replace("Of 1 flight 1 crashed", "")
+    (folder / "d.bin").write_bytes(SAMPLE + b"d")
+    call("add", folder / "d.bin", "--aircraft", "calm")
+    rows = json.loads(call("list", "--json")[1])["aircraft"]
+    assert {a["name"]: (a["state"], a["new"]) for a in rows[:2]} == {
+        "calm": ("fault", {"crashed": 1}),
+        "wreck": ("fault", {}),
+    }
+    _, out, _ = call("list")
+    assert "1 crashed" in out and "fault" in out
+    assert not any(a["new"] for a in json.loads(call("list", "--json")[1])["aircraft"])
+
+
 def test_processes_make_the_same_store(folder, tmp_path):
     (folder / "broken.bin").write_bytes(SAMPLE[:200])
     shutil.copy(folder / "a.bin", folder / "copy of a.bin")

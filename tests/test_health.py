@@ -64,8 +64,8 @@ def words(found):
 @pytest.mark.parametrize(
     ("low", "high", "said"),
     [
-        (0.0, 0.049, "healthy"), (0.05, 0.19, "worn"), (0.2, 0.49, "degraded"), (0.5, 0.79, "critical"), (0.8, 1.0, "failed"),
-        (0.0, 0.06, "healthy to worn"), (0.19, 0.21, "worn to degraded"), (0.7, 0.9, "critical to failed"),
+        (0.0, 0.049, "healthy"), (0.05, 0.19, "worn"), (0.2, 0.49, "weak"), (0.5, 0.79, "critical"), (0.8, 1.0, "failed"),
+        (0.0, 0.06, "healthy to worn"), (0.19, 0.21, "worn to weak"), (0.7, 0.9, "critical to failed"),
         (0.0, 0.3, "not judged"), (0.0, 1.0, "not judged"), (-0.1, 0.01, "healthy"), (0.9, 1.4, "failed"),
     ],
 )  # fmt: skip
@@ -163,7 +163,7 @@ def told(trends, events=(), **more):
 def test_the_answer_names_the_rotor_whose_loss_grows():
     end = told((None, SLOW, None, None))
     assert end.verdict == "healthy" and end.rotors[1].trend is SLOW
-    assert end.rotors[1].grade == "worn to degraded" and end.rotors[0].grade == "healthy"
+    assert end.rotors[1].grade == "worn to weak" and end.rotors[0].grade == "healthy"
     for text in (end.headline, end.reason):
         assert "otor 2 loses 7.3 % (5.5 to 9.1 %) more of its thrust every minute" in text
     assert "No rotor lost thrust after take-off" not in end.headline
@@ -191,16 +191,16 @@ def text_of(diagnosis):
 
 def test_json_terminal_and_page_say_the_same():
     made = hexa_diagnosis()
-    slow = replace(made.rotors[1], trend=SLOW, grade="worn to degraded")
+    slow = replace(made.rotors[1], trend=SLOW, grade="worn to weak")
     made = replace(made, rotors=(made.rotors[0], slow, *made.rotors[2:]))
     given = made.to_dict()["rotors"]
-    assert given[1]["grade"] == "worn to degraded" and given[0]["trend"] is None
+    assert given[1]["grade"] == "worn to weak" and given[0]["trend"] is None
     assert given[1]["trend"] == {
         "per_minute": 0.073, "interval": [0.055, 0.091], "start_s": 18.0, "end_s": 148.0, "word": "growing", "beyond": [0.12, 0.2],
     }  # fmt: skip
-    assert report.health(made)[1][2:] == ("worn or degraded", "growing: 7.3 % a minute (5.5 to 9.1 %)")
+    assert report.health(made)[1][2:] == ("worn or weak", "growing: 7.3 % a minute (5.5 to 9.1 %)")
     for text in (text_of(made), html.page(made).replace("\u00a0", " ").replace("\u2060", "")):
-        assert "worn or degraded" in text and "growing: 7.3 % a minute" in text
+        assert "worn or weak" in text and "growing: 7.3 % a minute" in text
         assert "critical below 80 %" in " ".join(text.split())
     nothing = hexa_diagnosis(events=(), judged_s=0.0)
     assert report.health(nothing) == [] and "Health" not in text_of(nothing)

@@ -26,9 +26,10 @@ ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "rotorwatch"
 # Rows that nobody finds yet: a rotor that gives more than it is asked for, and so on.
 PLANTED = (
-    Kind("gives_more", "more thrust than commanded", "", Weight.FAULT, Span.LASTS),
-    Kind("mount_turned", "turned motor mount", "", Weight.FAULT, Span.STAYS, brief="turned on its mount"),
+    Kind(100, "gives_more", "more thrust than commanded", "", Weight.FAULT, Span.LASTS),
+    Kind(101, "mount_turned", "turned motor mount", "", Weight.FAULT, Span.STAYS, brief="turned on its mount"),
     Kind(
+        102,
         "growing_loss",
         "growing loss",
         "",
@@ -37,9 +38,15 @@ PLANTED = (
         weakens=True,
         now=Words("growing weaker since {at}"),
     ),
-    Kind("outside_force", "outside force", "", Weight.OUTSIDE, Span.LASTS),
+    Kind(103, "outside_force", "outside force", "", Weight.OUTSIDE, Span.LASTS),
     Kind(
-        "unknown", "something else", "", Weight.UPSET, Span.LASTS, headline=Words("Nothing known explains it at {at}.")
+        104,
+        "unknown",
+        "something else",
+        "",
+        Weight.UPSET,
+        Span.LASTS,
+        headline=Words("Nothing known explains it at {at}."),
     ),
 )
 EVENT_ROWS = tuple(row for row in kinds.ROWS if row.weight is not Weight.OPEN)  # the others are no events of an answer
@@ -159,11 +166,16 @@ def test_a_kind_without_words_of_its_own_has_the_plain_ones():
     assert said(row.began, an_event(row.name), over="") == "At 31.20 s more thrust than commanded of rotor 3."
 
 
-def test_the_order_of_the_rows_is_the_numbers_of_compiled_code():
-    numbers = definition.LOSS, definition.OUTPUT_OVERRIDE, definition.CONTACT
-    assert [kinds.number(name) for name in (kinds.LOSS, kinds.OVERRIDE, kinds.CONTACT)] == list(numbers)
+def test_the_number_of_a_kind_is_for_ever_and_not_its_place():
+    """Boards send it: a row that is put above others changes nothing."""
+    given = definition.LOSS, definition.OUTPUT_OVERRIDE, definition.CONTACT, definition.TURNED_MOUNT
+    assert [kinds.number(name) for name in (kinds.LOSS, kinds.OVERRIDE, kinds.CONTACT, kinds.TURNED)] == list(given)
+    assert [
+        kinds.number(name) for name in (kinds.LOST, kinds.ORDER, kinds.DESYNC, kinds.SLOW, kinds.HIGH, kinds.LOW)
+    ] == list(range(3, 9))
+    assert len({row.number for row in (*kinds.ROWS, *PLANTED)}) == len((*kinds.ROWS, *PLANTED))
     found = packed([an_event(name) for name in NAMES])["kind"].tolist()
-    assert found[: len(EVENT_ROWS)] == list(range(len(EVENT_ROWS))) and len(set(found)) == len(NAMES)
+    assert found[:-1] == [row(name).number for name in NAMES[:-1]] and found[-1] not in found[:-1]
 
 
 def test_the_document_has_every_kind_and_no_other():

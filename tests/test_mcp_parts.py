@@ -190,3 +190,32 @@ def test_what_a_vehicle_survives():
     found = answered(models.Survival, lambda: work.answer(asked))
     assert found["rotors"] == 4 and sum(len(case["rotors"]) for case in found["cases"]) == 10
     assert tokens(json.dumps(found)) < 1500
+
+
+def test_the_log_that_is_at_fault_is_named(tmp_path):
+    from rotorwatch.assistants.folders import Allowed
+
+    def allowed(path):
+        return Allowed(path, None, path.stat().st_size, 0, "".join(path.suffixes))
+
+    (tmp_path / "junk.bin").write_bytes(b"no log")
+    junk, log = allowed(tmp_path / "junk.bin"), allowed(SAMPLES / "quadx_healthy_hover.bin.xz")
+    for given, baseline, blamed in (
+        (junk, (log,), "This log cannot"),
+        (log, (junk,), "Healthy flight 1 (of `baseline`) cannot"),
+        (log, (log,), "The baseline cannot"),
+    ):
+        assert work.answer(work.Question("compare", given, baseline)).sentence.startswith(blamed)
+
+
+def test_a_signal_that_is_slow_is_not_missing():
+    from rotorwatch.logs import read
+    from rotorwatch.report.info import info
+
+    facts = info(read(SAMPLES / "quadx_healthy_hover.bin.xz"))
+    found = answers.log(facts, "log")
+    assert found["ready"] and "motors" in found["slow"] and "motors" not in found["missing"]
+    settings = [gap["setting"] for gap in facts["missing"] if "LOG_BITMASK" in gap["setting"]]
+    assert len(settings) == 2 and all("LOG_BITMASK to 438271 (it is 176126): bit" in text for text in settings), (
+        "for both at once"
+    )

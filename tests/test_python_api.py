@@ -146,3 +146,23 @@ def hover_log():
     from rotorwatch.commands.cli import SAMPLES
 
     return rw.read(next(p for p in SAMPLES.glob("*.bin.xz") if "healthy" not in p.name))
+
+
+def test_a_name_that_is_nearly_right_is_shown_the_right_one():
+    for ask, near in (
+        (lambda: discovery.estimator("axkff"), "(did you mean axkf?); known are adaptive_ekf"),
+        (lambda: small_flight().to_pandas("gyr"), "(did you mean gyro?)"),
+        (lambda: rw.export_c("eekf", "."), "(did you mean ekf?)"),
+        (lambda: rw.reproduce("aesmff"), "(did you mean aesmf?)"),
+    ):
+        with pytest.raises(rw.ConfigError) as why:
+            ask()
+        assert near in str(why.value)
+    with pytest.raises(rw.ConfigError) as why:
+        discovery.estimator("nothing like it")
+    assert "did you mean" not in str(why.value)
+
+
+def test_everything_that_can_be_asked_for_is_listed():
+    assert {"diagnose", "campaign", "detectors", "systems", "fleet", "logs", "gathering"} <= set(dir(rw))
+    assert all(hasattr(rw, name) for name in dir(rw))

@@ -214,9 +214,8 @@ def answered(cause, *messages, onset_s=40.0, rotors=()):
 @pytest.mark.parametrize("cause", ["unknown", "controller", "saturated", "power"])
 def test_what_was_reported_before_control_was_lost_leads(cause):
     answer = answered(cause, Message(30.0, "text", "Radio Failsafe"), Message(42.0, "text", "EKF3 lane switch 1"))
-    assert answer.headline.startswith(
-        'At 30.00 s the autopilot lost the radio ("Radio Failsafe"). The vehicle left control at 40.00 s.'
-    )
+    assert answer.headline.startswith("At 30.00 s the autopilot lost the radio")
+    assert " The vehicle left control at 40.00 s." in answer.headline and len(answer.headline) <= 200
     assert "lane switch" not in answer.headline  # what came of it
     assert any("lane switch" in line.text for line in answer.story)
     lost = next(e for e in answer.events if e.kind == LOST)
@@ -246,7 +245,7 @@ def test_what_was_long_ago_or_struck_competes_with_nothing():
 
 def test_who_stopped_the_motors_is_told_with_it():
     answer = answered("disarmed", Message(40.1, "event", "disarmed: runaway take-off"))
-    assert answer.headline.startswith('At 40.10 s the autopilot had the motors stopped ("disarmed: runaway take-off").')
+    assert answer.headline.startswith("At 40.10 s the autopilot had the motors stopped")
 
 
 def test_a_log_that_contradicts_itself_tells_what_was_reported_all_the_same():

@@ -372,7 +372,8 @@ def test_a_log_is_judged_and_kept(served):
     assert row["name"] == name
 
     again = send(client, "renamed.bin.xz", SAMPLE.read_bytes())
-    assert again.status_code == 200 and again.json() == row
+    named = {"name": "renamed.bin.xz", "known_as": row["name"]}
+    assert again.status_code == 200 and again.json() == row | named, "whoever sends it finds the own name"
     assert client.get("/api/flights", params={"search": "quad HEALTHY"}).json() == {"total": 1, "flights": [row]}
     assert client.get("/api/flights", params={"search": "hexa"}).json() == {"total": 0, "flights": []}
     assert client.get(f"/api/flights/{row['hash']}").json()["flight"]["name"] == name
@@ -574,7 +575,7 @@ def test_a_log_that_waits_is_judged_at_once_when_it_is_sent_again(quick, monkeyp
         return await here.take("again.bin", None, body(b"a log"))
 
     row, new = run_uploads(quick, action)
-    assert new and row["name"] == "a.bin" and kept(quick) == []
+    assert new and (row["name"], row["known_as"]) == ("again.bin", "a.bin") and kept(quick) == []
 
 
 def test_stopping_a_server_leaves_what_it_judges_to_the_next(quick, monkeypatch):

@@ -112,7 +112,7 @@ def test_a_row_says_how_much_and_when(read):
         ("until=%00", 400, "give a day"),
         ("min_loss=1e999", 400, "0.1 for 10 %"),
         ("min_duration=-1", 400, "such as 60"),
-        ("verdicts=fault", 400, "verdicts is no filter; choose from search, verdict"),
+        ("verdicts=fault", 400, "verdicts is no filter (did you mean verdict?); choose from search, verdict"),
         ("limit=1.5", 400, "whole number"),
         ("aircraft=nobody", 404, "knows no aircraft nobody"),
         (f"aircraft=a%0Ab%1B%00{'x' * 500}", 404, "knows no aircraft a b"),

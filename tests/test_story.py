@@ -17,11 +17,13 @@ from tests import tumbling
 import test_json
 from agreement import walk
 from conftest import hexa_event
+from fleet_history import row as history_row
 from rotorwatch import airframes, diagnose
 from rotorwatch.answer import story
 from rotorwatch.answer.conclusion import Evidence, conclude
 from rotorwatch.answer.picture import MOST
 from rotorwatch.fleet import assess, pages
+from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Diagnosis, Event
 from rotorwatch.report import html, overview, terminal, upset
 from test_browser_report import complaints
@@ -108,6 +110,8 @@ def test_the_picture_is_small_at_any_rate_and_shows_what_was_wanted():
     assert facts is not None
     assert facts["accused"] == [3]
     assert [m["what"] for m in facts["marks"]] == ["lift-off", "first departure", "control lost", "impact"]
+    gone = next(e for e in crash().events if e.kind == "loss_of_control")
+    assert facts["marks"][2]["time_s"] == gone.onset_s < facts["marks"][3]["time_s"]
     flown, wanted = (np.asarray(facts["attitude"][name]) for name in ("roll_deg", "wanted_roll_deg"))
     time = np.asarray(facts["attitude"]["time_s"])
     before, after = time < facts["marks"][1]["time_s"], time > facts["marks"][2]["time_s"]
@@ -117,6 +121,21 @@ def test_the_picture_is_small_at_any_rate_and_shows_what_was_wanted():
     fast = crash("climb", 400.0).picture
     assert fast is not None
     assert max(len(fast[name]["time_s"]) for name in ("attitude", "commands")) <= MOST
+
+
+def test_what_is_said_beside_a_crash_moves_no_mark_of_its_picture():
+    """Reports of the autopilot stand in the story, too: before, and after the impact."""
+    from rotorwatch.answer import picture
+
+    answer = crash()
+    told = [replace(e, kind="autopilot_report", rotors=(), loss=(), interval=(), alternatives=(), onset_s=t, end_s=None)
+            for e in answer.events[:1] for t in (1.0, 59.0)]  # fmt: skip
+    flight, craft = Flight("log", "", {}, 60.0), airframes.named("ardupilot-quad-x")
+    hops = tuple(tuple(hop) for hop in answer.flight["hops"])
+    given = [
+        picture.compose(flight, craft, events, answer.main, hops) for events in (answer.events, (*answer.events, *told))
+    ]
+    assert given[0]["marks"] == given[1]["marks"] == answer.picture["marks"]
 
 
 @pytest.mark.parametrize(
@@ -209,15 +228,13 @@ def test_each_rotor_has_the_time_until_which_it_worked():
 def test_a_crash_teaches_a_fleet_nothing_and_its_page_says_so():
     row = {"verdict": "inconclusive", "trim": {"lost": True}}
     assert assess._why_not(row, 4) == assess.FELL
-    standing = {
-        "headline": "All rotors pull alike.", "rotors": [{"rotor": 1, "status": "healthy"}],
-        "left_out": [{"name": "fell.bin", "why": assess.FELL}],
-    }  # fmt: skip
-    craft = {"name": "A", "key": "ab", "flights": 2, "airborne_s": 60.0, "last": None, "standing": standing}
-    shown = pages._index([craft])
-    assert '<td class="suspect">All rotors pull alike. Control was lost in fell.bin.</td>' in shown
-    assert 'class="healthy"' not in shown
-    assert 'class="healthy"' in pages._index([{**craft, "standing": {**standing, "left_out": []}}])
+    flown = [history_row(k, [0.0, 0.0, 0.0], 4) for k in range(2)]
+    flown[1]["trim"]["lost"] = True
+    for rows, state in ((flown, "fault"), (flown[::-1], "fault"), (flown[:1], "healthy")):
+        standing = assess.standings({"ab": rows}, {})[0]["ab"]
+        craft = {"name": "A", "key": "ab", "flights": 2, "airborne_s": 60.0, "last": None, "standing": standing}
+        shown = pages._index([craft | {"state": standing["state"]}])
+        assert f'class="{state}"' in shown and ("1 lost control" in shown) == (state == "fault")
 
 
 PROBE = """<script>

@@ -75,8 +75,8 @@ class Prepared:
 
     known: the vehicle brings what healthy flights of it say, from `source`; dynamics: of them, None where they do not fit this log.
     air: its flights ((start, end), ...) s, up to an impact; table: its ticks, None without a flight; ready_s: after take-off, in which
-    trim and noise are learned; hovers: False where the default method judges angular motion alone. assumptions, warnings: grow as the
-    flight is judged. missing: commands that the log lacks in the air. matters: loss of one rotor that a healthy flight must have shown.
+    trim and noise are learned; hovers: False where the default method judges angular motion alone. assumptions, warnings: of what was done
+    so far. missing: commands that the log lacks in the air. matters: loss of one rotor that a healthy flight must have shown.
     """
 
     flight: Flight
@@ -89,8 +89,8 @@ class Prepared:
     table: Ticks | None
     ready_s: float
     hovers: bool
-    assumptions: list[str]
-    warnings: list[str]
+    assumptions: tuple[str, ...]
+    warnings: tuple[str, ...]
     missing: tuple[Gap, ...] = ()
     matters: float = MATTERS
 
@@ -99,7 +99,7 @@ class Prepared:
 class Estimated:
     """What an estimator left behind. table: the ticks as they count for it; last: the default estimator's state, for hindsight; own: it is
     the default one; written: by the diagnoser which the flight went through, None where it did not. itself: what a published method says
-    by itself."""
+    by itself; assumptions: its own."""
 
     table: Ticks
     out: TickOutput
@@ -107,6 +107,7 @@ class Estimated:
     own: bool = True
     written: Written | None = None
     itself: MethodSeries | None = None
+    assumptions: tuple[str, ...] = ()
 
     @functools.cached_property
     def limit(self) -> float:
@@ -165,8 +166,9 @@ def diagnose(
         flight = logs.read(flight, portion(tell, 0.0, READ, "reading"))
     flight = plausible.checked(flight)
     clock.lap("read_s")
+    vehicle = baselines.vehicle_of(vehicle)
     if estimator != "default":
-        aerobatic.decline(flight, "the published methods model hover; leave out the estimator.")
+        aerobatic.decline(flight, "the published methods model hover; leave out the estimator.", vehicle)
     if not 0.0 < matters <= 1.0:
         raise ConfigError(f"A loss that matters is a share above 0 and up to 1, not {matters:g}.")
     ready = prepare(flight, vehicle, baseline, clock, portion(tell, READ, PREPARED, "preparing"))
@@ -235,7 +237,19 @@ def prepare(
     assumptions += table.notes if table is not None else ()
     clock.lap("prepare_s")
     return Prepared(
-        flight, craft, known, dynamics, source, air, upsets, table, ready_s, hovers, assumptions, warnings, missing
+        flight,
+        craft,
+        known,
+        dynamics,
+        source,
+        air,
+        upsets,
+        table,
+        ready_s,
+        hovers,
+        tuple(assumptions),
+        tuple(warnings),
+        missing,
     )
 
 
@@ -277,24 +291,33 @@ def estimated(
     from rotorwatch.methods.published import published
 
     out, itself = published.judge(estimator, table, B, ready.dynamics, tuning, progress)
-    ready.assumptions += published.notes(discovery.title(estimator))
-    return Estimated(table, out, own=False, itself=itself)
+    return Estimated(
+        table, out, own=False, itself=itself, assumptions=tuple(published.notes(discovery.title(estimator)))
+    )
 
 
-def _find(ready: Prepared, done: Estimated) -> tuple[Merged, tuple[Event, ...]]:
-    """The events of a flight: losses, overridden outputs, contacts, control that was lost, desyncs; with what ESCs say of them. And what
-    its trim claims that is no event."""
+class _Found(NamedTuple):
+    """merged: the events of a flight: losses, overridden outputs, contacts, control that was lost, desyncs; with what ESCs say of them.
+    claims: what its trim claims that is no event. assumptions, warnings: sentences on how they were found."""
+
+    merged: Merged
+    claims: tuple[Event, ...]
+    assumptions: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def _find(ready: Prepared, done: Estimated) -> _Found:
+    """What is found in a flight."""
     flight, craft, air, table, B = ready.flight, ready.vehicle, ready.air, done.table, ready.vehicle.effectiveness()
     one = done.written
-    claims = events.read(done.out, table, B, one and one.losses)
+    claims, assumptions = events.read(done.out, table, B, one and one.losses), ()
     if done.own and ready.hovers:
-        claims, excitation_notes = excitation_response.resolve(claims, table, B, ready.dynamics)
-        ready.assumptions += excitation_notes
+        claims, assumptions = excitation_response.resolve(claims, table, B, ready.dynamics)
     if done.last is not None and not ready.known:  # healthy flights would have told what happened in the blind time
         claims = (*claims, *hindsight.find(done.last, table, B))
     overridden = deviations.overrides(flight, craft, air) if one is None else deviations.in_flight(one.overrides, air)
     claims = (*claims, *map(events.overridden, overridden))
-    ready.warnings += reports.end(flight, air)
+    warnings = [*reports.end(flight, air)]
     grown = None
     if done.own and ready.hovers:
         shown = trim.look(done.out, table, B) if one is None else one.trim
@@ -302,34 +325,37 @@ def _find(ready: Prepared, done: Estimated) -> tuple[Merged, tuple[Event, ...]]:
     claims = (*claims, *reports.claims(flight, air, _left(ready)))
     report = events.Report(B).add(table, air).finish(air) if one is None else one.report
     merged = ledger.merge(claims, report, ready.upsets, B.shape[1], grown)
-    ready.warnings += [text for text, lasts in wording.together(merged.shared) if not lasts]
+    warnings += [text for text, lasts in wording.together(merged.shared) if not lasts]
     found = merged.events
     if "esc" in flight.signals:
         from rotorwatch.witnesses.esc import consistency
 
         found, notes = consistency.check(flight, craft, air, table, found)
-        ready.warnings += notes
+        warnings += notes
     if not ready.hovers or aerobatic.flown_by_rates(flight):
         from rotorwatch.witnesses.aerobatic import desync
 
         found = tuple(sorted((*found, *desync.find(flight, craft, air, found)), key=lambda e: e.detected_s))
-    return merged._replace(events=found), slow.suspected(grown)
+    return _Found(merged._replace(events=found), slow.suspected(grown), tuple(assumptions), tuple(warnings))
 
 
 class Judgement(NamedTuple):
-    """The answer, and what it rests on. evidence: what no event explains; whole: the comparison with healthy flights, or None."""
+    """The answer, and what it rests on. evidence: what no event explains; whole: the comparison with healthy flights, or None.
+    assumptions, warnings: sentences that judging adds to those of the flight."""
 
     end: conclusion.Conclusion
     doubts: tuple[str, ...]
     evidence: tuple[Event, ...]
     whole: dict | None
+    assumptions: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
 
 def judge(ready: Prepared, done: Estimated, progress: Callable[[float], object] | None = None) -> Judgement:
     """The answer to a flight that an estimator has seen. `diagnose` shows it, and campaigns count it. progress: called with the finished
     share, 0..1."""
     flight, craft, air, tell = ready.flight, ready.vehicle, ready.air, progress or (lambda share: None)
-    found, claims = _find(ready, done)
+    found, claims, assumptions, warnings = _find(ready, done)
     tell(0.1)
     table, out, B = done.table, done.out, ready.vehicle.effectiveness()
     n, hyp = B.shape[1], list_hypotheses(B.shape[1])
@@ -369,7 +395,8 @@ def judge(ready: Prepared, done: Estimated, progress: Callable[[float], object] 
         stepped = bool(np.max(steps.losses()) >= np.max(hidden))
         why = unjudged.find(air, table, judged_s, needed, ready.hovers, conclusion.LEAST_S, stepped)
         seen = seen._replace(unjudged=why)
-    return Judgement(conclusion.conclude(seen, doubts), doubts, tuple(seen.residual_evidence), whole)
+    end = conclusion.conclude(seen, doubts)
+    return Judgement(end, doubts, tuple(seen.residual_evidence), whole, assumptions, warnings)
 
 
 def _conclude(ready: Prepared, done: Estimated, last: Judgement, title: str, clock: _Clock) -> Diagnosis:
@@ -387,9 +414,14 @@ def _conclude(ready: Prepared, done: Estimated, last: Judgement, title: str, clo
     trace = traces.compose(
         flight, out, table, hyp, B, air, ready.ready_s, done.limit, end.events, last.evidence, end.rotors
     )
+    said = replace(
+        ready,
+        assumptions=(*ready.assumptions, *done.assumptions, *last.assumptions),
+        warnings=(*ready.warnings, *last.warnings),
+    )
     return _answer(
         end,
-        ready,
+        said,
         common,
         clock,
         estimator=title,
@@ -405,8 +437,8 @@ def _answer(end: conclusion.Conclusion, ready: Prepared, common: dict, clock: _C
     flight, craft = ready.flight, ready.vehicle
     return Diagnosis(
         _facts(flight, craft, ready.air, ready.table), end.verdict, end.reason, end.rotors, end.events, common, ready.source,
-        tuple(ready.assumptions), tuple(ready.warnings), clock.stop(), headline=end.headline, main=end.main, advice=end.advice,
-        story=end.story, picture=picture.compose(flight, craft, end.events, end.main, end.story),
+        ready.assumptions, ready.warnings, clock.stop(), headline=end.headline, main=end.main, advice=end.advice,
+        story=end.story, picture=picture.compose(flight, craft, end.events, end.main, ready.air),
         aircraft=identity.identify(flight).text, **more,
     )  # fmt: skip
 

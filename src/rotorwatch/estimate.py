@@ -24,6 +24,7 @@ from rotorwatch.logs import plausible
 from rotorwatch.methods.published import helicopter_log, log_plant, paper_log, published
 from rotorwatch.methods.published.published import Tuning
 from rotorwatch.witnesses.aerobatic import judge as aerobatic
+from rotorwatch.witnesses.healthy import baselines
 from rotorwatch.witnesses.healthy.baselines import Given
 
 SCHEMA = 1
@@ -306,7 +307,8 @@ Runs = tuple[Callable[[Any, Callable], MethodSeries], ...]
 
 def _multirotor(flight: Flight, vehicle, baseline, plant: str, tuning: Tuning | None) -> Runs:
     """Methods on the rotors of a flight."""
-    aerobatic.decline(flight, "the published methods model hover.")
+    vehicle = baselines.vehicle_of(vehicle)
+    aerobatic.decline(flight, "the published methods model hover.", vehicle)
     ready, log = prepare(flight, vehicle, baseline), flight.name or "The log"
     table, B = ready.table, ready.vehicle.effectiveness()
     if table is None:

@@ -97,7 +97,10 @@ class Gathered:
                 yield from self._recognised(path)
 
     def _recognised(self, path: Path) -> Iterator[Path]:
-        if is_meant(path):
+        ordinary = (
+            path.is_file() or path.is_dir() or not path.exists()
+        )  # no pipe, socket or device: to open one may wait for ever
+        if ordinary and is_meant(path):
             yield from self._flights(path)
         else:
             self.others += 1

@@ -14,6 +14,7 @@ from types import ModuleType
 from typing import Any
 
 from rotorwatch.base import discovery
+from rotorwatch.base.choices import meant
 from rotorwatch.errors import VehicleError
 from rotorwatch.flight import Flight, vehicle_kind
 from rotorwatch.flight.vehicle import Vehicle
@@ -72,7 +73,9 @@ def named(name: str) -> Vehicle:
         if build is not None:
             return build()
     close = [n for n in names() if name.lower() in n] or [n for n in names() if n.endswith("-quad-x")]
-    raise VehicleError(f"There is no airframe called {name!r}; close ones are {', '.join(close[:8])}.")
+    raise VehicleError(
+        f"There is no airframe called {name!r}{meant(name, names())}; close ones are {', '.join(close[:8])}."
+    )
 
 
 def _all() -> Iterator[Any]:
@@ -103,7 +106,8 @@ def paper(name: str) -> dict:
     try:
         text = (_papers() / f"{name}.toml").read_text("utf-8")
     except OSError as error:
-        raise VehicleError(f"There is no paper's airframe called {name!r}; known are {', '.join(papers())}.") from error
+        like, known = meant(name, papers()), ", ".join(papers())
+        raise VehicleError(f"There is no paper's airframe called {name!r}{like}; known are {known}.") from error
     from rotorwatch.base.optional import tomllib
 
     return tomllib.loads(text)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from rotorwatch.answer.conclusion import Conclusion
-from rotorwatch.answer.wording import interval, percent, rotors, seconds
+from rotorwatch.answer.wording import headline, interval, percent, rotors, seconds
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import LOSS
 from rotorwatch.flight.method_series import SET, MethodSeries
@@ -46,7 +46,5 @@ def _headline(end: Conclusion, events: tuple[Event, ...], itself: MethodSeries) 
         f"{rotors([r])} {percent(loss)} ({interval(*bounds)}, {kind})"
         for r, loss, bounds in zip(main.rotors, main.extra["own_loss"], main.extra["own_interval"])
     ]
-    return (
-        f"{said} That interval is of the decision that all methods share; {itself.method} itself estimated {', '.join(losses)} at "
-        f"{seconds(main.extra['own_at_s'])}."
-    )
+    own = f"{itself.method} itself estimated {', '.join(losses)} at {seconds(main.extra['own_at_s'])}."
+    return headline([said, own])

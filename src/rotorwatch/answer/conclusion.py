@@ -19,6 +19,7 @@ from rotorwatch.answer.wording import (
     SCALE,
     candidates,
     grows,
+    headline,
     interval,
     listed,
     percent,
@@ -155,15 +156,15 @@ def conclude(seen: Evidence, doubts: Sequence[str] = ()) -> Conclusion:
         seen = Evidence(
             ledger.believed(seen.events), seen.n, judged_s=seen.judged_s, places=seen.places, hops=seen.hops
         )
-        headline = _with_reports(seen, None, [_not_judged(doubts[0])])
-        return _concluded(seen, "inconclusive", doubts[0], headline, None, doubts)
+        said_first = _with_reports(seen, None, [_not_judged(doubts[0])])
+        return _concluded(seen, "inconclusive", doubts[0], said_first, None, doubts)
     seen = seen._replace(events=tuple(seen.events), hidden=seen.hidden if seen.judged_s >= LEAST_S else None)
     main = main_event(seen.events)
     verdict, reason = _verdict(seen, main)
     return _concluded(seen, verdict, reason, _headline(seen, verdict, main), main, ())
 
 
-def _concluded(seen: Evidence, verdict, reason, headline, main, doubts) -> Conclusion:
+def _concluded(seen: Evidence, verdict, reason, first, main, doubts) -> Conclusion:
     states = tuple(_state(seen, k, verdict) for k in range(1, seen.n + 1))
     stays = main is not None and (seen.events[main].end_s is None or _landed(seen, seen.events[main].end_s))
     next_steps = advice.advise(
@@ -179,7 +180,7 @@ def _concluded(seen: Evidence, verdict, reason, headline, main, doubts) -> Concl
         _shows_more(seen, main, verdict),
     )
     story_lines = story.narrate(seen.events, main, seen.n, seen.places, seen.hops, not doubts)
-    return Conclusion(verdict, reason, headline, main, states, next_steps, tuple(seen.events), story_lines)
+    return Conclusion(verdict, reason, first, main, states, next_steps, tuple(seen.events), story_lines)
 
 
 # Verdict and words
@@ -308,7 +309,7 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
     if event is not None and not event.means.accuses:
         first = said(event.means.headline, event, seen.places, until=_until(seen, event, " until"), again="")
         before = [said(e.means.headline, e) for e in _told_beside(seen, event)]
-        return " ".join([*before, sentence(f"{first} {_cleared(seen, event)}".strip())])
+        return headline([*before, sentence(first), _cleared(seen, event)], len(before))
     if verdict == "inconclusive":
         return _with_reports(seen, event, [_inconclusive(seen)])
     knocks = [seconds(e.onset_s) for e in seen.events if e.kind == CONTACT]
@@ -319,16 +320,18 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
         first = f"No rotor lost thrust in the {seen.judged_s:.0f} s that were judged."
     if verdict == "healthy" and _growing(seen):
         first = "No rotor lost thrust at once."
-    parts = [first]
+    parts, caveats = [first], [UNJUDGED]
     if seen.lost is not None:
         parts.append(said(seen.lost.means.headline, seen.lost))
-    if verdict == "healthy" and max(_unseen(seen), seen.hidden_pair) >= dict(SCALE)["degraded"]:
+    if verdict == "healthy" and max(_unseen(seen), seen.hidden_pair) >= dict(SCALE)["weak"]:
         parts.append(f"A loss of up to {_bound(seen)} could have gone unseen.")
+        caveats.append(parts[-1])
     parts += [sentence(f"{rotors([k], seen.places)} {grows(t)}.") for k, t in _growing(seen)]
     if verdict == "healthy" and not seen.compared:
         parts.append(UNJUDGED)
     elif verdict == "healthy" and seen.bound is not None:
         parts.append(_lopsided(seen))
+        caveats.append(parts[-1])
     if knocks:  # after each the trim is learned afresh, with whatever it broke
         when = f"the knock at {knocks[0]}" if len(knocks) == 1 else f"{len(knocks)} knocks, the first at {knocks[0]},"
         parts.append(f"What {when} broke was not judged.")
@@ -338,15 +341,16 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
         parts.append(
             sentence(f"{rotors([rotor], seen.places)} {notices}, since {seconds(min(e.onset_s for e in own))}.")
         )
-    return _with_reports(seen, event, parts)
+    return _with_reports(seen, event, parts, caveats)
 
 
-def _with_reports(seen: Evidence, main: Event | None, parts: Sequence[str]) -> str:
-    """The sentences of a headline with those of notices of no rotor."""
+def _with_reports(seen: Evidence, main: Event | None, parts: Sequence[str], caveats: Sequence[str] = ()) -> str:
+    """A headline of sentences, the main one first, with those of notices of no rotor."""
     told = _told_beside(seen, main)
     leads = [e for e in told if main is None and e.extra.get("trouble") in GRAVE]
     rest = [e for e in told if e not in leads]
-    return " ".join([*(said(e.means.headline, e) for e in leads), *parts, *(said(e.means.headline, e) for e in rest)])
+    beside = [[said(e.means.headline, e) for e in some] for some in (leads, rest)]
+    return headline([*beside[0], *parts, *beside[1]], len(leads), caveats)
 
 
 def _inconclusive(seen: Evidence) -> str:
@@ -497,11 +501,11 @@ def _state(seen: Evidence, rotor: int, verdict: str) -> RotorState:
     if seen.knocked_s is not None and verdict in UNKNOWING:
         return state(0.0, INVISIBLE, "unobservable", note)
     if since[1] > seen.matters:
-        return state(0.0, INVISIBLE, "unobservable", note, since)
+        return state(0.0, since, "unobservable", note, since)
     if whole:
         bounds = 0.0, _together([since[1], float(whole["interval"][rotor - 1][1])])
         return state(whole["loss"][rotor - 1], bounds, "healthy", note, since)
-    return state(0.0, INVISIBLE, "healthy", note, since)
+    return state(0.0, since, "healthy", note, since)
 
 
 def _from_takeoff(whole: Mapping[str, Any] | None, rotor: int, verdict: str, seen: Evidence) -> str:

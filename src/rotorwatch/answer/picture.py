@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.answer.story import initiating_event
+from rotorwatch.answer.story import FIRST_S, initiating_event
 from rotorwatch.answer.traces import angles, rates
 from rotorwatch.engine.motion import allocation
 from rotorwatch.flight import Flight
-from rotorwatch.flight.diagnosis import Event, StoryLine
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import DESYNC, LOST
 from rotorwatch.flight.vehicle import Vehicle
 
@@ -31,13 +31,16 @@ HELD_S = 3.0  # of commands before, which are held where outputs are logged slow
 
 
 def compose(
-    flight: Flight, vehicle: Vehicle, events: Sequence[Event], main: int | None, story: Sequence[StoryLine]
+    flight: Flight,
+    vehicle: Vehicle,
+    events: Sequence[Event],
+    main: int | None,
+    hops: Sequence[tuple[float, float]] = (),
 ) -> dict[str, Any] | None:
-    """The picture's data, as in docs/json.md; None where control was not lost and no motor lost step. story: `story.narrate` of the same
-    events."""
+    """The picture's data, as in docs/json.md; None where control was not lost and no motor lost step. hops: ((take-off, landing), ..) s."""
     lost = next((e for e in events if e.kind == LOST), None)
-    if lost is not None and story:
-        return _drawn(flight, vehicle, *_fall(lost, events, main, story))
+    if lost is not None:
+        return _drawn(flight, vehicle, *_fall(lost, events, main, hops))
     steps = [e for e in events if e.kind == DESYNC]
     if not steps:
         return None
@@ -47,18 +50,20 @@ def compose(
     return _drawn(flight, vehicle, max(0.0, start - AROUND_S), start + lasting + AROUND_S, marks, set(chosen.rotors))
 
 
-def _fall(lost: Event, events: Sequence[Event], main: int | None, story: Sequence[StoryLine]):
+def _fall(lost: Event, events: Sequence[Event], main: int | None, hops: Sequence[tuple[float, float]]):
     """(start, end, marks, accused rotors) of a loss of control."""
     first = initiating_event(events, main)
     began = lost.onset_s if first is None else min(first.onset_s, lost.onset_s)
-    over = story[-1].time_s
-    up = story[0].time_s  # before the initiating event where the story begins with the take-off
-    good = ("lift-off", up) if up < began else ("last good second", max(began - GOOD_S, 0.0))
-    start = max(min(began - BEFORE_S, up - MARGIN_S), lost.onset_s - EARLIEST_S, 0.0)
-    end = min(over + AFTER_S, lost.onset_s + LATEST_S)
+    up = next((a for a, b in hops if a <= began <= b and began - a < FIRST_S), None)
+    good = ("last good second", max(began - GOOD_S, 0.0)) if up is None else ("lift-off", up)
     impact = lost.extra.get("impact_s")
     ending = ("control back", lost.end_s) if impact is None else ("impact", impact)
-    marks = [good, ("first departure", began), ("control lost", story[-2].time_s), ending]
+    landed = max((b for _, b in hops), default=lost.detected_s)
+    over = max(landed, lost.detected_s) if ending[1] is None else ending[1]
+    before = began - BEFORE_S if up is None else min(began - BEFORE_S, up - MARGIN_S)
+    start = max(before, lost.onset_s - EARLIEST_S, 0.0)
+    end = min(over + AFTER_S, lost.onset_s + LATEST_S)
+    marks = [good, ("first departure", began), ("control lost", lost.onset_s), ending]
     accused = {*lost.rotors, *(first.rotors if first is not None and not first.alternatives else ())}
     return start, end, [(what, t) for what, t in marks if t is not None and start <= t <= end], accused
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Callable, Iterable, Sequence
 
 from rotorwatch.engine.front.decisions import MATTERS, TOTAL_LOSS
 from rotorwatch.engine.motion.airborne import Gap
@@ -13,6 +14,7 @@ from rotorwatch.flight.kinds import Words
 
 CAUSES = {"propeller": "propeller", "motor_or_esc": "motor or ESC", "bearing": "bearing"}
 BASELINE = "To see smaller damage that was there from take-off, give a healthy flight of the same build: --baseline HEALTHY.LOG."
+LONGEST, SAYS = 200, 40  # letters of a headline; of a sentence that says something without its last clause
 NAMED = 5  # gaps that warnings name
 VERDICTS = {
     "healthy": "Healthy", "fault": "Fault found", "crashed": "Crashed, not a rotor", "ambiguous": "Ambiguous",
@@ -21,8 +23,9 @@ VERDICTS = {
 
 # Grade of health, and the loss from which it holds. 5 %: propellers and motors of one build differ by as much. 20 %: the rotor turns 12 %
 # faster for the same thrust, which controllers hardly notice below. 50 %: of a vehicle with twice its weight in thrust, the rotor no
-# longer carries its own share at full command. Above TOTAL_LOSS it carries next to nothing: the status "failed" as well.
-SCALE = (("healthy", 0.0), ("worn", WORN), ("degraded", MATTERS), ("critical", 0.50), ("failed", TOTAL_LOSS))
+# longer carries its own share at full command. Above TOTAL_LOSS it carries next to nothing: the status "failed" as well. The status
+# "degraded" is of any loss that was found, and so no grade has its name.
+SCALE = (("healthy", 0.0), ("worn", WORN), ("weak", MATTERS), ("critical", 0.50), ("failed", TOTAL_LOSS))
 
 
 def percent(share: float, digits: int = 0) -> str:
@@ -112,6 +115,65 @@ def candidates(event: Event, places: Sequence[str] = ()) -> str:
     every = 2 < len(places)
     sets = (all_alike if every and len(places) == len(s) else rotors(s, places) for s in event.explanations)
     return ", or ".join(sets) or "no single rotor"
+
+
+def headline(parts: Sequence[str], main: int = 0, caveats: Sequence[str] = ()) -> str:
+    """The sentences as a headline of at most LONGEST letters. main: index of the one that stays; caveats: those of `parts` that the reason
+    of the verdict says as well. What is too long loses first what it quotes, then the last clauses, caveats and sentences beside the main
+    one, whose number is said: events and reason have them all."""
+    kept, left = [(part, k == main) for k, part in enumerate(parts) if part], 0
+
+    def text() -> str:
+        more = [f"And {left} more finding{'s' if left > 1 else ''}."] if left else []
+        return " ".join([*(part for part, _ in kept), *more])
+
+    def shorter(how: Callable[[str], str], also: bool = False) -> bool:
+        """Whether the last sentence that can be made shorter has been; also: the main one, too."""
+        for k in reversed(range(len(kept))):
+            part, stays = kept[k]
+            if (also or not stays) and (new := how(part)) != part:
+                kept[k] = new, stays
+                return True
+        return False
+
+    while len(text()) > LONGEST:
+        if shorter(_unquoted) or shorter(_without_clause):
+            continue
+        beside = [k for k, (_, stays) in enumerate(kept) if not stays]
+        said_elsewhere = [k for k in beside if kept[k][0] in caveats]
+        if beside and not said_elsewhere and shorter(_without_reason, True):
+            continue
+        if beside:
+            k = (said_elsewhere or beside)[-1]
+            left += not said_elsewhere
+            del kept[k]
+        elif not shorter(_without_last_candidate, True) and not shorter(_without_clause, True):
+            break
+    return text()
+
+
+def _unquoted(text: str) -> str:
+    return re.sub(r' \("[^"]*"[^()]*\)', "", text)
+
+
+def _without_clause(text: str) -> str:
+    """A sentence without what follows its last colon or semicolon, and without further ones after that."""
+    cut = re.match(r'((?:[^":;]|"[^"]*"|[:;](?! ))*(?:[:;] .*)?)[:;] ', text)
+    return f"{cut[1].rstrip('.')}." if cut else text
+
+
+def _without_reason(text: str) -> str:
+    """A sentence without its last clause, where what is before that says something and is no list of candidates."""
+    cut = _without_clause(text)
+    return cut if len(cut) > SAYS and not re.search(": (rotor|all )", text) else text
+
+
+def _without_last_candidate(text: str) -> str:
+    """A sentence that ends with sets of rotors, without the last of them."""
+    if not re.search(": (rotor|all )", text):
+        return text
+    first, found, _ = text.removesuffix(", or others.").rpartition(", or ")
+    return f"{first}, or others." if found else text
 
 
 def losses(event: Event) -> str:

@@ -146,12 +146,14 @@ class Picture(AnyAnswer):
 
 
 class Missing(BaseModel):
-    """Something that would help a diagnosis. needed: without it there is none."""
+    """Something that would help a diagnosis. needed: without it there is none. present: it is there, and would show more if it were logged
+    faster."""
 
     signal: str
     why: str
     setting: str
     needed: bool
+    present: bool = False
 
 
 class Signal(BaseModel):
@@ -183,7 +185,10 @@ class Log(AnyAnswer):
     airborne_s: list[list[float]]
     ready: bool = Field(description="whether `diagnose` can judge it")
     signals: list[Signal]
-    missing: list[str] = Field(description="signals that would help; `what_to_log` says how to log them")
+    missing: list[str] = Field(
+        description="signals that are not there and would help; `what_to_log` says how to log them"
+    )
+    slow: list[str] = Field([], description="signals that are there, and would show more if they were logged faster")
     parameters: int
     messages: list[Message]
     messages_left_out: int = 0
@@ -257,6 +262,12 @@ class Aircraft(BaseModel):
     flights: int
     airborne_h: float
     last_utc: str | None
+    state: str = Field(
+        description="fault, suspect, not judged or healthy: by its rotors over all flights, and by its last flights"
+    )
+    last_verdict: str | None = Field(description="of the last flight")
+    verdicts: dict[str, int] = Field(description="how many flights were judged how")
+    new: dict[str, int] = Field({}, description="the same, of those since somebody last ran `rotorwatch fleet list`")
     headline: str
     out_of_date: bool = Field(description="flights came since this was worked out")
     rotors: list[FleetRotor] = Field([], description="those that are not well, the worst first")

@@ -31,10 +31,10 @@ class Fleet:
 
     def aircraft(self, search: str, limit: int) -> dict[str, Any]:
         """`Fleet` of models.py. search: words that name, key, frame or state hold."""
-        from rotorwatch.fleet import assess
+        from rotorwatch.fleet import condition
 
         with self._open() as store:
-            found = assess.by_urgency(store.aircraft())
+            found = condition.by_urgency(store.aircraft())
         words = search.lower().split()
         found = [a for a in found if all(word in _text(a) for word in words)]
         rows = [_aircraft(a) for a in found[: min(limit, MOST)]]
@@ -79,15 +79,15 @@ def _left(count: int, what: str) -> str | None:
 
 def _text(a: Mapping) -> str:
     states = [r["status"] for r in (a["standing"] or {}).get("rotors", ())]
-    return " ".join(map(str, (a["name"], a["key"], a["frame"], *a["identities"], *states))).lower()
+    return " ".join(map(str, (a["name"], a["key"], a["frame"], a["state"], *a["identities"], *states))).lower()
 
 
 def _aircraft(a: Mapping) -> dict[str, Any]:
-    from rotorwatch.fleet import assess
+    from rotorwatch.fleet.condition import URGENT
 
     standing = a["standing"] or {}
-    unwell = [r for r in standing.get("rotors", ()) if r["status"] in assess.URGENT]
-    unwell.sort(key=lambda r: (assess.URGENT[r["status"]], -r["loss"]))
+    unwell = [r for r in standing.get("rotors", ()) if r["status"] in URGENT]
+    unwell.sort(key=lambda r: (URGENT[r["status"]], -r["loss"]))
     return {
         "key": a["key"],
         "name": quoted(a["name"], 60),
@@ -95,6 +95,10 @@ def _aircraft(a: Mapping) -> dict[str, Any]:
         "flights": a["flights"],
         "airborne_h": round(a["airborne_s"] / 3600.0, 1),
         "last_utc": utc(a["last"]),
+        "state": a["state"],
+        "last_verdict": (standing.get("last") or {}).get("verdict"),
+        "verdicts": a["verdicts"],
+        "new": a["new"],
         "headline": answers.cut(standing.get("headline", "Not worked out yet: `rotorwatch fleet assess`."), 300),
         "out_of_date": bool(a["stale"]),
         "rotors": [_rotor(r) for r in unwell[:MOST_ROTORS]],

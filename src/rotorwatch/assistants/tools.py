@@ -225,7 +225,7 @@ def register(server: MCPServer, desk: Desk) -> None:
     def fleet(
         search: Words = "", limit: Annotated[int, Field(ge=1, le=MOST)] = 6
     ) -> Annotated[CallToolResult, models.Fleet]:
-        """List the aircraft of the fleet's store, those first whose rotors need attention, with the rotors that are not well."""
+        """List the aircraft of the fleet's store, those first that need attention: state, last verdict, what is new, weak rotors."""
         return answered(models.Fleet, lambda: desk.fleet.aircraft(search, limit))
 
     @tool("Search the flights of the fleet")

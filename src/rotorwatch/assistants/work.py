@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from rotorwatch import airframes
 from rotorwatch.assistants import answers, quoted, series
 from rotorwatch.assistants.folders import Allowed
 from rotorwatch.base import optional
@@ -55,17 +56,31 @@ def answer(question: Question) -> dict[str, Any] | Failed | tuple[dict[str, Any]
     except _Ours as why:
         return Failed(str(why))
     except (LogError, VehicleError, ConfigError) as why:
-        what = "vehicle" if question.log is None else "log"
+        blamed = getattr(why, BLAMED, "This vehicle" if question.log is None else "This log")
         said = re.sub(
             re.escape(tempfile.gettempdir() + os.sep) + r"[^/\\\s]+[/\\]", "", str(why)
         )  # where the link lies
         reader = quoted.quoted(said, 300)["quoted_from_log"]
-        return Failed(f"This {what} cannot be used; what its reader says is quoted.", reader)
+        return Failed(f"{blamed} cannot be used; what its reader says is quoted.", reader)
 
 
 def away() -> None:
     """Work in an empty folder, where no name of an airframe can be that of a file."""
     os.chdir(tempfile.mkdtemp())
+
+
+BLAMED = "blamed"  # attribute of an exception: the file that is at fault, as the beginning of a sentence
+
+
+@contextmanager
+def _blaming(what: str) -> Iterator[None]:
+    """Errors in it are the fault of that file, unless something in it has said so already."""
+    try:
+        yield
+    except (LogError, VehicleError, ConfigError) as why:
+        if not hasattr(why, BLAMED):
+            setattr(why, BLAMED, what)
+        raise
 
 
 class _Ours(ConfigError):
@@ -122,8 +137,17 @@ def _judged(question: Question) -> Diagnosis:
     from rotorwatch.diagnose import diagnose
 
     def judge() -> Diagnosis:
-        healthy = [_read(file, f"healthy-{k}") for k, file in enumerate(question.healthy, 1)]
-        return diagnose(_read(question.log, "log"), vehicle=_vehicle(question.vehicle), baseline=healthy)
+        healthy = []
+        for k, file in enumerate(question.healthy, 1):
+            with _blaming(f"Healthy flight {k} (of `baseline`)"):
+                healthy.append(_read(file, f"healthy-{k}"))
+        with _blaming("This vehicle"):
+            vehicle = _vehicle(question.vehicle)
+        with _blaming("This log"):
+            flight = _read(question.log, "log")
+            airframes.check(vehicle or airframes.identify(flight), flight)
+        with _blaming("The baseline" if healthy else "This log"):
+            return diagnose(flight, vehicle=vehicle, baseline=healthy)
 
     try:
         found = judge()

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.base.backend import jax
+from rotorwatch.base.choices import meant
 from rotorwatch.errors import ConfigError
 
 
@@ -50,7 +51,9 @@ def between(name: str, value: Any, low: float, high: float) -> Any:
 def one_of(name: str, value: Any, known: Iterable[Any]) -> Any:
     """value, unchanged, when it is one of the known ones."""
     if value not in (known := tuple(known)):
-        raise ConfigError(f"{name} must be one of {', '.join(filter(None, known))}, not {value!r}.")
+        raise ConfigError(
+            f"{name} must be one of {', '.join(filter(None, known))}, not {value!r}{meant(value, known)}."
+        )
     return value
 
 

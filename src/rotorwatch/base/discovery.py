@@ -24,6 +24,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rotorwatch import __version__
+from rotorwatch.base.choices import meant
 from rotorwatch.errors import ConfigError, PluginWarning
 
 if TYPE_CHECKING:  # it takes longer to load than a log takes to read
@@ -166,8 +167,8 @@ def _named(group: str, name: str) -> type:
     theirs = offered(group)
     if name in theirs:  # only this one is loaded: a broken package must not keep others from being used
         return load(theirs[name], parts)
-    known = ", ".join(sorted({*found, *theirs}))
-    raise ConfigError(f"There is no {kind} called {name!r}; known are {known}.")
+    known = sorted({*found, *theirs})
+    raise ConfigError(f"There is no {kind} called {name!r}{meant(name, known)}; known are {', '.join(known)}.")
 
 
 def _with_offered(group: str) -> dict[str, type]:

@@ -412,8 +412,8 @@ def demo(report, quiet) -> None:
             result.to_html(page[0])
     click.echo(
         "What to look at: the line in capitals is the verdict. The rotor table says how much\n"
-        "thrust each rotor has lost, and the range that holds with 95 % probability. An event\n"
-        "began at 'since'; a live observer would have been notified at 'announced'."
+        "thrust each rotor has lost, and the range that holds with 95 % probability; the line\n"
+        "below it says since when. `rotorwatch diagnose --verbose` also shows all events."
     )
     if page:
         click.echo(f"The faulty flight as a page: {page[0]} (open it in a browser; it needs no network).")

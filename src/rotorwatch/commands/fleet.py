@@ -28,6 +28,7 @@ from rotorwatch.commands.tools import (
 from rotorwatch.errors import ConfigError
 
 ADDED, FAILED = 0, 2
+REFUSED_SHOWN = 5  # names in a line
 JSON = flag("--json as_json", "Print JSON (docs/fleet.md).")
 
 
@@ -71,7 +72,8 @@ def fleet() -> None:
 def add(store, logs, aircraft, vehicle, follow, jobs, scheduler, quiet) -> None:
     """Judge every LOG, and all logs in every DIR, that the store does not know yet (by content), and work out where each aircraft stands.
 
-    Broken off, even by a lost database, it goes on where it was when called again. Exit code: 0, or 2 when a log could not be read.
+    Broken off, even by a lost database, it goes on where it was when called again. Exit code: 0, or 2 when a log could not be judged; one
+    in a DIR that could not be judged before is named, and tried again when it or rotorwatch has changed, or when it is given by itself.
     """
     from rotorwatch.fleet import add as run
     from rotorwatch.fleet import assess
@@ -91,6 +93,7 @@ def add(store, logs, aircraft, vehicle, follow, jobs, scheduler, quiet) -> None:
         parts += [f"{others} files that are no logs"] if others else []
         parts += [f"{count['failed']} could not be judged"] if count["failed"] else []
         say(f"{', '.join(parts)}; {store.count()} flights in {store.label}")
+        _say_refused([label(Path(t.path).name) for t in outcomes if t.state == "refused"])
         lost = sum(t.state == "added" and not t.aircraft for t in outcomes)
         if lost:
             say(
@@ -101,6 +104,16 @@ def add(store, logs, aircraft, vehicle, follow, jobs, scheduler, quiet) -> None:
             say(f"watching {', '.join(map(str, folders))}; Ctrl-C ends it")
         run.follow(store, folders, aircraft, known, _print_outcome, say)
     click.get_current_context().exit(FAILED if count["failed"] else ADDED)
+
+
+def _say_refused(names: list[str]) -> None:
+    if names:
+        shown = ", ".join(names[:REFUSED_SHOWN]) + (
+            f" and {len(names) - REFUSED_SHOWN} more" if names[REFUSED_SHOWN:] else ""
+        )
+        say(
+            f"{len(names)} could not be judged before, and not tried again as unchanged: {shown}; give one by itself to see why."
+        )
 
 
 def _print_outcome(outcome) -> None:
@@ -131,6 +144,8 @@ def show_(store, aircraft, as_json, quiet) -> None:
     if assessment is None:
         click.echo("Not worked out yet: `rotorwatch fleet assess`.")
         return
+    if last := assessment.get("last"):
+        click.echo(f"last flight: {last['verdict']}, {label(last['name'])}, {day(last['utc'])}")
     click.echo(f"\n{assessment['headline']}\n")
     rows = []
     for r in assessment["rotors"]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 
 import click
 
 from rotorwatch.commands.fleet import JSON, STORE, day, fleet, table, unknown
 from rotorwatch.commands.tools import common, flag, label, option, print_json, say
-from rotorwatch.errors import ConfigError
+from rotorwatch.errors import ConfigError, StoreError
 
 
 @fleet.command("list", short_help="All aircraft, those that need attention first; or flights.")
@@ -37,8 +38,12 @@ from rotorwatch.errors import ConfigError
 @JSON
 @common
 def list_(store, flights, sort, limit, offset, as_json, quiet, **filters) -> None:
-    """List the aircraft of the store, those first whose rotors need attention; or its flights."""
-    from rotorwatch.fleet import assess
+    """List the aircraft of the store, those first that need attention; or its flights.
+
+    state: fault (a rotor has lost thrust, or the last flight that was judged crashed or had a fault), suspect (something points to a
+    fault, or an earlier flight had one and no service is noted since), not judged, healthy. new: flights since this list was last shown.
+    """
+    from rotorwatch.fleet import condition
 
     if flights or any(filters.values()) or sort != "-date" or offset:
         rows = store.flights(sort, limit, offset, **filters)
@@ -55,7 +60,7 @@ def list_(store, flights, sort, limit, offset, as_json, quiet, **filters) -> Non
         head = ("flight", "aircraft", "time", "verdict", "loss", "duration", "what was found")
         table(f"{len(rows)} of {total} flights", head, cells, right=(4, 5))
         return
-    found = assess.by_urgency(store.aircraft())
+    found = condition.by_urgency(store.aircraft())
     nobody = store.count() - sum(a["flights"] for a in found)
     if as_json:
         print_json({"aircraft": found, "flights_of_no_aircraft": nobody})
@@ -63,9 +68,13 @@ def list_(store, flights, sort, limit, offset, as_json, quiet, **filters) -> Non
     rows = []
     for a in found:
         headline = a["standing"]["headline"] if a["standing"] else "not worked out yet"
-        rows.append((a["name"], str(a["flights"]), f"{a['airborne_s'] / 3600:.1f}", day(a["last"]), headline))
-    head = ("aircraft", "flights", "hours", "last flight", "how its rotors stand")
-    table(f"{len(found)} aircraft", head, rows, right=(1, 2))
+        last = (a["standing"] or {}).get("last") or {}
+        new = ", ".join(f"{count} {verdict}" for verdict, count in a["new"].items()) or "-"
+        rows.append((a["name"], a["state"], str(a["flights"]), day(a["last"]), last.get("verdict", "-"), new, headline))
+    head = ("aircraft", "state", "flights", "last flight", "verdict", "new", "how it stands")
+    table(f"{len(found)} aircraft", head, rows, right=(2,))
+    with suppress(StoreError):  # a store that may only be read
+        store.look()
     if nobody and not quiet:
         say(f"{nobody} flights name no aircraft: add such logs with --aircraft NAME.")
     if any(a["stale"] for a in found) and not quiet:

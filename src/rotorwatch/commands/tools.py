@@ -27,6 +27,9 @@ BUILDING = "building native code for this computer; it is done once, and takes s
 LINE_S, FEW = 2.0, 10  # s between two lines of progress; no lines for fewer items
 
 
+WRITER_S = 5.0  # in which something must come out of a pipe with a name
+
+
 class Log(click.ParamType):
     """A file to be read: a Path. `-` is standard input; it and other pipes are kept in a file, as readers look at the whole of a log."""
 
@@ -48,7 +51,7 @@ class Log(click.ParamType):
         except (OSError, ValueError):
             return path  # its reader reports what is wrong
         if stat.S_ISFIFO(kind):
-            with open(path, "rb") as pipe:
+            with _opened(path) as pipe:
                 return _spooled(pipe, f"pipe {path.name}")
         if not stat.S_ISREG(kind) and not stat.S_ISDIR(kind):
             raise ConfigError(f"{value} is a device, not a file; give a flight log.")
@@ -73,6 +76,25 @@ def _standard_input() -> Path:
     if spool is not None and any(spool.glob("*/standard input")):
         raise ConfigError("Standard input (-) can be read only once.")
     return _spooled(sys.stdin.buffer, "standard input")
+
+
+def _opened(path: Path) -> Any:
+    """A pipe to be read. One with a name, into which nobody writes, would be waited for without end."""
+    if path.parts[:2] in (
+        ("/", "dev"),
+        ("/", "proc"),
+    ):  # of the shell, which has opened its other end: <(xz -dc flight.bin.xz)
+        return open(path, "rb")
+    import select
+
+    pipe = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    if not select.select([pipe], [], [], WRITER_S)[0]:
+        os.close(pipe)
+        raise ConfigError(
+            f"{path} is a pipe into which nobody writes; give a flight log, or start the program that writes it first."
+        )
+    os.set_blocking(pipe, True)
+    return os.fdopen(pipe, "rb")
 
 
 def _spooled(stream: Any, name: str) -> Path:

@@ -19,6 +19,7 @@ import numpy as np
 from rotorwatch import airframes
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.base.choices import meant
 from rotorwatch.engine.estimator.plant import DAMPING, GAIN, PER_AXIS
 from rotorwatch.engine.host.plant import any_multirotor
 from rotorwatch.engine.host.program import parameters as balance_parameters
@@ -204,8 +205,8 @@ def prepare(name: str, vehicle: Vehicle | str | None = None, dt: float | None = 
         raise ConfigError(
             "default-filter is gone: give ekf with --vehicle, the filter alone, or default, which is all of it."
         )
-    if name not in discovery.estimators():
-        raise ConfigError(f"There is no estimator called {name!r}; known are {', '.join(discovery.estimators())}.")
+    if name not in (known := discovery.estimators()):
+        raise ConfigError(f"There is no estimator called {name!r}{meant(name, known)}; known are {', '.join(known)}.")
     if isinstance(vehicle, str):
         vehicle = vehicle if vehicle in airframes.papers() else airframes.named(vehicle)
     if isinstance(vehicle, Vehicle):

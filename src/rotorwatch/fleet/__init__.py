@@ -14,6 +14,7 @@ scatter.py          how much healthy flights differ
 explain.py          what changed in an aircraft: wear, damage, shifted weights, each with its evidence
 prognosis.py        when a rotor that wears reaches a limit
 false_discovery.py  which rotors of a whole fleet are named
+condition.py        whether an aircraft may fly, by its rotors and its flights
 assess.py           all of that together: where every aircraft stands
 compare.py          two flights next to each other
 pages.py            where every aircraft stands, as pages

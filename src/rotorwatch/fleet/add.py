@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
 import stat
 import time
 from collections.abc import Callable, Iterable, Iterator, Set
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rotorwatch import __version__
 from rotorwatch.base import many
-from rotorwatch.errors import LogError, NotInStore, RotorwatchError, StoreError
+from rotorwatch.errors import LogError, NotInStore, RotorwatchError, StoreError, VehicleError
 from rotorwatch.fleet import assess, judge
 from rotorwatch.fleet.store import Entry, Store
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.gathering import Gathered, fetched, full, is_address, is_log
+from rotorwatch.gathering import Gathered, fetched, full, is_address, is_log, is_several
 from rotorwatch.logs import fingerprint
 
 POLL_S = 2.0
@@ -23,8 +24,8 @@ POLL_S = 2.0
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a log. state: added, known (its content is in the store), or failed. verdict, text: of the flight, or why not.
-    aircraft: its name, "" when nothing tells."""
+    """What became of a log. state: added, known (its content is in the store), failed, or refused (it failed before, has not changed, and
+    was not tried again). verdict, text: of the flight, or why not. aircraft: its name, "" when nothing tells."""
 
     path: Path | str
     state: str
@@ -42,12 +43,16 @@ def add(
     progress: Callable | None = None,
     jobs: int | None = None,
     scheduler: str | None = None,
+    insist: bool = True,
 ) -> tuple[list[Outcome], int]:
     """Add all logs that are new to the store, one transaction each: files, folders, patterns and addresses (`gathering`). aircraft: a
     name for the flights, in place of what the logs say. tell: called with each log's fate; progress: as progress(share, text). jobs,
     scheduler: as for `many.run`, by default a process per processor, fewer for few logs; the store is the same, because this process
-    alone writes it, in the order of the logs. Returns the fates, and how many files in folders were no logs. Standings are not worked out
+    alone writes it, in the order of the logs. insist: a log that is named by itself is tried again though it failed before and has not
+    changed; those in folders are not. Returns the fates, and how many files in folders were no logs. Standings are not worked out
     (`assess.refresh`). Raises ConfigError, and StoreError, after which the same call goes on."""
+    given, how = list(given), _given(vehicle)
+    named = {full(one) for one in given if insist and not is_several(one)}
     gathered = Gathered(given)
     logs = list(gathered)
     if jobs is None and scheduler is None:
@@ -65,7 +70,7 @@ def add(
 
     def unknown() -> Iterator[str]:
         for log in logs:
-            told = _before(store, log, paths)
+            told = _before(store, log, paths, "" if full(log) in named else how)
             if told is None:
                 new.append(log)
                 yield full(log) if scheduler else str(log)
@@ -75,7 +80,11 @@ def add(
     for done in many.in_order(_Judge(aircraft, vehicle), unknown(), jobs, scheduler):
         log = new[done.index]
         _expected(done.error)
-        fate(Outcome(log, "failed", text=str(done.error)) if done.error else _added(store, log, done.value))
+        if done.error:
+            _refuse(store, log, how, done.error)
+            fate(Outcome(log, "failed", text=str(done.error)))
+        else:
+            fate(_added(store, log, done.value))
     return fates, gathered.others
 
 
@@ -106,14 +115,31 @@ def _expected(error: Exception | None) -> None:
         raise error
 
 
-def _before(store: Store, log: Path | str, paths: Set[str]) -> Outcome | None:
+def _given(vehicle: Vehicle | None) -> str:
+    """What decides, apart from a file's bytes, whether it can be judged: this version, and the vehicle that was given."""
+    craft = "" if vehicle is None else hashlib.sha256(repr(vehicle).encode()).hexdigest()[:16]
+    return f"{__version__} {craft}".strip()
+
+
+def _refuse(store: Store, log: Path | str, how: str, error: Exception) -> None:
+    """Remember a file that is itself to blame: not where a library is missing, or the file or its server cannot be reached."""
+    if isinstance(error, (LogError, VehicleError)):
+        with suppress(RotorwatchError), fetched(log) as path, _readable(log):
+            store.refuse(fingerprint(path)[1], full(log), how, str(error))
+
+
+def _before(store: Store, log: Path | str, paths: Set[str], how: str) -> Outcome | None:
     """What becomes of a log without being judged; None: nothing. A log behind an address that is not among `paths`, those in the store, is
-    fetched once, by who judges it."""
+    fetched once, by who judges it. how: `_given`; empty for a log that is tried again."""
     if is_address(log) and full(log) not in paths:
         return None
     try:
         with fetched(log) as path, _readable(log):
-            return Outcome(log, "known") if store.has(fingerprint(path)[1]) else None
+            hash = fingerprint(path)[1]
+        if store.has(hash):
+            return Outcome(log, "known")
+        why = how and store.refused(hash, how)
+        return Outcome(log, "refused", text=why) if why else None
     except StoreError:
         raise
     except RotorwatchError as why:
@@ -149,7 +175,7 @@ def follow(
             for path, mark in _files(folders):
                 if settled.get(path) != mark and seen.get(path) == mark:
                     if is_log(path):
-                        told, _ = add(store, [path], aircraft, vehicle, tell, jobs=1)
+                        told, _ = add(store, [path], aircraft, vehicle, tell, jobs=1, insist=False)
                         new |= any(one.state == "added" for one in told)
                     settled[path] = mark
                 seen[path] = mark

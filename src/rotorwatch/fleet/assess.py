@@ -7,6 +7,7 @@ shown, and named among those left out.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.engine.front.decisions import DAMAGED, MENTIONED
-from rotorwatch.fleet import explain, false_discovery, listing, prognosis, scatter
+from rotorwatch.fleet import condition, explain, false_discovery, listing, prognosis, scatter
 from rotorwatch.fleet.explain import CENTRE, STEP, WORN, Found, Series
 from rotorwatch.fleet.store import Store
 from rotorwatch.methods.maths import multivariate_t as student
@@ -27,9 +28,6 @@ BETWEEN = 2.0  # aircraft of a build differ by so many times what flights of one
 LAGS = 3  # flights, over which what is left may hang together
 # Of Student's t: how much less a flight says than its scale suggests.
 INFLATION = (scatter.NU + 5.0) / (scatter.NU + 3.0)
-
-
-URGENT = {"damaged": 0, "worn": 1, "suspect": 2}
 
 
 @dataclass(frozen=True)
@@ -234,12 +232,21 @@ def _unknown(one: History) -> dict:
         "prognosis": None,
     }
     rotors = [{"rotor": k} | rotor for k in range(1, max((r["rotors"] for r in one.rows), default=0) + 1)]
-    headline = "No flight with enough steady hover to judge its rotors over time."
-    return _frame(one, 0) | {"headline": headline, "worst": 0.0, "rotors": rotors, "changes": []}
+    why = Counter(one.left_out).most_common(1)[0][0]
+    headline = f"Its rotors are not judged over time: no flight can be used ({why})."
+    return _standing_of(one, 0, headline, {"worst": 0.0, "rotors": rotors, "changes": []})
 
 
-def _frame(one: History, sisters: int) -> dict:
+def _standing_of(one: History, sisters: int, headline: str, table: Mapping) -> dict:
+    """The standing whose rotors are in `table`: with the state of the aircraft, its last flight and what its flights were judged."""
+    since = max((k for k, _, _ in one.services), default=0)
+    verdicts = [r["verdict"] for r in one.rows]
+    fell = [bool(r["trim"].get("lost")) for r in one.rows]
+    last = {name: one.rows[-1][name] for name in ("hash", "name", "utc", "verdict")}
     return {
+        "state": condition.of(verdicts[since:], fell[since:], [r["status"] for r in table["rotors"]]),
+        "headline": " ".join(filter(None, (condition.flights(verdicts[since:], fell[since:]), headline))),
+        "last": last,
         "flights": len(one.rows),
         "used": int(one.use.sum()),
         "hours": round(float(one.ended[-1]), 4) if len(one.ended) else 0.0,
@@ -250,14 +257,14 @@ def _frame(one: History, sisters: int) -> dict:
             {"before_flight": k + 1, "rotor": r + 1, "what": s["what"], "utc": s["utc"] or None}
             for k, r, s in one.services
         ],
-    }
+    } | dict(table)
 
 
 def _standing(one: History, series: Series, found: Found, sisters: int, named: list[bool]) -> dict:
     rotors = [_rotor(one, series, found, i, named[i]) for i in range(len(found.now))]
     changes = [_change(one, found, k) for k in range(len(found.atoms))]
-    table = _frame(one, sisters) | {"worst": _round(found.evidence.max()), "rotors": rotors, "changes": changes}
-    return table | {"headline": _headline(table)}
+    table = {"worst": _round(found.evidence.max()), "rotors": rotors, "changes": changes}
+    return _standing_of(one, sisters, _headline(table), table)
 
 
 def _rotor(one: History, series: Series, found: Found, i: int, named: bool) -> dict:
@@ -325,17 +332,6 @@ def _size(atom: Any, value: np.ndarray, found: Found) -> Any:
     if atom.kind != STEP:
         return value.tolist() if atom.kind == CENTRE else float(value[0])
     return float(np.copysign(explain.loss(abs(value[0]), len(found.now)), value[0]))
-
-
-def by_urgency(aircraft: Iterable[Mapping]) -> list[Mapping]:
-    """Aircraft as `Store.aircraft` gives them, those first whose rotors need attention."""
-
-    def urgency(a: Mapping) -> tuple:
-        standing = a["standing"] or {}
-        worst = min((URGENT.get(r["status"], len(URGENT)) for r in standing.get("rotors", ())), default=len(URGENT))
-        return worst, -float(standing.get("worst") or 0.0), a["name"]
-
-    return sorted(aircraft, key=urgency)
 
 
 def _headline(table: Mapping) -> str:

@@ -11,6 +11,7 @@ from datetime import datetime, timedelta, timezone
 from typing import Any
 
 from rotorwatch.answer.wording import VERDICTS
+from rotorwatch.base.choices import meant
 from rotorwatch.base.files import one_line
 from rotorwatch.errors import ConfigError, NotInStore
 from rotorwatch.fleet.summary import GRAVITY
@@ -61,7 +62,9 @@ def condition(db: Any, wanted: Filters) -> tuple[str, dict[str, Any]]:
         add(f"(f.words LIKE :word{k} ESCAPE '/' OR lower(a.name) LIKE :word{k} ESCAPE '/')", **{f"word{k}": like})
     if verdicts := dict.fromkeys(filter(None, re.split(r"[\s,]+", wanted.verdict.lower()))):
         if unknown := [one for one in verdicts if one not in VERDICTS]:
-            raise ConfigError(f"verdict {_quoted(unknown[0])}: choose from {', '.join(VERDICTS)}.")
+            raise ConfigError(
+                f"verdict {_quoted(unknown[0])}{meant(unknown[0], VERDICTS)}: choose from {', '.join(VERDICTS)}."
+            )
         names = {f"verdict{k}": one for k, one in enumerate(verdicts)}
         add(f"f.verdict IN ({', '.join(f':{name}' for name in names)})", **names)
     if wanted.since:
@@ -80,7 +83,8 @@ def order(sort: str) -> str:
     by their dates in the same direction, of one name or aircraft the newest first; those of no aircraft stand last. Raises ConfigError."""
     name, falls = sort.removeprefix("-"), sort.startswith("-")
     if name not in ORDERS:
-        raise ConfigError(f"sort {_quoted(sort)}: choose from {', '.join(ORDERS)}; - before it turns the order around.")
+        known = f"{meant(name, ORDERS)}: choose from {', '.join(ORDERS)}"
+        raise ConfigError(f"sort {_quoted(sort)}{known}; - before it turns the order around.")
     way = " DESC" if falls else ""
     if name in ("aircraft", "name"):
         return f"{ORDERS[name]}{way}, f.utc DESC, f.ordinal DESC"

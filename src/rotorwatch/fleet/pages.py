@@ -8,9 +8,8 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 
-from rotorwatch.answer.wording import listed
 from rotorwatch.base import files
-from rotorwatch.fleet.assess import FELL, by_urgency
+from rotorwatch.fleet.condition import by_urgency
 from rotorwatch.fleet.store import Store
 
 WIDTH, HEIGHT, LEFT, TOP, BOTTOM = 860, 120, 46, 8, 20
@@ -20,8 +19,13 @@ body { font: 15px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto
 table { border-collapse: collapse; width: 100%; } th, td { text-align: left; padding: .3rem .6rem; border-bottom: 1px solid var(--line); }
 td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; }
 svg { width: 100%; height: auto; display: block; } svg text { font: 11px system-ui, sans-serif; fill: currentColor; }
-.worn, .damaged { color: var(--bad); font-weight: 600; } .suspect { color: var(--doubt); font-weight: 600; } .healthy { color:
+.fault, .worn, .damaged { color: var(--bad); font-weight: 600; } .suspect { color: var(--doubt); font-weight: 600; } .healthy { color:
 var(--good); } .lead { font-size: 1.15rem; }
+body { overflow-wrap: anywhere; } .not-judged { color: inherit; }
+@media (max-width: 40rem) { body { margin: 1rem auto; } .more { display: none; } table, thead, tbody { display: block; }
+tr { display: grid; grid-template-columns: 1fr auto auto auto; border-bottom: 1px solid var(--line); }
+th, td { border: 0; padding: .2rem .3rem; }
+td:last-child, th:last-child { grid-column: 1 / -1; } }
 """
 
 
@@ -49,26 +53,26 @@ def _put(path: Path, text: str) -> Path:
 
 
 def _page(title: str, body: str) -> str:
-    head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{escape(title)}</title><style>{STYLE}</style>'
+    view = '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
+    head = f"{view}<title>{escape(title)}</title><style>{STYLE}</style>"
     return f'<!doctype html><html lang="en"><head>{head}</head><body><main><h1>{escape(title)}</h1>{body}</main></body></html>\n'
 
 
 def _index(aircraft: Sequence[Mapping]) -> str:
     rows = []
     for a in aircraft:
-        said = a["standing"]["headline"] if a["standing"] else "Not worked out yet."
-        states = {r["status"] for r in (a["standing"] or {}).get("rotors", ())}
-        kind = next((k for k in ("damaged", "worn", "suspect") if k in states), "healthy")
-        fell = [o["name"] for o in (a["standing"] or {}).get("left_out", ()) if o["why"] == FELL]
-        if fell:  # whatever the other flights say of its rotors
-            kind = "suspect" if kind == "healthy" else kind
-            said += f" Control was lost in {listed(fell)}."
+        standing = a["standing"] or {}
+        said = standing.get("headline", "Not worked out yet.")
+        last = (standing.get("last") or {}).get("verdict", "-")
         rows.append(
-            f'<tr><td><a href="{_file(a)}">{escape(a["name"])}</a></td><td class="n">{a["flights"]}</td>'
-            f'<td class="n">{a["airborne_s"] / 3600:.1f}</td><td>{escape((a["last"] or "-")[:10])}</td>'
-            f'<td class="{kind}">{escape(said)}</td></tr>'
+            f'<tr><td><a href="{_file(a)}">{escape(a["name"])}</a></td><td class="{a["state"].replace(" ", "-")}">{a["state"]}</td>'
+            f'<td class="n">{a["flights"]}</td><td class="n more">{a["airborne_s"] / 3600:.1f}</td>'
+            f'<td class="more">{escape((a["last"] or "-")[:10])}</td><td>{escape(last)}</td><td>{escape(said)}</td></tr>'
         )
-    head = '<tr><th>aircraft</th><th class="n">flights</th><th class="n">hours</th><th>last flight</th><th>how its rotors stand</th></tr>'
+    head = (
+        '<tr><th>aircraft</th><th>state</th><th class="n">flights</th><th class="n more">hours</th><th class="more">last flight</th>'
+        "<th>last verdict</th><th>how it stands</th></tr>"
+    )
     return _page("Fleet", f"<table><thead>{head}</thead><tbody>{''.join(rows)}</tbody></table>")
 
 

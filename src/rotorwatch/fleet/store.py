@@ -14,7 +14,7 @@ from typing import Any
 
 from rotorwatch.base import optional
 from rotorwatch.errors import ConfigError, NotInStore, StoreError
-from rotorwatch.fleet import listing, summary
+from rotorwatch.fleet import condition, listing, summary
 from rotorwatch.fleet.address import data_file
 from rotorwatch.fleet.reports import Reports
 
@@ -44,11 +44,12 @@ NEEDED = """SELECT 1 WHERE EXISTS (SELECT 1 FROM flights WHERE aircraft = :key)
     OR EXISTS (SELECT 1 FROM services WHERE aircraft = :key)
     OR (SELECT count(*) FROM identities WHERE aircraft = :key) > 1"""
 FIELDS = (  # of an aircraft
-    "key name identities flights first last airborne_s frame rotors build firmware verdicts standing stale".split()
+    "key name identities flights first last airborne_s frame rotors build firmware verdicts new state standing stale".split()
 )
-# Where flights were deleted, no new one gets a number that a service has seen.
+# Where flights were deleted, no new one gets a number that a service or a look at the list has seen.
 LAST = """SELECT max(last) FROM (SELECT coalesce(max(ordinal), 0) AS last FROM flights
-    UNION ALL SELECT coalesce(max(after), 0) FROM services) numbers"""
+    UNION ALL SELECT coalesce(max(after), 0) FROM services
+    UNION ALL SELECT coalesce(max(CAST(value AS INTEGER)), 0) FROM meta WHERE key = 'looked') numbers"""
 ALL = 1 << 62  # rows: more than there can be
 
 
@@ -226,6 +227,20 @@ class Store:
             for key, one in sorted(found.items()):
                 db.insert("standings", aircraft=key, seen=seen, standing=_json(one), points=_json(points.get(key, {})))
 
+    def look(self) -> None:
+        """Note that somebody has seen the list of aircraft: flights that come from now on are new at the next look."""
+        with self._database.writing() as db:
+            last = db.value("SELECT coalesce(max(ordinal), 0) FROM flights")
+            db.run("DELETE FROM meta WHERE key = 'looked'")
+            db.insert("meta", key="looked", value=str(last))
+
+    def refuse(self, hash: str, path: str, given: str, why: str) -> None:
+        """Remember that a file cannot be judged. given: what it was judged with, apart from its bytes; why: the sentence."""
+        row = {"hash": hash, "path": path, "given": given, "why": why}
+        with self._database.writing() as db:
+            db.run("DELETE FROM refused WHERE hash = :hash", hash=hash)
+            db.insert("refused", **{k: listing.text(v) for k, v in row.items()})
+
     # Reading
 
     def flights(
@@ -264,29 +279,38 @@ class Store:
         with self._database.reading() as db:
             return bool(db.value("SELECT hash FROM flights WHERE hash = :hash", hash=hash))
 
-    def paths(self) -> set[str]:
-        """Paths and addresses of all logs in the store."""
+    def refused(self, hash: str, given: str) -> str:
+        """Why a file with these bytes could not be judged with the same (`refuse`); empty where that is not known."""
         with self._database.reading() as db:
-            return {row["path"] for row in db.rows("SELECT path FROM flights")}
+            return (
+                db.value("SELECT why FROM refused WHERE hash = :hash AND given = :given", hash=hash, given=given) or ""
+            )
+
+    def paths(self) -> set[str]:
+        """Paths and addresses of all logs in the store, and of files that could not be judged."""
+        with self._database.reading() as db:
+            return {row["path"] for row in db.rows("SELECT path FROM flights UNION SELECT path FROM refused")}
 
     def aircraft(self) -> list[dict]:
         """All aircraft in the order in which they came: key, name, identities, flights, first and last utc (or None), frame, rotors, build,
-        airborne_s, verdicts (how many of each), standing (or None; `stale` when flights came since)."""
+        airborne_s, verdicts (how many of each), new (those since the last `look`; none before the first), state (one of
+        `condition.STATES`), standing (or None; `stale` when flights came since)."""
         with self._database.reading() as db:
             total = _state(db)
             rows = [dict(row) for row in db.rows(AIRCRAFT)]
-            verdicts: dict[str, dict[str, int]] = {}
-            ask = "SELECT aircraft, verdict, count(*) AS many FROM flights GROUP BY aircraft, verdict ORDER BY verdict"
-            for row in db.rows(ask):
-                verdicts.setdefault(row["aircraft"], {})[row["verdict"]] = row["many"]
+            verdicts, new = _verdicts(db, 0), {}
+            if looked := db.value("SELECT value FROM meta WHERE key = 'looked'"):
+                new = _verdicts(db, int(looked))
             known: dict[str, list[str]] = {}
             for row in db.rows("SELECT identity, aircraft FROM identities ORDER BY identity"):
                 known.setdefault(row["aircraft"], []).append(row["identity"])
         for row in rows:
             row |= {"identities": known.get(row["key"], []), "verdicts": verdicts.get(row["key"], {})}
+            row["new"] = new.get(row["key"], {})
             row |= {"airborne_s": float(row["airborne_s"]), "last": row["last"] or None}
             row["stale"] = row.pop("seen") != total
             row["standing"] = json.loads(row["standing"]) if row["standing"] else None
+            row["state"] = condition.state(row["standing"], row["verdicts"])
         return [{name: row[name] for name in FIELDS} for row in rows]
 
     def find(self, aircraft: str) -> dict:
@@ -362,6 +386,16 @@ def _aircraft_of(db: Any, identity: str, called: str) -> str | None:
     db.insert("aircraft", key=key, name=name, ordinal=last + 1)
     db.insert("identities", identity=identity, aircraft=key)
     return key
+
+
+def _verdicts(db: Any, after: int) -> dict[str, dict[str, int]]:
+    """How many flights of each aircraft have which verdict, of those with a larger number."""
+    found: dict[str, dict[str, int]] = {}
+    where = "WHERE ordinal > :after" if after else ""  # of all flights the index alone is read
+    ask = f"SELECT aircraft, verdict, count(*) AS many FROM flights {where} GROUP BY aircraft, verdict ORDER BY verdict"
+    for row in db.rows(ask, **({"after": after} if after else {})):
+        found.setdefault(row["aircraft"], {})[row["verdict"]] = row["many"]
+    return found
 
 
 def _services_of(db: Any, key: str) -> int:

@@ -117,6 +117,11 @@ standings = sa.Table(
     _column("points"),
 )
 
+# Files that could not be judged. given: the version that tried, and what it was given besides the file; why: the sentence.
+refused = sa.Table(
+    "refused", metadata, _column("hash", primary_key=True), *(_column(name) for name in ("path", "given", "why"))
+)
+
 
 def _add(*tables: sa.Table) -> Callable[[Any], None]:
     """A step that adds tables."""
@@ -148,6 +153,12 @@ def _rank_again(connection: Any) -> None:
     gravity.create(connection)
 
 
+def _remember_refused(connection: Any) -> None:
+    """Files that could not be judged. Standings say more of an aircraft since then, and are to be worked out again."""
+    metadata.create_all(connection, tables=[refused])
+    connection.execute(sa.update(standings).values(seen=-1))
+
+
 def _worked_out(text: str) -> dict[str, Any]:
     try:
         told = json.loads(text)
@@ -161,6 +172,7 @@ STEPS = (
     _add(standings),
     _add_losses,
     _rank_again,
+    _remember_refused,
 )
 """Step k makes version k + 1 of version k. Steps are never changed once stores were made with them."""
 

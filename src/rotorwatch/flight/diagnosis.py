@@ -53,7 +53,7 @@ class RotorState:
     failed (lost most), suspect (one of several explanations, or evidence that no event explains) or unobservable. place: in words.
     since_takeoff: 95 % interval of the change since take-off, where that was judged. from_takeoff: not judged, healthy,
     bounded (by what healthy vehicles of any build are like), suspect or damaged. note: what happened to it, in a few words. grade: of the
-    interval of the loss, or of its change since take-off where no more was judged: healthy, worn, degraded, critical, failed, two of
+    interval of the loss, or of its change since take-off where no more was judged: healthy, worn, weak, critical, failed, two of
     them, or not judged. trend: None where nothing can be said of it.
     """
 

@@ -44,6 +44,7 @@ import numpy as np
 
 from rotorwatch.base import optional
 from rotorwatch.base.arrays import median
+from rotorwatch.base.choices import meant
 from rotorwatch.base.files import printable
 from rotorwatch.errors import ConfigError
 
@@ -232,9 +233,8 @@ class Flight:
     def to_pandas(self, name: str):
         """A signal as a pandas DataFrame (`Signal.to_pandas`). Raises ConfigError for a signal that the log does not hold."""
         if name not in self.signals:
-            raise ConfigError(
-                f"{self.name or 'the flight'} has no signal {name}; it has {', '.join(sorted(self.signals)) or 'none'}."
-            )
+            whose, held = self.name or "the flight", ", ".join(sorted(self.signals)) or "none"
+            raise ConfigError(f"{whose} has no signal {name}{meant(name, self.signals)}; it has {held}.")
         return self.signals[name].to_pandas()
 
     def to_dict(self) -> dict[str, Any]:

@@ -1,8 +1,7 @@
 """The kinds of events, one row each: what is said of them, what they mean for a rotor, and for how long.
 
-Everybody who asks what an event means asks this table, so that a new kind is a row here and the place that finds it. The order of the rows
-numbers them for compiled definitions (engine/front/events.py). A sentence is a template; `answer/wording.py` lists what may stand in its
-braces.
+Everybody who asks what an event means asks this table, so that a new kind is a row here and the place that finds it. A sentence is a
+template; `answer/wording.py` lists what may stand in its braces.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ REPORTED = "autopilot_report"
 EVIDENCE, FROM_TAKEOFF = "unexplained_evidence", "damage_from_takeoff"
 AT_LIMIT, HEAVY, UNEVEN = "outputs_at_limit", "little_thrust_left", "yaw_imbalance"
 STANDS_APART, EXHAUSTED = "output_stands_apart", "too_little_without_rotor"
+UNKNOWN = -1  # number of a kind that the table lacks
 
 
 class Weight(Enum):
@@ -63,13 +63,15 @@ _WATCH = Words("{noun} of {who} at {ago}{over}", nameless="{noun} at {ago}{over}
 
 
 class Kind(NamedTuple):
-    """name: in JSON. noun: in tables and titles. meaning: in a few words (docs/json.md). weight, span: see there. weakens: its rotors lack
-    a share of their thrust, its `loss`. by_outputs: it rests on outputs being what drives the motors, so that it is not said where they may
-    not be. brief: follows its rotors on a ground station's screen, in 30 letters. headline: for a pilot.
-    reason: of the verdict. began: how a loss of control began. now, past: what a rotor's note says while it holds, and after it; of an
-    event with several explanations, where `now` has no words for that, only its own rotors are suspects.
+    """number: in compiled definitions (engine/front/events.py) and on boards; a new kind takes the next one wherever its row stands, and no
+    number is ever given to another kind. name: in JSON. noun: in tables and titles. meaning: in a few words (docs/json.md). weight, span:
+    see there. weakens: its rotors lack a share of their thrust, its `loss`. by_outputs: it rests on outputs being what drives the motors,
+    so that it is not said where they may not be. brief: follows its rotors on a ground station's screen, in 30 letters. headline: for a
+    pilot. reason: of the verdict. began: how a loss of control began. now, past: what a rotor's note says while it holds, and after it; of
+    an event with several explanations, where `now` has no words for that, only its own rotors are suspects.
     advice: what to do. watch: a line on the screen while the vehicle flies."""
 
+    number: int
     name: str
     noun: str
     meaning: str = ""
@@ -114,21 +116,21 @@ class Kind(NamedTuple):
 _WRONG_WAY = "propellers or motors turn the wrong way round."
 
 
-def _notice(name: str, noun: str, meaning: str, verb: str, part: str) -> Kind:
+def _notice(number: int, name: str, noun: str, meaning: str, verb: str, part: str) -> Kind:
     """A kind that ESC telemetry alone shows. verb: what the motor does; part: what to look at."""
     why = "before the next flight: its ESC telemetry changed in flight, though no thrust was missed."
     past, advice = Words(f"{verb} since {{at}}"), Words(f"Look at {part} {{who}} {why}")
-    return Kind(name, noun, meaning, Weight.NOTICE, brief=verb, headline=Words(verb), past=past, advice=advice)
+    return Kind(number, name, noun, meaning, Weight.NOTICE, brief=verb, headline=Words(verb), past=past, advice=advice)
 
 
-def _setup(name: str, noun: str, meaning: str, brief: str, advice: str) -> Kind:
+def _setup(number: int, name: str, noun: str, meaning: str, brief: str, advice: str) -> Kind:
     """A kind that outputs show of how a vehicle is built, loaded and set up: of no rotor, and its number is in its reason."""
-    return Kind(name, noun, meaning, Weight.NOTICE, brief=brief, headline=Words("{Why}."), advice=Words(advice))
+    return Kind(number, name, noun, meaning, Weight.NOTICE, brief=brief, headline=Words("{Why}."), advice=Words(advice))
 
 
 ROWS = (
     Kind(
-        LOSS, "loss of effectiveness", "a rotor lost effectiveness", Weight.FAULT, Span.LASTS, weakens=True,
+        0, LOSS, "loss of effectiveness", "a rotor lost effectiveness", Weight.FAULT, Span.LASTS, weakens=True,
         headline=Words("{who} {lost} {when}{until}{cause}{again}.", "Something lost thrust at {at}: {candidates}."),
         reason="{plain_who} {lost_effect} {when}{comma_until}: {why}",
         began=Words("At {at} {who} {lost}{over}.", "At {at} something lost thrust: {candidates}."),
@@ -138,7 +140,7 @@ ROWS = (
         watch=Words("{who} {lacks} since {ago}{over}{others}"),
     ),
     Kind(
-        OVERRIDE, "output overridden", "an output does not follow the mixer: stuck, off, replaced", Weight.FAULT, Span.LASTS,
+        1, OVERRIDE, "output overridden", "an output does not follow the mixer: stuck, off, replaced", Weight.FAULT, Span.LASTS,
         headline=Words("The output of {who} stopped following the mixer at {at}{until}{again}."),
         began=Words("At {at} the output of {candidates} stopped following the mixer{over}."),
         now=Words("its output has not followed the mixer since {at}"),
@@ -149,18 +151,18 @@ ROWS = (
         ),
     ),
     Kind(
-        CONTACT, "knock or contact", "a knock, a collision, contact with the ground", Weight.OUTSIDE, Span.MOMENT, by_outputs=False,
+        2, CONTACT, "knock or contact", "a knock, a collision, contact with the ground", Weight.OUTSIDE, Span.MOMENT, by_outputs=False,
         advice=Words("Look the vehicle over for damage: it was knocked at {all_times}."),
     ),
     Kind(
-        LOST, "loss of control", "the vehicle left what was wanted and did not come back", Weight.UPSET, Span.STAYS,
+        3, LOST, "loss of control", "the vehicle left what was wanted and did not come back", Weight.UPSET, Span.STAYS,
         by_outputs=False, brief="LOSS OF CONTROL",
         headline=Words("The vehicle left control at {at}."),
         now=Words("may be why control was lost at {at}"),
         watch=Words("{noun} at {ago}, {who}{others}: {lost_why}", nameless="{noun} at {ago}{others}: {lost_why}"),
     ),
     Kind(
-        ORDER, "motors in the wrong order", "outputs go to the wrong motors, or yaw is reversed", Weight.FAULT, Span.STAYS,
+        4, ORDER, "motors in the wrong order", "outputs go to the wrong motors, or yaw is reversed", Weight.FAULT, Span.STAYS,
         brief="in the wrong order",
         headline=Words(
             "The outputs of motors {numbers} go to each other's motor.", "Something lost thrust at {at}: {candidates}.",
@@ -180,7 +182,7 @@ ROWS = (
         ),
     ),
     Kind(
-        DESYNC, "motor lost step", "a motor lost step for moments: commanded up, it gave nothing for 30 to 500 ms and came back",
+        5, DESYNC, "motor lost step", "a motor lost step for moments: commanded up, it gave nothing for 30 to 500 ms and came back",
         Weight.FAULT, Span.SPELLS, brief="lost step",
         headline=Words("{motors} desynced {times} at {at}{stopped}."),
         past=Words("desynced at {at}{in_all}", "may have desynced at {at}{in_all}"),
@@ -190,21 +192,23 @@ ROWS = (
         ),
     ),
     _notice(
-        SLOW, "motor slower than commanded", "a motor turns slower than commanded, by its ESC telemetry", "turns slower than commanded",
+        6, SLOW, "motor slower than commanded", "a motor turns slower than commanded, by its ESC telemetry", "turns slower than commanded",
         "motor, ESC, their connectors and supply wires of",
     ),
     _notice(
-        HIGH, "motor draws more current", "more current at the same speed than before: a bearing", "draws more current than before",
+        7, HIGH, "motor draws more current", "more current at the same speed than before: a bearing", "draws more current than before",
         "the motor bearings of",
     ),
     _notice(
-        LOW, "motor draws less current", "less current at the same speed than before: a propeller", "draws less current than before",
+        8, LOW, "motor draws less current", "less current at the same speed than before: a propeller", "draws less current than before",
         "the propeller of",
     ),
     Kind(
-        TURNED, "turned motor mount", "the vehicle needs more yaw than before: a motor mount or an arm has turned", Weight.NOTICE,
+        9, TURNED, "turned motor mount", "the vehicle needs more yaw than before: a motor mount or an arm has turned", Weight.NOTICE,
         brief="a mount turned",
-        headline=Words("sits on a mount that has turned", nameless="A motor mount or an arm seems to have turned: {why}."),
+        headline=Words(
+            "sits on a mount that has turned", nameless="A motor mount or an arm seems to have turned, and yaws the vehicle: {why}."
+        ),
         past=Words("its mount has turned at {at}"),
         advice=Words(
             "Look at the mount and the arm of {who} before the next flight.",
@@ -212,37 +216,38 @@ ROWS = (
         ),
     ),
     Kind(
-        REPORTED, "report of the autopilot", "what the autopilot itself reported in flight: battery, radio, position, estimator, ...",
+        10, REPORTED, "report of the autopilot", "what the autopilot itself reported in flight: battery, radio, position, estimator, ...",
         Weight.NOTICE, by_outputs=False, brief="reported trouble",
         headline=Words("", nameless="At {at} {why}."), watch=Words("{noun} of {who} at {ago}", nameless="{noun} at {ago}: {why}"),
         advice=Words("", nameless="At {at} {why}: find out why before the next flight."),
     ),
     _setup(
-        AT_LIMIT, "outputs at their limit", "outputs stood at their limit for long", "outputs at their limit",
+        11, AT_LIMIT, "outputs at their limit", "outputs stood at their limit for long", "outputs at their limit",
         "Give the vehicle more room: less weight, a fresh battery, less wind, gentler climbs. Where only some motors stand at their limit, "
         "look for a load off the middle and for twisted mounts.",
     ),
     _setup(
-        HEAVY, "little thrust left", "hover takes nearly all of the thrust: too heavy, or a weak battery", "little thrust left",
+        12, HEAVY, "little thrust left", "hover takes nearly all of the thrust: too heavy, or a weak battery", "little thrust left",
         "Take weight off, charge the battery, or fit stronger motors before the next flight: a vehicle should lift twice its weight.",
     ),
     _setup(
-        UNEVEN, "yaw imbalance", "rotors of one sense of rotation work harder since take-off: twisted mounts", "yaw imbalance",
+        13, UNEVEN, "yaw imbalance", "rotors of one sense of rotation work harder since take-off: twisted mounts", "yaw imbalance",
         "Set every motor upright, and look for twisted arms; then compare propellers and ESC end points of both senses of rotation.",
     ),
     _setup(
-        STANDS_APART, "output apart from the others", "an output stands off its place in the mixer since take-off: ESC end points",
+        14, STANDS_APART, "output apart from the others", "an output stands off its place in the mixer since take-off: ESC end points",
         "output apart",
         "Calibrate the end points of all ESCs alike. If it stays, exchange this motor's propeller, and then the motor, with another one's, "
         "and see whether it moves along.",
     ),
     _setup(
-        EXHAUSTED, "too little without a rotor", "a vehicle sank without a rotor, for the others did not carry it", "others at their limit",
+        15, EXHAUSTED, "too little without a rotor", "a vehicle sank without a rotor, for the others did not carry it",
+        "others at their limit",
         "Fly this vehicle lighter if it is to stay up without a rotor: `rotorwatch survive` says how heavy it may be.",
     ),
-    Kind(EVIDENCE, "unexplained evidence", "evidence against rotors that no event explains", Weight.OPEN, Span.SPELLS),
+    Kind(16, EVIDENCE, "unexplained evidence", "evidence against rotors that no event explains", Weight.OPEN, Span.SPELLS),
     Kind(
-        FROM_TAKEOFF, "damage from take-off", "the balance of commands is unlike that of healthy flights or vehicles",
+        17, FROM_TAKEOFF, "damage from take-off", "the balance of commands is unlike that of healthy flights or vehicles",
         Weight.OPEN, Span.STAYS,
     ),
 )  # fmt: skip
@@ -251,9 +256,9 @@ TABLE = {row.name: row for row in ROWS}
 
 def kind_of(name: str) -> Kind:
     """The row of a kind; of one that this version does not know, its name in words."""
-    return TABLE.get(name) or Kind(name, name.replace("_", " "))
+    return TABLE.get(name) or Kind(UNKNOWN, name, name.replace("_", " "))
 
 
 def number(name: str) -> int:
     """The number of a kind of the table in compiled definitions."""
-    return list(TABLE).index(name)
+    return TABLE[name].number

@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.base import files
+from rotorwatch.base.choices import meant
 from rotorwatch.errors import ConfigError, VehicleError
 from rotorwatch.flight.vehicle import Rotor, ThrustCurve, Vehicle
 
@@ -62,7 +63,7 @@ def from_table(table: Mapping[str, Any]) -> Vehicle:
     """The vehicle of a parsed TOML table. Raises VehicleError naming the field that is missing or wrong."""
     for key in table:
         if key not in KNOWN:
-            raise VehicleError(f"unknown field {key}; known are {', '.join(sorted(KNOWN))}.")
+            raise VehicleError(f"unknown field {key}{meant(key, KNOWN)}; known are {', '.join(sorted(KNOWN))}.")
     rows = table.get("rotors")
     if not isinstance(rows, list) or not 3 <= len(rows) <= 32:
         raise VehicleError("rotors must be a list of 3 to 32 [[rotors]] tables.")

@@ -127,14 +127,17 @@ def of_part(path) -> tuple[Path, int | None]:
 
 def fingerprint(path) -> tuple[int, str]:
     """(size in bytes, SHA-256 in hexadecimal) of a log: of a file its bytes; of a folder name, size and bytes of each file in order; of a
-    flight in a file its number, too. Raises OSError."""
+    flight in a file its number, too. Raises OSError, and LogError for a pipe, a socket or a device."""
     import hashlib
+
+    from rotorwatch.logs.container import ordinary
 
     path, number = of_part(path)
     folder, total, digest = path.is_dir(), 0, hashlib.sha256()
     if number is not None:
         digest.update(f"#{number}".encode())
     for file in sorted(f for f in path.iterdir() if f.is_file()) if folder else [path]:
+        ordinary(file)
         size = file.stat().st_size
         if folder:
             digest.update(f"{file.name}\n{size}\n".encode("utf-8", "surrogateescape"))

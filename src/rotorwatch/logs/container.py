@@ -45,6 +45,12 @@ class _Gzip:
     needs_input = property(lambda self: not self._rest)
 
 
+def ordinary(path: Path) -> None:
+    """Raises LogError for a pipe, a socket or a device, which to open may wait for ever; OSError where nothing is."""
+    if not path.is_file() and not path.is_dir() and path.stat():
+        raise LogError(f"{path}: is a pipe, a socket or a device, not a file; give a flight log")
+
+
 def open_log(path: Path, progress=None, limit: int = incoming.MOST):
     """The content of a log file: (bytes-like data, name without the compression suffix, list of warnings).
 
@@ -52,6 +58,7 @@ def open_log(path: Path, progress=None, limit: int = incoming.MOST):
     Raises LogError when the file is missing, unreadable, empty, or holds, unpacked or as it is, more than `limit` bytes.
     """
     try:
+        ordinary(path)
         with path.open("rb") as file:
             size = path.stat().st_size
             if size == 0:
@@ -89,8 +96,10 @@ def too_much(limit: int, where: str = "") -> LogError:
 
 def head(path: Path, count: int) -> tuple[bytes, str]:
     """The first `count` bytes of what a log file holds, unpacked, and its name without the compression suffix; no bytes where it cannot
-    be opened or unpacked."""
+    be opened or unpacked, and of a pipe."""
     try:
+        if not path.is_file():
+            return b"", path.name
         with path.open("rb") as file:
             data = file.read(_HEAD)
         for magic, (suffix, decoder) in _MAGIC.items():

@@ -46,7 +46,7 @@ def read_folder(path: Path, progress=None) -> Flight:
 
     Raises LogError when the folder holds tables of several logs.
     """
-    files = {p: m for p in sorted(path.iterdir()) if (m := _TOPIC.fullmatch(p.name))}
+    files = {p: m for p in sorted(path.iterdir()) if p.is_file() and (m := _TOPIC.fullmatch(p.name))}
     logs = sorted({m["log"] or "" for m in files.values()})
     if len(logs) > 1:
         raise LogError(

@@ -132,7 +132,7 @@ def health(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
 
 
 def grade(state: RotorState) -> str:
-    """A rotor's grade in words: 'worn', 'at most worn', 'degraded or critical'; empty where it may be anything."""
+    """A rotor's grade in words: 'worn', 'at most worn', 'weak or critical'; empty where it may be anything."""
     least, _, most = state.grade.partition(" to ")
     if least == "not judged":
         return ""

@@ -5,7 +5,10 @@ The same functions as in the diagnosis decide whether the log can be judged.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import functools
+import operator
+import re
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from rotorwatch import airframes
@@ -25,24 +28,24 @@ from rotorwatch.flight.vehicle import Vehicle
 FAST_HZ, FAST_BLACKBOX_HZ = 50.0, 500.0
 MESSAGES_SHOWN = 40
 
-# What gives a signal on each autopilot. ArduPilot: LOG_BITMASK bits of ArduCopter/defines.h (MASK_LOG_*);
-# PX4: SDLOG_PROFILE bits of src/modules/logger (logged_topics.cpp). Anything else: the column to add.
+# What gives a signal on each autopilot; {10} of a setting is a bit (`_with_values`). ArduPilot: LOG_BITMASK bits of ArduCopter/defines.h
+# (MASK_LOG_*); PX4: SDLOG_PROFILE bits of src/modules/logger (logged_topics.cpp). Anything else: the column to add.
 _ARDUPILOT = {
-    "motors": "Set LOG_BITMASK bit 10 (motor outputs, RCOU, value 1024).",
-    "control": "Set LOG_BITMASK bit 1 (attitude and RATE at 10 Hz, value 2), better bit 0 (at loop rate, value 1).",
-    "gyro": "Set LOG_BITMASK bit 7 (IMU at 25 Hz, value 128), better bit 18 (IMU at loop rate, value 262144).",
-    "accel": "Set LOG_BITMASK bit 7 (IMU at 25 Hz, value 128), better bit 18 (IMU at loop rate, value 262144).",
-    "attitude": "Set LOG_BITMASK bit 1 (attitude at 10 Hz, value 2), better bit 0 (at loop rate, value 1).",
-    "battery": "Set LOG_BITMASK bit 9 (battery, value 512) and a battery monitor (BATT_MONITOR).",
-    "lift": "Set LOG_BITMASK bit 17 (motor battery compensation, MOTB, value 131072).",
+    "motors": "Set LOG_BITMASK{10} (motor outputs, RCOU).",
+    "control": "Set LOG_BITMASK{0} (attitude and RATE at loop rate; bit 1: at 10 Hz).",
+    "gyro": "Set LOG_BITMASK{18} (IMU at loop rate; bit 7: at 25 Hz).",
+    "accel": "Set LOG_BITMASK{18} (IMU at loop rate; bit 7: at 25 Hz).",
+    "attitude": "Set LOG_BITMASK{0} (attitude at loop rate; bit 1: at 10 Hz).",
+    "battery": "Set LOG_BITMASK{9} (battery) and a battery monitor (BATT_MONITOR).",
+    "lift": "Set LOG_BITMASK{17} (motor battery compensation, MOTB).",
 }
 _PX4 = {
-    "motors": "Set SDLOG_PROFILE bit 0 (default set, value 1): actuator_motors and actuator_outputs at 10 Hz.",
-    "control": "Set SDLOG_PROFILE bit 0 (default set, value 1): vehicle_torque_setpoint and vehicle_thrust_setpoint.",
-    "gyro": "Set SDLOG_PROFILE bit 0 (default set, value 1): vehicle_angular_velocity or sensor_combined.",
-    "accel": "Set SDLOG_PROFILE bit 0 (default set, value 1): vehicle_acceleration or sensor_combined.",
-    "attitude": "Set SDLOG_PROFILE bit 0 (default set, value 1): vehicle_attitude.",
-    "battery": "Set SDLOG_PROFILE bit 0 (default set, value 1): battery_status.",
+    "motors": "Set SDLOG_PROFILE{0} (default set): actuator_motors and actuator_outputs at 10 Hz.",
+    "control": "Set SDLOG_PROFILE{0} (default set): vehicle_torque_setpoint and vehicle_thrust_setpoint.",
+    "gyro": "Set SDLOG_PROFILE{0} (default set): vehicle_angular_velocity or sensor_combined.",
+    "accel": "Set SDLOG_PROFILE{0} (default set): vehicle_acceleration or sensor_combined.",
+    "attitude": "Set SDLOG_PROFILE{0} (default set): vehicle_attitude.",
+    "battery": "Set SDLOG_PROFILE{0} (default set): battery_status.",
 }
 _CRAZYFLIE = {"gyro": "Add gyro.x, gyro.y and gyro.z to config.txt on the memory card."}
 _BLACKBOX = {
@@ -57,12 +60,12 @@ _TELEMETRY = "Telemetry may not carry it; use the log that the autopilot wrote i
 _BAG = "Record its topic, and have the autopilot send it (docs/foxglove.md), or use the log that the autopilot wrote itself."
 _FASTER = {
     "ardupilot": {
-        "motors": "Set LOG_BITMASK bit 0 (RATE at loop rate, value 1): the commands are rebuilt from it.",
-        "gyro": "Set LOG_BITMASK bit 18 (IMU at loop rate, value 262144).",
+        "motors": "Set LOG_BITMASK{0} (RATE at loop rate): the commands are rebuilt from it.",
+        "gyro": "Set LOG_BITMASK{18} (IMU at loop rate).",
     },
     "px4": {
-        "motors": "Add SDLOG_PROFILE bit 4 (high rate, value 16): actuator_motors at full rate.",
-        "gyro": "Add SDLOG_PROFILE bit 4 (high rate, value 16): vehicle_angular_velocity at full rate.",
+        "motors": "Set SDLOG_PROFILE{4} (high rate): actuator_motors at full rate.",
+        "gyro": "Set SDLOG_PROFILE{4} (high rate): vehicle_angular_velocity at full rate.",
     },
     "blackbox": {
         "gyro": "Set blackbox_sample_rate to 1/4 or more; before Betaflight 4.3: blackbox_p_ratio, blackbox_rate_denom."
@@ -98,7 +101,7 @@ def info(flight: Flight, progress: Callable[[float], object] | None = None) -> d
     Returns schema, name, format, autopilot, firmware, vehicle_type, frame, rotors, duration_s; parameters: how many;
     airborne_s: [[start, end]]; signals: [{name, rate_hz, samples, columns, unit, frame, source, valid (share), start_s,
     end_s}]; messages, the notable ones: [{time_s, kind, text}]; ready: whether `diagnose` judges it;
-    missing: [{signal, why, setting, needed}]; warnings. docs/json.md has more on each.
+    missing: [{signal, why, setting, needed, present: it is there, and would show more faster}]; warnings. docs/json.md has more on each.
     """
     frame, warnings = _frame(flight)
     hops = _airborne(flight)
@@ -215,23 +218,45 @@ def _missing(flight: Flight, frame: str, stop: Obstacle | None) -> list[dict]:
         if _family(flight) == "blackbox" and max(rates) < 0.99 * FAST_BLACKBOX_HZ:
             gaps.append(
                 _gap(
-                    name, f"Gyro at {max(rates):.3g} Hz: short moments, as desyncs are, can be missed.", setting, False
+                    name,
+                    f"Gyro at {max(rates):.3g} Hz: short moments, as desyncs are, can be missed.",
+                    setting,
+                    False,
+                    True,
                 )
             )
         elif max(rates) < FAST_HZ:
             often = f"judged every {tick_length(max(rates)):g} s; faster logging finds a loss sooner"
-            gaps.append(_gap(name, f"{name.capitalize()} at {max(rates):.3g} Hz: {often}.", setting, False))
+            gaps.append(_gap(name, f"{name.capitalize()} at {max(rates):.3g} Hz: {often}.", setting, False, True))
     if stop and stop.what in _OBSTACLES:
         name, setting = _OBSTACLES[stop.what]
         # Of an unknown frame the whole sentence is among the warnings.
         unknown = stop.what == "frame" and not frame
         why = "The airframe is not known from this log." if unknown else stop.why
         gaps.append(_gap(name, why[:1].upper() + why[1:], setting, True))
-    return sorted(gaps, key=lambda gap: not gap["needed"])
+    return sorted(_with_values(flight, gaps), key=lambda gap: not gap["needed"])
 
 
-def _gap(signal: str, why: str, setting: str, needed: bool) -> dict:
-    return {"signal": signal, "why": why, "setting": setting, "needed": needed}
+def _with_values(flight: Flight, gaps: Sequence[dict]) -> list[dict]:
+    """Gaps whose settings name the whole new value of a parameter in place of a {bit}: what the log's parameter is, with the bits of all
+    gaps, so that who follows one does not undo another. Where the log does not have the parameter: what the bit adds."""
+
+    def filled(setting: str) -> str:
+        name = next((one for one in ("LOG_BITMASK", "SDLOG_PROFILE") if f"{one}{{" in setting), "")
+        if not name:
+            return setting
+        bits = [int(bit) for gap in gaps for bit in re.findall(rf"{name}{{(\d+)}}", gap["setting"])]
+        now = flight.parameters.get(name, -1.0)
+        if not (0.0 <= now < 2.0**31 and now == int(now)):
+            return re.sub(r"{(\d+)}", lambda bit: f" bit {bit[1]}, which adds {1 << int(bit[1])} to its value", setting)
+        whole = functools.reduce(operator.or_, (1 << bit for bit in bits), int(now))
+        return re.sub(r"{(\d+)}", rf" to {whole} (it is {int(now)}): bit \1", setting)
+
+    return [gap | {"setting": filled(gap["setting"])} for gap in gaps]
+
+
+def _gap(signal: str, why: str, setting: str, needed: bool, present: bool = False) -> dict:
+    return {"signal": signal, "why": why, "setting": setting, "needed": needed, "present": present}
 
 
 def _present(flight: Flight, name: str) -> bool:

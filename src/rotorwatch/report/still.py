@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.base import files, optional
+from rotorwatch.base.choices import meant
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.report import colours, figures, thinning, upset
@@ -24,7 +25,7 @@ def shows(diagnosis: Diagnosis, what: str = "auto") -> str:
     moment = bool(diagnosis.picture and diagnosis.picture.get("commands"))
     flight = diagnosis.trace is not None and diagnosis.trace.time.size > 1
     if what not in KINDS:
-        raise ConfigError(f"what: give one of {', '.join(KINDS)}.")
+        raise ConfigError(f"what: there is no {what!r}{meant(what, KINDS)}; give one of {', '.join(KINDS)}.")
     if what == "moment" and not moment:
         raise ConfigError("There is no moment to show: control was not lost, and no motor lost step.")
     if (what == "flight" and not flight) or not (moment or flight):

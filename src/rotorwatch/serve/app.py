@@ -15,6 +15,7 @@ from starlette.responses import HTMLResponse, JSONResponse, Response, StreamingR
 from starlette.routing import Route
 
 from rotorwatch import __version__
+from rotorwatch.base.choices import meant
 from rotorwatch.base.files import one_line
 from rotorwatch.errors import ConfigError, NotInStore, RotorwatchError
 from rotorwatch.fleet.compare import Comparison
@@ -113,7 +114,10 @@ async def _list(request: Request) -> Response:
     sort = query.pop("sort", "") or NEWEST
     query.pop("token", None)
     if unknown := sorted(query.keys() - FILTERS):
-        raise HTTPException(400, f"{one_line(unknown[0], 40)} is no filter; choose from {', '.join(FILTERS)}.")
+        raise HTTPException(
+            400,
+            f"{one_line(unknown[0], 40)} is no filter{meant(unknown[0], FILTERS)}; choose from {', '.join(FILTERS)}.",
+        )
     filters = {name: text[:MOST_LETTERS] for name, text in query.items()}
     rows = request.app.state.flights.rows
     try:

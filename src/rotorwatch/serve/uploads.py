@@ -123,18 +123,25 @@ class Uploads:
         return digest in self._logs
 
     async def take(self, encoded_name: str, length: int | None, body: AsyncIterator[bytes]) -> tuple[dict, bool]:
-        """(the flight of an upload, whether it is new). encoded_name: percent-encoded. length: as announced. Raises Refused."""
+        """(the flight of an upload, whether it is new). encoded_name: percent-encoded. length: as announced. The flight has the name of
+        this upload; `known_as` is that in the store, where the same bytes came before by another name. Raises Refused."""
         name, most = names.shown(encoded_name), self.limits.most
         if length is not None and length > most:
             await _drain(body)
             raise Refused(413, _too_large(name, most))
         try:
             async with self._place():
-                task = self._begin(await self._receive(name, body))
+                log = await self._receive(name, body)
+                task = self._begin(log)
+                first = self._logs[log.digest].name
         except asyncio.TimeoutError:
             await _drain(body)
             raise Refused(503, "Too many logs have been sent at once; try again in a minute.") from None
-        return await asyncio.shield(task)
+        try:
+            row, new = await asyncio.shield(task)
+        except Refused as why:
+            raise type(why)(why.code, str(why).replace(first, name)) from why
+        return row | {"name": name} | ({"known_as": row["name"]} if row["name"] != name else {}), new
 
     @asynccontextmanager
     async def _place(self) -> AsyncIterator[None]:

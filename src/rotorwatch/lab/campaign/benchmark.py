@@ -21,6 +21,7 @@ import numpy as np
 from rotorwatch import __version__, airframes
 from rotorwatch.base import discovery, files
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.base.choices import meant
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.campaign import batch, public_data, results_file, summary, work
 from rotorwatch.lab.campaign.benchmark_plan import Benchmark, digest, read, shipped
@@ -71,8 +72,9 @@ def selected_methods(names: Sequence[str]) -> list[Method]:
         elif ":" in name or name in discovery.names():
             found.append(_method(name, "estimator", discovery.estimator(name)))
         else:
-            known = ", ".join([*discovery.names(), *rules])
-            raise ConfigError(f"There is no method called {brief(name)}; known are {known}, and package.module:Class.")
+            known = [*discovery.names(), *rules]
+            said = f"There is no method called {brief(name)}{meant(name, known)}"
+            raise ConfigError(f"{said}; known are {', '.join(known)}, and package.module:Class.")
         twin = next((m for m in found[:-1] if m.name == found[-1].name), None)
         if twin:
             raise ConfigError(

@@ -21,6 +21,7 @@ import numpy as np
 
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.base.choices import meant
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.host import program
 from rotorwatch.engine.motion.ticks import LEARN
@@ -141,7 +142,7 @@ def run(
         if driver not in (NOBODY, TRUTH):
             discovery.estimator(driver)
     if by not in DRIVEN_BY:
-        raise ConfigError(f"by must be one of {', '.join(DRIVEN_BY)}, not {by}.")
+        raise ConfigError(f"by must be one of {', '.join(DRIVEN_BY)}, not {by}{meant(by, DRIVEN_BY)}.")
     for driver in drivers:
         _explains(driver, by)
     entered = replace(planned, text=f"{planned.text}\n# closed loop: {', '.join(drivers)}; by {by}\n")

@@ -53,6 +53,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch.base import discovery, files
+from rotorwatch.base.choices import meant
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.simulation import prepare, scenario
 from rotorwatch.lab.simulation.scenario import Scenario, brief, is_number, number, only_fields, whole
@@ -219,7 +220,9 @@ def from_table(table: Mapping[str, Any], text: str = "") -> Plan:
     if not faults and healthy < 1.0 and "healthy" in table:
         raise ConfigError("healthy is below 1, but there are no [[faults]] for the other flights.")
     if fields["judge"] not in JUDGES:
-        raise ConfigError(f"judge must be one of {', '.join(JUDGES)}, not {brief(fields['judge'])}.")
+        raise ConfigError(
+            f"judge must be one of {', '.join(JUDGES)}, not {brief(fields['judge'])}{meant(fields['judge'], JUDGES)}."
+        )
     rotors = _try_out(template, cells, faults)
     kinds = _kinds(fields["kinds"], template, cells)
     if fields["judge"] == "log" and (not kinds or estimators != ("default",) or rules):
@@ -446,5 +449,5 @@ def _names(name: str, values: Any, known: tuple[str, ...]) -> tuple[str, ...]:
         raise ConfigError(f"{name} must be a list of names, not {brief(values)}.")
     for value in values:
         if value not in known:
-            raise ConfigError(f"{name}: there is no {brief(value)}; known are {', '.join(known)}.")
+            raise ConfigError(f"{name}: there is no {brief(value)}{meant(value, known)}; known are {', '.join(known)}.")
     return tuple(dict.fromkeys(values))

@@ -33,6 +33,7 @@ from typing import Any, NamedTuple
 
 from rotorwatch import airframes
 from rotorwatch.base import files
+from rotorwatch.base.choices import meant
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.simulation import faults, trajectories
 
@@ -268,7 +269,9 @@ def _value(name: str, value: Any, field: Field) -> Any:
     """One value in the kind of its field. Raises ConfigError."""
     if field.choices:
         if value not in field.choices:
-            raise ConfigError(f"{name} must be one of {', '.join(field.choices)}, not {brief(value)}.")
+            raise ConfigError(
+                f"{name} must be one of {', '.join(field.choices)}, not {brief(value)}{meant(value, field.choices)}."
+            )
         return value
     if isinstance(field.default, bool):
         if not isinstance(value, bool):
@@ -291,7 +294,9 @@ def only_fields(table: Iterable[str], known: Collection[str], where: str = "", o
     """Raise ConfigError for the first key of a table that is none of its fields."""
     for key in table:
         if key not in known:
-            raise ConfigError(f"{where}{plain(key)} is not a field{of}; known are {', '.join(known)}.")
+            raise ConfigError(
+                f"{where}{plain(key)} is not a field{of}{meant(key, known)}; known are {', '.join(known)}."
+            )
 
 
 def brief(value: Any) -> str:

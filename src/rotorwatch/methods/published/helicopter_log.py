@@ -18,6 +18,7 @@ import numpy as np
 from rotorwatch import airframes
 from rotorwatch.base import discovery, files
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.base.choices import meant
 from rotorwatch.errors import ConfigError, LogError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.method_series import MethodSeries
@@ -146,9 +147,8 @@ def helicopter(airframe: str) -> dict[str, Any]:
         return files.toml(airframe, "airframe file")[0]
     if airframe not in airframes.papers() or "main" not in airframes.paper(airframe):
         known = [paper for paper in airframes.papers() if "main" in airframes.paper(paper)]
-        raise ConfigError(
-            f"There is no helicopter called {airframe!r}; known are {', '.join(known)}, and any airframe file (a name that ends in .toml)."
-        )
+        names = f"{', '.join(known)}, and any airframe file (a name that ends in .toml)"
+        raise ConfigError(f"There is no helicopter called {airframe!r}{meant(airframe, known)}; known are {names}.")
     return airframes.paper(airframe)
 
 

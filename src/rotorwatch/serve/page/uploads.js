@@ -95,7 +95,7 @@ function upload(file, item, text) {
       bar.remove();
       const answer = request.response;
       if (request.status === 200 || request.status === 201) {
-        done(`${SIGNS[answer.verdict] ?? answer.verdict}: ${answer.headline}${request.status === 200 ? " (judged before)" : ""} `, answer.verdict);
+        done(`${SIGNS[answer.verdict] ?? answer.verdict}: ${answer.headline}${request.status === 200 ? ` (judged before${answer.known_as ? ` as ${answer.known_as}` : ""})` : ""} `, answer.verdict);
         item.append(make("a", { href: `/flights/${answer.hash}`, "aria-label": `Report of ${file.name}` }, "Report"));
         listed();
       } else done(answer?.error ?? "the server did not answer; send the log again when it runs.", "refused");

@@ -121,15 +121,15 @@ def applies(flight: Flight, table: Ticks | None) -> bool:
     return float(hovers.mean()) < HOVERING
 
 
-def decline(flight: Flight, why: str) -> None:
-    """Raise ConfigError where a way that is made for hover is asked to judge a flight that is judged here. why: the sentence goes on."""
+def decline(flight: Flight, why: str, vehicle: Vehicle | None = None) -> None:
+    """Raise ConfigError where a way that is made for hover is asked to judge a flight that is judged here. why: the sentence goes on;
+    vehicle: that was given, None: as the log says."""
     if (
         flown_by_rates(flight)
         or min((flight[n].rate_hz for n in ("motors", "gyro") if flight.has(n)), default=0.0) >= LEAST_HZ
     ):
-        vehicle = airframes.identify(flight)
-        table = observe(flight, vehicle, airborne(flight), READY_KNOWN_S) if vehicle is not None else None
-        if applies(flight, table):
+        craft = vehicle or airframes.identify(flight)
+        if applies(flight, observe(flight, craft, airborne(flight), READY_KNOWN_S)):
             raise ConfigError(f"{flight.name or 'The log'} does not hover: {why}")
 
 

@@ -16,6 +16,7 @@ import numpy as np
 import rotorwatch.witnesses.healthy.tune as tune
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.base.choices import meant
 from rotorwatch.base.physics import G0
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.experiments import tools
@@ -147,7 +148,7 @@ def study(names: Sequence[str] = (), rounds: int = tune.ROUNDS, progress: Callab
     """
     for name in names:
         if name not in PAPERS:
-            raise ConfigError(f"There is no paper called {name!r}; known are {', '.join(PAPERS)}.")
+            raise ConfigError(f"There is no paper called {name!r}{meant(name, PAPERS)}; known are {', '.join(PAPERS)}.")
     found = []
     for k, name in enumerate(names or PAPERS):
         paper = PAPERS[name]()

@@ -28,6 +28,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from rotorwatch.base import files, many, optional
+from rotorwatch.base.choices import meant
 from rotorwatch.errors import ConfigError
 
 Verdict = Literal["holds", "partly", "not reproduced", "refuted"]
@@ -195,7 +196,7 @@ def study(paper: str) -> ModuleType:
             raise ConfigError(
                 f"{paper!r} is a method, not a paper; it is tried in {name}: rotorwatch reproduce {name}."
             )
-    raise ConfigError(f"There is no paper called {paper!r}; known are {', '.join(known)}.")
+    raise ConfigError(f"There is no paper called {paper!r}{meant(paper, known)}; known are {', '.join(known)}.")
 
 
 def reproduce(
