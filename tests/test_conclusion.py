@@ -1,5 +1,8 @@
 """The one place where events become verdict, headline, main event, rotor states and advice."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from conftest import hexa_diagnosis, hexa_event
@@ -8,6 +11,7 @@ from rotorwatch.answer.wording import up_to
 from rotorwatch.engine.host import residual_evidence
 from rotorwatch.engine.motion import trust
 from rotorwatch.flight import Flight
+from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.witnesses.healthy.baselines import Candidate
 
 
@@ -71,7 +75,7 @@ def population(verdict, rotors=(), loss=0.0):
         (
             {"population": population("healthy")},
             "healthy",
-            "No rotor lost thrust after take-off. From take-off on no rotor lacked more than 30 %.",
+            "No rotor lost thrust after take-off. From take-off on no rotor lacked more than 33 %.",
             {"bounded"},
         ),
         (
@@ -315,3 +319,49 @@ def test_what_a_knock_broke_is_known_only_where_something_was_judged_after_it(un
     end = conclude(Evidence((knock,), 6, hidden=[0.04] * 6, judged_s=20.0, judged_until=until))
     assert end.verdict == verdict and "knock at 28.50 s" in end.headline
     assert {r.status for r in end.rotors} == {"healthy" if verdict == "healthy" else "unobservable"}
+
+
+# What was not judged
+
+
+def judged_of(judged_s, flown=29.0, **more):
+    return conclude(
+        Evidence((), 4, hidden=np.full(4, 0.02), judged_s=judged_s, hops=((3.0, 3.0 + flown),), blind_s=8.0, **more)
+    )
+
+
+@pytest.mark.parametrize(
+    "judged_s, verdict", [(21.0, "healthy"), (15.0, "healthy"), (12.0, "inconclusive"), (4.0, "inconclusive")]
+)
+def test_what_was_not_judged_is_not_healthy(judged_s, verdict):
+    """Beyond the blind time after a take-off, at least two thirds of a flight have to be judged."""
+    end = judged_of(judged_s)
+    assert end.verdict == verdict
+    assert verdict == "healthy" or f"{judged_s:.0f} s of 29 s in the air" in end.headline
+
+
+def test_an_event_that_any_rotor_explains_names_none():
+    event = Event(
+        "loss_of_effectiveness",
+        (1,),
+        20.0,
+        20.5,
+        None,
+        (0.2,),
+        ((0.1, 0.3),),
+        0.4,
+        ((2,), (3,), (4,)),
+        "thrust is missing",
+    )
+    end = conclude(Evidence((event,), 4, hidden=np.full(4, 0.02), judged_s=30.0))
+    assert end.verdict == "inconclusive" and "any of the rotors" in end.headline
+    end = conclude(Evidence((replace(event, alternatives=((2,), (3,))),), 4, hidden=np.full(4, 0.02), judged_s=30.0))
+    assert end.verdict == "ambiguous"
+
+
+def test_a_headline_bounds_what_the_table_shows():
+    """Damage from take-off and what may have been lost unseen since, together: the interval of the worst rotor, and no less."""
+    compared = {"verdict": "healthy", "interval": [(0.0, 0.3)] * 4, "rotors": [], "loss": [0.0] * 4, "causes": []}
+    claim = Event("damage_from_takeoff", (), 0.0, 0.0, None, (), (), 1.0, (), "", compared, Source.VEHICLES)
+    end = conclude(Evidence((), 4, hidden=np.array([0.02, 0.16, 0.02, 0.02]), judged_s=60.0, claims=(claim,)))
+    assert max(state.interval[1] for state in end.rotors) <= 0.42 and "no rotor lacked more than 42 %" in end.headline

@@ -387,9 +387,12 @@ def judge(ready: Prepared, done: Estimated, progress: Callable[[float], object] 
         health.trends(out, table, B, found.events) if trusted else (), ready.hovers and whole is None,
         tuple(g for g in ready.missing if g.lasts and g.start >= air[-1][0]), ready.matters,
         judged_until=float(table.time[judged][-1]) if judged.any() else np.inf,
+        blind_s=ready.ready_s if ready.hovers else aerobatic.READY_S,
     )  # fmt: skip
     if ready.hovers and (shaken := unjudged.shaken(flight, air)) is not None:
         seen = seen._replace(hidden=None, unjudged=shaken)
+    elif not doubts and not (judged_s < conclusion.LEAST_S or seen.vague) and seen.patchy:
+        seen = seen._replace(unjudged=unjudged.patchy(air, table, ready.hovers))
     elif not doubts and (judged_s < conclusion.LEAST_S or seen.vague):
         needed = (ready.ready_s if ready.hovers else aerobatic.READY_S) + conclusion.LEAST_S
         stepped = bool(np.max(steps.losses()) >= np.max(hidden))

@@ -42,6 +42,7 @@ NOT_A_ROTOR = {
     "saturated": "they had no more to give",
     "power": "the power failed",
 }
+UNJUDGED_SHARE = 0.5  # of the judged time, that may be unjudged beyond the blind time
 LEAST_S = 3.0  # of judged flight, below which no rotor is called healthy
 MOST_NOTICES = 3  # of no rotor, in a headline: the first
 GRAVE = ("power", "crash", "stopped")  # troubles that end a flight: they lead where no fault is found
@@ -81,7 +82,7 @@ class Evidence(NamedTuple):
     (`ledger.open_claims`). hops: ((take-off, landing), ...) s. trends: `health.trends`, of each rotor, shown of those that are no suspects,
     or empty. comparable: healthy flights of the vehicle would show more. missing: commands that the log lacks up to the end.
     matters: loss of one rotor that a healthy flight must be able to show. unjudged: why no more could be judged. judged_until: time of the
-    last judged moment [s].
+    last judged moment [s]; blind_s: after each take-off, in which trim and noise are learned [s].
     """
 
     events: Sequence[Event]
@@ -98,6 +99,13 @@ class Evidence(NamedTuple):
     matters: float = MATTERS
     unjudged: Unjudged = UNKNOWN
     judged_until: float = np.inf
+    blind_s: float = 0.0
+
+    @property
+    def patchy(self) -> bool:
+        """Too much of the flight was not judged, beyond the blind time after each take-off: what was not judged cannot be healthy."""
+        flown = sum(end - start for start, end in self.hops)
+        return flown - self.blind_s * len(self.hops) - self.judged_s > UNJUDGED_SHARE * self.judged_s
 
     @property
     def vague(self) -> bool:
@@ -147,7 +155,14 @@ class Evidence(NamedTuple):
     @property
     def bound(self) -> float | None:
         """The largest loss that may have been there from take-off on, where only healthy vehicles of other builds bound it."""
-        return max(high for _, high in self.compared["interval"]) if self.compared and not self.whole else None
+        return max(self.bounds) if self.compared and not self.whole else None
+
+    @property
+    def bounds(self) -> list[float]:
+        """The same of each rotor, with what it may have lost unseen in flight: as its interval at the end."""
+        hidden = self.hidden if self.hidden is not None else np.zeros(self.n)
+        known = self.compared["interval"] if self.compared else [(0.0, 1.0)] * self.n
+        return [_together([float(unseen), float(high)]) for unseen, (_, high) in zip(hidden, known)]
 
 
 def conclude(seen: Evidence, doubts: Sequence[str] = ()) -> Conclusion:
@@ -221,7 +236,7 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
     if whole and whole["verdict"] == "fault":
         return "fault", whole["reason"]
     if event is not None:
-        return "ambiguous", event.reason + _and_more(seen, event) + "."
+        return ("inconclusive" if _anybody(seen, event) else "ambiguous"), event.reason + _and_more(seen, event) + "."
     if whole and whole["verdict"] == "ambiguous":
         return "ambiguous", whole["reason"]
     if seen.hidden is None:
@@ -247,7 +262,17 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
         return "inconclusive", f"{healthy}, and more than {percent(seen.matters)} would matter: {seen.unjudged.why}."
     if seen.knocked_s is not None:
         return "inconclusive", f"{healthy}; and what the knock at {seconds(seen.knocked_s)} broke could not be judged."
+    if slow:
+        return "ambiguous", f"{healthy}; wind or a load that changes slowly would look the same."
+    if seen.patchy:
+        return "inconclusive", f"{healthy}; the rest of {flown:.0f} s in the air was not judged: {seen.unjudged.why}."
     return "healthy", f"{healthy}."
+
+
+def _anybody(seen: Evidence, event: Event) -> bool:
+    """Whether any single rotor may explain an event: then it says nothing of which one."""
+    alone = {rotors_[0] for rotors_ in (event.rotors, *event.alternatives) if len(rotors_) == 1}
+    return len(alone) == seen.n
 
 
 def _missing(seen: Evidence) -> str:
@@ -310,6 +335,10 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
         first = said(event.means.headline, event, seen.places, until=_until(seen, event, " until"), again="")
         before = [said(e.means.headline, e) for e in _told_beside(seen, event)]
         return headline([*before, sentence(first), _cleared(seen, event)], len(before))
+    if verdict == "inconclusive" and event is not None and event.means.accuses:
+        return _with_reports(
+            seen, event, [f"Something happened at {seconds(event.onset_s)}, and any of the rotors may explain it."]
+        )
     if verdict == "inconclusive":
         return _with_reports(seen, event, [_inconclusive(seen)])
     knocks = [seconds(e.onset_s) for e in seen.events if e.kind == CONTACT]
@@ -318,15 +347,14 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
         first = "No rotor lost thrust after take-off."
     if verdict == "healthy" and knocks:
         first = f"No rotor lost thrust in the {seen.judged_s:.0f} s that were judged."
-    if verdict == "healthy" and _growing(seen):
-        first = "No rotor lost thrust at once."
     parts, caveats = [first], [UNJUDGED]
     if seen.lost is not None:
         parts.append(said(seen.lost.means.headline, seen.lost))
     if verdict == "healthy" and max(_unseen(seen), seen.hidden_pair) >= dict(SCALE)["weak"]:
         parts.append(f"A loss of up to {_bound(seen)} could have gone unseen.")
         caveats.append(parts[-1])
-    parts += [sentence(f"{rotors([k], seen.places)} {grows(t)}.") for k, t in _growing(seen)]
+    if event is not None or verdict != "ambiguous":
+        parts += [sentence(f"{rotors([k], seen.places)} {grows(t)}.") for k, t in _growing(seen)]
     if verdict == "healthy" and not seen.compared:
         parts.append(UNJUDGED)
     elif verdict == "healthy" and seen.bound is not None:
@@ -361,6 +389,9 @@ def _inconclusive(seen: Evidence) -> str:
         return _not_judged(_missing(seen) or seen.unjudged.why)
     if not seen.vague and seen.knocked_s is not None:
         return f"No loss was seen until the knock at {seconds(seen.knocked_s)}. What that broke could not be judged."
+    if not seen.vague and seen.patchy:
+        flown = sum(end - start for start, end in seen.hops)
+        return f"No loss was seen in the {seen.judged_s:.0f} s of {flown:.0f} s in the air that were judged: {seen.unjudged.why}."
     return f"No loss was seen, but up to {_bound(seen)} could be missing unseen: {seen.unjudged.why}."
 
 
@@ -395,7 +426,7 @@ def _bound(seen: Evidence) -> str:
 def _lopsided(seen: Evidence) -> str:
     """How much may have been missing from take-off on, by healthy vehicles of any build, and in which rotor."""
     assert seen.compared
-    bounds = [high for _, high in seen.compared["interval"]]
+    bounds = seen.bounds
     most = up_to(max(bounds))
     if max(bounds) - min(bounds) < ALIKE:
         return f"From take-off on no rotor lacked more than {most}."
@@ -427,6 +458,9 @@ def _matter(seen: Evidence, verdict: str, main: int | None) -> str:
         return _from_the_start(seen, whole)
     if event is None and (spell := _lasting(seen)) is not None:
         return sentence(f"{_as_if(spell, seen.places)}, or the wind turned then.")
+    if event is None and (growing := _growing(seen)):
+        grown = listed([f"{rotors([k], seen.places)} {grows(t)}" for k, t in growing], "and")
+        return sentence(f"{grown}, or wind or a load changed as slowly.")
     if event is None:
         return "Something is wrong, but the log cannot say which rotor."
     more = sum(e.means.accuses for e in seen.events) - 1

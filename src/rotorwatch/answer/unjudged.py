@@ -81,6 +81,15 @@ def find(
     )
 
 
+def patchy(air: Spans, table: Ticks, hovers: bool) -> Unjudged:
+    """Why much of a flight of these ticks was not judged, though some of it shows enough."""
+    if table.contacts:
+        when = [seconds(c.time) for c in table.contacts]
+        times = listed(when) if len(when) <= NAMED else f"{when[0]} and {len(when) - 1} times more"
+        return Unjudged(f"after the knock at {times} the trim is learned afresh, whatever it broke", LONGER)
+    return _too_little(air, table, 0.0, hovers)
+
+
 def vibration(flight: Flight) -> float:
     """Usual size [m/s^2] of what an accelerometer shows above the motion while the motors run; 0 where it is not known."""
     time, level = commands(flight)

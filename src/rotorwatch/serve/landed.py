@@ -63,6 +63,7 @@ def answer(name: str, session: Session, rows: Sequence[tuple], hop: tuple[float,
         places=names,
         hops=(hop,),
         missing=[gap for gap in session.missing if start <= gap.start <= end],
+        blind_s=judged[0][0] - start if judged else 0.0,
     )
     end_of = conclusion.conclude(seen)
     began = datetime.fromtimestamp(time.time() - session.now, timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ")

@@ -38,6 +38,7 @@ LIMIT = 0.01  # share of full thrust from its ends, within which a rotor may be 
 FOLLOWS, STRAYS = 0.2, 0.4  # cost up to which an output follows a row of the mixer, and from which on it does not
 BETTER = 4.0  # times that another explanation must lower the cost
 LATEST_S, LAG_S, LATE_S = 3.0, 0.02, 0.06  # lags that are tried, in such steps; from which on an output is late
+OWN = 1.0  # nats for the frame's own order
 EXACT = 0.02  # cost below which a fit is no better
 NEARLY_ALL = 0.8  # share of the windows that tell two rows apart
 LEAST_FRAME, SHARE = 5, 0.2  # windows, and share of those that show anything, in which another mixer flew
@@ -160,6 +161,7 @@ def order(costs: np.ndarray) -> tuple[int, ...] | None:
 def _assigned(cost: np.ndarray) -> np.ndarray:
     """(n,) a row of the mixer for each output, all different, of which no exchange of two lowers the sum of costs (n, n)."""
     n, rows = len(cost), np.full(len(cost), -1)
+    cost = cost - OWN * np.eye(n)  # rotors that are commanded alike stay where they are
     for output, row in zip(*np.unravel_index(cost.argsort(axis=None), cost.shape)):  # the likeliest first
         if rows[output] < 0 and row not in rows:
             rows[output] = row
