@@ -129,6 +129,17 @@ def test_a_vehicle_with_much_more_thrust_than_weight_takes_off(idle, hover):
     assert airborne(said)[0][0] <= found[0][0]
 
 
+@pytest.mark.parametrize("seconds", [4.0, 8.0])
+def test_a_hover_that_is_reached_slowly_is_a_flight(seconds):
+    """The throttle is raised bit by bit, and the vehicle hovers half a metre up: it hardly climbs, and no command is far above the last."""
+    flight = made_up([(20, 50)], idle=0.1, hover=0.44, ramp=seconds)
+    velocity, time = flight["velocity"], flight["velocity"].time
+    climb = 0.5 / seconds * ((time > 20.0) & (time < 20.0 + seconds)) - 0.15 * ((time > 46.0) & (time < 49.5))
+    low = replace(velocity, values=np.stack([velocity.values[:, 0], velocity.values[:, 1], -climb], axis=1))
+    ((start, end),) = airborne(replace(flight, signals={**flight.signals, "velocity": low}))
+    assert 18.0 < start < 20.0 + seconds + 2.0 and 45.0 < end < 50.5
+
+
 @pytest.mark.parametrize("hover", [0.1, 0.2])
 def test_rotors_that_turn_faster_on_the_ground_are_no_flight(hover):
     """Run up twice without a climb; the velocity drifts by less than the least climb. The autopilot may believe that it is in the air."""

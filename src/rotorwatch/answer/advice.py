@@ -8,7 +8,9 @@ from rotorwatch.answer.unjudged import OUTPUTS
 from rotorwatch.answer.wording import BASELINE, listed, rotors, said, seconds, sentence
 from rotorwatch.engine.front.decisions import TOTAL_LOSS
 from rotorwatch.flight.diagnosis import Event, RotorState
-from rotorwatch.flight.kinds import DESYNC, LOST, Weight
+from rotorwatch.flight.kinds import CONTACT, DESYNC, LOST, REPORTED, Weight
+
+AFTER_S = 5.0  # after a blow, within which what is reported came of it
 
 PARTS = {
     "propeller": "its propeller first (nicked, bent, loose on its shaft); the motor turns as commanded",
@@ -57,7 +59,11 @@ def advise(
             "To distinguish the explanations: swap the propellers of the suspects with others and see whether the loss moves along, or fly "
             "with brisk turns and rolls and a healthy flight of this build as --baseline."
         )
-    out += [said(e.means.advice, e, places) for e in events if e.means.weight is Weight.NOTICE]
+    out += [
+        said(e.means.advice, e, places)
+        for e in events
+        if e.means.weight is Weight.NOTICE and not (e.kind == REPORTED and _came_of(e, events))
+    ]
     why = "its loss grew all the time, as a bearing, a hot motor or a propeller that comes loose does"
     growing = [s.rotor for s in states if s.trend and s.trend.word == "growing" and s.status == "healthy"]
     out += [f"Look at {rotors([rotor], places)} before the next flight: {why}." for rotor in growing]
@@ -69,6 +75,14 @@ def advise(
     if verdict not in ("inconclusive", "crashed") and not compared:
         out.append(BASELINE)
     return tuple(out)
+
+
+def _came_of(report: Event, events: Sequence[Event]) -> bool:
+    """Whether what an autopilot reported follows from a loss of control or a blow, and needs no search of its own."""
+    return any(
+        e.onset_s <= report.onset_s and (e.kind == LOST or (e.kind == CONTACT and report.onset_s < e.onset_s + AFTER_S))
+        for e in events
+    )
 
 
 CAUSES = {

@@ -19,7 +19,7 @@ from rotorwatch.live.session import Session
 
 LEAST_S = 5.0  # in the air: less is a test of the motors, where control was not lost
 FINAL_S = 5.0  # after a landing: until then announced events may be withdrawn
-GAP_S = 1.0  # between two points of a band; more is a gap, in which nothing was judged
+GAP_S = 1.5  # between two points of a band; more is a gap, in which nothing was judged
 
 
 class Landings:

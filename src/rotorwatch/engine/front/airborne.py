@@ -145,6 +145,8 @@ class Airborne(Struct):
     down: bool = False  # the autopilot has reported since the last command that it is on the ground
     since: Time = -LASTS  # when the present state began
     high_since: Time = LASTS  # LASTS: not so
+    raised_since: Time = LASTS
+    gained: Real = 0.0  # m, since then
     low_since: Time = LASTS
     lying_since: Time = LASTS
     sank: Time = -LASTS
@@ -288,12 +290,17 @@ class Airborne(Struct):
         self.height = self.height + TICK_S * climb if high else 0.0
         self.rest = min(now.command, _blend(self.rest, now.command, _REST_S_UP)) if self.idle_known else now.command
         above = now.command > _ABOVE * self.rest + _LEAST
+        # The idle command follows a throttle that is raised slowly up to the hover; the least one does not.
+        raised = (above or self.raised_since < LASTS) and now.command > _HIGH and not self.stands
+        raised = raised and self.landed != 1 and self.armed != 0
+        self.raised_since = _lasting(self.raised_since, raised, time)
         plain = 0.0 if isnan(now.climb) else now.climb - self.drift_at_rest
+        self.gained = self.gained + TICK_S * plain if raised else 0.0
         self.climbed = self.climbed + TICK_S * plain if above and plain > _CLIMB else 0.0
         if not above and not isnan(now.climb):
             self.drift_at_rest = _blend(self.drift_at_rest, now.climb, _IDLE_S)
         lifted = self._lifted(time, now, climb)
-        if lifted or self._climbs_away():
+        if lifted or self._climbs_away() or self._hovers_low(time, now):
             self.flying = True
             self.since = time
             self.floor = ground if lifted else self.rest
@@ -330,6 +337,11 @@ class Airborne(Struct):
         said = self.landed == 0 and self.armed != 0
         return self.lying_since >= LASTS and self.climbed > (_HEIGHT if said else 5.0 * _HEIGHT)
 
+    def _hovers_low(self, time: Time, now: Senses) -> bool:
+        """Far more than the least command for long, however slowly it was raised; and some height, where that is known."""
+        raised = self.raised_since < LASTS and time - self.raised_since >= _HIGH_S
+        return self.idle_known and self.lying_since >= LASTS and raised and (isnan(now.climb) or self.gained > 2.0 * _HEIGHT)
+
     def _in_the_air(self, time: Time, now: Senses) -> None:
         low = self._less(now.command, _LOW)
         end = LASTS
@@ -360,6 +372,7 @@ class Airborne(Struct):
         self.flying = False
         self.since = max(end, self.since)
         self.high_since = LASTS
+        self.raised_since = LASTS
         self.height = 0.0
         self.rest = now.command
         self.climbed = 0.0
@@ -408,6 +421,7 @@ class Airborne(Struct):
         self.first_blow = -LASTS
         self.last_blow = -LASTS
         self.high_since = LASTS
+        self.raised_since = LASTS
         self.low_since = LASTS
         self.rest_since = LASTS
         self.sank = -LASTS

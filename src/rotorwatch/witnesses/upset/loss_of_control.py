@@ -238,7 +238,7 @@ def find(flight: Flight, air, progress: Progress = None) -> tuple[LossOfControl,
             )
             if d
         ]
-        over = None if spans or not air else _turns_over(flight, powered, end)
+        over = None if spans or not air else _turns_over(flight, powered, start, end)
         if spans or over:
             found.append(over or min(spans, key=lambda d: d.onset))
     return tuple(found)
@@ -315,8 +315,8 @@ def _powered(flight: Flight) -> list[tuple[float, float]]:
     return [(float(time[a]), float(time[b])) for a, b in zip(starts, stops) if time[b] - time[a] > LASTS_S]
 
 
-def _turns_over(flight: Flight, powered: list[tuple[float, float]], end: float) -> LossOfControl | None:
-    """A vehicle on its head after a landing at `end` s while its motors still push."""
+def _turns_over(flight: Flight, powered: list[tuple[float, float]], start: float, end: float) -> LossOfControl | None:
+    """A vehicle on its head after a flight from `start` to `end` s while its motors still push: after a landing, or in its take-off."""
     if not flight.has("attitude"):
         return None
     until = max((b for a, b in powered if a <= end <= b), default=end)
@@ -329,7 +329,12 @@ def _turns_over(flight: Flight, powered: list[tuple[float, float]], end: float) 
         return None
     k = int(over[0])
     return LossOfControl(
-        _began(t, tilt, k), float(min(t[k] + LASTS_S, t[-1])), None, None, "turned over on the ground", landed=True
+        _began(t, tilt, k),
+        float(min(t[k] + LASTS_S, t[-1])),
+        None,
+        None,
+        "turned over on the ground",
+        landed=end - start > SHORT_S,
     )
 
 
