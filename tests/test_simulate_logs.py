@@ -194,7 +194,7 @@ def test_examples_can_be_planned(path):
 
 WRONG = {
     "wnid is not a field of a scenario": {"wnid": {}},
-    r"wind.speed is not a field; known are speed_m_s": {"wind": {"speed": 3}},
+    r"wind.speed is not a field .did you mean speed_m_s..; known are speed_m_s": {"wind": {"speed": 3}},
     r"wind.speed_m_s must lie between 0 and 30, not 99": {"wind": {"speed_m_s": 99}},
     r"wind.speed_m_s must be a number, not 'much'": {"wind": {"speed_m_s": "much"}},
     r"wind must be a table": {"wind": 3},

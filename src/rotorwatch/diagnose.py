@@ -44,6 +44,7 @@ from rotorwatch.engine.motion.ticks import JUDGE, READY_KNOWN_S, READY_S, Ticks,
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, identity
 from rotorwatch.flight.diagnosis import Diagnosis, Event, Source
+from rotorwatch.flight.kinds import CONTACT
 from rotorwatch.flight.method_series import MethodSeries
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.logs import plausible
@@ -53,6 +54,7 @@ from rotorwatch.witnesses.aerobatic import judge as aerobatic
 from rotorwatch.witnesses.healthy import baselines, outputs, population
 from rotorwatch.witnesses.healthy.baselines import Given
 from rotorwatch.witnesses.upset import find as upset
+from rotorwatch.witnesses.upset import pegged
 
 if TYPE_CHECKING:
     from rotorwatch.methods.published.published import Tuning
@@ -260,7 +262,9 @@ def _no_flight(ready: Prepared, clock: _Clock) -> Diagnosis:
         why = unjudged.MOTIONLESS
     elif ready.air:
         why = unjudged.silent(f"no command for {wording.rotors(never)}" if never else "too few motor outputs")
-    told = reports.claims(ready.flight, ready.air, _left(ready))
+    told = reports.claims(ready.flight, ready.air or ((0.0, ready.flight.duration),), _left(ready))
+    if not ready.air:  # of a log without a flight only why the autopilot ended it
+        told = tuple(e for e in told if e.extra["trouble"] in conclusion.GRAVE)
     found = ledger.merge(told, events.Report(ready.vehicle.effectiveness()), ready.upsets, n).events
     names = places.names(ready.vehicle.rotors)
     end = conclusion.conclude(conclusion.Evidence(found, n, places=names, hops=ready.air, unjudged=why))
@@ -325,6 +329,10 @@ def _find(ready: Prepared, done: Estimated) -> _Found:
     claims = (*claims, *reports.claims(flight, air, _left(ready)))
     report = events.Report(B).add(table, air).finish(air) if one is None else one.report
     merged = ledger.merge(claims, report, ready.upsets, B.shape[1], grown)
+    if not any(e.means.accuses for e in merged.events):  # what needs no learning, where learning had no time
+        struck = [e.onset_s for e in merged.events if e.kind == CONTACT]
+        if dead := pegged.find(flight, craft, air, struck):
+            merged = ledger.merge((*claims, *dead), report, ready.upsets, B.shape[1], grown)
     warnings += [text for text, lasts in wording.together(merged.shared) if not lasts]
     found = merged.events
     if "esc" in flight.signals:

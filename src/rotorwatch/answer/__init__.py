@@ -11,6 +11,7 @@ from_takeoff.py damage from take-off, as healthy flights or vehicles show it
 story.py        what happened when control was lost, in the order of time
 ledger.py       all that is claimed of a flight, and the one rule that makes events of the claims
 falls.py        the events with those of a loss of control
+evidence.py     what a conclusion is drawn from
 conclusion.py   verdict, reason, headline, main event, state of every rotor
 by_method.py    an answer by a published method: whose losses and intervals are whose
 advice.py       what to do next

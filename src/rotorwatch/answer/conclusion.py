@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch.answer import advice, health, ledger, story
+from rotorwatch.answer.evidence import Evidence, together
 from rotorwatch.answer.ledger import main_event
-from rotorwatch.answer.unjudged import UNKNOWN, Unjudged
 from rotorwatch.answer.wording import (
     SCALE,
     candidates,
@@ -29,10 +29,9 @@ from rotorwatch.answer.wording import (
     sentence,
     up_to,
 )
-from rotorwatch.engine.front.decisions import MATTERS, MENTIONED, TOTAL_LOSS
-from rotorwatch.engine.motion.airborne import Gap
-from rotorwatch.flight.diagnosis import Event, RotorState, Source, StoryLine, Trend
-from rotorwatch.flight.kinds import CONTACT, EVIDENCE, FROM_TAKEOFF, LOST, REPORTED, Weight
+from rotorwatch.engine.front.decisions import MENTIONED, TOTAL_LOSS
+from rotorwatch.flight.diagnosis import Event, RotorState, StoryLine
+from rotorwatch.flight.kinds import CONTACT, LOST, REPORTED
 
 # Causes of a loss of control that clear the rotors, in words that follow "when".
 NOT_A_ROTOR = {
@@ -42,7 +41,6 @@ NOT_A_ROTOR = {
     "saturated": "they had no more to give",
     "power": "the power failed",
 }
-UNJUDGED_SHARE = 0.5  # of the judged time, that may be unjudged beyond the blind time
 LEAST_S = 3.0  # of judged flight, below which no rotor is called healthy
 MOST_NOTICES = 3  # of no rotor, in a headline: the first
 GRAVE = ("power", "crash", "stopped")  # troubles that end a flight: they lead where no fault is found
@@ -72,97 +70,6 @@ class Conclusion(NamedTuple):
     advice: tuple[str, ...]
     events: tuple[Event, ...]
     story: tuple[StoryLine, ...] = ()
-
-
-class Evidence(NamedTuple):
-    """What the conclusion is drawn from.
-
-    n: rotors; places: `places.names`. hidden (n,): loss of each rotor that could have gone unseen in flight, None when nothing was judged;
-    hidden_pair: the same of two opposite rotors. judged_s: seconds of flight judged. claims: those that count, though they are no events
-    (`ledger.open_claims`). hops: ((take-off, landing), ...) s. trends: `health.trends`, of each rotor, shown of those that are no suspects,
-    or empty. comparable: healthy flights of the vehicle would show more. missing: commands that the log lacks up to the end.
-    matters: loss of one rotor that a healthy flight must be able to show. unjudged: why no more could be judged. judged_until: time of the
-    last judged moment [s]; blind_s: after each take-off, in which trim and noise are learned [s].
-    """
-
-    events: Sequence[Event]
-    n: int
-    hidden: np.ndarray | None = None
-    hidden_pair: float = 0.0
-    judged_s: float = 0.0
-    claims: Sequence[Event] = ()
-    places: Sequence[str] = ()
-    hops: Sequence[tuple[float, float]] = ()
-    trends: Sequence[Trend | None] = ()
-    comparable: bool = True
-    missing: Sequence[Gap] = ()
-    matters: float = MATTERS
-    unjudged: Unjudged = UNKNOWN
-    judged_until: float = np.inf
-    blind_s: float = 0.0
-
-    @property
-    def patchy(self) -> bool:
-        """Too much of the flight was not judged, beyond the blind time after each take-off: what was not judged cannot be healthy."""
-        flown = sum(end - start for start, end in self.hops)
-        return flown - self.blind_s * len(self.hops) - self.judged_s > UNJUDGED_SHARE * self.judged_s
-
-    @property
-    def vague(self) -> bool:
-        """A loss that matters could have gone unseen."""
-        return _unseen(self) > self.matters
-
-    @property
-    def knocked_s(self) -> float | None:
-        """The last knock, where nothing was judged after it [s]."""
-        last = max((e.onset_s for e in self.events if e.kind == CONTACT), default=-np.inf)
-        return last if last >= self.judged_until else None
-
-    @property
-    def missing_s(self) -> float:
-        """From when on nothing could be judged any more because commands are missing; infinite where it could [s]."""
-        return min((gap.start for gap in self.missing), default=np.inf)
-
-    @property
-    def losses(self) -> list[Event]:
-        return [e for e in self.events if e.means.weakens]
-
-    @property
-    def sure(self) -> list[Event]:
-        """Faults that name one set of rotors."""
-        return [e for e in self.events if e.means.accuses and not e.alternatives]
-
-    @property
-    def lost(self) -> Event | None:
-        """The first time that the vehicle left control."""
-        return next((e for e in self.events if e.kind == LOST), None)
-
-    @property
-    def compared(self) -> Mapping[str, Any] | None:
-        """What the comparison with healthy flights, or else with healthy vehicles, found."""
-        return next((c.extra for c in self.claims if c.kind == FROM_TAKEOFF), None)
-
-    @property
-    def whole(self) -> bool:
-        """It was compared with healthy flights."""
-        return any(c.source is Source.FLIGHTS for c in self.claims)
-
-    @property
-    def residual_evidence(self) -> list[Event]:
-        """Evidence against rotors that no event explains."""
-        return [c for c in self.claims if c.kind == EVIDENCE]
-
-    @property
-    def bound(self) -> float | None:
-        """The largest loss that may have been there from take-off on, where only healthy vehicles of other builds bound it."""
-        return max(self.bounds) if self.compared and not self.whole else None
-
-    @property
-    def bounds(self) -> list[float]:
-        """The same of each rotor, with what it may have lost unseen in flight: as its interval at the end."""
-        hidden = self.hidden if self.hidden is not None else np.zeros(self.n)
-        known = self.compared["interval"] if self.compared else [(0.0, 1.0)] * self.n
-        return [_together([float(unseen), float(high)]) for unseen, (_, high) in zip(hidden, known)]
 
 
 def conclude(seen: Evidence, doubts: Sequence[str] = ()) -> Conclusion:
@@ -251,9 +158,9 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
     scope = "and none from take-off on, compared with its healthy flights" if whole else "after take-off"
     if seen.bound is not None:
         scope = f"and none more than {up_to(seen.bound)} from take-off on, compared with healthy vehicles of any build"
-    slow = "".join(f"; but slowly {rotors([k])} {grows(t)}" for k, t in _growing(seen))
+    slow = "".join(f"; but slowly {rotors([k])} {grows(t)}" for k, t in seen.growing)
     unseen = f"a loss of up to {_bound(seen)} could have gone unseen"
-    flown = sum(b - a for a, b in seen.hops)
+    flown = seen.flown_s
     of = f", of {flown:.{0 if flown > SHORT_S else 1}f} s in the air" if flown > 1.5 * seen.judged_s else ""
     healthy = f"no rotor lost effectiveness in {seen.judged_s:.0f} s of judged flight{of}, {scope}{slow}; {unseen}"
     if seen.missing:
@@ -350,11 +257,11 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
     parts, caveats = [first], [UNJUDGED]
     if seen.lost is not None:
         parts.append(said(seen.lost.means.headline, seen.lost))
-    if verdict == "healthy" and max(_unseen(seen), seen.hidden_pair) >= dict(SCALE)["weak"]:
+    if verdict == "healthy" and max(seen.unseen, seen.hidden_pair) >= dict(SCALE)["weak"]:
         parts.append(f"A loss of up to {_bound(seen)} could have gone unseen.")
         caveats.append(parts[-1])
     if event is not None or verdict != "ambiguous":
-        parts += [sentence(f"{rotors([k], seen.places)} {grows(t)}.") for k, t in _growing(seen)]
+        parts += [sentence(f"{rotors([k], seen.places)} {grows(t)}.") for k, t in seen.growing]
     if verdict == "healthy" and not seen.compared:
         parts.append(UNJUDGED)
     elif verdict == "healthy" and seen.bound is not None:
@@ -363,8 +270,8 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
     if knocks:  # after each the trim is learned afresh, with whatever it broke
         when = f"the knock at {knocks[0]}" if len(knocks) == 1 else f"{len(knocks)} knocks, the first at {knocks[0]},"
         parts.append(f"What {when} broke was not judged.")
-    for rotor in sorted({r for e in _notices(seen) for r in e.rotors}):
-        own = [e for e in _notices(seen) if rotor in e.rotors]
+    for rotor in sorted({r for e in seen.notices for r in e.rotors}):
+        own = [e for e in seen.notices if rotor in e.rotors]
         notices = listed([said(e.means.headline, e) for e in own])
         parts.append(
             sentence(f"{rotors([rotor], seen.places)} {notices}, since {seconds(min(e.onset_s for e in own))}.")
@@ -390,15 +297,14 @@ def _inconclusive(seen: Evidence) -> str:
     if not seen.vague and seen.knocked_s is not None:
         return f"No loss was seen until the knock at {seconds(seen.knocked_s)}. What that broke could not be judged."
     if not seen.vague and seen.patchy:
-        flown = sum(end - start for start, end in seen.hops)
-        return f"No loss was seen in the {seen.judged_s:.0f} s of {flown:.0f} s in the air that were judged: {seen.unjudged.why}."
+        return f"No loss was seen in the {seen.judged_s:.0f} s of {seen.flown_s:.0f} s in the air that were judged: {seen.unjudged.why}."
     return f"No loss was seen, but up to {_bound(seen)} could be missing unseen: {seen.unjudged.why}."
 
 
 def _told_beside(seen: Evidence, main: Event | None) -> list[Event]:
     """Notices of no rotor that a headline tells, in the order of time. Beside a loss of control that no rotor explains, only those that
     compete with what does; what was reported after one is what came of it, as is that a motor fails which is accused."""
-    told, lost = [e for e in _notices(seen) if not e.rotors], seen.lost
+    told, lost = [e for e in seen.notices if not e.rotors], seen.lost
     if main is not None and main.means.accuses:
         told = [e for e in told if e.extra.get("trouble") != "motor"]
     if lost is not None:
@@ -406,18 +312,13 @@ def _told_beside(seen: Evidence, main: Event | None) -> list[Event]:
         told = [e for e in told if e.kind != REPORTED or not lost.onset_s <= e.onset_s <= over]
     if main is not None and main.kind == LOST:
         before = {cause["time_s"] for cause in main.extra.get("before", ())}
-        told = [e for e in _notices(seen) if e.kind == REPORTED and e.onset_s in before]
+        told = [e for e in seen.notices if e.kind == REPORTED and e.onset_s in before]
     return told[:MOST_NOTICES]
-
-
-def _unseen(seen: Evidence) -> float:
-    """The largest loss of any rotor that can lie in the flight without having been announced."""
-    return float(np.max(seen.hidden)) if seen.hidden is not None else 1.0
 
 
 def _bound(seen: Evidence) -> str:
     """How much of one rotor, and of each of two opposite ones where that is more."""
-    one = _unseen(seen)
+    one = seen.unseen
     more = up_to(seen.hidden_pair) != up_to(one) and seen.hidden_pair > one
     pair = f", or {up_to(seen.hidden_pair)} of each of two opposite rotors," if more else ""
     return f"{up_to(one)} of one rotor{pair}"
@@ -434,17 +335,6 @@ def _lopsided(seen: Evidence) -> str:
     return f"From take-off on no rotor lacked more than {most}, and only {who} perhaps so much."
 
 
-def _growing(seen: Evidence) -> list[tuple[int, Trend]]:
-    """Rotors whose loss grows, of those that are no suspects: (number, trend)."""
-    open_ = {r for s in seen.residual_evidence for r in s.rotors}
-    open_ |= {r for e in seen.losses if e.alternatives for r in e.suspects}
-    return [(k, t) for k, t in enumerate(seen.trends, start=1) if t and t.word == "growing" and k not in open_]
-
-
-def _notices(seen: Evidence) -> list[Event]:
-    return [e for e in seen.events if e.means.weight is Weight.NOTICE]
-
-
 def _matter(seen: Evidence, verdict: str, main: int | None) -> str:
     event = None if main is None else seen.events[main]
     whole = seen.compared
@@ -458,7 +348,7 @@ def _matter(seen: Evidence, verdict: str, main: int | None) -> str:
         return _from_the_start(seen, whole)
     if event is None and (spell := _lasting(seen)) is not None:
         return sentence(f"{_as_if(spell, seen.places)}, or the wind turned then.")
-    if event is None and (growing := _growing(seen)):
+    if event is None and (growing := seen.growing):
         grown = listed([f"{rotors([k], seen.places)} {grows(t)}" for k, t in growing], "and")
         return sentence(f"{grown}, or wind or a load changed as slowly.")
     if event is None:
@@ -516,14 +406,14 @@ def _state(seen: Evidence, rotor: int, verdict: str) -> RotorState:
     if len(maybe) < len(lasting):
         e = [e for e in lasting if not e.alternatives][-1]
         loss, (low, high) = e.loss[e.rotors.index(rotor)], e.interval[e.rotors.index(rotor)]
-        bounds = low, _together([high, *(m.most(rotor) for m in maybe)])
+        bounds = low, together([high, *(m.most(rotor) for m in maybe)])
         return state(loss, bounds, _broken(loss), f"weak since {seconds(e.onset_s)}", bounds)
     if whole and from_takeoff == "damaged":
         loss, than = whole["loss"][rotor - 1], "on healthy flights" if seen.whole else "in any healthy vehicle"
         return state(loss, whole["interval"][rotor - 1], _broken(loss), f"weaker than {than}")
     suspicions = _suspicions(seen, rotor, maybe, landed, claims)
     known = [e.loss[e.rotors.index(rotor)] for e in (*maybe, *landed) if rotor in e.rotors]
-    loss, high = known[-1] if known else 0.0, _together([bound for _, bound in suspicions])
+    loss, high = known[-1] if known else 0.0, together([bound for _, bound in suspicions])
     if whole and from_takeoff == "suspect":
         suspicions.append(("may have been weaker than on healthy flights" if seen.whole else LOPSIDED, 1.0))
         loss, high = max(loss, whole["loss"][rotor - 1]), max(high, whole["interval"][rotor - 1][1])
@@ -537,7 +427,7 @@ def _state(seen: Evidence, rotor: int, verdict: str) -> RotorState:
     if since[1] > seen.matters:
         return state(0.0, since, "unobservable", note, since)
     if whole:
-        bounds = 0.0, _together([since[1], float(whole["interval"][rotor - 1][1])])
+        bounds = 0.0, together([since[1], float(whole["interval"][rotor - 1][1])])
         return state(whole["loss"][rotor - 1], bounds, "healthy", note, since)
     return state(0.0, since, "healthy", note, since)
 
@@ -581,18 +471,13 @@ def _past(seen: Evidence, rotor: int, claims) -> str:
     over = sorted((e for e in claims if e.end_s is not None), key=lambda e: bool(e.alternatives))
     notes = [said(e.means.past, e) for e in (*over, *_other_faults(seen)) if rotor in e.suspects]
     notes += [_worked(seen, rotor)]
-    notes += [said(e.means.past, e) for e in _notices(seen) if rotor in e.rotors]
+    notes += [said(e.means.past, e) for e in seen.notices if rotor in e.rotors]
     return listed([note for note in notes if note])
 
 
 def _other_faults(seen: Evidence) -> list[Event]:
     """Faults that take no share of a rotor's thrust."""
     return [e for e in seen.events if e.means.accuses and not e.means.weakens]
-
-
-def _together(bounds: Sequence[float]) -> float:
-    """Upper bound of a loss that several things may have added to."""
-    return 1.0 - float(np.prod([1.0 - bound for bound in bounds]))
 
 
 def _stopped(seen: Evidence, event: Event) -> str:

@@ -342,6 +342,10 @@ class _Signals:
         self._angles("attitude", message, ("Roll", "Pitch", "Yaw"))
         if "DesRoll" in self.log.columns(message):
             self._angles("attitude_wanted", message, ("DesRoll", "DesPitch", "DesYaw"))
+        elif "RollIn" in self.log.columns(
+            message
+        ):  # up to 3.1; YawIn is a stick, and the direction of thrust needs none
+            self._angles("attitude_wanted", message, ("RollIn", "PitchIn", "Yaw"))
 
     def _angles(self, name: str, message: str, columns) -> None:
         rows = self.table(message, columns)

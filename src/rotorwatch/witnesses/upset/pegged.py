@@ -1,0 +1,86 @@
+"""A rotor that is commanded all it has while the vehicle turns the other way: it gives no thrust, and no learning is needed to see it.
+
+A controller that is left with one output at its end, against a turn that goes on, asks that rotor to stop the turn. With b_k the torque of
+rotor k on roll, pitch and yaw, the vehicle turns with
+
+    s = omega . b_k / |b_k|
+
+If rotor k gave thrust, s would rise. It is found where output k stands at the upper end of what this flight's outputs reach for `LEAST_S`,
+the torque commanded along b_k is that way, and s is below -AGAINST all the time, on every axis, without rising. A rotor that gives thrust
+whatever it is commanded pushes the same way as a dead opposite one on roll and pitch, but not on yaw, where propellers turn in pairs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rotorwatch.engine.motion.airborne import output_range
+from rotorwatch.engine.motion.allocation import Spans
+from rotorwatch.flight import Flight
+from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.kinds import LOSS
+from rotorwatch.flight.vehicle import Vehicle
+
+LEAST_S, GAP_S = 0.8, 0.1  # for so long, with such interruptions
+END = 0.97  # of the most that any output reaches in the flight, and at least so much of the range
+HIGH = 0.7
+AGAINST, EACH, RISES = 4.0, 0.5, 1.0  # rad/s along the torque, on each of its axes, and by which it may come back
+LEADS = 0.2  # share of the range, more than the others are commanded on average
+GIVES = 0.5  # share of its thrust that such a rotor gives at most
+
+
+def find(flight: Flight, vehicle: Vehicle, air: Spans, struck: Sequence[float] = ()) -> tuple[Event, ...]:
+    """The losses of rotors that were commanded all they have while the vehicle turned against them, one a flight. struck: when something
+    struck the vehicle [s]; what follows at once is its doing."""
+    turning = flight.angular_rate()
+    if turning is None or not flight.has("motors"):
+        return ()
+    motors, (low, high) = flight["motors"], output_range(flight)
+    rates, found = turning.wholes(), []
+    for start, end in air:
+        part = motors.between(start, end + LEAST_S).wholes()
+        if len(part) < 5 or len(rates) < 5:
+            continue
+        share = np.clip((part.values - low) / max(high - low, 1e-6), 0.0, 1.0)
+        top = float(share.max())
+        omega = np.stack([np.interp(part.time, rates.time, column) for column in rates.values.T], axis=1)
+        for k, b in enumerate(vehicle.effectiveness()[:3].T):
+            others = np.delete(share, k, axis=1).mean(axis=1)
+            at_end = (share[:, k] >= max(HIGH, END * top)) & (share[:, k] > others + LEADS)
+            along = omega * np.sign(b) * (np.abs(b) > 0.1)
+            against = at_end & (along.sum(axis=1) < -AGAINST) & (along[:, np.abs(b) > 0.1] < -EACH).all(axis=1)
+            for first, last in _spells(part.time, against):
+                s = along[first : last + 1].sum(axis=1)
+                begun = float(part.time[first])
+                if s[-max(len(s) // 5, 1) :].mean() > s[: max(len(s) // 5, 1)].mean() + RISES:
+                    continue
+                if any(0.0 <= begun - t < 1.0 for t in struck):
+                    continue
+                found.append(_event(k + 1, begun, float(part.time[last]), float(-s.min())))
+                break
+    return tuple(found[:1])
+
+
+def _spells(time: np.ndarray, so: np.ndarray) -> list[tuple[int, int]]:
+    """(first, last) samples of the spells of at least `LEAST_S` in which something holds, but for short interruptions."""
+    rows, spells = np.flatnonzero(so), []
+    if not rows.size:
+        return []
+    cuts = np.flatnonzero(np.diff(time[rows]) > GAP_S + 1.5 * float(np.median(np.diff(time))))
+    for first, last in zip([0, *(cuts + 1)], [*cuts, rows.size - 1]):
+        a, b = int(rows[first]), int(rows[last])
+        if time[b] - time[a] >= LEAST_S and so[a : b + 1].mean() > 0.8:
+            spells.append((a, b))
+    return spells
+
+
+def _event(rotor: int, onset: float, until: float, turned: float) -> Event:
+    reason = (
+        f"output {rotor} was at its upper end from {onset:.1f} to {until:.1f} s while the vehicle turned against it, by up to "
+        f"{turned:.0f} rad/s along its torque"
+    )
+    return Event(
+        LOSS, (rotor,), onset, onset + LEAST_S, None, (1.0,), ((GIVES, 1.0),), 0.99, (), reason, {"live": False, "loss_2s": [1.0]}
+    )  # fmt: skip
