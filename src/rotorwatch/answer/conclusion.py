@@ -129,7 +129,7 @@ def _bounded(seen: Evidence) -> bool:
 def _crashed(lost: Event) -> bool:
     """Control was lost for good by what is known, and no rotor."""
     known = lost.kind == LOST and lost.extra.get("cause") in NOT_A_ROTOR and not lost.alternatives
-    return known and (lost.end_s is None or lost.extra.get("impact_s") is not None)
+    return known and lost.end_s in (None, lost.extra.get("impact_s"))
 
 
 def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:

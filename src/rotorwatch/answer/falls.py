@@ -199,7 +199,7 @@ CAUSES = {
 def _control_lost(judged: Judged, n: int, named, others, decided: float) -> Event:
     left = judged.left
     fell = judged.fell
-    end = left.ground if fell else left.end
+    end = left.ground if fell and left.end is None else left.end
     worked = _worked(judged, n, named, others, decided)
     reason = f"the vehicle left control at {judged.onset:.1f} s, {left.what}: {CAUSES[judged.cause]}"
     reason += "".join(f"; {disarmed}" for disarmed in judged.evidence)

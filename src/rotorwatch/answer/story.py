@@ -119,7 +119,8 @@ def _end(lost: Event, later: Sequence[Event], hops: Sequence[tuple[float, float]
     again = f" It was lost again at {seconds(later[0].onset_s)}." if later else ""
     impact = lost.extra.get("impact_s")
     if impact is not None:
-        return StoryLine(impact, f"It hit the ground at {seconds(impact)}.{again}")
+        back = f" Control came back at {seconds(lost.end_s)}." if lost.end_s not in (None, impact) else ""
+        return StoryLine(impact, f"It hit the ground at {seconds(impact)}.{back}{again}")
     if lost.end_s is not None:
         return StoryLine(lost.end_s, f"Control came back at {seconds(lost.end_s)}.{again}")
     last = max((b for _, b in hops), default=lost.detected_s)
