@@ -20,6 +20,7 @@ STUCK = np.array(
     [0.5, 0.7, 0.9]
 )  # of full thrust, of a rotor that follows no command any more but gives more than in hover
 CARRIES = 1.5  # hover thrusts: a rotor that still gives so much, turns nothing over
+LIFTS = 2.0  # nats by which the load alone has to speak for such a rotor
 # How often each kind of explanation is met, of vehicles that left control.
 PRIOR = {"healthy": 0.4, "rotor": 0.4, "outside": 0.1}
 ORDER = {"healthy": 0.25, "rotor": 0.35, "outside": 0.08, "order": 0.25, "yaw": 0.05}
@@ -96,6 +97,10 @@ def explain(
     fits = [fit(window, np.stack(courses[c : c + CHUNK]), B, offset) for c in range(0, len(courses), CHUNK)]
     log = np.concatenate([f.log_evidence for f in fits])
     log = log + np.log([STUCK_WEIGHT if gives else 1.0 for *_, gives in labels])
+    residual = np.concatenate([f.residual[:, :, 3] for f in fits])  # (courses, K): of thrust
+    lifts = 0.5 * np.sum(residual[0] ** 2 - residual**2, axis=1)
+    # A rotor that gives more than it is commanded lifts the vehicle: where the load does not show that, it does not.
+    log = np.where([bool(gives) for *_, gives in labels] & (lifts < LIFTS), -np.inf, log)
     found = [
         _summed(kind, rotors, prior, labels, log, fits, window) for kind, rotors in dict.fromkeys(x[:2] for x in labels)
     ]

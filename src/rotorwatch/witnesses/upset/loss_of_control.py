@@ -251,9 +251,17 @@ def _to_the_ground(flight: Flight, d: LossOfControl, start: float, end: float) -
     at, until = d.impact - HIT_S, end + 30.0 if d.end is None else d.end
     while (blow := hit(flight, at + HIT_S, until, spins=True)) is not None:
         if stops(flight, blow, start):
-            return d._replace(ground=blow)
+            return d._replace(ground=blow, end=d.end if _flies_again(flight, d.end, start) else None)
         at = blow
     return d
+
+
+def _flies_again(flight: Flight, back: float | None, start: float) -> bool:
+    """Whether a vehicle that hit the ground, and is as it was wanted at `back` s, is in the air again, and no wreck that lies there."""
+    if back is None:
+        return False
+    above = (height(flight, back + later, start) for later in range(6))
+    return any(m is not None and m > LOW_M for m in above)
 
 
 def stops(flight: Flight, blow: float, start: float) -> bool:
