@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
@@ -44,12 +44,12 @@ from rotorwatch.engine.motion.ticks import JUDGE, READY_KNOWN_S, READY_S, Ticks,
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, identity
 from rotorwatch.flight.diagnosis import Diagnosis, Event, Source
-from rotorwatch.flight.kinds import CONTACT
+from rotorwatch.flight.kinds import CONTACT, EVIDENCE, LOSS, TURNED
 from rotorwatch.flight.method_series import MethodSeries
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.logs import plausible
 from rotorwatch.methods.published import detectors
-from rotorwatch.witnesses import excitation_response, hindsight, reports
+from rotorwatch.witnesses import excitation_response, hindsight, leaning, reports
 from rotorwatch.witnesses.aerobatic import judge as aerobatic
 from rotorwatch.witnesses.healthy import baselines, outputs, population
 from rotorwatch.witnesses.healthy.baselines import Given
@@ -68,6 +68,7 @@ NOT_COMPARED = (
     "so damage that was there from take-off is not judged"
 )
 PREPARED, ESTIMATED, JUDGED = 0.4, 0.85, 0.97  # share of the work when that is done
+LEANS_S = 15.0  # before a lasting push is that large, it turns the vehicle as well
 LONGEST_UP_US = 1e14  # a start later than that counts from 1970, not from the autopilot's boot
 
 
@@ -327,6 +328,13 @@ def _find(ready: Prepared, done: Estimated) -> _Found:
         shown = trim.look(done.out, table, B) if one is None else one.trim
         grown, claims = trim.growth(shown), (*claims, *trim.mounts(shown))
     claims = (*claims, *reports.claims(flight, air, _left(ready)))
+    if (
+        ready.hovers and (contact := leaning.find(flight, table)) is not None
+    ):  # what it leans on is no rotor's doing, nor a mount's
+        claims = (
+            *(c for c in claims if c.kind not in (LOSS, TURNED) or c.onset_s < contact.onset_s - LEANS_S),
+            contact,
+        )
     report = events.Report(B).add(table, air).finish(air) if one is None else one.report
     merged = ledger.merge(claims, report, ready.upsets, B.shape[1], grown)
     if not any(e.means.accuses for e in merged.events):  # what needs no learning, where learning had no time
@@ -383,7 +391,8 @@ def judge(ready: Prepared, done: Estimated, progress: Callable[[float], object] 
     steps, seen_events = unseen.bounds(out, table, B), found.events
     if done.own and ready.hovers:
         seen_events, claims = steps.doubted(found.events), claims + steps.suspected(found.events, float(table.time[-1]))
-    claims = ledger.open_claims(claims, seen_events)
+    leans = min((e.onset_s for e in seen_events if e.kind == CONTACT and e.end_s is None), default=np.inf) - LEANS_S
+    claims = ledger.open_claims([c for c in claims if c.kind != EVIDENCE or c.onset_s < leans], seen_events)
     tell(0.8)
     if trusted:  # said last, for nothing that is judged rests on them
         setup = outputs.claims(flight, craft, table, air, ledger.undisturbed(seen_events, claims), seen_events)
@@ -394,7 +403,7 @@ def judge(ready: Prepared, done: Estimated, progress: Callable[[float], object] 
         seen_events, n, hidden, hidden_pair, judged_s, claims, places.names(craft.rotors), air,
         health.trends(out, table, B, found.events) if trusted else (), ready.hovers and whole is None,
         tuple(g for g in ready.missing if g.lasts and g.start >= air[-1][0]), ready.matters,
-        judged_until=float(table.time[judged][-1]) if judged.any() else np.inf,
+        judged_until=_judged_until(table.time[judged], seen_events),
         blind_s=ready.ready_s if ready.hovers else aerobatic.READY_S,
     )  # fmt: skip
     if ready.hovers and (shaken := unjudged.shaken(flight, air)) is not None:
@@ -408,6 +417,12 @@ def judge(ready: Prepared, done: Estimated, progress: Callable[[float], object] 
         seen = seen._replace(unjudged=why)
     end = conclusion.conclude(seen, doubts)
     return Judgement(end, doubts, tuple(seen.residual_evidence), whole, assumptions, warnings)
+
+
+def _judged_until(judged: np.ndarray, found: Sequence[Event]) -> float:
+    """The last judged moment, of ticks at these times: a push that lasts to the end hides what it breaks."""
+    leans = (e.onset_s for e in found if e.kind == CONTACT and e.end_s is None)
+    return min([float(judged[-1]) if judged.size else np.inf, *leans])
 
 
 def _conclude(ready: Prepared, done: Estimated, last: Judgement, title: str, clock: _Clock) -> Diagnosis:

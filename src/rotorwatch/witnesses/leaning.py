@@ -1,0 +1,54 @@
+"""A vehicle that leans on something: a lasting force in the plane of its rotors, and a lasting torque, that neither air nor a rotor makes.
+
+A knock begins within a tick; an obstacle that a vehicle is flown against, a tether or a hand may take seconds. Air pushes a vehicle that
+stands still, too, but it does not turn it by more than two rotors' thrust; a rotor that is lost turns it, by less, and pushes it nowhere.
+Compared are medians of `LASTS_S` with those of the minute before, at rest over ground.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rotorwatch.base.arrays import median
+from rotorwatch.base.physics import G0
+from rotorwatch.engine.motion.ticks import GROUND, Ticks
+from rotorwatch.flight import Flight
+from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.kinds import CONTACT
+
+LASTS_S, BEFORE_S, LEAST_S = 3.0, 40.0, 10.0  # compared with so much before, of which there is at least
+SIDEWAYS, TORQUE = 0.3 * G0, 2.0  # m/s^2; hover thrusts of one rotor, on any axis
+AT_REST = 1.0  # m/s over ground
+BEGINS = 0.3  # share of the force, with which it began
+
+
+def find(flight: Flight, table: Ticks) -> Event | None:
+    """The contact, from when the force began to the end of the flight; None where there is none, or speed or force are not known."""
+    if table.side is None or not flight.has("velocity"):
+        return None
+    velocity = flight["velocity"].wholes()
+    if len(velocity) < 2:
+        return None
+    speed = np.interp(table.time, velocity.time, np.hypot(*velocity.values.T[:2]))
+    use = (table.mode > GROUND) & ~table.upset & (speed < AT_REST)
+    now, before = max(3, round(LASTS_S / table.dt)), round(BEFORE_S / table.dt)
+    for start in range(now, len(use) - now, max(1, now // 3)):
+        rows = slice(start, start + now)
+        past = np.flatnonzero(use[max(0, start - before) : start - now // 2]) + max(0, start - before)
+        if not use[rows].all() or past.size * table.dt < LEAST_S:
+            continue
+        usual, force = median(table.side[past], axis=0), median(table.side[rows], axis=0)
+        torque = np.abs(median(table.wrench[rows, :3], axis=0) - median(table.wrench[past, :3], axis=0)).max()
+        pushes = float(np.linalg.norm(force - usual))
+        if pushes < SIDEWAYS or torque < TORQUE:
+            continue
+        grown = np.linalg.norm(table.side[:start] - usual, axis=1) > BEGINS * pushes
+        calm = np.flatnonzero(~grown)
+        onset = float(table.time[calm[-1] + 1 if calm.size and calm[-1] + 1 < start else start])
+        reason = (
+            f"something outside the vehicle has pushed it sideways with {pushes / G0:.1f} g while it stood still, and turned it by "
+            f"{torque:.1f} hover thrusts of one rotor"
+        )
+        extra = {"size": round(pushes / G0, 3), "unit": "g"}
+        return Event(CONTACT, (), onset, float(table.time[start + now - 1]), None, (), (), 1.0, (), reason, extra)
+    return None
