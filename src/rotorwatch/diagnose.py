@@ -49,7 +49,7 @@ from rotorwatch.flight.method_series import MethodSeries
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.logs import plausible
 from rotorwatch.methods.published import detectors
-from rotorwatch.witnesses import excitation_response, hindsight, leaning, reports
+from rotorwatch.witnesses import excitation_response, hindsight, leaning, near_ground, reports
 from rotorwatch.witnesses.aerobatic import judge as aerobatic
 from rotorwatch.witnesses.healthy import baselines, outputs, population
 from rotorwatch.witnesses.healthy.baselines import Given
@@ -335,6 +335,8 @@ def _find(ready: Prepared, done: Estimated) -> _Found:
             *(c for c in claims if c.kind not in (LOSS, TURNED) or c.onset_s < contact.onset_s - LEANS_S),
             contact,
         )
+    low = tuple(c for c in claims if ready.hovers and c.kind == LOSS and near_ground.explains(flight, air, c))
+    claims, warnings = tuple(c for c in claims if c not in low), [*warnings, *map(near_ground.warning, low)]
     report = events.Report(B).add(table, air).finish(air) if one is None else one.report
     merged = ledger.merge(claims, report, ready.upsets, B.shape[1], grown)
     if not any(e.means.accuses for e in merged.events):  # what needs no learning, where learning had no time

@@ -3,6 +3,7 @@ say.
 
 hindsight.py             losses in the blind time, once the flight's gains and noise are known
 excitation_response.py   what the response to an excitation of the commands says
+near_ground.py           losses that the ground explains as well
 leaning.py               a lasting push from the side at rest: contact, however slowly it began
 reports.py               what the autopilot itself reported, and five limits that are its own
 battery.py               whether the battery's voltage fell by more than its current explains

@@ -1,0 +1,39 @@
+"""Near the ground a loss cannot be told from ground effect, which leaning makes uneven, nor from a leg that catches."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rotorwatch.engine.motion.allocation import Spans
+from rotorwatch.flight import Flight
+from rotorwatch.flight.diagnosis import Event
+
+# m above the place of take-off: a rotor's diameter or two of most vehicles, and a leg. Ground effect is below 5 % of the thrust from one
+# diameter on (Cheeseman and Bennett, ARC R&M 3021), but differs from rotor to rotor where the vehicle leans.
+NEAR_M = 0.5
+FRESH_S = 2.0  # a height that is older is not known
+
+
+def explains(flight: Flight, air: Spans, loss: Event) -> bool:
+    """Whether a loss began and was announced so near the place of take-off that the ground explains it as well."""
+    if not flight.has("position"):
+        return False
+    start = next((a for a, b in air if a <= loss.onset_s <= b + FRESH_S), None)
+    if start is None:
+        return False
+    position = flight["position"].wholes()
+    when = np.array([start - 1.0, loss.onset_s, loss.detected_s])
+    at = np.searchsorted(position.time, when, side="right") - 1
+    if not len(position) or (at < 0).any() or (when - position.time[at] > FRESH_S).any():
+        return False
+    ground, onset, detected = -position.values[at, 2]
+    return bool(max(onset, detected) - ground < NEAR_M)
+
+
+def warning(loss: Event) -> str:
+    """A sentence on a loss that is not counted."""
+    who = f"rotor{'s' if len(loss.rotors) > 1 else ''} {' and '.join(map(str, loss.rotors))}"
+    return (
+        f"At {loss.onset_s:.1f} s thrust of {who} seemed to be missing, within {NEAR_M:g} m of the height of take-off: "
+        "the ground explains that as well, and it is not counted."
+    )
