@@ -502,3 +502,34 @@ def test_instances_that_are_counted_from_one():
     topics = px4_topics.Topics({("sensor_combined", 1): fields, ("sensor_combined", 2): {}}, 0)
     found, _ = px4_topics.signals(topics, {})
     assert found["gyro"].values.shape == (len(stamp), 3)
+
+
+@pytest.mark.parametrize("log", ["px4-rflymad/TestCase_4_1000000003.ulg.xz", "wild/rflymad-hil-1.ulg.xz"])
+def test_outputs_of_an_old_quad_follow_from_what_its_controller_asked_for(log, monkeypatch):
+    """A straight line and one with THR_MDL_FAC .3: what is computed is what the same log holds."""
+    logged = logs.read(FLIGHTS / log)
+    held = px4_topics.Topics.table
+    monkeypatch.setattr(
+        px4_topics.Topics,
+        "table",
+        lambda self, name, *fields, **how: None if name == "actuator_outputs" else held(self, name, *fields, **how),
+    )
+    computed = logs.read(FLIGHTS / log)
+    motors = computed["motors"]
+    assert motors.source == "actuator_controls_0" and motors.unit == "1" and computed.rotor_count == 4
+    assert any("computed by the quad's mixer" in note for note in computed.warnings)
+    at = np.searchsorted(motors.time, logged["motors"].time, side="right") - 1
+    free = (at >= 0) & (np.abs(motors.values[at] - 0.5) < 0.45).all(axis=1)  # away from the limits
+    both = 1000.0 + 1000.0 * motors.values[at][free], logged["motors"].values[free]
+    assert free.sum() > 200 and np.nanquantile(np.abs(both[0] - both[1]), 0.95) < 1.0
+
+
+def test_outputs_are_computed_of_known_quads_alone():
+    control = np.array([[0.1, 0.0, 0.0, 0.5], [0.0, 0.1, 0.0, 0.5], [0.0, 0.0, 0.1, 0.5], [0.0, 0.0, 0.0, 1.2]])
+    x, plus = (px4_outputs.mixed(control, {"SYS_AUTOSTART": start}) for start in (4001, 5001))
+    assert x[0] == pytest.approx([0.429, 0.571, 0.571, 0.429], abs=1e-3)  # to the right: more thrust on the left
+    assert plus[1] == pytest.approx([0.5, 0.5, 0.6, 0.4]) and x[2] == pytest.approx([0.6, 0.6, 0.4, 0.4])
+    assert x[3].tolist() == [1.0] * 4
+    for start in (0, 6001, 8001, 10016):
+        assert px4_outputs.mixed(control, {"SYS_AUTOSTART": start}) is None
+    assert "motors" not in px4_topics.signals(topics(), {"SYS_AUTOSTART": 4001})[0]

@@ -16,6 +16,9 @@ And which of the reports in the topic esc_status is which rotor's (`escs`):
     esc_online_flags                 bit i: esc[i] reported recently
 
 https://docs.px4.io/main/en/msg_docs/EscStatus.html and EscReport.html
+
+Logs before 1.13 may hold what the rate controller asked for and no outputs. Those of a quad follow (`mixed`), and are exact within half a
+microsecond wherever both are logged, but for outputs at their limits, which the mixer moves together.
 """
 
 from __future__ import annotations
@@ -43,6 +46,12 @@ ALTERNATION = 4.0  # how many times nearer a sample has to be to the one before 
 AT_REST = 0.1  # of two series, one whose outputs move so much less than the other's is not what flew
 MOST_ESCS = 12
 ESC_FIELDS = {"speed": "esc_rpm", "current": "esc_current", "voltage": "esc_voltage", "temperature": "esc_temperature"}
+
+QUAD_X = np.array([[-1.0, 1, 1, 1], [1, -1, 1, 1], [1, 1, -1, 1], [-1, -1, -1, 1]]) * [0.5**0.5, 0.5**0.5, 1.0, 1.0]
+QUAD_PLUS = np.array([[-1.0, 0, 1, 1], [1, 0, 1, 1], [0, 1, -1, 1], [0, -1, -1, 1]])
+"""Rows: rotors in PX4's order; columns: roll, pitch, yaw, throttle. Mixer files quad_x.main.mix and quad_+.main.mix, geometries in
+src/lib/mixer of PX4 before 1.13."""
+QUADS_X = (1001, 3010)  # SYS_AUTOSTART of simulated quads, beside the thousands 4 (X) and 5 (plus)
 
 
 class Reading(NamedTuple):
@@ -250,3 +259,18 @@ def _places(table: Mapping[str, np.ndarray], escs: list[int]) -> dict[int, int]:
     if sorted(addresses) in (list(range(len(escs))), list(range(1, len(escs) + 1))):
         return {address - min(addresses): i for address, i in zip(addresses, escs)}
     return dict(enumerate(escs))
+
+
+def mixed(control: np.ndarray, parameters: Mapping[str, float]) -> np.ndarray | None:
+    """Outputs (n, 4), shares of their range, that PX4 before 1.13 made of its rate controller's output on a quad.
+
+    control: (n, 4), roll, pitch, yaw -1 to 1 and throttle 0 to 1. None where SYS_AUTOSTART names no quad of X or plus shape.
+
+        y = M c, cut to 0..1;    u = y,  or with f = THR_MDL_FAC > 0 what gives y by  (1 - f) u + f u^2 = y
+    """
+    start, f = (int(parameters.get("SYS_AUTOSTART", 0)), float(parameters.get("THR_MDL_FAC", 0.0)))
+    mixer = QUAD_X if start // 1000 == 4 or start in QUADS_X else QUAD_PLUS if start // 1000 == 5 else None
+    if mixer is None:
+        return None
+    y = np.clip(control @ mixer.T, 0.0, 1.0)
+    return y if not 0.0 < f <= 1.0 else (np.sqrt((1.0 - f) ** 2 + 4.0 * f * y) - (1.0 - f)) / (2.0 * f)

@@ -183,12 +183,25 @@ def _motors(topics: Topics, parameters):
     instances = ((f"actuator_outputs[{k}]" if k else "actuator_outputs", outputs(k)) for k in range(4))
     best = px4_outputs.best(instances, parameters, count)
     if best is None:
-        return None, {}
+        return _mixed(topics, parameters), {}
     source, time, reading = best
     topics.notes += [reading.note] if reading.note else []
     facts = dict(reading.facts)
     time, values = _one_publisher(topics, time, reading, source, facts)
     return series.motors(time, values, reading.unit, source, topics.notes), facts
+
+
+def _mixed(topics: Topics, parameters):
+    """Outputs that a quad's mixer made of the rate controller's output, where the log holds that alone."""
+    found = topics.table("actuator_controls_0", *numbered("control", 4))
+    values = None if found is None else px4_outputs.mixed(series.stacked(found[1], numbered("control", 4)), parameters)
+    if found is None or values is None:
+        return None
+    topics.notes.append(
+        "the log has no motor outputs: they were computed by the quad's mixer from what the rate controller asked for, so that an output "
+        "that did not follow the mixer is not seen"
+    )
+    return series.motors(found[0], values, "1", "actuator_controls_0", topics.notes)
 
 
 def _one_publisher(topics: Topics, time, reading: px4_outputs.Reading, source, facts):
