@@ -340,6 +340,14 @@ def test_what_was_not_judged_is_not_healthy(judged_s, verdict):
     assert verdict == "healthy" or f"{judged_s:.0f} s of 29 s in the air" in end.headline
 
 
+@pytest.mark.parametrize("begins_s, start", [(0.3, "the start of the log"), (3.0, "take-off")])
+def test_a_log_that_begins_in_the_air_holds_no_take_off(begins_s, start):
+    end = conclude(
+        Evidence((), 4, hidden=np.full(4, 0.02), judged_s=25.0, hops=((begins_s, begins_s + 30.0),), blind_s=8.0)
+    )
+    assert f"No rotor lost thrust after {start}." in end.headline and f"after {start};" in end.reason
+
+
 def test_an_event_that_any_rotor_explains_names_none():
     event = Event(
         "loss_of_effectiveness",

@@ -155,9 +155,11 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
     if seen.residual_evidence:
         spells = [f"{rotors(s.rotors)} from {seconds(s.onset_s)} to {seconds(s.end_s)}" for s in seen.residual_evidence]
         return "ambiguous", f"there is evidence against {listed(spells)} that no event explains."
-    scope = "and none from take-off on, compared with its healthy flights" if whole else "after take-off"
+    scope = f"and none from {seen.start} on, compared with its healthy flights" if whole else f"after {seen.start}"
     if seen.bound is not None:
-        scope = f"and none more than {up_to(seen.bound)} from take-off on, compared with healthy vehicles of any build"
+        scope = (
+            f"and none more than {up_to(seen.bound)} from {seen.start} on, compared with healthy vehicles of any build"
+        )
     slow = "".join(f"; but slowly {rotors([k])} {grows(t)}" for k, t in seen.growing)
     unseen = f"a loss of up to {_bound(seen)} could have gone unseen"
     flown = seen.flown_s
@@ -251,7 +253,7 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
     knocks = [seconds(e.onset_s) for e in seen.events if e.kind == CONTACT]
     first = _matter(seen, verdict, main) if verdict != "healthy" else "All rotors pull their weight."
     if verdict == "healthy" and (not seen.compared or seen.bound is not None):
-        first = "No rotor lost thrust after take-off."
+        first = f"No rotor lost thrust after {seen.start}."
     if verdict == "healthy" and knocks:
         first = f"No rotor lost thrust in the {seen.judged_s:.0f} s that were judged."
     parts, caveats = [first], [UNJUDGED]
@@ -330,9 +332,9 @@ def _lopsided(seen: Evidence) -> str:
     bounds = seen.bounds
     most = up_to(max(bounds))
     if max(bounds) - min(bounds) < ALIKE:
-        return f"From take-off on no rotor lacked more than {most}."
+        return f"From {seen.start} on no rotor lacked more than {most}."
     who = rotors([int(np.argmax(bounds)) + 1], seen.places)
-    return f"From take-off on no rotor lacked more than {most}, and only {who} perhaps so much."
+    return f"From {seen.start} on no rotor lacked more than {most}, and only {who} perhaps so much."
 
 
 def _matter(seen: Evidence, verdict: str, main: int | None) -> str:
@@ -342,7 +344,7 @@ def _matter(seen: Evidence, verdict: str, main: int | None) -> str:
         assert whole
         shares = [f"{percent(whole['loss'][r - 1])} ({interval(*whole['interval'][r - 1])})" for r in whole["rotors"]]
         who = sentence(rotors(whole["rotors"], seen.places))
-        than = "on healthy flights" if seen.whole else "a rotor of any healthy vehicle, from take-off on"
+        than = "on healthy flights" if seen.whole else f"a rotor of any healthy vehicle, from {seen.start} on"
         return f"{who} pulled less than {than}: loss {', '.join(shares)}."
     if event is None and whole and whole["verdict"] == "ambiguous":
         return _from_the_start(seen, whole)
@@ -369,12 +371,12 @@ def _from_the_start(seen: Evidence, whole: Mapping[str, Any]) -> str:
     for c in causes:
         who, lost = c["rotors"], [whole["loss"][r - 1] for r in c["rotors"]]
         size = f" {percent(lost[0])}" if len(who) == 1 and lost[0] > 0.0 else ""
-        weak = f"{rotors(who, seen.places)} {'were' if len(who) > 1 else 'was'}{size} weak from take-off on"
+        weak = f"{rotors(who, seen.places)} {'were' if len(who) > 1 else 'was'}{size} weak from {seen.start} on"
         said.append(weak if who else "the centre of mass has moved" if seen.whole else OFF_MIDDLE)
     if len(said) == 1:
         said.append("the centre of mass has moved" if seen.whole else OFF_MIDDLE)
     first, *rest = said
-    return sentence(f"{first}, or {', or '.join(one.replace(' from take-off on', '') for one in rest)}.")
+    return sentence(f"{first}, or {', or '.join(one.replace(f' from {seen.start} on', '') for one in rest)}.")
 
 
 # Rotors

@@ -13,6 +13,7 @@ from rotorwatch.engine.motion.airborne import Gap
 from rotorwatch.flight.diagnosis import Event, Source, Trend
 from rotorwatch.flight.kinds import CONTACT, EVIDENCE, FROM_TAKEOFF, LOST, Weight
 
+ALOFT_S = 1.0  # of the log: a vehicle that flies then did not take off in it
 UNJUDGED_SHARE = 0.5  # of the judged time, that may be unjudged beyond the blind time
 
 
@@ -42,6 +43,11 @@ class Evidence(NamedTuple):
     unjudged: Unjudged = UNKNOWN
     judged_until: float = np.inf
     blind_s: float = 0.0
+
+    @property
+    def start(self) -> str:
+        """What the first judged moment follows, in words."""
+        return "take-off" if not self.hops or self.hops[0][0] > ALOFT_S else "the start of the log"
 
     @property
     def patchy(self) -> bool:
