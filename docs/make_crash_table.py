@@ -21,7 +21,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 PAGE = ROOT / "docs" / "loss-of-control.md"
-HEALTHY = r"No rotor lost thrust after (take-off|the start of the log)\. From (take-off|the start of the log) on no rotor lacked more than \d+ %\."
+HEALTHY = r"No rotor lost thrust after [a-z -]+\. From [a-z -]+ on no rotor lacked more than \d+ %\."
 START, END = "<!-- table made by docs/make_crash_table.py -->\n", "<!-- end of the table -->\n"
 
 
