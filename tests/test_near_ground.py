@@ -40,6 +40,14 @@ def test_how_low(height, low):
     assert near_ground.explains(Flown(height), AIR, loss(20, 21)) is low
 
 
+def test_a_log_that_begins_in_the_air_does_not_show_the_ground():
+    assert not near_ground.explains(Flown(0.3), [(0.5, 52.0)], loss(20, 21))
+
+
+def test_a_height_of_zeros_is_not_measured():
+    assert not near_ground.explains(Flown(0.0), AIR, loss(20, 21))
+
+
 def test_a_height_that_is_not_known_explains_nothing():
     flown = Flown(0.3, until=19.0)
     assert not near_ground.explains(flown, AIR, loss(22, 23))  # the last position is older than 2 s

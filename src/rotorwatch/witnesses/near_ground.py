@@ -12,6 +12,9 @@ from rotorwatch.flight.diagnosis import Event
 # diameter on (Cheeseman and Bennett, ARC R&M 3021), but differs from rotor to rotor where the vehicle leans.
 NEAR_M = 0.5
 FRESH_S = 2.0  # a height that is older is not known
+MOVES_M = (
+    0.02  # a height that moves less from before take-off on is not measured: links send zeros for what they do not know
+)
 
 
 def explains(flight: Flight, air: Spans, loss: Event) -> bool:
@@ -19,14 +22,19 @@ def explains(flight: Flight, air: Spans, loss: Event) -> bool:
     if not flight.has("position"):
         return False
     start = next((a for a, b in air if a <= loss.onset_s <= b + FRESH_S), None)
-    if start is None:
+    if (
+        start is None or start - 1.0 < flight["motors"].time[0]
+    ):  # a log that begins in the air does not show where the ground is
         return False
     position = flight["position"].wholes()
     when = np.array([start - 1.0, loss.onset_s, loss.detected_s])
     at = np.searchsorted(position.time, when, side="right") - 1
     if not len(position) or (at < 0).any() or (when - position.time[at] > FRESH_S).any():
         return False
-    ground, onset, detected = -position.values[at, 2]
+    height = -position.values[:, 2]
+    if np.ptp(height[at[0] : at[2] + 1]) < MOVES_M:
+        return False
+    ground, onset, detected = height[at]
     return bool(max(onset, detected) - ground < NEAR_M)
 
 
