@@ -163,7 +163,7 @@ def _motors(topics: Topics, parameters):
     """Rotor commands and facts. actuator_motors (1.13+) is in rotor order; actuator_outputs may need mapping."""
     count = rotor_count(parameters)
     found = topics.table("actuator_motors", "control[0]")
-    if found is not None:
+    if found is not None and found[0].size:
         time, table = found
         fields = [f for f in numbered("control", 12) if f in table]
         values = series.stacked(table, fields)
