@@ -85,6 +85,18 @@ def test_what_was_no_rotor_is_said(case, cause):
     assert "Not a rotor" in diagnosis.headline
 
 
+@pytest.mark.parametrize("shakes, cause", [(5.0, "controller"), (60.0, "unknown")])
+def test_motion_that_shakes_acquits_no_rotor(shakes, cause):
+    flight, _ = tumbling.fly("quad-x", "gyro", 0, 10.0, 15.0, 9.0)
+    force = flight["accel"]
+    values = force.values + shakes * np.where(np.arange(len(force)) % 2, 1.0, -1.0)[:, None] * [1.0, 0.0, 0.0]
+    shaken = replace(flight, signals={**flight.signals, "accel": force.with_arrays(force.time, values, force.valid)})
+    diagnosis = diagnose(shaken, airframes.named("ardupilot-quad-x"))
+    (lost,) = of(diagnosis, "loss_of_control")
+    assert lost.extra["cause"] == cause and not of(diagnosis, "loss_of_effectiveness")
+    assert ("Not a rotor" in diagnosis.headline) is (cause == "controller")
+
+
 @pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("case", tumbling.STAYS)
 def test_no_loss_of_control_is_claimed(case):

@@ -45,6 +45,9 @@ STRAYS, STRAYS_THRUST = 3.0, 1.5  # standard deviations of torque and of thrust:
 JOINS_S = 0.5  # a departure that began earlier in the residuals is the same
 KNOCK_S = 0.3
 DISARMED_S = 1.0
+# m/s^2, standard deviation on one axis: beyond, ArduPilot's and PX4's guides call vibration a cause of failing estimates. A broken
+# propeller shakes a vehicle so, and the torques of a balance that is blurred by it fit everything.
+SHAKES, LEAST_FORCES = 30.0, 10
 UNSAID = "the battery's voltage fell, and no current is logged that would tell whether that was cause or effect"
 LIMIT, LIMIT_SHARE = 0.97, 0.5  # of full thrust; of the last second before the onset in which an output was there
 LEVEL_DEG = 40.0
@@ -156,11 +159,21 @@ def _cause(
     # Air may have taken the thrust, too: what the torques say of a rotor has to be nothing without that explanation as well.
     nobody = best.kind == "common" and rotor < (1.0 - SURE) * float(probability[1:].sum())
     if (best.kind == "healthy" and p > SURE and fits and turned) or (nobody and turned and _level(flight, left, onset)):
+        if _shaken(flight, onset):
+            return "unknown", ("the vehicle shook too hard for its motion to show what the rotors did",)
         return "controller", (
             "all rotors turned the vehicle as commanded, so the commands were wrong: from a sensor, an estimate or the pilot",
         )
     unsaid = sagged is None and battery.fell(flight, onset)
     return "unknown", (UNSAID,) if unsaid else ()
+
+
+def _shaken(flight: Flight, onset: float) -> bool:
+    """Did the vehicle shake so hard before it left control that its motion acquits no rotor?"""
+    if not flight.has("accel"):
+        return False
+    force = flight["accel"].wholes().between(onset - BEFORE_S, onset - KNOCK_S).values
+    return len(force) >= LEAST_FORCES and float(force.std(axis=0).max()) > SHAKES
 
 
 def _struck(window: Window, B: np.ndarray, onset: float) -> bool:
