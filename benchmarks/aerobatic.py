@@ -21,9 +21,9 @@ from rotorwatch.engine.front.decisions import FALSE_ALARM_PERIOD_S
 from rotorwatch.engine.host import events
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import JUDGE, READY_S, observe
-from rotorwatch.lab.experiments.inject import inject
 from rotorwatch.witnesses.aerobatic import judge
 from rotorwatch.witnesses.aerobatic.response import respond
+from rotorwatch_lab.experiments.inject import inject
 
 LOSSES, MOMENTS, PIECE, HOURS = (0.1, 0.2, 0.3, 0.5), (0.3, 0.5, 0.7), 10, 5.0
 

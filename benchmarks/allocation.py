@@ -22,10 +22,10 @@ import numpy as np
 
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.export.export_c import allocator_program
-from rotorwatch.methods.compiling import native
-from rotorwatch.methods.control import allocation
-from rotorwatch.methods.control.allocation import DRIVEN_BY, Allocator, Belief
+from rotorwatch_lab.compiling import native
+from rotorwatch_lab.control import allocation
+from rotorwatch_lab.control.allocation import DRIVEN_BY, Allocator, Belief
+from rotorwatch_lab.export_c import allocator_program
 
 FRAMES = ("ardupilot-quad-x", "ardupilot-hexa-x", "ardupilot-octa-x", "ardupilot-dodecahexa-x")
 WAYS = (*(("bounded", by) for by in DRIVEN_BY), ("pseudo-inverse", "estimate"))

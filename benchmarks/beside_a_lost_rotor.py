@@ -15,9 +15,9 @@ from dataclasses import replace
 import numpy as np
 
 from rotorwatch.base.backend import jax
-from rotorwatch.lab.campaign import batch, sequences
-from rotorwatch.lab.campaign.plan import Cell
-from rotorwatch.lab.simulation.scenario import Scenario
+from rotorwatch_lab.campaign import batch, sequences
+from rotorwatch_lab.campaign.plan import Cell
+from rotorwatch_lab.simulation.scenario import Scenario
 
 FRAMES = ("octa-x", "octaquad-x")
 

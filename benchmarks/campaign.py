@@ -31,11 +31,11 @@ import numpy as np
 
 from rotorwatch import logs
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.lab import campaign
-from rotorwatch.lab.campaign import batch, open_world
-from rotorwatch.lab.campaign.plan import Plan
-from rotorwatch.lab.simulation import logbook, loop, prepare
-from rotorwatch.lab.simulation.multirotor import MULTIROTOR
+from rotorwatch_lab import campaign
+from rotorwatch_lab.campaign import batch, open_world
+from rotorwatch_lab.campaign.plan import Plan
+from rotorwatch_lab.simulation import logbook, loop, prepare
+from rotorwatch_lab.simulation.multirotor import MULTIROTOR
 
 BY_TICKS = {
     "flights simulated, logged, turned into ticks": (batch, "fly"),

@@ -14,7 +14,7 @@ import tempfile
 from pathlib import Path
 
 from rotorwatch.base import discovery
-from rotorwatch.lab.campaign import benchmark, closed_loop, ranking
+from rotorwatch_lab.campaign import benchmark, closed_loop, ranking
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "comparison.md"

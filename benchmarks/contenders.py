@@ -15,10 +15,10 @@ import numpy as np
 from rotorwatch import airframes
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.methods.compiling import native
-from rotorwatch.methods.compiling.run import run
-from rotorwatch.methods.estimators import mhe
-from rotorwatch.methods.maths.systems.rigid_body import RigidBody
+from rotorwatch_lab.compiling import native
+from rotorwatch_lab.compiling.run import run
+from rotorwatch_lab.estimators import mhe
+from rotorwatch_lab.systems.rigid_body import RigidBody
 
 DT = 0.01
 METHODS = ("ukf", "ekf", "tsukf", "mhe")

@@ -16,8 +16,8 @@ from pathlib import Path
 
 from contenders import METHODS, estimator
 
-from rotorwatch.export.export_c import export_c
 from rotorwatch.export.export_diagnoser import export_diagnoser
+from rotorwatch_lab.export_c import export_c
 
 CORE = Path(__file__).resolve().parents[1] / "embedded" / "cortex-m7"
 CHIP = ("-mcpu=cortex-m7", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv5-d16", "-std=c99", "-DROTORWATCH_FLOAT", "-Os")

@@ -13,9 +13,9 @@ import argparse
 import numpy as np
 
 from rotorwatch import airframes, diagnose
+from rotorwatch.detectors import current_residual, esc_current, thrust_loss
 from rotorwatch.engine.motion.airborne import airborne
-from rotorwatch.lab.simulation import scenario, simulate
-from rotorwatch.methods.published.detectors import current_residual, esc_current, thrust_loss
+from rotorwatch_lab.simulation import scenario, simulate
 
 ROTOR, ONSET_S = 2, 20.0
 FAULTS = {

@@ -3,8 +3,8 @@
     python benchmarks/desync.py simulated [--flights 24] [--healthy-hours 2]
     python benchmarks/desync.py logs FOLDER [--shifted-hours 5]
 
-simulated: flights of `lab/simulation/fpv.py`, 60 s each, eleven desyncs in each, with and without speeds. logs: Blackbox logs of real FPV
-flights (`.bbl`, `.bfl`, `.txt`, also packed); in copies of them a motor gives nothing for so long: the gyro gets what the angular
+simulated: flights of `rotorwatch_lab/simulation/fpv.py`, 60 s each, eleven desyncs in each, with and without speeds. logs: Blackbox logs of
+real FPV flights (`.bbl`, `.bfl`, `.txt`, also packed); in copies of them a motor gives nothing for so long: the gyro gets what the angular
 acceleration then lacks, by the impulse response that a regression on windows of 2 ms finds in that log, made slower or faster and larger or
 smaller at random; the controller does not answer. Shifted: surprises of one time against commands of another, which is noise without any
 desync.
@@ -26,12 +26,12 @@ from rotorwatch.diagnose import diagnose
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.allocation import motor_thrusts, within
 from rotorwatch.flight import Flight
-from rotorwatch.lab.simulation import fpv
 from rotorwatch.logs import blackbox
 from rotorwatch.witnesses.aerobatic import desync
 from rotorwatch.witnesses.aerobatic.innovation import Channel, channels, means
 from rotorwatch.witnesses.healthy import baselines
 from rotorwatch.witnesses.upset import find as upset
+from rotorwatch_lab.simulation import fpv
 
 LENGTHS_S = (0.03, 0.05, 0.1, 0.2, 0.5)
 LEVELS = (0.1, 0.2, 0.3, 2.0)  # mean of what was commanded while nothing came, share of full thrust

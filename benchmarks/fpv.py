@@ -1,4 +1,4 @@
-"""A campaign of simulated FPV flights (lab/simulation/fpv.py), judged by `rotorwatch.diagnose` (docs/aerobatic.md, "Simulated flights").
+"""A campaign of simulated FPV flights (simulation/fpv.py), judged by `rotorwatch.diagnose` (docs/aerobatic.md, "Simulated flights").
 
     python benchmarks/fpv.py [--flights 1000] [--healthy-hours 20] [--first 0] [--jobs 2] [--curves]
 
@@ -18,7 +18,7 @@ from multiprocessing import get_context
 import numpy as np
 
 from rotorwatch.diagnose import diagnose
-from rotorwatch.lab.simulation import fpv
+from rotorwatch_lab.simulation import fpv
 
 DURATION_S, BATCH = 60.0, 20
 AIR_S = DURATION_S - 2.0 * fpv.GROUND_S

@@ -4,7 +4,7 @@
 
 All signals of a log are thinned to the same rate: samples are left out, not averaged, as an autopilot that logs at this rate leaves them
 out. Beside each stands what no diagnoser can do better that sees the same ticks, knows rotor and onset and raises one false alarm in ten
-hours (lab/experiments/limits.py): the median over rotors and onsets of the least delay for losses of 20 and 30 %, and the least standard
+hours (experiments/limits.py): the median over rotors and onsets of the least delay for losses of 20 and 30 %, and the least standard
 deviation of a loss ten seconds after its onset. Roll, pitch and yaw only, so that logs with and without accelerations compare; ticks in
 which the vehicle turns faster than TURNS are left out. The table is in docs/limits.md.
 """
@@ -21,7 +21,7 @@ from rotorwatch import airframes, logs
 from rotorwatch.engine.host import program
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import GROUND, JUDGE, READY_S, observe
-from rotorwatch.lab.experiments import limits
+from rotorwatch_lab.experiments import limits
 
 RATES_HZ = (10.0, 25.0, 50.0, 100.0, 400.0, 1000.0)
 LOSSES, AFTER_S, PERIOD_S = (0.2, 0.3), 10.0, 36_000.0

@@ -50,7 +50,7 @@ def px4_log(flights: Path, folder: Path) -> Path:
     if found:
         goal.write_bytes(unpacked(found[-1]))
         return goal
-    from rotorwatch.lab.simulation import scenario, simulate
+    from rotorwatch_lab.simulation import scenario, simulate
 
     plan = scenario.read(Path(__file__).resolve().parents[1] / "docs" / "scenarios" / "quad-chipped-propeller.toml")
     simulate(replace(plan, duration_s=PX4_SECONDS)).write(goal)

@@ -21,14 +21,14 @@ import numpy as np
 import rotorwatch as rw
 from rotorwatch.base.many import spread
 from rotorwatch.flight import kinds
-from rotorwatch.lab.campaign import open_world
-from rotorwatch.lab.campaign.plan import read
-from rotorwatch.lab.experiments import tools
-from rotorwatch.lab.simulation import logbook, scenario
-from rotorwatch.lab.simulation import plan as flight_plan
-from rotorwatch.lab.simulation.loop import fly_each
-from rotorwatch.lab.simulation.multirotor import MULTIROTOR
-from rotorwatch.lab.simulation.scenario import Scenario
+from rotorwatch_lab.campaign import open_world
+from rotorwatch_lab.campaign.plan import read
+from rotorwatch_lab.experiments import tools
+from rotorwatch_lab.simulation import logbook, scenario
+from rotorwatch_lab.simulation import plan as flight_plan
+from rotorwatch_lab.simulation.loop import fly_each
+from rotorwatch_lab.simulation.multirotor import MULTIROTOR
+from rotorwatch_lab.simulation.scenario import Scenario
 
 OPEN = Path(__file__).resolve().parents[1] / "plans" / "open.toml"
 HEALTHY, BY_PLAN = "healthy: ", "healthy: all rotors at their limit"

@@ -38,7 +38,7 @@ from logs import reading, sample
 from peers import peers
 
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.methods.compiling import native
+from rotorwatch_lab.compiling import native
 
 HERE = Path(__file__).resolve().parent
 PARTS = ["single_flight", "batch", "live", "start", "read"]

@@ -22,9 +22,9 @@ import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import RotorwatchError
-from rotorwatch.lab.campaign import closed_loop, plan, summary
-from rotorwatch.lab.simulation import dynamics, reconfigured, rigid
-from rotorwatch.lab.simulation.scenario import Scenario
+from rotorwatch_lab.campaign import closed_loop, plan, summary
+from rotorwatch_lab.simulation import dynamics, reconfigured, rigid
+from rotorwatch_lab.simulation.scenario import Scenario
 
 RATE_HZ = 200.0
 HEIGHT = 0.5  # m

@@ -23,8 +23,8 @@ from rotorwatch.base.many import spread
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.errors import RotorwatchError
 from rotorwatch.flight import Flight
-from rotorwatch.lab.experiments.inject import inject
-from rotorwatch.lab.simulation import scenario, simulate
+from rotorwatch_lab.experiments.inject import inject
+from rotorwatch_lab.simulation import scenario, simulate
 
 FLOWN_S, TAKE_OFF_S = 26.0, 4.0  # of a simulated flight, and about when it lifts off
 ONSETS = 0.35, 0.7  # share of the seconds

@@ -6,7 +6,7 @@
 Quads and hexas of any size, calm to 7 m/s of wind, hovering, turning, climbing and flying squares and eights at 1 to 3 m/s; one rotor loses
 20, 40 or 60 % of its thrust at once and for good. Outputs come at the rate, attitude rates, accelerations and attitude at twice the rate
 (4 a second at least), the controller's outputs not at all. Each thinned flight is judged by `diagnose`; beside it stands the bound on any
-diagnoser that sees the same ticks, knows the rotor and raises one false alarm in ten hours (lab/experiments/limits.py).
+diagnoser that sees the same ticks, knows the rotor and raises one false alarm in ten hours (rotorwatch_lab/experiments/limits.py).
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from rotorwatch.diagnose import diagnose
 from rotorwatch.engine.host import program
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LAG_S, READY_S, observe, tick_length
-from rotorwatch.lab.campaign import methods, summary
-from rotorwatch.lab.experiments import limits
-from rotorwatch.lab.simulation import logbook, scenario
-from rotorwatch.lab.simulation import plan as flight_plan
-from rotorwatch.lab.simulation.loop import fly_each
-from rotorwatch.lab.simulation.multirotor import MULTIROTOR
+from rotorwatch_lab.campaign import methods, summary
+from rotorwatch_lab.experiments import limits
+from rotorwatch_lab.simulation import logbook, scenario
+from rotorwatch_lab.simulation import plan as flight_plan
+from rotorwatch_lab.simulation.loop import fly_each
+from rotorwatch_lab.simulation.multirotor import MULTIROTOR
 
 RATES_HZ, LOSSES, FRAMES = (1.0, 2.0, 4.0, 10.0, 50.0), (0.2, 0.4, 0.6), ("quad-x", "hexa-x")
 ONSET_S, DURATION_S, HEALTHY_S = (60.0, 80.0), 125.0, 240.0

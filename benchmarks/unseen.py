@@ -18,7 +18,7 @@ import numpy as np
 
 import rotorwatch as rw
 from rotorwatch.base.many import spread
-from rotorwatch.lab.simulation import scenario, simulate
+from rotorwatch_lab.simulation import scenario, simulate
 
 FRAMES = {"quad-x": 4, "hexa-x": 6, "hexa-plus": 6, "y6-b": 6, "octa-x": 8}
 TRAJECTORIES = ("hover", "square", "yaw", "climb", "figure-eight")

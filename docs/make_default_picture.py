@@ -19,7 +19,7 @@ from rotorwatch.engine.host.hypotheses import list_hypotheses
 from rotorwatch.engine.host.plant import AXES
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import READY_S, observe
-from rotorwatch.lab.experiments.inject import inject
+from rotorwatch_lab.experiments.inject import inject
 
 ROTOR, LOSS, ONSET = 2, 0.35, 45.0
 OUT = Path(__file__).parent / "methods" / "default-parts.svg"

@@ -93,7 +93,7 @@ def measured(log: Path, group: str, segments: list, methods: list[str], draw: Pa
     """One log's figures: of each method the share of steps in which it holds the truth, its half-width and its error."""
     import rotorwatch as rw
     from rotorwatch.diagnose import prepare
-    from rotorwatch.estimate import steps
+    from rotorwatch_lab.estimate import steps
 
     flight = rw.read(log)
     left = min((judged.onset for judged in prepare(flight).upsets), default=np.inf)

@@ -15,13 +15,7 @@ START, END = "<!-- table made by docs/make_methods.py -->\n", "<!-- end of the t
 
 def plants() -> dict:
     """One example of each plant, by name."""
-    from rotorwatch.methods.maths.systems import (
-        helicopter,
-        linear_hover,
-        port_hamiltonian_attitude,
-        rate_dynamics,
-        rigid_body,
-    )
+    from rotorwatch_lab.systems import helicopter, linear_hover, port_hamiltonian_attitude, rate_dynamics, rigid_body
 
     return {
         "rate_dynamics": rate_dynamics.RateDynamics.of(airframes.paper("niermeyer-hexa")),

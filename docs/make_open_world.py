@@ -11,7 +11,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from rotorwatch.lab.campaign import open_world
+from rotorwatch_lab.campaign import open_world
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "results.md"

@@ -13,14 +13,14 @@ import sys
 from pathlib import Path
 
 from rotorwatch.base import files
-from rotorwatch.lab.experiments.studies import reproduction
+from rotorwatch_lab.experiments.studies import reproduction
 
 HERE = Path(__file__).parent
 DATA, PARTS, PAGE = HERE / "papers.json", HERE / "papers_parts.toml", HERE / "papers.md"
 WORDS = {"partly": "holds only in part"}  # where no condition is given
 HEAD = """# The five papers
 
-What each paper claims, and what comes out here; where its equations and tables are in the code (`src/rotorwatch`), and what draws its
+What each paper claims, and what comes out here; where its equations and tables are in the code (below `src`), and what draws its
 figures. The page is made from the results of `rotorwatch reproduce --all` by `python docs/make_papers.py`. "Holds only if": under the
 condition that is named. "Refuted": the opposite is shown. "Not reproduced": it does not come out, and the paper leaves enough open that
 it may have been so there.

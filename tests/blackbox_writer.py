@@ -313,7 +313,7 @@ def fly(log: Log, made, interval: int = 32) -> Log:
 
 
 def simulated(flight, path):
-    """A flight of lab/simulation/fpv.py as Betaflight logs it, each second sample."""
+    """A flight of rotorwatch_lab/simulation/fpv.py as Betaflight logs it, each second sample."""
     more = [Field(f"eRPM[{k}]", 0) for k in range(4)]
     log = betaflight(more=more)
     step = slice(None, None, 2)

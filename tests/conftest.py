@@ -22,7 +22,7 @@ from rotorwatch.answer import from_takeoff, places
 from rotorwatch.answer.conclusion import Evidence, conclude
 from rotorwatch.answer.ledger import open_claims
 from rotorwatch.flight.diagnosis import Diagnosis, Event, Source, Trace
-from rotorwatch.methods.compiling import native
+from rotorwatch_lab.compiling import native
 
 # Tests run as users run them, and so do the commands that they start: PYTHONUNBUFFERED or COLUMNS of a developer's shell can hide a fault.
 # Besides what everyone has, there stays where Python, compilers and temporary files are, and what says how the tests themselves are run.

@@ -7,7 +7,7 @@ import subprocess
 import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.export.export_c import prepare, program_of
+from rotorwatch_lab.export_c import prepare, program_of
 
 jax = load_jax()
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")

@@ -23,10 +23,10 @@ from multiprocessing import get_context
 import numpy as np
 from tests.mavlink_vehicle import Autopilot, mavlink, messages
 
-from rotorwatch.lab.simulation import scenario, simulate
 from rotorwatch.live.endpoint import Endpoint
 from rotorwatch.live.link import Link
 from rotorwatch.live.session import building
+from rotorwatch_lab.simulation import scenario, simulate
 
 STEP_S = 0.04
 SECONDS, ONSET_S = 45.0, 22.0

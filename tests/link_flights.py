@@ -23,7 +23,7 @@ from tests.link_faults import ALARMS, Faults, arriving, watched
 from tests.mavlink_vehicle import Autopilot, messages
 
 from rotorwatch import diagnose, logs
-from rotorwatch.lab.simulation import scenario, simulate
+from rotorwatch_lab.simulation import scenario, simulate
 
 RECORDED = Path(__file__).resolve().parents[2] / "shared" / "flights" / "ardupilot-sitl"
 TRUTH = {  # shared/flights/truth.csv

@@ -1,6 +1,6 @@
 """Makes the sample of the tutorial "my FPV quad fell": `python tests/make_fpv_sample.py FILE.bbl`.
 
-A flight of lab/simulation/fpv.py at 500 Hz with the motors' speeds: motor 3 loses step at 14 s and at 19 s, and stops for good at 22 s.
+A flight of rotorwatch_lab/simulation/fpv.py at 500 Hz with motor speeds: motor 3 loses step at 14 s and at 19 s, and stops at 22 s.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from blackbox_writer import PREVIOUS, SIGNED, UNSIGNED, ZERO, Field, betaflight, fly, rows
-from rotorwatch.lab.simulation import fpv
+from rotorwatch_lab.simulation import fpv
 
 FALLS_S, END_S, EVERY, SEED = 22.0, 23.4, 2, 1
 WRONG = (fpv.Moment(0, 2, 14.0, 0.12), fpv.Moment(0, 2, 19.0, 0.2), fpv.Moment(0, 2, FALLS_S, 60.0))

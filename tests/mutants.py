@@ -38,7 +38,8 @@ else:
     import tomli as tomllib  # pyright: ignore[reportMissingImports]
 
 ROOT = Path(__file__).resolve().parents[1]
-SOURCE = Path("src") / "rotorwatch"
+SOURCE = Path("src")
+PACKAGE, LABORATORY = "rotorwatch", "rotorwatch_lab"
 TABLE, PAGE = Path("docs") / "mutants.csv", Path("docs") / "mutants.md"
 BY_HAND, HAND = Path(__file__).with_name("mutants_by_hand.toml"), "by hand"
 
@@ -46,15 +47,22 @@ BY_HAND, HAND = Path(__file__).with_name("mutants_by_hand.toml"), "by hand"
 PARTS: dict[str, tuple[tuple[str, ...], float]] = {
     "readers": (("logs/*.py",), 0.25),
     "motion": (("engine/motion/allocation.py", "engine/motion/ticks.py"), 0.15),
-    "campaign": (("lab/campaign/score.py", "lab/campaign/summary.py", "lab/campaign/sequences.py"), 0.15),
+    "campaign": (
+        (
+            "rotorwatch_lab/campaign/score.py",
+            "rotorwatch_lab/campaign/summary.py",
+            "rotorwatch_lab/campaign/sequences.py",
+        ),
+        0.15,
+    ),
     "report": (("report/*.py",), 0.13),
-    "estimators": (("methods/estimators/*.py",), 0.15),
+    "estimators": (("rotorwatch_lab/estimators/*.py",), 0.15),
     "default": (("engine/host/*.py", "engine/estimator/*.py", "witnesses/*.py"), 0.17),
 }
 
 # Tests of a file besides tests/test_<its name>.py: the ones that fail soonest first.
 NAMED: dict[str, tuple[str, ...]] = {
-    "lab/simulation/prepare.py": ("simulate",),
+    "rotorwatch_lab/simulation/prepare.py": ("simulate",),
     "logs/container.py": ("logs_open",),
     "logs/__init__.py": ("logs_open",),
     "logs/crazyflie.py": ("logs_crazyflie",),
@@ -87,23 +95,23 @@ NAMED: dict[str, tuple[str, ...]] = {
     "report/colours.py": ("figures",),
     "report/html.py": ("figures", "words"),
     "report/terminal.py": ("words",),
-    "lab/experiments/research_tables.py": ("cli_research",),
+    "rotorwatch_lab/experiments/research_tables.py": ("cli_research",),
     "report/*.py": ("report",),
     "engine/front/losses.py": ("hypotheses", "announcement", "events"),
     "engine/estimator/known.py": ("limits",),
     "engine/estimator/*.py": ("default_estimator", "engine"),
-    "methods/estimators/__init__.py": ("architecture",),
-    "methods/estimators/akf.py": ("axkf",),
-    "methods/estimators/adaptive_ekf.py": ("axkf",),
-    "methods/estimators/ekf.py": ("axkf",),
-    "methods/estimators/aekf.py": ("aesmf",),
-    "methods/maths/augmented_ekf.py": ("axkf", "aesmf"),
-    "methods/estimators/aukf.py": ("atsukf",),
-    "methods/estimators/ukf.py": ("atsukf",),
-    "methods/estimators/tsukf.py": ("atsukf",),
-    "methods/estimators/esmf.py": ("aesmf",),
-    "methods/estimators/lyapunov.py": ("lyapunov_mhe",),
-    "methods/estimators/mh*.py": ("lyapunov_mhe",),
+    "rotorwatch_lab/estimators/__init__.py": ("architecture",),
+    "rotorwatch_lab/estimators/akf.py": ("axkf",),
+    "rotorwatch_lab/estimators/adaptive_ekf.py": ("axkf",),
+    "rotorwatch_lab/estimators/ekf.py": ("axkf",),
+    "rotorwatch_lab/estimators/aekf.py": ("aesmf",),
+    "rotorwatch_lab/maths/augmented_ekf.py": ("axkf", "aesmf"),
+    "rotorwatch_lab/estimators/aukf.py": ("atsukf",),
+    "rotorwatch_lab/estimators/ukf.py": ("atsukf",),
+    "rotorwatch_lab/estimators/tsukf.py": ("atsukf",),
+    "rotorwatch_lab/estimators/esmf.py": ("aesmf",),
+    "rotorwatch_lab/estimators/lyapunov.py": ("lyapunov_mhe",),
+    "rotorwatch_lab/estimators/mh*.py": ("lyapunov_mhe",),
     "engine/host/default.py": ("laws",),
     "engine/host/program.py": ("coaxial_share",),
 }
@@ -139,7 +147,9 @@ FIELDS = ("part", "file", "line", "operator", "before", "after", "outcome", "tes
 
 @dataclass(frozen=True)
 class Mutant:
-    """One planted error. file: below src/rotorwatch. occurrence: which place of the operator in it. before, after: the line."""
+    """One planted error. file: below src/rotorwatch, or below src where it begins with rotorwatch_lab/.
+
+    occurrence: which place of the operator in it. before, after: the line."""
 
     part: str
     file: str
@@ -158,6 +168,11 @@ class Mutant:
         return self.file, self.operator, self.before, self.after
 
 
+def place(file: str) -> Path:
+    """A mutant's file, from the repository's root."""
+    return SOURCE / file if file.startswith(f"{LABORATORY}/") else SOURCE / PACKAGE / file
+
+
 def tests_of(file: str) -> tuple[str, ...]:
     """Names of the test files for a file below src/rotorwatch, the one with its own name first."""
     names = [Path(file).stem] if file != "logs/__init__.py" else []
@@ -169,12 +184,12 @@ def tests_of(file: str) -> tuple[str, ...]:
 
 
 def parts() -> dict[str, tuple[str, ...]]:
-    """Part -> its files, below src/rotorwatch, but for rooms that hold no code."""
+    """Part -> its files, as `Mutant.file`, but for rooms that hold no code."""
     found = {}
     for part, (patterns, _) in PARTS.items():
-        files = sorted(f for pattern in patterns for f in (ROOT / SOURCE).glob(pattern))
+        files = sorted(f for pattern in patterns for f in (ROOT / SOURCE).glob(str(place(pattern).relative_to(SOURCE))))
         files = [f for f in files if len(ast.parse(f.read_text(encoding="utf-8")).body) > 1]
-        found[part] = tuple(str(f.relative_to(ROOT / SOURCE)) for f in files)
+        found[part] = tuple(f.relative_to(ROOT / SOURCE).as_posix().removeprefix(f"{PACKAGE}/") for f in files)
     return found
 
 
@@ -238,7 +253,7 @@ def ranked(part: str, seed: int) -> list[tuple[bytes, str, str, int, int]]:
     number's two neighbours only one is there."""
     found = []
     for file in parts()[part]:
-        source = (ROOT / SOURCE / file).read_text(encoding="utf-8")
+        source = (ROOT / place(file)).read_text(encoding="utf-8")
         lines, seen = source.splitlines(), Counter()
         for operator, occurrence, line in places(source):
             text = lines[line - 1].strip()
@@ -257,7 +272,7 @@ def draw(sample: int, seed: int) -> list[Mutant]:
         for _, file, operator, occurrence, line in ranked(part, seed):
             if not left:
                 break
-            source = (ROOT / SOURCE / file).read_text(encoding="utf-8")
+            source = (ROOT / place(file)).read_text(encoding="utf-8")
             new = changed(source, operator, occurrence)
             if new is None:
                 continue
@@ -273,7 +288,7 @@ def by_hand() -> list[Mutant]:
     found = []
     for kind, rows in tomllib.loads(BY_HAND.read_text(encoding="utf-8")).items():
         for row in rows:
-            source = (ROOT / SOURCE / row["file"]).read_text(encoding="utf-8")
+            source = (ROOT / place(row["file"])).read_text(encoding="utf-8")
             if source.count(row["before"]) != 1:
                 print(f"No longer once in {row['file']}: {row['before']}", file=sys.stderr)
                 continue
@@ -340,7 +355,7 @@ class Copy:
 
     def judge(self, mutant: Mutant, limit_s: float) -> Mutant:
         """The error planted, tried and taken out again."""
-        path = self.root / SOURCE / mutant.file
+        path = self.root / place(mutant.file)
         original = path.read_text(encoding="utf-8")
         if mutant.part == HAND:
             text = original.replace(mutant.before, mutant.after)

@@ -10,8 +10,8 @@ from rotorwatch.engine.host import program
 from rotorwatch.engine.host.hypotheses import list_hypotheses
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN, Ticks
 from rotorwatch.errors import ConfigError
-from rotorwatch.lab.campaign import ablation
-from rotorwatch.lab.campaign.constants import TABLE
+from rotorwatch_lab.campaign import ablation
+from rotorwatch_lab.campaign.constants import TABLE
 
 DT = 0.1
 

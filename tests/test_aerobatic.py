@@ -10,10 +10,10 @@ from rotorwatch import airframes, diagnose
 from rotorwatch.engine.host import events
 from rotorwatch.engine.motion.ticks import JUDGE, READY_S, observe
 from rotorwatch.flight import Flight, Signal
-from rotorwatch.lab.simulation import fpv, scenario, simulate
 from rotorwatch.witnesses.aerobatic import judge
 from rotorwatch.witnesses.aerobatic.response import respond
 from rotorwatch.witnesses.healthy.calibrate import calibrate
+from rotorwatch_lab.simulation import fpv, scenario, simulate
 
 CRAFT = airframes.named("betaflight-quad-x")
 B = CRAFT.effectiveness()

@@ -8,15 +8,15 @@ from hypothesis import strategies as st
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.lab.experiments.studies import ruav_flight, small_systems
-from rotorwatch.methods.compiling.run import run
-from rotorwatch.methods.estimators.aekf import AEKF
-from rotorwatch.methods.estimators.aesmf import AESMF, gradient
-from rotorwatch.methods.estimators.aukf import AUKF
-from rotorwatch.methods.estimators.esmf import ESMF
-from rotorwatch.methods.maths import ellipsoid, interval, mit_rule, small, taylor
-from rotorwatch.methods.maths.set_membership import Cutting
-from rotorwatch.methods.maths.systems.helicopter import Helicopter
+from rotorwatch_lab.compiling.run import run
+from rotorwatch_lab.estimators.aekf import AEKF
+from rotorwatch_lab.estimators.aesmf import AESMF, gradient
+from rotorwatch_lab.estimators.aukf import AUKF
+from rotorwatch_lab.estimators.esmf import ESMF
+from rotorwatch_lab.experiments.studies import ruav_flight, small_systems
+from rotorwatch_lab.maths import ellipsoid, interval, mit_rule, small, taylor
+from rotorwatch_lab.maths.set_membership import Cutting
+from rotorwatch_lab.systems.helicopter import Helicopter
 
 jax = load_jax()
 jnp = jax.numpy

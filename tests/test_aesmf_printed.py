@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from rotorwatch.lab.experiments.studies import ruav_filters, small_systems
-from rotorwatch.methods.compiling.run import run
-from rotorwatch.methods.estimators.aesmf import AESMF
-from rotorwatch.methods.estimators.esmf import ESMF
+from rotorwatch_lab.compiling.run import run
+from rotorwatch_lab.estimators.aesmf import AESMF
+from rotorwatch_lab.estimators.esmf import ESMF
+from rotorwatch_lab.experiments.studies import ruav_filters, small_systems
 
 DT, T = small_systems.DT, 60
 PROCESS, MEASUREMENT = np.array([2e-3, 4e-3]), np.array([0.02, 0.03])

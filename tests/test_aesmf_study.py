@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rotorwatch.errors import ConfigError
-from rotorwatch.lab.experiments.studies import reproduce_aesmf as study
-from rotorwatch.lab.experiments.studies import reproduction, ruav_filters, ruav_flight
+from rotorwatch_lab.experiments.studies import reproduce_aesmf as study
+from rotorwatch_lab.experiments.studies import reproduction, ruav_filters, ruav_flight
 
 
 @pytest.fixture(scope="module")

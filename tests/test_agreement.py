@@ -42,7 +42,7 @@ FAULTS = [
 @cache
 def simulated(frame):
     """Diagnoses of one flight for each of FAULTS."""
-    from rotorwatch.lab.simulation import Simulated, plan, record_of, scenario, simulate_batch
+    from rotorwatch_lab.simulation import Simulated, plan, record_of, scenario, simulate_batch
 
     rest = {
         "duration_s": 30.0,

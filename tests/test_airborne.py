@@ -10,8 +10,8 @@ import pytest
 from rotorwatch import diagnose, logs
 from rotorwatch.engine.motion.airborne import CONFIRM_S, MOST_GAP_S, airborne, gaps
 from rotorwatch.flight import Flight, Message, Signal
-from rotorwatch.lab.simulation import scenario, simulate
 from rotorwatch.logs.memory import from_arrays
+from rotorwatch_lab.simulation import scenario, simulate
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"
 needs_flights = pytest.mark.skipif(

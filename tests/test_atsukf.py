@@ -12,12 +12,12 @@ import pytest
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.lab.experiments.studies import reproduce_atsukf as study
-from rotorwatch.methods.estimators.atsukf import ATSUKF
-from rotorwatch.methods.estimators.tsukf import TSUKF
-from rotorwatch.methods.estimators.ukf import UKF
-from rotorwatch.methods.maths import two_stage, unscented
-from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
+from rotorwatch_lab.estimators.atsukf import ATSUKF
+from rotorwatch_lab.estimators.tsukf import TSUKF
+from rotorwatch_lab.estimators.ukf import UKF
+from rotorwatch_lab.experiments.studies import reproduce_atsukf as study
+from rotorwatch_lab.maths import two_stage, unscented
+from rotorwatch_lab.systems.rate_dynamics import RateDynamics
 
 jax = load_jax()
 jnp = jax.numpy

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from rotorwatch.errors import ConfigError
-from rotorwatch.lab.experiments.studies import reproduce_atsukf as study
-from rotorwatch.lab.experiments.studies import reproduction
-from rotorwatch.lab.experiments.studies import two_stage_as_printed as printed
-from rotorwatch.lab.experiments.studies.uaf_flight import DT, fly, losses
-from rotorwatch.methods.estimators.tsukf import TSUKF
+from rotorwatch_lab.estimators.tsukf import TSUKF
+from rotorwatch_lab.experiments.studies import reproduce_atsukf as study
+from rotorwatch_lab.experiments.studies import reproduction
+from rotorwatch_lab.experiments.studies import two_stage_as_printed as printed
+from rotorwatch_lab.experiments.studies.uaf_flight import DT, fly, losses
 
 EXACT = 1e-9
 

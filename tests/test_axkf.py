@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.methods.compiling.run import run
-from rotorwatch.methods.estimators.adaptive_ekf import AdaptiveEKF
-from rotorwatch.methods.estimators.akf import AKF
-from rotorwatch.methods.estimators.axkf import AXKF
-from rotorwatch.methods.estimators.ekf import EKF
-from rotorwatch.methods.maths import adaptive_kalman, linearise
-from rotorwatch.methods.maths.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
-from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
+from rotorwatch_lab.compiling.run import run
+from rotorwatch_lab.estimators.adaptive_ekf import AdaptiveEKF
+from rotorwatch_lab.estimators.akf import AKF
+from rotorwatch_lab.estimators.axkf import AXKF
+from rotorwatch_lab.estimators.ekf import EKF
+from rotorwatch_lab.maths import adaptive_kalman, linearise
+from rotorwatch_lab.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
+from rotorwatch_lab.systems.rate_dynamics import RateDynamics
 
 jax = load_jax()
 jnp = jax.numpy
@@ -363,9 +363,9 @@ def test_bad_configuration_gets_one_sentence(build, sentence):
 def test_the_papers_tuning_sees_the_papers_losses_with_the_default_bound():
     """Its Q and R are tuning: with them a bound of the losses' variance at 1 hid both losses altogether."""
     from rotorwatch import airframes
-    from rotorwatch.lab.experiments.studies import rot_flights as flights
-    from rotorwatch.methods.maths import observer_gain
-    from rotorwatch.methods.maths.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
+    from rotorwatch_lab.experiments.studies import rot_flights as flights
+    from rotorwatch_lab.maths import observer_gain
+    from rotorwatch_lab.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
 
     airframe = airframes.paper("rot-hexa")
     plant = PortHamiltonianAttitude.of(airframe, suspects=flights.MOTORS)

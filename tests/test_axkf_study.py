@@ -7,10 +7,10 @@ import pytest
 
 from rotorwatch import airframes
 from rotorwatch.errors import ConfigError
-from rotorwatch.lab.experiments.studies import reproduce_axkf as study
-from rotorwatch.lab.experiments.studies import reproduction
-from rotorwatch.lab.experiments.studies import rot_flights as flights
-from rotorwatch.methods.maths.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
+from rotorwatch_lab.experiments.studies import reproduce_axkf as study
+from rotorwatch_lab.experiments.studies import reproduction
+from rotorwatch_lab.experiments.studies import rot_flights as flights
+from rotorwatch_lab.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
 
 
 @pytest.fixture(scope="module")

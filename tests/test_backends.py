@@ -14,12 +14,12 @@ import pytest
 from rotorwatch import airframes
 from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.errors import BackendWarning
-from rotorwatch.lab.experiments.studies.compare_flights import _scene, simulate
-from rotorwatch.methods.compiling import native
-from rotorwatch.methods.compiling.run import run, run_built
-from rotorwatch.methods.estimators.ekf import EKF
-from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
-from rotorwatch.methods.published import published
+from rotorwatch_lab.compiling import native
+from rotorwatch_lab.compiling.run import run, run_built
+from rotorwatch_lab.estimators.ekf import EKF
+from rotorwatch_lab.experiments.studies.compare_flights import _scene, simulate
+from rotorwatch_lab.published import published
+from rotorwatch_lab.systems.rate_dynamics import RateDynamics
 
 SAMPLE = SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"
 COMMAND = [sys.executable, "-m", "rotorwatch.commands.cli", "diagnose", str(SAMPLE), "--json"]

@@ -16,7 +16,7 @@ from scipy.stats import binomtest
 from rotorwatch.base.optional import tomllib
 from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError
-from rotorwatch.lab.campaign import batch, benchmark, benchmark_plan, public_data, ranking, results_file, score, summary
+from rotorwatch_lab.campaign import batch, benchmark, benchmark_plan, public_data, ranking, results_file, score, summary
 
 pytest.importorskip("pyarrow")
 ROOT = Path(__file__).resolve().parents[1]
@@ -321,7 +321,7 @@ def test_files_of_different_plans_are_not_mixed(tmp_path):
         (["quick", "--method", "ekf", "-o", "x.json"], "write package.module:Class"),
         (["quick", "--methods", "nope", "-o", "x.json"], "There is no method called 'nope'; known are"),
         (
-            ["quick", "--methods", "ekf,rotorwatch.methods.estimators.ekf:EKF", "-o", "x.json"],
+            ["quick", "--methods", "ekf,rotorwatch_lab.estimators.ekf:EKF", "-o", "x.json"],
             "Two methods call themselves ekf",
         ),
         (["quick", "--data", "crazypad", "-o", "x.json"], "write NAME=PATH"),
@@ -343,7 +343,7 @@ def test_the_list_says_where_methods_come_from_and_tells_namesakes_apart():
     done = CliRunner().invoke(cli.cli, ["benchmark", "--list", "--json"])
     about = {m["name"]: m for m in json.loads(done.output)["methods"]}
     assert {"ekf", "default", "ardupilot-thrust-loss"} <= set(about)
-    assert about["ekf"]["package"] == "rotorwatch" and about["ekf"]["path"] == "rotorwatch.methods.estimators.ekf:EKF"
+    assert about["ekf"]["package"] == "rotorwatch" and about["ekf"]["path"] == "rotorwatch_lab.estimators.ekf:EKF"
     assert "Zhang" in about["adaptive_ekf"]["about"] and "Zhang" in about["akf"]["about"]
 
 
@@ -535,7 +535,7 @@ def test_two_methods_of_another_package_are_tried_and_ranked_by_the_real_command
         assert done.returncode == 0, done.stderr
         return done
 
-    shorter = (ROOT / "src/rotorwatch/lab/campaign/benchmark_plans/quick.toml").read_text()
+    shorter = (ROOT / "src/rotorwatch_lab/campaign/benchmark_plans/quick.toml").read_text()
     (tmp_path / "plan.toml").write_text(
         shorter.replace("flights = 64", "flights = 7").replace('name = "quick"', 'name = "shorter"')
     )

@@ -6,7 +6,7 @@ import pytest
 
 import blackbox_writer as writer
 from rotorwatch.commands.cli import main
-from rotorwatch.lab.simulation import fpv
+from rotorwatch_lab.simulation import fpv
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.methods.maths import bounded
+from rotorwatch_lab.maths import bounded
 
 LOOSE, TIGHT = (-0.2, 1.0), (-0.02, 1.0)
 

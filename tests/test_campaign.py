@@ -18,10 +18,10 @@ from hypothesis import strategies as st
 from conftest import trials
 from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError
-from rotorwatch.lab import campaign
-from rotorwatch.lab.campaign import batch, page, score, store, summary, work
-from rotorwatch.lab.campaign import plan as plans
-from rotorwatch.lab.simulation import scenario
+from rotorwatch_lab import campaign
+from rotorwatch_lab.campaign import batch, page, score, store, summary, work
+from rotorwatch_lab.campaign import plan as plans
+from rotorwatch_lab.simulation import scenario
 
 pyarrow = pytest.importorskip("pyarrow")
 ROOT = Path(__file__).resolve().parents[1]
@@ -230,7 +230,7 @@ FAKE = '''
 import os, sys, time
 from pathlib import Path
 from rotorwatch import campaign
-from rotorwatch.lab.campaign import batch, score, work
+from rotorwatch_lab.campaign import batch, score, work
 
 def judge(plan, flights, size):
     """Rows that tell one flight from another, slowly."""

@@ -10,11 +10,11 @@ import rotorwatch
 from rotorwatch.base import backend
 from rotorwatch.base.compiling import toolchain
 from rotorwatch.engine.motion.ticks import LEARN
-from rotorwatch.lab import campaign
-from rotorwatch.lab.campaign import batch, methods, score, work
-from rotorwatch.lab.simulation import scenario, simulate
-from rotorwatch.methods.compiling import run
-from rotorwatch.methods.published import log_plant, published
+from rotorwatch_lab import campaign
+from rotorwatch_lab.campaign import batch, methods, score, work
+from rotorwatch_lab.compiling import run
+from rotorwatch_lab.published import log_plant, published
+from rotorwatch_lab.simulation import scenario, simulate
 
 pytest.importorskip("pyarrow")
 WIDTH = 4

@@ -232,14 +232,14 @@ def test_calibrate_writes_the_vehicle_it_learned(fake, run, monkeypatch):
 
 def test_inject_hands_its_options_to_the_campaign(fake, run, monkeypatch):
     asked = []
-    module = ModuleType("rotorwatch.lab.experiments.inject")
+    module = ModuleType("rotorwatch_lab.experiments.inject")
 
     def campaign(paths, losses, repeats, seed, progress, jobs, scheduler, keep):
         asked.append(([p.name for p in paths], losses, repeats, seed, jobs, scheduler, keep))
         return {"table": [{"loss": 0.2, "injections": 8, "detected": 0.5, "delay_s": 1.25}], "false_alarms": 0}
 
     module.campaign = campaign
-    monkeypatch.setitem(sys.modules, "rotorwatch.lab.experiments.inject", module)
+    monkeypatch.setitem(sys.modules, "rotorwatch_lab.experiments.inject", module)
     argv = ("inject", "healthy.bin", "--loss", "0.2,0.9", "--repeats", "2", "--seed", "9", "--jobs", "2", "--keep", "k")
     code, out, _ = run(*argv, "--json")
     assert code == 0 and json.loads(out)["false_alarms"] == 0

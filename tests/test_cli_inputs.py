@@ -13,7 +13,7 @@ import pytest
 from rotorwatch.base import files, incoming
 from rotorwatch.commands import cli, tools
 from rotorwatch.errors import BackendWarning, ConfigError
-from rotorwatch.witnesses.healthy import tune
+from rotorwatch_lab import tune
 from test_cli import fake, run  # noqa: F401
 
 SAMPLE = cli.SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"
@@ -124,7 +124,7 @@ def test_a_place_that_cannot_be_written_to_is_noticed_before_the_work(fake, run,
         raise AssertionError("the work began")
 
     monkeypatch.setattr(sys.modules["rotorwatch.logs"], "read", work)
-    monkeypatch.setattr("rotorwatch.methods.published.observability.observability", work)
+    monkeypatch.setattr("rotorwatch_lab.published.observability.observability", work)
     before = sorted(fake.iterdir())
     code, out, err = run(*argv)
     assert (code, out) == (2, "") and words in err and err.count("\n") == 1
@@ -140,8 +140,8 @@ def test_a_missing_library_is_noticed_before_the_work(fake, run, monkeypatch, ar
         raise AssertionError("the work began")
 
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    monkeypatch.setattr("rotorwatch.methods.published.observability.observability", work)
-    monkeypatch.setattr("rotorwatch.lab.experiments.studies.reproduction.reproduce", work)
+    monkeypatch.setattr("rotorwatch_lab.published.observability.observability", work)
+    monkeypatch.setattr("rotorwatch_lab.experiments.studies.reproduction.reproduce", work)
     code, out, err = run(*argv)
     assert (code, out) == (2, "") and "needs matplotlib, which is not installed: pip install matplotlib." in err
 
@@ -246,7 +246,7 @@ def test_losses_that_no_vehicle_flies_with(text):
 def test_a_table_of_truth_is_read_before_anything_is_simulated(tmp_path, monkeypatch):
     from click.testing import CliRunner
 
-    from rotorwatch.lab.experiments.studies import compare_flights
+    from rotorwatch_lab.experiments.studies import compare_flights
 
     monkeypatch.setattr(compare_flights, "simulated", lambda *_: 1 / 0)
     path = tmp_path / "truth.csv"

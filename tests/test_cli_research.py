@@ -9,9 +9,9 @@ import pytest
 
 from rotorwatch.base import many
 from rotorwatch.base.many import processes
-from rotorwatch.commands import research
-from rotorwatch.lab.experiments.studies import reproduction
-from rotorwatch.lab.experiments.studies.reproduction import Claim, Reproduction
+from rotorwatch_lab.commands import research
+from rotorwatch_lab.experiments.studies import reproduction
+from rotorwatch_lab.experiments.studies.reproduction import Claim, Reproduction
 
 
 class Drawing:

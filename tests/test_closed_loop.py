@@ -10,11 +10,11 @@ import pytest
 from rotorwatch.engine.estimator.sizes import PLACES
 from rotorwatch.engine.host import program
 from rotorwatch.errors import ConfigError
-from rotorwatch.lab.campaign import batch, closed_loop, plan, store
-from rotorwatch.lab.simulation import control, loop, prepare, reconfigured, record_of, scenario
-from rotorwatch.lab.simulation.multirotor import MULTIROTOR
-from rotorwatch.methods.control import spinning
-from rotorwatch.methods.control.allocation import believed, rows
+from rotorwatch_lab.campaign import batch, closed_loop, plan, store
+from rotorwatch_lab.control import spinning
+from rotorwatch_lab.control.allocation import believed, rows
+from rotorwatch_lab.simulation import control, loop, prepare, reconfigured, record_of, scenario
+from rotorwatch_lab.simulation.multirotor import MULTIROTOR
 
 pytest.importorskip("pyarrow")
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from rotorwatch.answer.common_mode import BLOCKS, thrust_shift
-from rotorwatch.methods.maths.tails import student_quantile
+from rotorwatch.stats.tails import student_quantile
 
 
 def test_the_quantile_is_students():

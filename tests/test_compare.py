@@ -14,9 +14,9 @@ from rotorwatch.engine.host import program
 from rotorwatch.engine.motion.ticks import JUDGE
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.lab.experiments.studies import compare as study
-from rotorwatch.lab.experiments.studies import compare_flights
-from rotorwatch.methods.published import published
+from rotorwatch_lab.experiments.studies import compare as study
+from rotorwatch_lab.experiments.studies import compare_flights
+from rotorwatch_lab.published import published
 
 
 @pytest.fixture(scope="module")

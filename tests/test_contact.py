@@ -16,7 +16,7 @@ from rotorwatch.engine.front import contact as definition
 from rotorwatch.engine.front import sense
 from rotorwatch.engine.front.vehicle import Vehicle
 from rotorwatch.engine.motion import contact
-from rotorwatch.lab.simulation import scenario, simulate
+from rotorwatch_lab.simulation import scenario, simulate
 
 WILD = Path(__file__).resolve().parents[2] / "shared" / "flights" / "wild"
 DT, T, N = 0.1, 200, 4

@@ -14,9 +14,9 @@ from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.base.compiling import toolchain
 from rotorwatch.errors import ConfigError
-from rotorwatch.export.export_c import allocator_program, export_allocator
-from rotorwatch.methods.control import allocation, box
-from rotorwatch.methods.control.allocation import Allocator, Belief, believed
+from rotorwatch_lab.control import allocation, box
+from rotorwatch_lab.control.allocation import Allocator, Belief, believed
+from rotorwatch_lab.export_c import allocator_program, export_allocator
 
 BENCHMARK = importlib.util.spec_from_file_location(
     "benchmark_of_allocation", Path(__file__).resolve().parents[1] / "benchmarks" / "allocation.py"

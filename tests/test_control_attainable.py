@@ -6,7 +6,8 @@ from scipy.optimize import linprog
 
 from rotorwatch import airframes
 from rotorwatch.errors import ConfigError
-from rotorwatch.methods.control import allocation, attainable
+from rotorwatch.witnesses import attainable
+from rotorwatch_lab.control import allocation
 
 FRAMES = ("quad-x", "hexa-plus", "octa-x", "octaquad-x", "y6-b", "dodecahexa-x", "tri")
 

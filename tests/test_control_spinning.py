@@ -8,12 +8,12 @@ import pytest
 import exporting
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.lab.simulation import dynamics, prepare, rotation, scenario
-from rotorwatch.lab.simulation.rigid import Air, Body
-from rotorwatch.methods.compiling.c99.project import Field, emit_program
-from rotorwatch.methods.control import spinning
-from rotorwatch.methods.control.airframe import Airframe
-from rotorwatch.methods.control.spinning import SpinningHover, relaxed_hover
+from rotorwatch_lab.compiling.c99.project import Field, emit_program
+from rotorwatch_lab.control import spinning
+from rotorwatch_lab.control.airframe import Airframe
+from rotorwatch_lab.control.spinning import SpinningHover, relaxed_hover
+from rotorwatch_lab.simulation import dynamics, prepare, rotation, scenario
+from rotorwatch_lab.simulation.rigid import Air, Body
 
 jax = load_jax()
 jnp = jax.numpy

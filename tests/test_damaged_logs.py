@@ -11,11 +11,11 @@ import pytest
 import framed_damage
 import fuzzing
 import rotorwatch as rw
-from rotorwatch.lab.simulation import scenario, simulate
-from rotorwatch.lab.simulation.write_ulog import write_ulog
 from rotorwatch.logs import mavlink_frames, mavlink_messages, series
 from rotorwatch.logs.dataflash_binary import BinaryLog
 from rotorwatch.logs.dataflash_clock import make_clock
+from rotorwatch_lab.simulation import scenario, simulate
+from rotorwatch_lab.simulation.write_ulog import write_ulog
 
 DAMAGED = Path(__file__).parents[1] / "../shared/flights/damaged"
 SAMPLE = Path(rw.__file__).parent / "samples" / "quadx_healthy_hover.bin.xz"

@@ -16,11 +16,11 @@ import blackbox_writer as writer
 from rotorwatch.commands.cli import main
 from rotorwatch.diagnose import diagnose
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.lab.simulation import fpv
-from rotorwatch.lab.simulation.fpv import Moment, Push
 from rotorwatch.report import figures, terminal, upset
 from rotorwatch.witnesses.aerobatic import desync, innovation
 from rotorwatch.witnesses.healthy import baselines
+from rotorwatch_lab.simulation import fpv
+from rotorwatch_lab.simulation.fpv import Moment, Push
 
 SHARED = Path(__file__).parents[1] / "../shared/flights/blackbox"
 LONG = 50.0

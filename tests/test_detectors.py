@@ -6,12 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorwatch import airframes, logs
+from rotorwatch import airframes, detectors, logs
+from rotorwatch.detectors import current_residual, esc_current, thrust_loss
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.vehicle import ThrustCurve
-from rotorwatch.lab.simulation import scenario, simulate
-from rotorwatch.methods.published import detectors
-from rotorwatch.methods.published.detectors import current_residual, esc_current, thrust_loss
+from rotorwatch_lab.simulation import scenario, simulate
 
 FLIGHTS = Path(__file__).resolve().parents[2] / "shared" / "flights"
 needs_flights = pytest.mark.skipif(not FLIGHTS.is_dir(), reason="the shared test flights are not beside the repository")

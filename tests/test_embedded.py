@@ -11,8 +11,8 @@ from tests import board
 from exporting import exported
 from rotorwatch.base import discovery
 from rotorwatch.base.compiling.body import exact
-from rotorwatch.export.export_c import export_c
 from rotorwatch.export.export_diagnoser import export_diagnoser
+from rotorwatch_lab.export_c import export_c
 
 EMBEDDED = Path(__file__).resolve().parents[1] / "embedded"
 ARM = (

@@ -11,11 +11,11 @@ from rotorwatch.diagnose import diagnose, observe
 from rotorwatch.engine.motion import allocation
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.flight import Signal
-from rotorwatch.lab.experiments.studies import esc_causes
-from rotorwatch.lab.simulation import scenario, simulate
 from rotorwatch.report.html import page
 from rotorwatch.witnesses.esc import consistency, stopped, telemetry, watch
 from rotorwatch.witnesses.healthy import baselines
+from rotorwatch_lab.experiments.studies import esc_causes
+from rotorwatch_lab.simulation import scenario, simulate
 
 ONSET = 35.0
 FAULTS = {

@@ -16,12 +16,12 @@ from rotorwatch.base.physics import G0
 from rotorwatch.commands import cli
 from rotorwatch.diagnose import prepare
 from rotorwatch.errors import ConfigError, LogError
-from rotorwatch.estimate import Estimates, read_truth, steps
 from rotorwatch.flight.method_series import INTERVAL, SET, MethodSeries
 from rotorwatch.logs import memory
-from rotorwatch.methods.compiling.run import run
-from rotorwatch.methods.published import helicopter_log, log_plant, own, paper_log, published
 from rotorwatch.report import method_plots
+from rotorwatch_lab.compiling.run import run
+from rotorwatch_lab.estimate import Estimates, read_truth, steps
+from rotorwatch_lab.published import helicopter_log, log_plant, own, paper_log, published
 
 ROOT = Path(__file__).parents[1]
 FAULTY = next(iter(sorted(cli.SAMPLES.glob("hexa*.bin.xz"))))

@@ -12,9 +12,9 @@ from rotorwatch import airframes
 from rotorwatch.engine.estimator.plant import TAU
 from rotorwatch.engine.host.plant import usual_gains
 from rotorwatch.errors import ConfigError
-from rotorwatch.lab.planning.ask import ask
-from rotorwatch.methods.control import excitation
-from rotorwatch.methods.control.excitation import Limits, Noise, Signal
+from rotorwatch_lab.control import excitation
+from rotorwatch_lab.control.excitation import Limits, Noise, Signal
+from rotorwatch_lab.planning.ask import ask
 
 FRAMES = ("hexa-x", "hexa-plus", "octa-x", "octa-plus", "y6", "dodecahexa-x")
 NOISE = Noise(np.array([0.025**2, 0.01**2, 0.02**2, 0.2**2]), np.array(TAU))

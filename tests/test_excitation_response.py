@@ -10,10 +10,10 @@ from rotorwatch import airframes, diagnose
 from rotorwatch.engine.estimator.plant import CURVE, SHARE, TAU
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.lab.campaign import excitation_flights
-from rotorwatch.methods.control import excitation
-from rotorwatch.methods.maths.tails import normal_cdf
+from rotorwatch.stats.tails import normal_cdf
 from rotorwatch.witnesses import excitation_response
+from rotorwatch_lab.campaign import excitation_flights
+from rotorwatch_lab.control import excitation
 
 B = airframes.named("px4-hexa-x").effectiveness()
 N = excitation.null_space(B)
@@ -248,7 +248,7 @@ def test_as_much_calm_flight_is_looked_at_before_an_excitation_as_after_it(flown
 
 
 def test_a_log_says_what_to_ask(flown):
-    from rotorwatch.lab.planning.ask import ask
+    from rotorwatch_lab.planning.ask import ask
 
     found = ask(flown[0][1])
     assert set(found.candidates) == {(1, 2), (3, 4), (5, 6), ()}

@@ -18,14 +18,14 @@ from rotorwatch import airframes
 from rotorwatch.base.compiling import toolchain
 from rotorwatch.commands.cli import cli
 from rotorwatch.errors import ConfigError
-from rotorwatch.export.export_c import export_c
 from rotorwatch.export.export_diagnoser import export_diagnoser
-from rotorwatch.methods.compiling import native
-from rotorwatch.methods.compiling.c99.lower import Refused
-from rotorwatch.methods.compiling.c99.project import Field, emit_program
-from rotorwatch.methods.compiling.run import run
-from rotorwatch.methods.estimators.ekf import EKF
-from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
+from rotorwatch_lab.compiling import native
+from rotorwatch_lab.compiling.c99.lower import Refused
+from rotorwatch_lab.compiling.c99.project import Field, emit_program
+from rotorwatch_lab.compiling.run import run
+from rotorwatch_lab.estimators.ekf import EKF
+from rotorwatch_lab.export_c import export_c
+from rotorwatch_lab.systems.rate_dynamics import RateDynamics
 
 jnp, lax = jax.numpy, jax.lax
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
@@ -460,8 +460,8 @@ WARM = """
 import json, sys
 import numpy as np
 from typing import NamedTuple
-from rotorwatch.methods.compiling import native
-from rotorwatch.methods.compiling.run import run_built
+from rotorwatch_lab.compiling import native
+from rotorwatch_lab.compiling.run import run_built
 class Carry(NamedTuple):
     total: object
 class Sum:

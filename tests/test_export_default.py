@@ -12,7 +12,7 @@ from rotorwatch.engine.estimator import sizes
 from rotorwatch.engine.estimator.estimator import Result
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
 from rotorwatch.engine.host import program
-from rotorwatch.export.export_c import export_c
+from rotorwatch_lab.export_c import export_c
 from test_engine import flight
 
 FRAME, N, TICKS = "ardupilot-hexa-x", 6, 300

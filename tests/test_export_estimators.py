@@ -10,9 +10,9 @@ import pytest
 
 from exporting import STRICT, address, difference, estimator, exported, library, measurements, room, struct
 from rotorwatch.base import discovery
-from rotorwatch.export.export_c import export_c, program_of
-from rotorwatch.methods.compiling.c99 import operations
-from rotorwatch.methods.compiling.c99.plan import Plan
+from rotorwatch_lab.compiling.c99 import operations
+from rotorwatch_lab.compiling.c99.plan import Plan
+from rotorwatch_lab.export_c import export_c, program_of
 
 EQUAL = 1e-12
 NAMES = [name for name in discovery.estimators() if name != "default"]  # of that see test_export_default.py

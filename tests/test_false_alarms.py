@@ -12,7 +12,7 @@ from rotorwatch.commands import cli
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.lab.experiments.studies import false_alarms as study
+from rotorwatch_lab.experiments.studies import false_alarms as study
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.methods.maths.faulty_allocation import LeastSquares, Sparse, Temporal
+from rotorwatch_lab.maths.faulty_allocation import LeastSquares, Sparse, Temporal
 
 jax = load_jax()
 

@@ -275,8 +275,8 @@ def test_whose_flight_it_is():
 
 def test_a_fleet_is_flown_and_scored(monkeypatch, tmp_path, run):
     """The stories and their score; the flights are made of numbers here, not flown."""
-    from rotorwatch.fleet import synthetic
     from rotorwatch.fleet.store import Entry
+    from rotorwatch_lab import synthetic_fleet as synthetic
 
     def fly(story, number, flights, seed):
         rng = np.random.default_rng([seed, number])

@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import solve_continuous_lyapunov
 
 from rotorwatch.errors import ConfigError
-from rotorwatch.methods.maths import h_infinity
+from rotorwatch_lab.maths import h_infinity
 
 NORMS = (h_infinity.sweep, h_infinity.bisection)
 

@@ -11,7 +11,7 @@ from rotorwatch import logs
 from rotorwatch.base.files import printable
 from rotorwatch.commands import cli
 from rotorwatch.flight import Flight, Message
-from rotorwatch.lab.simulation.write_dataflash import write_dataflash
+from rotorwatch_lab.simulation.write_dataflash import write_dataflash
 
 SAMPLE = cli.SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"
 EVIL = "\x1b]0;x\x07\x9b31m\r\n::error::x"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from rotorwatch.methods.maths import huber
+from rotorwatch.stats import huber
 
 
 def table(seed=0, n=400):

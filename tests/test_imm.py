@@ -6,8 +6,8 @@ import pytest
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.methods.estimators.imm import IMM, Bank, moments
-from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
+from rotorwatch_lab.estimators.imm import IMM, Bank, moments
+from rotorwatch_lab.systems.rate_dynamics import RateDynamics
 from test_laws import DT, LOSS, ONSET, Linear, flown, linear_table, rates_hexa, rates_quad
 
 jax = load_jax()

@@ -5,8 +5,8 @@ import pytest
 
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.base.physics import G0
-from rotorwatch.lab.simulation import incremental, loop, prepare, reconfigured, record_of, scenario, trajectories
-from rotorwatch.methods.control.allocation import rows
+from rotorwatch_lab.control.allocation import rows
+from rotorwatch_lab.simulation import incremental, loop, prepare, reconfigured, record_of, scenario, trajectories
 
 jax = load_jax()
 jnp = jax.numpy

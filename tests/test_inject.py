@@ -12,7 +12,7 @@ from rotorwatch.engine.motion import airborne, allocation, deviations
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.lab.experiments import counting, inject
+from rotorwatch_lab.experiments import counting, inject
 
 ONSET = 10.0
 FLIGHTS = Path(__file__).resolve().parents[1] / ".." / "shared" / "flights"

@@ -11,13 +11,13 @@ from conftest import trials
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.methods.compiling.run import run
-from rotorwatch.methods.estimators import intermediate
-from rotorwatch.methods.estimators.intermediate import Intermediate
-from rotorwatch.methods.maths import intermediate_design as design
-from rotorwatch.methods.maths.systems.linear_hover import LinearHover
-from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
-from rotorwatch.methods.maths.systems.rigid_body import RigidBody
+from rotorwatch_lab.compiling.run import run
+from rotorwatch_lab.estimators import intermediate
+from rotorwatch_lab.estimators.intermediate import Intermediate
+from rotorwatch_lab.maths import intermediate_design as design
+from rotorwatch_lab.systems.linear_hover import LinearHover
+from rotorwatch_lab.systems.rate_dynamics import RateDynamics
+from rotorwatch_lab.systems.rigid_body import RigidBody
 
 jax = load_jax()
 DT = 0.01

@@ -5,8 +5,8 @@ import pytest
 
 from measured import PLANT, Regression, run
 from rotorwatch.errors import ConfigError
-from rotorwatch.methods.estimators import irls
-from rotorwatch.methods.estimators.irls import IRLS
+from rotorwatch_lab.estimators import irls
+from rotorwatch_lab.estimators.irls import IRLS
 from test_laws import DT, LOSS, ONSET, flown, linear_table, rates_hexa, rates_quad
 
 ROWS, VAR, TURNS = 7, 0.3, 3

@@ -22,9 +22,9 @@ from rotorwatch.engine.estimator.plant import PER_AXIS, TAU, THETA
 from rotorwatch.engine.host import plant, program
 from rotorwatch.engine.host.default import Default
 from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LEARN
-from rotorwatch.methods.estimators.adaptive_ekf import AdaptiveEKF
-from rotorwatch.methods.estimators.ekf import EKF
-from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
+from rotorwatch_lab.estimators.adaptive_ekf import AdaptiveEKF
+from rotorwatch_lab.estimators.ekf import EKF
+from rotorwatch_lab.systems.rate_dynamics import RateDynamics
 
 DT, TICKS = 0.02, 220
 THETA_VAR = 0.1  # of the losses on the linear plant: much of what an innovation is made of

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.engine.host import program
 from rotorwatch.errors import ConfigError
-from rotorwatch.lab.experiments import limits
-from rotorwatch.lab.experiments.limits import Rows
+from rotorwatch_lab.experiments import limits
+from rotorwatch_lab.experiments.limits import Rows
 
 
 def information(rows, P0, valid, onset):

@@ -11,8 +11,8 @@ from rotorwatch import airframes, diagnose
 from rotorwatch.engine.motion import mixing, order, turning
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import READY_S, observe
-from rotorwatch.lab.simulation import scenario, simulate
 from rotorwatch.logs import dataflash_rotors
+from rotorwatch_lab.simulation import scenario, simulate
 
 
 @cache

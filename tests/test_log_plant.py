@@ -19,10 +19,10 @@ from rotorwatch.engine.host import events
 from rotorwatch.engine.host.hypotheses import list_hypotheses
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN, Ticks
 from rotorwatch.errors import ConfigError
-from rotorwatch.lab.experiments.studies import compare_flights
-from rotorwatch.methods.compiling.run import run
-from rotorwatch.methods.estimators.ekf import EKF
-from rotorwatch.methods.published import decide, log_plant, published
+from rotorwatch_lab.compiling.run import run
+from rotorwatch_lab.estimators.ekf import EKF
+from rotorwatch_lab.experiments.studies import compare_flights
+from rotorwatch_lab.published import decide, log_plant, published
 
 jax = load_jax()
 G, C = np.array([0.012, 0.014, 0.3, 1.0]), np.array([0.02, 0.03, 0.1, 0.0])

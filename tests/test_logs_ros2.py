@@ -18,8 +18,8 @@ import rotorwatch as rw
 from rotorwatch import airframes
 from rotorwatch.base import incoming
 from rotorwatch.errors import LogError, VehicleError
-from rotorwatch.lab.simulation import scenario, simulate
 from rotorwatch.logs import bag_storage, cdr, container, mavros, ros2
+from rotorwatch_lab.simulation import scenario, simulate
 
 FAULT = {"kind": "loss", "rotor": 3, "onset_s": 25.0, "strength": 0.4}
 

@@ -12,11 +12,11 @@ from scipy.optimize import lsq_linear
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.methods.estimators.lyapunov import Lyapunov
-from rotorwatch.methods.estimators.mh_lyapunov import MHLyapunov
-from rotorwatch.methods.estimators.mhe import MHE, banded, tridiagonal
-from rotorwatch.methods.maths import bounded
-from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
+from rotorwatch_lab.estimators.lyapunov import Lyapunov
+from rotorwatch_lab.estimators.mh_lyapunov import MHLyapunov
+from rotorwatch_lab.estimators.mhe import MHE, banded, tridiagonal
+from rotorwatch_lab.maths import bounded
+from rotorwatch_lab.systems.rate_dynamics import RateDynamics
 
 DT = 0.005
 KINDS = {"lyapunov": Lyapunov, "mh_lyapunov": MHLyapunov, "mhe": MHE}

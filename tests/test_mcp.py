@@ -19,7 +19,7 @@ from mcp_texts import ORDERS, WORD, quoted, tokens, unmarked
 from rotorwatch import diagnose, logs
 from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.flight import Message
-from rotorwatch.lab.simulation.write_dataflash import write_dataflash
+from rotorwatch_lab.simulation.write_dataflash import write_dataflash
 
 CRASH = Path(__file__).resolve().parents[2] / "shared" / "flights" / "crash"
 HEXA, HOVER, FPV = (

@@ -5,14 +5,14 @@ from pathlib import Path
 import pytest
 
 from rotorwatch import diagnose, logs
-from rotorwatch.lab import campaign
-from rotorwatch.lab.campaign import batch, score
-from rotorwatch.lab.experiments import counting, inject
-from rotorwatch.lab.experiments.studies import compare, compare_flights
-from rotorwatch.lab.simulation import logbook
-from rotorwatch.lab.simulation import plan as flight_plan
-from rotorwatch.lab.simulation.loop import fly_each
-from rotorwatch.lab.simulation.multirotor import MULTIROTOR
+from rotorwatch_lab import campaign
+from rotorwatch_lab.campaign import batch, score
+from rotorwatch_lab.experiments import counting, inject
+from rotorwatch_lab.experiments.studies import compare, compare_flights
+from rotorwatch_lab.simulation import logbook
+from rotorwatch_lab.simulation import plan as flight_plan
+from rotorwatch_lab.simulation.loop import fly_each
+from rotorwatch_lab.simulation.multirotor import MULTIROTOR
 
 PLANS = Path(__file__).parents[1] / "plans"
 SUFFIX = {autopilot: suffix for suffix, autopilot in logbook.SUFFIXES.items()}

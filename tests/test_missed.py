@@ -10,7 +10,7 @@ import pytest
 from rotorwatch import diagnose, read
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.missed import without_missed
-from rotorwatch.lab.simulation import scenario, simulate
+from rotorwatch_lab.simulation import scenario, simulate
 
 REAL = Path(__file__).parents[1] / "../shared/flights/ardupilot-real-rrc"
 

@@ -10,8 +10,8 @@ import pytest
 from rotorwatch import airframes, diagnose
 from rotorwatch.engine.motion.airborne import GAP_S, airborne, gaps
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN, READY_S, observe
-from rotorwatch.lab.simulation import scenario, simulate
 from rotorwatch.live.session import Session
+from rotorwatch_lab.simulation import scenario, simulate
 
 
 @cache

@@ -25,7 +25,7 @@ from rotorwatch.engine.estimator.plant import (
 )
 from rotorwatch.engine.host import events
 from rotorwatch.engine.host.plant import AXIS_STATES, any_multirotor
-from rotorwatch.lab.campaign import batch, plan
+from rotorwatch_lab.campaign import batch, plan
 
 N, DT = 4, 0.05
 B = airframes.named("ardupilot-quad-x").effectiveness()

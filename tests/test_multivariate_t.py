@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rotorwatch.methods.maths import multivariate_t as student
+from rotorwatch.stats import multivariate_t as student
 
 RNG = np.random.default_rng(4)
 

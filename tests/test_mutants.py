@@ -76,7 +76,11 @@ def test_what_nobody_would_notice_is_left_out():
 
 def test_a_sample_is_the_same_for_the_same_seed(monkeypatch):
     pytest.importorskip("cosmic_ray")
-    monkeypatch.setattr(mutants, "parts", lambda: {"campaign": ("lab/campaign/__init__.py", "lab/campaign/score.py")})
+    monkeypatch.setattr(
+        mutants,
+        "parts",
+        lambda: {"campaign": ("rotorwatch_lab/campaign/__init__.py", "rotorwatch_lab/campaign/score.py")},
+    )
     few = mutants.ranked("campaign", 5)[:7]
     assert few == mutants.ranked("campaign", 5)[:7] != mutants.ranked("campaign", 6)[:7]
     source = (ROOT / mutants.SOURCE / few[0][1]).read_text(encoding="utf-8")

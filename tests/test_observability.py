@@ -9,9 +9,9 @@ from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.engine.motion.allocation import ambiguous_sets
 from rotorwatch.errors import ConfigError, VehicleError
-from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
-from rotorwatch.methods.published import observability as module
-from rotorwatch.methods.published.observability import observability
+from rotorwatch_lab.published import observability as module
+from rotorwatch_lab.published.observability import observability
+from rotorwatch_lab.systems.rate_dynamics import RateDynamics
 
 
 @pytest.fixture(scope="module")

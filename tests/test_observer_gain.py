@@ -7,10 +7,10 @@ from scipy.linalg import solve_discrete_are
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.methods.maths import observer_gain
-from rotorwatch.methods.maths.observer_gain import Lipschitz
-from rotorwatch.methods.maths.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
-from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
+from rotorwatch_lab.maths import observer_gain
+from rotorwatch_lab.maths.observer_gain import Lipschitz
+from rotorwatch_lab.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
+from rotorwatch_lab.systems.rate_dynamics import RateDynamics
 
 DT = 1e-3
 C, EYE = np.eye(3, 6), np.eye(6)

@@ -11,9 +11,9 @@ from click.testing import CliRunner
 from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.lab import campaign
-from rotorwatch.lab.campaign import open_score, open_world
-from rotorwatch.lab.simulation import scenario
+from rotorwatch_lab import campaign
+from rotorwatch_lab.campaign import open_score, open_world
+from rotorwatch_lab.simulation import scenario
 
 KINDS = [
     {"name": "calm"},

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from rotorwatch.base import files
-from rotorwatch.lab.experiments.studies import reproduction
+from rotorwatch_lab.experiments.studies import reproduction
 
 DOCS = Path(__file__).parents[1] / "docs"
 

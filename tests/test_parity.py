@@ -6,8 +6,8 @@ import pytest
 
 from measured import PLANT, run
 from rotorwatch.errors import ConfigError
-from rotorwatch.methods.estimators.parity import Parity
-from rotorwatch.methods.maths.systems.rigid_body import RigidBody
+from rotorwatch_lab.estimators.parity import Parity
+from rotorwatch_lab.systems.rigid_body import RigidBody
 from test_laws import DT, LOSS, flown, rates_hexa, rates_quad
 
 N, VAR, WALK = 6, 0.3, 0.1

@@ -5,9 +5,9 @@ import pytest
 
 from rotorwatch.base import discovery
 from rotorwatch.errors import ConfigError
-from rotorwatch.methods.estimators.lyapunov import Lyapunov
-from rotorwatch.methods.maths import plant
-from rotorwatch.methods.published.observability import observability
+from rotorwatch_lab.estimators.lyapunov import Lyapunov
+from rotorwatch_lab.maths import plant
+from rotorwatch_lab.published.observability import observability
 
 METHODS = {name: kind for name, kind in discovery.estimators().items() if name != "default"}
 

@@ -26,7 +26,7 @@ from rotorwatch.engine.estimator.plausibility import (
     Plausible,
 )
 from rotorwatch.flight.kinds import LOSS
-from rotorwatch.lab.simulation import scenario, simulate
+from rotorwatch_lab.simulation import scenario, simulate
 
 N, DT = 4, 0.1
 NOTHING = np.zeros(N)

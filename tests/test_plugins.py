@@ -4,11 +4,10 @@ import warnings
 
 import pytest
 
-from rotorwatch import airframes, logs
+from rotorwatch import airframes, detectors, logs
 from rotorwatch.base import discovery
 from rotorwatch.errors import ConfigError, LogError, PluginWarning
-from rotorwatch.lab import campaign
-from rotorwatch.methods.published import detectors
+from rotorwatch_lab import campaign
 
 GOOD = """
 class Own:
@@ -133,8 +132,8 @@ def test_a_broken_detector_of_another_package_stops_no_diagnosis(package):
 def test_a_name_of_ours_stays_ours(package):
     package({"rotorwatch.estimators": {"ekf": "elsewhere:Own"}}, GOOD.replace('name = "own"', 'name = "ekf"'))
     with pytest.warns(PluginWarning, match="ekf of the package elsewhere 1.2 is not used"):
-        assert discovery.estimators()["ekf"].__module__ == "rotorwatch.methods.estimators.ekf"
-    assert discovery.estimator("ekf").__module__ == "rotorwatch.methods.estimators.ekf"
+        assert discovery.estimators()["ekf"].__module__ == "rotorwatch_lab.estimators.ekf"
+    assert discovery.estimator("ekf").__module__ == "rotorwatch_lab.estimators.ekf"
 
 
 @pytest.mark.parametrize(
@@ -156,7 +155,7 @@ def test_a_class_that_cannot_be_named(package, name, says):
 
 def test_what_a_method_says_of_itself():
     assert discovery.about(discovery.estimator("adaptive_ekf")).startswith("Adaptive extended Kalman filter: Zhang's")
-    assert discovery.source(discovery.estimator("ekf")).path == "rotorwatch.methods.estimators.ekf:EKF"
+    assert discovery.source(discovery.estimator("ekf")).path == "rotorwatch_lab.estimators.ekf:EKF"
 
 
 def test_a_log_format_and_an_airframe_of_another_package_are_used(package, tmp_path):

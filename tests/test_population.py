@@ -8,7 +8,7 @@ import pytest
 
 from rotorwatch import airframes, logs
 from rotorwatch.engine.motion.airborne import airborne
-from rotorwatch.methods.maths.tails import f_tail
+from rotorwatch.stats.tails import f_tail
 from rotorwatch.witnesses.healthy import population
 from rotorwatch.witnesses.healthy.whole_flight import Features, features
 

@@ -6,8 +6,8 @@ import pytest
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.lab.experiments.studies.rot_flights import body_rates, euler_rates
-from rotorwatch.methods.maths.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
+from rotorwatch_lab.experiments.studies.rot_flights import body_rates, euler_rates
+from rotorwatch_lab.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
 
 jax = load_jax()
 jnp = jax.numpy

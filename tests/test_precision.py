@@ -11,7 +11,7 @@ PLANT = """
 import sys
 import numpy as np
 from rotorwatch import airframes
-from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
+from rotorwatch_lab.systems.rate_dynamics import RateDynamics
 assert "jax" not in sys.modules  # as for those who only diagnose
 plant = RateDynamics.of(airframes.paper("niermeyer-hexa"))
 x, u, theta, y = np.full(3, 0.1), np.full(6, 0.36), np.zeros(6), np.zeros(4)
@@ -40,7 +40,7 @@ before = plant.f(x, u, theta, 0.01).dtype
 import jax
 f, h = jax.jit(plant.f), jax.jit(plant.h)
 before = before, f(x, u, theta, 0.01).dtype, h(x, u, theta).dtype
-from rotorwatch.methods.estimators.ekf import EKF
+from rotorwatch_lab.estimators.ekf import EKF
 import rotorwatch
 _, out = rotorwatch.run(EKF(plant, 0.01), u[None], y[None])
 print(*before, out.x.dtype)
@@ -55,7 +55,7 @@ plant = Own()
 f = jax.jit(plant.f)
 arguments = np.zeros(1), np.ones(1), np.zeros(1), 0.01
 before = f(*arguments).dtype, jax.jit(jax.numpy.cumsum)(np.ones(3)).dtype
-from rotorwatch.methods.estimators.ekf import EKF
+from rotorwatch_lab.estimators.ekf import EKF
 method = EKF(plant, 0.01)
 _, out = jax.jit(method.step)(method.init(), np.ones(1), np.zeros(1), np.ones(1, bool))
 print(*before, out.x.dtype, f(*arguments).dtype)
@@ -80,7 +80,7 @@ def test_whatever_is_made_makes_jax_compute_in_float64(room):
 import jax
 from rotorwatch import airframes
 from rotorwatch.base import backend, discovery
-from rotorwatch.methods.maths import systems
+from rotorwatch_lab.maths import systems
 from rotorwatch.errors import ConfigError
 wide = []
 for make in {made[room]}:

@@ -10,7 +10,7 @@ import rotorwatch as rw
 from conftest import hexa_diagnosis
 from rotorwatch.base import discovery
 from rotorwatch.flight import Flight, Message, Signal
-from rotorwatch.methods.estimators.akf import AKF
+from rotorwatch_lab.estimators.akf import AKF
 
 
 def small_flight(**changes):

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from rotorwatch import airframes
-from rotorwatch.lab.experiments.studies import reproduce_lyapunov_mhe as study
+from rotorwatch_lab.experiments.studies import reproduce_lyapunov_mhe as study
 
 SHAPE = (len(study.PATHS), len(study.FAULTS), 10)
 

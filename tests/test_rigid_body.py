@@ -10,8 +10,8 @@ from conftest import trials
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.lab.experiments.studies.uaf_flight import DT, fly
-from rotorwatch.methods.maths.systems.rigid_body import RigidBody
+from rotorwatch_lab.experiments.studies.uaf_flight import DT, fly
+from rotorwatch_lab.systems.rigid_body import RigidBody
 
 jax = load_jax()
 AIRFRAME = airframes.paper("uaf-02e")

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from rotorwatch.errors import ConfigError
-from rotorwatch.lab.experiments.studies import (
+from rotorwatch_lab.experiments.studies import (
     ruav_control,
     ruav_filters,
     ruav_flight,
     ruav_identification,
     ruav_linearisation,
 )
-from rotorwatch.lab.experiments.studies import ruav_flight_test as study
-from rotorwatch.lab.experiments.studies.reproduction import plain
-from rotorwatch.methods.maths import h_infinity
+from rotorwatch_lab.experiments.studies import ruav_flight_test as study
+from rotorwatch_lab.experiments.studies.reproduction import plain
+from rotorwatch_lab.maths import h_infinity
 
 pytest.importorskip("cvxpy")
 SYSTEM = ruav_flight.plant()

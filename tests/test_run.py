@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rotorwatch.methods.compiling.run import CHUNK, run_built
+from rotorwatch_lab.compiling.run import CHUNK, run_built
 
 
 class Counter:

@@ -10,9 +10,9 @@ from rotorwatch import airframes
 from rotorwatch.engine.estimator.announcement import TICKS
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.lab.campaign import score
-from rotorwatch.lab.experiments import counting, limits
-from rotorwatch.lab.simulation import scenario as scenarios
+from rotorwatch_lab.campaign import score
+from rotorwatch_lab.experiments import counting, limits
+from rotorwatch_lab.simulation import scenario as scenarios
 
 DT, ONSET = 0.1, 30.0
 PLAN = SimpleNamespace(false_alarm_period_h=10.0)

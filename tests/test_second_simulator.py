@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.lab.simulation import dynamics, plan, prepare, rigid, scenario
-from rotorwatch.methods.control.allocation import rows
+from rotorwatch_lab.control.allocation import rows
+from rotorwatch_lab.simulation import dynamics, plan, prepare, rigid, scenario
 
 pytest.importorskip("rotorpy")
 HERE = Path(__file__).resolve().parents[1] / "benchmarks" / "second_simulator.py"

@@ -12,7 +12,7 @@ from rotorwatch import airframes
 from rotorwatch.engine.motion.ticks import JUDGE, LEARN
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.lab.campaign import sequences
+from rotorwatch_lab.campaign import sequences
 
 DT, COUNT, N = 0.1, 600, 4
 # What a flight draws, and the check sum of that for the flights with the default seed.

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from conftest import trials
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.lab.simulation import (
+from rotorwatch_lab.simulation import (
     control,
     dynamics,
     faults,
@@ -23,8 +23,8 @@ from rotorwatch.lab.simulation import (
     trajectories,
     wind,
 )
-from rotorwatch.lab.simulation.multirotor import MULTIROTOR
-from rotorwatch.lab.simulation.prepare import induced_velocity, plan, vehicle
+from rotorwatch_lab.simulation.multirotor import MULTIROTOR
+from rotorwatch_lab.simulation.prepare import induced_velocity, plan, vehicle
 
 jax = load_jax()
 flatten = import_module("jax.flatten_util").ravel_pytree

@@ -13,11 +13,11 @@ from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.base.physics import G0
 from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError, LogError
-from rotorwatch.lab.simulation import faults, rotation, scenario, simulate, simulate_batch
-from rotorwatch.lab.simulation.helicopter import aircraft, dynamics
-from rotorwatch.lab.simulation.rigid import Air, Body
 from rotorwatch.logs import memory
-from rotorwatch.methods.published import helicopter_log
+from rotorwatch_lab.published import helicopter_log
+from rotorwatch_lab.simulation import faults, rotation, scenario, simulate, simulate_batch
+from rotorwatch_lab.simulation.helicopter import aircraft, dynamics
+from rotorwatch_lab.simulation.rigid import Air, Body
 
 jax = load_jax()
 jnp = jax.numpy
@@ -67,7 +67,7 @@ def flown(system, body, command, steps=400, dt=1 / 400, air=STILL, at=None):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_still_air_is_the_published_plant(seed):
-    """Body accelerations at any attitude are those of methods/maths/systems/helicopter.py, whose roll and pitch are Euler angles."""
+    """Body accelerations at any attitude are those of rotorwatch_lab/systems/helicopter.py, whose roll and pitch are Euler angles."""
     rng = np.random.default_rng(seed)
     system = dynamics.plant(DATA)
     roll, pitch, yaw = rng.uniform(-1.2, 1.2, 3)
@@ -204,7 +204,7 @@ def test_ways_are_followed(kind):
     made = simulate(asked(trajectory={"kind": kind, "speed_m_s": 2.0}, wind={"speed_m_s": 4.0, "from_deg": 70.0}))
     way = made.plan.way
     t = jnp.asarray(made.record.time)
-    from rotorwatch.lab.simulation import trajectories
+    from rotorwatch_lab.simulation import trajectories
 
     wanted = np.asarray(jax.vmap(trajectories._path, in_axes=(None, 0))(way, t))
     off = np.linalg.norm(made.record.p + np.array([0, 0, 10]) - wanted[:, :3], axis=1)
@@ -329,7 +329,7 @@ def test_the_log_holds_no_truth():
 
 
 def loop_columns(made):
-    from rotorwatch.lab.simulation.helicopter import table
+    from rotorwatch_lab.simulation.helicopter import table
 
     return table.columns(made.scenario, made.plan, made.record)
 

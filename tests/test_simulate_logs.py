@@ -17,12 +17,12 @@ from rotorwatch import airframes
 from rotorwatch.base.backend import jax
 from rotorwatch.commands.cli import cli
 from rotorwatch.errors import ConfigError
-from rotorwatch.lab.campaign import open_score, open_world
-from rotorwatch.lab.simulation import helicopter, logbook, scenario, simulate
-from rotorwatch.lab.simulation.logged import in_order
-from rotorwatch.lab.simulation.prepare import frame_numbers, plan, vehicle
-from rotorwatch.lab.simulation.write_dataflash import write_dataflash
-from rotorwatch.lab.simulation.write_ulog import write_ulog
+from rotorwatch_lab.campaign import open_score, open_world
+from rotorwatch_lab.simulation import helicopter, logbook, scenario, simulate
+from rotorwatch_lab.simulation.logged import in_order
+from rotorwatch_lab.simulation.prepare import frame_numbers, plan, vehicle
+from rotorwatch_lab.simulation.write_dataflash import write_dataflash
+from rotorwatch_lab.simulation.write_ulog import write_ulog
 
 SCENARIOS = sorted((Path(__file__).resolve().parents[1] / "docs" / "scenarios").glob("*.toml"))
 HEXA = next(path for path in SCENARIOS if path.stem == "hexa-loss")

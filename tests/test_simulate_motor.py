@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rotorwatch.errors import ConfigError
-from rotorwatch.lab.simulation import motor, scenario, simulate
 from rotorwatch.logs import esc_columns
+from rotorwatch_lab.simulation import motor, scenario, simulate
 
 
 def table(*faults, **more):

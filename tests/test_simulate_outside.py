@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.lab.simulation import control, dynamics, faults, outside, rotation, scenario, simulate, trajectories
-from rotorwatch.lab.simulation.prepare import plan
+from rotorwatch_lab.simulation import control, dynamics, faults, outside, rotation, scenario, simulate, trajectories
+from rotorwatch_lab.simulation.prepare import plan
 
 G = dynamics.G0
 STILL = dynamics.Air(np.zeros(3), np.zeros(3), np.array(0.0))

@@ -5,8 +5,8 @@ import pytest
 
 from measured import FELT, felt_table, flight, run
 from rotorwatch.errors import ConfigError
-from rotorwatch.methods.estimators.sliding_mode import SlidingMode
-from rotorwatch.methods.maths.systems.rigid_body import RigidBody
+from rotorwatch_lab.estimators.sliding_mode import SlidingMode
+from rotorwatch_lab.systems.rigid_body import RigidBody
 from test_laws import DT, LOSS, flown, rates_hexa, rates_quad
 
 GROWTH, RATE, VAR, WALK = 0.8, 4.0, 0.3, 0.1

@@ -9,9 +9,9 @@ import pytest
 from rotorwatch import diagnose
 from rotorwatch.engine.estimator import announcement
 from rotorwatch.engine.motion import ticks
-from rotorwatch.lab.simulation import scenario, simulate
 from rotorwatch.live.replay import Replay
 from rotorwatch.live.watched import Watched
+from rotorwatch_lab.simulation import scenario, simulate
 
 
 @cache

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rotorwatch.lab.campaign import score, summary
-from rotorwatch.lab.experiments import tools
+from rotorwatch_lab.campaign import score, summary
+from rotorwatch_lab.experiments import tools
 
 
 @pytest.mark.parametrize("count, n", [(0, 10), (1, 10), (5, 10), (10, 10), (1, 1), (3, 400), (397, 400), (17, 29)])

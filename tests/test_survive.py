@@ -11,9 +11,9 @@ from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import VehicleError
 from rotorwatch.flight import vehicle_file
-from rotorwatch.lab.planning.survive import FULL, NO, NO_YAW, SPINNING
-from rotorwatch.lab.simulation import dynamics, prepare, rotation, scenario
-from rotorwatch.lab.simulation.rigid import Air, Body
+from rotorwatch_lab.planning.survive import FULL, NO, NO_YAW, SPINNING
+from rotorwatch_lab.simulation import dynamics, prepare, rotation, scenario
+from rotorwatch_lab.simulation.rigid import Air, Body
 
 jax = load_jax()
 jnp = jax.numpy

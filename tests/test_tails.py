@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import optimize, special, stats
 
-from rotorwatch.methods.maths import nonnegative, tails
+from rotorwatch.stats import nonnegative, tails
 
 
 @pytest.mark.parametrize("dof", [1.0, 2.5, 14.0, 300.0])

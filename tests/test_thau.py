@@ -6,8 +6,8 @@ from scipy.linalg import solve_discrete_lyapunov
 
 from measured import FELT, felt_table, flight, run
 from rotorwatch.errors import ConfigError
-from rotorwatch.methods.estimators.thau import Thau
-from rotorwatch.methods.maths.systems.rigid_body import RigidBody
+from rotorwatch_lab.estimators.thau import Thau
+from rotorwatch_lab.systems.rigid_body import RigidBody
 from test_laws import DT, LOSS, flown, rates_hexa, rates_quad
 
 RATE, BANDWIDTH, DIRECT, LEAK, SD, WALK = 9.0, 3.0, 2.0, 0.3, 0.4, 0.1

@@ -5,8 +5,8 @@ import pytest
 
 from measured import PLANT, run
 from rotorwatch.errors import ConfigError
-from rotorwatch.methods.estimators.ekf import EKF
-from rotorwatch.methods.estimators.three_stage import ThreeStage
+from rotorwatch_lab.estimators.ekf import EKF
+from rotorwatch_lab.estimators.three_stage import ThreeStage
 from test_laws import DT, LOSS, flown, linear_table, rates_hexa, rates_quad
 
 WALK, VAR, SHARE, TIME = 0.02, 0.3, 0.4, 0.15

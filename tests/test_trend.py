@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from rotorwatch.answer import trend
 from rotorwatch.errors import ConfigError
-from rotorwatch.methods.maths import trend
 
 STEP, FLIGHTS = 5.0, 300
 

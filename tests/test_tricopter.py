@@ -11,8 +11,8 @@ from rotorwatch import airframes
 from rotorwatch.engine.motion import ticks
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.flight import Flight, Signal
-from rotorwatch.lab import simulation
-from rotorwatch.lab.simulation import scenario
+from rotorwatch_lab import simulation
+from rotorwatch_lab.simulation import scenario
 
 ONSET = 25.0
 

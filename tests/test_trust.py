@@ -12,7 +12,7 @@ from rotorwatch.engine.motion import inertial, trust
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import READY_S, observe
 from rotorwatch.flight import Signal
-from rotorwatch.lab.simulation import scenario, simulate
+from rotorwatch_lab.simulation import scenario, simulate
 
 WILD = Path(__file__).resolve().parents[2] / "shared" / "flights" / "wild"
 

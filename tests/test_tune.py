@@ -9,11 +9,11 @@ from rotorwatch import airframes
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
-from rotorwatch.methods.published import published
-from rotorwatch.methods.published.log_plant import LogPlant
-from rotorwatch.methods.published.published import Tuning
-from rotorwatch.witnesses.healthy import tune
+from rotorwatch_lab import tune
+from rotorwatch_lab.published import published
+from rotorwatch_lab.published.log_plant import LogPlant
+from rotorwatch_lab.published.published import Tuning
+from rotorwatch_lab.systems.rate_dynamics import RateDynamics
 
 jax = load_jax()
 DT, T = 0.05, 360
@@ -82,7 +82,7 @@ def test_a_loss_is_estimated_better(found):
     faulty = flight(6, loss=0.3)
     error = []
     for tuning in (None, found.tuning):
-        from rotorwatch.methods.compiling.run import run
+        from rotorwatch_lab.compiling.run import run
 
         estimator = published.method("ekf", WRONG, DT, tuning)
         _, theta = run(estimator, faulty.u, faulty.y, faulty.valid, select=lambda out: out.theta)

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from conftest import trials
 from rotorwatch.errors import LogError
-from rotorwatch.lab.simulation import scenario, simulate
 from rotorwatch.logs import ulog, ulog_data
+from rotorwatch_lab.simulation import scenario, simulate
 
 PLAN = {
     "autopilot": "px4",

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.methods.maths import unscented
+from rotorwatch_lab.maths import unscented
 
 jax = load_jax()
 N, M = 4, 3

@@ -13,11 +13,11 @@ from rotorwatch.answer import unseen
 from rotorwatch.engine.host.hypotheses import list_hypotheses
 from rotorwatch.engine.motion.ticks import JUDGE
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.lab import campaign
-from rotorwatch.lab.simulation import scenario, simulate
 from rotorwatch.live.replay import Replay
 from rotorwatch.live.watched import Watched
 from rotorwatch.serve import landed
+from rotorwatch_lab import campaign
+from rotorwatch_lab.simulation import scenario, simulate
 
 B = np.array([[-1.0, 1.0, 1.0, -1.0], [1.0, -1.0, 1.0, -1.0], [0.1, 0.1, -0.1, -0.1], [1.0, 1.0, 1.0, 1.0]])
 DT = 0.1

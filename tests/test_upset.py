@@ -15,13 +15,13 @@ from rotorwatch.base.physics import G0
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.lab import campaign
-from rotorwatch.lab.campaign import batch, benchmark_plan
-from rotorwatch.lab.simulation import simulate
 from rotorwatch.witnesses import battery as voltages
 from rotorwatch.witnesses.upset import balance, find, loss_of_control
 from rotorwatch.witnesses.upset.balance import INERTIA, Offset, Window, fit
 from rotorwatch.witnesses.upset.explain import Explanation, explain
+from rotorwatch_lab import campaign
+from rotorwatch_lab.campaign import batch, benchmark_plan
+from rotorwatch_lab.simulation import simulate
 
 QUAD = airframes.named("ardupilot-quad-x")
 B = QUAD.effectiveness()

@@ -16,13 +16,13 @@ from rotorwatch.engine.motion import allocation, ticks
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import READY_S
 from rotorwatch.flight.kinds import AT_LIMIT, EXHAUSTED, HEAVY, STANDS_APART, UNEVEN
-from rotorwatch.lab.simulation import scenario, simulate
 from rotorwatch.live import view
 from rotorwatch.live.changes import Changes
 from rotorwatch.live.replay import Replay
 from rotorwatch.live.session import Session
 from rotorwatch.live.stream import Stream
 from rotorwatch.live.watched import Watched
+from rotorwatch_lab.simulation import scenario, simulate
 
 FLIGHTS = Path(__file__).resolve().parents[2] / "shared" / "flights"
 SAMPLES = cli.SAMPLES

@@ -8,8 +8,8 @@ from tests.mavlink_vehicle import Autopilot, messages
 
 from rotorwatch import diagnose, logs
 from rotorwatch.flight.kinds import REPORTED
-from rotorwatch.lab.simulation import scenario, simulate
 from rotorwatch.live import ground, view
+from rotorwatch_lab.simulation import scenario, simulate
 
 QUAD, BOOT_S = 2, 30.0
 SOUND = 0x1 | 0x2 | 0x4 | 0x10000  # gyro, accelerometer, compass, radio

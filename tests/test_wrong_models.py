@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.lab.experiments.studies import error_bound, hover_flights, wrong_models
-from rotorwatch.lab.experiments.studies import intermediate_as_printed as printed
-from rotorwatch.lab.experiments.studies import reproduce_intermediate as study
-from rotorwatch.methods.maths import intermediate_design as design
+from rotorwatch_lab.experiments.studies import error_bound, hover_flights, wrong_models
+from rotorwatch_lab.experiments.studies import intermediate_as_printed as printed
+from rotorwatch_lab.experiments.studies import reproduce_intermediate as study
+from rotorwatch_lab.maths import intermediate_design as design
 
 FILE = airframes.paper("f450")
 

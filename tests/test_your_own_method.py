@@ -28,7 +28,7 @@ def test_the_pages_blocks_run_one_after_the_other(capsys):
 
 
 def test_the_pages_method_can_enter_the_benchmark(tmp_path, monkeypatch):
-    from rotorwatch.lab.campaign import benchmark
+    from rotorwatch_lab.campaign import benchmark
 
     blocks = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), re.DOTALL | re.MULTILINE)
     (own,) = [block for block in blocks if "class SlowObserver" in block]

@@ -1,6 +1,6 @@
 """Multirotors that fall, by a small model of their own: a rigid body, first-order motors, a controller, a ground. For tests of `upset`.
 
-It shares nothing with `rotorwatch.lab.simulation` but the frames' geometry, and is no better than it must be: torques in hover thrusts,
+It shares nothing with `rotorwatch_lab.simulation` but the frames' geometry, and is no better than it must be: torques in hover thrusts,
 ω' = (B T - D ω + push) / J - k (q r, -p r, 0), thrust along the body's axis, linear drag, a moment of the wind. What a log would hold comes
 back as a Flight.
 """

@@ -6,9 +6,10 @@
     print(diagnosis.verdict, diagnosis.reason)
     diagnosis.to_html("report.html")
 
-Everything is loaded on first use, so that importing the package costs nothing: ``rw.read``, ``rw.diagnose``,
-``rw.calibrate``, ``rw.simulate``, ``rw.reproduce`` and so on are the command line's verbs, ``rw.Flight``, ``rw.Vehicle``,
-``rw.Diagnosis`` and friends its nouns, ``rw.airframes``, ``rw.estimators`` and so on the submodules.
+Everything is loaded on first use, so that importing the package costs nothing: ``rw.read``, ``rw.diagnose``, ``rw.calibrate`` and so on
+are the commands of the command line, ``rw.Flight``, ``rw.Vehicle`` and ``rw.Diagnosis`` its data, ``rw.airframes`` and so on the
+submodules. Installed packages add names by entry points `rotorwatch.api`: ``rw.simulate``, ``rw.estimators``, ``rw.reproduce`` and others
+come from `rotorwatch_lab`.
 """
 
 from __future__ import annotations
@@ -19,29 +20,17 @@ from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
-# Verbs: functions that live in a module of the same name (rotorwatch/diagnose.py holds diagnose), each in its room.
+# Functions that live in a module of the same name: rotorwatch/diagnose.py holds diagnose.
 _VERBS = {
     "airborne": "engine.motion.airborne",
-    "ask": "lab.planning.ask",
     "calibrate": "witnesses.healthy.calibrate",
     "diagnose": "diagnose",
     "diagnose_many": "diagnose_many",
-    "estimate": "estimate",
-    "export_c": "export.export_c",
     "info": "report.info",
-    "inject": "lab.experiments.inject",
-    "observability": "methods.published.observability",
-    "run": "methods.compiling.run",
-    "survive": "lab.planning.survive",
-    "tune": "witnesses.healthy.tune",
 }
 # Other names: where each one lives.
 _HOMES = {
     "read": "logs",
-    "compare": "lab.experiments.studies.compare",
-    "reproduce": "lab.experiments.studies.reproduction",
-    "simulate": "lab.simulation",
-    "simulate_system": "lab.simulation.any_system",
     "serve": "serve.server",
     "mcp": "assistants.server",
     "Flight": "flight",
@@ -59,17 +48,8 @@ _HOMES = {
     "RotorwatchError": "errors",
     "VehicleError": "errors",
 }
-# Modules that users know by a shorter name than that of their room.
-_SHORT = {
-    "campaign": "lab.campaign",
-    "checks": "base.checks",
-    "control": "methods.control",
-    "detectors": "methods.published.detectors",
-    "estimators": "methods.estimators",
-    "many": "base.many",
-    "simulation": "lab.simulation",
-    "systems": "methods.maths.systems",
-}
+# Modules by a shorter name.
+_SHORT = {"checks": "base.checks", "many": "base.many"}
 
 __all__ = ["__version__", "read", *_VERBS, *(n for n in _HOMES if n != "read")]
 
@@ -82,8 +62,6 @@ if TYPE_CHECKING:
     from rotorwatch.errors import LogError as LogError
     from rotorwatch.errors import RotorwatchError as RotorwatchError
     from rotorwatch.errors import VehicleError as VehicleError
-    from rotorwatch.estimate import estimate as estimate
-    from rotorwatch.export.export_c import export_c as export_c
     from rotorwatch.flight import Flight as Flight
     from rotorwatch.flight import Message as Message
     from rotorwatch.flight import Signal as Signal
@@ -94,20 +72,24 @@ if TYPE_CHECKING:
     from rotorwatch.flight.vehicle import Rotor as Rotor
     from rotorwatch.flight.vehicle import ThrustCurve as ThrustCurve
     from rotorwatch.flight.vehicle import Vehicle as Vehicle
-    from rotorwatch.lab.experiments.inject import inject as inject
-    from rotorwatch.lab.experiments.studies.compare import compare as compare
-    from rotorwatch.lab.experiments.studies.reproduction import reproduce as reproduce
-    from rotorwatch.lab.planning.ask import ask as ask
-    from rotorwatch.lab.planning.survive import survive as survive
-    from rotorwatch.lab.simulation import simulate as simulate
-    from rotorwatch.lab.simulation.any_system import simulate_system as simulate_system
     from rotorwatch.logs import read as read
-    from rotorwatch.methods.compiling.run import run as run
-    from rotorwatch.methods.published.observability import observability as observability
     from rotorwatch.report.info import info as info
     from rotorwatch.serve.server import serve as serve
     from rotorwatch.witnesses.healthy.calibrate import calibrate as calibrate
-    from rotorwatch.witnesses.healthy.tune import tune as tune
+
+    # Types of the entry points `rotorwatch.api` of our own wheel: nothing is imported at run time.
+    from rotorwatch_lab.compiling.run import run as run
+    from rotorwatch_lab.estimate import estimate as estimate
+    from rotorwatch_lab.experiments.inject import inject as inject
+    from rotorwatch_lab.experiments.studies.compare import compare as compare
+    from rotorwatch_lab.experiments.studies.reproduction import reproduce as reproduce
+    from rotorwatch_lab.export_c import export_c as export_c
+    from rotorwatch_lab.planning.ask import ask as ask
+    from rotorwatch_lab.planning.survive import survive as survive
+    from rotorwatch_lab.published.observability import observability as observability
+    from rotorwatch_lab.simulation import simulate as simulate
+    from rotorwatch_lab.simulation.any_system import simulate_system as simulate_system
+    from rotorwatch_lab.tune import tune as tune
 
 
 class _Verb(ModuleType):
@@ -150,16 +132,30 @@ def __getattr__(name: str) -> Any:
         return import_module(f"{__name__}.live.mavproxy").init
     if name in _SHORT:
         return import_module(f"{__name__}.{_SHORT[name]}")
-    if not name.startswith("_") and find_spec(f"{__name__}.{name}") is not None:
+    if name.startswith("_"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if find_spec(f"{__name__}.{name}") is not None:
         return import_module(f"{__name__}.{name}")
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return _offered(name)
+
+
+def _offered(name: str) -> Any:
+    """What an installed package offers under that name; a module that holds a function of its own name becomes callable."""
+    from rotorwatch.base import discovery
+
+    found = discovery.api(name)
+    if type(found) is ModuleType and hasattr(found, found.__name__.rpartition(".")[2]):
+        found.__class__ = _Verb
+    return found
 
 
 def __dir__() -> list[str]:
     from pkgutil import iter_modules
 
+    from rotorwatch.base import discovery
+
     own = (module.name for module in iter_modules(__path__) if not module.name.startswith("_"))
-    return sorted({*globals(), *__all__, *_SHORT, *own})
+    return sorted({*globals(), *__all__, *_SHORT, *own, *discovery.offered("rotorwatch.api")})
 
 
 sys.modules[__name__].__class__ = _Package

@@ -7,10 +7,11 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from rotorwatch import detectors
 from rotorwatch.answer import (
     by_method,
     common_mode,
@@ -48,16 +49,12 @@ from rotorwatch.flight.kinds import CONTACT, EVIDENCE, LOSS, TURNED
 from rotorwatch.flight.method_series import MethodSeries
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.logs import plausible
-from rotorwatch.methods.published import detectors
 from rotorwatch.witnesses import excitation_response, hindsight, leaning, near_ground, reports
 from rotorwatch.witnesses.aerobatic import judge as aerobatic
 from rotorwatch.witnesses.healthy import baselines, outputs, population
 from rotorwatch.witnesses.healthy.baselines import Given
 from rotorwatch.witnesses.upset import find as upset
 from rotorwatch.witnesses.upset import pegged
-
-if TYPE_CHECKING:
-    from rotorwatch.methods.published.published import Tuning
 
 AEROBATIC = (
     "the vehicle does not hover in this flight: it is judged by its angular motion over seconds, so that a loss is seen later than in "
@@ -101,8 +98,8 @@ class Prepared:
 @dataclass(frozen=True, eq=False, repr=False)
 class Estimated:
     """What an estimator left behind. table: the ticks as they count for it; last: the default estimator's state, for hindsight; own: it is
-    the default one; written: by the diagnoser which the flight went through, None where it did not. itself: what a published method says
-    by itself; assumptions: its own."""
+    the default one; written: by the diagnoser which the flight went through, None where it did not. itself, assumptions, announces: of
+    another estimator, as in `Estimation`: series, notes, limit."""
 
     table: Ticks
     out: TickOutput
@@ -111,15 +108,28 @@ class Estimated:
     written: Written | None = None
     itself: MethodSeries | None = None
     assumptions: tuple[str, ...] = ()
+    announces: float = float("nan")
 
     @functools.cached_property
     def limit(self) -> float:
         """The statistic's, from which on a loss is announced."""
         if not self.own:
-            from rotorwatch.methods.published import decide
-
-            return 0.5 * decide.SIGMAS**2
+            return self.announces
         return threshold(self.out.theta.shape[1], self.table.dt)
+
+
+class Estimation(NamedTuple):
+    """What an entry point of the group `rotorwatch.estimation` returns: a function run(estimator, table, B, dynamics, tuning, progress)
+    that runs an estimator over the ticks of a flight.
+
+    out: on every tick, in the default estimator's form. series: what the method itself says; None where no tick was judged. notes:
+    assumptions, a sentence each. limit: the statistic's, from which on a loss is announced.
+    """
+
+    out: TickOutput
+    series: MethodSeries | None
+    notes: tuple[str, ...]
+    limit: float
 
 
 class _Clock:
@@ -142,7 +152,7 @@ def diagnose(
     baseline: Given | Iterable[Given] = (),
     estimator: Any = "default",
     progress: Callable | None = None,
-    tuning: Tuning | None = None,
+    tuning: Any = None,
     matters: float = MATTERS,
 ) -> Diagnosis:
     """Which rotor lost effectiveness, how much, since when and how sure.
@@ -280,7 +290,7 @@ def _left(ready: Prepared) -> tuple[float, ...]:
 def estimated(
     ready: Prepared,
     estimator: Any = "default",
-    tuning: Tuning | None = None,
+    tuning: Any = None,
     progress: Callable | None = None,
     whole: bool = False,
 ) -> Estimated:
@@ -293,12 +303,9 @@ def estimated(
     if estimator == "default":
         one, judged = fly(ready.flight, ready.vehicle, ready.air, ready.ready_s, ready.dynamics, progress, whole)
         return Estimated(judged.table, judged.out, one.learned, written=one)
-    from rotorwatch.methods.published import published
-
-    out, itself = published.judge(estimator, table, B, ready.dynamics, tuning, progress)
-    return Estimated(
-        table, out, own=False, itself=itself, assumptions=tuple(published.notes(discovery.title(estimator)))
-    )
+    run = discovery.first("rotorwatch.estimation", "An estimator other than the default one")
+    found: Estimation = run(estimator, table, B, ready.dynamics, tuning, progress)
+    return Estimated(table, found.out, own=False, itself=found.series, assumptions=found.notes, announces=found.limit)
 
 
 class _Found(NamedTuple):

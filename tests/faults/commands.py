@@ -22,7 +22,7 @@ from tests.mavlink_vehicle import Autopilot, messages
 from rotorwatch import logs
 from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.fleet import Entry, Store
-from rotorwatch.lab.simulation.write_dataflash import write_dataflash
+from rotorwatch_lab.simulation.write_dataflash import write_dataflash
 
 ROTORWATCH = [sys.executable, "-m", "rotorwatch.commands.cli"]
 LOGS: list[Path] = []

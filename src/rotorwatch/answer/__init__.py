@@ -3,6 +3,7 @@
 wording.py      the words for numbers, rotors and events
 places.py       where a rotor sits, in words
 health.py       grade of every rotor's loss, and its trend
+trend.py        slope of a line under errors that wander, with its interval
 unjudged.py     why a flight could not be judged, or shows too little, and what would show more
 unseen.py       how large a loss can be that has not been announced, and whether one has stayed that wind hides
 trim.py         what the trim of a whole flight shows: losses that grew, mounts and arms that turned

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.base.arrays import median
-from rotorwatch.methods.maths.tails import student_quantile
+from rotorwatch.stats.tails import student_quantile
 
 BLOCKS = 5  # in each third of the flight
 LEAST = 4  # ticks in a block

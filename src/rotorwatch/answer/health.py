@@ -6,7 +6,7 @@ the wrench that the commands give and the motion does not show, per hover thrust
     z = (b + B T theta) / mean T,      growth of rotor i's loss by s a minute:  dz/dt = s B_i T_i / mean T
 
 b, theta: biases and losses as estimated, T: thrusts commanded; dividing by the mean takes a sagging battery out, and thrust itself, which
-battery and air move for all rotors alike, is left out. The slopes d of z and their variances are those of `methods/maths/trend.py`, over
+battery and air move for all rotors alike, is left out. The slopes d of z and their variances are those of `answer/trend.py`, over
 block means since the last event, take-off or knock: a step is no trend. For each rotor s is weighted least squares on d. A drift is a
 rotor's when it is along that rotor's direction, and along no other's; wind and a shifting load point anywhere, and what is no single
 rotor's is "unclear". Intervals are for all rotors at once (Scheffe): with d within its 95 % ellipsoid about 0, none shows a trend.
@@ -22,12 +22,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from rotorwatch.answer import trend as line
 from rotorwatch.answer.wording import SCALE
 from rotorwatch.engine.estimator.plant import USUAL_S
 from rotorwatch.engine.front.ticks import CARRIES
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event, Trend
-from rotorwatch.methods.maths import trend as line
 
 UNGRADED = "not judged"
 LEAST_S = 30.0  # of flight, below which no trend is looked for

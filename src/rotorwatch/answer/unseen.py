@@ -43,7 +43,7 @@ from rotorwatch.engine.host.hypotheses import list_hypotheses
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import LOST
-from rotorwatch.methods.maths.tails import student_quantile
+from rotorwatch.stats.tails import student_quantile
 
 STEP_S = 2.0  # length of a block; a longer one hides the scatter of wind, a shorter one is as correlated as the wind is
 BLOCKS = 8, 200  # at least, so that short flights have shorter ones, and at most

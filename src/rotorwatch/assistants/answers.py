@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rotorwatch import report
 from rotorwatch.assistants.quoted import label, quoted, several, utc
 from rotorwatch.base.files import one_line
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.report.info import MESSAGES_SHOWN
-
-if TYPE_CHECKING:
-    from rotorwatch.lab.planning.survive import Survival
 
 MOST_EVENTS, MOST_ADVICE, MOST_STORY, MOST_WARNINGS, MOST_MESSAGES, MOST_SIGNALS, MOST_GAPS = 6, 3, 5, 3, 8, 30, 9
 SENTENCE = 600  # letters of a sentence
@@ -149,17 +146,15 @@ def what_to_log(facts: Mapping[str, Any], name: str) -> dict[str, Any]:
 MOST_CASES = 24
 
 
-def survival(found: Survival, name: str) -> dict[str, Any]:
-    """`Survival` of models.py: cases that end alike are one row."""
-    from rotorwatch.lab.planning.survive import VERDICTS
-
+def survival(found: Any, name: str, verdicts: Sequence[str]) -> dict[str, Any]:
+    """`Survival` of models.py, of what `rotorwatch.survive` found: cases that end alike are one row. verdicts: in their order."""
     groups: dict[tuple, list[list[int]]] = {}
     for case in found.cases:
         wind = None if case.wind is None else round(case.wind)
         groups.setdefault((len(case.rotors), case.loss, case.verdict, round(case.lift, 2), wind), []).append(
             list(case.rotors)
         )
-    order = sorted(groups, key=lambda g: (g[0], g[1], VERDICTS.index(g[2]), -g[3]))
+    order = sorted(groups, key=lambda g: (g[0], g[1], verdicts.index(g[2]), -g[3]))
     rows = [{"rotors": groups[g], "loss": g[1], "then": g[2], "lift": g[3], "wind": g[4]} for g in order[:MOST_CASES]]
     left = len(order) - len(rows)
     return {

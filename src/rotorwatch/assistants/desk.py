@@ -28,7 +28,7 @@ class Desk:
     def __init__(self, folders: Sequence[Any], store: str, most: int, judge_s: float, memory_mb: int, jobs: int = 1):
         self.folders, self.fleet = Folders(folders, most), Fleet(store)
         self._judging = Workers(work.answer, judge_s, memory_mb, work.LOADS, work.away)
-        self._planning = Workers(work.answer, judge_s, memory_mb, work.PLANNING_LOADS, work.away)
+        self._planning = Workers(work.answer, judge_s, memory_mb, work.planning_loads(), work.away)
         self._turn, self._places = threading.Semaphore(jobs), threading.Semaphore(jobs + WAITING)
 
     def stop(self) -> None:

@@ -17,7 +17,7 @@ from typing import Any
 from rotorwatch import airframes
 from rotorwatch.assistants import answers, quoted, series
 from rotorwatch.assistants.folders import Allowed
-from rotorwatch.base import optional
+from rotorwatch.base import discovery, optional
 from rotorwatch.errors import ConfigError, LogError, VehicleError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Diagnosis
@@ -26,7 +26,6 @@ from rotorwatch.flight.vehicle import Vehicle
 KEPT = 4  # diagnoses
 LARGEST = 400_000  # bytes of a picture
 LOADS = ("rotorwatch.diagnose", "rotorwatch.report.info", "rotorwatch.assistants.answers", "rotorwatch.report.figures")
-PLANNING_LOADS = ("jax", "scipy.optimize", "rotorwatch.lab.planning.survive")
 _kept: OrderedDict[Any, Diagnosis] = OrderedDict()
 
 
@@ -62,6 +61,17 @@ def answer(question: Question) -> dict[str, Any] | Failed | tuple[dict[str, Any]
         )  # where the link lies
         reader = quoted.quoted(said, 300)["quoted_from_log"]
         return Failed(f"{blamed} cannot be used; what its reader says is quoted.", reader)
+
+
+def planning_loads() -> tuple[str, ...]:
+    """The modules that planning needs; it is a part of the laboratory."""
+    entry = discovery.offered("rotorwatch.api").get("survive")
+    return ("jax", "scipy.optimize", *([] if entry is None else [entry.module]))
+
+
+def _planning() -> Any:
+    """The module that answers what a vehicle survives. Raises ConfigError where it is not installed."""
+    return discovery.first("rotorwatch.api", "What a vehicle survives", "survive")
 
 
 def away() -> None:
@@ -219,9 +229,8 @@ def _survive(question: Question, more: dict) -> dict[str, Any]:
     subject = _vehicle(file) or name
     for library in ("jax", "scipy"):
         _ours(optional.library, library, "What a vehicle survives")
-    from rotorwatch.lab.planning.survive import survive
-
-    return answers.survival(survive(subject, **more), name)
+    planning = _planning()
+    return answers.survival(planning.survive(subject, **more), name, planning.VERDICTS)
 
 
 def _name(question: Question) -> str:

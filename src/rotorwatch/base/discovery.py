@@ -1,13 +1,20 @@
-"""What plug-ins there are: in a room of this package, whose modules nothing lists by hand; in other installed packages, which name theirs
-as entry points; and by `package.module:Class`, wherever a name is asked for.
+"""Plug-ins: modules of a package of ours, which nothing lists by hand; entry points of installed packages; and `package.module:Class`,
+wherever a name is accepted.
 
-Names that start with an underscore, and classes that a module merely imports, do not count. A package hands in an estimator, a plant, a
-detector, a log format or an airframe by three lines of its pyproject.toml (docs/your-own-method.md, docs/plug-ins.md):
+Names that start with an underscore, and classes that a module merely imports, do not count. A package adds an estimator, a plant, a
+detector, a log format or an airframe by two lines of its pyproject.toml (docs/your-own-method.md, docs/plug-ins.md):
 
     [project.entry-points."rotorwatch.estimators"]
     fixed_gain = "two_methods.fixed_gain:FixedGain"
 
-The name on the left is the plug-in's own `name`; formats and airframes have none, so that any name will do for them.
+The name on the left is the plug-in's own `name`; formats and airframes have none, so that any name will do for them. An estimator or a
+plant may also be a package without `:Class`: every class of its modules counts then, under its own `name`.
+
+Three more groups extend the program itself; `rotorwatch_lab`, in the same wheel, uses these and the two above:
+
+    rotorwatch.commands     name of a command (GROUP.NAME in a group of commands) -> a click command
+    rotorwatch.api          name -> function or module: `rotorwatch.NAME`
+    rotorwatch.estimation   any name -> a function that runs an estimator over a flight's ticks, for `diagnose(estimator=...)`
 """
 
 from __future__ import annotations
@@ -38,12 +45,12 @@ GROUPS = {
     "rotorwatch.detectors": "detector",
     "rotorwatch.logs": "log format",
     "rotorwatch.airframes": "airframe",
+    "rotorwatch.commands": "command",
+    "rotorwatch.api": "function",
+    "rotorwatch.estimation": "runner of estimators",
 }
-# Rooms of ours that are not called as their group.
-ROOMS = {
-    "rotorwatch.systems": "rotorwatch.methods.maths.systems",
-    "rotorwatch.estimators": "rotorwatch.methods.estimators",
-}
+OURS = "rotorwatch"  # our distribution; its classes come first
+DEFAULT = "rotorwatch.engine.host"  # the package that holds the default estimator and its plant
 
 
 class Source(NamedTuple):
@@ -55,16 +62,14 @@ class Source(NamedTuple):
 
 
 def estimators() -> dict[str, type]:
-    """Name -> class of every estimator (`core.Estimator`: name, init, step) in `rotorwatch.methods.estimators`, the default one, and those
-    that
-    other packages offer as entry points `rotorwatch.estimators`; one that is broken is left out, with a PluginWarning."""
+    """Name -> class of every estimator (`core.Estimator`: name, init, step): the default one and those that installed packages offer as
+    entry points `rotorwatch.estimators`; one that is broken is left out, with a PluginWarning."""
     return _with_offered("rotorwatch.estimators")
 
 
 def systems() -> dict[str, type]:
-    """Name -> class of every plant (`core.System`: name, f, h) in `rotorwatch.methods.maths.systems`, the default estimator's, and those
-    that other
-    packages offer as entry points `rotorwatch.systems`."""
+    """Name -> class of every plant (`core.System`: name, f, h): the default estimator's and those that installed packages offer as entry
+    points `rotorwatch.systems`."""
     return _with_offered("rotorwatch.systems")
 
 
@@ -120,8 +125,8 @@ def _keywords(instance: Any) -> dict[str, Any]:
 
 
 def names() -> list[str]:
-    """Names of all estimators, those of other packages included, which are not loaded for that."""
-    return sorted({*_own("rotorwatch.estimators"), *offered("rotorwatch.estimators")})
+    """Names of all estimators; classes of other packages that are named one by one are not loaded for that."""
+    return sorted({*_own("rotorwatch.estimators"), *_single("rotorwatch.estimators")})
 
 
 def source(found: Any) -> Source:
@@ -129,16 +134,16 @@ def source(found: Any) -> Source:
     module = getattr(found, "__module__", None) or found.__name__
     path = f"{module}:{found.__qualname__}" if inspect.isclass(found) else module
     top = module.partition(".")[0]
-    if top == "rotorwatch":
-        return Source("rotorwatch", __version__, path)
+    if top == __name__.partition(".")[0]:
+        return Source(OURS, __version__, path)
+    for group in GROUPS:
+        for entry in offered(group).values():
+            if entry.module.partition(".")[0] == top and entry.dist is not None:
+                return Source(entry.dist.name, entry.dist.version, path)
     for name in _distributions(top, tuple(sys.path)):
         from importlib import metadata
 
         return Source(name, metadata.version(name), path)
-    for group in GROUPS:  # a package that is only on the path, with its metadata next to it
-        for entry in offered(group).values():
-            if entry.module.partition(".")[0] == top and entry.dist is not None:
-                return Source(entry.dist.name, entry.dist.version, path)
     return Source(top, "", path)
 
 
@@ -164,7 +169,7 @@ def _named(group: str, name: str) -> type:
     found = _own(group)
     if name in found:
         return found[name]
-    theirs = offered(group)
+    theirs = _single(group)
     if name in theirs:  # only this one is loaded: a broken package must not keep others from being used
         return load(theirs[name], parts)
     known = sorted({*found, *theirs})
@@ -174,7 +179,7 @@ def _named(group: str, name: str) -> type:
 def _with_offered(group: str) -> dict[str, type]:
     """Our own and those of other packages; ours stay what they are."""
     found = _own(group)
-    for name, entry in offered(group).items():
+    for name, entry in _single(group).items():
         kind = GROUPS[group]
         if name in found:
             sentence = (
@@ -189,24 +194,58 @@ def _with_offered(group: str) -> dict[str, type]:
     return dict(sorted(found.items()))
 
 
+def _single(group: str) -> dict[str, metadata.EntryPoint]:
+    """The entry points of a group that name one class each."""
+    return {name: entry for name, entry in offered(group).items() if entry.attr}
+
+
 def _own(group: str) -> dict[str, type]:
-    """Classes defined in the modules of a room, or of the default method, that have all the parts, by their `name`, in order of names."""
+    """Classes of the default method and of the packages that are offered as a whole, by their `name`, in order of names. Another package's
+    that cannot be imported, or has a name that is taken, is left out with a PluginWarning; of ours both raise. One that is not installed
+    offers nothing."""
+    found = _classes(DEFAULT, group)
+    for entry in sorted(offered(group).values(), key=_not_ours):
+        if entry.attr:
+            continue
+        try:
+            for name, kind in _classes(entry.module, group).items():
+                _once(name, kind, found)
+                found[name] = kind
+        except Exception as why:  # a module of another package may raise anything
+            if absent(entry, why):
+                continue
+            if not _not_ours(entry):
+                raise
+            sentence = f"The {GROUPS[group]}s of the package {package(entry)} are not used ({brief(why)})."
+            warnings.warn(sentence, PluginWarning, stacklevel=4)
+    return dict(sorted(found.items()))
+
+
+def _not_ours(entry: metadata.EntryPoint) -> bool:
+    return entry.dist is None or entry.dist.name != OURS
+
+
+def _classes(room: str, group: str) -> dict[str, type]:
+    """Classes defined in the modules of a package that have all the parts, by their `name`."""
     found: dict[str, type] = {}
-    for module in (module for room in (ROOMS.get(group, group), "rotorwatch.engine.host") for module in modules(room)):
+    for module in modules(room):
         members: list[tuple[str, Any]] = inspect.getmembers(module, inspect.isclass)
         for label, kind in members:
             own = kind.__module__ == module.__name__ and not label.startswith("_")
-            if not own or not all(hasattr(kind, part) for part in PARTS[group]):
-                continue
-            if kind.name in found:
-                raise TypeError(f"{kind.__module__} and {found[kind.name].__module__} are both called {kind.name!r}")
-            found[kind.name] = kind
-    return dict(sorted(found.items()))
+            if own and all(hasattr(kind, part) for part in PARTS[group]):
+                _once(kind.name, kind, found)
+                found[kind.name] = kind
+    return found
+
+
+def _once(name: str, kind: type, found: dict[str, type]) -> None:
+    if name in found:
+        raise TypeError(f"{kind.__module__} and {found[name].__module__} are both called {name!r}")
 
 
 def modules(package: str) -> Iterator[ModuleType]:
     """Every module of a package, those of its sub-packages included, in the order of their names; not those with an
-    underscore in front."""
+    underscore in front. Of a module itself."""
     yield from map(importlib.import_module, _names(package))
 
 
@@ -215,6 +254,8 @@ def _names(package: str) -> tuple[str, ...]:
     import pkgutil
 
     parent = importlib.import_module(package)
+    if not hasattr(parent, "__path__"):
+        return (package,)
     names = (info.name for info in pkgutil.walk_packages(parent.__path__, f"{package}."))
     return tuple(name for name in names if not name.rpartition(".")[2].startswith("_"))
 
@@ -233,7 +274,8 @@ def member(package: str, name: str):
 
 
 def offered(group: str) -> dict[str, metadata.EntryPoint]:
-    """Name -> entry point of what other installed packages offer in a group of GROUPS; nothing is loaded."""
+    """Name -> entry point of what installed packages, ours included, offer in a group of GROUPS; nothing is loaded. Of two packages that
+    offer one name, ours comes first."""
     return dict(_offered(group, _folders()))
 
 
@@ -250,37 +292,41 @@ def _folders() -> tuple[tuple[str, int], ...]:
 
 @functools.cache
 def _offered(group: str, folders: tuple[tuple[str, int], ...]) -> dict[str, metadata.EntryPoint]:
-    if not _mentioned(folders):
+    mentioned = _mentioned(folders)
+    if mentioned is not None and group not in mentioned:
         return {}
     from importlib import metadata
 
     found: dict[str, metadata.EntryPoint] = {}
-    for entry in metadata.entry_points(group=group):
+    entries = list(metadata.entry_points(group=group))
+    for entry in sorted(entries, key=_not_ours):
         found.setdefault(entry.name, entry)
     return dict(sorted(found.items()))
 
 
 @functools.cache
-def _mentioned(folders: tuple[tuple[str, int], ...]) -> bool:
-    """Whether any installed package may offer something: one names a group of ours in its entry points. Where packages are not found in
-    folders alone, the answer is yes."""
+def _mentioned(folders: tuple[tuple[str, int], ...]) -> frozenset[str] | None:
+    """The groups of GROUPS in which an installed package names entry points: without one, `importlib.metadata` need not be loaded. None
+    where packages are not found in folders alone, so that any group may be there."""
     finders = (finder for finder in sys.meta_path if finder is not importlib.machinery.PathFinder)
     if any(hasattr(finder, "find_distributions") for finder in finders):
-        return True
+        return None
+    groups: set[str] = set()
     for folder, _ in folders:
         if not os.path.isdir(folder):
-            return True
+            return None
         for name in os.listdir(folder):
             if name.endswith(".egg"):
-                return True
+                return None
             if name.endswith((".dist-info", ".egg-info")):
                 try:
                     with open(os.path.join(folder, name, "entry_points.txt"), "rb") as file:
-                        if b"[rotorwatch." in file.read():
-                            return True
+                        text = file.read()
                 except OSError:  # it has none
                     continue
-    return False
+                if b"[rotorwatch." in text:
+                    groups |= {group for group in GROUPS if f"[{group}]".encode() in text}
+    return frozenset(groups)
 
 
 def others(
@@ -318,11 +364,48 @@ def load(entry: metadata.EntryPoint, parts: tuple[str, ...]) -> Any:
     try:
         found = entry.load()
     except Exception as why:  # a module of another package may raise anything
+        if absent(entry, why):
+            raise Absent(missing(entry)) from why
         raise ConfigError(f"{whose} cannot be loaded ({brief(why)}): mend that package or uninstall it.") from why
     _complete(whose, found, parts)
     if "name" in parts and found.name != entry.name:
         raise ConfigError(f"{whose} calls itself {found.name!r}: its entry point must have the same name.")
     return found
+
+
+class Absent(ConfigError):
+    """The package of an entry point is not installed, although its metadata are."""
+
+
+def absent(entry: metadata.EntryPoint, why: BaseException) -> bool:
+    """Whether an exception says that the package of an entry point is not there at all."""
+    return isinstance(why, ModuleNotFoundError) and why.name == entry.module.partition(".")[0]
+
+
+def missing(entry: metadata.EntryPoint) -> str:
+    """One sentence on what to install for an entry point whose package is not there."""
+    extra = f"'{OURS}[research]'" if entry.dist is None or entry.dist.name == OURS else entry.dist.name
+    kind, top = GROUPS.get(entry.group, "plug-in"), entry.module.partition(".")[0]
+    return f"The {kind} {entry.name} is part of {top}, which is not installed: pip install {extra}."
+
+
+def api(name: str) -> Any:
+    """The function or module that an installed package offers as `rotorwatch.NAME` (entry points `rotorwatch.api`). A module is loaded
+    whole. Raises AttributeError for a name that nothing offers, ConfigError for one that cannot be loaded."""
+    entry = offered("rotorwatch.api").get(name)
+    if entry is None:
+        raise AttributeError(f"module 'rotorwatch' has no attribute {name!r}")
+    return load(entry, ())
+
+
+def first(group: str, what: str, name: str | None = None) -> Any:
+    """The entry point of that name in a group, or its first, loaded. what: begins the sentence of the ConfigError that is raised where no
+    installed package offers it."""
+    entries = offered(group)
+    entry = entries.get(name) if name else next(iter(entries.values()), None)
+    if entry is None:
+        raise ConfigError(f"{what} needs rotorwatch_lab, which is not installed: pip install '{OURS}[research]'.")
+    return load(entry, ())
 
 
 def imported(text: str, parts: tuple[str, ...], kind: str) -> Any:

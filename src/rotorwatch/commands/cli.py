@@ -14,9 +14,7 @@ import os
 import signal
 import sys
 import warnings
-from collections import UserDict
 from collections.abc import Callable, Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -26,22 +24,20 @@ from rotorwatch import __version__
 from rotorwatch.base import optional
 from rotorwatch.base.progress import READ, portion
 from rotorwatch.commands import several
+from rotorwatch.commands.offered import Commands
 from rotorwatch.commands.tools import (
     DEBUG,
     JSON,
     LOG,
     LOGS,
     OUT,
-    answer,
     common,
     findable,
     flag,
     option,
     print_json,
     progress,
-    resumable,
     say,
-    shares,
     show,
     spread,
     vehicle_of,
@@ -153,23 +149,7 @@ def explain(why: Exception) -> str:
     return f"An error in rotorwatch itself ({text}); please report it with the output of the same command with --debug."
 
 
-class Commands(UserDict):
-    """Commands by their names. Those of other files are imported when they are asked for: each process runs one."""
-
-    def __getitem__(self, name: str) -> click.Command:
-        command = super().__getitem__(name)
-        if isinstance(command, str):
-            family = import_module(f"rotorwatch.commands.{command}")
-            command = self.data[name] = getattr(family, name.replace("-", "_"))
-        return command
-
-
-ELSEWHERE = {
-    "ask": "ask", "ask-flights": "ask", "benchmark": "benchmark", "campaign": "campaign", "sequences": "campaign", "ablate": "campaign",
-    "closed-loop": "campaign", "estimate": "estimate", "export-c": "export", "fleet": "fleet_flights", "mcp": "mcp",
-    "observability": "research", "reproduce": "research", "serve": "serve", "simulate": "simulate", "survive": "survive", "tune": "tune",
-    "compare": "tune", "watch": "watch",
-}  # fmt: skip
+ELSEWHERE = {"export-c": "export", "fleet": "fleet_flights", "mcp": "mcp", "serve": "serve", "watch": "watch"}
 """Name of a command -> the file that it is in."""
 
 
@@ -249,9 +229,10 @@ def diagnose(context, **options) -> None:
         logs=logs, pages=pages, recordings=recordings, posts=posts, document=document, others=found.others
     )
     if request.tuning:
-        from rotorwatch.witnesses.healthy.tune import read
+        from rotorwatch.base import discovery
 
-        request = request._replace(tuned=read(request.tuning, request.estimator))
+        tune = discovery.first("rotorwatch.api", "A tuning of a published estimator", "tune")
+        request = request._replace(tuned=tune.read(request.tuning, request.estimator))
     if not many:
         context.exit(_diagnose(request))
     out = files.writable(request.out, "--out", make=True) if request.out else None
@@ -419,61 +400,6 @@ def demo(report, quiet) -> None:
         click.echo(f"The faulty flight as a page: {page[0]} (open it in a browser; it needs no network).")
     else:
         click.echo("For the same as an interactive page: rotorwatch demo --report rotorwatch-demo.html")
-
-
-@cli.command(short_help="Inject losses and count what is found.")
-@click.argument("logs", nargs=-1, required=True, type=LOG, metavar="LOG...")
-@option("--loss losses", "Losses to inject, above 0 and below 1.", "0.2,0.3,0.4", metavar="L,L,...")
-@option("--repeats", "Injections per flight, rotor and loss.", 3, type=click.IntRange(1, 1000))
-@option("--seed", "Seed of the random onsets.", 0, type=click.IntRange(0))
-@spread
-@resumable
-@JSON
-@common
-def inject(logs, losses, repeats, seed, jobs, scheduler, keep, as_json, quiet) -> None:
-    """Inject losses into healthy flights and count what the diagnosis finds of them."""
-    from rotorwatch.lab.experiments.inject import campaign
-
-    wanted = shares("--loss", losses)
-    with progress(quiet) as report:
-        result = campaign(logs, wanted, repeats, seed, report, jobs, scheduler, keep)
-    if as_json:
-        print_json(result)
-    else:
-        show(lambda terminal: terminal.campaign({**result, "table": _by_loss(result["table"])}))
-
-
-def _by_loss(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """A campaign's table turned over: a line for each measure, a column for each loss."""
-    from rotorwatch.report import percent, seconds, words
-
-    counts = {"loss", "injections", "false_alarms", "at_limit"}
-
-    def cell(key: str, value: Any) -> Any:
-        if value is None or key in counts:
-            return value
-        return seconds(value) if key.endswith("_s") else percent(value, 1 if key.startswith("loss_") else 0)
-
-    keys = [key for key in rows[0] if key != "loss"] if rows else []
-    return [{"loss": words(key)} | {percent(row["loss"]): cell(key, row.get(key)) for row in rows} for key in keys]
-
-
-@cli.command("false-alarms", short_help="Measure the false-alarm rate on real noise.")
-@click.argument("logs", nargs=-1, required=True, type=LOG, metavar="LOG...")
-@option("--hours", "Flight hours to simulate, over all logs.", 20.0, type=float)
-@option("--seed", "Seed of the surrogate flights.", 0, type=click.IntRange(0))
-@spread
-@resumable
-@JSON
-@common
-def false_alarms(logs, hours, seed, jobs, scheduler, keep, as_json, quiet) -> None:
-    """Judge surrogate flights with the noise of healthy LOGs, and count the false alarms per flight hour."""
-    from rotorwatch.lab.experiments.studies.false_alarms import describe
-    from rotorwatch.lab.experiments.studies.false_alarms import false_alarms as run
-
-    with progress(quiet) as report:
-        result = run(logs, hours, seed, report, jobs=jobs, scheduler=scheduler, keep=keep)
-    answer(as_json, result, describe(result))
 
 
 def _read(path: Any, report: Callable | None) -> Any:

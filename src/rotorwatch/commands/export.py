@@ -29,9 +29,8 @@ def export_c(
 ) -> None:
     """Write an estimator, the control allocation (docs/control.md), or the whole diagnosis, as C99 that needs nothing but libm
     (docs/export.md)."""
-    from rotorwatch.base import files
-    from rotorwatch.export.export_c import FRAME, export_allocator
-    from rotorwatch.export.export_c import export_c as run
+    from rotorwatch.base import discovery, files
+    from rotorwatch.export.export_default import FRAME, export_default
     from rotorwatch.flight import vehicle_file
 
     if (estimator is not None) + (allocator is not None) + diagnoser != 1:
@@ -55,12 +54,16 @@ def export_c(
 
         click.echo("\n".join(map(str, export_diagnoser(out, vehicle=craft or FRAME, **own))))
         return
-    if allocator is None:
-        made = run(estimator, out, vehicle=craft, dt=dt, variable_dt=variable_dt)
+    if estimator == "default":
+        made = export_default(out, vehicle=craft, dt=dt, variable_dt=variable_dt)
+    elif allocator is None:
+        published = discovery.first("rotorwatch.api", "The export of a published method", "export_c")
+        made = published.export_c(estimator, out, vehicle=craft, dt=dt, variable_dt=variable_dt)
     else:
+        control = discovery.first("rotorwatch.api", "The export of the control allocation", "export_c")
         plain = allocator == "pseudo-inverse"
         by, method = ("estimate", allocator) if plain else (allocator, "bounded")
-        made = export_allocator(out, vehicle=craft or FRAME, by=by, method=method)
+        made = control.export_allocator(out, vehicle=craft or FRAME, by=by, method=method)
     click.echo("\n".join(str(path) for path in made.files))
     if not quiet:
         say(

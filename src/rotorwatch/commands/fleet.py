@@ -10,6 +10,7 @@ from typing import NoReturn
 
 import click
 
+from rotorwatch.commands.offered import Commands
 from rotorwatch.commands.tools import (
     LOG,
     OUT,
@@ -53,7 +54,7 @@ def _store(make: bool) -> Callable:
 STORE = _store(make=False)
 
 
-@click.group(short_help="Remember flights; follow every rotor of a fleet over time.")
+@click.group(commands=Commands({}, "fleet"), short_help="Remember flights; follow every rotor of a fleet over time.")
 def fleet() -> None:
     """Remember flights in a store, and say of every aircraft which rotor loses thrust, since when, and when it should be exchanged.
 
@@ -322,38 +323,6 @@ def export(store, out, quiet) -> None:
 
     made = run.export(store, out)
     click.echo("\n".join(map(str, made)))
-
-
-@fleet.command(short_help="A simulated fleet with known truth.")
-@option("-o --out", "Folder for fleet.db and truth.json; it is made.", required=True, type=OUT, metavar="DIR")
-@option("--aircraft", "How many.", 10, type=click.IntRange(1, 10_000))
-@option("--flights", "Of each.", 40, type=click.IntRange(5, 100_000))
-@option("--seed", "Same seed, same fleet.", 0, type=click.IntRange(0))
-@flag("--logs", "Also write every flight as an ArduPilot log.")
-@option("--store url", "Another store than DIR/fleet.db.", "", metavar="FILE|URL")
-@JSON
-@common
-def simulate(out, aircraft, flights, seed, logs, url, as_json, quiet) -> None:
-    """Fly and judge a fleet in which rotors wear, are damaged and exchanged, and compare what its store says with the truth.
-
-    Needs JAX, which the extra `research` brings (docs/fleet.md). About 0.2 s a flight on one processor; broken off, it
-    goes on when called again.
-    """
-    from rotorwatch.fleet import score, synthetic
-    from rotorwatch.fleet.store import Store
-
-    with progress(quiet) as report:
-        truth, _ = synthetic.fly_fleet(out, aircraft, flights, seed, url, logs, report)
-    with Store(url or truth.parent / synthetic.STORE) as store:
-        found = score.score(store, truth.parent)
-    if as_json:
-        print_json(found)
-        return
-    for name, value in found.items():
-        if name != "change_off":
-            click.echo(
-                f"{name.replace('_', ' '):<18}{'-' if value is None else f'{value:.3f}' if isinstance(value, float) else value}"
-            )
 
 
 def table(

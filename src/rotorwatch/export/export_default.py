@@ -7,21 +7,27 @@ from __future__ import annotations
 
 import hashlib
 import re
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import __version__
+from rotorwatch import __version__, airframes
 from rotorwatch.base.compiling import structs
 from rotorwatch.base.compiling.translate import Translation
 from rotorwatch.engine.definition import ESTIMATOR
 from rotorwatch.engine.estimator import sizes, whole
 from rotorwatch.engine.estimator.estimator import Estimator
 from rotorwatch.engine.motion.ticks import JUDGE
+from rotorwatch.errors import ConfigError
 from rotorwatch.export.export_diagnoser import plant_table, settings, text_of
+from rotorwatch.export.projects import Exported, saved
 from rotorwatch.flight.vehicle import Vehicle
 
 BYTES = {"real": 8, "time": 8, "each": 8, "int": 4, "flag": 1, "mask": 2, "small": 2, "letter": 1, "byte": 1}
+
+
+LOG_DT, FRAME = 0.05, "ardupilot-quad-x"  # s of a tick, airframe: where none is given
 
 
 class Project(NamedTuple):
@@ -30,6 +36,25 @@ class Project(NamedTuple):
     texts: dict[str, str]
     state_bytes: int
     digest: str
+
+
+def export_default(
+    out: str | Path,
+    *,
+    vehicle: Vehicle | str | None = None,
+    dt: float | None = None,
+    variable_dt: bool = False,
+    name: str = "default",
+) -> Exported:
+    """Write a C99 project of the default estimator into a folder, for ticks of dt seconds. Arguments as of `rotorwatch.export_c`. Raises
+    ConfigError for a step of variable length, a paper's airframe and ticks that the estimator is not made for."""
+    if variable_dt:
+        raise ConfigError("The default estimator's ticks have one length, which --dt says: leave --variable-dt out.")
+    if isinstance(vehicle, str) and vehicle in airframes.papers():
+        raise ConfigError(f"default runs in hover thrusts of an autopilot's airframe; {vehicle} is a paper's.")
+    craft = airframes.named(vehicle or FRAME) if not isinstance(vehicle, Vehicle) else vehicle
+    made = compose_project(name, craft, dt or LOG_DT)
+    return Exported(name, Path(out), saved(Path(out), name, made.texts), made.state_bytes, 0, made.digest)
 
 
 def compose_project(name: str, vehicle: Vehicle, dt: float) -> Project:

@@ -1,8 +1,30 @@
-"""What stands around exported C: how it is built by CMake, and a program that calls the diagnoser."""
+"""What stands around exported C: the files of a project, how CMake builds it, and a program that calls the diagnoser."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What was written. state_bytes, workspace_bytes: in double precision; digest: of the definition, as in the header."""
+
+    name: str
+    folder: Path
+    files: tuple[Path, ...]
+    state_bytes: int
+    workspace_bytes: int
+    digest: str
+
+
+def saved(folder: Path, name: str, texts: dict[str, str]) -> tuple[Path, ...]:
+    """The files of a project, written."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for file, text in (texts := {**texts, "CMakeLists.txt": cmake(name)}).items():
+        (folder / file).write_text(text, encoding="utf-8")
+    return tuple(folder / file for file in texts)
 
 
 def cmake(name: str, sources: Sequence[str] = ()) -> str:

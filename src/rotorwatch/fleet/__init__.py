@@ -19,8 +19,6 @@ assess.py           all of that together: where every aircraft stands
 compare.py          two flights next to each other
 pages.py            where every aircraft stands, as pages
 export.py           the store as Parquet files
-synthetic.py        a simulated fleet with known truth
-score.py            what the store says against the truth
 """
 
 from rotorwatch.fleet.address import default_url

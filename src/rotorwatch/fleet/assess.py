@@ -18,7 +18,7 @@ from rotorwatch.engine.front.decisions import DAMAGED, MENTIONED
 from rotorwatch.fleet import condition, explain, false_discovery, listing, prognosis, scatter
 from rotorwatch.fleet.explain import CENTRE, STEP, WORN, Found, Series
 from rotorwatch.fleet.store import Store
-from rotorwatch.methods.maths import multivariate_t as student
+from rotorwatch.stats import multivariate_t as student
 from rotorwatch.witnesses.healthy.whole_flight import LIMITED, SLOPE_BETWEEN_SD, of_wind
 
 FELL = "control was lost in it"

@@ -37,8 +37,8 @@ import numpy as np
 
 from rotorwatch.fleet import scatter
 from rotorwatch.fleet.prognosis import Lines
-from rotorwatch.methods.maths import multivariate_t as student
-from rotorwatch.methods.maths.tails import log_normal_cdf, normal_quantile
+from rotorwatch.stats import multivariate_t as student
+from rotorwatch.stats.tails import log_normal_cdf, normal_quantile
 from rotorwatch.witnesses.healthy.whole_flight import CENTRE_RHO_SD, RHO_SD, SHIFT_SD
 
 LOSS_SD = 0.15  # of e by a step, or by wear at the end of the history

@@ -5,7 +5,7 @@ and the probability that it is this one (`explain.lines`). The limit is reached 
 
     P(t) = sum_k p_k Phi((l_k + s_k t - LIMIT) / sd_k(t)),      sd_k(t)^2 = var l + 2 t cov(l, s) + t^2 var s
 
-whose quantiles are the interval. For one line that is Fieller's. `methods/maths/trend.py` is not asked: it is for errors that wander within
+whose quantiles are the interval. For one line that is Fieller's. `answer/trend.py` is not asked: it is for errors that wander within
 a flight, and would give up a trend that a hundred separate flights show. What hangs together between flights is in their noise already.
 
 Source: E. C. Fieller, Some problems in interval estimation, Journal of the Royal Statistical Society B 16 (1954) 175-185.
@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorwatch.methods.maths.tails import normal_cdf
+from rotorwatch.stats.tails import normal_cdf
 
 LIMIT = 0.10  # loss
 COVERED = 0.90

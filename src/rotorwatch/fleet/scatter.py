@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch.methods.maths.multivariate_t import squared_distance
+from rotorwatch.stats.multivariate_t import squared_distance
 
 NU = 5.0
 # Assumed of flights: of a rotor's thrust, relative; of the centre of mass, arm lengths.

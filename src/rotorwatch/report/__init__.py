@@ -283,7 +283,7 @@ def comparison(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
 
 def _other_checks(autopilot: str) -> tuple[str, str, str, str]:
     """The row of other checks that found nothing, or that there is none: an autopilot's checks run on its own logs alone."""
-    from rotorwatch.methods.published import detectors
+    from rotorwatch import detectors
 
     names = ", ".join(module.name for module in detectors.for_autopilot(autopilot))
     if names:

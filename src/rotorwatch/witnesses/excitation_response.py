@@ -1,7 +1,7 @@
 """What the response to an excitation of the commands shows of events that are ambiguous without it.
 
-Commands in the null space of the geometry (methods/control/excitation.py) move nothing while all rotors are well; a flight in which they
-were excited is an experiment. The commanded thrust that the motion does not show, e = y - G m of the thrust channel (plant.py), then holds
+Commands in the null space of the geometry (null_space.py) move nothing while all rotors are well; a flight in which they were excited is
+an experiment. The commanded thrust that the motion does not show, e = y - G m of the thrust channel (plant.py), then holds
 
     e(t) = sum_i phi_i(t) theta_i + noise,        phi_i = B_i q_i,        q: the part of the thrusts that nobody needed
 
@@ -41,9 +41,9 @@ from rotorwatch.engine.host.residual_evidence import TRIM_S, TRIM_SD
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import LOSS
-from rotorwatch.methods.control import excitation
-from rotorwatch.methods.maths.nonnegative import least_squares
-from rotorwatch.methods.maths.tails import normal_cdf
+from rotorwatch.stats.nonnegative import least_squares
+from rotorwatch.stats.tails import normal_cdf
+from rotorwatch.witnesses import null_space
 
 LEAST = 0.05  # hover thrusts of one rotor, off the mixer's own way of making a wrench: an excitation, no rounding
 SHORTEST_S, GAP_S, ASIDE_S = 0.5, 1.0, 1.0  # of an excitation; between two; of flight looked at before and after
@@ -76,7 +76,7 @@ def find(
 
     What the vehicle is like, and how noisy, is what the default estimator knew when the first of them began: from the answers of
     weak rotors it would learn wrong gains."""
-    N = excitation.null_space(B)
+    N = null_space.null_space(B)
     full = table.thrust * table.hover[:, None]
     usable = (table.mode == JUDGE) & table.valid[:, 3] & (full < AT_LIMIT).all(axis=1) & (full > 0.0).all(axis=1)
     if not N.shape[1] or usable.sum() * table.dt < 2.0 * ASIDE_S:
@@ -172,7 +172,7 @@ class _Model(NamedTuple):
     left: np.ndarray
     more: np.ndarray
     sd: float
-    noise: excitation.Noise
+    noise: null_space.Noise
 
 
 def _model(carry, table: Ticks, B: np.ndarray) -> _Model:
@@ -184,14 +184,14 @@ def _model(carry, table: Ticks, B: np.ndarray) -> _Model:
     if lower is not None:
         more = B[3] * (lower - (B[3] * lower).mean())
         left, sd = left + s[SHARE] * (table.thrust @ more), float(np.sqrt(P[SHARE, SHARE]))
-    return _Model(left, more, sd, excitation.Noise(np.asarray(carry.variances)[:, 3], np.array(TAU)))
+    return _Model(left, more, sd, null_space.Noise(np.asarray(carry.variances)[:, 3], np.array(TAU)))
 
 
 def _response(rows, span, q, model: _Model, table: Ticks, B: np.ndarray) -> ExcitationEvidence:
     """The information of one excitation, seen at ticks `rows`."""
     n, time, here = B.shape[1], table.time, rows - rows[0]
     J, z = [], []
-    whiten = np.linalg.cholesky(excitation.covariance(model.noise, here[-1] + 1, table.dt)[np.ix_(here, here)])
+    whiten = np.linalg.cholesky(null_space.covariance(model.noise, here[-1] + 1, table.dt)[np.ix_(here, here)])
     for delay in DELAYS_S:
         late = np.column_stack([np.interp(time[rows] - delay, time, q[:, i]) for i in range(n)])
         white = np.linalg.solve(whiten, np.column_stack([B[3] * late, late @ model.more * model.sd, model.left[rows]]))
@@ -311,11 +311,12 @@ def candidates(event: Event, B: np.ndarray) -> dict[tuple[int, ...], np.ndarray]
 
 class Question(NamedTuple):
     """What an excitation is designed from, as a log has shown it. candidates: sets of rotors (0-based; (): none) and their losses (n,);
-    hover (n,): commands, shares of full thrust; noise and gain (3,) as in `excitation.design`; dt [s] of a tick."""
+    hover (n,): commands, shares of full thrust; noise and gain (3,) as `rotorwatch.control.excitation.design` takes
+    them; dt [s] of a tick."""
 
     candidates: dict[tuple[int, ...], np.ndarray]
     hover: np.ndarray
-    noise: excitation.Noise
+    noise: null_space.Noise
     gain: np.ndarray
     dt: float
 
@@ -328,7 +329,7 @@ def question(sets: dict[tuple[int, ...], np.ndarray], carry, table: Ticks, B: np
     hover = (table.thrust * table.hover[:, None])[late].mean(axis=0)
     gain = np.asarray(carry.s)[:AXIS_STATES].reshape(4, PER_AXIS)[:3, GAIN]
     found = {**sets, (): np.zeros(B.shape[1])}
-    return Question(found, hover, excitation.Noise(np.asarray(carry.variances)[:, 3], np.array(TAU)), gain, table.dt)
+    return Question(found, hover, null_space.Noise(np.asarray(carry.variances)[:, 3], np.array(TAU)), gain, table.dt)
 
 
 def resolve(

@@ -15,7 +15,7 @@ import numpy as np
 
 from rotorwatch import checks
 from rotorwatch.core import Estimate
-from rotorwatch.methods.maths import linearise
+from rotorwatch_lab.maths import linearise
 
 
 class State(NamedTuple):

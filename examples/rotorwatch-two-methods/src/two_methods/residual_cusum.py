@@ -17,8 +17,8 @@ import numpy as np
 
 from rotorwatch import checks
 from rotorwatch.core import Estimate
-from rotorwatch.methods.estimators.ekf import EKF
-from rotorwatch.methods.maths import linearise
+from rotorwatch_lab.estimators.ekf import EKF
+from rotorwatch_lab.maths import linearise
 
 PRIOR_SD = 0.3  # of a loss that nothing is known of
 

@@ -18,7 +18,7 @@ from rotorwatch.base.arrays import median
 from rotorwatch.engine.motion.allocation import Spans, motor_thrusts, within
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.methods.maths import huber
+from rotorwatch.stats import huber
 
 WIDTH_S = 0.004
 LEAST_HZ = 90.0  # of logging: slower, 30 ms are not seen

@@ -18,7 +18,7 @@ from rotorwatch.base.arrays import median
 from rotorwatch.engine.motion.allocation import Spans, motor_thrusts, within
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.methods.maths import huber
+from rotorwatch.stats import huber
 
 WINDOW_S = 0.02
 FAST_S = 1.0  # slower than that is trim and air

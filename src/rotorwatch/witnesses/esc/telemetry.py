@@ -16,7 +16,7 @@ from rotorwatch.answer.wording import rotors, seconds
 from rotorwatch.base.arrays import median
 from rotorwatch.engine.motion import allocation
 from rotorwatch.flight import Flight, Signal
-from rotorwatch.methods.maths.nonnegative import best_total
+from rotorwatch.stats.nonnegative import best_total
 
 BIN_S = 0.5
 LEAST_SHARE = 0.03  # of full thrust: less is no command to compare with

@@ -12,7 +12,7 @@ that explains what outputs do (`ledger.undisturbed`); only flights that hover ar
 
 A load off the middle takes roll and pitch, a twisted mount yaw, one rotor all three alike; so a load on twisted mounts may look like a
 rotor, and it is said so. Both have to show in each half of the flight: what comes later is no matter of how it was built. What the rotors
-could do without the lost ones is the largest thrust with no moment, and with no moment but yaw (methods/control/attainable.py).
+could do without the lost ones is the largest thrust with no moment, and with no moment but yaw (witnesses/attainable.py).
 
 Sources of the limits. ArduPilot's log analysis (Tools/LogAnalyzer): a throttle above 0.7 that does not climb is too little thrust, and
 motors whose mean outputs differ by 150 us fail. Copter (crash_check.cpp): outputs at their limit and sinking for 1 s are a loss of thrust;
@@ -37,7 +37,7 @@ from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import AT_LIMIT, EXHAUSTED, HEAVY, STANDS_APART, UNEVEN
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.methods.control.attainable import margins
+from rotorwatch.witnesses.attainable import margins
 from rotorwatch.witnesses.healthy import whole_flight
 from rotorwatch.witnesses.healthy.whole_flight import AFTER_TAKE_OFF_S, BEFORE_LANDING_S
 

@@ -29,7 +29,7 @@ import numpy as np
 from rotorwatch.engine.front.decisions import CERTAIN, FALSE_ALARM, FALSE_FAULT_OF_ANY, MENTIONED
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.methods.maths import multivariate_t as student
+from rotorwatch.stats import multivariate_t as student
 from rotorwatch.witnesses.healthy.whole_flight import CENTRE_RHO_SD, LIMITED, RHO_SD, Features, features
 
 CENTRE, TILT, FREEDOM = 0.04, 0.2, 6.0

@@ -48,8 +48,8 @@ from rotorwatch.engine.front.decisions import DAMAGED, FALSE_ALARM, FALSE_FAULT,
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.methods.maths import huber
-from rotorwatch.methods.maths import multivariate_t as student
+from rotorwatch.stats import huber
+from rotorwatch.stats import multivariate_t as student
 
 AFTER_TAKE_OFF_S, BEFORE_LANDING_S = 3.0, 1.0
 BLOCK_S = 1.0

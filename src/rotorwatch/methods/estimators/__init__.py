@@ -1,9 +1,0 @@
-"""Estimators: one method a file, found by discovery; `rotorwatch.methods.estimators.ATSUKF` finds the class in its file."""
-
-from __future__ import annotations
-
-
-def __getattr__(name: str):
-    from rotorwatch.base import discovery
-
-    return discovery.member(__name__, name)

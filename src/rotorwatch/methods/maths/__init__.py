@@ -1,1 +1,0 @@
-"""Mathematics that several methods share, and the plants that they run on (systems/): no logs in here."""

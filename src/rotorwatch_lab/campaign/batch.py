@@ -1,0 +1,218 @@
+"""One batch of a campaign: flights of one cell flown, logged, turned into ticks and judged, side by side where that is possible.
+
+The simulator's log, in memory, goes through `diagnose` (`prepare`, `estimated`, `judge`); only published methods run over all flights of a
+batch at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Protocol, cast
+
+import numpy as np
+
+from rotorwatch import detectors
+from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.errors import ConfigError
+from rotorwatch.flight import Flight
+from rotorwatch.flight.diagnosis import Source
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.toolkit import GROUND, LAG_S, Estimated, Prepared, Ticks, estimated, prepare, program
+from rotorwatch.toolkit import judge as conclude
+from rotorwatch_lab.campaign import methods, score
+from rotorwatch_lab.campaign.plan import Plan
+from rotorwatch_lab.experiments import counting, limits
+from rotorwatch_lab.published import decide
+from rotorwatch_lab.simulation import logbook
+from rotorwatch_lab.simulation import plan as flight_plan
+from rotorwatch_lab.simulation.loop import fly_each
+from rotorwatch_lab.simulation.multirotor import MULTIROTOR
+from rotorwatch_lab.simulation.scenario import Scenario
+
+CPU_WIDTH, ACCELERATOR_WIDTH = 32, 1024
+
+
+def width() -> int:
+    """Flights in a batch: what fits a processor's cache, or fills an accelerator where JAX has found one."""
+    return CPU_WIDTH if load_jax().default_backend() == "cpu" else ACCELERATOR_WIDTH
+
+
+def where() -> str:
+    """Which device JAX has found, and how many flights it takes at once, in words."""
+    jax = load_jax()
+    kind, devices = jax.default_backend(), jax.devices()
+    name = "the processor" if kind == "cpu" else f"{len(devices)} x {devices[0].device_kind}"
+    return f"on {name}, {width()} flights side by side{', estimators as native code' if methods.engine() == 'native' else ''}"
+
+
+@dataclass(frozen=True)
+class Flown:
+    """One flight on its way through the batch. ready: as `diagnose` has it before an estimator sees it; theta (T, n): true losses at its
+    ticks; lost_s: when it crashed, or None."""
+
+    number: int
+    scenario: Scenario
+    ready: Prepared
+    theta: np.ndarray
+    lost_s: float | None = None
+
+    @property
+    def flight(self) -> Flight:
+        """Its log."""
+        return self.ready.flight
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The vehicle that the log tells of."""
+        return self.ready.vehicle
+
+    @property
+    def ticks(self) -> Ticks:
+        """Its ticks."""
+        return cast(Ticks, self.ready.table)
+
+
+def judge(plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
+    """Rows of results (score.py), one per flight and method. All flights must be of one cell; `size`: width that the batch is
+    filled up to, always the same, so that a flight's result does not depend on who it flew with."""
+    flown = fly(plan, flights, size)
+    return rows(plan, flown, size) if flown else []
+
+
+def rows(
+    plan: Plan, flown: Sequence[Flown], size: int, failed: Callable[[str, Exception], None] | None = None
+) -> list[dict]:
+    """Rows of results of flights that have the same geometry and length of a tick. failed: called for a published estimator or a rule that
+    raises, which then has no rows; None: it raises."""
+    B = flown[0].vehicle.effectiveness()
+    if any(not np.array_equal(f.vehicle.effectiveness(), B) for f in flown):
+        raise ConfigError("flights of one batch must have the same geometry; name the frame by a choice.")
+    found = []
+    bounds = _bounds(flown, B, size)
+    published = [name for name in plan.estimators if name != "default"]
+
+    def row(label: str, f: Flown, done: Estimated, statistic, bound) -> dict:
+        end = conclude(f.ready, done).end
+        raised = counting.alarms(end.events)
+        found = score.estimator(label, f, done.out, statistic, raised, bound, plan, unasked(raised))
+        return found | (score.answer(end) if done.own else {})
+
+    if "default" in plan.estimators:
+        for f, bound, done in zip(flown, bounds, by_default(flown), strict=True):
+            statistic = np.where(done.out.plausible, done.out.statistic, score.NOTHING)
+            found.append(row("default", f, done, statistic, bound))
+    if published:
+        tables = [f.ticks for f in flown]
+        hops = methods.learn(tables, B, learned_states(flown, B))
+        for name in published:
+            with _caught(name, failed):
+                judged = methods.judge(name, tables, hops, B, size, tuple(d.tuning for d in plan.decisions))
+                for decision, kept in zip(plan.decisions, judged, strict=True):
+                    label = decision.label(name)
+                    found += [
+                        row(label, f, Estimated(f.ticks, k, own=False, announces=decide.LIMIT), k.statistic, b)
+                        for f, k, b in zip(flown, kept, bounds, strict=True)
+                    ]
+    rules = {m.name: m for m in detectors.modules() if m.name in plan.detectors}
+    for name in plan.detectors:
+        with _caught(name, failed):
+            seen = [rules[name].detect(f.flight, f.vehicle, f.ready.air) for f in flown]
+            found += [score.rule(name, f, s, bound, plan) for f, s, bound in zip(flown, seen, bounds, strict=True)]
+    return found
+
+
+@contextmanager
+def _caught(name: str, failed: Callable[[str, Exception], None] | None) -> Iterator[None]:
+    """What a method raises inside goes to `failed`, where there is one."""
+    try:
+        yield
+    except Exception as why:
+        if failed is None:
+            raise
+        failed(name, why)
+
+
+class Flights(Protocol):
+    """What draws flights: a plan, or a study's own."""
+
+    def flight(self, k: int) -> Scenario:
+        """The scenario of flight k."""
+        ...
+
+
+def fly(plan: Flights, flights: Sequence[int], size: int) -> list[Flown]:
+    """Simulate the flights and look at them as `diagnose` looks at a log. Flights that never take off are left out."""
+    scenarios = [plan.flight(k) for k in flights]
+    plans = [_planned(k, scenario) for k, scenario in zip(flights, scenarios, strict=True)]
+    first = scenarios[0]
+    records = fly_each(MULTIROTOR, plans, first.duration_s, first.rate_hz, first.record_hz, logbook.needed, size)
+    found = [prepared(*row) for row in zip(flights, scenarios, plans, records, strict=True)]
+    return [f for f in found if f is not None]
+
+
+def prepared(number: int, scenario: Scenario, plan: Any, record: Any) -> Flown | None:
+    """A simulated flight as `diagnose` looks at a log; None when it never took off."""
+    ready = prepare(logbook.flight(scenario, plan, record))
+    if ready.table is None:
+        return None
+    # A tick's motion is a lag after its commands: that is when a loss shows in it.
+    at = np.clip(np.searchsorted(record.time, ready.table.command_time + LAG_S), 0, len(record.time) - 1)
+    lost = np.flatnonzero(record.flies < 0.5)
+    return Flown(number, scenario, ready, record.theta[at], float(record.time[lost[0]]) if lost.size else None)
+
+
+def _planned(number: int, scenario: Scenario) -> Any:
+    """The flight's numbers. Raises ConfigError that names the flight: draws may be too much only together."""
+    try:
+        return flight_plan(scenario)
+    except ConfigError as error:
+        raise ConfigError(f"flight {number}: {error}") from error
+
+
+def unasked(raised: Sequence[counting.Alarm]) -> list[float]:
+    """When what is no estimator's was raised [s]: outputs, losses of control, hindsight. They know no threshold."""
+    return [a.detected_s for a in raised if a.event is not None and a.event.source is not Source.ESTIMATOR]
+
+
+def _table(table: Ticks, B: np.ndarray, rows: slice = slice(None)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """u, y, valid of the default estimator."""
+    u, y, valid = program.inputs(table, B)
+    return u[rows], y[rows], valid[rows]
+
+
+def by_default(flown: Sequence[Flown], whole: bool = False) -> list[Estimated]:
+    """Every flight through the default estimator, as `diagnose` does it; whole: as of `estimated`."""
+    return [estimated(f.ready, whole=whole) for f in flown]
+
+
+def learned_states(flown: Sequence[Flown], B: np.ndarray) -> list[tuple | None]:
+    """State and noise variances of the default estimator after the learning time of each flight of one hop; None for others."""
+    found: list[tuple | None] = []
+    for f in flown:
+        span, steps = methods.learning(f.ticks), program.steps(f.ticks.dt, B)
+        steps.run(*_table(f.ticks, B, span or slice(0)))
+        found.append(None if span is None else (steps.learned.s, steps.learned.variances))
+    return found
+
+
+def _bounds(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[np.ndarray | None]:
+    """(T,) information on the loss of the broken rotor (limits.py) for each flight in which one rotor loses thrust at once, else None."""
+    clear = [score.clear_fault(f.scenario) if np.isfinite(f.theta).all() else None for f in flown]
+    if not any(clear):
+        return [None] * len(flown)
+    u, y, valid = methods.stacked([_table(f.ticks, B) for f in flown], size)
+    length = u.shape[1]
+    theta = np.stack(
+        [np.concatenate([np.nan_to_num(f.theta), np.zeros((length - len(f.theta), B.shape[1]))]) for f in flown]
+    )
+    rotor = [c["rotor"] - 1 if c else 0 for c in clear]
+    onset = [np.searchsorted(f.ticks.command_time + LAG_S, c["onset_s"]) if c else length for f, c in zip(flown, clear)]
+    more = size - len(flown)
+    theta = np.concatenate([theta, np.repeat(theta[-1:], more, axis=0)])
+    found = limits.on_ticks(
+        B, u[..., :-2], y, valid, u[..., -2] > GROUND, theta, np.array(rotor + rotor[-1:] * more),
+        np.array(onset + onset[-1:] * more), flown[0].ticks.dt, batch=True,
+    )  # fmt: skip
+    return [found.information[k, : len(f.ticks.time)] if clear[k] else None for k, f in enumerate(flown)]

@@ -1,0 +1,367 @@
+"""Does the vehicle stay up? Flights in which an estimator drives the allocation, against knowing the truth and against doing nothing.
+
+    from rotorwatch_lab.campaign import closed_loop
+    result = closed_loop.run("plans/survival.toml", ["nobody", "truth", "default"], "survival", flights=2000)
+
+What an estimator says at a time t depends on the log up to t only, and up to its first word a reconfigured flight is the flight as it would
+have been anyhow. So a flight is flown as it is, the estimator judges its log, its first belief is entered in the flight's schedule
+(simulation/reconfigured.py), the flight is flown again, and so on, belief by belief: what came before stays the same to the last bit,
+and the estimators are those of `rotorwatch diagnose`, not copies of them.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rotorwatch.base import discovery
+from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.base.choices import meant
+from rotorwatch.base.physics import G0
+from rotorwatch.errors import ConfigError
+from rotorwatch.toolkit import LEARN, attainable, program
+from rotorwatch_lab.campaign import batch, methods, work
+from rotorwatch_lab.campaign import plan as plans
+from rotorwatch_lab.campaign.plan import Plan
+from rotorwatch_lab.campaign.score import read_columns
+from rotorwatch_lab.campaign.store import Folder
+from rotorwatch_lab.control import spinning
+from rotorwatch_lab.control.airframe import Airframe
+from rotorwatch_lab.control.allocation import DRIVEN_BY, rows
+from rotorwatch_lab.experiments import tools
+from rotorwatch_lab.simulation import logbook, loop, prepare, reconfigured, trajectories
+from rotorwatch_lab.simulation.scenario import Scenario
+
+NOBODY, TRUTH = "nobody", "truth"
+ENTRIES = 8  # beliefs that a flight may act on, one after the other
+MOVED = 0.1  # a belief is acted on when a rotor's effectiveness is this far from what was acted on before
+REFRESH_S = 0.5  # ... and no sooner after that
+# Of its hover thrust, on average over so long: a rotor that is used less does not show what it has lost.
+IDLE, IDLE_S = 0.3, 1.0
+DELAY_S = 0.1  # from an estimate to commands that follow it
+# Of a channel's authority: with less left at hover, if losses are as large as they may be, the vehicle turns.
+ROOM = 0.1
+TURNED = np.cos(np.radians(100.0))
+ABLE_M = 5.0  # a vehicle that strays further than this before anything has happened is not up to that wind
+TRACK_M, TRACK_DEG = 2.0, 20.0  # recovered: nearer than this to where it should be, and not leaning more
+
+
+COLUMNS = read_columns("closed_loop")
+
+
+def fly(
+    flown: batch.Flights,
+    flights: Sequence[int],
+    driver: str = "default",
+    by: str = "estimate",
+    aircraft: Callable[[np.ndarray, str], reconfigured.Reconfigured] = reconfigured.Reconfigured,
+) -> list[dict[str, Any]]:
+    """The flights with a driver: "nobody", "truth", or an estimator's name. All must be of one cell of a plan (one frame). by: what drives
+    the allocation, "estimate", "bounds" or "posterior". aircraft(B, by): what flies. Returns what became of each: those of COLUMNS that
+    say so. Raises ConfigError."""
+    _explains(driver, by)
+    scenarios = [flown.flight(k) for k in flights]
+    for s in scenarios:
+        if s.trajectory["land"]:
+            raise ConfigError("closed loop flights end in the air: set land = false in [scenario.trajectory].")
+    plans = [prepare.plan(s) for s in scenarios]
+    B = rows(prepare.vehicle(scenarios[0]))
+    craft = aircraft(B, by)
+    n, size = B.shape[1], len(plans)
+    made: list[list[reconfigured.Entry]] = [[] for _ in plans]
+    if driver == TRUTH:
+        made = [_true(s, n) for s in scenarios]
+    first, records = scenarios[0], _flown(craft, scenarios[0], plans, made, size)
+    able = [_able(*row) for row in zip(scenarios, plans, records, strict=True)]
+    open_, turns = list(range(size)), ENTRIES if driver not in (NOBODY, TRUTH) else 0
+    for _ in range(turns):
+        # A flight without a new belief stays as it is, and so does what the estimator says of it.
+        here = [[row[k] for k in open_] for row in (flights, scenarios, plans, records, made)]
+        new = [(k, found) for k, found in zip(open_, _beliefs(driver, *here, by, size), strict=True) if found]
+        if not new:
+            break
+        open_ = [k for k, _ in new]
+        for k, found in new:
+            made[k].append(found)
+        again = _flown(craft, first, [plans[k] for k in open_], [made[k] for k in open_], size)
+        for k, record in zip(open_, again, strict=True):
+            records[k] = record
+    every = zip(flights, scenarios, plans, records, made, able, strict=True)
+    return [_outcome(*row) for row in every]
+
+
+class Judge(NamedTuple):
+    """Makes rows of flights (`work.Judge`): one for each driver."""
+
+    drivers: tuple[str, ...]
+    by: str = "estimate"
+
+    def __call__(self, plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
+        filled = [*flights, *[flights[-1]] * (size - len(flights))]  # one program for all parts
+        found = []
+        for driver in self.drivers:
+            for outcome in fly(plan, filled, driver, self.by)[: len(flights)]:
+                planned = plan.flight(outcome["flight"])
+                losses = [1.0 if f["kind"] == "complete loss" else f["strength"] for f in planned.faults]
+                end = outcome["onset_s"] if outcome["faulty"] else planned.duration_s
+                found.append(
+                    {
+                        "method": driver, "frame": planned.airframe["frame"], "rotors": plan.rotors[outcome["flight"] % len(plan.cells)],
+                        "broken": len(losses), "loss": max(losses, default=0.0), "wind_m_s": planned.wind["speed_m_s"],
+                        "healthy_s": min(end, outcome["lost_s"] or end), **outcome,
+                    }
+                )  # fmt: skip
+        return found
+
+
+def run(
+    plan: str | os.PathLike | Plan,
+    drivers: Sequence[str] = (NOBODY, TRUTH, "default"),
+    out: str | os.PathLike = "closed-loop",
+    flights: int = 200,
+    jobs: int | None = None,
+    by: str = "estimate",
+    progress: work.Progress | None = None,
+    scheduler: str | None = None,
+) -> dict[str, Any]:
+    """Fly a plan's flights with every driver: {"plan", "flights", "drivers": {driver: measures}}, also in out/summary.json.
+
+    Finished parts are kept in the folder `out`: the same call goes on where it was stopped. Measures (`measures`) have 95 % intervals.
+    jobs, scheduler: as for `work.run`. Raises ConfigError.
+    """
+    planned = plan if isinstance(plan, Plan) else plans.read(plan)
+    if not drivers:
+        raise ConfigError("Name at least one driver: nobody, truth, or an estimator.")
+    for driver in drivers:
+        if driver not in (NOBODY, TRUTH):
+            discovery.estimator(driver)
+    if by not in DRIVEN_BY:
+        raise ConfigError(f"by must be one of {', '.join(DRIVEN_BY)}, not {by}{meant(by, DRIVEN_BY)}.")
+    for driver in drivers:
+        _explains(driver, by)
+    entered = replace(planned, text=f"{planned.text}\n# closed loop: {', '.join(drivers)}; by {by}\n")
+    table = work.run(entered, flights, out, jobs, progress, Judge(tuple(drivers), by), COLUMNS, scheduler)
+    rows = table.to_pylist()
+    lost = {d: {r["flight"]: r["lost_s"] for r in rows if r["method"] == d} for d in (TRUTH, NOBODY)}
+    result = {
+        "plan": planned.name,
+        "flights": flights,
+        "by": by,
+        "drivers": {d: measures([r for r in rows if r["method"] == d], lost[TRUTH], lost[NOBODY]) for d in drivers},
+    }
+    Folder(out, COLUMNS).finish(table, result)
+    return result
+
+
+def measures(
+    rows: Sequence[dict], truth: Mapping[int, float | None], nobody: Mapping[int, float | None]
+) -> dict[str, Any]:
+    """Of one driver's rows; truth, nobody: when each flight was lost with those drivers (None: never). survived: share of faulty flights;
+    of_possible: share of those that knowing the truth saves, of_able: of those among them whose vehicle, healthy, keeps to its track;
+    lost_healthy: flights without a fault that were lost; false_h: flights in which it acted falsely, per healthy hour; lost_false: how many
+    of those were lost, and not (or later) with nobody, lost_false_able: of able vehicles; healthy_h; first_s, recovered_s, tilt_deg,
+    off_m: medians of faulty flights; by_frame, possible_by_frame: survived and of_possible, by frame."""
+    faulty = [r for r in rows if r["faulty"]]
+    healthy = [r for r in rows if not r["faulty"]]
+    possible = [r for r in faulty if r["flight"] in truth and truth[r["flight"]] is None]
+    harmed = [
+        r for r in rows if r["false"] and r["lost_s"] is not None and r["lost_s"] < (nobody.get(r["flight"]) or np.inf)
+    ]
+
+    def survived(some: Sequence[dict]) -> dict[str, float] | None:
+        return tools.share([r["survived"] for r in some])
+
+    def median(key: str) -> dict[str, float] | None:
+        return tools.boot([r[key] for r in faulty if r[key] is not None], np.median)
+
+    hours, frames = sum(r["healthy_s"] for r in rows) / 3600.0, sorted({r["frame"] for r in rows})
+    return {
+        "faulty": len(faulty), "healthy": len(healthy), "survived": survived(faulty), "of_possible": survived(possible),
+        "of_able": survived([r for r in possible if r["able"]]), "able": sum(r["able"] for r in rows),
+        "lost_healthy": sum(not r["survived"] for r in healthy), "healthy_h": hours,
+        "lost_false": len(harmed), "lost_false_able": sum(r["able"] for r in harmed),
+        "false_h": tools.rate(sum(r["false"] for r in rows), hours),
+        "right": tools.share([r["right"] for r in faulty if r["beliefs"]]),
+        **{key: median(key) for key in ("first_s", "recovered_s", "tilt_deg", "off_m")},
+        "by_frame": {f: survived([r for r in faulty if r["frame"] == f]) for f in frames},
+        "possible_by_frame": {f: survived([r for r in possible if r["frame"] == f]) for f in frames},
+    }  # fmt: skip
+
+
+def markdown(result: dict[str, Any]) -> str:
+    """The drivers side by side, and survival by frame."""
+    cell, found = tools.interval, result["drivers"]
+    lines = {
+        "faulty, healthy flights": lambda m: f"{m['faulty']}, {m['healthy']}",
+        "survived": lambda m: cell(m["survived"]),
+        "... of those that the truth saves": lambda m: cell(m["of_possible"]),
+        "... and whose vehicle, healthy, keeps to its track": lambda m: cell(m["of_able"]),
+        "healthy flights lost": lambda m: str(m["lost_healthy"]),
+        "healthy hours": lambda m: f"{m['healthy_h']:.1f}",
+        "acted falsely, flights an hour": lambda m: cell(m["false_h"], 2),
+        "lost by that, of able vehicles": lambda m: f"{m['lost_false']}, {m['lost_false_able']}",
+        "first acted on the broken rotors": lambda m: cell(m["right"]),
+        "first acted after, s": lambda m: cell(m["first_s"], 2),
+        "on track again after, s": lambda m: cell(m["recovered_s"], 2),
+        "largest tilt, degrees": lambda m: cell(m["tilt_deg"], 2),
+        "largest distance from the track, m": lambda m: cell(m["off_m"], 2),
+    }
+    for f in sorted({f for m in found.values() for f in m["by_frame"]}):
+        lines[f"survived, {f}"] = lambda m, f=f: cell(m["by_frame"].get(f))
+    return tools.side_by_side(f"{result['plan']}, {result['flights']} flights", found, lines)
+
+
+def _flown(craft, first: Scenario, plans: list, made: list, size: int) -> list[Any]:
+    """The records of plans with these entries."""
+    n = craft.allocator.B.shape[1]
+    ready = [p._replace(schedule=reconfigured.schedule(n, m, ENTRIES)) for p, m in zip(plans, made, strict=True)]
+    return list(loop.fly_each(craft, ready, first.duration_s, first.rate_hz, first.record_hz, logbook.needed, size))
+
+
+def _true(scenario: Scenario, n: int) -> list[reconfigured.Entry]:
+    """Entries of somebody who knows every lasting loss, DELAY_S after it began."""
+    e, made = np.ones(n), []
+    for fault in sorted(scenario.faults, key=lambda f: f["onset_s"]):
+        if fault["kind"] not in ("loss", "complete loss"):
+            raise ConfigError(f"closed loop flights know losses and complete losses, not {fault['kind']}.")
+        e = e.copy()
+        e[fault["rotor"] - 1] = 0.0 if fault["kind"] == "complete loss" else 1.0 - fault["strength"]
+        made.append(_entry(scenario, fault["onset_s"] + DELAY_S, e, e, e))
+    return made
+
+
+def _explains(driver: str, by: str) -> None:
+    """Refuse what has no explanations side by side."""
+    if by == "posterior" and driver not in (NOBODY, TRUTH, "default"):
+        raise ConfigError(
+            f"{driver} has one explanation at a time: with the allocation driven by a posterior name nobody, truth or default."
+        )
+
+
+def _entry(scenario: Scenario, since: float, mean, lower, upper, candidates=None, weights=None) -> reconfigured.Entry:
+    """What is done from `since` on with that belief: allocation, or a turning hover where full control of hover is lost."""
+    bare = replace(scenario, airframe={**scenario.airframe, "payload_kg": 0.0})  # the autopilot knows of no payload
+    frame = Airframe.of(prepare.plan(bare).craft)
+    half = np.abs(frame.B).sum(axis=1) / 2.0
+    hover = gains = None
+    if attainable.margins(frame.B * lower, frame.mass * G0, half).depth < ROOM:
+        hover = spinning.relaxed_hover(frame, mean)
+        gains = spinning.design(frame, hover) if hover else None
+    held = hover if gains else None
+    return reconfigured.entry(len(mean), since, mean, lower, upper, held, gains, candidates, weights)
+
+
+def _beliefs(
+    driver: str, flights, scenarios, plans, records, made, by: str, size: int
+) -> list[reconfigured.Entry | None]:
+    """The next entry of each flight, or None."""
+    seen = [batch.prepared(*row) for row in zip(flights, scenarios, plans, records, strict=True)]
+    here = [k for k, f in enumerate(seen) if f is not None]
+    flown = [f for f in seen if f is not None]
+    if not flown:
+        return [None] * len(seen)
+    B = flown[0].vehicle.effectiveness()
+    if driver == "default":
+        kept = [done.out for done in batch.by_default(flown, whole=True)]
+    else:
+        tables = [f.ticks for f in flown]
+        hops = methods.learn(tables, B, batch.learned_states(flown, B))
+        kept = methods.judge(driver, tables, hops, B, size, ((),))[0]
+    found: list[reconfigured.Entry | None] = [None] * len(seen)
+    for k, f, out in zip(here, flown, kept, strict=True):
+        found[k] = _next(scenarios[k], f.ticks, out, made[k], by)
+    return found
+
+
+def _next(
+    scenario: Scenario, ticks, out: program.TickOutput, made: list[reconfigured.Entry], by: str
+) -> reconfigured.Entry | None:
+    """The first belief after the last entry that is far enough from it."""
+    if len(made) == ENTRIES:
+        return None
+    weak = np.asarray(out.active[:, 0], bool)
+    mean = np.where(weak, 1.0 - np.clip(out.theta, 0.0, 1.0), 1.0)
+    apart = np.where(weak, 2.0 * out.theta_sd, 0.0)
+    since = ticks.time + DELAY_S
+    before, last = (made[-1].mean, float(made[-1].since)) if made else (np.ones(weak.shape[1]), -np.inf)
+    # Allocation that leaves a rotor alone hides its loss: that it has recovered is believed when it is used again.
+    idle = np.cumsum(ticks.thrust, axis=0)
+    n = max(1, round(IDLE_S / ticks.dt))
+    idle = (idle - np.concatenate([np.zeros_like(idle[:n]), idle[:-n]])) / n < IDLE
+    mean = np.where(idle, np.minimum(mean, before), mean)
+    candidates = weights = None
+    expected, awaited = mean, before
+    if by == "posterior":  # what counts is what the explanations expect together
+        candidates, weights = np.where(out.active > 0, 1.0 - out.each, 1.0), np.asarray(out.share)
+        awaited = made[-1].weights @ made[-1].candidates if made else before
+        expected = np.einsum("tk,tkn->tn", weights, candidates)
+        stays = idle & (expected > awaited)
+        expected = np.where(stays, awaited, expected)
+        candidates = np.where(stays[:, None], awaited, candidates)
+    due = (np.abs(expected - awaited).max(axis=1) > MOVED) & (since > last + REFRESH_S) & (ticks.mode > LEARN)
+    if not due.any():
+        return None
+    k = int(np.argmax(due))
+    low, high = np.clip(mean[k] - apart[k], 0.0, 1.0), np.clip(mean[k] + apart[k], 0.0, 1.0)
+    others = (candidates[k], weights[k]) if candidates is not None and weights is not None else ()
+    return _entry(scenario, float(since[k]), mean[k], low, high, *others)
+
+
+@functools.cache
+def _setpoints():
+    """`trajectories.table`, compiled."""
+    return load_jax().jit(trajectories.table, static_argnums=(1, 2))
+
+
+def _off(plan, record) -> np.ndarray:
+    """(T,) distance from where the vehicle should be [m]."""
+    return np.linalg.norm(
+        record.p - np.asarray(_setpoints()(plan.way, len(record.time), float(record.time[0])).p), axis=1
+    )
+
+
+def _flying(record) -> np.ndarray:
+    """(T,) whether it has left the ground."""
+    return np.maximum.accumulate(-record.p[:, 2] > 1.0)
+
+
+def _able(scenario: Scenario, plan, record) -> bool:
+    """Of a flight without beliefs so far."""
+    until = min((f["onset_s"] for f in scenario.faults), default=np.inf)
+    return bool(_off(plan, record)[_flying(record) & (record.time < until)].max(initial=0.0) < ABLE_M)
+
+
+def _outcome(number: int, scenario: Scenario, plan, record, made: list[reconfigured.Entry], able: bool) -> dict:
+    """What became of a flight, see COLUMNS; first_s of healthy flights counts from the take-off."""
+    faults = scenario.faults
+    onset = min((f["onset_s"] for f in faults), default=float(plan.way.take_off))
+    broken = {f["rotor"] - 1 for f in faults}
+    time, height = record.time, -record.p[:, 2]
+    upright = 1.0 - 2.0 * (record.q[:, 1] ** 2 + record.q[:, 2] ** 2)
+    flying = _flying(record)
+    down = flying & ((height < 0.15) | (upright < TURNED) | (record.flies < 0.5))
+    lost = float(time[np.argmax(down)]) if down.any() else None
+    off = _off(plan, record)
+    tilt = np.degrees(np.arccos(np.clip(upright, -1.0, 1.0)))
+    late = flying & (time > onset)
+    astray = np.flatnonzero(late & ((off > TRACK_M) | (tilt > TRACK_DEG)))
+    recovered = None
+    if lost is None and (not astray.size or astray[-1] < len(time) - 1):
+        recovered = float(time[astray[-1]] - onset) if astray.size else 0.0
+    # What came too late, after the crash, was never acted on.
+    acted = [m for m in made if lost is None or m.since < lost]
+    who = set(np.flatnonzero(acted[0].mean < 1.0 - MOVED).tolist()) if acted else set()
+    first = float(acted[0].since) if acted else None
+    early = first is not None and (first < onset or not who & broken)
+    return {
+        "flight": number, "faulty": bool(faults), "onset_s": onset, "able": able, "survived": lost is None, "lost_s": lost,
+        "beliefs": len(acted), "first_s": None if first is None else first - onset,
+        "false": early if faults else first is not None, "right": bool(acted) and who == broken,
+        "turning": any(m.turning > 0.5 for m in acted), "tilt_deg": float(tilt[late].max(initial=0.0)),
+        "off_m": float(off[late].max(initial=0.0)), "recovered_s": recovered,
+    }  # fmt: skip

@@ -1,0 +1,135 @@
+"""Published estimators over all flights of a batch side by side, each with every decision of the plan behind it.
+
+What `published.judge` does flight by flight - the hop's plant, the method, the threshold of published/decide.py - is done here in
+one compiled loop: the estimator is stepped once, and as many thresholds as the plan names look at it. On a processor with a C compiler that
+is native code, which is built once for a method and a number of rotors; on an accelerator a scan over flights side by side. Methods whose
+design needs values (linear matrix inequalities, eigenvalues) cannot be built inside a program; they run flight by flight.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.errors import ConfigError
+from rotorwatch.toolkit import LEARN, PER_AXIS, Ticks, list_hypotheses, program
+from rotorwatch_lab.compiling.run import engine, run, run_built
+from rotorwatch_lab.experiments import tools
+from rotorwatch_lab.published import log_plant, published
+from rotorwatch_lab.published.log_plant import LogPlant
+from rotorwatch_lab.published.published import Decisions
+
+TICK_BLOCK = 100
+"""Tables are padded to a multiple of this, so that a flight's few ticks more or less need no other program."""
+CACHE_BYTES = 2_500_000
+"""Of the estimators' states that a processor keeps at hand: larger batches are slower, not faster."""
+
+
+def side_by_side(carry: Any, size: int) -> int:
+    """How many of `size` flights (a power of two) the estimator with this state steps at once."""
+    tree = load_jax().tree
+    each = sum(np.asarray(leaf).nbytes for leaf in tree.leaves(carry))
+    if load_jax().default_backend() == "cpu":
+        while size > 1 and size % 2 == 0 and size * each > CACHE_BYTES:
+            size //= 2
+    return size
+
+
+def stacked(tables: Sequence[tuple[np.ndarray, ...]], size: int) -> tuple[np.ndarray, ...]:
+    """Tables of flights (each some arrays of as many rows), flights first: filled up with rows of zeros and with the last flight."""
+    longest = max(len(table[0]) for table in tables)
+    length = -(-longest // TICK_BLOCK) * TICK_BLOCK
+
+    def fill(a: np.ndarray) -> np.ndarray:
+        return np.concatenate([a, np.zeros((length - len(a), *a.shape[1:]), a.dtype)])
+
+    rows = [tuple(map(fill, table)) for table in tables]
+    rows += [rows[-1]] * (size - len(rows))
+    return tuple(np.stack(parts) for parts in zip(*rows, strict=True))
+
+
+@functools.lru_cache(maxsize=32)
+def _program(name: str, dt: float, decisions: Decisions):
+    """Compiled: parameters of the plants and tables (flights first), B -> stacked `published.Seen`, one per decision."""
+    jax = load_jax()
+
+    def single(plant, B, u, y, valid):
+        estimator = published.watched(name, dt, (), decisions, {"plant": plant, "B": B})
+        return tools.stepped(estimator, u, y, published.seen, valid)
+
+    return jax.jit(jax.vmap(single, in_axes=(0, None, 0, 0, 0)))
+
+
+def run_hops(name: str, found: Sequence[LogPlant], B: np.ndarray, size: int, decisions: Decisions) -> list[tuple]:
+    """For each hop the `published.Seen` of each decision. Raises ConfigError for a method that the plant does not suit.
+
+    size: width that the batch is filled up to, so that a hop's result does not depend on which it runs with.
+    """
+    jax, dt = load_jax(), found[0].dt
+    build, parameters = published.builder(name, dt, (), decisions), [{"plant": hop.parameters, "B": B} for hop in found]
+    example = build(parameters[0])  # with values: says what is wrong
+    try:
+        if engine() == "native":
+            ran = [
+                run_built(build, p, h.u, h.y, h.valid, published.seen, backend="auto")
+                for h, p in zip(found, parameters)
+            ]
+            return [out for _, out in ran]
+        return _side_by_side(_program(name, dt, decisions), side_by_side(example.init(), size), found, B, size)
+    except (jax.errors.JAXTypeError, ConfigError):  # design work that needs values: compiled for each flight alone
+        return [run(build(p), h.u, h.y, h.valid, published.seen)[1] for h, p in zip(found, parameters, strict=True)]
+
+
+def _side_by_side(program, step: int, found: Sequence[LogPlant], B: np.ndarray, size: int) -> list[tuple]:
+    """What a `_program` keeps of each hop, `step` of them at once."""
+    tree, results = load_jax().tree, []
+    rows = stacked([(hop.u, hop.y, hop.valid) for hop in found], size)
+    plants = [hop.parameters for hop in found]
+    plants += [plants[-1]] * (size - len(plants))
+    plants = tree.map(lambda *leaves: np.stack([np.asarray(leaf, float) for leaf in leaves]), *plants)
+    for start in range(0, len(found), step):
+        part = slice(start, start + step)
+        out = program(tree.map(lambda a, part=part: a[part], plants), B, *(a[part] for a in rows))
+        out = tree.map(np.asarray, out)
+        lengths = [len(hop.u) for hop in found[part]]
+        results += [tree.map(lambda a, k=k, n=n: a[k, :n], out) for k, n in enumerate(lengths)]
+    return results
+
+
+def judge(
+    name: str,
+    tables: Sequence[Ticks],
+    hops: Sequence[Sequence[LogPlant]],
+    B: np.ndarray,
+    size: int,
+    decisions: Decisions,
+) -> list[list[program.TickOutput]]:
+    """For each decision and each flight what `published.judge` leaves behind. hops: of each flight, by `learn`."""
+    hyp = list_hypotheses(B.shape[1])
+    kept = [[program.blank(len(table.time), hyp) for table in tables] for _ in decisions]
+    for turn in range(max(map(len, hops), default=0)):
+        here = [k for k, found in enumerate(hops) if len(found) > turn]
+        for k, found in zip(here, run_hops(name, [hops[k][turn] for k in here], B, size, decisions), strict=True):
+            for which, seen in enumerate(found):
+                published.record(kept[which][k], seen, hops[k][turn], hyp, B)
+    return kept
+
+
+def learn(tables: Sequence[Ticks], B: np.ndarray, learned_states: Sequence[tuple | None]) -> list[tuple[LogPlant, ...]]:
+    """The hops of each flight as plants and tables. taught: state and noise variances of the default estimator at the end of the
+    learning time, for flights of one hop; None: worked out for the flight alone."""
+    found = []
+    for table, one in zip(tables, learned_states, strict=True):
+        known = None if one is None else {"x0": one[0][: 4 * PER_AXIS], "noise": one[1]}
+        found.append(log_plant.hops(table, B, known))
+    return found
+
+
+def learning(table: Ticks) -> slice | None:
+    """The rows from the take-off to the last learning tick, of a flight of one hop; None for others."""
+    starts, learned = np.flatnonzero(table.restart), np.flatnonzero(table.mode == LEARN)
+    return slice(int(starts[0]), int(learned[-1]) + 1) if starts.size == 1 and learned.size else None

@@ -1,0 +1,179 @@
+"""Campaigns judged by `diagnose` itself: each flight's log is written in memory as its autopilot writes it, read and answered, and the
+answers are counted by kind of flight (open_score.py says what each is worth).
+
+    from rotorwatch_lab.campaign import open_world, read
+    plan = read("plans/open.toml")
+    table = open_world.run(plan, 2000, "results")      # again: goes on where it was stopped
+    print(open_world.markdown(open_world.summarise(table, plan.name)))
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from rotorwatch import logs
+from rotorwatch.errors import ConfigError, RotorwatchError
+from rotorwatch.flight import Flight
+from rotorwatch.flight.diagnosis import Diagnosis
+from rotorwatch.toolkit import Conclusion, diagnose, estimated, prepare
+from rotorwatch.toolkit import judge as conclude
+from rotorwatch_lab.campaign import open_score, work
+from rotorwatch_lab.campaign.plan import Plan
+from rotorwatch_lab.campaign.score import read_columns
+from rotorwatch_lab.experiments import tools
+from rotorwatch_lab.simulation import logbook
+from rotorwatch_lab.simulation import plan as flight_plan
+from rotorwatch_lab.simulation.loop import fly_each
+from rotorwatch_lab.simulation.multirotor import MULTIROTOR
+from rotorwatch_lab.simulation.scenario import Scenario
+
+COLUMNS = read_columns("open_world")
+GROUPS = {"healthy": "rotors healthy", "other": "a fault that is no loss", "loss": "a loss"}
+QUARTER = 0.25
+UNANSWERED = ("inconclusive", "error")
+SUFFIX = {autopilot: suffix for suffix, autopilot in logbook.SUFFIXES.items()}
+
+
+def judge(plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
+    """A row of COLUMNS for each flight (`work.Judge`). All flights must be of one cell."""
+    scenarios = [plan.flight(k) for k in flights]
+    first, plans = scenarios[0], []
+    for k, scenario in zip(flights, scenarios, strict=True):
+        try:
+            plans.append(flight_plan(scenario))
+        except ConfigError as error:
+            raise ConfigError(f"flight {k}: {error}") from error
+    records = fly_each(MULTIROTOR, plans, first.duration_s, first.rate_hz, first.record_hz, logbook.needed, size)
+    found = []
+    for k, scenario, numbers, record in zip(flights, scenarios, plans, records, strict=True):
+        log = logbook.log(scenario, numbers, record)
+        kind = plan.kind(k)
+        row = _row(scenario, record, log, f"flight-{k}{SUFFIX[scenario.autopilot]}")
+        found.append(row | {"flight": k, "kind": kind.name if kind else ""})
+    return found
+
+
+def _row(scenario: Scenario, record: Any, log: bytes, name: str) -> dict[str, Any]:
+    """The columns of one flight. log: what its log file holds, of that name."""
+    faults, sizes = scenario.faults, open_score.losses(scenario).values()
+    crashed = np.flatnonzero(np.asarray(record.flies) < 0.5)
+    row: dict[str, Any] = dict.fromkeys(COLUMNS) | {
+        "method": "diagnose", "group": open_score.group(scenario), "frame": scenario.airframe["frame"],
+        "autopilot": scenario.autopilot, "trajectory": scenario.trajectory["kind"], "wind_m_s": scenario.wind["speed_m_s"],
+        "fault": faults[0]["kind"] if faults else "", "broken": "+".join(str(r) for r in sorted({f["rotor"] for f in faults})),
+        "loss": min(sizes, default=None), "onset_s": min((f["onset_s"] for f in faults), default=None),
+        "crashed_s": float(record.time[crashed[0]]) if crashed.size else None,
+    }  # fmt: skip
+    try:
+        answer, air = _answer(logs.from_bytes(log, name))
+    except RotorwatchError as why:
+        return row | {"verdict": "error", "outcome": "error", "headline": str(why), "accused": ""}
+    about = {
+        "verdict": answer.verdict,
+        "headline": answer.headline,
+        "airborne_s": float(air[1] - air[0]) if air else 0.0,
+    }
+    return row | about | open_score.judged(scenario, answer)
+
+
+def _answer(flight: Flight) -> tuple[Diagnosis | Conclusion, list[float]]:
+    """What `diagnose` answers to a flight, and [first take-off, last landing] s; without what only pages about it show."""
+    ready = prepare(flight)
+    if ready.table is None:
+        answer = diagnose(flight)
+        return answer, answer.flight["airborne_s"]
+    return conclude(ready, estimated(ready)).end, [round(ready.air[0][0], 3), round(ready.air[-1][1], 3)]
+
+
+def run(
+    plan: Plan,
+    flights: int,
+    folder: str | os.PathLike,
+    jobs: int | None = None,
+    progress: work.Progress | None = None,
+    scheduler: str | None = None,
+) -> Any:
+    """As `work.run`, of a plan whose flights are judged by their logs: the table with COLUMNS. Raises ConfigError."""
+    return work.run(plan, flights, folder, jobs, progress, judge, COLUMNS, scheduler)
+
+
+def summarise(rows: Any, name: str = "") -> dict[str, Any]:
+    """{"name", "flights", "lines": [{"name", "group", **measures}]} of a pyarrow table with COLUMNS: all flights with healthy rotors, with
+    another fault than a loss, with a loss, with losses of a quarter and more (group ""), and each kind. Raises ConfigError where there is
+    none."""
+    flights = rows.to_pylist()
+    if not flights:
+        raise ConfigError("There is no flight in this campaign's table.")
+    parts = [("", f"all: {words}", [f for f in flights if f["group"] == key]) for key, words in GROUPS.items()]
+    parts.append(("", "all: a loss of a quarter and more", [f for f in flights if (f["loss"] or 0.0) >= QUARTER]))
+    order = list(GROUPS)
+    kinds = sorted({(order.index(f["group"]), f["kind"]) for f in flights})
+    parts += [(order[k], kind, [f for f in flights if f["kind"] == kind]) for k, kind in kinds]
+    lines = [{"name": label, "group": group, **measures(mine)} for group, label, mine in parts if mine]
+    return {"name": name, "flights": len(flights), "lines": lines}
+
+
+def measures(flights: Sequence[dict]) -> dict[str, Any]:
+    """Of some flights: counts, shares and rates with 95 % intervals; None where there is nothing to count. accused: a healthy rotor is,
+    with certainty; hours: of flights without a fault, accused_h: accusations in them an hour; ended: lasting faults said to be over;
+    unanswered: logs that are inconclusive or refused."""
+    healthy = [f for f in flights if f["group"] == "healthy"]
+    hours = sum(f["airborne_s"] or 0.0 for f in healthy) / 3600.0
+    errors = [f["error"] for f in flights if f["error"] is not None]
+    outcomes = [f["outcome"] for f in flights]
+    return {
+        "flights": len(flights),
+        "accused": tools.share([o in open_score.FALSE for o in outcomes]),
+        "doubt": tools.share([o in open_score.DOUBTS for o in outcomes]),
+        "right": tools.share([f["outcome"] == "right" for f in flights if f["group"] != "healthy"]),
+        "hours": hours,
+        "accused_h": tools.rate(sum(f["outcome"] in open_score.FALSE for f in healthy), hours),
+        "error": float(np.sqrt(np.mean(np.square(errors)))) if errors else None,
+        "holds": tools.share([f["holds"] for f in flights if f["holds"] is not None]),
+        "ended": sum(bool(f["ended"]) for f in flights),
+        "crashed": sum(f["crashed_s"] is not None for f in flights),
+        "unanswered": sum(f["verdict"] in UNANSWERED for f in flights),
+    }
+
+
+def markdown(summary: dict[str, Any]) -> str:
+    """The summary as Markdown tables: of all flights, and of the kinds of each group; without columns that say nothing of their rows."""
+    heads = (
+        "kind of flight", "flights", "a healthy rotor accused", "ambiguous", "right", "healthy hours", "accused an hour", "size, rms",
+        "intervals hold", "said to be over", "crashed", "no answer",
+    )  # fmt: skip
+    parts = [f"{summary['flights']} flights of {summary['name']}: how many, and per cent of their kind.\n"]
+    for group, lines in itertools.groupby(summary["lines"], key=lambda line: line["group"]):
+        rows = [_cells(line) for line in lines]
+        rates = {"healthy hours", "accused an hour"} if group else ()  # a kind has flown too little for them
+        kept = [k for k, head in enumerate(heads) if head not in rates and any(row[k] not in ("-", 0) for row in rows)]
+        parts.append(tools.table([heads[k] for k in kept], ([row[k] for k in kept] for row in rows)) + "\n")
+    return "\n".join(parts)
+
+
+def _cells(m: dict[str, Any]) -> list[Any]:
+    """A line of the summary as the cells of a row."""
+    return [
+        *(m["name"], m["flights"], *(_share(m[key]) for key in ("accused", "doubt", "right"))),
+        *(f"{m['hours']:.2f}" if m["hours"] else "-", _dashed(tools.interval(m["accused_h"], 2))),
+        *("-" if m["error"] is None else f"{m['error']:.3f}", _share(m["holds"])),
+        *(m["ended"], m["crashed"], m["unanswered"]),
+    ]
+
+
+def _dashed(interval: str) -> str:
+    """A number with its interval as a narrow column has it."""
+    return interval.replace(" to ", "–")
+
+
+def _share(value: dict[str, float] | None) -> str:
+    """Count and share in per cent, with its interval; a tenth of a per cent counts here."""
+    if value is None:
+        return "-"
+    percent = tools.interval({k: 100.0 * value[k] for k in ("value", "low", "high")}, 1)
+    return f"{round(value['value'] * value['n'])}: {_dashed(percent)}"

@@ -1,0 +1,1 @@
+"""Commands of the laboratory, a family each; entry points `rotorwatch.commands` name them."""

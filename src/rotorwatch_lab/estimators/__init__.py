@@ -1,0 +1,9 @@
+"""Estimators: one method a file, found by discovery; `rotorwatch_lab.estimators.ATSUKF` finds the class in its file."""
+
+from __future__ import annotations
+
+
+def __getattr__(name: str):
+    from rotorwatch.base import discovery
+
+    return discovery.member(__name__, name)

@@ -1,0 +1,213 @@
+"""A multirotor in the closed loop: rotors and their faults, battery, mixer, and what the autopilot believes of them."""
+
+from __future__ import annotations
+
+import math
+from collections import namedtuple
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.base.physics import G0
+from rotorwatch_lab.simulation import (
+    control,
+    dynamics,
+    faults,
+    incremental,
+    motor,
+    outside,
+    rotation,
+    trajectories,
+    wind,
+)
+from rotorwatch_lab.simulation.loop import Moment, State
+from rotorwatch_lab.simulation.rigid import Air, Body
+from rotorwatch_lab.simulation.sensors import Sensors
+
+Array = Any
+TURN = 2.0 * np.pi
+BELIEF_HZ = 0.5  # the autopilot's filter of the battery's voltage
+CRASH_COS = 0.5  # lying on the ground further tilted than this, the autopilot gives up
+
+
+class Battery(namedtuple("Battery", "full empty charge resistance current")):
+    """full, empty: voltages at rest [V]; charge [A s]; resistance [ohm]; current [A] at full thrust of all rotors."""
+
+
+class Plan(NamedTuple):
+    """One flight as numbers: everything that a compiled program needs. seed: integer; schedule: of `reconfigured`, else nothing."""
+
+    craft: dynamics.Craft
+    pilot: control.Autopilot
+    way: trajectories.Trajectory
+    wind: wind.Wind
+    faults: faults.Faults
+    battery: Battery
+    sensors: Sensors
+    seed: Array
+    outside: outside.Outside
+    schedule: Any = ()
+
+
+class Drives(NamedTuple):
+    """What turns the n rotors. w (n,): speeds as shares of full, phase (n,): turns; drawn: charge used [A s]; sag: battery voltage as a
+    share of full, believed: what the autopilot knows of it; held (n,): last sound commands; f (n,): thrust shares that the rotors should
+    have reached; memory: of `incremental`."""
+
+    w: Array
+    phase: Array
+    drawn: Array
+    sag: Array
+    believed: Array
+    held: Array
+    f: Array
+    memory: incremental.Memory
+
+
+class Supply(NamedTuple):
+    """What the autopilot reckons with during a tick. lift: 0 while the motors idle; compensated: what it divides commands by;
+    lift_max: share of full thrust that it believes it has left; stir (n,): `outside.stirred`, which it does not know."""
+
+    lift: Array
+    compensated: Array
+    lift_max: Array
+    stir: Array
+
+
+class Record(
+    namedtuple(
+        "Record",
+        "time p v q omega rates accel demand command control rates_setpoint q_setpoint w phase shake theta volts amps "
+        "drawn believed lift_max wind flies",
+    )
+):
+    """What there is to know after each tick; n rotors. Logs hold some of it, with noise; the truth file the rest.
+
+    time [s]; p [m], v [m/s] (3,) NED, q (4,) body to world, omega (3,) [rad/s]; rates (3,): filtered gyro [rad/s]; accel (3,): filtered
+    specific force [m/s^2]; demand (n,): thrust setpoint of each rotor, command (n,): drive share that gives it; control (4,): roll, pitch,
+    yaw, throttle; rates_setpoint (3,), q_setpoint (4,); w (n,): speeds as shares of full, phase (n,) in turns, shake (n,) [m/s^2], theta
+    (n,): losses of thrust, by whatever; volts, amps of the battery; drawn (n,) [A] by each ESC; believed, lift_max; wind (3,) NED [m/s];
+    flies: 0 after a crash.
+    """
+
+
+class Multirotor:
+    """The `loop.Aircraft` of every frame with rotors; plans: `Plan`."""
+
+    noise_kind = np.float32
+    made: tuple | None = ()
+
+    def start(self, plan: Plan) -> tuple[Body, Array, Drives]:
+        """Standing on the ground, motors off, battery full."""
+        jnp = load_jax().numpy
+        n, kind = plan.craft.x.shape[0], jnp.result_type(plan.craft.x)
+        zero, one = jnp.zeros((), kind), jnp.ones((), kind)
+        none, rotors = jnp.zeros(3, kind), jnp.zeros(n, kind)
+        body = Body(jnp.stack([zero, zero, zero + 0.01]), none, rotation.heading(plan.way.yaw).astype(kind), none)
+        accel = jnp.stack([zero, zero, zero - G0])
+        return body, accel, Drives(rotors, rotors, zero, one, one, rotors, rotors, incremental.rest(n, kind))
+
+    def reference(self, plan: Plan, ticks: int, dt: float) -> trajectories.Reference:
+        """Take-off, the manoeuvre and the landing."""
+        jax, n, kind = load_jax(), plan.craft.x.shape[0], plan.craft.x.dtype
+        stir = jax.lax.cond(
+            plan.outside.wash > 0.0,  # else nothing comes of it
+            lambda seed: outside.stirred(seed, n, ticks, dt).astype(kind),
+            lambda seed: jax.numpy.zeros((ticks, n), kind),
+            plan.seed,
+        )
+        return trajectories.table(plan.way, ticks, dt)._replace(stir=stir)
+
+    def begin(self, plan: Plan, state: State, reference, blowing, turning, dt: float) -> tuple[Moment, Array]:
+        """Outer loops, and what the autopilot believes of its battery."""
+        jnp = load_jax().numpy
+        pilot = plan.pilot
+        # Near the ground the air is slow: a logarithmic profile in short.
+        near = jnp.clip(-state.body.p[2] / 2.0, 0.1, 1.0)
+        air = Air(blowing * near, turning * near, jnp.ones_like(near))
+        lift = reference.lift * state.flies
+        target, integral = control.outer(pilot, reference._replace(lift=lift), state.body, state.integral, dt)
+        compensated = pilot.compensates * state.own.believed + (1.0 - pilot.compensates)
+        supply = Supply(lift, compensated, dynamics.thrust_share(pilot.expo, compensated), reference.stir)
+        return Moment(target, air, supply), integral
+
+    def step(self, plan: Plan, now: Moment, t, body: Body, gyro, loops: control.Loops, own: Drives, dt: float) -> tuple:
+        """Inner loops, mixer, faults, rotors and body."""
+        jnp = load_jax().numpy
+        pilot, s = plan.pilot, faults.strength(plan.faults, t)
+        target, (lift, compensated, lift_max, stir) = self.aimed(plan, now, t, body), now.more
+        factors = outside.washed(plan.outside, stir, now.air.wind, body.v)
+        craft = outside.now(plan.craft, plan.outside, plan.faults, s, t, factors)
+        turning, wanted, loops = control.inner(pilot, target, body.q, gyro, loops, lift, dt)
+        known, e = pilot.inversion, self.effectiveness(plan, t)
+        miss, cut = wanted - loops.gyro, pilot.gyro_cut
+        change, memory = incremental.control(known, own.memory, miss, gyro, own.f, e, lift, cut, dt)
+        turning = jnp.where(known.used > 0.5, change, turning)
+        demand, free = self.mixed(plan, now, t, body, gyro, turning, own)
+        reached = demand + (own.f - demand) * jnp.exp(-dt / craft.lag)
+        own = own._replace(f=reached, memory=memory._replace(demand=demand))
+        command = jnp.minimum(control.drive(pilot.expo, lift_max * demand) / compensated, 1.0) * jnp.where(
+            lift > 0, 1.0, 0.0
+        )
+        driven, undriven, held = faults.act(plan.faults, s, command, own.held)
+        theta = faults.loss(plan.faults, s)  # of the propellers
+        driven = outside.rounded(plan.outside, driven)
+        commanded = jnp.sqrt(dynamics.thrust_share(craft.expo, driven * own.sag))
+        friction = faults.summed(plan.faults, plan.faults.friction * s)
+        remaining = 1.0 - faults.weak(plan.faults, s)
+        # Without friction the speed is the commanded one, to the last bit.
+        share = jnp.where(friction > 0.0, motor.slowed(commanded, theta, friction), commanded) * jnp.sqrt(remaining)
+        share = jnp.minimum(share, jnp.sqrt(faults.ceiling(plan.faults, s)))
+        slower = faults.summed(plan.faults, plan.faults.slower * s)
+        lag = craft.lag * (1.0 + (faults.SPIN_DOWN - 1.0) * undriven + slower)
+        body, w, force = self.moved(plan._replace(craft=craft), body, own.w, share, lag, now.air, theta, dt)
+        phase = own.phase + 0.5 * (own.w + w) * plan.sensors.full_turns * dt
+        phase = phase - jnp.floor(phase)
+        controls = jnp.concatenate([turning, target.throttle[None]])
+        lost = 1.0 - (1.0 - theta) * jnp.where(commanded > 0.0, (share / jnp.maximum(commanded, 1e-9)) ** 2, remaining)
+        lost = jnp.where(share < commanded, lost, theta)
+        last = (demand, command, controls, wanted, lost, s, theta, friction, 1.0 - undriven)
+        return body, loops._replace(free=free), own._replace(w=w, phase=phase, held=held), force, last
+
+    def aimed(self, plan: Plan, now: Moment, t, body: Body) -> control.Target:
+        """What the inner loops aim at from here."""
+        return now.target
+
+    def effectiveness(self, plan: Plan, t):
+        """What the autopilot believes is left of each rotor (n,)."""
+        return 1.0 + 0.0 * plan.craft.x
+
+    def mixed(self, plan: Plan, now: Moment, t, body: Body, gyro, turning, own: Any) -> tuple:
+        """Thrust demands (n,) of control `turning` (3,), and whether all of it was granted (1 or 0)."""
+        return control.mix(plan.pilot.mixer, turning, now.target.throttle)
+
+    def moved(self, plan: Plan, body: Body, w, share, lag, air: Air, theta, dt: float) -> tuple:
+        """Body, rotor speeds (n,) and mean specific force (3,) after a step of dt: `dynamics.step`. Another model of the vehicle's motion
+        takes its place here."""
+        return dynamics.step(plan.craft, body, w, share, lag, air, theta, dt)
+
+    def end(self, plan: Plan, now: Moment, before: State, after: State, seen, last, dt: float) -> tuple[State, Record]:
+        """The battery, and whether the vehicle lies on the ground."""
+        jnp = load_jax().numpy
+        battery, own, body = plan.battery, after.own, after.body
+        demand, command, controls, wanted, theta, s, propeller, friction, driven = last
+        work = jnp.sum(own.w * own.w * own.w) / own.w.shape[0]
+        at_rest = battery.full - (battery.full - battery.empty) * jnp.minimum(own.drawn / battery.charge, 1.2)
+        amps = battery.current * work * battery.full / jnp.maximum(at_rest, 1.0)
+        volts = jnp.maximum(at_rest - amps * battery.resistance, 0.3 * battery.full)
+        sag = volts / battery.full
+        believed = sag + (own.believed - sag) * math.exp(-TURN * BELIEF_HZ * dt)
+        R22 = 1.0 - 2.0 * (body.q[1] ** 2 + body.q[2] ** 2)
+        flies = jnp.where((body.p[2] > 0.0) & (R22 < CRASH_COS), 0.0, before.flies)
+        drawn = motor.current(battery.current / own.w.shape[0], own.w, propeller, friction, sag, driven)
+        own = own._replace(drawn=own.drawn + amps * dt, sag=sag, believed=believed)
+        record = Record(
+            **seen, **body._asdict(), demand=demand, command=command, control=controls, rates_setpoint=wanted, q_setpoint=now.target.q,
+            w=own.w, phase=own.phase, shake=(plan.sensors.shake + faults.imbalance(plan.faults, s)) * own.w * own.w, theta=theta,
+            volts=volts, amps=amps, drawn=drawn, believed=believed, lift_max=now.more.lift_max, flies=flies,
+        )  # fmt: skip
+        return after._replace(flies=flies, own=own), record
+
+
+MULTIROTOR = Multirotor()

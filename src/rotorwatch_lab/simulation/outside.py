@@ -1,0 +1,65 @@
+"""What befalls a vehicle besides its rotors' faults: a push that lasts, air that it has stirred, a payload that drops, outputs in steps.
+
+None of it is known to the autopilot, and none of it is in a log but for what it does. `now` gives the vehicle as it is in one step.
+"""
+
+from __future__ import annotations
+
+from collections import namedtuple
+
+from rotorwatch.base.backend import jax as load_jax
+from rotorwatch_lab.simulation import dynamics, faults
+
+STIR_HZ = 8.0  # corner of a rotor's own noise in stirred air: eddies of a rotor's size at the speed of its air
+
+
+class Outside(namedtuple("Outside", "push height onset end wash induced steps lighter drops")):
+    """push (3,) NED [N] that acts `height` [m] above the rotors' plane between onset and end [s]; wash: noise of a rotor's thrust, share of
+    it (rms), when sinking as fast as its air in hover, induced [m/s]; steps: that the outputs have from 0 to full, 0 for none; lighter:
+    `dynamics.Craft` after the time `drops` [s]."""
+
+
+def stirred(seed, rotors: int, ticks: int, dt: float):
+    """(ticks, rotors) noise of each rotor: independent, variance 1, correlated over 1 / STIR_HZ. seed: the flight's."""
+    jax = load_jax()
+    jnp = jax.numpy
+    at = jnp.arange(ticks) * (dt * STIR_HZ)
+    here = jnp.floor(at).astype(int)
+    key = jax.random.fold_in(jax.random.key(seed), 1)
+    knots = jax.random.normal(key, (int(ticks * dt * STIR_HZ) + 2, rotors))
+    part = (at - here)[:, None]
+    mixed = (1.0 - part) * knots[here] + part * knots[here + 1]
+    return mixed / jnp.sqrt((1.0 - part) ** 2 + part**2)
+
+
+def washed(outside: Outside, stir, wind, v):
+    """(n,) factors of the rotors' thrust in air that blows with wind (3,) past a vehicle of velocity v (3,), NED [m/s].
+
+    A vehicle that sinks into its own wake shakes; one that leaves it sideways does not. stir (n,): `stirred`, now.
+    """
+    jnp = load_jax().numpy
+    moved = (v - wind) / outside.induced
+    sinking = jnp.clip(moved[2], 0.0, 1.0)
+    aside = jnp.clip(1.0 - jnp.sqrt(moved[0] ** 2 + moved[1] ** 2), 0.0, 1.0)
+    return jnp.clip(1.0 + outside.wash * sinking * aside * stir, 0.0, 2.0)
+
+
+def now(craft: dynamics.Craft, outside: Outside, broken: faults.Faults, s, t, factors) -> dynamics.Craft:
+    """The vehicle at time t [s]. s (F,): `faults.strength`; factors (n,): `washed`."""
+    jax = load_jax()
+    jnp = jax.numpy
+    craft = jax.tree.map(lambda a, b: jnp.where(t < outside.drops, a, b), craft, outside.lighter)
+    there = jnp.where((t >= outside.onset) & (t < outside.end), 1.0, 0.0)
+    return craft._replace(
+        thrust_max=craft.thrust_max * factors,
+        lean=faults.summed(broken, broken.lean * s),
+        push=there * outside.push,
+        push_z=craft.z - outside.height,
+    )
+
+
+def rounded(outside: Outside, command):
+    """Commands (n,) as outputs of so many steps give them."""
+    jnp = load_jax().numpy
+    steps = jnp.maximum(outside.steps, 1.0)
+    return jnp.where(outside.steps > 0.0, jnp.floor(command * steps + 0.5) / steps, command)
