@@ -72,7 +72,7 @@ def test_links_lead_somewhere(page):
 def test_named_files_exist(page):
     """`logs/series.py` and its like, seen from the root, the package or the page's folder."""
     for path in re.findall(r"`((?:[\w.]+/)+[\w.]*\.(?:py|md|toml|png))`", prose(page.read_text())):
-        homes = (ROOT, ROOT / "src" / "rotorwatch", ROOT / "src", page.parent)
+        homes = (ROOT, ROOT / "src" / "rotorwatch", ROOT / "src" / "rotorwatch_lab", ROOT / "src", page.parent)
         assert "NAME" in path or any((home / path).exists() for home in homes), f"{path} does not exist"
 
 
@@ -221,13 +221,15 @@ def test_ambiguous_sets_in_limits():
 
 
 def test_layers_of_the_architecture_page():
-    """The list of layers on the page is the one that import-linter checks."""
-    (contract,) = [c for c in PROJECT["tool"]["importlinter"]["contracts"] if c["name"].startswith("Layers:")]
+    """The lists of layers on the page, of the product and of the laboratory, are those that import-linter checks."""
+    contracts = [c for c in PROJECT["tool"]["importlinter"]["contracts"] if c["name"].startswith("Layers")]
     page = (ROOT / "docs" / "architecture.md").read_text()
-    text = blocks(page[page.index("## Who may import whom") :], "text")[0]
-    said = [re.split(r"\s{2,}", line)[0] for line in text.splitlines()]
-    assert [re.findall(r"\w+", line) for line in said] == [re.findall(r"\w+", line) for line in contract["layers"]]
-    assert ["|" in line for line in said] == ["|" in line for line in contract["layers"]]
+    texts = blocks(page[page.index("## Who may import whom") :], "text")[:2]
+    assert [contract["containers"] for contract in contracts] == [["rotorwatch"], ["rotorwatch_lab"]]
+    for text, contract in zip(texts, contracts, strict=True):
+        said = [re.split(r"\s{2,}", line)[0] for line in text.splitlines()]
+        assert [re.findall(r"\w+", line) for line in said] == [re.findall(r"\w+", line) for line in contract["layers"]]
+        assert ["|" in line for line in said] == ["|" in line for line in contract["layers"]]
 
 
 def test_dependencies_are_explained():
@@ -252,7 +254,7 @@ def test_everything_imported_is_declared():
     known = (
         {re.match(r"[\w-]+", r).group().lower() for r in declared}
         | set(sys.stdlib_module_names)
-        | {"rotorwatch", "tomllib"}
+        | {"rotorwatch", "rotorwatch_lab", "tomllib"}
     )
     for path in sorted((ROOT / "src").rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
@@ -269,15 +271,12 @@ def test_version_is_one():
 
 
 def test_the_list_of_places_that_use_jax_is_complete():
-    source = ROOT / "src" / "rotorwatch"
+    source = ROOT / "src"
     uses = re.compile(
         r"^\s*(import jax\b|from jax\b|from rotorwatch\.base\.backend import .*\b(jax|jnp)\b)", re.MULTILINE
     )
-    found = {
-        path.relative_to(source).parts[0].removesuffix(".py")
-        for path in source.rglob("*.py")
-        if uses.search(path.read_text())
-    }
+    places = (p.relative_to(source).parts for p in source.rglob("*.py") if uses.search(p.read_text()))
+    found = {parts[0] if parts[0] != "rotorwatch" else parts[1].removesuffix(".py") for parts in places}
     part = (ROOT / "docs" / "architecture.md").read_text().split("### Where JAX is used")[1].split("\n## ")[0]
     named = {
         name

@@ -24,6 +24,7 @@ from rotorwatch.report import colours, html, terminal
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "rotorwatch"
+LABORATORY = ROOT / "src" / "rotorwatch_lab"
 # Rows that nobody finds yet: a rotor that gives more than it is asked for, and so on.
 PLANTED = (
     Kind(100, "gives_more", "more thrust than commanded", "", Weight.FAULT, Span.LASTS),
@@ -194,8 +195,9 @@ def spelled(path):
 
 
 def test_no_other_source_spells_out_kinds():
-    files = [p for p in SOURCE.rglob("*") if p.suffix in (".py", ".js", ".html")]
-    found = {p.relative_to(SOURCE).as_posix(): spelled(p) for p in files if p.name != "kinds.py"}
+    files = [p for folder in (SOURCE, LABORATORY) for p in folder.rglob("*") if p.suffix in (".py", ".js", ".html")]
+    names = {p: p.relative_to(SOURCE.parent).as_posix().removeprefix("rotorwatch/") for p in files}
+    found = {names[p]: spelled(p) for p in files if p.name != "kinds.py"}
     found = {name: names for name, names in found.items() if names}
     assert "flight/kinds.py" not in found and spelled(SOURCE / "flight" / "kinds.py") == {r.name for r in kinds.ROWS}
     assert all(names <= ELSEWHERE.get(name, set()) for name, names in found.items()), found

@@ -13,8 +13,8 @@ import pytest
 import rotorwatch as rw
 
 ROOT = Path(__file__).resolve().parents[1]
-SOURCE = ROOT / "src" / "rotorwatch"
-SAMPLES = sorted((SOURCE / "samples").glob("*.bin.xz"))
+SOURCE = ROOT / "src"
+SAMPLES = sorted((SOURCE / "rotorwatch" / "samples").glob("*.bin.xz"))
 FLIGHTS = ROOT.parent / "shared" / "flights"
 TRUTH = re.compile(r"SIM_|SIMSTATE|HIL_STATE|ground_?truth|rfly|ENGINE_FAIL|ENGINE_MUL", re.IGNORECASE)
 

@@ -173,7 +173,12 @@ def _named(group: str, name: str) -> type:
     if name in theirs:  # only this one is loaded: a broken package must not keep others from being used
         return load(theirs[name], parts)
     known = sorted({*found, *theirs})
-    raise ConfigError(f"There is no {kind} called {name!r}{meant(name, known)}; known are {', '.join(known)}.")
+    listed = f"There is no {kind} called {name!r}{meant(name, known)}; known are {', '.join(known)}"
+    if not any(
+        entry.dist is not None and entry.dist.name == OURS and _installed(entry) for entry in offered(group).values()
+    ):
+        listed += f"; published ones need rotorwatch_lab, which is not installed: pip install '{OURS}[research]'"
+    raise ConfigError(f"{listed}.")
 
 
 def _with_offered(group: str) -> dict[str, type]:
@@ -380,6 +385,16 @@ class Absent(ConfigError):
 def absent(entry: metadata.EntryPoint, why: BaseException) -> bool:
     """Whether an exception says that the package of an entry point is not there at all."""
     return isinstance(why, ModuleNotFoundError) and why.name == entry.module.partition(".")[0]
+
+
+def _installed(entry: metadata.EntryPoint) -> bool:
+    """Whether the package of an entry point is there; it is not imported."""
+    from importlib.util import find_spec
+
+    try:
+        return find_spec(entry.module.partition(".")[0]) is not None
+    except (ImportError, ValueError):
+        return False
 
 
 def missing(entry: metadata.EntryPoint) -> str:
