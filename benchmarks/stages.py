@@ -35,7 +35,7 @@ STAGES = {
     "airborne": ("/engine/motion/airborne.py",),
     "mixer": ("/engine/motion/",),
     "estimator": ("/engine/diagnoser.py", "/engine/host/"),
-    "witnesses": ("/witnesses/", "/methods/published/"),
+    "witnesses": ("/witnesses/", "/detectors/"),
     "answer": ("/answer/", "/diagnose.py", "/report/", "/diagnose_many.py", "/airframes/"),
 }
 OPENERS = {".xz": lzma.open, ".gz": gzip.open, ".bz2": bz2.open}

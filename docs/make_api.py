@@ -13,6 +13,7 @@ from importlib import import_module
 from typing import Any, NamedTuple
 
 import rotorwatch as rw
+from rotorwatch.base import discovery
 
 _NAME = r"\w+(?: (?:\([^)]*\)|\[[^\]]*\]))?"  # with its shape or unit
 _NAMES = rf"{_NAME}(?:(?:, | and ){_NAME})*"
@@ -28,12 +29,14 @@ class Public(NamedTuple):
 
 
 def public() -> Iterator[Public]:
-    """Every name of `rotorwatch.__all__` but the version, functions first, in the order in which they are listed there."""
-    homes = {**{name: home for name, home in rw._VERBS.items()}, **rw._HOMES}
-    listed = [name for name in rw.__all__ if name in homes]
-    pairs = [(name, getattr(import_module(f"rotorwatch.{homes[name]}"), name)) for name in listed]
-    for name, found in sorted(pairs, key=lambda pair: inspect.isclass(pair[1])):
-        yield Public(name, found, f"rotorwatch.{homes[name]}")
+    """Every name of `rotorwatch.__all__` but the version, and every function that rotorwatch_lab offers; functions first, by their names."""
+    homes = {name: f"rotorwatch.{home}" for name, home in {**rw._VERBS, **rw._HOMES}.items()}
+    for name, entry in discovery.offered("rotorwatch.api").items():
+        if entry.dist is not None and entry.dist.name == discovery.OURS and callable(getattr(rw, name)):
+            homes[name] = entry.module
+    pairs = [(name, getattr(import_module(home), name)) for name, home in homes.items()]
+    for name, found in sorted(pairs, key=lambda pair: (inspect.isclass(pair[1]), pair[0])):
+        yield Public(name, found, homes[name])
 
 
 def members(kind: type) -> Iterator[tuple[str, Any]]:
