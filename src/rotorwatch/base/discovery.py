@@ -230,10 +230,10 @@ def _not_ours(entry: metadata.EntryPoint) -> bool:
     return entry.dist is None or entry.dist.name != OURS
 
 
-def _classes(room: str, group: str) -> dict[str, type]:
+def _classes(whole: str, group: str) -> dict[str, type]:
     """Classes defined in the modules of a package that have all the parts, by their `name`."""
     found: dict[str, type] = {}
-    for module in modules(room):
+    for module in modules(whole):
         members: list[tuple[str, Any]] = inspect.getmembers(module, inspect.isclass)
         for label, kind in members:
             own = kind.__module__ == module.__name__ and not label.startswith("_")
