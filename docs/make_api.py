@@ -29,7 +29,7 @@ class Public(NamedTuple):
 
 
 def public() -> Iterator[Public]:
-    """Every name of `rotorwatch.__all__` but the version, and every function that rotorwatch_lab offers; functions first, by their names."""
+    """Every name of `rotorwatch.__all__` but the version, and every function of rotorwatch_lab; functions first, by their names."""
     homes = {name: f"rotorwatch.{home}" for name, home in {**rw._VERBS, **rw._HOMES}.items()}
     for name, entry in discovery.offered("rotorwatch.api").items():
         if entry.dist is not None and entry.dist.name == discovery.OURS and callable(getattr(rw, name)):

@@ -35,6 +35,7 @@ QUICK = ("-O1", "-ftree-loop-vectorize")  # for large programs
 BIG = 80_000
 _SEALED: set[Path] = set()
 ROWS = 512  # run in one go, between two words on progress
+LABORATORY = Path(__file__).parents[1]
 TYPES = {"f": np.float64, "i": np.int32, "l": np.int64, "b": np.bool_}
 
 
@@ -274,11 +275,12 @@ def traced(estimator, parameters, select: Callable | None = None, sizes: tuple[i
 
 @functools.cache
 def _package() -> str:
-    """A hash of rotorwatch's own sources and of what traces them. Raises ConfigError without JAX."""
-    home, digest = shipped.HOME, hashlib.sha256(_jax_version().encode())
-    templates = (home / "methods" / "compiling" / "c99").glob("*.h*")
-    for path in sorted([*home.rglob("*.py"), *templates]):
-        digest.update(str(path.relative_to(home)).encode() + b"\0" + path.read_bytes() + b"\0")
+    """A hash of both packages' sources and of what traces them. Raises ConfigError without JAX."""
+    digest = hashlib.sha256(_jax_version().encode())
+    for home in (shipped.HOME, LABORATORY):
+        templates = (home / "compiling" / "c99").glob("*.h*")
+        for path in sorted([*home.rglob("*.py"), *templates]):
+            digest.update(f"{home.name}/{path.relative_to(home)}".encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()
 
 
@@ -290,7 +292,7 @@ def _jax_version() -> str:
 
 
 def _named(function: Callable) -> str | None:
-    """A function's full name when it is one of this package's own, found again by that name; of a partial one with its arguments."""
+    """A function's full name when it is one of the two packages' own, found again by that name; of a partial one with its arguments."""
     if isinstance(function, functools.partial):
         inner = _named(function.func)
         try:
@@ -298,7 +300,7 @@ def _named(function: Callable) -> str | None:
         except TypeError:
             return None
     module, name = getattr(function, "__module__", ""), getattr(function, "__qualname__", "<")
-    return f"{module}:{name}" if module.startswith("rotorwatch.") and "<" not in name else None
+    return f"{module}:{name}" if module.startswith(("rotorwatch.", f"{LABORATORY.name}.")) and "<" not in name else None
 
 
 class _Example:

@@ -27,6 +27,7 @@ class ResultCache:
     def __init__(self, folder: str | os.PathLike, function: Callable[[Any], Any]):
         self._folder = files.folder(folder, "--keep")
         self._function = pickle.dumps((__version__, function))
+        self._ours = (*OURS, _package(function))
 
     def place(self, item: Any) -> Path:
         """The file of an item's value, whether it is there or not."""
@@ -40,7 +41,7 @@ class ResultCache:
         """(value,), or None where there is none that can be read."""
         with suppress(Exception):  # torn or foreign data end in any of them
             with self.place(item).open("rb") as file:
-                return (_Plain(file).load(),)
+                return (_Plain(file, self._ours).load(),)
         return None
 
     def save(self, item: Any, value: Any) -> None:
@@ -50,12 +51,23 @@ class ResultCache:
 
 
 class _Plain(pickle.Unpickler):
-    """Loads numbers, texts, arrays and our own types, and nothing that could run other code."""
+    """Loads numbers, texts, arrays and types of packages that are trusted, and nothing that could run other code."""
+
+    def __init__(self, file: Any, trusted: tuple[str, ...]):
+        super().__init__(file)
+        self._trusted = trusted
 
     def find_class(self, module: str, name: str) -> Any:
-        if not (module.startswith(OURS) or name in PLAIN.get(module, ())):
+        if not (module.startswith(self._trusted) or name in PLAIN.get(module, ())):
             raise pickle.UnpicklingError(f"{module}.{name} is no value.")
         return super().find_class(module, name)
+
+
+def _package(function: Any) -> str:
+    """The beginning of the names of modules in the package of a function, or of the one that a partial one calls."""
+    while hasattr(function, "func"):
+        function = function.func
+    return function.__module__.partition(".")[0] + "."
 
 
 def _files(item: Any) -> Iterator[str]:
