@@ -20,7 +20,8 @@ from rotorwatch import airframes
 from rotorwatch.engine.front.decisions import FALSE_ALARM_PERIOD_S
 from rotorwatch.engine.host import events
 from rotorwatch.engine.motion.airborne import airborne
-from rotorwatch.engine.motion.ticks import JUDGE, READY_S, observe
+from rotorwatch.engine.driver import observe
+from rotorwatch.engine.motion.ticks import JUDGE, READY_S
 from rotorwatch.lab.experiments.inject import inject
 from rotorwatch.witnesses.aerobatic import judge
 from rotorwatch.witnesses.aerobatic.response import respond

@@ -25,7 +25,8 @@ from rotorwatch import airframes
 from rotorwatch.diagnose import diagnose
 from rotorwatch.engine.host import program
 from rotorwatch.engine.motion.airborne import airborne
-from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LAG_S, READY_S, observe, tick_length
+from rotorwatch.engine.driver import observe
+from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LAG_S, READY_S, tick_length
 from rotorwatch.lab.campaign import methods, summary
 from rotorwatch.lab.experiments import limits
 from rotorwatch.lab.simulation import logbook, scenario

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes, diagnose
+from rotorwatch.engine.driver import observe
 from rotorwatch.engine.host import events
-from rotorwatch.engine.motion.ticks import JUDGE, READY_S, observe
+from rotorwatch.engine.motion.ticks import JUDGE, READY_S
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.lab.simulation import fpv, scenario, simulate
 from rotorwatch.witnesses.aerobatic import judge

@@ -100,7 +100,7 @@ def test_a_log_is_a_link_that_is_over(flown, at_once, fell_s):
     (start, end), *_ = at_once[4]
     air = ((start, fell_s or end),)
     one, judged = fly(flight, vehicle, air, ticks.READY_S)
-    table = ticks.observe(flight, vehicle, air, ticks.READY_S)
+    table = driver.observe(flight, vehicle, air, ticks.READY_S)
     assert table is not None
     for name in (
         "time",

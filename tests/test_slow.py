@@ -6,6 +6,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from rotorwatch.live.judge import Judge
 
 from conftest import hexa_event
 from rotorwatch.answer import ledger, slow, trim
@@ -15,7 +16,6 @@ from rotorwatch.engine.host import events
 from rotorwatch.engine.motion.ticks import JUDGE
 from rotorwatch.engine.trim import many
 from rotorwatch.engine.trim.trim import Trim
-from rotorwatch.live.judge import Judge
 
 QUAD = np.array([[-1.0, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1], [1, 1, 1, 1]])
 HEXA = np.array(

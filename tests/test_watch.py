@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from rich.console import Console
+from rotorwatch.live.stream import Stream
 from tests.conftest import hexa_event
 
 from rotorwatch import airframes, diagnose, logs
@@ -21,7 +22,6 @@ from rotorwatch.live import view
 from rotorwatch.live.changes import Changes
 from rotorwatch.live.replay import Replay
 from rotorwatch.live.session import Session
-from rotorwatch.live.stream import Stream
 from rotorwatch.live.watched import Watched
 
 FLIGHTS = Path(__file__).resolve().parents[2] / "shared" / "flights"

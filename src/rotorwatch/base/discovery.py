@@ -38,6 +38,7 @@ GROUPS = {
     "rotorwatch.detectors": "detector",
     "rotorwatch.logs": "log format",
     "rotorwatch.airframes": "airframe",
+    "rotorwatch.witnesses": "witness",
 }
 # Rooms of ours that are not called as their group.
 ROOMS = {
@@ -204,10 +205,11 @@ def _own(group: str) -> dict[str, type]:
     return dict(sorted(found.items()))
 
 
-def modules(package: str) -> Iterator[ModuleType]:
-    """Every module of a package, those of its sub-packages included, in the order of their names; not those with an
-    underscore in front."""
-    yield from map(importlib.import_module, _names(package))
+def modules(package: str, deep: bool = True) -> Iterator[ModuleType]:
+    """Every module of a package, in the order of their names; not those with an underscore in front. deep: with those of
+    its sub-packages."""
+    depth = package.count(".") + 1
+    yield from (importlib.import_module(name) for name in _names(package) if deep or name.count(".") == depth)
 
 
 @functools.cache

@@ -103,6 +103,11 @@ def tick_length(rate_hz: float) -> float:
     return next(length for length, least in LENGTHS if rate_hz >= least)
 
 
+def length_of(flight: Flight) -> float:
+    """Length of a tick of a log with motor outputs [s]."""
+    return tick_length(flight["control" if allocation.faster_control(flight) else "motors"].rate_hz)
+
+
 def slow(rate_hz: float, dt: float, ready_s: float) -> str:
     """What cannot be seen at slow ticks, a sentence; empty where they are not slow."""
     if dt <= SHORTEST_S / 2.0:

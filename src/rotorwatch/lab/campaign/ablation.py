@@ -25,8 +25,9 @@ from typing import Any
 import numpy as np
 
 from rotorwatch import airframes, logs
-from rotorwatch.diagnose import Estimated, Prepared, prepare
+from rotorwatch.case.verdict import Estimated, LogCase
 from rotorwatch.diagnose import judge as conclude
+from rotorwatch.diagnose import prepare
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.host import events, program
 from rotorwatch.engine.motion.airborne import airborne
@@ -166,7 +167,7 @@ class Case:
     B: np.ndarray
     theta: np.ndarray
     lost_s: float | None = None
-    ready: Prepared | None = None
+    ready: LogCase | None = None
 
 
 def _flown(kind: str, plan: Plan | sequences.Sequences, numbers: Sequence[int]) -> list[Case]:

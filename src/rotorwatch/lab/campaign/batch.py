@@ -14,13 +14,13 @@ from typing import Any, Protocol, cast
 import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.diagnose import Estimated, Prepared, estimated, prepare
+from rotorwatch.case.verdict import Estimated, LogCase
+from rotorwatch.diagnose import estimated, prepare
 from rotorwatch.diagnose import judge as conclude
-from rotorwatch.engine.host import program
+from rotorwatch.engine.host import events, program
 from rotorwatch.engine.motion.ticks import GROUND, LAG_S, Ticks
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
-from rotorwatch.flight.diagnosis import Source
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.lab.campaign import methods, score
 from rotorwatch.lab.campaign.plan import Plan
@@ -30,7 +30,7 @@ from rotorwatch.lab.simulation import plan as flight_plan
 from rotorwatch.lab.simulation.loop import fly_each
 from rotorwatch.lab.simulation.multirotor import MULTIROTOR
 from rotorwatch.lab.simulation.scenario import Scenario
-from rotorwatch.methods.published import detectors
+from rotorwatch.methods.published import decide, detectors
 
 CPU_WIDTH, ACCELERATOR_WIDTH = 32, 1024
 
@@ -55,7 +55,7 @@ class Flown:
 
     number: int
     scenario: Scenario
-    ready: Prepared
+    ready: LogCase
     theta: np.ndarray
     lost_s: float | None = None
 
@@ -113,7 +113,7 @@ def rows(
                 for decision, kept in zip(plan.decisions, judged, strict=True):
                     label = decision.label(name)
                     found += [
-                        row(label, f, Estimated(f.ticks, k, own=False), k.statistic, b)
+                        row(label, f, Estimated(f.ticks, k, default=False, own_limit=decide.LIMIT), k.statistic, b)
                         for f, k, b in zip(flown, kept, bounds, strict=True)
                     ]
     rules = {m.name: m for m in detectors.modules() if m.name in plan.detectors}
@@ -174,7 +174,7 @@ def _planned(number: int, scenario: Scenario) -> Any:
 
 def unasked(raised: Sequence[counting.Alarm]) -> list[float]:
     """When what is no estimator's was raised [s]: outputs, losses of control, hindsight. They know no threshold."""
-    return [a.detected_s for a in raised if a.event is not None and a.event.source is not Source.ESTIMATOR]
+    return [a.detected_s for a in raised if a.event is not None and a.event.source.name != events.ESTIMATOR.name]
 
 
 def _table(table: Ticks, B: np.ndarray, rows: slice = slice(None)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -20,10 +20,11 @@ import numpy as np
 
 from rotorwatch import airframes
 from rotorwatch.diagnose import diagnose
+from rotorwatch.engine.driver import observe
 from rotorwatch.engine.host import events, program
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.allocation import ambiguous_sets
-from rotorwatch.engine.motion.ticks import READY_S, observe
+from rotorwatch.engine.motion.ticks import READY_S
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.lab.experiments import tools

@@ -22,12 +22,13 @@ import numpy as np
 from rotorwatch import airframes, logs
 from rotorwatch.base import checks, files, optional
 from rotorwatch.base.physics import G0
+from rotorwatch.engine.driver import observe
 from rotorwatch.engine.estimator.plant import TAU
 from rotorwatch.engine.host import events
 from rotorwatch.engine.host.plant import usual_gains
 from rotorwatch.engine.host.program import estimate
 from rotorwatch.engine.motion.airborne import airborne
-from rotorwatch.engine.motion.ticks import READY_S, observe
+from rotorwatch.engine.motion.ticks import READY_S
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, vehicle_file
 from rotorwatch.flight.vehicle import Vehicle

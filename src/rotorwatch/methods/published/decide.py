@@ -30,6 +30,7 @@ FLOOR = 0.01  # hover thrusts: no method is steadier than that
 COMMON_SD = 0.02  # per rotor: battery and air move all of them
 CLIP = 9.0  # a square counts at most this many times its mean: a fault must not look like scatter
 SIGMAS = 5.0
+LIMIT = 0.5 * SIGMAS**2  # of the log-likelihood ratio
 LEAST = 0.08
 TURNED = 0.2  # share by which v may point elsewhere than the loss does
 FADE = 0.25  # below this share of the threshold nothing has begun, or all is over

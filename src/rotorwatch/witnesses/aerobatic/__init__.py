@@ -5,3 +5,25 @@ judge.py       what is missing over seconds -> which rotor has lost effectivenes
 innovation.py  what comes as a surprise in windows of 4 ms, in the motion and in the motors' speeds
 desync.py      surprises that a motor makes which gives nothing for 30 to 500 ms
 """
+
+from rotorwatch.flight import Flight
+from rotorwatch.witnesses.witness import Events, Stage, View, Witness
+
+FIRMWARES = ("betaflight", "inav", "emuflight", "cleanflight", "baseflight", "butterflight")
+
+
+def flown_by_rates(flight: Flight) -> bool:
+    """Whether the firmware is for pilots who command rates."""
+    return flight.autopilot.lower() in FIRMWARES
+
+
+def _hear(view: View, events: Events) -> Events:
+    if view.hovers and not flown_by_rates(view.flight):
+        return events
+    from rotorwatch.witnesses.aerobatic import desync
+
+    slips = desync.find(view.flight, view.vehicle, view.air, events)
+    return tuple(sorted((*events, *slips), key=lambda e: e.detected_s))
+
+
+WITNESSES = (Witness("desync", Stage.EVENTS, 20, _hear),)

@@ -189,7 +189,8 @@ def tune(
 
 def _hops(one: baselines.Candidate) -> list[LogPlant]:
     """The hops of a healthy flight that are long enough to count."""
-    from rotorwatch.engine.motion.ticks import READY_S, observe
+    from rotorwatch.engine.driver import observe
+    from rotorwatch.engine.motion.ticks import READY_S
 
     table = observe(one.flight, one.vehicle, one.air, READY_S)
     hops = log_plant.hops(table, one.vehicle.effectiveness()) if table is not None else ()

@@ -20,14 +20,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch.base import discovery
-from rotorwatch.diagnose import Estimated, estimated, judge
+from rotorwatch.case.verdict import Estimated
+from rotorwatch.diagnose import estimated, judge
 from rotorwatch.engine.host import program
 from rotorwatch.engine.motion.ticks import JUDGE
 from rotorwatch.errors import ConfigError
 from rotorwatch.lab.experiments import counting, tools
 from rotorwatch.lab.experiments.studies.compare_flights import Scene
 from rotorwatch.methods.compiling.run import chosen, run
-from rotorwatch.methods.published import published
+from rotorwatch.methods.published import decide, published
 
 SETTLED_S = 2.0
 STEPS = 4096
@@ -109,7 +110,7 @@ def _trial(name: str, scene: Scene) -> dict:
         done = estimated(scene.ready)
     else:
         out, _ = published.judge(name, table, scene.B, hops=scene.hops)
-        done = Estimated(table, out, own=False)
+        done = Estimated(table, out, default=False, own_limit=decide.LIMIT)
     raised, out = counting.alarms(judge(scene.ready, done).end.events), done.out
     judged = table.mode == JUDGE
     rotors = tuple(sorted(r for r, _, _ in scene.faults))

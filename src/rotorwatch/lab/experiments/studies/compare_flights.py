@@ -18,7 +18,8 @@ import numpy as np
 
 from rotorwatch import airframes, logs
 from rotorwatch.base.physics import G0
-from rotorwatch.diagnose import Prepared, prepare
+from rotorwatch.case.verdict import LogCase
+from rotorwatch.diagnose import prepare
 from rotorwatch.engine.motion import allocation
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import READY_S, Ticks
@@ -46,7 +47,7 @@ class Scene:
 
     group: str
     name: str
-    ready: Prepared
+    ready: LogCase
     faults: tuple[tuple[int, float, float], ...]
 
     @property

@@ -28,11 +28,12 @@ import numpy as np
 
 from rotorwatch import airframes, logs
 from rotorwatch.base import many
+from rotorwatch.engine.driver import observe
 from rotorwatch.engine.host import events, program
 from rotorwatch.engine.host.hypotheses import list_hypotheses
 from rotorwatch.engine.motion import allocation, ticks
 from rotorwatch.engine.motion.airborne import airborne
-from rotorwatch.engine.motion.ticks import JUDGE, LEARN, Ticks, observe
+from rotorwatch.engine.motion.ticks import JUDGE, LEARN, Ticks
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
