@@ -16,7 +16,7 @@ from rotorwatch.answer import ledger, slow, trim, unseen
 from rotorwatch.answer.ledger import Merged
 from rotorwatch.case.consistency import MEMORY_S, Consistency
 from rotorwatch.case.departures import WINDOW_S, Departures
-from rotorwatch.engine.diagnoser import Judged
+from rotorwatch.engine.diagnoser import Diagnoser, Judged
 from rotorwatch.engine.driver import Driver, Piece
 from rotorwatch.engine.host import events
 from rotorwatch.engine.motion.allocation import Spans
@@ -135,11 +135,7 @@ class Case:
         self.driver.checkpoint()
         diagnoser = self.driver.diagnoser
         assert diagnoser is not None
-        if (looks := int(diagnoser.trim["looks"][0])) != self._looks:
-            self._looks = looks
-            self.grown, self._turned = trim.growth(diagnoser.trim), trim.mounts(diagnoser.trim)
-            losses = diagnoser.losses.events(flies=not self.over)
-            self._growths = int(slow.join(losses, self.grown) != losses)
+        self._look_at_trim(diagnoser)
         self._hear()
         if self.over or self.consistency.due(self.now, self.revision):
             since = self.now - MEMORY_S
@@ -168,6 +164,13 @@ class Case:
             self._recent.clear()
             while self._tables[0].time[-1] < judged.table.time[-1] - WINDOW_S:
                 del self._tables[0]
+
+    def _look_at_trim(self, diagnoser: Diagnoser) -> None:
+        if (looks := int(diagnoser.trim["looks"][0])) != self._looks:
+            self._looks = looks
+            self.grown, self._turned = trim.growth(diagnoser.trim), trim.mounts(diagnoser.trim)
+            losses = diagnoser.losses.events(flies=not self.over)
+            self._growths = int(slow.join(losses, self.grown) != losses)
 
     def _hear(self) -> None:
         """Ask the witnesses that are due. Their claims on samples that are gone stay."""

@@ -37,8 +37,9 @@ from rotorwatch.witnesses.witness import Events, Stage, View
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Estimated:
-    """An estimator's outputs `out` at the ticks `table`. default: of the default estimator; written: the engine's records, where it ran
-    there. series: of a published method, its own estimate. assumptions: of the method. own_limit: `limit`, None: the default estimator's."""
+    """An estimator's outputs `out` at the ticks `table`. default: of the default estimator; written: the engine's records, if it ran
+    there. series: of a published method, its own estimate. assumptions: of the method. own_limit: `limit`, None: the default
+    estimator's."""
 
     table: Ticks
     out: TickOutput
@@ -55,7 +56,7 @@ class Estimated:
 
 
 class Judgement(NamedTuple):
-    """end: the answer. doubts: why the log contradicts itself. evidence: that no event explains. whole: the comparison with healthy flights,
+    """end: the answer. doubts: why the log contradicts itself. evidence: open claims. whole: the comparison with healthy flights,
     None without. assumptions, warnings: sentences for the answer."""
 
     end: conclusion.Conclusion

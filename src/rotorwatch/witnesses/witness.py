@@ -44,7 +44,7 @@ class View:
     """A case as its witnesses see it.
 
     flight: the samples, of a link the last ten minutes. air: ((start, end), ...) s of each flight, cut at impacts, end infinite while
-    airborne. tables: the ticks, in pieces; table: the same in one, None before there are any. out: the estimator's outputs at these, None on a
+    airborne. tables: the ticks, in pieces; table: the same in one, None before there are any. out: its outputs, None on a
     link. B (4, n): effectiveness. over: no samples will follow. hovers: judged by the hover model. default: by the default estimator.
     known: `vehicle` holds what healthy flights have shown, `dynamics` their gains and noise. learned: the estimator's last state. lost:
     times of losses of control [s]. consistent: the log does not contradict itself. events, open: see `Stage`. facts: results by name, for
