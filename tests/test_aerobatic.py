@@ -14,7 +14,7 @@ from rotorwatch.flight import Flight, Signal
 from rotorwatch.lab.simulation import fpv, scenario, simulate
 from rotorwatch.witnesses.aerobatic import judge
 from rotorwatch.witnesses.aerobatic.response import respond
-from rotorwatch.witnesses.healthy.calibrate import calibrate
+from rotorwatch.calibrate import calibrate
 
 CRAFT = airframes.named("betaflight-quad-x")
 B = CRAFT.effectiveness()

@@ -14,7 +14,7 @@ from rotorwatch.lab.experiments.studies import compare_flights
 from rotorwatch.witnesses.healthy import baselines
 from rotorwatch.witnesses.healthy import whole_flight as wf
 from rotorwatch.witnesses.healthy.baselines import Candidate, healthy, settle, unlike
-from rotorwatch.witnesses.healthy.calibrate import calibrate
+from rotorwatch.calibrate import calibrate
 from test_calibrate import QUAD, flown, on_the_ground
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "flights"

@@ -23,7 +23,7 @@ __version__ = "0.1.0"
 _VERBS = {
     "airborne": "engine.motion.airborne",
     "ask": "lab.planning.ask",
-    "calibrate": "witnesses.healthy.calibrate",
+    "calibrate": "calibrate",
     "diagnose": "diagnose",
     "diagnose_many": "diagnose_many",
     "estimate": "estimate",
@@ -106,7 +106,7 @@ if TYPE_CHECKING:
     from rotorwatch.methods.published.observability import observability as observability
     from rotorwatch.report.info import info as info
     from rotorwatch.serve.server import serve as serve
-    from rotorwatch.witnesses.healthy.calibrate import calibrate as calibrate
+    from rotorwatch.calibrate import calibrate as calibrate
     from rotorwatch.witnesses.healthy.tune import tune as tune
 
 

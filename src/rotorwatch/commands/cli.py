@@ -360,7 +360,7 @@ def calibrate(logs, out, quiet) -> None:
     """
     from rotorwatch.base import files
     from rotorwatch.flight.vehicle_file import write
-    from rotorwatch.witnesses.healthy.calibrate import calibrate as run
+    from rotorwatch.calibrate import calibrate as run
 
     files.writable(out, "--out")
     with progress(quiet) as report:

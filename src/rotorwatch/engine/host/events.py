@@ -25,7 +25,7 @@ from rotorwatch.engine.motion.contact import Contact
 from rotorwatch.engine.motion.deviations import Override
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
-from rotorwatch.flight.kinds import CONTACT, EVIDENCE, LOSS, OVERRIDE, TABLE, number
+from rotorwatch.flight.kinds import CONTACT, EVIDENCE, LOSS, OVERRIDE, UNKNOWN, kind_of
 
 # Numbers, of 16 bits, that stand for unknown kinds, for what became of an output and for causes: each its own, while the process lasts.
 _NUMBERS: dict[Any, int] = defaultdict(iter(range(1 << 8, 1 << 15)).__next__)
@@ -252,7 +252,8 @@ def packed(events: Sequence[Event], room: int = 1) -> Rows:
         return np.array([[*row, *[0] * (width - len(row))] for row in values]).reshape(len(events), -1)
 
     def kind(event: Event) -> int:
-        return number(event.kind) if event.kind in TABLE else _NUMBERS[event.kind]
+        known = kind_of(event.kind).number
+        return _NUMBERS[event.kind] if known == UNKNOWN else known
 
     def detail(event: Event) -> int:
         what = event.extra.get("override", ""), event.extra.get("cause", event.extra.get("trouble", ""))

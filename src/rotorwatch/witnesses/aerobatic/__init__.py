@@ -1,20 +1,14 @@
 """Vehicles that never hover: rolls, flips, dives, thrust from idle to full (docs/aerobatic.md). In the order of the data:
 
+firmware.py    whose pilots command rates
 response.py    outputs -> angular acceleration: lag of the motors, gain of each axis, damping; what is missing, in windows of 20 ms
 judge.py       what is missing over seconds -> which rotor has lost effectiveness
 innovation.py  what comes as a surprise in windows of 4 ms, in the motion and in the motors' speeds
 desync.py      surprises that a motor makes which gives nothing for 30 to 500 ms
 """
 
-from rotorwatch.flight import Flight
+from rotorwatch.witnesses.aerobatic.firmware import flown_by_rates
 from rotorwatch.witnesses.witness import Events, Stage, View, Witness
-
-FIRMWARES = ("betaflight", "inav", "emuflight", "cleanflight", "baseflight", "butterflight")
-
-
-def flown_by_rates(flight: Flight) -> bool:
-    """Whether the firmware is for pilots who command rates."""
-    return flight.autopilot.lower() in FIRMWARES
 
 
 def _hear(view: View, events: Events) -> Events:

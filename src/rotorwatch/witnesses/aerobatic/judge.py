@@ -32,7 +32,7 @@ from rotorwatch.engine.motion.ticks import LEARN as LEARNING
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.witnesses.aerobatic import flown_by_rates
+from rotorwatch.witnesses.aerobatic.firmware import flown_by_rates
 from rotorwatch.witnesses.aerobatic.response import EDGE_S, WINDOW_S, Response, respond
 
 BLOCK_S = 1.0
