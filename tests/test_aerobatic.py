@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes, diagnose
+from rotorwatch.calibrate import calibrate
 from rotorwatch.engine.driver import observe
 from rotorwatch.engine.host import events
 from rotorwatch.engine.motion.ticks import JUDGE, READY_S
@@ -14,7 +15,6 @@ from rotorwatch.flight import Flight, Signal
 from rotorwatch.lab.simulation import fpv, scenario, simulate
 from rotorwatch.witnesses.aerobatic import judge
 from rotorwatch.witnesses.aerobatic.response import respond
-from rotorwatch.calibrate import calibrate
 
 CRAFT = airframes.named("betaflight-quad-x")
 B = CRAFT.effectiveness()

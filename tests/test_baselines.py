@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes, logs
+from rotorwatch.calibrate import calibrate
 from rotorwatch.diagnose import diagnose
 from rotorwatch.errors import ConfigError, VehicleError
 from rotorwatch.lab.experiments.inject import inject
@@ -14,7 +15,6 @@ from rotorwatch.lab.experiments.studies import compare_flights
 from rotorwatch.witnesses.healthy import baselines
 from rotorwatch.witnesses.healthy import whole_flight as wf
 from rotorwatch.witnesses.healthy.baselines import Candidate, healthy, settle, unlike
-from rotorwatch.calibrate import calibrate
 from test_calibrate import QUAD, flown, on_the_ground
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "flights"

@@ -75,6 +75,7 @@ __all__ = ["__version__", "read", *_VERBS, *(n for n in _HOMES if n != "read")]
 
 if TYPE_CHECKING:
     from rotorwatch.assistants.server import mcp as mcp
+    from rotorwatch.calibrate import calibrate as calibrate
     from rotorwatch.diagnose import diagnose as diagnose
     from rotorwatch.diagnose_many import diagnose_many as diagnose_many
     from rotorwatch.engine.motion.airborne import airborne as airborne
@@ -106,7 +107,6 @@ if TYPE_CHECKING:
     from rotorwatch.methods.published.observability import observability as observability
     from rotorwatch.report.info import info as info
     from rotorwatch.serve.server import serve as serve
-    from rotorwatch.calibrate import calibrate as calibrate
     from rotorwatch.witnesses.healthy.tune import tune as tune
 
 

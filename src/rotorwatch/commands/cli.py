@@ -359,8 +359,8 @@ def calibrate(logs, out, quiet) -> None:
     Give the file to `rotorwatch diagnose --vehicle` later.
     """
     from rotorwatch.base import files
-    from rotorwatch.flight.vehicle_file import write
     from rotorwatch.calibrate import calibrate as run
+    from rotorwatch.flight.vehicle_file import write
 
     files.writable(out, "--out")
     with progress(quiet) as report:

@@ -6,10 +6,9 @@ template; `answer/wording.py` lists what may stand in its braces.
 
 from __future__ import annotations
 
+import importlib
 from enum import Enum
 from typing import Any, NamedTuple
-
-from rotorwatch.base import discovery
 
 LOSS, OVERRIDE, CONTACT, LOST = "loss_of_effectiveness", "output_override", "contact", "loss_of_control"
 ORDER, DESYNC = "motor_order", "desync"
@@ -261,8 +260,9 @@ def register(*rows: Kind) -> None:
 
 def table() -> dict[str, Kind]:
     """Name -> kind, of all kinds in the order of their numbers, those of every witness included."""
-    for _ in discovery.modules("rotorwatch.witnesses", deep=False):
-        pass  # each registers its kinds
+    importlib.import_module(
+        "rotorwatch.witnesses.witness"
+    ).registered()  # each witness registers its kinds as it is loaded
     return dict(sorted(_TABLE.items(), key=lambda item: item[1].number))
 
 

@@ -96,10 +96,14 @@ def adding(claims: Callable[[View], Iterable[Event]]) -> Callable[[View, Events]
     return lambda view, before: (*before, *claims(view))
 
 
-@functools.cache
 def registered() -> tuple[Witness, ...]:
     """All witnesses in the order in which they are asked: those of this folder, and of other packages by entry points of the group
     `rotorwatch.witnesses`, each a module with WITNESSES."""
+    return _registered(tuple(discovery.offered(GROUP)))
+
+
+@functools.cache
+def _registered(_offered: tuple[str, ...]) -> tuple[Witness, ...]:
     others = (module for _, module in discovery.others(GROUP, ("WITNESSES",)))
     found = [w for module in (*discovery.modules(GROUP, deep=False), *others) for w in getattr(module, "WITNESSES", ())]
     return tuple(sorted(found, key=lambda w: (w.stage.value, w.place, w.name)))
