@@ -20,4 +20,4 @@ def _hear(view: View, events: Events) -> Events:
     return tuple(sorted((*events, *slips), key=lambda e: e.detected_s))
 
 
-WITNESSES = (Witness("desync", Stage.EVENTS, 20, _hear),)
+WITNESSES = (Witness("lost steps", Stage.EVENTS, 20, _hear),)

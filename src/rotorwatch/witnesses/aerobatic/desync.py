@@ -45,7 +45,7 @@ def _falls(claim: Event, known: Event) -> bool:
     return gone and known.onset_s - CRASH_S < claim.onset_s < (known.end_s or np.inf)
 
 
-SOURCE = Source("desync", 9, _falls)
+SOURCE = Source("lost steps", 9, _falls)
 
 SHORTEST_S, LONGEST_S = 0.025, 0.65  # 30 to 500 ms, as well as ends are known
 LENGTHS_S = 0.03 * 10.0 ** (0.1 * np.arange(15))  # 30 to 750 ms: what lasts longer is none, and must be seen to
