@@ -17,10 +17,11 @@ import numpy as np
 
 import rotorwatch as rw
 from rotorwatch import airframes
+from rotorwatch.engine.driver import observe
 from rotorwatch.engine.front.decisions import FALSE_ALARM_PERIOD_S
 from rotorwatch.engine.host import events
 from rotorwatch.engine.motion.airborne import airborne
-from rotorwatch.engine.motion.ticks import JUDGE, READY_S, observe
+from rotorwatch.engine.motion.ticks import JUDGE, READY_S
 from rotorwatch.witnesses.aerobatic import judge
 from rotorwatch.witnesses.aerobatic.response import respond
 from rotorwatch_lab.experiments.inject import inject

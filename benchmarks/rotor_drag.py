@@ -15,10 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from rotorwatch import airframes, logs
+from rotorwatch.engine.driver import observe
 from rotorwatch.engine.estimator.plant import DRAG
 from rotorwatch.engine.host import program
 from rotorwatch.engine.motion.airborne import airborne
-from rotorwatch.engine.motion.ticks import GROUND, READY_S, observe
+from rotorwatch.engine.motion.ticks import GROUND, READY_S
 from rotorwatch.errors import RotorwatchError
 
 MEAN_S, BLOCK_S, LEAST_S, TURNS = 5.0, 0.5, 30.0, 3.0

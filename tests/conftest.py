@@ -21,7 +21,7 @@ from rotorwatch import airframes
 from rotorwatch.answer import from_takeoff, places
 from rotorwatch.answer.conclusion import Evidence, conclude
 from rotorwatch.answer.ledger import open_claims
-from rotorwatch.flight.diagnosis import Diagnosis, Event, Source, Trace
+from rotorwatch.flight.diagnosis import Diagnosis, Event, Trace
 from rotorwatch_lab.compiling import native
 
 # Tests run as users run them, and so do the commands that they start: PYTHONUNBUFFERED or COLUMNS of a developer's shell can hide a fault.
@@ -258,8 +258,8 @@ def hexa_diagnosis(events=None, whole_flight=None, doubts=(), evidence=(), judge
     """The answer to these events of a hexa X in 60 s; by default to one, the loss of rotor 3. changes: of the Diagnosis made of it."""
     events, air = (hexa_event(),) if events is None else events, ((4.0, 58.0),)
     compared = (
-        *from_takeoff.claims(whole_flight, Source.FLIGHTS, air),
-        *from_takeoff.claims(population, Source.VEHICLES, air),
+        *from_takeoff.claims(whole_flight, from_takeoff.FLIGHTS, air),
+        *from_takeoff.claims(population, from_takeoff.VEHICLES, air),
     )
     seen = Evidence(
         events, 6, hidden=np.full(6, 0.04), judged_s=judged_s, claims=open_claims((*compared, *evidence), events),

@@ -30,14 +30,14 @@ from rotorwatch import diagnose, logs
 from rotorwatch.base.compiling.structs import LASTS
 from rotorwatch.engine.motion import ticks
 from rotorwatch.errors import RotorwatchError
-from rotorwatch.flight.kinds import TABLE, number
+from rotorwatch.flight import kinds
 from rotorwatch.gathering import Gathered
 from rotorwatch.witnesses.aerobatic import judge as aerobatic
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "flights"
 TIME_S, SIZE = 0.0015, 0.0015  # by which rounded numbers may differ and be the same
 MAV_TYPE = {3: 15, 4: 2, 6: 13, 8: 14, 10: 35, 12: 29}  # of a frame with so many rotors
-BOARD = {number(name): name for name in TABLE}
+BOARD = {kind.number: name for name, kind in kinds.table().items()}
 
 
 def answers(path: Path, asked: Sequence[str] = ("link", "board")) -> dict:

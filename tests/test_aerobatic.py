@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes, diagnose
+from rotorwatch.calibrate import calibrate
+from rotorwatch.engine.driver import observe
 from rotorwatch.engine.host import events
-from rotorwatch.engine.motion.ticks import JUDGE, READY_S, observe
+from rotorwatch.engine.motion.ticks import JUDGE, READY_S
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.witnesses.aerobatic import judge
 from rotorwatch.witnesses.aerobatic.response import respond
-from rotorwatch.witnesses.healthy.calibrate import calibrate
 from rotorwatch_lab.simulation import fpv, scenario, simulate
 
 CRAFT = airframes.named("betaflight-quad-x")

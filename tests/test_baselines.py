@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes, logs
+from rotorwatch.calibrate import calibrate
 from rotorwatch.diagnose import diagnose
 from rotorwatch.errors import ConfigError, VehicleError
 from rotorwatch.witnesses.healthy import baselines
 from rotorwatch.witnesses.healthy import whole_flight as wf
 from rotorwatch.witnesses.healthy.baselines import Candidate, healthy, settle, unlike
-from rotorwatch.witnesses.healthy.calibrate import calibrate
 from rotorwatch_lab.experiments.inject import inject
 from rotorwatch_lab.experiments.studies import compare_flights
 from test_calibrate import QUAD, flown, on_the_ground

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
+from rotorwatch.calibrate import calibrate
 from rotorwatch.errors import ConfigError, LogError, VehicleError
 from rotorwatch.flight import Flight, Signal, vehicle_file
 from rotorwatch.witnesses.healthy import whole_flight as wf
-from rotorwatch.witnesses.healthy.calibrate import calibrate
 
 QUAD = airframes.named("ardupilot-quad-x")
 

@@ -216,13 +216,13 @@ def test_demo_explains_the_samples_and_says_where_the_page_is(fake, run, monkeyp
 
 def test_calibrate_writes_the_vehicle_it_learned(fake, run, monkeypatch):
     written = {}
-    learned = ModuleType("rotorwatch.witnesses.healthy.calibrate")
+    learned = ModuleType("rotorwatch.calibrate")
     learned.calibrate = lambda flights, progress=None: type(
         "V", (), {"name": f"quad of {len(flights)}", "identified": {"flights": len(flights)}, "assumptions": ()}
     )
     files = ModuleType("rotorwatch.flight.vehicle_file")
     files.write = lambda vehicle, path: written.update({path: vehicle.name})
-    monkeypatch.setitem(sys.modules, "rotorwatch.witnesses.healthy.calibrate", learned)
+    monkeypatch.setitem(sys.modules, "rotorwatch.calibrate", learned)
     monkeypatch.setitem(sys.modules, "rotorwatch.flight.vehicle_file", files)
     code, out, err = run("calibrate", "healthy.bin", "healthy-2.bin", "-o", "v.toml")
     assert (code, written, err) == (0, {Path("v.toml"): "quad of 2"}, "")

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from conftest import hexa_diagnosis, hexa_event
+from rotorwatch.answer import from_takeoff
 from rotorwatch.answer.conclusion import Evidence, conclude, main_event
 from rotorwatch.answer.wording import up_to
 from rotorwatch.engine.host import residual_evidence
 from rotorwatch.engine.motion import trust
 from rotorwatch.flight import Flight
-from rotorwatch.flight.diagnosis import Event, Source
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.witnesses.healthy.baselines import Candidate
 
 
@@ -370,6 +371,6 @@ def test_an_event_that_any_rotor_explains_names_none():
 def test_a_headline_bounds_what_the_table_shows():
     """Damage from take-off and what may have been lost unseen since, together: the interval of the worst rotor, and no less."""
     compared = {"verdict": "healthy", "interval": [(0.0, 0.3)] * 4, "rotors": [], "loss": [0.0] * 4, "causes": []}
-    claim = Event("damage_from_takeoff", (), 0.0, 0.0, None, (), (), 1.0, (), "", compared, Source.VEHICLES)
+    claim = Event("damage_from_takeoff", (), 0.0, 0.0, None, (), (), 1.0, (), "", compared, from_takeoff.VEHICLES)
     end = conclude(Evidence((), 4, hidden=np.array([0.02, 0.16, 0.02, 0.02]), judged_s=60.0, claims=(claim,)))
     assert max(state.interval[1] for state in end.rotors) <= 0.42 and "no rotor lacked more than 42 %" in end.headline

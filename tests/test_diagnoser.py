@@ -1,6 +1,7 @@
 """The one driver: samples in, ticks and events out, however the samples are cut into pieces."""
 
 import itertools
+from dataclasses import replace
 from unittest import mock
 
 import numpy as np
@@ -11,12 +12,12 @@ from hypothesis import strategies as st
 from rotorwatch import airframes, logs
 from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.engine import diagnoser as driver
+from rotorwatch.engine import driver as driving
 from rotorwatch.engine.definition import ENGINE
-from rotorwatch.engine.diagnoser import Diagnoser, Judged, fly
-from rotorwatch.engine.host import program
+from rotorwatch.engine.diagnoser import Diagnoser, Judged
+from rotorwatch.engine.driver import Driver, fly
 from rotorwatch.engine.motion import allocation, ticks
 from rotorwatch.engine.motion.samples import samples
-from rotorwatch.live import account
 
 SECONDS = 52.0
 
@@ -95,53 +96,42 @@ def test_however_it_is_cut_it_is_the_same(flown, at_once, cuts, room):
 
 @pytest.mark.parametrize("fell_s", [None, 35.0])
 def test_a_log_is_a_link_that_is_over(flown, at_once, fell_s):
-    """A whole flight through the driver has the ticks that the parts make of all of it at once, also where it is known to have fallen."""
+    """A whole flight through the driver has the ticks that the engine makes of its samples, also where it is known to have fallen."""
     vehicle, flight, *_ = flown
     (start, end), *_ = at_once[4]
-    air = ((start, fell_s or end),)
-    one, judged = fly(flight, vehicle, air, ticks.READY_S)
-    table = ticks.observe(flight, vehicle, air, ticks.READY_S)
-    assert table is not None
-    for name in (
-        "time",
-        "command_time",
-        "thrust",
-        "wrench",
-        "rate",
-        "load",
-        "valid",
-        "mode",
-        "restart",
-        "upset",
-        "contact",
-        "axial",
-    ):
-        np.testing.assert_array_equal(getattr(judged.table, name), getattr(table, name), err_msg=name)
-    assert one.losses.events() == (() if fell_s else at_once[1])
-    last, out = program.estimate(table, vehicle.effectiveness())
-    np.testing.assert_array_equal(judged.out.theta, out.theta)
-    np.testing.assert_array_equal(one.learned.s, last.s)
+    whole = fly(flight, vehicle, ((start, fell_s or end),), ticks.READY_S, whole=True)
+    assert whole is not None
+    written, judged = whole
+    until = fell_s or end
+    before = at_once[0].table.command_time <= until
+    for name in ("time", "thrust", "wrench", "rate", "load", "valid", "mode", "restart", "upset", "contact", "axial"):
+        ours = getattr(judged.table, name)[judged.table.command_time <= until]
+        np.testing.assert_array_equal(ours, getattr(at_once[0].table, name)[before], err_msg=name)
+    assert (judged.table.mode[judged.table.command_time > until] == ticks.GROUND).all()
+    assert written.losses.events() == (() if fell_s else at_once[1])
 
 
-def test_the_way_back_leads_to_the_same_books(flown, at_once, monkeypatch):
-    """A flight that turns out to have ended and then not to have: gone through again, whatever had been kept."""
-    vehicle, flight, plan, mixing, whole = flown
-    monkeypatch.setattr(account, "REPLAY_S", 12.0)
-    one = Diagnoser(vehicle, allocation.laid_out(vehicle, flight), plan, mixing)
-    back = account.Account(one)
-    for first, last in itertools.pairwise([*range(0, len(whole), 400), len(whole)]):
-        judged = Judged.joined(one.feed(whole.part(first, last)))
-        if judged is not None:
-            back.add(judged)
-    back.keep(one.spans)
-    (start, _), known = one.spans[0], one.losses.events(True)
-    assert known
-    back.keep(((start, known[0].onset_s - 1.0),))
-    assert one.losses.events(True) == ()
-    back.keep(((start, np.inf),))
-    assert one.losses.events(True) == known
+def test_a_rollback_leads_to_the_same_records(flown, at_once, monkeypatch):
+    """A flight that turns out to have ended and then not to have: fed again from a checkpoint, with the same losses and events."""
+    vehicle, flight, plan, *_ = flown
+    monkeypatch.setattr(driving, "REPLAY_S", 12.0)
+    one = Driver(replace(flight, signals={}, messages=()), vehicle, keep_s=60.0)
+    one.begin(flight, plan, None)
+    for time in np.arange(0.0, SECONDS, 0.5):
+        one.add({k: s.between(time, time + 0.5) for k, s in flight.signals.items() if len(s.between(time, time + 0.5))})
+        one.advance()
+        one.checkpoint()
+    diagnoser = one.diagnoser
+    (start, _), known = diagnoser.spans[0], diagnoser.losses.events(True)
+    assert known and one.follow(diagnoser.spans) is None
+    fell = one.follow(((start, known[0].onset_s - 1.0),))
+    assert fell is not None and fell.rolled_back and diagnoser.losses.events(True) == ()
+    assert not fell.judged.out.announced.any()
+    again = one.follow(((start, np.inf),))
+    assert again is not None and diagnoser.losses.events(True) == known
     one.finish(flight.duration)
-    assert one.losses.events() == at_once[1] and one.report.events(one.losses.events(), ()) == at_once[2]
+    assert diagnoser.losses.events() == at_once[1]
+    assert diagnoser.report.events(diagnoser.losses.events(), ()) == at_once[2]
 
 
 def test_what_comes_after_a_fall_lies_on_the_ground(flown, at_once):

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import rotorwatch as rw
-from rotorwatch.diagnose import diagnose, observe
+from rotorwatch.diagnose import diagnose
+from rotorwatch.engine.driver import observe
 from rotorwatch.engine.motion import allocation
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.flight import Signal

@@ -50,7 +50,8 @@ PLANTED = (
         headline=Words("Nothing known explains it at {at}."),
     ),
 )
-EVENT_ROWS = tuple(row for row in kinds.ROWS if row.weight is not Weight.OPEN)  # the others are no events of an answer
+KINDS = tuple(kinds.table().values())
+EVENT_ROWS = tuple(row for row in KINDS if row.weight is not Weight.OPEN)  # the others are no events of an answer
 NAMES = (*(row.name for row in (*EVENT_ROWS, *PLANTED)), "of_another_version")
 # Where a kind's name may stand besides the table: what judges a loss of control names causes so, and ticks have a column.
 ELSEWHERE = {
@@ -62,11 +63,11 @@ ELSEWHERE = {
 @pytest.fixture(autouse=True)
 def planted(monkeypatch):
     for row in PLANTED:
-        monkeypatch.setitem(kinds.TABLE, row.name, row)
+        monkeypatch.setitem(kinds._TABLE, row.name, row)
 
 
 def row(name):
-    return next((r for r in (*kinds.ROWS, *PLANTED) if r.name == name), None) or kinds.kind_of(name)
+    return next((r for r in (*KINDS, *PLANTED) if r.name == name), None) or kinds.kind_of(name)
 
 
 def an_event(name, rotors=(3,), alternatives=(), end_s=None):
@@ -83,7 +84,7 @@ EVENTS = [
     for event in (
         an_event(name),
         an_event(name, end_s=40.0),
-        *([an_event(name, alternatives=((5,), (1, 2)))] if row(name) not in kinds.ROWS or row(name).weakens else []),
+        *([an_event(name, alternatives=((5,), (1, 2)))] if row(name) not in KINDS or row(name).weakens else []),
         *([an_event(name, rotors=())] if not row(name).weakens and name != kinds.DESYNC else []),
     )
 ]
@@ -174,7 +175,7 @@ def test_the_number_of_a_kind_is_for_ever_and_not_its_place():
     assert [
         kinds.number(name) for name in (kinds.LOST, kinds.ORDER, kinds.DESYNC, kinds.SLOW, kinds.HIGH, kinds.LOW)
     ] == list(range(3, 9))
-    assert len({row.number for row in (*kinds.ROWS, *PLANTED)}) == len((*kinds.ROWS, *PLANTED))
+    assert len({row.number for row in (*KINDS, *PLANTED)}) == len((*KINDS, *PLANTED))
     found = packed([an_event(name) for name in NAMES])["kind"].tolist()
     assert found[:-1] == [row(name).number for name in NAMES[:-1]] and found[-1] not in found[:-1]
 
@@ -187,10 +188,10 @@ def test_the_document_has_every_kind_and_no_other():
 def spelled(path):
     """The names of kinds that a source file spells out."""
     if path.suffix != ".py":
-        return {name for name in kinds.TABLE if "_" in name and name in path.read_text(encoding="utf-8")}
+        return {name for name in [r.name for r in KINDS] if "_" in name and name in path.read_text(encoding="utf-8")}
     nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
     return {n.value for n in nodes if isinstance(n, ast.Constant) and isinstance(n.value, str)} & {
-        r.name for r in kinds.ROWS
+        r.name for r in KINDS
     }
 
 
@@ -199,7 +200,7 @@ def test_no_other_source_spells_out_kinds():
     names = {p: p.relative_to(SOURCE.parent).as_posix().removeprefix("rotorwatch/") for p in files}
     found = {names[p]: spelled(p) for p in files if p.name != "kinds.py"}
     found = {name: names for name, names in found.items() if names}
-    assert "flight/kinds.py" not in found and spelled(SOURCE / "flight" / "kinds.py") == {r.name for r in kinds.ROWS}
+    assert "flight/kinds.py" not in found and spelled(SOURCE / "flight" / "kinds.py") == {r.name for r in KINDS}
     assert all(names <= ELSEWHERE.get(name, set()) for name, names in found.items()), found
 
 
@@ -210,4 +211,4 @@ def test_some_part_of_the_judging_makes_each_kind():
     constants = {name: value for name, value in vars(kinds).items() if isinstance(value, str)}
     made = {constants.get(node.id) for node in nodes if isinstance(node, ast.Name)}
     made |= {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
-    assert {r.name for r in kinds.ROWS} <= made
+    assert {r.name for r in KINDS} <= made

@@ -8,17 +8,21 @@ from hypothesis import strategies as st
 
 from conftest import hexa_event, trials
 from rotorwatch import airframes
-from rotorwatch.answer import ledger
+from rotorwatch.answer import from_takeoff, ledger, unseen
 from rotorwatch.engine.host import events, residual_evidence
 from rotorwatch.engine.host.events import Report
 from rotorwatch.engine.motion.deviations import Override
-from rotorwatch.flight.diagnosis import Source
+from rotorwatch.flight.diagnosis import NO_SOURCE
 from rotorwatch.flight.kinds import CONTACT, DESYNC, FROM_TAKEOFF, LOSS, LOST, OVERRIDE, SLOW
+from rotorwatch.witnesses import excitation_response, hindsight
+from rotorwatch.witnesses.aerobatic import desync
+from rotorwatch.witnesses.esc.evidence import STANDS as STANDING
+from rotorwatch.witnesses.esc.watch import CHANGED as CHANGING
 
 B = airframes.named("ardupilot-hexa-x").effectiveness()
 
 
-def loss(onset, rotor=3, detected=None, source=Source.ESTIMATOR, size=0.37, end=None):
+def loss(onset, rotor=3, detected=None, source=events.ESTIMATOR, size=0.37, end=None):
     interval = ((max(size - 0.04, 0.0), size + 0.04),)
     return hexa_event(
         rotors=(rotor,), onset_s=onset, detected_s=onset + 1.0 if detected is None else detected, source=source, loss=(size,),
@@ -26,7 +30,7 @@ def loss(onset, rotor=3, detected=None, source=Source.ESTIMATOR, size=0.37, end=
     )  # fmt: skip
 
 
-def other(kind, onset, end=None, rotors=(2,), source=Source.NOBODY):
+def other(kind, onset, end=None, rotors=(2,), source=NO_SOURCE):
     extra = {"override": "off"} if kind == OVERRIDE else {}
     return hexa_event(
         kind=kind, rotors=rotors, onset_s=onset, detected_s=onset + 0.3, end_s=end, loss=(), interval=(), source=source, extra=extra,
@@ -38,11 +42,11 @@ def merged(*claims):
 
 
 def test_what_was_told_in_flight_gives_way_to_what_is_known_afterwards():
-    early = loss(3.0, detected=15.0, source=Source.HINDSIGHT)
+    early = loss(3.0, detected=15.0, source=hindsight.SOURCE)
     rest, later, another = loss(12.0, detected=14.0), loss(31.0), loss(12.0, rotor=5, detected=32.5)
     assert merged(rest).events == (rest,)
     assert merged(rest, later, another, early).events == (early, later, another)
-    asked = replace(rest, source=Source.EXCITATION)
+    asked = replace(rest, source=excitation_response.SOURCE)
     assert merged(asked, early).events == (early,)
 
 
@@ -53,8 +57,8 @@ def test_a_loss_that_may_be_nothing_is_evidence_unless_an_output_explains_it():
     assert merged(loss(10.0), output).events == (output,)
 
 
-STANDS, CHANGED = loss(20.0, source=Source.ESC_STANDS), loss(20.0, source=Source.ESC_CHANGED)
-STEP = other(DESYNC, 20.0, 20.1, rotors=(3,), source=Source.DESYNC)
+STANDS, CHANGED = loss(20.0, source=STANDING), loss(20.0, source=CHANGING)
+STEP = other(DESYNC, 20.0, 20.1, rotors=(3,), source=desync.SOURCE)
 
 
 @pytest.mark.parametrize(
@@ -68,7 +72,7 @@ STEP = other(DESYNC, 20.0, 20.1, rotors=(3,), source=Source.DESYNC)
         (CHANGED, loss(40.0), False),  # whenever: an ESC's law changes slowly
         (CHANGED, loss(20.0, rotor=5), True),
         (CHANGED, other(OVERRIDE, 19.0, rotors=(3,)), True),
-        (other(SLOW, 20.0, rotors=(3,), source=Source.ESC_CHANGED), loss(20.0), True),  # it takes no thrust
+        (other(SLOW, 20.0, rotors=(3,), source=CHANGING), loss(20.0), True),  # it takes no thrust
         (STEP, other(LOST, 20.5, rotors=()), False),  # it fell
         (STEP, other(LOST, 21.0, rotors=()), True),
         (STEP, loss(19.0, size=0.9), False),  # it was gone
@@ -89,7 +93,7 @@ def test_claims_of_any_kind_are_events():
 
 CLAIMS = st.lists(
     st.one_of(
-        st.builds(loss, st.integers(0, 60), st.integers(1, 6), source=st.sampled_from([Source.ESTIMATOR, Source.HINDSIGHT]),
+        st.builds(loss, st.integers(0, 60), st.integers(1, 6), source=st.sampled_from([events.ESTIMATOR, hindsight.SOURCE]),
                   size=st.sampled_from([0.02, 0.3, 0.9]), end=st.none()),
         st.builds(lambda onset, rotor: other(OVERRIDE, onset + 0.1, onset + 2.0, (rotor,)), st.integers(0, 60), st.integers(1, 6)),
     ),
@@ -112,7 +116,7 @@ def test_who_testifies_first_does_not_matter_and_nothing_is_said_twice(claims, r
         outputs = (
             o for o in claims if o.kind == OVERRIDE and o.onset_s - 1.0 <= claim.onset_s <= (o.end_s or 0.0) + 1.0
         )
-        early = (h for h in claims if h.source is Source.HINDSIGHT and h.rotors == claim.rotors)
+        early = (h for h in claims if h.source is hindsight.SOURCE and h.rotors == claim.rotors)
         assert id(claim) in said or (claim.kind == LOSS and (any(outputs) or any(early)))
 
 
@@ -123,8 +127,10 @@ def test_outputs_that_left_together_are_the_logs_and_explain_losses():
     assert merged(*claims, loss(20.5)).events == () and merged(loss(20.5)).events == (loss(20.5),)
 
 
-EVIDENCE = [residual_evidence.claim((5,), 40.0, 44.0, source=s) for s in (Source.TRIM, Source.STEPS, Source.RESIDUAL)]
-COMPARED = [hexa_event(kind=FROM_TAKEOFF, source=source) for source in (Source.FLIGHTS, Source.VEHICLES)]
+EVIDENCE = [
+    residual_evidence.claim((5,), 40.0, 44.0, source=s) for s in (events.TRIM, unseen.STEPS, residual_evidence.RESIDUAL)
+]
+COMPARED = [hexa_event(kind=FROM_TAKEOFF, source=source) for source in (from_takeoff.FLIGHTS, from_takeoff.VEHICLES)]
 
 
 @pytest.mark.parametrize("order", [1, -1])

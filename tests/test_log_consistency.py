@@ -8,9 +8,10 @@ import pytest
 from tests.altered_logs import doubled, later, reordered, slower, with_signals, with_values
 
 from rotorwatch import airframes, diagnose
+from rotorwatch.engine.driver import observe
 from rotorwatch.engine.motion import mixing, order, turning
 from rotorwatch.engine.motion.airborne import airborne
-from rotorwatch.engine.motion.ticks import READY_S, observe
+from rotorwatch.engine.motion.ticks import READY_S
 from rotorwatch.logs import dataflash_rotors
 from rotorwatch_lab.simulation import scenario, simulate
 

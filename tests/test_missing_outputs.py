@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes, diagnose
+from rotorwatch.engine.driver import observe
 from rotorwatch.engine.motion.airborne import GAP_S, airborne, gaps
-from rotorwatch.engine.motion.ticks import JUDGE, LEARN, READY_S, observe
+from rotorwatch.engine.motion.ticks import JUDGE, LEARN, READY_S
 from rotorwatch.live.session import Session
 from rotorwatch_lab.simulation import scenario, simulate
 

@@ -2,20 +2,22 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
 
 from conftest import hexa_event
+from rotorwatch import airframes
 from rotorwatch.answer import ledger, slow, trim
 from rotorwatch.answer.conclusion import Evidence, conclude
+from rotorwatch.case.conductor import Case
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.host import events
 from rotorwatch.engine.motion.ticks import JUDGE
 from rotorwatch.engine.trim import many
 from rotorwatch.engine.trim.trim import Trim
-from rotorwatch.live.judge import Judge
+from rotorwatch.flight import Flight
 
 QUAD = np.array([[-1.0, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1], [1, 1, 1, 1]])
 HEXA = np.array(
@@ -161,11 +163,10 @@ def test_a_link_says_it_while_the_vehicle_flies():
     """Looked at again and again."""
     out, ticks = flight(loss=0.4)
     losses = SimpleNamespace(announcements=0, events=lambda flies: ())
-    vehicle = SimpleNamespace(effectiveness=lambda: QUAD, identified={"flights": 1})
     state, craft = ENGINE.new(Trim), events.vehicle(QUAD)
-    plan = SimpleNamespace(ready_s=8.0, dt=DT)
-    diagnoser: Any = SimpleNamespace(vehicle=vehicle, plan=plan, losses=losses, contacts=(), trim=state)
-    judge = Judge(diagnoser, cast(Any, SimpleNamespace(keep=lambda spans: None)))
+    diagnoser: Any = SimpleNamespace(losses=losses, contacts=(), overrides=(), trim=state)
+    case = Case(Flight("test", "test", {}, 0.0), airframes.named("ardupilot-quad-x"))
+    case.driver.diagnoser = diagnoser
     seen = []
     for a in range(0, ticks.time.size, 50):
         part = slice(a, a + 50)
@@ -177,6 +178,6 @@ def test_a_link_says_it_while_the_vehicle_flies():
             ticks.thrust[part],
         )
         ENGINE.call(many.pass_on, state, craft, DT, 50, *map(np.ascontiguousarray, rows))
-        judge.judge(cast(Any, SimpleNamespace(spans=((0.0, np.inf),), overrides=(), judged=None)))
-        seen.append(judge.grown is not None and judge.grown.certain)
-    assert not seen[0] and seen[-1] and judge.grown is not None and judge.grown.rotors == (1,) and judge.revision == 1
+        case._look_at_trim(diagnoser)
+        seen.append(case.grown is not None and case.grown.certain)
+    assert not seen[0] and seen[-1] and case.grown is not None and case.grown.rotors == (1,) and case.revision == 1

@@ -9,6 +9,7 @@ import pytest
 
 from rotorwatch import airframes
 from rotorwatch.base.compiling.structs import LASTS
+from rotorwatch.engine.driver import observe
 from rotorwatch.engine.estimator import announcement
 from rotorwatch.engine.front import sense
 from rotorwatch.engine.front import ticks as definition
@@ -164,12 +165,12 @@ def test_a_flight_without_motors_or_out_of_the_air_has_no_ticks():
     """Nor one where an output is never a command; all others have."""
     flight, thrust = log()
     vehicle = airframes.named("px4-quad-x")
-    assert ticks.observe(flight, vehicle, AIR, 3.0) is not None
-    assert ticks.observe(flight, vehicle, (), 3.0) is None
+    assert observe(flight, vehicle, AIR, 3.0) is not None
+    assert observe(flight, vehicle, (), 3.0) is None
     still = {name: signal for name, signal in flight.signals.items() if name != "motors"}
-    assert ticks.observe(replace(flight, signals=still), vehicle, AIR, 3.0) is None
+    assert observe(replace(flight, signals=still), vehicle, AIR, 3.0) is None
     dead = replace(thrust, valid=np.tile([True, True, False, True], (len(thrust), 1)))
-    assert ticks.observe(replace(flight, signals={**still, "motors": dead}), vehicle, AIR, 3.0) is None
+    assert observe(replace(flight, signals={**still, "motors": dead}), vehicle, AIR, 3.0) is None
 
 
 def test_a_tick_needs_two_fifths_of_the_gyros_usual_samples():

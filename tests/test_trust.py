@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes, diagnose
+from rotorwatch.engine.driver import observe
 from rotorwatch.engine.motion import inertial, trust
 from rotorwatch.engine.motion.airborne import airborne
-from rotorwatch.engine.motion.ticks import READY_S, observe
+from rotorwatch.engine.motion.ticks import READY_S
 from rotorwatch.flight import Signal
 from rotorwatch_lab.simulation import scenario, simulate
 

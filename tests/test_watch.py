@@ -11,7 +11,10 @@ from rich.console import Console
 from tests.conftest import hexa_event
 
 from rotorwatch import airframes, diagnose, logs
+from rotorwatch.case import conductor
 from rotorwatch.commands import cli
+from rotorwatch.engine import driver
+from rotorwatch.engine.driver import Driver
 from rotorwatch.engine.motion import allocation, ticks
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.ticks import READY_S
@@ -20,7 +23,6 @@ from rotorwatch.live import view
 from rotorwatch.live.changes import Changes
 from rotorwatch.live.replay import Replay
 from rotorwatch.live.session import Session
-from rotorwatch.live.stream import Stream
 from rotorwatch.live.watched import Watched
 from rotorwatch_lab.simulation import scenario, simulate
 
@@ -166,7 +168,7 @@ def test_aerobatics_are_never_told_as_a_loss_of_control():
 def test_the_table_of_ticks_is_the_same_tick_for_tick(name):
     flight = flight_of(name)
     vehicle = airframes.identify(flight)
-    stream, found = Stream(flight, vehicle), []
+    stream, found = Driver(flight, vehicle), []
     for signals, messages, _ in pieces(flight, seed=1):
         stream.add(signals, messages)
         piece = stream.advance()
@@ -203,7 +205,7 @@ def test_a_tick_is_judged_with_the_sample_that_completes_it():
         signal = flight[name]
         at = np.minimum(np.searchsorted(signal.time, signal.time[0] + grid), len(signal) - 1)
         held[name] = signal.with_arrays(grid, signal.values[at], signal.valid[at])
-    stream, waited = Stream(flight, airframes.identify(flight)), []
+    stream, waited = Driver(flight, airframes.identify(flight)), []
     for k, now in enumerate(grid):
         stream.add({name: signal.part(slice(k, k + 1)) for name, signal in held.items()})
         due, piece = stream.due_s, stream.advance()
@@ -214,14 +216,16 @@ def test_a_tick_is_judged_with_the_sample_that_completes_it():
     assert max(waited) < 0.02 - 1e-6
 
 
-def test_memory_does_not_grow_with_the_flight():
+def test_memory_does_not_grow_with_the_flight(monkeypatch):
     """What is kept at the end is what was kept after twenty seconds, of samples."""
+    monkeypatch.setattr(conductor, "WINDOW_S", 10.0)
+    monkeypatch.setattr(driver, "REPLAY_S", 5.0)
     flight = flight_of("ardupilot-sitl/quadx_m3_mul0.85_tlog.tlog.xz").until(100.0)
     replay, sizes = Replay(flight, Watched("one", lambda alert: None)), []
     while replay.poll():
-        stream, judge = replay.watched.session._stream, replay.watched.session._judge
-        if judge is not None:
-            sizes.append(sum(len(s) for s in stream.window._signals.values()))
+        case = replay.watched.session.case
+        if case is not None and case.last is not None:
+            sizes.append(sum(len(s) for s in case.driver.window._signals.values()))
     assert len(sizes) > 80
     assert max(sizes[30:]) < 1.3 * max(sizes[15:30]) + 3
 

@@ -23,7 +23,7 @@ __version__ = "0.1.0"
 # Functions that live in a module of the same name: rotorwatch/diagnose.py holds diagnose.
 _VERBS = {
     "airborne": "engine.motion.airborne",
-    "calibrate": "witnesses.healthy.calibrate",
+    "calibrate": "calibrate",
     "diagnose": "diagnose",
     "diagnose_many": "diagnose_many",
     "info": "report.info",
@@ -55,6 +55,7 @@ __all__ = ["__version__", "read", *_VERBS, *(n for n in _HOMES if n != "read")]
 
 if TYPE_CHECKING:
     from rotorwatch.assistants.server import mcp as mcp
+    from rotorwatch.calibrate import calibrate as calibrate
     from rotorwatch.diagnose import diagnose as diagnose
     from rotorwatch.diagnose_many import diagnose_many as diagnose_many
     from rotorwatch.engine.motion.airborne import airborne as airborne
@@ -75,7 +76,6 @@ if TYPE_CHECKING:
     from rotorwatch.logs import read as read
     from rotorwatch.report.info import info as info
     from rotorwatch.serve.server import serve as serve
-    from rotorwatch.witnesses.healthy.calibrate import calibrate as calibrate
 
     # Types of the entry points `rotorwatch.api` of our own wheel: nothing is imported at run time.
     from rotorwatch_lab.compiling.run import run as run

@@ -2,59 +2,37 @@
 
 from __future__ import annotations
 
-import functools
 import time
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable
 from os import PathLike
-from typing import Any, NamedTuple, cast
-
-import numpy as np
+from typing import Any, NamedTuple
 
 from rotorwatch import detectors
-from rotorwatch.answer import (
-    by_method,
-    common_mode,
-    conclusion,
-    from_takeoff,
-    health,
-    ledger,
-    picture,
-    places,
-    slow,
-    traces,
-    trim,
-    unjudged,
-    unseen,
-    wording,
-)
-from rotorwatch.answer.ledger import Merged
+from rotorwatch.answer import by_method, common_mode, conclusion, ledger, picture, places, traces, unjudged, wording
 from rotorwatch.base import discovery
-from rotorwatch.base.arrays import median
 from rotorwatch.base.progress import READ, portion
-from rotorwatch.engine.diagnoser import Written, fly
+from rotorwatch.case.departures import Departures
+from rotorwatch.case.verdict import Estimated, Judgement, LogCase, judge
+from rotorwatch.engine.driver import fly
 from rotorwatch.engine.front.decisions import MATTERS
-from rotorwatch.engine.host import events, residual_evidence
+from rotorwatch.engine.host import events
 from rotorwatch.engine.host.hypotheses import list_hypotheses
-from rotorwatch.engine.host.program import TickOutput, threshold
-from rotorwatch.engine.motion import deviations, mixing, ticks, trust, turning
-from rotorwatch.engine.motion.airborne import Gap, airborne, gaps
-from rotorwatch.engine.motion.allocation import Spans
+from rotorwatch.engine.host.program import TickOutput
+from rotorwatch.engine.motion import mixing, ticks, turning
+from rotorwatch.engine.motion.airborne import airborne, gaps
 from rotorwatch.engine.motion.missed import without_missed
-from rotorwatch.engine.motion.ticks import JUDGE, READY_KNOWN_S, READY_S, Ticks, observe
+from rotorwatch.engine.motion.ticks import JUDGE, READY_KNOWN_S, READY_S, Ticks
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, identity
-from rotorwatch.flight.diagnosis import Diagnosis, Event, Source
-from rotorwatch.flight.kinds import CONTACT, EVIDENCE, LOSS, TURNED
+from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.flight.method_series import MethodSeries
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.logs import plausible
-from rotorwatch.witnesses import excitation_response, hindsight, leaning, near_ground, reports
+from rotorwatch.witnesses import witness
 from rotorwatch.witnesses.aerobatic import judge as aerobatic
-from rotorwatch.witnesses.healthy import baselines, outputs, population
+from rotorwatch.witnesses.healthy import baselines
 from rotorwatch.witnesses.healthy.baselines import Given
-from rotorwatch.witnesses.upset import find as upset
-from rotorwatch.witnesses.upset import pegged
+from rotorwatch.witnesses.witness import Stage, View
 
 AEROBATIC = (
     "the vehicle does not hover in this flight: it is judged by its angular motion over seconds, so that a loss is seen later than in "
@@ -64,66 +42,16 @@ NOT_COMPARED = (
     "flights of a vehicle that does not hover are not compared with healthy ones: the balance of its rotors follows what it flies, "
     "so damage that was there from take-off is not judged"
 )
-PREPARED, ESTIMATED, JUDGED = 0.4, 0.85, 0.97  # share of the work when that is done
-LEANS_S = 15.0  # before a lasting push is that large, it turns the vehicle as well
+PREPARED, ESTIMATED, JUDGED = 0.7, 0.85, 0.97  # share of the work when that is done
 LONGEST_UP_US = 1e14  # a start later than that counts from 1970, not from the autopilot's boot
 
 
-@dataclass(eq=False, repr=False)
-class Prepared:
-    """A flight before it is judged.
-
-    known: the vehicle brings what healthy flights of it say, from `source`; dynamics: of them, None where they do not fit this log.
-    air: its flights ((start, end), ...) s, up to an impact; table: its ticks, None without a flight; ready_s: after take-off, in which
-    trim and noise are learned; hovers: False where the default method judges angular motion alone. assumptions, warnings: of what was done
-    so far. missing: commands that the log lacks in the air. matters: loss of one rotor that a healthy flight must have shown.
-    """
-
-    flight: Flight
-    vehicle: Vehicle
-    known: bool
-    dynamics: dict | None
-    source: str
-    air: Spans
-    upsets: tuple[upset.Judged, ...]
-    table: Ticks | None
-    ready_s: float
-    hovers: bool
-    assumptions: tuple[str, ...]
-    warnings: tuple[str, ...]
-    missing: tuple[Gap, ...] = ()
-    matters: float = MATTERS
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Estimated:
-    """What an estimator left behind. table: the ticks as they count for it; last: the default estimator's state, for hindsight; own: it is
-    the default one; written: by the diagnoser which the flight went through, None where it did not. itself, assumptions, announces: of
-    another estimator, as in `Estimation`: series, notes, limit."""
-
-    table: Ticks
-    out: TickOutput
-    last: Any = None
-    own: bool = True
-    written: Written | None = None
-    itself: MethodSeries | None = None
-    assumptions: tuple[str, ...] = ()
-    announces: float = float("nan")
-
-    @functools.cached_property
-    def limit(self) -> float:
-        """The statistic's, from which on a loss is announced."""
-        if not self.own:
-            return self.announces
-        return threshold(self.out.theta.shape[1], self.table.dt)
-
-
 class Estimation(NamedTuple):
-    """What an entry point of the group `rotorwatch.estimation` returns: a function run(estimator, table, B, dynamics, tuning, progress)
-    that runs an estimator over the ticks of a flight.
+    """The result of an entry point of the group `rotorwatch.estimation`: run(estimator, table, B, dynamics, tuning, progress), which
+    runs an estimator over the ticks of a flight.
 
-    out: on every tick, in the default estimator's form. series: what the method itself says; None where no tick was judged. notes:
-    assumptions, a sentence each. limit: the statistic's, from which on a loss is announced.
+    out: on every tick, in the default estimator's form. series: the method's own estimate; None where no tick was judged. notes:
+    assumptions, a sentence each. limit: log-likelihood ratio from which a loss is announced.
     """
 
     out: TickOutput
@@ -139,7 +67,8 @@ class _Clock:
         self.began, self.timing = time.perf_counter(), {}
 
     def lap(self, name: str) -> None:
-        self.timing[name] = time.perf_counter() - self.began - sum(self.timing.values())
+        spent = time.perf_counter() - self.began - sum(self.timing.values())
+        self.timing[name] = self.timing.get(name, 0.0) + spent
 
     def stop(self) -> dict[str, float]:
         self.timing["total_s"] = time.perf_counter() - self.began
@@ -184,16 +113,16 @@ def diagnose(
         aerobatic.decline(flight, "the published methods model hover; leave out the estimator.", vehicle)
     if not 0.0 < matters <= 1.0:
         raise ConfigError(f"A loss that matters is a share above 0 and up to 1, not {matters:g}.")
-    ready = prepare(flight, vehicle, baseline, clock, portion(tell, READ, PREPARED, "preparing"))
-    ready = replace(ready, matters=matters)
-    if ready.table is None:
-        return _no_flight(ready, clock)
+    log = prepare(flight, vehicle, baseline, clock, portion(tell, READ, PREPARED, "preparing"))
+    log = log._replace(matters=matters)
+    if log.table is None:
+        return _no_flight(log, clock)
     tell(PREPARED, "preparing the estimator (built the first time)")
-    done = estimated(ready, estimator, tuning, portion(tell, PREPARED, ESTIMATED, "estimating"))
+    done = estimated(log, estimator, tuning, portion(tell, PREPARED, ESTIMATED, "estimating"))
     clock.lap("estimate_s")
-    last = judge(ready, done, portion(tell, ESTIMATED, JUDGED, "judging"))
+    last = judge(log, done, portion(tell, ESTIMATED, JUDGED, "judging"))
     clock.lap("events_s")
-    diagnosis = _conclude(ready, done, last, discovery.title(estimator), clock)
+    diagnosis = _conclude(log, done, last, discovery.title(estimator), clock)
     tell(1.0, "done")
     return diagnosis
 
@@ -204,255 +133,136 @@ def prepare(
     baseline: Given | Iterable[Given] = (),
     clock: _Clock | None = None,
     progress: Callable[[float], object] | None = None,
-) -> Prepared:
-    """The vehicle, what is known of it, when it flew, and the ticks to be judged. Arguments as of `diagnose`; progress: called with the
+) -> LogCase:
+    """A log with its vehicle, flights and losses of control, fed to the engine. Arguments as of `diagnose`; progress: called with the
     finished share, 0..1."""
     clock, tell = clock or _Clock(), progress or (lambda share: None)
     craft, source, notes = baselines.settle(flight, baselines.vehicle_of(vehicle), baseline, diagnose)
     clock.lap("baseline_s")
     flight, on_rates = turning.with_rates(flight)
-    known, dynamics = bool(craft.identified), (craft.identified or {}).get("dynamics")
-    # Without a gyro every take-off swing looks like a torque that is missing: no short blind time then.
-    turns = flight.has("gyro")
-    ready_s = READY_KNOWN_S if dynamics and turns else READY_S
+    dynamics = (craft.identified or {}).get("dynamics")
     air = airborne(flight) if flight.has("motors") else ()
     tell(0.1)
     flight = mixing.aligned(without_missed(flight, air), craft, air)
     tell(0.2)
-    upsets = upset.judged(flight, craft, air, portion(tell, 0.2, 0.5))
-    tell(0.5)
-    air = upset.until_impact(flight, air, upsets)
-    ready_s = ticks.ready_of(ready_s, air) if turns else ready_s
-    moves = flight.angular_rate() is not None  # commands alone tell of no motion
-    table = observe(flight, craft, air, ready_s, portion(tell, 0.5, 1.0)) if moves else None
-    hovers = not aerobatic.applies(flight, table)
-    warnings = [*flight.warnings, *notes]
+    departures = Departures(craft)
+    air = departures.of_log(flight, air, portion(tell, 0.2, 0.4))
     missing = gaps(flight, air) if air else ()
-    warnings += wording.not_commanded(missing, len(craft.rotors))
-    assumptions = [*craft.assumptions, *([on_rates] if on_rates else [])]
-    if table is not None and dynamics and dynamics.get("dt") != table.dt:
+    log = LogCase(
+        flight,
+        craft,
+        bool(craft.identified),
+        dynamics,
+        source,
+        air,
+        departures.found,
+        assumptions=(*craft.assumptions, *([on_rates] if on_rates else [])),
+        warnings=(*flight.warnings, *notes, *wording.not_commanded(missing, len(craft.rotors))),
+        missing=missing,
+    )
+    clock.lap("prepare_s")
+    log = _flown(log, portion(tell, 0.4, 1.0))
+    clock.lap("estimate_s")
+    return log
+
+
+def _flown(log: LogCase, progress: Callable[[float], object]) -> LogCase:
+    """The log after the engine has been fed, and the method that judges it by default."""
+    flight, dynamics, assumptions = log.flight, log.dynamics, list(log.assumptions)
+    if flight.has("motors") and dynamics and dynamics.get("dt") != ticks.length_of(flight):
         assumptions.append(
             f"the healthy flights were logged at another rate (judged every {dynamics.get('dt', 0):.2f} s): their noise is not "
             "this flight's, which therefore learns its own for as long as without them"
         )
-        dynamics, ready_s = None, ticks.ready_of(READY_S, air) if turns else READY_S
-        table = observe(flight, craft, air, ready_s)
-    ready_s = ticks.ready_after(ready_s, table.dt if table is not None else 0.0)
-    if not known:
-        source = "the flight's own first healthy part"
+        dynamics = None
+    # Without a gyro every swing at take-off looks like a missing torque: no short blind time then.
+    turns, moves = flight.has("gyro"), flight.angular_rate() is not None
+    ready_s = READY_KNOWN_S if dynamics and turns else READY_S
+    ready_s = ticks.ready_of(ready_s, log.air) if turns else ready_s
+    flown = fly(flight, log.vehicle, log.air, ready_s, dynamics, progress) if moves else None
+    written, done = (
+        (None, None) if flown is None else (flown[0], Estimated(flown[1].table, flown[1].out, written=flown[0]))
+    )
+    hovers = not aerobatic.applies(flight, None if done is None else done.table)
+    ready_s = ticks.ready_after(ready_s, 0.0 if done is None else done.table.dt)
+    if done is not None and not hovers:
+        done = Estimated(*aerobatic.estimate(flight, log.vehicle, log.air, done.table))
     if not hovers:
         assumptions += [AEROBATIC, NOT_COMPARED]
-    elif not known:
+    elif not log.known:
         assumptions.append(
             f"the flight's first {ready_s:.0f} s in the air are its trim: damage that was there from take-off is judged by what healthy "
             "vehicles of any build need, and better with --baseline or --vehicle"
         )
-    assumptions += table.notes if table is not None else ()
-    clock.lap("prepare_s")
-    return Prepared(
-        flight,
-        craft,
-        known,
-        dynamics,
-        source,
-        air,
-        upsets,
-        table,
-        ready_s,
-        hovers,
-        tuple(assumptions),
-        tuple(warnings),
-        missing,
-    )
+    assumptions += done.table.notes if done is not None else ()
+    return log._replace(
+        dynamics=dynamics, source=log.source if log.known else "the flight's own first healthy part", ready_s=ready_s,
+        written=written, estimated=done, hovers=hovers, assumptions=tuple(assumptions),
+    )  # fmt: skip
 
 
-def _no_flight(ready: Prepared, clock: _Clock) -> Diagnosis:
-    n, never = len(ready.vehicle.rotors), sorted({rotor for gap in ready.missing for rotor in gap.rotors})
-    why = unjudged.NEVER if ready.flight.has("motors") else unjudged.SILENT
-    if ready.flight.has("motors") and ready.flight.angular_rate() is None:
+def _no_flight(log: LogCase, clock: _Clock) -> Diagnosis:
+    n, never = len(log.vehicle.rotors), sorted({rotor for gap in log.missing for rotor in gap.rotors})
+    why = unjudged.NEVER if log.flight.has("motors") else unjudged.SILENT
+    if log.flight.has("motors") and log.flight.angular_rate() is None:
         why = unjudged.MOTIONLESS
-    elif ready.air:
+    elif log.air:
         why = unjudged.silent(f"no command for {wording.rotors(never)}" if never else "too few motor outputs")
-    told = reports.claims(ready.flight, ready.air or ((0.0, ready.flight.duration),), _left(ready))
-    if not ready.air:  # of a log without a flight only why the autopilot ended it
-        told = tuple(e for e in told if e.extra["trouble"] in conclusion.GRAVE)
-    found = ledger.merge(told, events.Report(ready.vehicle.effectiveness()), ready.upsets, n).events
-    names = places.names(ready.vehicle.rotors)
-    end = conclusion.conclude(conclusion.Evidence(found, n, places=names, hops=ready.air, unjudged=why))
-    return _answer(end, ready, {}, clock, doubts=() if any(e.means.wrong for e in found) else (why.why,))
-
-
-def _left(ready: Prepared) -> tuple[float, ...]:
-    """When control was lost [s]."""
-    return tuple(judged.onset for judged in ready.upsets)
+    B = log.vehicle.effectiveness()
+    view = View(
+        log.flight, log.vehicle, log.air or ((0.0, log.flight.duration),), (), B, hovers=log.hovers, lost=log.lost
+    )
+    told = witness.ask(Stage.CLAIMS, view)
+    if not log.air:  # of a log without a flight only why the autopilot ended it
+        told = tuple(e for e in told if e.extra.get("trouble") in conclusion.GRAVE)
+    found = ledger.merge(told, events.Report(B), log.upsets, n).events
+    names = places.names(log.vehicle.rotors)
+    end = conclusion.conclude(conclusion.Evidence(found, n, places=names, hops=log.air, unjudged=why))
+    return _answer(end, log, {}, clock, doubts=() if any(e.means.wrong for e in found) else (why.why,))
 
 
 def estimated(
-    ready: Prepared,
+    log: LogCase,
     estimator: Any = "default",
     tuning: Any = None,
     progress: Callable | None = None,
     whole: bool = False,
 ) -> Estimated:
-    """The ticks of a flight that has some, through the estimator; those of a vehicle that does not hover through its own way. whole: with
-    the outputs of each tick that a diagnosis does not read (`engine.diagnoser.WRITTEN`)."""
-    table, progress = cast(Ticks, ready.table), progress or (lambda share: None)
-    B = ready.vehicle.effectiveness()
-    if not ready.hovers:
-        return Estimated(*aerobatic.estimate(ready.flight, ready.vehicle, ready.air, table))
-    if estimator == "default":
-        one, judged = fly(ready.flight, ready.vehicle, ready.air, ready.ready_s, ready.dynamics, progress, whole)
-        return Estimated(judged.table, judged.out, one.learned, written=one)
+    """The outputs of an estimator at the ticks of a log that has some; a vehicle that does not hover has a method of its own. whole: with
+    all outputs of each tick (`engine.driver.RECORDED`)."""
+    assert log.estimated is not None
+    if whole and log.hovers and estimator == "default":
+        flown = fly(log.flight, log.vehicle, log.air, log.ready_s, log.dynamics, progress, whole=True)
+        assert flown is not None
+        return Estimated(flown[1].table, flown[1].out, written=flown[0])
+    if estimator == "default" or not log.hovers:
+        return log.estimated
     run = discovery.first("rotorwatch.estimation", "An estimator other than the default one")
-    found: Estimation = run(estimator, table, B, ready.dynamics, tuning, progress)
-    return Estimated(table, found.out, own=False, itself=found.series, assumptions=found.notes, announces=found.limit)
+    table, tell = log.estimated.table, progress or (lambda share: None)
+    found: Estimation = run(estimator, table, log.vehicle.effectiveness(), log.dynamics, tuning, tell)
+    return Estimated(
+        table, found.out, default=False, series=found.series, assumptions=found.notes, own_limit=found.limit
+    )
 
 
-class _Found(NamedTuple):
-    """merged: the events of a flight: losses, overridden outputs, contacts, control that was lost, desyncs; with what ESCs say of them.
-    claims: what its trim claims that is no event. assumptions, warnings: sentences on how they were found."""
-
-    merged: Merged
-    claims: tuple[Event, ...]
-    assumptions: tuple[str, ...]
-    warnings: tuple[str, ...]
-
-
-def _find(ready: Prepared, done: Estimated) -> _Found:
-    """What is found in a flight."""
-    flight, craft, air, table, B = ready.flight, ready.vehicle, ready.air, done.table, ready.vehicle.effectiveness()
-    one = done.written
-    claims, assumptions = events.read(done.out, table, B, one and one.losses), ()
-    if done.own and ready.hovers:
-        claims, assumptions = excitation_response.resolve(claims, table, B, ready.dynamics)
-    if done.last is not None and not ready.known:  # healthy flights would have told what happened in the blind time
-        claims = (*claims, *hindsight.find(done.last, table, B))
-    overridden = deviations.overrides(flight, craft, air) if one is None else deviations.in_flight(one.overrides, air)
-    claims = (*claims, *map(events.overridden, overridden))
-    warnings = [*reports.end(flight, air)]
-    grown = None
-    if done.own and ready.hovers:
-        shown = trim.look(done.out, table, B) if one is None else one.trim
-        grown, claims = trim.growth(shown), (*claims, *trim.mounts(shown))
-    claims = (*claims, *reports.claims(flight, air, _left(ready)))
-    if (
-        ready.hovers and (contact := leaning.find(flight, table)) is not None
-    ):  # what it leans on is no rotor's doing, nor a mount's
-        claims = (
-            *(c for c in claims if c.kind not in (LOSS, TURNED) or c.onset_s < contact.onset_s - LEANS_S),
-            contact,
-        )
-    low = tuple(c for c in claims if ready.hovers and c.kind == LOSS and near_ground.explains(flight, air, c))
-    claims, warnings = tuple(c for c in claims if c not in low), [*warnings, *map(near_ground.warning, low)]
-    report = events.Report(B).add(table, air).finish(air) if one is None else one.report
-    merged = ledger.merge(claims, report, ready.upsets, B.shape[1], grown)
-    if not any(e.means.accuses for e in merged.events):  # what needs no learning, where learning had no time
-        struck = [e.onset_s for e in merged.events if e.kind == CONTACT]
-        if dead := pegged.find(flight, craft, air, struck):
-            merged = ledger.merge((*claims, *dead), report, ready.upsets, B.shape[1], grown)
-    warnings += [text for text, lasts in wording.together(merged.shared) if not lasts]
-    found = merged.events
-    if "esc" in flight.signals:
-        from rotorwatch.witnesses.esc import consistency
-
-        found, notes = consistency.check(flight, craft, air, table, found)
-        warnings += notes
-    if not ready.hovers or aerobatic.flown_by_rates(flight):
-        from rotorwatch.witnesses.aerobatic import desync
-
-        found = tuple(sorted((*found, *desync.find(flight, craft, air, found)), key=lambda e: e.detected_s))
-    return _Found(merged._replace(events=found), slow.suspected(grown), tuple(assumptions), tuple(warnings))
-
-
-class Judgement(NamedTuple):
-    """The answer, and what it rests on. evidence: what no event explains; whole: the comparison with healthy flights, or None.
-    assumptions, warnings: sentences that judging adds to those of the flight."""
-
-    end: conclusion.Conclusion
-    doubts: tuple[str, ...]
-    evidence: tuple[Event, ...]
-    whole: dict | None
-    assumptions: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
-
-
-def judge(ready: Prepared, done: Estimated, progress: Callable[[float], object] | None = None) -> Judgement:
-    """The answer to a flight that an estimator has seen. `diagnose` shows it, and campaigns count it. progress: called with the finished
-    share, 0..1."""
-    flight, craft, air, tell = ready.flight, ready.vehicle, ready.air, progress or (lambda share: None)
-    found, claims, assumptions, warnings = _find(ready, done)
-    tell(0.1)
-    table, out, B = done.table, done.out, ready.vehicle.effectiveness()
-    n, hyp = B.shape[1], list_hypotheses(B.shape[1])
-    doubts = trust.contradictions(flight, craft, air, cast(Ticks, ready.table), portion(tell, 0.1, 0.6))
-    doubts += tuple(text for text, lasts in wording.together(found.shared) if lasts)
-    doubts += () if ready.hovers else aerobatic.lacks(flight)
-    trusted = not doubts and ready.hovers
-    whole = _whole_flight(flight, craft, air) if trusted else None
-    claims += from_takeoff.claims(whole, Source.FLIGHTS, air)
-    if trusted and not ready.known:
-        other = population.judge(flight, craft, air, _undisturbed(table, found.events))
-        claims += from_takeoff.claims(other, Source.VEHICLES, air)
-    tell(0.7)
-    judged = (table.mode == JUDGE) & table.valid.any(axis=1)
-    claims += residual_evidence.find(out, table, hyp, done.limit, found.events, B)
-    claims += residual_evidence.faint(found.faint, found.events, float(table.time[-1]))
-    steps, seen_events = unseen.bounds(out, table, B), found.events
-    if done.own and ready.hovers:
-        seen_events, claims = steps.doubted(found.events), claims + steps.suspected(found.events, float(table.time[-1]))
-    leans = min((e.onset_s for e in seen_events if e.kind == CONTACT and e.end_s is None), default=np.inf) - LEANS_S
-    claims = ledger.open_claims([c for c in claims if c.kind != EVIDENCE or c.onset_s < leans], seen_events)
-    tell(0.8)
-    if trusted:  # said last, for nothing that is judged rests on them
-        setup = outputs.claims(flight, craft, table, air, ledger.undisturbed(seen_events, claims), seen_events)
-        seen_events = ledger.joined(seen_events, setup)
-    hidden, hidden_pair = _hidden(out, table, steps, B, ready.hovers)
-    judged_s = float(judged.sum() * table.dt)
-    seen = conclusion.Evidence(
-        seen_events, n, hidden, hidden_pair, judged_s, claims, places.names(craft.rotors), air,
-        health.trends(out, table, B, found.events) if trusted else (), ready.hovers and whole is None,
-        tuple(g for g in ready.missing if g.lasts and g.start >= air[-1][0]), ready.matters,
-        judged_until=_judged_until(table.time[judged], seen_events),
-        blind_s=ready.ready_s if ready.hovers else aerobatic.READY_S,
-    )  # fmt: skip
-    if ready.hovers and (shaken := unjudged.shaken(flight, air)) is not None:
-        seen = seen._replace(hidden=None, unjudged=shaken)
-    elif not doubts and not (judged_s < conclusion.LEAST_S or seen.vague) and seen.patchy:
-        seen = seen._replace(unjudged=unjudged.patchy(air, table, ready.hovers))
-    elif not doubts and (judged_s < conclusion.LEAST_S or seen.vague):
-        needed = (ready.ready_s if ready.hovers else aerobatic.READY_S) + conclusion.LEAST_S
-        stepped = bool(np.max(steps.losses()) >= np.max(hidden))
-        why = unjudged.find(air, table, judged_s, needed, ready.hovers, conclusion.LEAST_S, stepped)
-        seen = seen._replace(unjudged=why)
-    end = conclusion.conclude(seen, doubts)
-    return Judgement(end, doubts, tuple(seen.residual_evidence), whole, assumptions, warnings)
-
-
-def _judged_until(judged: np.ndarray, found: Sequence[Event]) -> float:
-    """The last judged moment, of ticks at these times: a push that lasts to the end hides what it breaks."""
-    leans = (e.onset_s for e in found if e.kind == CONTACT and e.end_s is None)
-    return min([float(judged[-1]) if judged.size else np.inf, *leans])
-
-
-def _conclude(ready: Prepared, done: Estimated, last: Judgement, title: str, clock: _Clock) -> Diagnosis:
+def _conclude(log: LogCase, done: Estimated, last: Judgement, title: str, clock: _Clock) -> Diagnosis:
     """The diagnosis. title: the estimator's."""
-    flight, craft, air = ready.flight, ready.vehicle, ready.air
-    table, out, B = done.table, done.out, ready.vehicle.effectiveness()
+    flight, craft, air = log.flight, log.vehicle, log.air
+    table, out, B = done.table, done.out, log.vehicle.effectiveness()
     end, doubts = last.end, last.doubts
-    if done.itself is not None:
-        end = by_method.told(end, done.itself)
+    if done.series is not None:
+        end = by_method.told(end, done.series)
     comparison = detectors.detect(flight, craft, air)
     clock.lap("comparison_s")
     judged = (table.mode == JUDGE) & table.valid.any(axis=1)
-    common = common_mode.thrust_shift(out.biases[judged, 3]) if not doubts and ready.hovers else {}
+    common = common_mode.thrust_shift(out.biases[judged, 3]) if not doubts and log.hovers else {}
     hyp = list_hypotheses(B.shape[1])
     trace = traces.compose(
-        flight, out, table, hyp, B, air, ready.ready_s, done.limit, end.events, last.evidence, end.rotors
+        flight, out, table, hyp, B, air, log.ready_s, done.limit, end.events, last.evidence, end.rotors
     )
-    said = replace(
-        ready,
-        assumptions=(*ready.assumptions, *done.assumptions, *last.assumptions),
-        warnings=(*ready.warnings, *last.warnings),
+    said = log._replace(
+        assumptions=(*log.assumptions, *done.assumptions, *last.assumptions),
+        warnings=(*log.warnings, *last.warnings),
     )
     return _answer(
         end,
@@ -464,16 +274,16 @@ def _conclude(ready: Prepared, done: Estimated, last: Judgement, title: str, clo
         whole_flight=last.whole,
         doubts=doubts,
         trace=trace,
-        own=done.itself,
+        own=done.series,
     )
 
 
-def _answer(end: conclusion.Conclusion, ready: Prepared, common: dict, clock: _Clock, **more) -> Diagnosis:
-    flight, craft = ready.flight, ready.vehicle
+def _answer(end: conclusion.Conclusion, log: LogCase, common: dict, clock: _Clock, **more) -> Diagnosis:
+    flight, craft = log.flight, log.vehicle
     return Diagnosis(
-        _facts(flight, craft, ready.air, ready.table), end.verdict, end.reason, end.rotors, end.events, common, ready.source,
-        ready.assumptions, ready.warnings, clock.stop(), headline=end.headline, main=end.main, advice=end.advice,
-        story=end.story, picture=picture.compose(flight, craft, end.events, end.main, ready.air),
+        _facts(flight, craft, log.air, log.table), end.verdict, end.reason, end.rotors, end.events, common, log.source,
+        log.assumptions, log.warnings, clock.stop(), headline=end.headline, main=end.main, advice=end.advice,
+        story=end.story, picture=picture.compose(flight, craft, end.events, end.main, log.air),
         aircraft=identity.identify(flight).text, **more,
     )  # fmt: skip
 
@@ -496,32 +306,3 @@ def _facts(flight: Flight, vehicle: Vehicle, air, table: Ticks | None) -> dict:
         "hops": [[round(a, 3), round(b, 3)] for a, b in air],
         "profile": profile + (f"; judged every {table.dt:.2f} s" if table is not None else ""),
     }
-
-
-def _whole_flight(flight: Flight, vehicle: Vehicle, air):
-    """Damage present from take-off, against the baseline in the vehicle; None without one."""
-    stored = (vehicle.identified or {}).get("whole_flight")
-    if not stored:
-        return None
-    from rotorwatch.witnesses.healthy import whole_flight
-
-    features = whole_flight.features(flight, vehicle, air)
-    return whole_flight.judge(features, [whole_flight.Features.from_dict(f) for f in stored], vehicle).to_dict()
-
-
-def _undisturbed(table: Ticks, found) -> float:
-    """Time in s of the first event or upset: what is seen before it was there from take-off."""
-    return min([np.inf, *(e.onset_s for e in found), *table.time[table.upset & (table.mode > ticks.GROUND)][:1]])
-
-
-def _hidden(out, table: Ticks, seen: unseen.Unseen, B: np.ndarray, hovers: bool) -> tuple[np.ndarray, float]:
-    """(n,) largest loss of each rotor that could have gone unseen in flight: too small to be measured, or taken for a disturbance; and the
-    same of two opposite rotors."""
-    judged = table.mode == JUDGE
-    if not judged.any():
-        return np.ones(out.theta.shape[1]), 1.0
-    if not hovers:  # its bound is of all blocks so far; two opposite rotors at once are not looked for
-        return np.minimum(1.0, 1.96 * out.detectable[judged][-1]), 0.0
-    measured = 1.96 * median(out.detectable[judged], axis=0)
-    single = np.minimum(1.0, np.maximum(measured, seen.losses()))
-    return single, min(1.0, seen.pair(events.opposites(B)))

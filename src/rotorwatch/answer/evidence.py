@@ -7,10 +7,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from rotorwatch.answer import from_takeoff
 from rotorwatch.answer.unjudged import UNKNOWN, Unjudged
 from rotorwatch.engine.front.decisions import MATTERS
 from rotorwatch.engine.motion.airborne import Gap
-from rotorwatch.flight.diagnosis import Event, Source, Trend
+from rotorwatch.flight.diagnosis import Event, Trend
 from rotorwatch.flight.kinds import CONTACT, EVIDENCE, FROM_TAKEOFF, LOST, Weight
 
 ALOFT_S = 1.0  # of the log: a vehicle that flies then did not take off in it
@@ -113,7 +114,7 @@ class Evidence(NamedTuple):
     @property
     def whole(self) -> bool:
         """It was compared with healthy flights."""
-        return any(c.source is Source.FLIGHTS for c in self.claims)
+        return any(c.source.name == from_takeoff.FLIGHTS.name for c in self.claims)
 
     @property
     def residual_evidence(self) -> list[Event]:

@@ -10,6 +10,18 @@ from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import FROM_TAKEOFF
 
 
+def _certain(claim: Event, known: Event) -> bool:
+    return known.means.accuses and not known.alternatives
+
+
+def _certain_or_compared(claim: Event, known: Event) -> bool:
+    return known.source.name == FLIGHTS.name or _certain(claim, known)
+
+
+FLIGHTS = Source("healthy flights", 13, _certain)  # of this vehicle
+VEHICLES = Source("healthy vehicles", 14, _certain_or_compared)  # of any build
+
+
 def claims(found: Mapping[str, Any] | None, source: Source, air: Spans) -> tuple[Event, ...]:
     """What was found (`WholeFlight.to_dict`, `population.judge`), all of it in `extra`, as a claim; none where nothing could be
     compared. air: the flights."""

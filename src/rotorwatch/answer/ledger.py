@@ -31,7 +31,7 @@ Claims that are no events of their own (kinds of weight OPEN) are heard after al
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -41,16 +41,12 @@ from rotorwatch.answer import falls, slow
 from rotorwatch.answer.trim import Growth
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.front import whole
-from rotorwatch.engine.host.events import Report, accuses, packed, shared, unexplained
-from rotorwatch.flight.diagnosis import Event, Source
-from rotorwatch.flight.kinds import EVIDENCE, LOSS, LOST, ORDER, OVERRIDE, TURNED, Weight
+from rotorwatch.engine.host.events import HINDSIGHT, Report, accuses, packed, shared, unexplained
+from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.kinds import EVIDENCE, LOSS, ORDER, OVERRIDE, TURNED, Weight
 
 if TYPE_CHECKING:
     from rotorwatch.witnesses.upset.find import Judged
-
-STANDS_S = 3.0  # a fault that begins so long after a rotor stands is that it stands
-CRASH_S = 0.3  # before control is lost, and before a rotor is lost: what happens belongs to that
-MOST = 0.5  # of a rotor's thrust
 
 
 class Merged(NamedTuple):
@@ -71,7 +67,7 @@ def merge(
     """The events of a flight of n rotors, in the order in which they were detected. claims: of any kind; report: its falls and contacts;
     upsets: its losses of control; grown: what the trim of the whole flight shows."""
     losses = [c for c in claims if c.means.weakens and not explained(c, claims)]
-    losses.sort(key=lambda c: (c.detected_s, c.source is Source.HINDSIGHT))
+    losses.sort(key=lambda c: (c.detected_s, c.source.name == HINDSIGHT))
     losses = slow.join(losses, grown)
     outputs = [c for c in claims if c.kind == OVERRIDE]
     known, together = report.events(losses, outputs), tuple(filter(shared, outputs))
@@ -88,63 +84,9 @@ def joined(known: Iterable[Event], claims: Iterable[Event]) -> tuple[Event, ...]
 
 
 def explained(claim: Event, known: Iterable[Event]) -> bool:
-    """Whether something that is known explains a claim, so that it is not said again."""
-    rule = _EXPLAINS.get(claim.source)
+    """Whether something that is known explains a claim, so that it is not reported again."""
+    rule = claim.source.explained
     return rule is not None and any(rule(claim, other) for other in known)
-
-
-def _told_before(claim: Event, known: Event) -> bool:
-    same = known.source is Source.HINDSIGHT and set(claim.rotors) & set(known.rotors)
-    return bool(same) and claim.onset_s <= known.detected_s
-
-
-def _named_as_it_stands(claim: Event, known: Event) -> bool:
-    return known.means.lasting_fault and claim.rotors[0] in known.suspects and known.onset_s < claim.onset_s + STANDS_S
-
-
-def _weak(claim: Event, known: Event) -> bool:
-    return claim.means.weakens and known.means.weakens and not {*claim.rotors}.isdisjoint(known.rotors)
-
-
-def _falls(claim: Event, known: Event) -> bool:
-    if known.kind == LOST:
-        return claim.detected_s >= known.onset_s - CRASH_S
-    gone = known.means.weakens and max(known.loss, default=0.0) > MOST and claim.rotors[0] in known.rotors
-    return gone and known.onset_s - CRASH_S < claim.onset_s < (known.end_s or np.inf)
-
-
-def _told_of_trim(claim: Event, known: Event) -> bool:
-    return known.means.wrong if claim.kind == EVIDENCE else known.means.accuses
-
-
-def _told_of_step(claim: Event, known: Event) -> bool:
-    return known.means.wrong or known.source is Source.TRIM
-
-
-def _told_of_all(claim: Event, known: Event) -> bool:
-    return known.kind == EVIDENCE and known.source is not Source.RESIDUAL
-
-
-def _certain(claim: Event, known: Event) -> bool:
-    return known.means.accuses and not known.alternatives
-
-
-def _certain_or_known(claim: Event, known: Event) -> bool:
-    return known.source is Source.FLIGHTS or _certain(claim, known)
-
-
-_EXPLAINS: dict[Source, Callable[[Event, Event], bool]] = {
-    Source.ESTIMATOR: _told_before,
-    Source.EXCITATION: _told_before,
-    Source.ESC_STANDS: _named_as_it_stands,
-    Source.ESC_CHANGED: _weak,
-    Source.DESYNC: _falls,
-    Source.TRIM: _told_of_trim,
-    Source.STEPS: _told_of_step,
-    Source.RESIDUAL: _told_of_all,
-    Source.FLIGHTS: _certain,
-    Source.VEHICLES: _certain_or_known,
-}
 
 
 def undisturbed(known: Iterable[Event], claims: Iterable[Event] = ()) -> float:
@@ -163,7 +105,7 @@ def believed(events: Iterable[Event], until: float = np.inf) -> tuple[Event, ...
 def open_claims(claims: Iterable[Event], events: Sequence[Event]) -> tuple[Event, ...]:
     """Of claims of weight OPEN those that neither events nor a claim before them explains."""
     told: list[Event] = []
-    for claim in sorted(claims, key=lambda c: c.source.value):
+    for claim in sorted(claims, key=lambda c: c.source.rank):
         if not explained(claim, (*events, *told)):
             told.append(claim)
     return tuple(sorted(told, key=lambda c: c.onset_s))

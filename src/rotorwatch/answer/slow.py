@@ -9,9 +9,9 @@ from rotorwatch.answer.trim import Growth
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.front.events import GREW, STAYS
 from rotorwatch.engine.host import residual_evidence
-from rotorwatch.engine.host.events import packed
+from rotorwatch.engine.host.events import TRIM, packed
 from rotorwatch.engine.trim import many
-from rotorwatch.flight.diagnosis import Event, Source
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import LOSS
 
 
@@ -52,4 +52,4 @@ def suspected(grown: Growth | None) -> tuple[Event, ...]:
         return ()
     share = grown.odds / (1.0 + grown.odds)
     who = grown.rotors, grown.start_s, grown.looked_s, grown.interval
-    return (residual_evidence.claim(*who, probability=share, source=Source.TRIM),)
+    return (residual_evidence.claim(*who, probability=share, source=TRIM),)

@@ -15,7 +15,7 @@ from rotorwatch.engine.front.losses import CLEAR
 from rotorwatch.engine.host import events
 from rotorwatch.engine.motion.ticks import Ticks
 from rotorwatch.engine.trim import many, trim
-from rotorwatch.flight.diagnosis import Event, Source
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import TURNED
 
 
@@ -63,7 +63,7 @@ def mounts(state: Rows) -> tuple[Event, ...]:
         "hover, and the motion does not show it: more than wind or a load do. No thrust is missing"
     )
     extra = {"yaw": round(yaw, 3), "yaw_interval": [round(yaw - half, 3), round(yaw + half, 3)]}
-    return (Event(TURNED, (), onset, detected, None, (), (), odds / (1.0 + odds), (), reason, extra, Source.TRIM),)
+    return (Event(TURNED, (), onset, detected, None, (), (), odds / (1.0 + odds), (), reason, extra, events.TRIM),)
 
 
 def look(out, table: Ticks, B: np.ndarray) -> Rows:

@@ -45,6 +45,12 @@ from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import LOST
 from rotorwatch.stats.tails import student_quantile
 
+
+def _step_explained(claim: Event, known: Event) -> bool:
+    return known.means.wrong or known.source.name == events.TRIM.name
+
+
+STEPS = Source("steps", 11, _step_explained)
 STEP_S = 2.0  # length of a block; a longer one hides the scatter of wind, a shorter one is as correlated as the wind is
 BLOCKS = 8, 200  # at least, so that short flights have shorter ones, and at most
 SPELL = 3  # blocks before and after an onset
@@ -189,7 +195,7 @@ class Unseen:
         low, high = np.clip([step.loss - half, step.loss + half], 0.0, 1.0)
         interval = tuple((float(low[i - 1]), float(high[i - 1])) for i in rotors)
         since = float(here.onset[sure, who[rotor]])
-        return (residual_evidence.claim(rotors, since, end_s, interval, source=Source.STEPS),)
+        return (residual_evidence.claim(rotors, since, end_s, interval, source=STEPS),)
 
     def _disturbed(self, when: np.ndarray, found: Sequence[Event]) -> np.ndarray:
         """Whether the evidence at these times [s] speaks of a knock among the events, or of what then pushes the vehicle."""

@@ -48,6 +48,7 @@ GROUPS = {
     "rotorwatch.commands": "command",
     "rotorwatch.api": "function",
     "rotorwatch.estimation": "runner of estimators",
+    "rotorwatch.witnesses": "witness",
 }
 OURS = "rotorwatch"  # our distribution; its classes come first
 DEFAULT = "rotorwatch.engine.host"  # the package that holds the default estimator and its plant
@@ -248,10 +249,11 @@ def _once(name: str, kind: type, found: dict[str, type]) -> None:
         raise TypeError(f"{kind.__module__} and {found[name].__module__} are both called {name!r}")
 
 
-def modules(package: str) -> Iterator[ModuleType]:
-    """Every module of a package, those of its sub-packages included, in the order of their names; not those with an
-    underscore in front. Of a module itself."""
-    yield from map(importlib.import_module, _names(package))
+def modules(package: str, deep: bool = True) -> Iterator[ModuleType]:
+    """Every module of a package, in the order of their names, or a module itself; not those with an underscore in front. deep: with those
+    of its sub-packages."""
+    depth = package.count(".") + 1
+    yield from (importlib.import_module(name) for name in _names(package) if deep or name.count(".") == depth)
 
 
 @functools.cache

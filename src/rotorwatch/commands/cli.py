@@ -340,8 +340,8 @@ def calibrate(logs, out, quiet) -> None:
     Give the file to `rotorwatch diagnose --vehicle` later.
     """
     from rotorwatch.base import files
+    from rotorwatch.calibrate import calibrate as run
     from rotorwatch.flight.vehicle_file import write
-    from rotorwatch.witnesses.healthy.calibrate import calibrate as run
 
     files.writable(out, "--out")
     with progress(quiet) as report:

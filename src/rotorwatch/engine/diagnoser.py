@@ -2,35 +2,28 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch.base import memory
 from rotorwatch.base.compiling.running import Rows
 from rotorwatch.base.compiling.structs import LASTS
 from rotorwatch.engine import engine, feed
-from rotorwatch.engine.definition import ENGINE, Samples, pieces
+from rotorwatch.engine.definition import ENGINE, Samples
 from rotorwatch.engine.estimator.estimator import Result
 from rotorwatch.engine.front.ticks import Made
 from rotorwatch.engine.host import events, program
 from rotorwatch.engine.host.program import Learned, TickOutput
-from rotorwatch.engine.motion import allocation, deviations
+from rotorwatch.engine.motion import deviations
 from rotorwatch.engine.motion.airborne import Gap
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.contact import Contact
 from rotorwatch.engine.motion.deviations import Override
-from rotorwatch.engine.motion.samples import parts
-from rotorwatch.engine.motion.ticks import Plan, Ticks, columns, grounded, joined, known_hover, laid_out, plan
-from rotorwatch.flight import Flight
+from rotorwatch.engine.motion.ticks import Plan, Ticks, columns, joined, known_hover, laid_out
 from rotorwatch.flight.vehicle import Vehicle
 
 ROOM = 512  # ticks in one call
-WRITTEN = "best", "probability", "onsets", "active", "each", "share", "gives"
-"""Outputs of ticks, half of all, of which a diagnosis asks nothing once losses are written down."""
 
 
 class Judged(NamedTuple):
@@ -64,6 +57,15 @@ class Written(NamedTuple):
     trim: Rows
     overrides: tuple[Override, ...]
     learned: Learned
+
+
+class Checkpoint(NamedTuple):
+    """State of a diagnoser: of the engine, with the contacts, flights and overrides so far."""
+
+    engine: Rows
+    contacts: tuple[Contact, ...]
+    spans: Spans
+    overrides: tuple[Override, ...]
 
 
 class Diagnoser:
@@ -114,9 +116,16 @@ class Diagnoser:
         the ground; LASTS: no, it was not."""
         self._engine.set(fell=min(at, LASTS))
 
-    def restore(self, losses: Rows, report: Rows) -> None:
-        """Have written down this instead, copies of `losses.state` and `report.state` then."""
-        self._engine.put(losses=losses, report=report)
+    def checkpoint(self) -> Checkpoint:
+        """A copy of its state, for `restore`."""
+        spans, overrides = self.spans, self.overrides  # which the engine hands over
+        return Checkpoint(self._engine.copy(), self.contacts, spans, overrides)
+
+    def restore(self, state: Checkpoint) -> None:
+        """Go back to a checkpoint."""
+        self._engine.assign(state.engine)
+        self.contacts, self._overrides = state.contacts, state.overrides
+        self._closed = [span for span in state.spans if span[1] < np.inf]
 
     @property
     def learned(self) -> Learned:
@@ -187,53 +196,3 @@ class Diagnoser:
                 replace(table, curve=self.vehicle.curve.believed), program.outputs(out, count, len(self.vehicle.rotors))
             )
         ]
-
-
-def _to_be_read(one: Judged) -> Judged:
-    """Without the outputs WRITTEN."""
-    none = np.empty((len(one.table.time), 0))
-    return one._replace(out=one.out._replace(**dict.fromkeys(WRITTEN, none)))
-
-
-def fly(
-    flight: Flight,
-    vehicle: Vehicle,
-    air: Spans,
-    ready_s: float,
-    dynamics: dict | None = None,
-    progress: Callable[[float], object] | None = None,
-    whole: bool = False,
-) -> tuple[Written, Judged]:
-    """A whole flight: a link that is over. What its diagnoser has written down, and its ticks up to the last command.
-
-    air: its flights ((start, end), ...) s; an end before the one that samples show is an impact. ready_s: blind time after lift-off;
-    dynamics: what healthy flights have shown; progress: called with the finished share, 0..1. The flight needs motor outputs. Outputs that
-    the diagnoser has written down (WRITTEN) have columns only where the outputs are wanted whole.
-    """
-    kept = (lambda one: one) if whole else _to_be_read
-    mixing = allocation.faster_control(flight)
-    how = plan(flight, flight["control" if mixing else "motors"], ready_s)
-    diagnoser = Diagnoser(vehicle, allocation.laid_out(vehicle, flight), how, mixing, dynamics)
-    diagnoser.trim.set(every=LASTS)  # nobody asks before the end
-    taken = parts(flight.signals, flight.messages, vehicle, how.gyro, "battery" in flight.signals)
-    left, done, total = list(air), 0, sum(len(part.time) for part in taken)
-    found: list[Judged] = []
-    for samples in pieces(taken):
-        lifted = {}
-        while left and left[0][0] <= samples.time[-1]:
-            start, end = left.pop(0)
-            lifted[int(np.searchsorted(samples.time, start))] = end
-        for first, last in itertools.pairwise(sorted({0, *lifted, len(samples)})):
-            if first in lifted:
-                diagnoser.fell(lifted[first])
-            found += map(kept, diagnoser.feed(samples.part(first, last)))
-        done += len(samples)
-        if progress:
-            progress(done / total)
-    found += map(kept, diagnoser.finish(max(flight.duration, float(flight["motors"].time[-1]))))
-    judged = Judged.joined(found)
-    memory.give_back()  # many small pieces
-    assert judged is not None and judged.table.seen is not None
-    commanded = np.flatnonzero(judged.table.seen)
-    judged = judged.part(slice(0, int(commanded[-1]) + 1))
-    return diagnoser.written, judged._replace(table=grounded(judged.table, air))

@@ -137,7 +137,7 @@ def definitions() -> dict[str, str]:
     front = Translation(definition.FRONT, *definition.SIZES)
     estimator = Translation(definition.ESTIMATOR, *definition.SIZES, given=[front])
     trim = Translation(definition.TRIM, *definition.SIZES, given=[front, estimator])
-    names = ", ".join(f'"{row.brief or row.noun}"' for row in kinds.ROWS)
+    names = ", ".join(f'"{row.brief or row.noun}"' for row in kinds.table().values())
     joined = Translation([engine], *definition.SIZES, given=[front, estimator, trim])
     return {
         "rw_front.h": front.header(f"The front end: samples in, ticks out. {MADE}"),

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from enum import Enum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -69,14 +68,19 @@ class RotorState:
     trend: Trend | None = None
 
 
-class Source(Enum):
-    """Who claims an event. EXCITATION: the answer to an excitation of the commands; ESC_STANDS: a rotor that its ESC reports to stand or to
-    turn without load; ESC_CHANGED: one whose speed or current has changed. TRIM: the trim of a whole flight; STEPS: its steps; RESIDUAL:
-    the estimator's evidence that no event explains. FLIGHTS, VEHICLES: the comparison with healthy flights of this vehicle, with healthy
-    vehicles of any build. SETUP: outputs, of how a vehicle is built, loaded and set up."""
+class Source(NamedTuple):
+    """The origin of a claim, defined where the claim is made.
 
-    NOBODY, ESTIMATOR, EXCITATION, HINDSIGHT, OUTPUTS, CONTACTS, CONTROL, ESC_STANDS, ESC_CHANGED, DESYNC = range(10)
-    TRIM, STEPS, RESIDUAL, FLIGHTS, VEHICLES, SETUP = range(10, 16)
+    name. rank: order in which open claims are weighed. explained: (claim, known) -> whether an event or claim that is known explains the
+    claim, so that it is not reported again; None: nothing does.
+    """
+
+    name: str
+    rank: int = 0
+    explained: Callable[[Event, Event], bool] | None = None
+
+
+NO_SOURCE = Source("")
 
 
 @dataclass(frozen=True)
@@ -100,7 +104,7 @@ class Event:
     alternatives: tuple[tuple[int, ...], ...] = ()
     reason: str = ""
     extra: Mapping[str, Any] = field(default_factory=dict)
-    source: Source = field(default=Source.NOBODY, compare=False, repr=False)
+    source: Source = field(default=NO_SOURCE, compare=False, repr=False)
 
     @property
     def means(self) -> kinds.Kind:

@@ -6,6 +6,7 @@ template; `answer/wording.py` lists what may stand in its braces.
 
 from __future__ import annotations
 
+import importlib
 from enum import Enum
 from typing import Any, NamedTuple
 
@@ -13,7 +14,7 @@ LOSS, OVERRIDE, CONTACT, LOST = "loss_of_effectiveness", "output_override", "con
 ORDER, DESYNC = "motor_order", "desync"
 SLOW, HIGH, LOW = "slow_motor", "high_current", "low_current"
 TURNED = "turned_mount"
-REPORTED = "autopilot_report"
+REPORTED = "autopilot_report"  # its row: witnesses/reports.py
 EVIDENCE, FROM_TAKEOFF = "unexplained_evidence", "damage_from_takeoff"
 AT_LIMIT, HEAVY, UNEVEN = "outputs_at_limit", "little_thrust_left", "yaw_imbalance"
 STANDS_APART, EXHAUSTED = "output_stands_apart", "too_little_without_rotor"
@@ -215,12 +216,6 @@ ROWS = (
             nameless="Look at every motor mount and arm before the next flight: one has turned, or a propeller's drag has changed.",
         ),
     ),
-    Kind(
-        10, REPORTED, "report of the autopilot", "what the autopilot itself reported in flight: battery, radio, position, estimator, ...",
-        Weight.NOTICE, by_outputs=False, brief="reported trouble",
-        headline=Words("", nameless="At {at} {why}."), watch=Words("{noun} of {who} at {ago}", nameless="{noun} at {ago}: {why}"),
-        advice=Words("", nameless="At {at} {why}: find out why before the next flight."),
-    ),
     _setup(
         11, AT_LIMIT, "outputs at their limit", "outputs stood at their limit for long", "outputs at their limit",
         "Give the vehicle more room: less weight, a fresh battery, less wind, gentler climbs. Where only some motors stand at their limit, "
@@ -251,14 +246,31 @@ ROWS = (
         Weight.OPEN, Span.STAYS,
     ),
 )  # fmt: skip
-TABLE = {row.name: row for row in ROWS}
+_TABLE = {row.name: row for row in ROWS}
+
+
+def register(*rows: Kind) -> None:
+    """Add the kinds of a witness, in its own file. Raises TypeError for a name or a number that another kind has."""
+    for row in rows:
+        taken = next((k for k in _TABLE.values() if row.name == k.name or row.number == k.number), None)
+        if taken is not None and taken != row:
+            raise TypeError(f"the kind {row.name} ({row.number}) is taken by {taken.name} ({taken.number})")
+        _TABLE[row.name] = row
+
+
+def table() -> dict[str, Kind]:
+    """Name -> kind, of all kinds in the order of their numbers, those of every witness included."""
+    importlib.import_module(
+        "rotorwatch.witnesses.witness"
+    ).registered()  # each witness registers its kinds as it is loaded
+    return dict(sorted(_TABLE.items(), key=lambda item: item[1].number))
 
 
 def kind_of(name: str) -> Kind:
     """The row of a kind; of one that this version does not know, its name in words."""
-    return TABLE.get(name) or Kind(UNKNOWN, name, name.replace("_", " "))
+    return _TABLE.get(name) or table().get(name) or Kind(UNKNOWN, name, name.replace("_", " "))
 
 
 def number(name: str) -> int:
-    """The number of a kind of the table in compiled definitions."""
-    return TABLE[name].number
+    """The number of a kind in compiled definitions. Raises KeyError for one that the table lacks."""
+    return (_TABLE if name in _TABLE else table())[name].number

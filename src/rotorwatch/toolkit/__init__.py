@@ -3,7 +3,7 @@
 `rotorwatch_lab` uses rotorwatch by this module, by `toolkit.commands` for its command line, and by the modules that hold data and
 conventions: `rotorwatch` itself, `.core`, `.errors`, `.flight`, `.airframes`, `.logs`, `.base`, `.stats`, `.detectors` and `.report`.
 
-diagnosis       diagnose, and its stages prepare -> Prepared, estimated -> Estimated, judge; Estimation, of an entry point
+diagnosis       diagnose, and its stages prepare -> LogCase, estimated -> Estimated, judge; Estimation, of an entry point
                 `rotorwatch.estimation`; Conclusion, of `judge`; events, what estimates announce; baselines, healthy flights that are given
 flight          airborne; observe -> Ticks, with the modes GROUND, LEARN and JUDGE and the times READY_S, READY_KNOWN_S, HOVER_LEARN_S and
                 LAG_S; cut_ticks; allocation: commands, thrusts and geometry; ambiguous_sets; attainable: thrusts and moments that a
@@ -26,7 +26,7 @@ _PLACES = {
     "Conclusion": "answer.conclusion:Conclusion",
     "DAMPING": "engine.estimator.plant:DAMPING",
     "ENGINE": "engine.definition:ENGINE",
-    "Estimated": "diagnose:Estimated",
+    "Estimated": "case.verdict:Estimated",
     "Estimation": "diagnose:Estimation",
     "ExcitationNoise": "witnesses.null_space:Noise",
     "Exported": "export.projects:Exported",
@@ -37,6 +37,7 @@ _PLACES = {
     "Hypotheses": "engine.host.hypotheses:Hypotheses",
     "JUDGE": "engine.motion.ticks:JUDGE",
     "LAG_S": "engine.motion.ticks:LAG_S",
+    "LogCase": "case.verdict:LogCase",
     "LEARN": "engine.motion.ticks:LEARN",
     "LOSS_WIDTH": "engine.estimator.hypotheses:LOSS_WIDTH",
     "NOTHING": "engine.estimator.hypotheses:NOTHING",
@@ -45,7 +46,6 @@ _PLACES = {
     "PER_AXIS": "engine.estimator.plant:PER_AXIS",
     "PLACES": "engine.estimator.posterior:PLACES",
     "PLANT_STATES": "engine.estimator.sizes:PLANT_STATES",
-    "Prepared": "diagnose:Prepared",
     "READY_KNOWN_S": "engine.motion.ticks:READY_KNOWN_S",
     "READY_S": "engine.motion.ticks:READY_S",
     "SMALL_WIDTH": "engine.estimator.hypotheses:SMALL_WIDTH",
@@ -70,11 +70,11 @@ _PLACES = {
     "excitation_response": "witnesses.excitation_response",
     "export_default": "export.export_default",
     "fleet_judge": "fleet.judge",
-    "judge": "diagnose:judge",
+    "judge": "case.verdict:judge",
     "list_hypotheses": "engine.host.hypotheses:list_hypotheses",
     "noise_covariance": "witnesses.null_space:covariance",
     "null_space": "witnesses.null_space:null_space",
-    "observe": "engine.motion.ticks:observe",
+    "observe": "engine.driver:observe",
     "prepare": "diagnose:prepare",
     "prognosis": "fleet.prognosis",
     "program": "engine.host.program",
@@ -123,7 +123,7 @@ __all__ = [
     "Exported",
     "Given",
     "Hypotheses",
-    "Prepared",
+    "LogCase",
     "Store",
     "TickOutput",
     "Ticks",
@@ -158,14 +158,15 @@ __all__ = [
 
 if TYPE_CHECKING:
     from rotorwatch.answer.conclusion import Conclusion as Conclusion
-    from rotorwatch.diagnose import Estimated as Estimated
+    from rotorwatch.case.verdict import Estimated as Estimated
+    from rotorwatch.case.verdict import LogCase as LogCase
+    from rotorwatch.case.verdict import judge as judge
     from rotorwatch.diagnose import Estimation as Estimation
-    from rotorwatch.diagnose import Prepared as Prepared
     from rotorwatch.diagnose import diagnose as diagnose
     from rotorwatch.diagnose import estimated as estimated
-    from rotorwatch.diagnose import judge as judge
     from rotorwatch.diagnose import prepare as prepare
     from rotorwatch.engine.definition import ENGINE as ENGINE
+    from rotorwatch.engine.driver import observe as observe
     from rotorwatch.engine.estimator.announcement import TICKS as ANNOUNCED_TICKS
     from rotorwatch.engine.estimator.hypotheses import LOSS_WIDTH as LOSS_WIDTH
     from rotorwatch.engine.estimator.hypotheses import NONE as NO_LOSS
@@ -198,7 +199,6 @@ if TYPE_CHECKING:
     from rotorwatch.engine.motion.ticks import READY_S as READY_S
     from rotorwatch.engine.motion.ticks import Ticks as Ticks
     from rotorwatch.engine.motion.ticks import cut_ticks as cut_ticks
-    from rotorwatch.engine.motion.ticks import observe as observe
     from rotorwatch.export import export_default as export_default
     from rotorwatch.export.projects import Exported as Exported
     from rotorwatch.export.projects import saved as saved

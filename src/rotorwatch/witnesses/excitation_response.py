@@ -34,7 +34,7 @@ from rotorwatch.engine.estimator import hypotheses
 from rotorwatch.engine.estimator.model_error import AT_LIMIT
 from rotorwatch.engine.estimator.plant import GAIN, PER_AXIS, SHARE, TAU
 from rotorwatch.engine.front.decisions import CERTAIN, CREDIBLE
-from rotorwatch.engine.host.events import read, sd_of
+from rotorwatch.engine.host.events import ESTIMATOR, read, sd_of
 from rotorwatch.engine.host.plant import AXIS_STATES, lower_rotors
 from rotorwatch.engine.host.program import estimate
 from rotorwatch.engine.host.residual_evidence import TRIM_S, TRIM_SD
@@ -44,7 +44,9 @@ from rotorwatch.flight.kinds import LOSS
 from rotorwatch.stats.nonnegative import least_squares
 from rotorwatch.stats.tails import normal_cdf
 from rotorwatch.witnesses import null_space
+from rotorwatch.witnesses.witness import Events, Stage, View, Witness
 
+SOURCE = Source("excitation", 2, ESTIMATOR.explained)
 LEAST = 0.05  # hover thrusts of one rotor, off the mixer's own way of making a wrench: an excitation, no rounding
 SHORTEST_S, GAP_S, ASIDE_S = 0.5, 1.0, 1.0  # of an excitation; between two; of flight looked at before and after
 HOVER_S = 3.0  # over which hover's commands are averaged
@@ -403,7 +405,7 @@ def _unseen(
     reason += f", but {', '.join('+'.join(map(str, o)) for o in others)} would look the same" if others else ""
     extra = {"asked": _extra(responses, found)}
     start, end = responses[0].start, responses[-1].end
-    return Event(LOSS, who, start, end, None, loss, bounds, share, others, reason, extra, Source.EXCITATION), ""
+    return Event(LOSS, who, start, end, None, loss, bounds, share, others, reason, extra, SOURCE), ""
 
 
 def _when(responses: Sequence[ExcitationEvidence]) -> str:
@@ -451,3 +453,14 @@ def _resolved(event: Event, responses: Sequence[ExcitationEvidence], B: np.ndarr
     return replace(
         event, rotors=who, loss=loss, interval=bounds, probability=share, alternatives=(), reason=reason, extra=extra
     ), ""
+
+
+def _hear(view: View, losses: Events) -> Events:
+    if view.table is None or not view.over or not view.default or not view.hovers:
+        return losses
+    resolved, notes = resolve(losses, view.table, view.B, view.dynamics)
+    view.assumptions += notes
+    return resolved
+
+
+WITNESSES = (Witness("excitation", Stage.CLAIMS, 10, _hear),)  # the first: it resolves the estimator's losses

@@ -23,9 +23,12 @@ from rotorwatch.engine.host import events
 from rotorwatch.engine.host.learning import LEARNED_WEIGHT
 from rotorwatch.engine.host.plant import any_multirotor, lower_rotors
 from rotorwatch.engine.host.program import estimate
-from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LEARN, Ticks
+from rotorwatch.engine.motion.allocation import Spans
+from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LEARN, READY_S, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
+from rotorwatch.witnesses.witness import Stage, View, Witness, adding
 
+SOURCE = Source(events.HINDSIGHT, 3)
 LOOK_S = 7.0  # beyond the blind time: a loss just before its end is announced in it, and has lasted
 REST_S = 20.0  # of flight after the blind time, from which gains and noise are learned without it
 LEAST = 0.05  # of a loss, by its interval: after few seconds the trim of a healthy rotor is not known better
@@ -129,5 +132,19 @@ def find(carry, ticks: Ticks, B: np.ndarray) -> tuple[Event, ...]:
         least = max(low for low, _ in event.interval)
         if event.end_s is None and event.onset_s < later[0] and (least > LEAST or event.alternatives):
             extra = {**event.extra, "live": False}
-            found.append(replace(event, detected_s=float(ends[hop]), extra=extra, source=Source.HINDSIGHT))
+            found.append(replace(event, detected_s=float(ends[hop]), extra=extra, source=SOURCE))
     return tuple(found)
+
+
+def _claims(view: View) -> tuple[Event, ...]:
+    if view.known or view.learned is None or view.table is None:  # healthy flights would have shown it at once
+        return ()
+    return find(view.learned, view.table, view.B)
+
+
+def _due(air: Spans, now: float, looked_s: float) -> bool:
+    """Whether a flight has lasted long enough, or ended, since the last look."""
+    return any(looked_s < min(start + READY_S + REST_S, end) <= now for start, end in air)
+
+
+WITNESSES = (Witness("hindsight", Stage.CLAIMS, 20, adding(_claims), due=_due),)

@@ -14,8 +14,10 @@ from rotorwatch.base.physics import G0
 from rotorwatch.engine.motion.ticks import GROUND, Ticks
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.flight.kinds import CONTACT
+from rotorwatch.flight.kinds import CONTACT, LOSS, TURNED
+from rotorwatch.witnesses.witness import Events, Stage, View, Witness
 
+LEANS_S = 15.0  # before a lasting push is that large, it turns the vehicle as well
 LASTS_S, BEFORE_S, LEAST_S = 3.0, 40.0, 10.0  # compared with so much before, of which there is at least
 SIDEWAYS, TORQUE = 0.3 * G0, 2.0  # m/s^2; hover thrusts of one rotor, on any axis
 AT_REST = 1.0  # m/s over ground
@@ -52,3 +54,13 @@ def find(flight: Flight, table: Ticks) -> Event | None:
         extra = {"size": round(pushes / G0, 3), "unit": "g"}
         return Event(CONTACT, (), onset, float(table.time[start + now - 1]), None, (), (), 1.0, (), reason, extra)
     return None
+
+
+def _hear(view: View, claims: Events) -> Events:
+    """With the contact, and without the losses and turned mounts that it explains."""
+    if not view.hovers or view.table is None or (contact := find(view.flight, view.table)) is None:
+        return claims
+    return (*(c for c in claims if c.kind not in (LOSS, TURNED) or c.onset_s < contact.onset_s - LEANS_S), contact)
+
+
+WITNESSES = (Witness("leaning", Stage.REVISION, 10, _hear, needs=("velocity",)),)

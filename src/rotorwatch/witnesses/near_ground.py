@@ -7,6 +7,8 @@ import numpy as np
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.kinds import LOSS
+from rotorwatch.witnesses.witness import Events, Stage, View, Witness
 
 # m above the place of take-off: a rotor's diameter or two of most vehicles, and a leg. Ground effect is below 5 % of the thrust from one
 # diameter on (Cheeseman and Bennett, ARC R&M 3021), but differs from rotor to rotor where the vehicle leans.
@@ -45,3 +47,12 @@ def warning(loss: Event) -> str:
         f"At {loss.onset_s:.1f} s thrust of {who} seemed to be missing, within {NEAR_M:g} m of the height of take-off: "
         "the ground explains that as well, and it is not counted."
     )
+
+
+def _hear(view: View, claims: Events) -> Events:
+    low = [c for c in claims if view.hovers and c.kind == LOSS and explains(view.flight, view.air, c)]
+    view.warnings += map(warning, low)
+    return tuple(c for c in claims if c not in low)
+
+
+WITNESSES = (Witness("near the ground", Stage.REVISION, 20, _hear, needs=("position", "motors")),)

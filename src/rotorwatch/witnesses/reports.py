@@ -18,13 +18,23 @@ import numpy as np
 from rotorwatch.engine.motion.allocation import Spans, within
 from rotorwatch.flight import Flight, Message
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.flight.kinds import REPORTED
+from rotorwatch.flight.kinds import REPORTED, Kind, Weight, Words, register
 from rotorwatch.witnesses import battery
+from rotorwatch.witnesses.witness import Stage, View, Witness, adding
 
+register(
+    Kind(
+        10, REPORTED, "report of the autopilot", "what the autopilot itself reported in flight: battery, radio, position, estimator, ...",
+        Weight.NOTICE, by_outputs=False, brief="reported trouble",
+        headline=Words("", nameless="At {at} {why}."), watch=Words("{noun} of {who} at {ago}", nameless="{noun} at {ago}: {why}"),
+        advice=Words("", nameless="At {at} {why}: find out why before the next flight."),
+    )
+)  # fmt: skip
 LATE_S = 1.0  # after a flight: what ended it is written down a moment later
 CRASHED_S = 5.0  # the same, of a check that looks for seconds whether the vehicle lies on its side (ArduPilot's: 2)
 LASTS_S = 3.0  # for which something is beyond its limit before it is told: a knock shakes for a second or two
 SAME_S = 1.0  # reports so near to each other are of one moment
+EVERY_S = 1.0  # on a link, between two looks
 WRITES = ("error", "text", "event", "health")
 
 # Limits, each of the autopilot whose measure it is.
@@ -262,3 +272,16 @@ def end(flight: Flight, air: Spans) -> tuple[str, ...]:
         return ()
     why = "the power or the logging failed, or somebody stopped it"
     return (f"The log ends in the air at {last:.1f} s: {why}. What happened then is not in it.",)
+
+
+def _claims(view: View) -> tuple[Event, ...]:
+    if view.over:
+        view.warnings += end(view.flight, view.air)
+    return claims(view.flight, view.air, view.lost)
+
+
+def _due(air: Spans, now: float, looked_s: float) -> bool:
+    return now - looked_s >= EVERY_S
+
+
+WITNESSES = (Witness("autopilot reports", Stage.CLAIMS, 30, adding(_claims), due=_due),)

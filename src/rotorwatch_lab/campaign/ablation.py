@@ -33,7 +33,7 @@ from rotorwatch.toolkit import (
     JUDGE,
     READY_S,
     Estimated,
-    Prepared,
+    LogCase,
     Ticks,
     airborne,
     events,
@@ -166,7 +166,7 @@ class Case:
     B: np.ndarray
     theta: np.ndarray
     lost_s: float | None = None
-    ready: Prepared | None = None
+    ready: LogCase | None = None
 
 
 def _flown(kind: str, plan: Plan | sequences.Sequences, numbers: Sequence[int]) -> list[Case]:

@@ -17,9 +17,8 @@ from rotorwatch import detectors
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
-from rotorwatch.flight.diagnosis import Source
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.toolkit import GROUND, LAG_S, Estimated, Prepared, Ticks, estimated, prepare, program
+from rotorwatch.toolkit import GROUND, LAG_S, Estimated, LogCase, Ticks, estimated, events, prepare, program
 from rotorwatch.toolkit import judge as conclude
 from rotorwatch_lab.campaign import methods, score
 from rotorwatch_lab.campaign.plan import Plan
@@ -54,7 +53,7 @@ class Flown:
 
     number: int
     scenario: Scenario
-    ready: Prepared
+    ready: LogCase
     theta: np.ndarray
     lost_s: float | None = None
 
@@ -97,7 +96,7 @@ def rows(
         end = conclude(f.ready, done).end
         raised = counting.alarms(end.events)
         found = score.estimator(label, f, done.out, statistic, raised, bound, plan, unasked(raised))
-        return found | (score.answer(end) if done.own else {})
+        return found | (score.answer(end) if done.default else {})
 
     if "default" in plan.estimators:
         for f, bound, done in zip(flown, bounds, by_default(flown), strict=True):
@@ -112,7 +111,7 @@ def rows(
                 for decision, kept in zip(plan.decisions, judged, strict=True):
                     label = decision.label(name)
                     found += [
-                        row(label, f, Estimated(f.ticks, k, own=False, announces=decide.LIMIT), k.statistic, b)
+                        row(label, f, Estimated(f.ticks, k, default=False, own_limit=decide.LIMIT), k.statistic, b)
                         for f, k, b in zip(flown, kept, bounds, strict=True)
                     ]
     rules = {m.name: m for m in detectors.modules() if m.name in plan.detectors}
@@ -173,7 +172,7 @@ def _planned(number: int, scenario: Scenario) -> Any:
 
 def unasked(raised: Sequence[counting.Alarm]) -> list[float]:
     """When what is no estimator's was raised [s]: outputs, losses of control, hindsight. They know no threshold."""
-    return [a.detected_s for a in raised if a.event is not None and a.event.source is not Source.ESTIMATOR]
+    return [a.detected_s for a in raised if a.event is not None and a.event.source.name != events.ESTIMATOR.name]
 
 
 def _table(table: Ticks, B: np.ndarray, rows: slice = slice(None)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

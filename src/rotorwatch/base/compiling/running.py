@@ -95,6 +95,14 @@ class Rows:
         made = self.cut(1)
         return Rows(self.kind, made.native, made.plain)
 
+    def assign(self, other: Rows) -> None:
+        """Overwrite the first one with a copy of the first of `other`, in place."""
+        if self.native is not None and other.native is not None:
+            self.native[0] = other.native[0]
+        else:
+            assert self.plain is not None and other.plain is not None
+            structs.copy(self.plain[0], other.plain[0])
+
     @staticmethod
     def joined(parts: Sequence[Rows]) -> Rows:
         """Arrays one after the other."""

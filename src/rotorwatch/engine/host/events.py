@@ -25,7 +25,7 @@ from rotorwatch.engine.motion.contact import Contact
 from rotorwatch.engine.motion.deviations import Override
 from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
-from rotorwatch.flight.kinds import CONTACT, LOSS, OVERRIDE, TABLE, number
+from rotorwatch.flight.kinds import CONTACT, EVIDENCE, LOSS, OVERRIDE, UNKNOWN, kind_of
 
 # Numbers, of 16 bits, that stand for unknown kinds, for what became of an output and for causes: each its own, while the process lasts.
 _NUMBERS: dict[Any, int] = defaultdict(iter(range(1 << 8, 1 << 15)).__next__)
@@ -40,6 +40,23 @@ COLUMNS = (
     "announced",
 )
 ROOM = 512  # ticks in one call
+HINDSIGHT = "hindsight"  # name of the source of losses in the blind time, found afterwards
+
+
+def _found_in_hindsight(claim: Event, known: Event) -> bool:
+    same = known.source.name == HINDSIGHT and set(claim.rotors) & set(known.rotors)
+    return bool(same) and claim.onset_s <= known.detected_s
+
+
+ESTIMATOR = Source("estimator", 1, _found_in_hindsight)
+
+
+def _trim_explained(claim: Event, known: Event) -> bool:
+    return known.means.wrong if claim.kind == EVIDENCE else known.means.accuses
+
+
+TRIM = Source("trim", 10, _trim_explained)
+OUTPUTS, CONTACTS = Source("outputs", 4), Source("contacts", 5)
 SHOWN_S = 2.0  # after an announcement: the loss that was shown then
 
 
@@ -206,13 +223,13 @@ def overridden(one: Override) -> Event:
     """An output that does not follow the mixer, as an event."""
     times = one.onset, one.detected, one.end
     extra = {"override": one.kind, **({"shared": True} if one.shared else {})}
-    return Event(OVERRIDE, (one.rotor,), *times, (), (), 1.0, (), one.reason, extra, Source.OUTPUTS)
+    return Event(OVERRIDE, (one.rotor,), *times, (), (), 1.0, (), one.reason, extra, OUTPUTS)
 
 
 def _contact(one: Contact) -> Event:
     reason = f"something outside the vehicle {one.what}, by {one.size:.1f} {one.unit}"
     extra = {"size": one.size, "unit": one.unit}
-    return Event(CONTACT, (), one.time, one.time, one.time, (), (), 1.0, (), reason, extra, Source.CONTACTS)
+    return Event(CONTACT, (), one.time, one.time, one.time, (), (), 1.0, (), reason, extra, CONTACTS)
 
 
 def _one_arm(event: Event) -> Event:
@@ -235,7 +252,8 @@ def packed(events: Sequence[Event], room: int = 1) -> Rows:
         return np.array([[*row, *[0] * (width - len(row))] for row in values]).reshape(len(events), -1)
 
     def kind(event: Event) -> int:
-        return number(event.kind) if event.kind in TABLE else _NUMBERS[event.kind]
+        known = kind_of(event.kind).number
+        return _NUMBERS[event.kind] if known == UNKNOWN else known
 
     def detail(event: Event) -> int:
         what = event.extra.get("override", ""), event.extra.get("cause", event.extra.get("trouble", ""))
@@ -317,5 +335,5 @@ def _loss(row: _Row) -> Event:
         LOSS, rotors, onset, row.detected, None if row.end >= LASTS else row.end, tuple(row.loss[:n]),
         tuple(zip(row.lower[:n], row.upper[:n])), row.probability, alternatives, reason,
         {"gives": round(row.size, 2)} if row.size > 0.0 else {},
-        source=Source.ESTIMATOR,
+        source=ESTIMATOR,
     )  # fmt: skip

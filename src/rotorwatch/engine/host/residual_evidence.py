@@ -18,6 +18,12 @@ from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import CONTACT, EVIDENCE
 
+
+def _residual_explained(claim: Event, known: Event) -> bool:
+    return known.kind == EVIDENCE and known.source.name != RESIDUAL.name
+
+
+RESIDUAL = Source("residual", 12, _residual_explained)
 LASTS_S = 1.0
 TRIM_S = 2.0  # over which the trim before and after it was learned afresh is averaged
 # By how much the commanded wrench of trim is uncertain, in hover thrusts of one rotor, and how much of its change a rotor must explain.
@@ -31,7 +37,7 @@ def claim(
     end_s: float,
     interval: tuple[tuple[float, float], ...] = (),
     probability: float = 0.5,
-    source: Source = Source.RESIDUAL,
+    source: Source = RESIDUAL,
 ) -> Event:
     """Evidence against each of these rotors (1-based), from start to end [s]; interval: of what each would have lost, 95 %, where that is
     known."""

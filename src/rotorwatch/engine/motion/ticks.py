@@ -15,7 +15,6 @@ import numpy as np
 from rotorwatch.base.arrays import median
 from rotorwatch.base.compiling.running import Rows
 from rotorwatch.base.compiling.structs import LASTS
-from rotorwatch.base.progress import portion
 from rotorwatch.engine.definition import ENGINE, Part, craft, pieces
 from rotorwatch.engine.front import sense as cutting
 from rotorwatch.engine.front import ticks as definition
@@ -101,6 +100,11 @@ READY_TICKS = 30  # from which the noise is learned
 def tick_length(rate_hz: float) -> float:
     """Length of a tick in s for commands at that rate: 0.05 s from 19 Hz on, 1 s for the slowest."""
     return next(length for length, least in LENGTHS if rate_hz >= least)
+
+
+def length_of(flight: Flight) -> float:
+    """Length of a tick of a log with motor outputs [s]."""
+    return tick_length(flight["control" if allocation.faster_control(flight) else "motors"].rate_hz)
 
 
 def slow(rate_hz: float, dt: float, ready_s: float) -> str:
@@ -259,21 +263,6 @@ def sense(flight: Flight, thrust: Signal, plan: Plan, progress: Callable[[float]
     made.clear()
     columns = {name: whole_rows[name] for name in Sensed.__dataclass_fields__ if name not in ("share", "rows")}
     return Sensed(share=whole_rows["share"][:, :n], rows=whole_rows, **columns)
-
-
-def observe(
-    flight: Flight, vehicle: Vehicle, air, ready_s: float, progress: Callable[[float], object] | None = None
-) -> Ticks | None:
-    """Ticks of a flight, or None when it shows no motor commands in the air. progress: called with the finished share, 0..1."""
-    if not flight.has("motors") or not air:
-        return None
-    thrust = allocation.rotor_thrusts(flight, vehicle)
-    if len(thrust) < 20 or not thrust.whole.any():  # or one output is never a command
-        return None
-    tell, B = portion(progress, 0.4, 1.0), vehicle.effectiveness()
-    tell(0.0)
-    made = cut_ticks(flight, thrust, B, air, ready_s, hover=known_hover(vehicle), progress=tell)
-    return replace(made, curve=vehicle.curve.believed)
 
 
 def known_hover(vehicle: Vehicle) -> float | None:

@@ -30,9 +30,22 @@ from rotorwatch.engine.front.decisions import FALSE_ALARM_PERIOD_S
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event, Source
-from rotorwatch.flight.kinds import DESYNC
+from rotorwatch.flight.kinds import DESYNC, LOST
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.witnesses.aerobatic.innovation import DOF, LAGS, Channel, channels
+
+CRASH_S = 0.3  # before control is lost, and before a rotor is lost: what happens belongs to that
+MOST = 0.5  # of a rotor's thrust
+
+
+def _falls(claim: Event, known: Event) -> bool:
+    if known.kind == LOST:
+        return claim.detected_s >= known.onset_s - CRASH_S
+    gone = known.means.weakens and max(known.loss, default=0.0) > MOST and claim.rotors[0] in known.rotors
+    return gone and known.onset_s - CRASH_S < claim.onset_s < (known.end_s or np.inf)
+
+
+SOURCE = Source("lost steps", 9, _falls)
 
 SHORTEST_S, LONGEST_S = 0.025, 0.65  # 30 to 500 ms, as well as ends are known
 LENGTHS_S = 0.03 * 10.0 ** (0.1 * np.arange(15))  # 30 to 750 ms: what lasts longer is none, and must be seen to
@@ -85,7 +98,7 @@ def find(flight: Flight, vehicle: Vehicle, air: Spans, known: tuple[Event, ...] 
 
 
 def _claim(d: Desync) -> Event:
-    return Event(DESYNC, (d.rotor + 1,), d.start, d.end, d.end, (), (), 1.0, source=Source.DESYNC)
+    return Event(DESYNC, (d.rotor + 1,), d.start, d.end, d.end, (), (), 1.0, source=SOURCE)
 
 
 def events(found: list[Desync], rpm: bool) -> tuple[Event, ...]:
@@ -107,7 +120,7 @@ def _event(who: tuple[int, ...], group: list[Desync], rpm: bool) -> Event:
     extra = {"times": [d.start for d in group], "durations": length, "count": len(group), "rpm": rpm, "live": False}
     p = 1.0 / len(who) if len(who) > 1 else 1.0 - float(np.exp(-min(30.0, CLEAR + first.ratio)))
     others = tuple((r + 1,) for r in who if r != rotor)
-    event = Event(DESYNC, (rotor + 1,), first.start, first.end, last.end, (), (), p, others, "", extra, Source.DESYNC)
+    event = Event(DESYNC, (rotor + 1,), first.start, first.end, last.end, (), (), p, others, "", extra, SOURCE)
     fell = ", and its speed fell" if rpm else ""
     gave = f": it was commanded up and gave nothing for {_span(length)}{fell}"
     return replace(event, reason=said("{motors} desynced {times} at {at}", event) + gave)

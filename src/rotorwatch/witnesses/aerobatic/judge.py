@@ -18,6 +18,7 @@ import numpy as np
 
 from rotorwatch import airframes
 from rotorwatch.base.arrays import median
+from rotorwatch.engine.driver import observe
 from rotorwatch.engine.estimator import hypotheses
 from rotorwatch.engine.estimator.posterior import PLACES
 from rotorwatch.engine.front.decisions import FALSE_ALARM_PERIOD_S
@@ -26,18 +27,18 @@ from rotorwatch.engine.host.hypotheses import list_hypotheses
 from rotorwatch.engine.host.program import TickOutput, blank
 from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.allocation import Spans
-from rotorwatch.engine.motion.ticks import GROUND, JUDGE, READY_KNOWN_S, Ticks, observe
+from rotorwatch.engine.motion.ticks import GROUND, JUDGE, READY_KNOWN_S, Ticks
 from rotorwatch.engine.motion.ticks import LEARN as LEARNING
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.witnesses.aerobatic.firmware import flown_by_rates
 from rotorwatch.witnesses.aerobatic.response import EDGE_S, WINDOW_S, Response, respond
 
 BLOCK_S = 1.0
 LEAST_HZ = 100.0  # of motors and gyro, for two samples in a window
 CARRIES = (0.5, 2.0)  # times the thrust of hover
 HOVERING = 0.8  # share of the ticks in the air in which a flight that hovers is carried by it, and does not tumble
-FIRMWARES = ("betaflight", "inav", "emuflight", "cleanflight", "baseflight", "butterflight")
 LEARN, LEARN_LEAST = (
     10,
     4,
@@ -100,11 +101,6 @@ class Look(NamedTuple):
     loss: np.ndarray
     sd: np.ndarray
     most: np.ndarray
-
-
-def flown_by_rates(flight: Flight) -> bool:
-    """Whether a flight is of firmware for pilots who command rates."""
-    return flight.autopilot.lower() in FIRMWARES
 
 
 def applies(flight: Flight, table: Ticks | None) -> bool:

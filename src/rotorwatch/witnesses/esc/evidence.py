@@ -9,6 +9,19 @@ from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import LOSS
 from rotorwatch.witnesses.esc import ratios
 
+FAULT_AFTER_S = 3.0  # a fault that begins so long after a rotor has stopped is that it stopped
+
+
+def _named_as_it_stands(claim: Event, known: Event) -> bool:
+    return (
+        known.means.lasting_fault
+        and claim.rotors[0] in known.suspects
+        and known.onset_s < claim.onset_s + FAULT_AFTER_S
+    )
+
+
+STANDS = Source("esc: stopped", 7, _named_as_it_stands)
+
 
 def entry(
     rotor: int,
@@ -38,7 +51,7 @@ def loss(
     sentence: str,
     thrust_of_speed: float,
     current_ratio: float | None = None,
-    source: Source = Source.ESC_STANDS,
+    source: Source = STANDS,
 ) -> Event:
     """A loss of effectiveness that an ESC alone shows. size: likeliest, least and largest loss; shares: probability of each cause, in the
     order of `ratios.PRIOR`; parts: as for `entry`; sentence: what the ESC shows, to follow "says that"."""

@@ -22,6 +22,13 @@ from rotorwatch.flight.kinds import HIGH, LOW, SLOW
 from rotorwatch.witnesses.esc import evidence, ratios
 from rotorwatch.witnesses.esc.telemetry import BIN_S, Binned
 
+
+def _weak(claim: Event, known: Event) -> bool:
+    return claim.means.weakens and known.means.weakens and not {*claim.rotors}.isdisjoint(known.rotors)
+
+
+CHANGED = Source("esc: changed", 8, _weak)
+
 BLOCK_S = 5.0
 BEFORE, AFTER = 3, 2  # blocks that a change needs on each side
 SIGMAS = 6.0
@@ -75,7 +82,7 @@ def _notice(kind: str, rotor: int, onset: float, announced: float, size: float, 
     }[kind]
     reason = f"since {seconds(onset)} {phrases}, and the other rotors do not; commands and motion show no loss"
     extra = {"change": size, "change_interval": bounds}
-    return Event(kind, (rotor,), onset, announced, None, (), (), sure, (), reason, extra, Source.ESC_CHANGED)
+    return Event(kind, (rotor,), onset, announced, None, (), (), sure, (), reason, extra, CHANGED)
 
 
 def lost_speed(rotor: int, onset: float, announced: float, size: float, bounds) -> Event:
@@ -85,7 +92,7 @@ def lost_speed(rotor: int, onset: float, announced: float, size: float, bounds) 
         "motion alone do not show it; "
     )
     parts = {"speed": (size, *bounds), "propeller": (0.0, 0.0, 1.0)}
-    causes, source = (0.0, 0.95, 0.02, 0.03), Source.ESC_CHANGED
+    causes, source = (0.0, 0.95, 0.02, 0.03), CHANGED
     return evidence.loss(rotor, onset, announced, (size, *bounds), causes, parts, sentence, 1.0 - size, source=source)
 
 

@@ -76,7 +76,7 @@ class Candidate:
     @cached_property
     def table(self) -> Ticks | None:
         """Its ticks; None when it shows no flight."""
-        from rotorwatch.engine.motion.ticks import observe
+        from rotorwatch.engine.driver import observe
 
         return observe(self.flight, self.vehicle, self.air, READY_S)
 

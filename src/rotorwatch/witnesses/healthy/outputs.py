@@ -41,6 +41,7 @@ from rotorwatch.witnesses.attainable import margins
 from rotorwatch.witnesses.healthy import whole_flight
 from rotorwatch.witnesses.healthy.whole_flight import AFTER_TAKE_OFF_S, BEFORE_LANDING_S
 
+SETUP = Source("setup", 15)
 Hover = tuple[np.ndarray, np.ndarray]  # `whole_flight.steady`
 
 NEAR = 0.05  # of the range
@@ -76,7 +77,7 @@ def claims(
 
 
 def _claim(kind: str, start: float, end: float, reason: str, extra: dict) -> Event:
-    return Event(kind, (), start, end, None, (), (), 1.0, (), reason, extra, Source.SETUP)
+    return Event(kind, (), start, end, None, (), (), 1.0, (), reason, extra, SETUP)
 
 
 class _Outputs(NamedTuple):

@@ -9,3 +9,14 @@ balance.py    torques and thrust at any attitude: how well commands explain moti
 explain.py    explanations: healthy, a rotor, all rotors, outputs on the wrong motors, something from outside
 find.py       the cause, and the events
 """
+
+from rotorwatch.witnesses.witness import Events, Stage, View, Witness
+
+
+def _pegged(view: View, claims: Events) -> Events:
+    from rotorwatch.witnesses.upset import pegged
+
+    return pegged.hear(view, claims)
+
+
+WITNESSES = (Witness("pegged output", Stage.REVISION, 90, _pegged, needs=("motors",)),)

@@ -20,8 +20,9 @@ from rotorwatch.engine.motion.airborne import output_range
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.flight.kinds import LOSS
+from rotorwatch.flight.kinds import CONTACT, LOSS
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.witnesses.witness import Events, View
 
 LEAST_S, GAP_S = 0.8, 0.1  # for so long, with such interruptions
 END = 0.97  # of the most that any output reaches in the flight, and at least so much of the range
@@ -84,3 +85,12 @@ def _event(rotor: int, onset: float, until: float, turned: float) -> Event:
     return Event(
         LOSS, (rotor,), onset, onset + LEAST_S, None, (1.0,), ((GIVES, 1.0),), 0.99, (), reason, {"live": False, "loss_2s": [1.0]}
     )  # fmt: skip
+
+
+def hear(view: View, claims: Events) -> Events:
+    """Asked only where nothing else accuses a rotor: it needs no learning, where learning had no time."""
+    events = view.merged(claims)
+    if any(e.means.accuses for e in events):
+        return claims
+    struck = [e.onset_s for e in events if e.kind == CONTACT]
+    return (*claims, *find(view.flight, view.vehicle, view.air, struck))

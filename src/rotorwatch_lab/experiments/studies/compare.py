@@ -107,7 +107,7 @@ def _trial(name: str, scene: Scene) -> dict:
         done = estimated(scene.ready)
     else:
         out, _ = published.judge(name, table, scene.B, hops=scene.hops)
-        done = Estimated(table, out, own=False, announces=decide.LIMIT)
+        done = Estimated(table, out, default=False, own_limit=decide.LIMIT)
     raised, out = counting.alarms(judge(scene.ready, done).end.events), done.out
     judged = table.mode == JUDGE
     rotors = tuple(sorted(r for r, _, _ in scene.faults))

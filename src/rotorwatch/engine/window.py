@@ -1,4 +1,4 @@
-"""The last seconds of a flight's signals, as they grow: what causal functions need to go on from where they were."""
+"""The newest samples of one vehicle. A whole log is a window that forgets nothing; its samples are not copied."""
 
 from __future__ import annotations
 
@@ -9,19 +9,24 @@ import numpy as np
 
 from rotorwatch.flight import Flight, Message, Signal
 
-WINDOW_S = 8.0  # the longest look back is two seconds; what is late or waited for comes on top
-STATES, DISARMED = ("landed", "armed"), "disarmed: "  # and the event that says why
+STATES = ("landed", "armed")
+LATE = (
+    "vibration",
+    "clipping",
+    "innovations",
+)  # signals that a link may bring late: they do not show how far the flight is
+MOST_MESSAGES = 1000  # other than states, that are kept; the newest
 
 
 class Growing:
-    """The newest samples of one signal. Room is kept for twice of what is in it, so that adding is cheap."""
+    """The newest samples of one signal. The arrays have twice the length of their content, so that appending is cheap; those of the first
+    piece are used as they are until a second one comes."""
 
-    def __init__(self, like: Signal):
-        self._like, self._first, self._end = like, 0, 0
-        self.newest = -np.inf  # time of the last sample
-        self._time = np.empty(256)
-        self._values = np.empty((256, like.values.shape[1]))
-        self._valid = np.empty(self._values.shape, bool)
+    def __init__(self, first: Signal):
+        """first: at least one sample."""
+        self._like, self._first, self._end = first, 0, len(first)
+        self.newest = float(first.time[-1])
+        self._time, self._values, self._valid = first.time, first.values, first.valid
 
     def __len__(self) -> int:
         return self._end - self._first
@@ -31,7 +36,7 @@ class Growing:
         return self._time[self._first : self._end]
 
     def add(self, more: Signal) -> None:
-        """More samples; those that are older than the newest one are left out."""
+        """Append samples; those older than the newest one are dropped."""
         time, values, valid = more.time, more.values, more.valid
         if not time.size:
             return
@@ -87,18 +92,20 @@ class Window:
         self.about = replace(about, signals={}, messages=())
         self._signals: dict[str, Growing] = {}
         self._messages: list[Message] = []
-        self.now = -np.inf  # time of the newest sample of any signal
+        self.now = -np.inf  # time of the newest sample of any signal, except those of LATE
 
     def add(self, signals: Mapping[str, Signal], messages: Iterable[Message] = ()) -> None:
-        """More of a flight, in time order."""
+        """Append samples and messages, in the order of time."""
         for name, signal in signals.items():
             if len(signal):
                 growing = self._signals.get(name)
                 if growing is None:
                     growing = self._signals[name] = Growing(signal)
-                growing.add(signal)
-                self.now = max(self.now, growing.newest)
-        self._messages += [m for m in messages if m.kind in STATES or m.text.startswith(DISARMED)]
+                else:
+                    growing.add(signal)
+                if name not in LATE:
+                    self.now = max(self.now, growing.newest)
+        self._messages += messages
 
     def newest(self, name: str) -> float:
         """Time of the newest sample of a signal; minus infinity without one."""
@@ -116,8 +123,15 @@ class Window:
         return copied(self.about, signals=signals, duration=max(self.now, 0.0), messages=tuple(self._messages))
 
     def forget(self, before: float) -> None:
-        """Drop what is older, but for the last known sample of each signal and the last word of each kind."""
+        """Drop older samples, except the last known one of each signal, older messages, except the last of each state, and the oldest of
+        too many messages."""
         for growing in self._signals.values():
             growing.forget(before)
-        last = {m.kind: m for m in self._messages if m.time < before}
-        self._messages = [*last.values(), *(m for m in self._messages if m.time >= before)]
+        last = {m.kind: m for m in self._messages if m.time < before and m.kind in STATES}
+        recent = [m for m in self._messages if m.time >= before]
+        excess = sum(m.kind not in STATES for m in recent) - MOST_MESSAGES
+        for m in recent[:] if excess > 0 else ():  # a sender must not fill the memory
+            if m.kind not in STATES and excess > 0:
+                recent.remove(m)
+                excess -= 1
+        self._messages = [*last.values(), *recent]

@@ -1,0 +1,118 @@
+"""The interface of a witness: evidence beside the default estimator.
+
+A file of this folder, or of another package, that defines WITNESSES, a tuple of `Witness`, registers them; nothing lists them by hand
+(docs/your-own-witness.md). `case.Case` asks all of them, of logs and links alike, in the order of stage and place.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rotorwatch.base import discovery
+from rotorwatch.engine.host.program import Learned
+from rotorwatch.engine.motion.allocation import Spans
+from rotorwatch.engine.motion.ticks import Ticks, joined
+from rotorwatch.flight import Flight
+from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.vehicle import Vehicle
+
+GROUP = "rotorwatch.witnesses"
+Events = tuple[Event, ...]
+
+
+class Stage(Enum):
+    """When a witness is asked, and what `hear` gets and returns.
+
+    CLAIMS: all claims so far, before `answer.ledger` merges them into events; also on a link while the vehicle flies (`Witness.due`).
+    REVISION: the same once the flight is over: claims may be withdrawn.
+    EVENTS: the events of the flight.
+    OPEN: open claims (kinds of weight OPEN); `View.events` holds the events.
+    SETUP: the events, where the log is consistent; `View.open` holds the open claims that no event explains.
+    """
+
+    CLAIMS, REVISION, EVENTS, OPEN, SETUP = range(5)
+
+
+@dataclass
+class View:
+    """A case as its witnesses see it.
+
+    flight: the samples, of a link the last ten minutes. air: ((start, end), ...) s of each flight, cut at impacts, end infinite while
+    airborne. tables: the ticks, in pieces; table: the same in one, None before there are any. out: its outputs, None on a
+    link. B (4, n): effectiveness. over: no samples will follow. hovers: judged by the hover model. default: by the default estimator.
+    known: `vehicle` holds what healthy flights have shown, `dynamics` their gains and noise. learned: the estimator's last state. lost:
+    times of losses of control [s]. consistent: the log does not contradict itself. events, open: see `Stage`. facts: results by name, for
+    the report. assumptions, warnings: sentences for the answer; a witness adds its own. merged: claims -> the events that they make.
+    """
+
+    flight: Flight
+    vehicle: Vehicle
+    air: Spans
+    tables: Sequence[Ticks]
+    B: np.ndarray
+    out: Any = None
+    over: bool = True
+    hovers: bool = True
+    default: bool = True
+    known: bool = False
+    dynamics: Mapping[str, Any] | None = None
+    learned: Learned | None = None
+    lost: tuple[float, ...] = ()
+    consistent: bool = True
+    events: Events = ()
+    open: Events = ()
+    facts: dict[str, Any] = field(default_factory=dict)
+    assumptions: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    merged: Callable[[Events], Events] = lambda claims: claims
+
+    @functools.cached_property
+    def table(self) -> Ticks | None:
+        """All ticks in one table."""
+        return joined(self.tables) if self.tables else None
+
+
+class Witness(NamedTuple):
+    """name. place: order among those of its stage. hear: (view, events or claims so far) -> all of them, see `Stage`. needs: signals
+    without which it is not asked. due: of a CLAIMS witness that only adds, on a link: (flights, time now [s], time of the last look [s]) ->
+    whether to ask it again; None: it is asked only when the flight is over."""
+
+    name: str
+    stage: Stage
+    place: int
+    hear: Callable[[View, Events], Events]
+    needs: tuple[str, ...] = ()
+    due: Callable[[Spans, float, float], bool] | None = None
+
+
+def adding(claims: Callable[[View], Iterable[Event]]) -> Callable[[View, Events], Events]:
+    """`Witness.hear` of a witness that only adds."""
+    return lambda view, before: (*before, *claims(view))
+
+
+def registered() -> tuple[Witness, ...]:
+    """All witnesses in the order in which they are asked: those of this folder, and of other packages by entry points of the group
+    `rotorwatch.witnesses`, each a module with WITNESSES."""
+    return _registered(tuple(discovery.offered(GROUP)))
+
+
+@functools.cache
+def _registered(_offered: tuple[str, ...]) -> tuple[Witness, ...]:
+    others = (module for _, module in discovery.others(GROUP, ("WITNESSES",)))
+    found = [w for module in (*discovery.modules(GROUP, deep=False), *others) for w in getattr(module, "WITNESSES", ())]
+    return tuple(sorted(found, key=lambda w: (w.stage.value, w.place, w.name)))
+
+
+def ask(stage: Stage, view: View, before: Events = (), on_link: bool = False) -> Events:
+    """`before` after the witnesses of a stage have been heard; on_link: only those that are not asked on the way (`Witness.due`)."""
+    for witness in registered():
+        asked = witness.stage is stage and not (on_link and witness.due)
+        if asked and all(name in view.flight.signals for name in witness.needs):
+            before = witness.hear(view, before)
+    return before
