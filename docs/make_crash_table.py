@@ -1,4 +1,4 @@
-"""Diagnoses vehicles that fell or met a failsafe, and tabulates what happened and the headline in docs/loss-of-control.md:
+"""Diagnoses vehicles that fell or met a failsafe, and tabulates what happened and the answer in docs/loss-of-control.md:
 
     python docs/make_crash_table.py FOLDER
 
@@ -21,14 +21,6 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 PAGE = ROOT / "docs" / "loss-of-control.md"
-HEALTHY = r"No rotor lost thrust after [a-z -]+\. From [a-z -]+ on no rotor lacked more than \d+ %\."
-SIMILAR = {
-    "quad-half",
-    "take-off-dead",
-    "climb-dead",
-    "flips",
-    "ap_quad_battery_sag_failsafe",
-}  # left out: much like another row
 START, END = "<!-- table made by docs/make_crash_table.py -->\n", "<!-- end of the table -->\n"
 
 
@@ -84,7 +76,7 @@ def rows(folder: Path) -> Iterator[str]:
     """Lines of the table."""
     from rotorwatch import airframes, diagnose
 
-    seen = set(SIMILAR)
+    seen = set()
     for name, what, flight in (*recorded(folder), *made()):
         kind = re.sub(r"-\d+$", "", name)
         if kind in seen:
@@ -92,18 +84,32 @@ def rows(folder: Path) -> Iterator[str]:
         seen.add(kind)
         craft = airframes.named("ardupilot-quad-x") if name.startswith("made:") else None
         answer = diagnose(flight, craft)  # pyright: ignore[reportArgumentType]
-        own = any("texts" in e.extra for e in answer.events)
-        more = ["The log ends in the air."] * any(w.startswith("The log ends in the air") for w in answer.warnings)
-        if not own and not more and not any(e.kind in ("loss_of_control", "autopilot_report") for e in answer.events):
+        ends = any(w.startswith("The log ends in the air") for w in answer.warnings)
+        if not ends and not any(e.kind in ("loss_of_control", "autopilot_report") for e in answer.events):
             continue  # control was kept, nothing was reported, and it landed
-        headline = " ".join([re.sub(HEALTHY, "No rotor lost thrust.", answer.headline), *more])
-        yield "| " + " | ".join(text.replace("|", "/") for text in (what, headline)) + " |\n"
+        yield "| " + " | ".join(text.replace("|", "/") for text in (what, answered(answer, ends))) + " |\n"
+
+
+def answered(answer, ends: bool) -> str:
+    """Verdict, rotors with their losses, cause of the loss of control, kinds of the autopilot's reports."""
+    parts = []
+    for event in answer.events:
+        rotors = "+".join(map(str, event.rotors))
+        if event.kind == "loss_of_effectiveness":
+            parts.append(f"rotor {rotors} {'/'.join(f'{100 * loss:.0f}' for loss in event.loss)} %")
+        elif event.kind == "motor_order":
+            parts.append(f"motors {rotors} swapped")
+        elif event.kind == "loss_of_control":
+            parts.append(f"cause `{event.extra['cause']}`")
+    reports = dict.fromkeys(e.extra["trouble"] for e in answer.events if e.kind == "autopilot_report")
+    parts += [f"reported: {', '.join(reports)}"] * bool(reports) + ["the log ends in the air"] * ends
+    return "; ".join([f"`{answer.verdict}`", *parts])
 
 
 if __name__ == "__main__":
     if len(sys.argv) != 2:
         sys.exit(__doc__)
     page = PAGE.read_text(encoding="utf-8")
-    head = "| what happened | headline |\n|---|---|\n"
+    head = "| what happened | answer |\n|---|---|\n"
     table = head + "".join(rows(Path(sys.argv[1])))
     PAGE.write_text(page[: page.index(START) + len(START)] + table + page[page.index(END) :], encoding="utf-8")
