@@ -1,13 +1,11 @@
-"""Texts that a pilot reads per flight, through the glue of the autopilot that flew, before and after they were made few; docs/pilot.md.
+"""Texts that a pilot reads per flight, through the glue of the autopilot that flew; docs/pilot.md.
 
     python benchmarks/board_texts.py FOLDER|LOG... [--write docs/pilot.md]
 
-Every log, also below a folder, that shows what a board would have seen (tests/board.py). Before: each change of an event, of 2 points and
-more, was a text. Needs gcc and g++.
+Every log, also below a folder, that shows what a board would have seen (tests/board.py). Needs gcc and g++.
 """
 
 import argparse
-import re
 import sys
 import tempfile
 from collections import Counter
@@ -32,7 +30,7 @@ def logs_of(given: list[Path]) -> list[Path]:
 
 
 def rows(given: list[Path]):
-    """A row for each log: (name, minutes, before, texts, shortest time between two, what was told, how it differs from diagnose)."""
+    """A row for each log: (name, minutes, number of `RWEV` records, texts, shortest time between two, differences from `diagnose`)."""
     for path in logs_of(given):
         try:
             flight = logs.read(path)
@@ -54,21 +52,24 @@ def rows(given: list[Path]):
 
 
 def page(found) -> str:
-    lines = ["| flight | minutes | texts before | now | of which |", "|---|---|---|---|---|"]
-    for name, minutes, before, texts, _, _ in sorted(found, key=lambda row: -row[2]):
-        count = Counter(severity for _, severity, _ in texts)
-        which = ", ".join(f"{count[k]} {NAMES[k]}" for k in sorted(count)) or "-"
-        shown = re.sub(r"[.](bin|ulg|log|tlog)([.]xz)?$", "", name).replace("_", " ")
-        lines.append(f"| {shown} | {minutes:.1f} | {before} | {len(texts)} | {which} |")
-    total, now = sum(row[2] for row in found), sum(len(row[3]) for row in found)
+    """Number of flights by number of texts, and a paragraph: severities, spacing, agreement with `diagnose`."""
+    flights = Counter(len(row[3]) for row in found)
+    counts = range(max(flights) + 1)
+    severity = Counter(severity for row in found for _, severity, _ in row[3])
+    which = ", ".join(f"{severity[k]} {NAMES[k]}" for k in sorted(severity))
+    minutes = [row[1] for row in found]
     apart = min(row[4] for row in found)
     compared = [row for row in found if row[5] != ["judged after the flight"]]
     same = sum(not row[5] for row in compared)
-    lines += [
+    lines = [
+        f"| texts in the flight | {' | '.join(map(str, counts))} |",
+        "|---|" + "---|" * len(counts),
+        f"| flights | {' | '.join(str(flights[k]) for k in counts)} |",
         "",
-        f"{len(found)} flights: {total} texts before, {now} now; never two within {apart:.1f} s. Of the {len(compared)} of them that "
-        f"`diagnose` judges as they fly, {same} have the same events on board: rotors, onsets within {board.ONSET_S:g} s, what was "
-        "withdrawn.",
+        f"{len(found)} flights of {min(minutes):.1f} to {max(minutes):.1f} minutes: {sum(severity.values())} texts ({which}), never two "
+        f"within {apart:.1f} s.",
+        f"Of the {len(compared)} flights without a loss of control or contradictory signals, {same} have the events of `diagnose` on",
+        f"board: rotors, onsets within {board.ONSET_S:g} s, withdrawals.",
     ]  # fmt: skip
     return "\n".join(lines)
 

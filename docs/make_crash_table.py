@@ -1,10 +1,10 @@
-"""Judges vehicles that fell or met a failsafe, and puts our first line beside what happened into docs/loss-of-control.md:
+"""Diagnoses vehicles that fell or met a failsafe, and tabulates what happened and the answer in docs/loss-of-control.md:
 
     python docs/make_crash_table.py FOLDER
 
 FOLDER holds the logs `crash/` with `expect.csv` (path, note) and of `open/` those whose name has `failsafe`, with `truth.csv` (path, what).
-They are not part of the project. Five more are made here: tests/tumbling.py flies them, by a model that has nothing of the diagnosis, and
-the messages that an autopilot would have written are added.
+They are not part of the project. Five more are made here: tests/tumbling.py flies them, with a model independent of the diagnosis, and the
+messages that an autopilot would have written are added.
 """
 
 from __future__ import annotations
@@ -21,12 +21,11 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 PAGE = ROOT / "docs" / "loss-of-control.md"
-HEALTHY = r"No rotor lost thrust after [a-z -]+\. From [a-z -]+ on no rotor lacked more than \d+ %\."
 START, END = "<!-- table made by docs/make_crash_table.py -->\n", "<!-- end of the table -->\n"
 
 
 def recorded(folder: Path) -> Iterator[tuple[str, str, object]]:
-    """(name, what happened, flight) of the logs of the folder."""
+    """(name, what happened and the source of the log, flight) of the logs of the folder."""
     from rotorwatch import logs
 
     for place, table, column, kept in (("crash", "expect.csv", "note", ""), ("open", "truth.csv", "what", "failsafe")):
@@ -35,13 +34,13 @@ def recorded(folder: Path) -> Iterator[tuple[str, str, object]]:
                 if kept in row["path"] and (folder / place / row["path"]).exists():
                     name = row["path"].split(".")[0]
                     source = row.get("source") or "own data"
-                    name += "" if source == "own data" else f" ({source}, {row['original']})"
-                    what = re.sub(r"[;,][^;,]*called healthy.*", "", row[column])  # what was answered once
+                    what = re.sub(r"[;,][^;,]*called healthy.*", "", row[column])  # an earlier answer
+                    what += "" if source == "own data" else f" ({source}, {row['original']})"
                     yield name, what, logs.read(folder / place / row["path"])
 
 
 def made() -> Iterator[tuple[str, str, object]]:
-    """The same of five vehicles that a model flies, with what an autopilot would have written."""
+    """The same for five flights of a model, with the messages of an autopilot."""
     from tests import tumbling
 
     from rotorwatch.flight import Message, Signal
@@ -81,23 +80,36 @@ def rows(folder: Path) -> Iterator[str]:
     for name, what, flight in (*recorded(folder), *made()):
         kind = re.sub(r"-\d+$", "", name)
         if kind in seen:
-            continue  # the same of another rotor
+            continue  # the same fault of another rotor
         seen.add(kind)
         craft = airframes.named("ardupilot-quad-x") if name.startswith("made:") else None
         answer = diagnose(flight, craft)  # pyright: ignore[reportArgumentType]
-        own = [e for e in answer.events if "texts" in e.extra]
-        more = ["The log ends in the air."] * any(w.startswith("The log ends in the air") for w in answer.warnings)
-        if not own and not more and not any(e.kind in ("loss_of_control", "autopilot_report") for e in answer.events):
+        ends = any(w.startswith("The log ends in the air") for w in answer.warnings)
+        if not ends and not any(e.kind in ("loss_of_control", "autopilot_report") for e in answer.events):
             continue  # control was kept, nothing was reported, and it landed
-        first = f"{own[0].onset_s:.1f} s: {own[0].extra['texts'][0]}" if own else ""
-        said = " ".join([re.sub(HEALTHY, "No rotor lost thrust.", answer.headline), *more])
-        yield "| " + " | ".join(text.replace("|", "/") for text in (name, what, said, first)) + " |\n"
+        yield "| " + " | ".join(text.replace("|", "/") for text in (what, answered(answer, ends))) + " |\n"
+
+
+def answered(answer, ends: bool) -> str:
+    """Verdict, rotors with their losses, cause of the loss of control, kinds of the autopilot's reports."""
+    parts = []
+    for event in answer.events:
+        rotors = "+".join(map(str, event.rotors))
+        if event.kind == "loss_of_effectiveness":
+            parts.append(f"rotor {rotors} {'/'.join(f'{100 * loss:.0f}' for loss in event.loss)} %")
+        elif event.kind == "motor_order":
+            parts.append(f"motors {rotors} swapped")
+        elif event.kind == "loss_of_control":
+            parts.append(f"cause `{event.extra['cause']}`")
+    reports = dict.fromkeys(e.extra["trouble"] for e in answer.events if e.kind == "autopilot_report")
+    parts += [f"reported: {', '.join(reports)}"] * bool(reports) + ["the log ends in the air"] * ends
+    return "; ".join([f"`{answer.verdict}`", *parts])
 
 
 if __name__ == "__main__":
     if len(sys.argv) != 2:
         sys.exit(__doc__)
     page = PAGE.read_text(encoding="utf-8")
-    head = "| log | what happened | our first line | first of the autopilot's own reports |\n|---|---|---|---|\n"
+    head = "| what happened | answer |\n|---|---|\n"
     table = head + "".join(rows(Path(sys.argv[1])))
     PAGE.write_text(page[: page.index(START) + len(START)] + table + page[page.index(END) :], encoding="utf-8")

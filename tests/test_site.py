@@ -133,7 +133,7 @@ def test_every_page_has_one_place_in_the_navigation():
     """Sphinx warns of a page without a place, and of none with two."""
     conf = runpy.run_path(str(ROOT / "docs" / "conf.py"))
     made = conf["navigation"]((ROOT / "docs" / "index.md").read_text(), "docs")
-    assert re.findall(r":caption: (.*)", made) == ["Start", "Four doors", "More"]
+    assert re.findall(r":caption: (.*)", made) == ["Start", "By task", "More"]
     trees = "\n".join(re.findall(r"```{toctree}\n(.*?)```", made, re.DOTALL))
     top = [line for line in trees.splitlines() if line.startswith("/")]
     assert {"/README", "/docs/my-log", "/docs/my-research"} <= set(top)
