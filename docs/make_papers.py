@@ -1,4 +1,4 @@
-"""Makes docs/papers.md: every claim of the five papers beside what comes out here.
+"""Write docs/papers.md: every claim of the five papers beside the reproduction.
 
     rotorwatch reproduce --all -o results      each paper's result, kept in a folder
     python docs/make_papers.py results         the claims and tables of these results into docs/papers.json, and the page
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import sys
+import textwrap
 from pathlib import Path
 
 from rotorwatch.base import files
@@ -17,13 +18,12 @@ from rotorwatch.lab.experiments.studies import reproduction
 
 HERE = Path(__file__).parent
 DATA, PARTS, PAGE = HERE / "papers.json", HERE / "papers_parts.toml", HERE / "papers.md"
-WORDS = {"partly": "holds only in part"}  # where no condition is given
+WORDS = {"partly": "in part"}  # where no condition is given
 HEAD = """# The five papers
 
-What each paper claims, and what comes out here; where its equations and tables are in the code (`src/rotorwatch`), and what draws its
-figures. The page is made from the results of `rotorwatch reproduce --all` by `python docs/make_papers.py`. "Holds only if": under the
-condition that is named. "Refuted": the opposite is shown. "Not reproduced": it does not come out, and the paper leaves enough open that
-it may have been so there.
+Claims of each paper beside our reproduction (`rotorwatch reproduce --all`), where its equations and tables are in the code
+(`src/rotorwatch`), and its figures; made by `python docs/make_papers.py`. "Only if": holds under that condition. "In part": holds for some
+forms. "Refuted": the opposite is shown. "Not reproduced": it does not come out, but the paper leaves enough open that it may have.
 """
 
 
@@ -50,25 +50,30 @@ def page(data: list[dict]) -> str:
             f"## {row['title']}\n\n`rotorwatch reproduce {paper}`, {row['seeds']} seeds. Methods: {methods}.\n"
         )
         if reproduction.note(paper):
-            parts.append(f"**{reproduction.note(paper)}**\n")
-        for heads, lines in reproduction.by_form(row.get("forms", {})):
+            parts.append(textwrap.fill(f"**{reproduction.note(paper)}**", 140, break_on_hyphens=False) + "\n")
+        differ = {claim: found for claim, found in row.get("forms", {}).items() if len(set(found.values())) > 1}
+        for heads, lines in reproduction.by_form(differ):
             parts.append(_table(heads, [[WORDS.get(text, text) for text in line] for line in lines]))
         claims = [
             [f"{c['claim'].rstrip('.')}. {c['why']}", c["paper"], c["measured"], _verdict(c)] for c in row["claims"]
         ]
         parts.append(_table(["claim", "the paper", "here", "verdict"], claims))
         parts += [f"{table['title']}:\n\n{_table(table['head'], table['rows'])}" for table in row.get("tables", ())]
-        parts += _places(known[paper]) + _figures(paper, known[paper]["figures"])
-        literal = [f"- `{name}`: {text}" for name, text in reproduction.about(paper)[1].items()]
-        parts.append("\n".join(["Errata that `--literal` reads as printed:\n", *literal, ""]))
+        parts += [_places(known[paper]), _figures(paper, known[paper]["figures"])]
+        literal = ", ".join(f"`{name}`" for name in reproduction.about(paper)[1])
+        parts.append(
+            f"`--literal` takes these errata as printed (explained by `rotorwatch reproduce --help`): {literal}.\n"
+        )
     return "\n".join(parts)
 
 
-def _places(parts: dict) -> list[str]:
-    """Where equations and tables are."""
-    rows = [[number, what, _code(code), note] for number, what, code, note in parts["equations"] + parts["tables"]]
-    head = f"Equations and tables. {parts['numbers']}".rstrip()
-    return [f"{head}\n\n{_table(['printed', 'what', 'in the code', 'note'], rows)}"]
+def _places(parts: dict) -> str:
+    """Where equations and tables are: a row for each place in the code, with the notes."""
+    places: dict[str, list[str]] = {}
+    for number, _, code, note in parts["equations"] + parts["tables"]:
+        places.setdefault(_code(code), []).append(f"{number} ({note})" if note else number)
+    rows = [[code, ", ".join(numbers)] for code, numbers in places.items()]
+    return f"Equations and tables. {parts['numbers']}".rstrip() + f"\n\n{_table(['in the code', 'printed'], rows)}"
 
 
 def _code(places: str) -> str:
@@ -76,13 +81,12 @@ def _code(places: str) -> str:
     return f"`{places.removesuffix(': ')}`"
 
 
-def _figures(paper: str, figures: list[list[str]]) -> list[str]:
-    """What draws each of the paper's figures, and the pictures beyond them."""
+def _figures(paper: str, figures: list[list[str]]) -> str:
+    """The paper's figures as drawn here, and the plots beyond them."""
     ours = _pictures(paper)
-    rows = [[number, what, _linked(picture) if picture in ours else picture] for number, what, picture in figures]
+    found = [f"{number}: {_linked(picture) if picture in ours else picture}" for number, _, picture in figures]
     more = [_linked(name) for name in ours if name not in [picture for *_, picture in figures]]
-    found = [_table(["figure", "what it shows", "here"], rows)]
-    return found + ([f"More pictures: {', '.join(more)}.\n"] if more else [])
+    return f"Figures. {'; '.join(found)}." + (f" More: {', '.join(more)}." if more else "") + "\n"
 
 
 def _linked(picture: str) -> str:
@@ -106,9 +110,7 @@ def _verdict(claim: dict) -> str:
     """In the page's words: of what holds in part the condition, where one is given."""
     verdict = str(claim["verdict"])
     return (
-        f"holds only if {claim['only_if']}"
-        if verdict == "partly" and claim.get("only_if")
-        else WORDS.get(verdict, verdict)
+        f"only if {claim['only_if']}" if verdict == "partly" and claim.get("only_if") else WORDS.get(verdict, verdict)
     )
 
 

@@ -45,7 +45,8 @@ def test_claims_that_were_judged_for_several_forms_have_a_table_of_them(make, da
     assert row["forms"]
     for claim, verdicts in row["forms"].items():
         words = [make.WORDS.get(verdict, verdict) for verdict in verdicts.values()]
-        assert f"| claim | {' | '.join(verdicts)} |" in told and f"| {claim} | {' | '.join(words)} |" in told
+        if len(set(words)) > 1:  # else the claim's own verdict says it
+            assert f"| claim | {' | '.join(verdicts)} |" in told and f"| {claim} | {' | '.join(words)} |" in told
         assert known[claim] == reproduction.across(verdicts) or known[claim] == "partly"
 
 
@@ -63,7 +64,7 @@ def test_a_verdict_says_its_condition_and_tables_are_shown(make, data):
     other[0]["claims"][0] |= {"verdict": "partly", "only_if": "it is calm"}
     other[0]["tables"] = [{"title": "Numbers", "head": ["a", "b"], "rows": [["1", "2"]]}]
     page = make.page(other)
-    assert "| holds only if it is calm |" in page and "Numbers:\n\n| a | b |\n|---|---|\n| 1 | 2 |" in page
+    assert "| only if it is calm |" in page and "Numbers:\n\n| a | b |\n|---|---|\n| 1 | 2 |" in page
 
 
 def test_a_folder_with_one_paper_leaves_the_others_as_they_are(make, data, tmp_path):
