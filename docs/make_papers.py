@@ -8,6 +8,8 @@ A paper that the folder does not hold stays as it is. Without a folder the page 
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import sys
 import textwrap
@@ -18,6 +20,7 @@ from rotorwatch.lab.experiments.studies import reproduction
 
 HERE = Path(__file__).parent
 DATA, PARTS, PAGE = HERE / "papers.json", HERE / "papers_parts.toml", HERE / "papers.md"
+LONG = 12  # rows of a table that goes into a file of its own
 WORDS = {"partly": "in part"}  # where no condition is given
 HEAD = """# The five papers
 
@@ -58,13 +61,36 @@ def page(data: list[dict]) -> str:
             [f"{c['claim'].rstrip('.')}. {c['why']}", c["paper"], c["measured"], _verdict(c)] for c in row["claims"]
         ]
         parts.append(_table(["claim", "the paper", "here", "verdict"], claims))
-        parts += [f"{table['title']}:\n\n{_table(table['head'], table['rows'])}" for table in row.get("tables", ())]
+        parts += [_shown(paper, k, table) for k, table in enumerate(row.get("tables", ()))]
         parts += [_places(known[paper]), _figures(paper, known[paper]["figures"])]
         literal = ", ".join(f"`{name}`" for name in reproduction.about(paper)[1])
         parts.append(
             f"`--literal` takes these errata as printed (explained by `rotorwatch reproduce --help`): {literal}.\n"
         )
     return "\n".join(parts)
+
+
+def _shown(paper: str, k: int, table: dict) -> str:
+    """A table of a study, or where it is when it is long."""
+    if len(table["rows"]) > LONG:
+        return f"{table['title']}: [{_file(paper, k)}]({_file(paper, k)}).\n"
+    return f"{table['title']}:\n\n{_table(table['head'], table['rows'])}"
+
+
+def _file(paper: str, k: int) -> str:
+    return f"papers-{paper}-{k + 1}.csv"
+
+
+def long_tables(data: list[dict]) -> dict[str, str]:
+    """Name -> text of the files of long tables."""
+    files_: dict[str, str] = {}
+    for row in data:
+        for k, table in enumerate(row.get("tables", ())):
+            if len(table["rows"]) > LONG:
+                text = io.StringIO()
+                csv.writer(text, lineterminator="\n").writerows([table["head"], *table["rows"]])
+                files_[_file(row["paper"], k)] = text.getvalue()
+    return files_
 
 
 def _places(parts: dict) -> str:
@@ -122,4 +148,7 @@ if __name__ == "__main__":
     if len(sys.argv) > 1:
         now = rows(Path(sys.argv[1]), json.loads(DATA.read_text(encoding="utf-8")))
         DATA.write_text(json.dumps(now, indent=1) + "\n", encoding="utf-8")
-    PAGE.write_text(page(json.loads(DATA.read_text(encoding="utf-8"))), encoding="utf-8")
+    known = json.loads(DATA.read_text(encoding="utf-8"))
+    PAGE.write_text(page(known), encoding="utf-8")
+    for name, text in long_tables(known).items():
+        (HERE / name).write_text(text, encoding="utf-8")

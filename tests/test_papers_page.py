@@ -31,6 +31,12 @@ def test_the_page_is_what_the_data_says(make, data):
     assert make.PAGE.read_text(encoding="utf-8") == make.page(data)
 
 
+def test_long_tables_have_a_file(make, data):
+    found = make.long_tables(data)
+    assert found and all(f"({name})" in make.page(data) for name in found)
+    assert all((DOCS / name).read_text(encoding="utf-8") == text for name, text in found.items())
+
+
 def test_other_data_give_another_page(make, data):
     other = json.loads(json.dumps(data))
     other[0]["claims"][0]["verdict"] = "refuted"
