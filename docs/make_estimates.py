@@ -29,6 +29,7 @@ DATA, PAGE = HERE / "estimates.json", HERE / "estimate.md"
 BEGIN, END = "<!-- measured: docs/make_estimates.py -->\n", "<!-- end of what is measured -->\n"
 METHODS = ("axkf", "intermediate", "lyapunov", "mh_lyapunov", "tsukf", "atsukf", "aesmf")
 LOSSES = ("healthy", "loss", "dead", "pair")
+FEW = 5  # flights of a group that is shown on its own
 SETTLED_S = 2.0  # after an onset, before the rotor that lost counts
 GROUPS = ("healthy", "quad, one loss", "quad, two losses", "hexa, octa and tri, losses", "a rotor dead")
 
@@ -174,7 +175,7 @@ def table(data: dict, keys: tuple[str, str], digits: int | None = None) -> str:
     """Methods x groups: means over flights of two figures, the second one for rotors that lost thrust. Without digits: in per cent."""
     rows = [row for row in data["flights"] if row["methods"]]
     count = Counter(row["group"] for row in rows)
-    groups = [group for group in GROUPS if count[group]]
+    groups = [group for group in GROUPS if count[group] >= FEW]
     lines = [
         "| method | " + " | ".join(f"{g} ({count[g]})" for g in groups) + " | all |",
         "|---" * (len(groups) + 2) + "|",
