@@ -211,8 +211,9 @@ def page(data: dict) -> str:
 Left out:
 {said}.
 
-Steps in which a method's own interval or bound contains the truth, in per cent, mean over flights (their number in brackets): of every
-rotor, and of the rotors that lost thrust from {SETTLED_S:g} s after the loss. Nominal: 95 for an interval, 100 for a bound.
+Steps in which a method's own interval or bound contains the truth, in per cent, mean over flights (their number in brackets; groups of
+fewer than {FEW} only in *all*): of every rotor, and of the rotors that lost thrust from {SETTLED_S:g} s after the loss. Nominal: 95 for an
+interval, 100 for a bound.
 
 {table(data, ("all", "lost"))}
 Median half-width of the interval or bound (all steps and rotors of a flight; mean over flights), and RMS error of the rotors that lost

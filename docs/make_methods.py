@@ -1,4 +1,4 @@
-"""Makes the table of docs/methods/index.md from what discovery finds: run it after adding a method."""
+"""Write the table of docs/methods/index.md from the discovered methods: run it after adding one."""
 
 from __future__ import annotations
 

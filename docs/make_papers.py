@@ -31,7 +31,7 @@ forms. "Refuted": the opposite is shown. "Not reproduced": it does not come out,
 
 
 def rows(folder: Path, before: list[dict]) -> list[dict]:
-    """Of every study in its order: paper, title, seeds, claims and tables of the result that is kept in the folder, else as before."""
+    """Paper, title, seeds, claims and tables of every study in order: of the result in the folder, else as before."""
     known, found = {row["paper"]: row for row in before}, []
     for name in reproduction.studies():
         kept = folder / f"{name}.json"
@@ -94,7 +94,7 @@ def long_tables(data: list[dict]) -> dict[str, str]:
 
 
 def _places(parts: dict) -> str:
-    """Where equations and tables are: a row for each place in the code, with the notes."""
+    """Places of equations and tables: a row for each place in the code, with the notes."""
     places: dict[str, list[str]] = {}
     for number, _, code, note in parts["equations"] + parts["tables"]:
         places.setdefault(_code(code), []).append(f"{number} ({note})" if note else number)
@@ -133,7 +133,7 @@ def _pictures(paper: str) -> list[str]:
 
 
 def _verdict(claim: dict) -> str:
-    """In the page's words: of what holds in part the condition, where one is given."""
+    """The verdict in the page's words, with its condition."""
     verdict = str(claim["verdict"])
     return (
         f"only if {claim['only_if']}" if verdict == "partly" and claim.get("only_if") else WORDS.get(verdict, verdict)
