@@ -20,12 +20,14 @@ from rotorwatch.lab.campaign import benchmark, closed_loop, ranking
 ROOT = Path(__file__).resolve().parents[1]
 PAGE, DATA = ROOT / "docs" / "comparison.md", ROOT / "docs" / "comparison.csv"
 FRAMES = ("quad-x", "hexa-x", "octa-x", "octaquad-x", "y6")
+UP_DATA = ROOT / "docs" / "comparison-closed-loop.csv"
 UP_PLAN, UP_FLIGHTS = ROOT / "plans" / "survival-methods.toml", 240
 UP = """
 ## Does the vehicle stay up
 
 {flights} flights of `{plan}` ([closed loop](control.md#closed-loop)): quad X and hexa X, losses of 10 % to 100 % of one rotor or two, wind
 to 9 m/s. A method's estimates drive the allocation; `nobody` keeps the autopilot's mixer, `truth` knows every loss after 0.1 s.
+By frame: [comparison-closed-loop.csv](comparison-closed-loop.csv).
 
 """
 PAIR = ("detected", "right")
@@ -46,11 +48,10 @@ COLUMNS = (
 UP_COLUMNS = (
     "driver",
     "stays up, of those that the truth saves, %",
-    "quad X, %",
-    "hexa X, %",
     "acted falsely, flights an hour",
     "first acted after, s",
 )
+UP_FRAMES = ("quad-x", "hexa-x")
 
 
 def percent(share: dict | None) -> str:
@@ -75,20 +76,18 @@ def number(value: dict | None) -> str:
     return "-" if value is None else "{:.2f} ({:.2f} to {:.2f})".format(*(value[k] for k in ("value", "low", "high")))
 
 
-def staying_up(found: dict) -> str:
-    """The closed loop in Markdown, the best first."""
+def staying_up(found: dict) -> tuple[str, list[list[str]]]:
+    """The closed loop, the best first: in Markdown, and the rows of comparison-closed-loop.csv with the shares by frame."""
     lines = [f"| {' | '.join(UP_COLUMNS)} |", "|---" * len(UP_COLUMNS) + "|"]
+    rows = [
+        ["driver", "stays_up_percent", *(f"{frame}_percent" for frame in UP_FRAMES), "acted_falsely_h", "first_acted_s"]
+    ]
     for name, m in sorted(found["drivers"].items(), key=lambda row: -row[1]["of_possible"]["value"]):
-        frames = [bare(percent(m["possible_by_frame"][f])) for f in ("quad-x", "hexa-x")]
-        cells = [
-            f"`{name}`",
-            percent(m["of_possible"]),
-            *frames,
-            bare(number(m["false_h"])),
-            bare(number(m["first_s"])),
-        ]
-        lines.append(f"| {' | '.join(cells)} |")
-    return UP.format(flights=found["flights"], plan=UP_PLAN.relative_to(ROOT)) + "\n".join(lines) + "\n"
+        share, false, first = percent(m["of_possible"]), bare(number(m["false_h"])), bare(number(m["first_s"]))
+        frames = [bare(percent(m["possible_by_frame"][frame])) for frame in UP_FRAMES]
+        lines.append(f"| `{name}` | {share} | {false} | {first} |")
+        rows.append([name, share, *frames, false, first])
+    return UP.format(flights=found["flights"], plan=UP_PLAN.relative_to(ROOT)) + "\n".join(lines) + "\n", rows
 
 
 def name_of(ranked: dict) -> str:
@@ -161,6 +160,12 @@ def put(part: str, text: str) -> None:
     PAGE.write_text(before + begin + text + end + rest.split(end)[1], encoding="utf-8")
 
 
+def write(path: Path, rows_: list) -> None:
+    """Write rows as comma-separated values."""
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows(rows_)
+
+
 def main() -> None:
     """Fly what is missing, write the tables into the page."""
     arguments = argparse.ArgumentParser(description=__doc__)
@@ -182,14 +187,13 @@ def main() -> None:
             benchmark.run(plan, options.methods.split(","), out, options.jobs, notify=print)
         ranked.append(ranking.rank(sorted(options.out.glob(f"{frame}*.json"))))
     put("frames", table(ranked[0]) + (others(ranked[1:]) if ranked[1:] else ""))
-    with open(DATA, "w", newline="", encoding="utf-8") as file:
-        csv.writer(file, lineterminator="\n").writerows([COLUMNS, *(row for one in ranked for row in rows(one))])
+    write(DATA, [COLUMNS, *(row for one in ranked for row in rows(one))])
     if options.closed_loop:
         drivers = [closed_loop.NOBODY, closed_loop.TRUTH, "default", *sorted(set(discovery.estimators()) - {"default"})]
-        put(
-            "closed loop",
-            staying_up(closed_loop.run(UP_PLAN, drivers, options.out / "closed-loop", UP_FLIGHTS, options.jobs)),
-        )
+        found = closed_loop.run(UP_PLAN, drivers, options.out / "closed-loop", UP_FLIGHTS, options.jobs)
+        text, rows_ = staying_up(found)
+        put("closed loop", text)
+        write(UP_DATA, rows_)
 
 
 if __name__ == "__main__":
