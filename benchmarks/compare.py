@@ -23,7 +23,7 @@ FRAMES = ("quad-x", "hexa-x", "octa-x", "octaquad-x", "y6")
 UP_DATA = ROOT / "docs" / "comparison-closed-loop.csv"
 UP_PLAN, UP_FLIGHTS = ROOT / "plans" / "survival-methods.toml", 240
 UP = """
-## Does the vehicle stay up
+## Survival in closed loop
 
 {flights} flights of `{plan}` ([closed loop](control.md#closed-loop)): quad X and hexa X, losses of 10 % to 100 % of one rotor or two, wind
 to 9 m/s. A method's estimates drive the allocation; `nobody` keeps the autopilot's mixer, `truth` knows every loss after 0.1 s.
