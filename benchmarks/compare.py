@@ -1,4 +1,4 @@
-"""Makes docs/comparison.md: all methods on the same simulated flights, a table for each frame, and which of them keep a vehicle up.
+"""Write docs/comparison.md and docs/comparison.csv: all methods on the same simulated flights, and which of them keep a vehicle up.
 
     python benchmarks/compare.py [--jobs 2] [--frames quad-x] [--closed-loop] [--out FOLDER] [--methods NAME,NAME --name -more]
 
@@ -10,6 +10,7 @@ and a run that was interrupted goes on where it was.
 from __future__ import annotations
 
 import argparse
+import csv
 import tempfile
 from pathlib import Path
 
@@ -17,24 +18,40 @@ from rotorwatch.base import discovery
 from rotorwatch_lab.campaign import benchmark, closed_loop, ranking
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs" / "comparison.md"
+PAGE, DATA = ROOT / "docs" / "comparison.md", ROOT / "docs" / "comparison.csv"
 FRAMES = ("quad-x", "hexa-x", "octa-x", "octaquad-x", "y6")
+UP_DATA = ROOT / "docs" / "comparison-closed-loop.csv"
 UP_PLAN, UP_FLIGHTS = ROOT / "plans" / "survival-methods.toml", 240
 UP = """
-## Does the vehicle stay up
+## Survival in closed loop
 
-{flights} flights of `{plan}` ([closed loop](control.md#closed-loop)): quad X and hexa X, losses of 10 % to all of one rotor or two, wind to
-9 m/s. The losses that a method estimates drive the allocation; `nobody` keeps the autopilot's mixer, `truth` knows every loss after 0.1 s.
+{flights} flights of `{plan}` ([closed loop](control.md#closed-loop)): quad X and hexa X, losses of 10 % to 100 % of one rotor or two, wind
+to 9 m/s. A method's estimates drive the allocation; `nobody` keeps the autopilot's mixer, `truth` knows every loss after 0.1 s.
+By frame: [comparison-closed-loop.csv](comparison-closed-loop.csv).
 
 """
+PAIR = ("detected", "right")
+COLUMNS = (
+    *(
+        "frame",
+        "method",
+        "like_first",
+        "found_percent",
+        "found_low",
+        "found_high",
+        "delay_s",
+        "right_percent",
+        "size_error",
+    ),
+    *("coverage_percent", "own_alarms_h", "us_per_step"),
+)
 UP_COLUMNS = (
     "driver",
     "stays up, of those that the truth saves, %",
-    "quad X, %",
-    "hexa X, %",
     "acted falsely, flights an hour",
     "first acted after, s",
 )
+UP_FRAMES = ("quad-x", "hexa-x")
 
 
 def percent(share: dict | None) -> str:
@@ -59,47 +76,81 @@ def number(value: dict | None) -> str:
     return "-" if value is None else "{:.2f} ({:.2f} to {:.2f})".format(*(value[k] for k in ("value", "low", "high")))
 
 
-def staying_up(found: dict) -> str:
-    """The closed loop in Markdown, the best first."""
+def staying_up(found: dict) -> tuple[str, list[list[str]]]:
+    """The closed loop, the best first: in Markdown, and the rows of comparison-closed-loop.csv with the shares by frame."""
     lines = [f"| {' | '.join(UP_COLUMNS)} |", "|---" * len(UP_COLUMNS) + "|"]
+    rows = [
+        ["driver", "stays_up_percent", *(f"{frame}_percent" for frame in UP_FRAMES), "acted_falsely_h", "first_acted_s"]
+    ]
     for name, m in sorted(found["drivers"].items(), key=lambda row: -row[1]["of_possible"]["value"]):
-        frames = [bare(percent(m["possible_by_frame"][f])) for f in ("quad-x", "hexa-x")]
-        cells = [
-            f"`{name}`",
-            percent(m["of_possible"]),
-            *frames,
-            bare(number(m["false_h"])),
-            bare(number(m["first_s"])),
-        ]
-        lines.append(f"| {' | '.join(cells)} |")
-    return UP.format(flights=found["flights"], plan=UP_PLAN.relative_to(ROOT)) + "\n".join(lines) + "\n"
+        share, false, first = percent(m["of_possible"]), bare(number(m["false_h"])), bare(number(m["first_s"]))
+        frames = [bare(percent(m["possible_by_frame"][frame])) for frame in UP_FRAMES]
+        lines.append(f"| `{name}` | {share} | {false} | {first} |")
+        rows.append([name, share, *frames, false, first])
+    return UP.format(flights=found["flights"], plan=UP_PLAN.relative_to(ROOT)) + "\n".join(lines) + "\n", rows
 
 
-def table(ranked: dict, told: set[str]) -> str:
-    """One frame's ranking in Markdown. told: machines that a table before it has named; those of this one are added."""
-    frame = ranked["plan"]["name"].removeprefix("comparison-")
+def name_of(ranked: dict) -> str:
+    """The frame that a ranking is of."""
+    return ranked["plan"]["name"].removeprefix("comparison-")
+
+
+def table(ranked: dict) -> str:
+    """The ranking of the first frame in Markdown, with all scores."""
     plan, rows = ranked["plan"], ranked["rows"]
     scores = rows[0]["scores"]
     count = (
         f"{plan['flights']} flights, {scores['clear_faults']:.0f} clear faults, {scores['healthy_h']:.1f} healthy hours"
     )
+    heads = [head + (", %" if key in ranking.SHARES else "") for key, head in ranking.COLUMNS.items()]
     lines = [
-        f"\n## {frame}\n",
-        "; ".join([count, *dict.fromkeys(m for m in ranked["machines"].values() if m not in told)]) + ".\n",
-    ]
-    keys = [key for key in ranking.COLUMNS if not (told and key == "us_per_step")]  # of a quad, whatever the frame
-    told |= set(ranked["machines"].values())
-    heads = [ranking.COLUMNS[key] + (", %" if key in ranking.SHARES else "") for key in keys]
-    lines += [
+        f"\n## {name_of(ranked)}\n",
+        "; ".join([count, *dict.fromkeys(ranked["machines"].values())]) + ".\n",
         f"| method | {' | '.join(heads)} |",
         "|---" * (len(heads) + 1) + "|",
     ]
     for row in rows:
-        found, *rest = [ranking.cell(key, row["scores"].get(key)) for key in keys]
+        found, *rest = [ranking.cell(key, row["scores"].get(key)) for key in ranking.COLUMNS]
         mark = ranking.mark(row).lstrip("0123456789")
         method = f"`{row['name']}` {mark}".strip()
         lines.append(f"| {method} | {unsigned(' | '.join([found, *map(bare, rest)]))} |")
     return "\n".join(lines + [f"\nNot run: `{e['name']}`: {e['failed']}" for e in ranked["failed"]]) + "\n"
+
+
+def others(frames: list[dict]) -> str:
+    """The other frames in one table, in the order of the first of them: share found and share with the right rotor, in per cent."""
+    scores = [{row["name"]: row["scores"] for row in ranked["rows"]} for ranked in frames]
+    names = dict.fromkeys(name for found in scores for name in found)
+    counts = ", ".join(f"{ranked['rows'][0]['scores']['clear_faults']:.0f}" for ranked in frames)
+    hours = [ranked["rows"][0]["scores"]["healthy_h"] for ranked in frames]
+    lines = [
+        "\n## Other frames\n",
+        "Found and right rotor, %. All scores with intervals: [comparison.csv](comparison.csv).",
+        f"{frames[0]['plan']['flights']} flights each; {counts} clear faults, {min(hours):.1f} to {max(hours):.1f} healthy hours.\n",
+        f"| method | {' | '.join(map(name_of, frames))} |",
+        "|---" * (len(frames) + 1) + "|",
+    ]
+    for name in names:
+        cells = [", ".join(value(found[name][key]) for key in PAIR) if name in found else "-" for found in scores]
+        lines.append(f"| `{name}` | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def value(score: dict | None) -> str:
+    """A share in per cent without its interval."""
+    return "-" if score is None else f"{100 * score['value']:.0f}"
+
+
+def rows(ranked: dict) -> list[list[str]]:
+    """Rows of comparison.csv: one for each method of a frame."""
+    found = []
+    for row in ranked["rows"]:
+        scores, share = row["scores"], row["scores"]["detected"]
+        limits = [f"{100 * share[key]:.0f}" for key in ("value", "low", "high")]
+        rest = [bare(ranking.cell(key, scores.get(key))) for key in list(ranking.COLUMNS)[1:]]
+        like = "yes" if ranking.mark(row).endswith("=") else ""
+        found.append([name_of(ranked), row["name"], like, *limits, *(unsigned(cell).replace("-", "") for cell in rest)])
+    return found
 
 
 def put(part: str, text: str) -> None:
@@ -107,6 +158,12 @@ def put(part: str, text: str) -> None:
     begin, end = f"<!-- {part}: made by benchmarks/compare.py -->\n", f"<!-- end of {part} -->"
     before, rest = PAGE.read_text(encoding="utf-8").split(begin)
     PAGE.write_text(before + begin + text + end + rest.split(end)[1], encoding="utf-8")
+
+
+def write(path: Path, rows_: list) -> None:
+    """Write rows as comma-separated values."""
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows(rows_)
 
 
 def main() -> None:
@@ -122,21 +179,21 @@ def main() -> None:
     arguments.add_argument("--out", type=Path, default=Path(tempfile.gettempdir()) / "rotorwatch-comparison")
     options = arguments.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    tables: list[str] = []
-    told: set[str] = set()
+    ranked: list[dict] = []
     for frame in options.frames.split(","):
         out = options.out / f"{frame}{options.name}.json"
         if not out.exists():
             plan = ROOT / "benchmarks" / "comparison" / f"{frame}.toml"
             benchmark.run(plan, options.methods.split(","), out, options.jobs, notify=print)
-        tables.append(table(ranking.rank(sorted(options.out.glob(f"{frame}*.json"))), told))
-    put("frames", "".join(tables))
+        ranked.append(ranking.rank(sorted(options.out.glob(f"{frame}*.json"))))
+    put("frames", table(ranked[0]) + (others(ranked[1:]) if ranked[1:] else ""))
+    write(DATA, [COLUMNS, *(row for one in ranked for row in rows(one))])
     if options.closed_loop:
         drivers = [closed_loop.NOBODY, closed_loop.TRUTH, "default", *sorted(set(discovery.estimators()) - {"default"})]
-        put(
-            "closed loop",
-            staying_up(closed_loop.run(UP_PLAN, drivers, options.out / "closed-loop", UP_FLIGHTS, options.jobs)),
-        )
+        found = closed_loop.run(UP_PLAN, drivers, options.out / "closed-loop", UP_FLIGHTS, options.jobs)
+        text, rows_ = staying_up(found)
+        put("closed loop", text)
+        write(UP_DATA, rows_)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ METHOD = "default"
 
 
 def main(folder: str) -> None:
-    """What was achieved, with its 95 % interval, beside what could be."""
+    """Draw the achieved performance with its 95 % interval, beside the bounds."""
     found = json.loads((Path(folder) / "summary.json").read_text())["methods"][METHOD]
     plt.rcParams.update({"svg.hashsalt": "campaigns", "svg.fonttype": "none", "font.size": 9})
     figure, (roc, delay, loss) = plt.subplots(1, 3, figsize=(11, 3.3), layout="constrained")

@@ -1,6 +1,6 @@
 """Draw docs/methods/default-parts.svg: `python docs/make_default_picture.py LOG`, a healthy flight into which a loss is put (matplotlib).
 
-Every part of the default method at work: what its step holds and says, tick by tick.
+Inputs, state and outputs of every part of the default method, tick by tick.
 """
 
 import sys
@@ -27,7 +27,7 @@ OUT = Path(__file__).parent / "methods" / "default-parts.svg"
 
 
 def main(log: str) -> None:
-    """The picture, of one log."""
+    """Draw the picture of one log."""
     flight = rw.read(log)
     vehicle, air = airframes.identify(flight), airborne(flight)
     start = air[0][0]
@@ -87,7 +87,7 @@ def main(log: str) -> None:
 
 
 def steps(table, B) -> dict[str, np.ndarray]:
-    """What the step holds and says at every tick."""
+    """State and outputs of the step at every tick."""
     estimator, found = program.steps(table.dt, B), []
     for u, y, valid in zip(*program.inputs(table, B), strict=True):
         out = estimator.run(u[None], y[None], valid[None])

@@ -1,4 +1,4 @@
-"""Makes the measured part of docs/estimate.md: how often the interval or bound of each method holds the truth, and three logs drawn.
+"""Write the measured part of docs/estimate.md: how often the interval or bound of each method holds the truth, and plots of three logs.
 
     python docs/make_estimates.py measure TRUTH.csv [TRUTH.csv ..] -o RESULTS [--methods axkf,aesmf] [--draw LOG --draw LOG ..]
     python docs/make_estimates.py page RESULTS
@@ -29,6 +29,7 @@ DATA, PAGE = HERE / "estimates.json", HERE / "estimate.md"
 BEGIN, END = "<!-- measured: docs/make_estimates.py -->\n", "<!-- end of what is measured -->\n"
 METHODS = ("axkf", "intermediate", "lyapunov", "mh_lyapunov", "tsukf", "atsukf", "aesmf")
 LOSSES = ("healthy", "loss", "dead", "pair")
+FEW = 5  # flights of a group that is shown on its own
 SETTLED_S = 2.0  # after an onset, before the rotor that lost counts
 GROUPS = ("healthy", "quad, one loss", "quad, two losses", "hexa, octa and tri, losses", "a rotor dead")
 
@@ -170,11 +171,11 @@ def gather(out: Path) -> dict:
     return json.loads((out / "left.json").read_text(encoding="utf-8")) | {"flights": rows}
 
 
-def table(data: dict, key: str, digits: int | None = None) -> str:
-    """Methods x groups: the mean over flights of a figure."""
+def table(data: dict, keys: tuple[str, str], digits: int | None = None) -> str:
+    """Methods x groups: means over flights of two figures, the second one for rotors that lost thrust. Without digits: in per cent."""
     rows = [row for row in data["flights"] if row["methods"]]
-    groups = [g for g in GROUPS if any(row["group"] == g and _of(row, key) for row in rows)]
     count = Counter(row["group"] for row in rows)
+    groups = [group for group in GROUPS if count[group] >= FEW]
     lines = [
         "| method | " + " | ".join(f"{g} ({count[g]})" for g in groups) + " | all |",
         "|---" * (len(groups) + 2) + "|",
@@ -182,25 +183,18 @@ def table(data: dict, key: str, digits: int | None = None) -> str:
     for method in METHODS:
         cells = []
         for group in [*groups, None]:
-            values = [
-                row["methods"][method].get(key)
-                for row in rows
-                if method in row["methods"] and group in (None, row["group"])
-            ]
-            cells.append(_cell([v for v in values if v is not None], key, digits))
+            of = [row["methods"][method] for row in rows if method in row["methods"] and group in (None, row["group"])]
+            found = [_cell([one[key] for one in of if one.get(key) is not None], key, digits) for key in keys]
+            cells.append(", ".join(text for text in found if text))
         lines.append(f"| [`{method}`](methods/{method}.md) | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 
-def _of(row: dict, key: str) -> bool:
-    return any(one.get(key) is not None for one in row["methods"].values())
-
-
 def _cell(values: list[float], key: str, digits: int | None) -> str:
     if not values:
-        return "-"
+        return ""
     value = float(np.mean(values)) ** (0.5 if key == "error" else 1.0)
-    return f"{100 * value:.0f} %" if digits is None else f"{value:.{digits}f}"
+    return f"{100 * value:.0f}" if digits is None else f"{value:.{digits}f}"
 
 
 def page(data: dict) -> str:
@@ -212,28 +206,24 @@ def page(data: dict) -> str:
     return f"""{BEGIN}
 ## How often the interval holds the truth
 
-{len(used)} simulated flights whose truth is known, flown by autopilots' own code (ArduPilot, PX4), estimated on `rates` up to a loss
-of control; made by `python docs/make_estimates.py`, flight by flight in `docs/estimates.json`.
+{len(used)} simulated flights with known truth, flown by autopilot code (ArduPilot, PX4), estimated on `rates` up to a loss of control
+(`python docs/make_estimates.py`; flight by flight in `docs/estimates.json`).
 Left out:
 {said}.
 
-Share of the steps in which a method's own interval or bound holds the truth, of every rotor, mean over flights (in brackets their number).
-An interval of 95 % should hold it in 95 %, a bound always:
+Steps in which a method's own interval or bound contains the truth, in per cent, mean over flights (their number in brackets; groups of
+fewer than {FEW} only in *all*): of every rotor, and of the rotors that lost thrust from {SETTLED_S:g} s after the loss. Nominal: 95 for an
+interval, 100 for a bound.
 
-{table(data, "all")}
-The same of the rotors that lost thrust, from {SETTLED_S:g} s after the loss:
+{table(data, ("all", "lost"))}
+Median half-width of the interval or bound (all steps and rotors of a flight; mean over flights), and RMS error of the rotors that lost
+thrust, from {SETTLED_S:g} s after the loss:
 
-{table(data, "lost")}
-Median half-width of the interval or bound (of all steps and rotors of a flight; mean over flights):
-
-{table(data, "half_width", 3)}
-Error (root mean square) of the rotors that lost thrust, from {SETTLED_S:g} s after the loss:
-
-{table(data, "error", 3)}
-A covariance counts the noise that the method believes in, not what the plant lacks: wind, air through the rotors and the battery are in
-none of them. So a threshold on such an interval accuses healthy rotors, and `diagnose` decides on the direction of what is missing and on
-the scatter of the flight itself. On hexas and octas more losses are estimated than the log shows at once; AXKF says so by intervals that
-hold nearly anything. AESMF's bounds hold the truth, and are the widest on quads.
+{table(data, ("half_width", "error"), 3)}
+A covariance covers the noise that the method assumes, not what the plant omits: wind, air through the rotors and the battery are in none.
+A threshold on such an interval accuses healthy rotors; `diagnose` therefore decides on the direction of the missing wrench and the scatter
+of the flight itself. On hexas and octas more losses are estimated than the log shows at once: AXKF's intervals then hold nearly anything.
+AESMF's bounds hold the truth, and are the widest on quads.
 
 Three of the flights, with the truth dashed:
 

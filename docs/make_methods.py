@@ -1,8 +1,9 @@
-"""Makes the table of docs/methods/index.md from what discovery finds: run it after adding a method."""
+"""Write the table of docs/methods/index.md from the discovered methods: run it after adding one."""
 
 from __future__ import annotations
 
 import sys
+import textwrap
 from pathlib import Path
 
 from rotorwatch import airframes
@@ -39,21 +40,26 @@ def defined_for(kind: type, examples: dict) -> list[str]:
 
 
 def table() -> str:
-    """A row for each method: name, what it is, and the plants it takes."""
+    """A row for each method, name and description; below, the methods that do not take every plant."""
     examples = plants()
-    lines = ["| name | method | plants |", "|---|---|---|"]
+    lines = ["| name | method |", "|---|---|"]
+    limited: dict[str, list[str]] = {}
     for name, kind in discovery.estimators().items():
         module = sys.modules[kind.__module__].__doc__ or ""
         about = " ".join(module.split("\n\n")[0].split()).rstrip(".")
-        if name == "default":
-            takes = "`wrench_balance`"
-        else:
-            which = defined_for(kind, examples)
-            takes = "all" if len(which) == len(examples) else ", ".join(f"`{w}`" for w in which)
+        takes = ["wrench_balance"] if name == "default" else defined_for(kind, examples)
+        if len(takes) < len(examples):
+            limited.setdefault(", ".join(f"`{plant}`" for plant in takes), []).append(f"`{name}`")
         page = PAGE.parent / f"{name}.md"
         link = f"[`{name}`]({name}.md)" if page.exists() else f"`{name}`"
-        lines.append(f"| {link} | {about} | {takes} |")
-    return "\n".join(lines) + "\n"
+        lines.append(f"| {link} | {about} |")
+    but = "; ".join(f"{', '.join(names)}: {found}" for found, names in limited.items())
+    return (
+        "\n".join(lines)
+        + "\n\n"
+        + textwrap.fill(f"All take every plant, except {but}." if but else "All take every plant.", 140)
+        + "\n"
+    )
 
 
 def filled(page: str) -> str:

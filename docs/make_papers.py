@@ -1,4 +1,4 @@
-"""Makes docs/papers.md: every claim of the five papers beside what comes out here.
+"""Write docs/papers.md: every claim of the five papers beside the reproduction.
 
     rotorwatch reproduce --all -o results      each paper's result, kept in a folder
     python docs/make_papers.py results         the claims and tables of these results into docs/papers.json, and the page
@@ -8,8 +8,11 @@ A paper that the folder does not hold stays as it is. Without a folder the page 
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import sys
+import textwrap
 from pathlib import Path
 
 from rotorwatch.base import files
@@ -17,18 +20,18 @@ from rotorwatch_lab.experiments.studies import reproduction
 
 HERE = Path(__file__).parent
 DATA, PARTS, PAGE = HERE / "papers.json", HERE / "papers_parts.toml", HERE / "papers.md"
-WORDS = {"partly": "holds only in part"}  # where no condition is given
+LONG = 12  # rows of a table that goes into a file of its own
+WORDS = {"partly": "in part"}  # where no condition is given
 HEAD = """# The five papers
 
-What each paper claims, and what comes out here; where its equations and tables are in the code (below `src`), and what draws its
-figures. The page is made from the results of `rotorwatch reproduce --all` by `python docs/make_papers.py`. "Holds only if": under the
-condition that is named. "Refuted": the opposite is shown. "Not reproduced": it does not come out, and the paper leaves enough open that
-it may have been so there.
+Claims of each paper beside our reproduction (`rotorwatch reproduce --all`), where its equations and tables are in the code
+(`src`), and its figures; made by `python docs/make_papers.py`. "Only if": holds under that condition. "In part": holds for some
+forms. "Refuted": the opposite is shown. "Not reproduced": it does not come out, but the paper leaves enough open that it may have.
 """
 
 
 def rows(folder: Path, before: list[dict]) -> list[dict]:
-    """Of every study in its order: paper, title, seeds, claims and tables of the result that is kept in the folder, else as before."""
+    """Paper, title, seeds, claims and tables of every study in order: of the result in the folder, else as before."""
     known, found = {row["paper"]: row for row in before}, []
     for name in reproduction.studies():
         kept = folder / f"{name}.json"
@@ -50,25 +53,53 @@ def page(data: list[dict]) -> str:
             f"## {row['title']}\n\n`rotorwatch reproduce {paper}`, {row['seeds']} seeds. Methods: {methods}.\n"
         )
         if reproduction.note(paper):
-            parts.append(f"**{reproduction.note(paper)}**\n")
-        for heads, lines in reproduction.by_form(row.get("forms", {})):
+            parts.append(textwrap.fill(f"**{reproduction.note(paper)}**", 140, break_on_hyphens=False) + "\n")
+        differ = {claim: found for claim, found in row.get("forms", {}).items() if len(set(found.values())) > 1}
+        for heads, lines in reproduction.by_form(differ):
             parts.append(_table(heads, [[WORDS.get(text, text) for text in line] for line in lines]))
         claims = [
             [f"{c['claim'].rstrip('.')}. {c['why']}", c["paper"], c["measured"], _verdict(c)] for c in row["claims"]
         ]
         parts.append(_table(["claim", "the paper", "here", "verdict"], claims))
-        parts += [f"{table['title']}:\n\n{_table(table['head'], table['rows'])}" for table in row.get("tables", ())]
-        parts += _places(known[paper]) + _figures(paper, known[paper]["figures"])
-        literal = [f"- `{name}`: {text}" for name, text in reproduction.about(paper)[1].items()]
-        parts.append("\n".join(["Errata that `--literal` reads as printed:\n", *literal, ""]))
+        parts += [_shown(paper, k, table) for k, table in enumerate(row.get("tables", ()))]
+        parts += [_places(known[paper]), _figures(paper, known[paper]["figures"])]
+        literal = ", ".join(f"`{name}`" for name in reproduction.about(paper)[1])
+        parts.append(
+            f"`--literal` takes these errata as printed (explained by `rotorwatch reproduce --help`): {literal}.\n"
+        )
     return "\n".join(parts)
 
 
-def _places(parts: dict) -> list[str]:
-    """Where equations and tables are."""
-    rows = [[number, what, _code(code), note] for number, what, code, note in parts["equations"] + parts["tables"]]
-    head = f"Equations and tables. {parts['numbers']}".rstrip()
-    return [f"{head}\n\n{_table(['printed', 'what', 'in the code', 'note'], rows)}"]
+def _shown(paper: str, k: int, table: dict) -> str:
+    """A table of a study, or where it is when it is long."""
+    if len(table["rows"]) > LONG:
+        return f"{table['title']}: [{_file(paper, k)}]({_file(paper, k)}).\n"
+    return f"{table['title']}:\n\n{_table(table['head'], table['rows'])}"
+
+
+def _file(paper: str, k: int) -> str:
+    return f"papers-{paper}-{k + 1}.csv"
+
+
+def long_tables(data: list[dict]) -> dict[str, str]:
+    """Name -> text of the files of long tables."""
+    files_: dict[str, str] = {}
+    for row in data:
+        for k, table in enumerate(row.get("tables", ())):
+            if len(table["rows"]) > LONG:
+                text = io.StringIO()
+                csv.writer(text, lineterminator="\n").writerows([table["head"], *table["rows"]])
+                files_[_file(row["paper"], k)] = text.getvalue()
+    return files_
+
+
+def _places(parts: dict) -> str:
+    """Places of equations and tables: a row for each place in the code, with the notes."""
+    places: dict[str, list[str]] = {}
+    for number, _, code, note in parts["equations"] + parts["tables"]:
+        places.setdefault(_code(code), []).append(f"{number} ({note})" if note else number)
+    rows = [[code, ", ".join(numbers)] for code, numbers in places.items()]
+    return f"Equations and tables. {parts['numbers']}".rstrip() + f"\n\n{_table(['in the code', 'printed'], rows)}"
 
 
 def _code(places: str) -> str:
@@ -76,13 +107,12 @@ def _code(places: str) -> str:
     return f"`{places.removesuffix(': ')}`"
 
 
-def _figures(paper: str, figures: list[list[str]]) -> list[str]:
-    """What draws each of the paper's figures, and the pictures beyond them."""
+def _figures(paper: str, figures: list[list[str]]) -> str:
+    """The paper's figures as drawn here, and the plots beyond them."""
     ours = _pictures(paper)
-    rows = [[number, what, _linked(picture) if picture in ours else picture] for number, what, picture in figures]
+    found = [f"{number}: {_linked(picture) if picture in ours else picture}" for number, _, picture in figures]
     more = [_linked(name) for name in ours if name not in [picture for *_, picture in figures]]
-    found = [_table(["figure", "what it shows", "here"], rows)]
-    return found + ([f"More pictures: {', '.join(more)}.\n"] if more else [])
+    return f"Figures. {'; '.join(found)}." + (f" More: {', '.join(more)}." if more else "") + "\n"
 
 
 def _linked(picture: str) -> str:
@@ -103,12 +133,10 @@ def _pictures(paper: str) -> list[str]:
 
 
 def _verdict(claim: dict) -> str:
-    """In the page's words: of what holds in part the condition, where one is given."""
+    """The verdict in the page's words, with its condition."""
     verdict = str(claim["verdict"])
     return (
-        f"holds only if {claim['only_if']}"
-        if verdict == "partly" and claim.get("only_if")
-        else WORDS.get(verdict, verdict)
+        f"only if {claim['only_if']}" if verdict == "partly" and claim.get("only_if") else WORDS.get(verdict, verdict)
     )
 
 
@@ -120,4 +148,7 @@ if __name__ == "__main__":
     if len(sys.argv) > 1:
         now = rows(Path(sys.argv[1]), json.loads(DATA.read_text(encoding="utf-8")))
         DATA.write_text(json.dumps(now, indent=1) + "\n", encoding="utf-8")
-    PAGE.write_text(page(json.loads(DATA.read_text(encoding="utf-8"))), encoding="utf-8")
+    known = json.loads(DATA.read_text(encoding="utf-8"))
+    PAGE.write_text(page(known), encoding="utf-8")
+    for name, text in long_tables(known).items():
+        (HERE / name).write_text(text, encoding="utf-8")

@@ -49,9 +49,9 @@ PARTS: dict[str, tuple[tuple[str, ...], float]] = {
     "motion": (("engine/motion/allocation.py", "engine/motion/ticks.py"), 0.15),
     "campaign": (
         (
-            "rotorwatch_lab.campaign/score.py",
-            "rotorwatch_lab.campaign/summary.py",
-            "rotorwatch_lab.campaign/sequences.py",
+            "rotorwatch_lab/campaign/score.py",
+            "rotorwatch_lab/campaign/summary.py",
+            "rotorwatch_lab/campaign/sequences.py",
         ),
         0.15,
     ),

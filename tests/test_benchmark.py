@@ -535,7 +535,7 @@ def test_two_methods_of_another_package_are_tried_and_ranked_by_the_real_command
         assert done.returncode == 0, done.stderr
         return done
 
-    shorter = (ROOT / "src/rotorwatch_lab.campaign/benchmark_plans/quick.toml").read_text()
+    shorter = (ROOT / "src/rotorwatch_lab/campaign/benchmark_plans/quick.toml").read_text()
     (tmp_path / "plan.toml").write_text(
         shorter.replace("flights = 64", "flights = 7").replace('name = "quick"', 'name = "shorter"')
     )

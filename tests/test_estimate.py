@@ -1,4 +1,4 @@
-"""`rotorwatch_lab.estimate`: what a published method itself says of a log, in files, pictures and pages, and in the answer of `diagnose`."""
+"""`rotorwatch estimate`: what a published method itself says of a log, in files, pictures and pages, and in the answer of `diagnose`."""
 
 import csv
 import functools

@@ -79,7 +79,7 @@ def test_a_sample_is_the_same_for_the_same_seed(monkeypatch):
     monkeypatch.setattr(
         mutants,
         "parts",
-        lambda: {"campaign": ("rotorwatch_lab.campaign/__init__.py", "rotorwatch_lab.campaign/score.py")},
+        lambda: {"campaign": ("rotorwatch_lab/campaign/__init__.py", "rotorwatch_lab/campaign/score.py")},
     )
     few = mutants.ranked("campaign", 5)[:7]
     assert few == mutants.ranked("campaign", 5)[:7] != mutants.ranked("campaign", 6)[:7]

@@ -168,7 +168,14 @@ def test_counts_of_a_table_whose_answer_is_known():
     assert quarter["right"]["value"] == 0.75 and quarter["accused"]["value"] == 0.25 and quarter["hours"] == 0.0
     text = open_world.markdown(found)
     assert lines["calm"]["unanswered"] == 3
-    assert "| calm | 100 | 2: 2.0 (0.6–7.0) |" in text and text.count("| kind of flight |") == 3
+    assert "| calm | 100 | 2 (0.6–7.0) |" in text and text.count("| kind of flight |") == 3
+    assert "| calm | 100 | 2 | 1 |" in open_world.markdown(found, brief=True)
+    assert [len(row) for row in open_world.table(found)] == [len(open_world.HEADS)] * (len(found["lines"]) + 1)
+    still = found["lines"][-1] | {"name": "healthy: still", "group": "healthy", "right": None, "unanswered": 2}
+    still |= {key: {"value": 0.0, "low": 0.0, "high": 0.1, "n": 4} for key in ("accused", "doubt")}
+    assert "No rotor accused, none ambiguous: still (4, 2 without an answer).\n" in open_world.markdown(
+        found | {"lines": [still]}
+    )
     calm = text.split("| kind of flight |")[2]
     assert "no answer" in calm and all(head not in calm for head in ("right", "crashed", "hours", "an hour"))
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -141,19 +142,55 @@ def measures(flights: Sequence[dict]) -> dict[str, Any]:
     }
 
 
-def markdown(summary: dict[str, Any]) -> str:
-    """The summary as Markdown tables: of all flights, and of the kinds of each group; without columns that say nothing of their rows."""
-    heads = (
-        "kind of flight", "flights", "a healthy rotor accused", "ambiguous", "right", "healthy hours", "accused an hour", "size, rms",
-        "intervals hold", "said to be over", "crashed", "no answer",
-    )  # fmt: skip
-    parts = [f"{summary['flights']} flights of {summary['name']}: how many, and per cent of their kind.\n"]
+HEADS = (
+    "kind of flight", "flights", "a healthy rotor accused", "ambiguous", "right", "healthy hours", "accused an hour", "size, rms",
+    "intervals hold", "said to be over", "crashed", "no answer",
+)  # fmt: skip
+BRIEF = {"kind of flight", "flights", "a healthy rotor accused", "ambiguous", "right", "no answer"}
+
+
+def markdown(summary: dict[str, Any], brief: bool = False) -> str:
+    """The summary as Markdown tables: all flights, and the kinds of each group; brief: of kinds only the most important counts.
+
+    Columns without a value in any row are left out; healthy kinds without an accusation or doubt are listed in a sentence.
+    """
+    parts = [
+        f"{summary['flights']} flights of {summary['name']}: counts, with the 95 % interval of their share of the kind in per cent.\n"
+    ]
     for group, lines in itertools.groupby(summary["lines"], key=lambda line: line["group"]):
-        rows = [_cells(line) for line in lines]
-        rates = {"healthy hours", "accused an hour"} if group else ()  # a kind has flown too little for them
-        kept = [k for k, head in enumerate(heads) if head not in rates and any(row[k] not in ("-", 0) for row in rows)]
-        parts.append(tools.table([heads[k] for k in kept], ([row[k] for k in kept] for row in rows)) + "\n")
+        found, short = list(lines), brief and group
+        quiet = [line for line in found if group and _quiet(line)]
+        rows = [_cells(line) for line in found if line not in quiet]
+        rates = {"healthy hours", "accused an hour"} if group else set()  # a kind has flown too little for them
+        shown = (BRIEF if short else set(HEADS)) - rates
+        kept = [k for k, head in enumerate(HEADS) if head in shown and any(row[k] not in ("-", 0) for row in rows)]
+        if short:
+            rows = [[str(cell).partition(" (")[0] if k else cell for k, cell in enumerate(row)] for row in rows]
+        if rows:
+            parts.append(tools.table([HEADS[k] for k in kept], ([row[k] for k in kept] for row in rows)) + "\n")
+        if quiet:
+            names = [f"{_short(line['name'])} ({line['flights']}{_unanswered(line)})" for line in quiet]
+            parts.append(textwrap.fill(f"No rotor accused, none ambiguous: {', '.join(names)}.", 140) + "\n")
     return "\n".join(parts)
+
+
+def table(summary: dict[str, Any]) -> list[list[Any]]:
+    """Head and rows of the summary with all columns, for a file."""
+    return [list(HEADS), *(_cells(line) for line in summary["lines"])]
+
+
+def _quiet(line: dict[str, Any]) -> bool:
+    """A kind of healthy flights without an accusation or doubt."""
+    return line["right"] is None and not line["accused"]["value"] and not line["doubt"]["value"]
+
+
+def _short(name: str) -> str:
+    """A kind's name without that of its group."""
+    return name.rpartition(": ")[2]
+
+
+def _unanswered(line: dict[str, Any]) -> str:
+    return f", {line['unanswered']} without an answer" if line["unanswered"] else ""
 
 
 def _cells(m: dict[str, Any]) -> list[Any]:
@@ -172,8 +209,7 @@ def _dashed(interval: str) -> str:
 
 
 def _share(value: dict[str, float] | None) -> str:
-    """Count and share in per cent, with its interval; a tenth of a per cent counts here."""
+    """Count, and the interval of its share in per cent; a tenth of a per cent counts here."""
     if value is None:
         return "-"
-    percent = tools.interval({k: 100.0 * value[k] for k in ("value", "low", "high")}, 1)
-    return f"{round(value['value'] * value['n'])}: {_dashed(percent)}"
+    return f"{round(value['value'] * value['n'])} ({100.0 * value['low']:.1f}–{100.0 * value['high']:.1f})"

@@ -175,7 +175,7 @@ def _claims(f) -> tuple[tuple[Claim, ...], dict[str, dict[str, Verdict]]]:
         return {FORM_LABELS[form]: verdict(both["esmf"], both["aesmf"], form) for form, both in forms.items()}
 
     def told(text: Callable[[dict, dict], str]) -> str:
-        return "; ".join(f"{FORM_LABELS[form]} {text(both['esmf'], both['aesmf'])}" for form, both in forms.items())
+        return ruav_filters.by_form({form: text(both["esmf"], both["aesmf"]) for form, both in forms.items()})
 
     kalman = {
         f"{name.upper()}, {label}": f["kalman"][how][name]["containment"]

@@ -6,6 +6,7 @@ Kalman filters take a third of each bound for a standard deviation and claim thr
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,15 @@ FORM_LABELS = {
     "own_no_restart": "own form, without a restart",
     "own": "own form",
 }
+
+
+def by_form(texts: Mapping[str, str]) -> str:
+    """Results of the forms of the sets in one text; the printed form's with and without a restart once where they are equal."""
+    labels = dict(FORM_LABELS)
+    if texts.get("printed") is not None and texts.get("printed") == texts.get("printed_restart"):
+        labels["printed_restart"] = "as printed, with a restart or without"
+        texts = {form: text for form, text in texts.items() if form != "printed"}
+    return "; ".join(f"{labels[form]} {text}" for form, text in texts.items())
 
 
 def form_of(literal=()) -> str:

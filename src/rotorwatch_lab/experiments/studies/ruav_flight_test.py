@@ -318,11 +318,10 @@ def claims(numbers: dict, chosen: str = "own") -> tuple[tuple[Claim, ...], dict]
         before=_rates(before), before_aekf=_rates(seen["aekf"]["rates_before"]),
         after_esmf=_rates(numbers["rates_after_esmf"]), after_aekf=_rates(numbers["rates_after_aekf"]),
         fixed=_rates(varied["ekf"]["fixed_q"]["rates_after"]),
-        other_forms="; ".join(
-            f"{ruav_filters.FORM_LABELS[form]} {_rates(one['rates_after'])}, half-width {one['half_width_after']:.2g}, "
-            f"no controller at {one['excluded']} looks"
+        other_forms=ruav_filters.by_form({
+            form: f"{_rates(one['rates_after'])}, half-width {one['half_width_after']:.2g}, no controller at {one['excluded']} looks"
             for form, one in numbers["forms"].items() if form != chosen
-        ),
+        }),
         kalmans="; ".join(f"{name}, {label}: {_rates(one['rates_after'])}" for (name, label), one in _kalman(numbers).items()),
         calm=", ".join(stable["aesmf"]) or "no variation", rough=", ".join(lost["aesmf"]) or "none",
         wild=", ".join(lost["aekf"]) or "no variation", steady=", ".join(stable["aekf"]) or "no variation",
