@@ -82,7 +82,7 @@ def test_a_folder_with_one_paper_leaves_the_others_as_they_are(make, data, tmp_p
 
 def test_equations_tables_and_figures_lead_to_what_is_there(make, data):
     """Every file is there and has the names; every picture is; figures and table numbers are in order, and no figure is left out."""
-    parts, source = files.toml(make.PARTS, "parts")[0], DOCS.parent / "src" / "rotorwatch"
+    parts, source = files.toml(make.PARTS, "parts")[0], DOCS.parent / "src"
     assert set(parts) == {row["paper"] for row in data}
     last = {"aesmf": 9, "atsukf": 8, "axkf": 9, "intermediate": 18, "lyapunov-mhe": 2}  # figures in print
     for paper, found in parts.items():
