@@ -131,7 +131,7 @@ def test_still_pictures(fault, tmp_path):
     for what, said in (("moment", "no moment"), ("else", "give one of")):
         with pytest.raises(ConfigError, match=said):
             still.figure(fault, what)
-    with pytest.raises(ConfigError, match="nothing to draw"):
+    with pytest.raises(ConfigError, match="Nothing to draw"):
         still.figure(replace(fault, trace=None))
 
 

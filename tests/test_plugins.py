@@ -188,7 +188,7 @@ def test_a_broken_format_or_airframe_of_another_package_stops_nothing(package, t
     texts = " ".join(str(w.message) for w in said)
     assert texts.count("of the package elsewhere 1.2") == len(said) and "\n" not in texts
     for part in ("a of the package elsewhere 1.2 is passed over: its sniff failed (ZeroDivisionError", "cannot be loaded",
-                 "lacks FORMAT", "str is no Vehicle"):  # fmt: skip
+                 "lacks FORMAT", "str is not a Vehicle"):  # fmt: skip
         assert part in texts
 
 
@@ -196,7 +196,7 @@ def test_a_format_of_ours_stays_ours(package):
     ulog = next(m for m in logs.formats() if m.__name__.endswith(".ulog"))
     source = GOOD.replace('FORMAT = "own log"', f"FORMAT = {ulog.FORMAT!r}")
     package({"rotorwatch.logs": {"x": "elsewhere:Log"}}, source)
-    with pytest.warns(PluginWarning, match="its FORMAT is taken"):
+    with pytest.warns(PluginWarning, match="its FORMAT is already in use"):
         assert ulog.FORMAT not in logs.offered()
 
 
@@ -204,5 +204,5 @@ def test_a_reader_of_another_package_that_gives_no_flight(package, tmp_path):
     package({"rotorwatch.logs": {"x": "elsewhere:Log"}}, GOOD.replace("return Flight(", "return dict(").replace('"own log", "Own", {', "a={"
             ).replace("}, 2.0)", "})"))  # fmt: skip
     (tmp_path / "a.log").write_bytes(b"OWN 1")
-    with pytest.raises(LogError, match="gave no Flight"):
+    with pytest.raises(LogError, match="returned no Flight"):
         logs.read(tmp_path / "a.log")

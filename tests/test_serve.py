@@ -391,7 +391,7 @@ def test_a_log_is_judged_and_kept(served):
 BROKEN = {
     "notes.txt": (lambda: b"Dear diary, today I flew.\n" * 50, 422, "not a flight log"),
     "empty.bin": (lambda: b"", 400, "is empty"),
-    "bomb.bin.xz": (lambda: lzma.compress(bytes(400 << 20), preset=0), 422, "unfolds to more"),
+    "bomb.bin.xz": (lambda: lzma.compress(bytes(400 << 20), preset=0), 422, "decompresses to more"),
     "short.bin": (lambda: lzma.decompress(SAMPLE.read_bytes())[:3000], 422, "holds no flight"),
     "big.bin": (lambda: bytes((2 << 20) + 1), 413, "--max-upload"),
 }  # fmt: skip
@@ -547,7 +547,7 @@ def test_what_the_store_does_not_take_is_kept_and_tried_again(quick, monkeypatch
     rows, said = [], []
 
     async def refused(here):
-        with pytest.raises(Refused, match="kept here and judged later") as refusal:
+        with pytest.raises(Refused, match="kept and diagnosed later") as refusal:
             await here.take("a.bin", None, body(b"a log"))
         assert refusal.value.code == code and "/srv" not in str(refusal.value)
 
@@ -776,7 +776,7 @@ def test_bad_beginnings_are_one_sentence(run, tmp_path):
         (("--port", port), "another program uses this port"),
         (("--host", "0.0.0.0"), "--token"),
         (("--token", "short"), "at least 16"),
-        (("--token", TOKEN, "--host", "no.such.host.invalid"), "no address of this computer"),
+        (("--token", TOKEN, "--host", "no.such.host.invalid"), "not an address of this computer"),
         (("--port", 0, "missing.bin"), "no such log"),
         (("--port", 0, "udp:99999"), "no endpoint"),
         (("--port", 0, "--max-upload", -1), "above zero"),
@@ -817,7 +817,7 @@ def test_a_flight_heard_over_a_link_is_listed_when_it_has_ended(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name, verdict, words", [("quad-off-1", "fault", "Rotor 2"), ("disarmed-1", "crashed", "Not a rotor")]
+    "name, verdict, words", [("quad-off-1", "fault", "Rotor 2"), ("disarmed-1", "crashed", "Not a rotor fault")]
 )
 def test_a_crash_that_was_watched_is_lost_on_the_page_and_listed_as_a_crash(tmp_path, name, verdict, words):
     crash = Path(__file__).parents[2] / "shared" / "flights" / "crash" / f"{name}.bin.xz"
@@ -832,10 +832,10 @@ def test_a_crash_that_was_watched_is_lost_on_the_page_and_listed_as_a_crash(tmp_
     feed._thread.join(120)
     feed.stop()
     store_writer.stop()
-    (row,) = [r for r in rows if "left control" in r["headline"]]
+    (row,) = [r for r in rows if "departed controlled flight" in r["headline"]]
     assert row["verdict"] == verdict and words in row["headline"]
     found = Diagnosis.from_dict(flights.diagnosis(row["hash"]))
-    assert len(found.story) >= 3 and "left control" in flights.report(row["hash"])
+    assert len(found.story) >= 3 and "departed controlled flight" in flights.report(row["hash"])
     state = feed.state()["vehicles"][0]
     assert state["state"] == "LOST" and any(
         e["kind"] == "fault" and "loss of control" in e["text"] for e in state["events"]

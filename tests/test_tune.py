@@ -250,7 +250,7 @@ def test_files_hold_what_was_found(tmp_path_factory, q, r, walk):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("estimator = ", "no tuning file"),
+        ("estimator = ", "not a tuning file"),
         ('estimator = "ukf"', "for ukf, not for ekf"),
         ("q = [1, 2, 3]", "for no estimator"),
         ('estimator = "ekf"\nq = [1, 2]', "q must be 3 numbers"),

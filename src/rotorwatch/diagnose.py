@@ -60,12 +60,12 @@ if TYPE_CHECKING:
     from rotorwatch.methods.published.published import Tuning
 
 AEROBATIC = (
-    "the vehicle does not hover in this flight: it is judged by its angular motion over seconds, so that a loss is seen later than in "
+    "the vehicle does not hover in this flight: it is assessed by its angular motion over seconds, so a loss is detected later than in "
     "hover (docs/aerobatic.md)"
 )
 NOT_COMPARED = (
-    "flights of a vehicle that does not hover are not compared with healthy ones: the balance of its rotors follows what it flies, "
-    "so damage that was there from take-off is not judged"
+    "flights of a vehicle that does not hover are not compared with healthy ones: the balance of its rotors follows its maneuvers, "
+    "so damage present at take-off is not assessed"
 )
 PREPARED, ESTIMATED, JUDGED = 0.4, 0.85, 0.97  # share of the work when that is done
 LEANS_S = 15.0  # before a lasting push is that large, it turns the vehicle as well
@@ -171,7 +171,7 @@ def diagnose(
     clock.lap("read_s")
     vehicle = baselines.vehicle_of(vehicle)
     if estimator != "default":
-        aerobatic.decline(flight, "the published methods model hover; leave out the estimator.", vehicle)
+        aerobatic.decline(flight, "the published methods model hover only; leave out the estimator.", vehicle)
     if not 0.0 < matters <= 1.0:
         raise ConfigError(f"A loss that matters is a share above 0 and up to 1, not {matters:g}.")
     ready = prepare(flight, vehicle, baseline, clock, portion(tell, READ, PREPARED, "preparing"))
@@ -222,19 +222,19 @@ def prepare(
     assumptions = [*craft.assumptions, *([on_rates] if on_rates else [])]
     if table is not None and dynamics and dynamics.get("dt") != table.dt:
         assumptions.append(
-            f"the healthy flights were logged at another rate (judged every {dynamics.get('dt', 0):.2f} s): their noise is not "
-            "this flight's, which therefore learns its own for as long as without them"
+            f"the healthy flights were logged at another rate (assessed every {dynamics.get('dt', 0):.2f} s): their noise does not "
+            "apply to this flight, which learns its own for as long as without them"
         )
         dynamics, ready_s = None, ticks.ready_of(READY_S, air) if turns else READY_S
         table = observe(flight, craft, air, ready_s)
     ready_s = ticks.ready_after(ready_s, table.dt if table is not None else 0.0)
     if not known:
-        source = "the flight's own first healthy part"
+        source = "the first healthy part of this flight"
     if not hovers:
         assumptions += [AEROBATIC, NOT_COMPARED]
     elif not known:
         assumptions.append(
-            f"the flight's first {ready_s:.0f} s in the air are its trim: damage that was there from take-off is judged by what healthy "
+            f"the flight's first {ready_s:.0f} s in the air are its trim: damage present at take-off is assessed by what healthy "
             "vehicles of any build need, and better with --baseline or --vehicle"
         )
     assumptions += table.notes if table is not None else ()
@@ -487,7 +487,7 @@ def _facts(flight: Flight, vehicle: Vehicle, air, table: Ticks | None) -> dict:
         "utc_start": flight.facts.get("utc_start"),
         "airborne_s": [round(air[0][0], 3), round(air[-1][1], 3)] if air else [],
         "hops": [[round(a, 3), round(b, 3)] for a, b in air],
-        "profile": profile + (f"; judged every {table.dt:.2f} s" if table is not None else ""),
+        "profile": profile + (f"; assessed every {table.dt:.2f} s" if table is not None else ""),
     }
 
 

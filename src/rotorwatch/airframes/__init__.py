@@ -73,9 +73,7 @@ def named(name: str) -> Vehicle:
         if build is not None:
             return build()
     close = [n for n in names() if name.lower() in n] or [n for n in names() if n.endswith("-quad-x")]
-    raise VehicleError(
-        f"There is no airframe called {name!r}{meant(name, names())}; close ones are {', '.join(close[:8])}."
-    )
+    raise VehicleError(f"No airframe is called {name!r}{meant(name, names())}; close ones are {', '.join(close[:8])}.")
 
 
 def _all() -> Iterator[Any]:
@@ -90,7 +88,7 @@ def _theirs(flight: Flight) -> Vehicle | None:
         try:
             vehicle = found.identify(flight)
             if vehicle is not None and not isinstance(vehicle, Vehicle):
-                raise TypeError(f"{type(vehicle).__name__} is no Vehicle")
+                raise TypeError(f"{type(vehicle).__name__} is not a Vehicle")
         except VehicleError:  # it knows the vehicle, and says why it cannot be judged
             raise
         except Exception as why:  # a module of another package may raise anything
@@ -107,7 +105,7 @@ def paper(name: str) -> dict:
         text = (_papers() / f"{name}.toml").read_text("utf-8")
     except OSError as error:
         like, known = meant(name, papers()), ", ".join(papers())
-        raise VehicleError(f"There is no paper's airframe called {name!r}{like}; known are {known}.") from error
+        raise VehicleError(f"No paper's airframe is called {name!r}{like}; known are {known}.") from error
     from rotorwatch.base.optional import tomllib
 
     return tomllib.loads(text)

@@ -7,7 +7,7 @@ import click
 from rotorwatch.commands.tools import LOG, OUT, common, counting, progress, resumable, say, spread
 
 
-@click.command(short_help="Judge thousands of simulated flights.")
+@click.command(short_help="Diagnose thousands of simulated flights.")
 @click.argument("plan", type=LOG)
 @click.option(
     "--flights", type=click.IntRange(1, 10_000_000), default=1000, show_default=True, help="How many, with those done."
@@ -47,7 +47,7 @@ def campaign(plan, flights, jobs, scheduler, out, as_json, quiet) -> None:
         say(f"table and summary written to {out}" if by_log else f"table, summary and page written to {out}")
 
 
-@click.command(short_help="Judge simulated flights with several faults.")
+@click.command(short_help="Diagnose simulated flights with several faults.")
 @click.option("--flights", type=click.IntRange(1, 100_000), default=300, show_default=True, help="How many.")
 @click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=31, show_default=True, help="Of the flights.")
 @spread
@@ -66,7 +66,7 @@ def sequences(flights, seed, jobs, scheduler, keep, as_json, quiet) -> None:
     click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else study.describe(result))
 
 
-@click.command(short_help="What each constant of the default method is worth.")
+@click.command(short_help="Measure the effect of each constant of the default method.")
 @click.argument("plan", type=LOG)
 @click.argument("logs", nargs=-1, type=LOG)
 @click.option(
@@ -75,10 +75,8 @@ def sequences(flights, seed, jobs, scheduler, keep, as_json, quiet) -> None:
 @click.option(
     "--hours", type=click.FloatRange(0.01, 1000.0), default=1.0, show_default=True, help="Of surrogates of LOGS."
 )
-@click.option(
-    "--only", default="", metavar="NAMES", help="Constants whose names begin so, such as model_error.,noise.CLIP."
-)
-@click.option("--variants", default="off,half,double", show_default=True, help="How they are changed.")
+@click.option("--only", default="", metavar="NAMES", help="Constants by prefix, such as model_error.,noise.CLIP.")
+@click.option("--variants", default="off,half,double", show_default=True, help="How the constants are changed.")
 @spread
 @resumable
 @click.option("--json", "as_json", is_flag=True, help="Print JSON: measures and differences of every variant.")
@@ -111,7 +109,7 @@ def ablate(plan, logs, flights, hours, only, variants, jobs, scheduler, keep, as
     click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else ablation.markdown(result))
 
 
-@click.command(short_help="Does the vehicle stay up when an estimator drives the allocation?")
+@click.command(short_help="Fly with an estimator in the loop of the control allocation.")
 @click.argument("plan", type=LOG)
 @click.option("--flights", type=click.IntRange(1, 1_000_000), default=200, show_default=True, help="How many.")
 @click.option(

@@ -150,7 +150,7 @@ def explain(why: Exception) -> str:
     if isinstance(why, MemoryError):
         return "Out of memory; try a shorter log."
     text = " ".join(f"{type(why).__name__}: {why}".split())[:200]
-    return f"An error in rotorwatch itself ({text}); please report it with the output of the same command with --debug."
+    return f"Internal error of rotorwatch ({text}); please report it with the output of the same command with --debug."
 
 
 class Commands(UserDict):
@@ -183,18 +183,18 @@ def cli() -> None:
     """
 
 
-@cli.command(short_help="Judge flights: verdict, rotors, events.")
+@cli.command(short_help="Diagnose flights: verdict, rotors, events.")
 @click.argument("logs", nargs=-1, required=True, type=LOGS, metavar="LOG...")
 @option("--baseline baselines", "A healthy flight of the same build.", multiple=True, type=LOG, metavar="LOG")
 @option("--vehicle", "Vehicle file (TOML), as `rotorwatch calibrate` writes it.", type=LOG, metavar="FILE")
 @option("--estimator", "Estimator to use.", "default", metavar="NAME")
 @option("--tuning", "Tuning of a published estimator (TOML), as `rotorwatch tune` writes it.", type=LOG, metavar="FILE")
 @option(
-    "--matters", "Loss of one rotor, 0 to 1, up to which `healthy` is a claim; where more could go unseen, it is inconclusive.",
+    "--matters", "Loss of one rotor, 0 to 1, that `healthy` must rule out; where more could go undetected, the verdict is inconclusive.",
     0.2, type=click.FloatRange(0, 1, min_open=True), metavar="X",
 )  # fmt: skip
-@option("--report", "Write an HTML page; for several logs a folder or {name}.html.", type=OUT, metavar="OUT.html")
-@option("--html", "Write a page for each log, and one that lists them.", type=OUT, metavar="DIR")
+@option("--report", "Write an HTML report; for several logs a folder or {name}.html.", type=OUT, metavar="OUT.html")
+@option("--html", "Write a report for each log and a page that lists them.", type=OUT, metavar="DIR")
 @option(
     "--mcap",
     "Write an MCAP file for Foxglove or PlotJuggler; for several logs as --report.",
@@ -209,12 +209,12 @@ def cli() -> None:
     type=OUT,
     metavar="[FILE.md]",
 )
-@flag("--identify", "With --markdown: also the serial number, the time of day, and texts as they are in the log.")
-@flag("--verbose", "Print all that the answer rests on: events, other checks, assumptions, blind times.")
+@flag("--identify", "With --markdown: include the serial number, the time of day, and unedited texts of the log.")
+@flag("--verbose", "Print all details: events, other checks, assumptions, blind times.")
 @flag("--json as_json", "Print JSON (docs/json.md): an object, or a list for several logs.")
-@flag("--jsonl", "Print JSON lines: one for each log, as soon as it is judged.")
-@option("-o --out", "With --jsonl: the file that lines are added to.", type=OUT, metavar="FILE")
-@flag("--resume", "Go on with FILE: logs that have a line and did not change are left out.")
+@flag("--jsonl", "Print JSON lines: one per log, as soon as it is diagnosed.")
+@option("-o --out", "With --jsonl: file to append to.", type=OUT, metavar="FILE")
+@flag("--resume", "Resume FILE: skip unchanged logs that already have a line.")
 @spread
 @common
 @click.pass_context
@@ -231,9 +231,9 @@ def diagnose(context, **options) -> None:
     request = several.Request(**options)
     findable(request.estimator)
     if request.as_json and request.jsonl:
-        raise ConfigError("--json and --jsonl are two ways to say the same; give one.")
+        raise ConfigError("--json and --jsonl exclude each other; give one.")
     if (request.out or request.resume) and not (request.jsonl and request.out):
-        raise ConfigError("--out and --resume belong to --jsonl: write --jsonl -o FILE, and --resume to go on with it.")
+        raise ConfigError("--out and --resume belong to --jsonl: write --jsonl -o FILE, and --resume to continue it.")
     _check_markdown(request)
     several_ways = request.jsonl or request.html or request.scheduler
     many = len(request.logs) > 1 or bool(several_ways) or gathering.is_several(request.logs[0])
@@ -302,7 +302,7 @@ def _diagnose(request: several.Request) -> int:
 def _check_markdown(request: several.Request) -> None:
     """Raises ConfigError for --markdown and --identify beside what they do not go with."""
     if request.identify and not request.markdown:
-        raise ConfigError("--identify says what --markdown may tell; give both.")
+        raise ConfigError("--identify needs --markdown.")
     if request.to_stdout and (request.as_json or (request.jsonl and not request.out)):
         raise ConfigError("--markdown and JSON cannot both go to standard output: write --markdown FILE.md.")
 
@@ -373,7 +373,7 @@ def calibrate(logs, out, quiet) -> None:
     click.echo(f"{learned.name}: learned from {count} {'flight' if count == 1 else 'flights'}, written to {out}")
 
 
-@cli.command(short_help="Show what a log holds and lacks.")
+@cli.command(short_help="Show which signals a log has and lacks.")
 @click.argument("log", type=LOG)
 @JSON
 @common
@@ -411,17 +411,17 @@ def demo(report, quiet) -> None:
         if page and sample is samples[-1]:
             result.to_html(page[0])
     click.echo(
-        "What to look at: the line in capitals is the verdict. The rotor table says how much\n"
-        "thrust each rotor has lost, and the range that holds with 95 % probability; the line\n"
-        "below it says since when. `rotorwatch diagnose --verbose` also shows all events."
+        "How to read this: the word in capitals is the verdict. The rotor table shows how much\n"
+        "thrust each rotor has lost, with its 95 % interval; the line below it says since when.\n"
+        "`rotorwatch diagnose --verbose` also shows all events."
     )
     if page:
-        click.echo(f"The faulty flight as a page: {page[0]} (open it in a browser; it needs no network).")
+        click.echo(f"Report of the faulty flight: {page[0]} (open it in a browser; it needs no network).")
     else:
-        click.echo("For the same as an interactive page: rotorwatch demo --report rotorwatch-demo.html")
+        click.echo("For an interactive page: rotorwatch demo --report rotorwatch-demo.html")
 
 
-@cli.command(short_help="Inject losses and count what is found.")
+@cli.command(short_help="Inject losses and count the detections.")
 @click.argument("logs", nargs=-1, required=True, type=LOG, metavar="LOG...")
 @option("--loss losses", "Losses to inject, above 0 and below 1.", "0.2,0.3,0.4", metavar="L,L,...")
 @option("--repeats", "Injections per flight, rotor and loss.", 3, type=click.IntRange(1, 1000))

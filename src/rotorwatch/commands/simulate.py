@@ -24,7 +24,7 @@ from rotorwatch.errors import ConfigError
     metavar="FLIGHT",
     help="FLIGHT.bin or .ulg; without ending: both. A helicopter's: .csv or .parquet.",
 )
-@click.option("--seed", type=click.IntRange(0, 2**31 - 1), help="Another seed than the scenario's.")
+@click.option("--seed", type=click.IntRange(0, 2**31 - 1), help="Seed, instead of the scenario's.")
 @common
 def simulate(scenario, out, seed, quiet) -> None:
     """Fly SCENARIO (TOML, docs/simulation.md): writes an ArduPilot .bin or a PX4 .ulg as the autopilot would have logged it (of a

@@ -7,14 +7,19 @@ import click
 from rotorwatch.commands.tools import FIGURE, JSON, common, drawable, numbers, option, progress, show, written
 
 
-@click.command(short_help="What a vehicle survives: losses of one and two rotors.")
+@click.command(short_help="Show which losses of one and two rotors a vehicle survives.")
 @option(
     "--vehicle", "Vehicle file (TOML), or an airframe's name (docs/airframes.md).", required=True, metavar="FILE|NAME"
 )
-@option("--loss", "Sizes of the losses; 1 is a total loss.", "1", metavar="X,...")
-@option("--mass", "Mass; default: what the vehicle file says.", type=float, metavar="KG")
-@option("--thrust-to-weight", "Full thrust over weight; default: the same.", type=float, metavar="X")
-@option("--arm", "Centre to the outermost rotor; default: the same.", type=float, metavar="M")
+@option("--loss", "Losses; 1 is a total loss.", "1", metavar="X,...")
+@option("--mass", "Mass; default: that of the vehicle file.", type=float, metavar="KG")
+@option("--thrust-to-weight", "Thrust-to-weight ratio; default: that of the vehicle file.", type=float, metavar="X")
+@option(
+    "--arm",
+    "Distance from the centre to the outermost rotor; default: that of the vehicle file.",
+    type=float,
+    metavar="M",
+)
 @FIGURE
 @JSON
 @common

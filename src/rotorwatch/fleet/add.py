@@ -250,5 +250,5 @@ def _again(known: tuple[str, str]) -> Entry:
     path, hash = known
     with fetched(path) as here, _readable(path):
         if fingerprint(here)[1] != hash:
-            raise LogError(f"{path} has another content now.")
+            raise LogError(f"{path} has changed.")
         return judge.entry(here)

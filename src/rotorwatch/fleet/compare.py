@@ -76,7 +76,7 @@ def compare(store: Store, a: str, b: str) -> Comparison:
 def _found(store: Store, hash: str) -> dict[str, Any]:
     flight = store.flight(hash)
     if flight is None:
-        raise NotInStore("The store holds no flight with such a hash, or several.")
+        raise NotInStore("The store has no flight with such a hash, or several.")
     return flight
 
 

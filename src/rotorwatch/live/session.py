@@ -256,7 +256,7 @@ class Session:
             return "upset"
         if table.mode[-1] == LEARN:
             if self._judge.contact_s > self._spans[-1][0]:
-                return "learning after a knock"
+                return "learning after a contact"
             left = self._spans[-1][0] + self._judge.plan.ready_s - table.time[-1]
             return f"learning, {max(left, 0.0):.0f} s left"
         if table.mode[-1] != JUDGE:

@@ -91,7 +91,7 @@ def outputs(
         # ArduPilot drives no rotor through an output that has another function.
         notes.append(
             f"No output has a motor function, and outputs {_listed(other)} have others (SERVO{other[0]}_FUNCTION "
-            f"{functions[other[0]]}): what drove the rotors is not in this log."
+            f"{functions[other[0]]}): the motor outputs are not in this log."
         )
         return {}, notes
     if expected:

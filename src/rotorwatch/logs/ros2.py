@@ -139,7 +139,7 @@ def tables(bag: bag_storage.Bag) -> dict[str, tuple[np.ndarray, dict[str, np.nda
         lost = len(topic.payloads) - rows.size
         if not rows.size:
             what = (
-                "its messages do not fit their definition"
+                "its messages do not match their definition"
                 if topic.definition
                 else "the bag does not carry its definition"
             )

@@ -338,7 +338,7 @@ def read(path: str | PathLike, estimator: str) -> Tuning:
         with open(path, "rb") as file:
             d = tomllib.load(file)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as why:
-        raise ConfigError(f"{path} is no tuning file: {why}.") from None
+        raise ConfigError(f"{path} is not a tuning file: {why}.") from None
     if d.get("estimator") != estimator:
         raise ConfigError(f"{path} holds a tuning for {d.get('estimator', 'no estimator')}, not for {estimator}.")
     found = []
