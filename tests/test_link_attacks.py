@@ -147,7 +147,7 @@ def test_a_path_that_keeps_only_the_heartbeats_does_not_hide_that_the_other_is_g
         a for a in alerts if "no motor outputs and angular rates that can be used have arrived" in a.get("text", "")
     ]
     assert gone["missing"] == ["outputs", "rates"] and gone["at"] < 25.0
-    (again,) = [a for a in alerts if "come now" in a.get("text", "")]
+    (again,) = [a for a in alerts if "arriving now" in a.get("text", "")]
     assert 34.0 < again["at"] < 35.0
 
 
@@ -329,5 +329,5 @@ def test_what_a_link_loses_is_said_while_it_does_and_at_the_end():
     (bad,) = [a for a in alerts if "of the messages of the last 10 s were lost" in a.get("text", "")]
     (good,) = [a for a in alerts if "loses few messages again" in a.get("text", "")]
     assert 10.0 < bad["at"] < 21.0 and 25.0 < good["at"] < 41.0
-    assert "messages came; " in texts(alerts)[-1] and "% lost" in texts(alerts)[-1]
-    assert "messages came; " in texts(flown()[0])[-1] and "lost" not in texts(flown()[0])[-1]
+    assert "messages received; " in texts(alerts)[-1] and "% lost" in texts(alerts)[-1]
+    assert "messages received; " in texts(flown()[0])[-1] and "lost" not in texts(flown()[0])[-1]

@@ -520,7 +520,7 @@ def test_a_full_disk_keeps_the_log_until_there_is_room(quick, monkeypatch):
     rows, said = [], []
 
     async def action(here):
-        with pytest.raises(Refused, match=r"^a\.bin: .*make room") as why:
+        with pytest.raises(Refused, match=r"^a\.bin: .*free some space") as why:
             await here.take("a.bin", None, body(b"a log"))
         assert why.value.code == 507 and "kept" in str(why.value) and str(quick.folder("")) not in str(why.value)
         assert kept(quick) == ["a.bin"] and quick.rows(10)["total"] == 0
@@ -529,7 +529,7 @@ def test_a_full_disk_keeps_the_log_until_there_is_room(quick, monkeypatch):
 
     run_uploads(quick, action, rows.append, said.append)
     assert [row["name"] for row in rows] == ["a.bin"] and quick.rows(10)["total"] == 1
-    assert kept(quick) == [] and any("a.bin" in text and "make room" in text for text in said)
+    assert kept(quick) == [] and any("a.bin" in text and "free some space" in text for text in said)
 
 
 @pytest.mark.parametrize(("why", "code"), [
@@ -652,7 +652,7 @@ def test_a_page_that_cannot_be_written_is_no_fault_of_the_log(served, monkeypatc
     client, flights = served
     monkeypatch.setattr(flights, "page", lambda digest: flights.folder("incoming") / "gone" / "page.html")
     answer = send(client, "room.bin.xz", SAMPLE.read_bytes()[:250_000])
-    assert answer.status_code == 507 and str(flights.folder("")) not in answer.text and "make room" in answer.text
+    assert answer.status_code == 507 and str(flights.folder("")) not in answer.text and "free some space" in answer.text
     assert kept(flights) == ["room.bin.xz"]
 
 
@@ -778,7 +778,7 @@ def test_bad_beginnings_are_one_sentence(run, tmp_path):
         (("--token", "short"), "at least 16"),
         (("--token", TOKEN, "--host", "no.such.host.invalid"), "not an address of this computer"),
         (("--port", 0, "missing.bin"), "no such log"),
-        (("--port", 0, "udp:99999"), "no endpoint"),
+        (("--port", 0, "udp:99999"), "not an endpoint"),
         (("--port", 0, "--max-upload", -1), "above zero"),
         (("--port", 0, "--speed", "fast"), "above 0, or max"),
         (("--port", 0, "--store", tmp_path), "is a folder"),

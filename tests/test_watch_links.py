@@ -192,7 +192,7 @@ def test_a_reboot_in_flight_and_silence_are_told_and_survived(flight):
     now = link.vehicles[0].session.now
     link.leave()
     texts = [a["text"] for a in alerts if a["type"] == "notice"]
-    assert any("nothing has been received" in t for t in texts) and any("heard again" in t for t in texts)
+    assert any("nothing has been received" in t for t in texts) and any("received again" in t for t in texts)
     assert any("rebooted" in t for t in texts)
     assert link.vehicles[0].health.reboots == 1 and 15.0 < now < 21.0
 
