@@ -102,11 +102,11 @@ def test_what_other_packages_offer_is_found(package):
 @pytest.mark.parametrize(
     ("target", "source", "says"),
     [
-        ("elsewhere:Own", "import nonsense_that_is_not_there", "cannot be loaded .*nonsense_that_is_not_there.* mend that package"),
+        ("elsewhere:Own", "import nonsense_that_is_not_there", "cannot be loaded .*nonsense_that_is_not_there.* fix or uninstall that package"),
         ("elsewhere:Missing", GOOD, "cannot be loaded .*Missing"),
         ("elsewhere:Half", GOOD, "lacks step"),
         ("elsewhere:Own", GOOD.replace('name = "own"', 'name = "other"'), "calls itself 'other'"),
-        ("elsewhere:Own", GOOD.replace('name = "own"', "name = 3"), "must have a text as its name, not 3"),
+        ("elsewhere:Own", GOOD.replace('name = "own"', "name = 3"), "must have a string as its name, not 3"),
         ("elsewhere:Own", "raise SystemError('no GPU\\nat all')", "SystemError: no GPU at all"),
     ],
 )  # fmt: skip

@@ -348,8 +348,16 @@ def test_moments_on_the_autopilots_clock_and_in_utc(fault):
         (0.01, 0.02, "thrust was the same at the end as at the beginning, within 2 %"),
         (0.3, 0.6, "thrust was the same at the end as at the beginning, within 15 %"),
         (0.3, 3.0, "varied too much"),
-        (0.6, 0.06, "10 % more total thrust was commanded at the end than at the beginning (95 % interval 9 % to 11 %)"),
-        (-0.6, 0.06, "10 % less total thrust was commanded at the end than at the beginning (95 % interval 9 % to 11 %)"),
+        (
+            0.6,
+            0.06,
+            "10 % more total thrust was commanded at the end than at the beginning (95 % interval 9 % to 11 %)",
+        ),
+        (
+            -0.6,
+            0.06,
+            "10 % less total thrust was commanded at the end than at the beginning (95 % interval 9 % to 11 %)",
+        ),
     ],
 )
 def test_common_mode_in_words(fault, shift, half, words):

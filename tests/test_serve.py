@@ -224,7 +224,7 @@ def test_a_flight_of_another_version_says_so(tmp_path, monkeypatch):
     app, flights = guarded(tmp_path)
     monkeypatch.setattr(flights._store, "flight", lambda digest: {"diagnosis": {"schema": 1}})
     answer = TestClient(app, HERE, raise_server_exceptions=False).get("/flights/" + 64 * "0")
-    assert answer.status_code == 503 and "judge the log again" in answer.text
+    assert answer.status_code == 503 and "diagnose the log again" in answer.text
 
 
 # Connections
@@ -664,7 +664,7 @@ def test_an_answer_is_made_of_its_json_again():
     again = Diagnosis.from_dict(json.loads(json.dumps(told)))
     assert again.to_json() == json.dumps(told, indent=1)
     assert "rotor 3" in page(again)
-    with pytest.raises(ConfigError, match="judge the log again"):
+    with pytest.raises(ConfigError, match="diagnose the log again"):
         Diagnosis.from_dict({**told, "schema": 1})
 
 

@@ -161,7 +161,7 @@ def test_what_cannot_be_compared_gets_a_code_and_a_sentence(read, path, ask, cod
     answer = read.get(path + ask)
     assert answer.status_code == code
     text = answer.json()["error"] if path.startswith("/api") else re.sub("<[^>]+>", " ", answer.text)
-    assert {400: "Choose two different flights", 404: "flight", 503: "judge the log again"}[code] in text
+    assert {400: "Choose two different flights", 404: "flight", 503: "diagnose the log again"}[code] in text
 
 
 # Reports as files

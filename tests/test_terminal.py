@@ -53,7 +53,9 @@ def test_a_note_stands_beside_its_word_where_there_is_room():
 
 def test_a_healthy_flight_has_few_lines_and_the_rest_is_asked_for():
     """Verdict, reason, one table, what to do; in 80 columns the table stays one, and nothing says that nothing is known."""
-    answer = hexa_diagnosis(events=(), warnings=("motors (RCOU): 1 value that does not fit the neighbouring values ignored.",))
+    answer = hexa_diagnosis(
+        events=(), warnings=("motors (RCOU): 1 value that does not fit the neighbouring values ignored.",)
+    )
     short, whole = (rendered(terminal.diagnosis(answer, verbose), 80) for verbose in (False, True))
     lines = [line for line in short.splitlines() if line.strip()]
     assert len(lines) <= 17 and max(map(len, short.splitlines())) <= 80

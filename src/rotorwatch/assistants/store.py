@@ -66,7 +66,7 @@ class Fleet:
         try:
             return store.find(aircraft)["key"]
         except StoreError:  # its sentence holds names that others gave
-            raise ConfigError("aircraft: the store knows none of that name or key; `fleet` lists them.") from None
+            raise ConfigError("aircraft: no such name or key in the store; `fleet` lists them.") from None
 
 
 def _left(count: int, what: str) -> str | None:

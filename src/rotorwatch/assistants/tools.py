@@ -221,7 +221,7 @@ def register(server: MCPServer, desk: Desk) -> None:
         more = {"loss": tuple(loss), "mass_kg": mass_kg, "thrust_to_weight": thrust_to_weight, "arm_m": arm_m}
         return answered(models.Survival, lambda: desk.ask("survive", vehicle=vehicle, **more))
 
-    @tool("How do the aircraft of the fleet stand?")
+    @tool("What is the status of the fleet?")
     def fleet(
         search: Words = "", limit: Annotated[int, Field(ge=1, le=MOST)] = 6
     ) -> Annotated[CallToolResult, models.Fleet]:

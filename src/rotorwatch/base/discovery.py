@@ -168,7 +168,7 @@ def _named(group: str, name: str) -> type:
     if name in theirs:  # only this one is loaded: a broken package must not keep others from being used
         return load(theirs[name], parts)
     known = sorted({*found, *theirs})
-    raise ConfigError(f"There is no {kind} called {name!r}{meant(name, known)}; known are {', '.join(known)}.")
+    raise ConfigError(f"No {kind} is called {name!r}{meant(name, known)}; known are {', '.join(known)}.")
 
 
 def _with_offered(group: str) -> dict[str, type]:
@@ -318,7 +318,7 @@ def load(entry: metadata.EntryPoint, parts: tuple[str, ...]) -> Any:
     try:
         found = entry.load()
     except Exception as why:  # a module of another package may raise anything
-        raise ConfigError(f"{whose} cannot be loaded ({brief(why)}): mend that package or uninstall it.") from why
+        raise ConfigError(f"{whose} cannot be loaded ({brief(why)}): fix or uninstall that package.") from why
     _complete(whose, found, parts)
     if "name" in parts and found.name != entry.name:
         raise ConfigError(f"{whose} calls itself {found.name!r}: its entry point must have the same name.")
@@ -350,7 +350,7 @@ def _complete(whose: str, found: Any, parts: tuple[str, ...]) -> None:
     if "name" not in parts:
         return
     if not isinstance(found.name, str) or not found.name:
-        raise ConfigError(f"{whose} must have a text as its name, not {found.name!r}.")
+        raise ConfigError(f"{whose} must have a string as its name, not {found.name!r}.")
 
 
 def package(entry: metadata.EntryPoint) -> str:

@@ -44,8 +44,8 @@ from rotorwatch.errors import ConfigError
 @JSON
 @common
 def ask(log, vehicle, candidates, loss, hover, arm, within, tilt, amplitude, commands, figure, as_json, quiet) -> None:
-    """Design the small excitation of the commands that tells apart soonest which of the candidates is weak: of LOG, whose answer is
-    ambiguous, or of a vehicle. It moves no thrust and no moment while all rotors are well."""
+    """Design the smallest excitation of the commands that distinguishes the candidate rotors soonest, for an ambiguous LOG or for a
+    vehicle. With healthy rotors it changes neither thrust nor moments."""
     from rotorwatch.base import files
     from rotorwatch.lab.planning.ask import ask as run
 
@@ -98,8 +98,8 @@ def _sets(text: str | None) -> list[tuple[int, ...]] | None:
 @flag("--json as_json", "Print JSON: measures and every flight.")
 @common
 def ask_flights(flights, frames, seed, jobs, scheduler, keep, as_json, quiet) -> None:
-    """Fly pairs of rotors that lose thrust in the simulator; where the diagnosis is ambiguous, ask and diagnose again. Says how often that
-    names the broken rotors, with 95 % intervals (docs/control.md)."""
+    """Simulate losses of rotor pairs; where the diagnosis is ambiguous, excite and diagnose again. Prints how often that names the
+    faulty rotors, with 95 % intervals (docs/control.md)."""
     from rotorwatch.lab.campaign import excitation_flights
 
     with progress(quiet) as report:

@@ -34,8 +34,8 @@ from rotorwatch.errors import ConfigError
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @common
 def benchmark(what, methods, more, data, jobs, out, rank, listing, as_json, quiet) -> None:
-    """Try methods on the fixed flights of PLAN (quick or full, docs/benchmark.md): what each finds at one rate of false alarms, how soon,
-    how exactly, at what cost, with 95 % intervals. The same command again goes on where it was stopped. --rank compares results files.
+    """Run methods on the fixed flights of PLAN (quick or full, docs/benchmark.md): detections at a common false-alarm rate, delay, accuracy
+    and cost, with 95 % intervals. The same command resumes an interrupted run. --rank compares results files.
 
     \b
     rotorwatch benchmark quick --methods ekf,aukf -o mine.json

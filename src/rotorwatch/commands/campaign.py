@@ -17,8 +17,8 @@ from rotorwatch.commands.tools import LOG, OUT, common, counting, progress, resu
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 @common
 def campaign(plan, flights, jobs, scheduler, out, as_json, quiet) -> None:
-    """Fly PLAN (TOML, docs/campaigns.md): random flights, simulated, judged by the plan's estimators and detectors, or by `diagnose` on
-    the log of each. The same command again goes on where it was stopped; more --flights add to what is there.
+    """Simulate the random flights of PLAN (TOML, docs/campaigns.md) and diagnose them with the plan's estimators and detectors, or with
+    `diagnose` on the log of each. The same command resumes an interrupted run; more --flights extend it.
 
     Writes DIR/flights.parquet, DIR/summary.json and, where estimators are compared, DIR/index.html, and prints the summary.
     """
@@ -55,8 +55,8 @@ def campaign(plan, flights, jobs, scheduler, out, as_json, quiet) -> None:
 @click.option("--json", "as_json", is_flag=True, help="Print JSON: the table and every state.")
 @common
 def sequences(flights, seed, jobs, scheduler, keep, as_json, quiet) -> None:
-    """Fly flights in which rotors fail one after the other, together, recover, change or come and go (docs/experiments.md), and say how
-    often the state of all rotors is known."""
+    """Simulate flights in which rotors fail in turn or together, recover, change or fail intermittently (docs/experiments.md), and print
+    how often the state of all rotors is known."""
     import json
 
     from rotorwatch.lab.campaign import sequences as study
@@ -83,7 +83,7 @@ def sequences(flights, seed, jobs, scheduler, keep, as_json, quiet) -> None:
 @common
 def ablate(plan, logs, flights, hours, only, variants, jobs, scheduler, keep, as_json, quiet) -> None:
     """Leave out, halve and double every constant of the default method over a fixed set: flights of PLAN, flights with several faults,
-    losses put into healthy LOGS, and surrogates of those. Prints what changes, with intervals (docs/ablation.md)."""
+    losses injected into healthy LOGS, and surrogates of those. Prints the changes, with intervals (docs/ablation.md)."""
     import json
 
     from rotorwatch.lab import campaign as campaigns
@@ -131,8 +131,8 @@ def ablate(plan, logs, flights, hours, only, variants, jobs, scheduler, keep, as
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @common
 def closed_loop(plan, flights, drivers, by, jobs, scheduler, out, as_json, quiet) -> None:
-    """Fly the flights of PLAN (TOML, docs/control.md) with every driver: what it believes of the rotors becomes the allocation while the
-    vehicle flies. Prints who survives, how soon, and what was done for nothing. The same command again goes on where it was stopped."""
+    """Simulate the flights of PLAN (TOML, docs/control.md) with every driver: its estimate of the rotors sets the control allocation in
+    flight. Prints survival, delay and needless reconfigurations. The same command resumes an interrupted run."""
     import json
 
     from rotorwatch.base import files

@@ -177,7 +177,7 @@ ELSEWHERE = {
 @click.version_option(__version__, prog_name="rotorwatch", message="%(prog)s %(version)s")
 @DEBUG
 def cli() -> None:
-    """Which rotor lost effectiveness, how much, since when and how sure that is: from a multirotor's flight log.
+    """Diagnose multirotor flight logs: which rotor lost effectiveness, how much, since when and how certain that is.
 
     New here? Run `rotorwatch demo`, then `rotorwatch diagnose YOUR.LOG --report report.html`.
     """
@@ -219,7 +219,7 @@ def cli() -> None:
 @common
 @click.pass_context
 def diagnose(context, **options) -> None:
-    """Judge each LOG: PX4 .ulg, ArduPilot .bin/.log, Betaflight and INAV .bbl, MAVLink .tlog, ROS 2 bag, CSV, also .xz and .gz; - is
+    """Diagnose each LOG: PX4 .ulg, ArduPilot .bin/.log, Betaflight and INAV .bbl, MAVLink .tlog, ROS 2 bag, CSV, also .xz and .gz; - is
     standard input. A folder stands for all logs in it, a file for all flights in it; also quoted patterns, and addresses such as
     s3://BUCKET/FOLDER/ (docs/cluster.md).
 
@@ -354,7 +354,7 @@ def report_paths(logs: Sequence[Any], out: Path | None, option: str = "--report"
 @option("-o --out", "Vehicle file to write.", required=True, type=OUT, metavar="vehicle.toml")
 @common
 def calibrate(logs, out, quiet) -> None:
-    """Learn from healthy flights of one build what healthy means for it, and write a vehicle file.
+    """Learn the healthy behaviour of a build from its healthy flights and write a vehicle file.
 
     Give the file to `rotorwatch diagnose --vehicle` later.
     """
@@ -378,7 +378,7 @@ def calibrate(logs, out, quiet) -> None:
 @JSON
 @common
 def info(log, as_json, quiet) -> None:
-    """Show what LOG holds, what is missing for a diagnosis, and which logging setting would give it."""
+    """Show the signals in LOG, those missing for a diagnosis, and the logging settings that would record them."""
     from rotorwatch.report.info import info as run
 
     with progress(quiet) as report:
@@ -393,7 +393,7 @@ def info(log, as_json, quiet) -> None:
 @option("--report", "Also write the faulty flight's HTML page.", type=OUT, metavar="OUT.html")
 @common
 def demo(report, quiet) -> None:
-    """Diagnose the sample flights that come with rotorwatch, and say what to look at."""
+    """Diagnose the sample flights that come with rotorwatch, and explain the output."""
     from rotorwatch.diagnose import diagnose as run
 
     samples = sorted(SAMPLES.glob("*.bin.xz"), key=lambda p: ("healthy" not in p.name, p.name))
@@ -431,7 +431,7 @@ def demo(report, quiet) -> None:
 @JSON
 @common
 def inject(logs, losses, repeats, seed, jobs, scheduler, keep, as_json, quiet) -> None:
-    """Inject losses into healthy flights and count what the diagnosis finds of them."""
+    """Inject losses into healthy flights and count how many the diagnosis detects."""
     from rotorwatch.lab.experiments.inject import campaign
 
     wanted = shares("--loss", losses)
@@ -467,7 +467,7 @@ def _by_loss(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 @JSON
 @common
 def false_alarms(logs, hours, seed, jobs, scheduler, keep, as_json, quiet) -> None:
-    """Judge surrogate flights with the noise of healthy LOGs, and count the false alarms per flight hour."""
+    """Diagnose surrogate flights with the noise of healthy LOGs, and count the false alarms per flight hour."""
     from rotorwatch.lab.experiments.studies.false_alarms import describe
     from rotorwatch.lab.experiments.studies.false_alarms import false_alarms as run
 

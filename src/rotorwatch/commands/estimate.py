@@ -38,8 +38,8 @@ HELICOPTER = "aesmf"  # the method for helicopters when none is named
 @JSON
 @common
 def estimate(log, methods, outs, vehicle, baselines, plant, tuning, truth, airframe, lag, as_json, quiet) -> None:
-    """Run published methods over LOG and show what they themselves say: losses with their own intervals or bounds, states and innovations
-    over time. Which rotor is faulty is the question of `rotorwatch diagnose --estimator NAME`.
+    """Run published methods over LOG and show their own estimates over time: losses with intervals or bounds, states and innovations.
+    `rotorwatch diagnose --estimator NAME` decides which rotor is faulty.
     """
     from rotorwatch.base import checks
     from rotorwatch.estimate import estimate as run

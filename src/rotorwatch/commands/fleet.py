@@ -55,9 +55,9 @@ STORE = _store(make=False)
 
 @click.group(short_help="Store flights and track every rotor of a fleet over time.")
 def fleet() -> None:
-    """Remember flights in a store, and say of every aircraft which rotor loses thrust, since when, and when it should be exchanged.
+    """Store flights, and report for every aircraft which rotor is losing thrust, since when, and when to replace it.
 
-    Begin with `rotorwatch fleet add FOLDER`, then `rotorwatch fleet list` (docs/fleet.md).
+    Start with `rotorwatch fleet add FOLDER`, then `rotorwatch fleet list` (docs/fleet.md).
     """
 
 
@@ -70,10 +70,10 @@ def fleet() -> None:
 @_store(make=True)
 @common
 def add(store, logs, aircraft, vehicle, follow, jobs, scheduler, quiet) -> None:
-    """Judge every LOG, and all logs in every DIR, that the store does not know yet (by content), and work out where each aircraft stands.
+    """Diagnose every LOG, and all logs in every DIR, that the store does not have yet (by content), and assess each aircraft.
 
-    Broken off, even by a lost database, it goes on where it was when called again. Exit code: 0, or 2 when a log could not be judged; one
-    in a DIR that could not be judged before is named, and tried again when it or rotorwatch has changed, or when it is given by itself.
+    After an interruption, even a lost database, the same command resumes. Exit code: 0, or 2 when a log could not be diagnosed; one in
+    a DIR that failed before is named, and retried when it or rotorwatch has changed, or when it is given by itself.
     """
     from rotorwatch.fleet import add as run
     from rotorwatch.fleet import assess
@@ -130,7 +130,7 @@ def _print_outcome(outcome) -> None:
 @JSON
 @common
 def show_(store, aircraft, as_json, quiet) -> None:
-    """Show what the flights of AIRCRAFT (its name, key or serial number) say of each of its rotors."""
+    """Show the state of each rotor of AIRCRAFT (its name, key or serial number) over its flights."""
     key = store.find(aircraft)["key"]
     (found,) = [a for a in store.aircraft() if a["key"] == key]
     if as_json:
@@ -211,7 +211,7 @@ def day(utc: str | None) -> str:
 @STORE
 @common
 def service(store, aircraft, what, rotor, at, after, quiet) -> None:
-    """Note that WHAT ("new propeller") was done to AIRCRAFT: the rotor's history begins anew there."""
+    """Record that WHAT ("new propeller") was done to AIRCRAFT: the rotor's history restarts there."""
     from rotorwatch.fleet import assess, listing
 
     if at and after:
@@ -242,7 +242,7 @@ def unknown(hash: str) -> NoReturn:
 @STORE
 @common
 def rename(store, aircraft, name, quiet) -> None:
-    """Call AIRCRAFT by NAME from now on; its serial number still finds it."""
+    """Rename AIRCRAFT to NAME; its serial number still finds it."""
     store.rename(aircraft, name)
     click.echo(f"{aircraft} is called {name} now")
 
@@ -253,7 +253,7 @@ def rename(store, aircraft, name, quiet) -> None:
 @STORE
 @common
 def merge(store, aircraft, other, quiet) -> None:
-    """Put the flights and services of OTHER to those of AIRCRAFT, now and for all logs to come."""
+    """Merge the flights and services of OTHER into AIRCRAFT, now and for all future logs."""
     from rotorwatch.fleet import assess
 
     store.merge(aircraft, other)
@@ -265,7 +265,7 @@ def merge(store, aircraft, other, quiet) -> None:
 @STORE
 @common
 def assess(store, quiet) -> None:
-    """Work out anew where every aircraft of the store stands; `add`, `service` and `merge` do so themselves."""
+    """Assess every aircraft of the store again; `add`, `service` and `merge` do so automatically."""
     from rotorwatch.fleet import assess as run
 
     with progress(quiet) as report:
@@ -281,7 +281,7 @@ def assess(store, quiet) -> None:
 @JSON
 @common
 def rejudge(store, every, aircraft, jobs, scheduler, as_json, quiet) -> None:
-    """Judge the store's flights again from their logs, where those still lie, and say what changed."""
+    """Diagnose the store's flights again from their logs, where these still exist, and show what changed."""
     from dataclasses import asdict
 
     from rotorwatch.fleet import add as run
@@ -334,10 +334,10 @@ def export(store, out, quiet) -> None:
 @JSON
 @common
 def simulate(out, aircraft, flights, seed, logs, url, as_json, quiet) -> None:
-    """Fly and judge a fleet in which rotors wear, are damaged and exchanged, and compare what its store says with the truth.
+    """Simulate and diagnose a fleet in which rotors wear, are damaged and replaced, and compare the store with the truth.
 
-    Needs JAX, which the extra `research` brings (docs/fleet.md). About 0.2 s a flight on one processor; broken off, it
-    goes on when called again.
+    Needs JAX, from the extra `research` (docs/fleet.md). About 0.2 s a flight on one processor; the same command resumes
+    an interrupted run.
     """
     from rotorwatch.fleet import score, synthetic
     from rotorwatch.fleet.store import Store

@@ -38,10 +38,10 @@ from rotorwatch.errors import ConfigError, StoreError
 @JSON
 @common
 def list_(store, flights, sort, limit, offset, as_json, quiet, **filters) -> None:
-    """List the aircraft of the store, those first that need attention; or its flights.
+    """List the aircraft of the store, those that need attention first, or its flights.
 
-    state: fault (a rotor has lost thrust, or the last flight that was judged crashed or had a fault), suspect (something points to a
-    fault, or an earlier flight had one and no service is noted since), not judged, healthy. new: flights since this list was last shown.
+    state: fault (a rotor has lost thrust, or the last diagnosed flight crashed or had a fault), suspect (signs of a fault, or an earlier
+    fault without a recorded service since), not judged, healthy. new: flights since this list was last shown.
     """
     from rotorwatch.fleet import condition
 
@@ -88,7 +88,7 @@ def list_(store, flights, sort, limit, offset, as_json, quiet, **filters) -> Non
 @JSON
 @common
 def compare(store, a, b, as_json, quiet) -> None:
-    """Show what the answers of two flights say, next to each other. FLIGHT: the start of its hash (`rotorwatch fleet list --flights`).
+    """Show the diagnoses of two flights side by side. FLIGHT: the first digits of its hash (`rotorwatch fleet list --flights`).
 
     ! marks what differs: losses whose 95 % intervals do not overlap, and all but times and durations.
     """
@@ -119,9 +119,10 @@ def _marked(what: str, differs: bool) -> str:
 @STORE
 @common
 def delete(store, flights, yes, quiet) -> None:
-    """Delete flights from the store for good, with their reports. FLIGHT: the start of its hash (`rotorwatch fleet list --flights`).
+    """Delete flights and their reports permanently. FLIGHT: the first digits of its hash (`rotorwatch fleet list --flights`).
 
-    Logs are not touched. An aircraft goes with its last flight, unless maintenance is noted for it or another aircraft was merged into it.
+    Logs are not touched. An aircraft is removed with its last flight, unless it has recorded maintenance or another aircraft was merged
+    into it.
     """
     from rotorwatch.fleet import assess
 

@@ -31,7 +31,7 @@ KEPT = "Keep each paper's result in this folder, and skip papers whose result is
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @common
 def observability(vehicle, figure, as_json, quiet) -> None:
-    """Say which losses of which rotors can be distinguished on this airframe, in hover and in a manoeuvre."""
+    """Show which losses of which rotors can be distinguished on this airframe, in hover and in a manoeuvre."""
     from rotorwatch.methods.published.observability import observability as run
 
     if figure:
@@ -89,7 +89,7 @@ class _Papers(click.Command):
 @click.option("--json", "as_json", is_flag=True, help="Print JSON; for `all` a list.")
 @common
 def reproduce(paper, every, seeds, literal, figures, output, jobs, scheduler, as_json, quiet) -> None:
-    """Run the experiments of PAPER (or of `all`): each claim beside what comes out here, a verdict, and why."""
+    """Run the experiments of PAPER (or of `all`): each claim with the result here, a verdict, and the reason."""
     from rotorwatch.base import files, optional
     from rotorwatch.lab.experiments.studies import reproduction
 

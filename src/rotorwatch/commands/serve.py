@@ -30,9 +30,9 @@ from rotorwatch.commands.tools import RECORD, SPEED, WATCHED, common, flag, opti
 @flag("--listen-only", "Send nothing to vehicles.")
 @common
 def serve(endpoints, token, speed, quiet, **settings) -> None:
-    """Serve one page: vehicles at each ENDPOINT while they fly, and a list of flights to which logs can be dropped.
+    """Serve one page with the vehicles at each ENDPOINT in flight and a list of flights that accepts dropped logs.
 
-    ENDPOINT: as for `rotorwatch watch`; none is needed. Prints the page's address. Exit code: 0 when it was stopped, 2 error.
+    ENDPOINT: as for `rotorwatch watch`; optional. Prints the page's address. Exit code: 0 when it was stopped, 2 error.
     """
     from rotorwatch.serve import serve as run
 

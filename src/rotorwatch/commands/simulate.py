@@ -28,7 +28,7 @@ from rotorwatch.errors import ConfigError
 @common
 def simulate(scenario, out, seed, quiet) -> None:
     """Fly SCENARIO (TOML, docs/simulation.md): writes an ArduPilot .bin or a PX4 .ulg as the autopilot would have logged it (of a
-    helicopter a .csv or .parquet table), and what was broken beside it, as FLIGHT.truth.json and FLIGHT.truth.csv.
+    helicopter a .csv or .parquet table), with the true faults beside it in FLIGHT.truth.json and FLIGHT.truth.csv.
     """
     from rotorwatch.base import files
     from rotorwatch.lab import simulation

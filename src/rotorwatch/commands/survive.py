@@ -24,8 +24,8 @@ from rotorwatch.commands.tools import FIGURE, JSON, common, drawable, numbers, o
 @JSON
 @common
 def survive(vehicle, loss, mass, thrust_to_weight, arm, figure, as_json, quiet) -> None:
-    """Say what is left after the loss of any rotor and of any two: full control, hover without yaw, hover only while spinning, or none; how
-    much thrust and moment, and what wind it holds."""
+    """Show what remains after the loss of any rotor and of any two: full control, hover without yaw, hover only while spinning, or none;
+    with the attainable thrust, moments and wind."""
     from rotorwatch.lab.planning.survive import survive as run
 
     sizes = numbers("--loss", loss, "0.3,0.6,1")

@@ -85,9 +85,9 @@ def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
 @JSON
 @common
 def compare(logs, truth, estimators, losses, seeds, as_json, quiet) -> None:
-    """Run all estimators on simulated flights, on healthy LOGs with losses put in, and on LOGs with a table of their faults.
+    """Run all estimators on simulated flights, on healthy LOGs with injected losses, and on LOGs with a table of their faults.
 
-    Each estimator is told on standard error as soon as it has seen all flights. Ctrl-C stops it with what there is by then.
+    Each finished estimator is reported on standard error. Ctrl-C stops and prints the results so far.
     """
     from rotorwatch.lab.experiments.studies import compare as study
     from rotorwatch.lab.experiments.studies import compare_flights as flights

@@ -50,10 +50,10 @@ FAULT, ERROR, NOTHING = 1, 2, 3
 def watch(
     endpoints, speed, vehicle, record, listen_only, seconds, patience, webhook, metrics, tell_ground, jsonl, quiet
 ) -> None:
-    """Judge vehicles while they fly. ENDPOINT: udp:PORT, udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, serial:DEVICE:BAUD, or a
+    """Diagnose vehicles in flight. ENDPOINT: udp:PORT, udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, serial:DEVICE:BAUD, or a
     recorded log, which is replayed in real time.
 
-    Exit code, once all endpoints have ended: 0 no event, 1 a fault was found, 3 nothing could be judged, 2 error.
+    Exit code, once all endpoints have ended: 0 no event, 1 a fault was found, 3 nothing could be assessed, 2 error.
     """
     from rotorwatch.live.endpoint import is_endpoint, open_endpoint
 

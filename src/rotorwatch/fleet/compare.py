@@ -103,7 +103,7 @@ def _facts(flights: Any, answers: Any) -> Iterable[tuple[str, Callable[[int], st
     yield line("logging", fact("profile"))
     yield line("compared with", lambda k: answers[k].baseline)
     yield line("warnings", lambda k: str(len(answers[k].warnings)), False)
-    yield line("judged by", lambda k: f"rotorwatch {flights[k]['version']}")
+    yield line("diagnosed by", lambda k: f"rotorwatch {flights[k]['version']}")
 
 
 def _rotors(answers: tuple[Diagnosis, ...]) -> Iterable[Row]:

@@ -71,7 +71,7 @@ def _index(aircraft: Sequence[Mapping]) -> str:
         )
     head = (
         '<tr><th>aircraft</th><th>state</th><th class="n">flights</th><th class="n more">hours</th><th class="more">last flight</th>'
-        "<th>last verdict</th><th>how it stands</th></tr>"
+        "<th>last verdict</th><th>status</th></tr>"
     )
     return _page("Fleet", f"<table><thead>{head}</thead><tbody>{''.join(rows)}</tbody></table>")
 

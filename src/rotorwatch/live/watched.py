@@ -51,7 +51,7 @@ class Health:
         counts = (
             (self.twice, "twice or late"),
             (self.damaged, "damaged"),
-            (self.others, "from other addresses left out"),
+            (self.others, "from other addresses ignored"),
             (self.reboots, "reboots"),
             (self.jumps, "clock jumps"),
         )

@@ -199,7 +199,7 @@ def read_mcap(data, bag: Bag, progress=None) -> None:
         bag.notes.append("the MCAP file is cut off or damaged; what comes before that place was read")
     if lost:
         bag.notes.append(
-            f"{lost} chunk{'s' if lost > 1 else ''} of the MCAP file {'are' if lost > 1 else 'is'} damaged and left out"
+            f"{lost} chunk{'s' if lost > 1 else ''} of the MCAP file {'are' if lost > 1 else 'is'} damaged and skipped"
         )
 
 

@@ -317,8 +317,8 @@ def _own_estimate(diagnosis: Diagnosis, divs: Mapping[str, str]) -> list[str]:
         _plot(plot, divs) for plot in divs if plot.startswith(f"{figures.OWN}_") and plot != f"{figures.OWN}_loss"
     )
     return [
-        f"<h2>{escape(name)} itself</h2><p>{_text(diagnosis.own.whose)} Nothing of it is held, clipped or decided; the losses above are of "
-        "the decision that all methods share.</p>",
+        f"<h2>{escape(name)}: own estimates</h2><p>{_text(diagnosis.own.whose)} Nothing is held, clipped or decided; the losses above are "
+        "those of the decision stage common to all methods.</p>",
         _plot(f"{figures.OWN}_loss", divs),
         f"<details><summary>States and innovations of {escape(name)}</summary>{rest}</details>",
     ]

@@ -179,7 +179,7 @@ def tune(
         found = replace(found, held_out=held_name, held_out_before=before, held_out_after=after)
         if after < before:
             notes.append(
-                f"The tuning makes things worse: on {held_name}, which it was not fitted to, the log-likelihood of a row falls from "
+                f"The tuning is worse: on {held_name}, which it was not fitted to, the log-likelihood of a row falls from "
                 f"{before:.3f} to {after:.3f}; do not use it, or tune to more flights."
             )
     else:
@@ -218,8 +218,8 @@ def _at_bounds(factors: np.ndarray, system, pace: str | None) -> list[str]:
         return []
     said = ", ".join(f"{name} ({'largest' if factor > 1 else 'smallest'})" for name, factor in ends)
     return [
-        f"The fit ran into its bounds, factors of {RANGE:g} up and down: {said}. The flights do not tell these, or the plant is "
-        "wrong in shape."
+        f"The fit ran into its bounds, factors of {RANGE:g} up and down: {said}. The flights do not determine these, or the plant "
+        "model is structurally wrong."
     ]
 
 
