@@ -322,7 +322,7 @@ def test_the_command_line(tmp_path):
     ("arguments", "said"),
     [
         ({"estimator": "nonsense"}, "no estimator called 'nonsense'"),
-        ({"estimator": "ekf", "vehicle": "no-such-frame"}, "No airframe is called"),
+        ({"estimator": "ekf", "vehicle": "no-such-frame"}, "no airframe called"),
         ({"estimator": "default", "vehicle": "f450"}, "is a paper's"),
         ({"estimator": "default", "variable_dt": True}, "leave --variable-dt out"),
         ({"estimator": "default", "dt": 0.03}, "no ticks of 0.03 s"),

@@ -118,7 +118,7 @@ def test_json_and_figure(hexa, tmp_path):
 
 
 def test_what_cannot_be_asked_is_one_sentence():
-    with pytest.raises(VehicleError, match="No airframe is called"):
+    with pytest.raises(VehicleError, match="no airframe called"):
         observability("nonsense")
 
     class Sound(Pendulum):

@@ -102,7 +102,7 @@ def test_what_other_packages_offer_is_found(package):
 @pytest.mark.parametrize(
     ("target", "source", "says"),
     [
-        ("elsewhere:Own", "import nonsense_that_is_not_there", "cannot be loaded .*nonsense_that_is_not_there.* fix or uninstall that package"),
+        ("elsewhere:Own", "import nonsense_that_is_not_there", "cannot be loaded .*nonsense_that_is_not_there.* fix or uninstall that"),
         ("elsewhere:Missing", GOOD, "cannot be loaded .*Missing"),
         ("elsewhere:Half", GOOD, "lacks step"),
         ("elsewhere:Own", GOOD.replace('name = "own"', 'name = "other"'), "calls itself 'other'"),

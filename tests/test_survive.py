@@ -115,7 +115,7 @@ def test_files_and_options_say_how_heavy_and_strong(tmp_path, quad):
 @pytest.mark.parametrize(
     "argv, words",
     [
-        (("nonsense",), "No airframe is called 'nonsense'"),
+        (("nonsense",), "no airframe called 'nonsense'"),
         (("no.toml",), "no.toml"),
         ((QUAD, "--thrust-to-weight", "0.9"), "carries no vehicle"),
         ((QUAD, "--mass", "-1"), "mass_kg must be above zero"),

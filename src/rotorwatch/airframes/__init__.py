@@ -73,7 +73,9 @@ def named(name: str) -> Vehicle:
         if build is not None:
             return build()
     close = [n for n in names() if name.lower() in n] or [n for n in names() if n.endswith("-quad-x")]
-    raise VehicleError(f"No airframe is called {name!r}{meant(name, names())}; close ones are {', '.join(close[:8])}.")
+    raise VehicleError(
+        f"There is no airframe called {name!r}{meant(name, names())}; close ones are {', '.join(close[:8])}."
+    )
 
 
 def _all() -> Iterator[Any]:
@@ -105,7 +107,7 @@ def paper(name: str) -> dict:
         text = (_papers() / f"{name}.toml").read_text("utf-8")
     except OSError as error:
         like, known = meant(name, papers()), ", ".join(papers())
-        raise VehicleError(f"No paper's airframe is called {name!r}{like}; known are {known}.") from error
+        raise VehicleError(f"There is no paper's airframe called {name!r}{like}; known are {known}.") from error
     from rotorwatch.base.optional import tomllib
 
     return tomllib.loads(text)

@@ -151,7 +151,7 @@ def _old_frame(flight: Flight, notes: list[str]) -> str:
     if not flight.rotor_count:
         raise VehicleError(
             f"{flight.name or 'The log'} holds no motor outputs (RCOU records, or MOT before ArduCopter 3.2), so its rotors "
-            "cannot be judged; include motors in LOG_BITMASK for the next flight."
+            "cannot be diagnosed; include motors in LOG_BITMASK for the next flight."
         )
     kind = int(airframes.finite(flight)["FRAME"])
     texts = [m.text for m in flight.messages if m.kind == "text"] + [flight.firmware, flight.vehicle_type]

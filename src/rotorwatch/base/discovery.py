@@ -168,7 +168,7 @@ def _named(group: str, name: str) -> type:
     if name in theirs:  # only this one is loaded: a broken package must not keep others from being used
         return load(theirs[name], parts)
     known = sorted({*found, *theirs})
-    raise ConfigError(f"No {kind} is called {name!r}{meant(name, known)}; known are {', '.join(known)}.")
+    raise ConfigError(f"There is no {kind} called {name!r}{meant(name, known)}; known are {', '.join(known)}.")
 
 
 def _with_offered(group: str) -> dict[str, type]:
