@@ -84,7 +84,7 @@ def population(verdict, rotors=(), loss=0.0):
         (
             {"population": population("ambiguous", (3,), 0.3)},
             "ambiguous",
-            "Rotor 3 (front left) was 30 % weak from take-off on, or the centre of mass is off-centre.",
+            "Rotor 3 (front left) was 30 % weak from take-off on, or the centre of mass is offset.",
             {"bounded", "suspect"},
         ),
         (

@@ -50,7 +50,7 @@ LANDED_S = 1.5
 SHORT_S = 20.0  # of flight, below which tenths of a second are worth saying
 UNJUDGED = "Damage present at take-off was not assessed."
 INVISIBLE = (0.0, 1.0)
-OFF_MIDDLE = "the centre of mass is off-centre"
+OFF_MIDDLE = "the centre of mass is offset"
 AFTER_KNOCK = "Inspect the vehicle, then fly it again for at least 30 s."
 UNKNOWING = ("inconclusive", "crashed")  # verdicts that say nothing of the rotors at the end
 LOPSIDED = "may have been weak since take-off"  # compared with any build's vehicles: nothing else is known of the rotor
@@ -304,7 +304,7 @@ def _inconclusive(seen: Evidence) -> str:
         return f"No loss was detected until the contact at {seconds(seen.knocked_s)}. Damage from it could not be assessed."
     if not seen.vague and seen.patchy:
         return f"No loss was detected in the {seen.judged_s:.0f} s assessed of {seen.flown_s:.0f} s in the air: {seen.unjudged.why}."
-    return f"No loss was detected, but up to {_bound(seen)} could be lost undetected: {seen.unjudged.why}."
+    return f"No loss was detected, but a loss of up to {_bound(seen)} could have gone undetected: {seen.unjudged.why}."
 
 
 def _told_beside(seen: Evidence, main: Event | None) -> list[Event]:

@@ -32,7 +32,7 @@ LOSS, OUTPUT_OVERRIDE, CONTACT, TURNED_MOUNT = 0, 1, 2, 9
 # to which rotor or output; something happened, and several sets of rotors explain it.
 NOT_JUDGED, HEALTHY, FAULT, AMBIGUOUS = 0, 1, 2, 3
 # Of a loss: opposite rotors may share it, and then so may the battery; two rotors of one arm lack about one whole rotor; it grew little by
-# little; its apparent end did not change the trim.
+# little; what looked like its end left the trim as it was.
 PLAIN, SHARED, ONE_ARM, GREW, STAYS = 0, 1, 2, 3, 4
 
 TOUCH_DOWN_S = 1.0  # a contact so near the end of a flight is the landing, or the crash
