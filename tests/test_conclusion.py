@@ -42,7 +42,7 @@ OVERRIDE = dict(kind="output_override", loss=(), interval=(), reason="output 3 w
         ),
         (
             {"events": (hexa_event(**OVERRIDE),)},
-            "output of rotor 3 (front left) stopped following the mixer at 31.20 s",
+            "output of rotor 3 (front left) did not follow the mixer from 31.20 s on",
         ),
         (
             {"events": (), "whole_flight": whole("fault", (3,), 0.3)},

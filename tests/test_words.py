@@ -63,9 +63,9 @@ def test_the_comparison_with_healthy_flights_in_words():
 def test_a_headline_is_short_and_says_how_much_it_leaves_out():
     from rotorwatch.answer.wording import LONGEST, headline
 
-    lost = "Rotor 1 (right) lost 99 % (88–100 %) of thrust at 30.45 s until the landing at 85.77 s (the first of 2 events)."
+    lost = "Rotor 1 (right) lost 99 % (88–100 %) of thrust from 30.45 s until the landing at 85.77 s (the first of 2 events)."
     sank = "Without it the vehicle sank by 6 m in 2.7 s: the others gave 86 % of its weight, and could carry 170 %; and so on."
-    said = 'At 27.58 s the autopilot reported an estimator fault ("EKF3: lane 1", and 2 more).'
+    said = 'At 27.58 s the autopilot reported an estimator fault ("EKF3: lane", and 2 more).'
     caveat = "A loss of up to 2 % of one rotor, or 35 % of each of two opposite rotors, could have gone undetected."
     assert headline([lost, sank[:60]]) == f"{lost} {sank[:60]}", "what fits stays as it is"
     assert headline([lost, said]) == f"{lost} {said}"

@@ -201,7 +201,7 @@ def _as_if(spell: Event, places: Sequence[str]) -> str:
 
 
 def _what_happened(seen: Evidence, event: Event) -> str:
-    return said(event.means.reason, event, comma_until=_until(seen, event, ", until")).removesuffix(": ")
+    return said(event.means.reason, event, until=_until(seen, event, " until")).removesuffix(": ")
 
 
 def _cleared(seen: Evidence, lost: Event) -> str:

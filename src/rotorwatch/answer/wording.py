@@ -222,6 +222,7 @@ def said(words: Words | str, event: Event, places: Sequence[str] = (), **more: s
         "lost_effect": lost(event, " of its effectiveness"),
         "at": seconds(event.onset_s),
         "when": when(event),
+        "from_on": f"from {seconds(event.onset_s)}{' on' if event.end_s is None else ''}",
         "end": seconds(event.end_s),
         "why": event.reason.strip().removesuffix("."),
         "Why": sentence(event.reason.strip().removesuffix(".")),
@@ -243,10 +244,12 @@ def lost(event: Event, what: str = "") -> str:
 
 
 def when(event: Event) -> str:
-    """'at 41.20 s'; 'gradually from 41.20 s to 65.00 s' of a loss that grew."""
+    """'at 41.20 s'; 'from 41.20 s' of a loss that ended; 'gradually from 41.20 s to 65.00 s' of a loss that grew."""
     grew = event.extra.get("grew_until_s")
     at = seconds(event.onset_s)
-    return f"at {at}" if grew is None else f"gradually from {at} to {seconds(grew)}"
+    if grew is not None:
+        return f"gradually from {at} to {seconds(grew)}"
+    return f"at {at}" if event.end_s is None else f"from {at}"
 
 
 def cause(event: Event) -> str:

@@ -132,7 +132,7 @@ ROWS = (
     Kind(
         0, LOSS, "loss of effectiveness", "a rotor lost effectiveness", Weight.FAULT, Span.LASTS, weakens=True,
         headline=Words("{who} {lost} {when}{until}{cause}{again}.", "Loss of thrust at {at}: {candidates}."),
-        reason="{plain_who} {lost_effect} {when}{comma_until}: {why}",
+        reason="{plain_who} {lost_effect} {when}{until}: {why}",
         began=Words("At {at} {who} {lost}{over}.", "At {at} thrust was lost: {candidates}."),
         now=Words("weak since {at}", "one of several candidates since {at}"),
         past=Words("was weak from {at} to {end}", "may have been weak from {at} to {end}"),
@@ -141,7 +141,7 @@ ROWS = (
     ),
     Kind(
         1, OVERRIDE, "output overridden", "an output does not follow the mixer: stuck, off, replaced", Weight.FAULT, Span.LASTS,
-        headline=Words("The output of {who} stopped following the mixer at {at}{until}{again}."),
+        headline=Words("The output of {who} did not follow the mixer {from_on}{until}{again}."),
         began=Words("At {at} the output of {candidates} stopped following the mixer{over}."),
         now=Words("its output has not followed the mixer since {at}"),
         past=Words("its output did not follow the mixer from {at} to {end}"),
