@@ -201,12 +201,12 @@ def test_two_are_made_one(call, folder, quick):
 
 def test_judging_again_says_what_changed(call, folder, quick, tmp_path):
     call("add", folder)
-    assert "0 judged again" in call("rejudge")[1]
+    assert "0 diagnosed again" in call("rejudge")[1]
     quick["verdict"] = "ambiguous"
     (folder / "b.bin").unlink()
     (folder / "below" / "c.bin").write_bytes(SAMPLE + b"other")
     code, out, _ = call("rejudge", "--all")
-    assert code == 0 and "a.bin  healthy -> ambiguous" in out and "1 judged again, 1 changed" in out
+    assert code == 0 and "a.bin  healthy -> ambiguous" in out and "1 diagnosed again, 1 changed" in out
     assert "kept as it was" in out and "has changed" in out
     with Store(tmp_path / "fleet.db") as store:
         assert sorted(r["verdict"] for r in store.flights()) == ["ambiguous", "healthy", "healthy"]

@@ -192,7 +192,7 @@ def test_who_is_contradicted_by_the_motion_gives_way_to_another_that_sends_too()
     alerts, link = flown([(at, "b", frame) for at, frame in base(0)[0]], change, which=0)
     assert not [a for a in alerts if a["type"] == "event"]
     (other,) = [a for a in alerts if "it is now received through b" in a.get("text", "")]
-    assert "contradicts itself" in other["text"] and other["at"] < 40.0 and link.vehicles[0].session.doubt == ""
+    assert "its data are inconsistent" in other["text"] and other["at"] < 40.0 and link.vehicles[0].session.doubt == ""
 
 
 def garbage(begin=0.0, end=45.0, seed=0):

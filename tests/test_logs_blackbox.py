@@ -371,7 +371,7 @@ def test_truncated_anywhere_it_is_read_or_refused_in_a_sentence(tmp_path, amount
         (lambda h: re.sub("(?m)^(H Field I encoding:.*),0$", r"\1,77", h), "have an unknown encoding"),
         (lambda h: re.sub("(?m)^(H Field I predictor:.*),5$", r"\1,200", h), "have an unknown encoding"),
         (lambda h: re.sub("(?m)^(H Field I encoding:.*),0$", r"\1,8", h), "do not fit their encoding"),
-        (lambda h: re.sub("(?m)^(H Field I predictor:)0", r"\g<1>5", h), "makes no sense"),
+        (lambda h: re.sub("(?m)^(H Field I predictor:)0", r"\g<1>5", h), "invalid predictor"),
         (lambda h: h.replace("accSmooth[1]", "accSmooth[0]"), "is damaged"),
         (lambda h: h.replace("loopIteration", "a," * 300 + "loopIteration"), "is damaged"),
     ],

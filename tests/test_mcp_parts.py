@@ -128,7 +128,7 @@ def test_still_pictures(fault, tmp_path):
     assert still.shows(fault) == "flight"
     still.figure(fault, path=tmp_path / "a.svg")
     assert "loss [%]" in (tmp_path / "a.svg").read_text() or (tmp_path / "a.svg").stat().st_size > 10_000
-    for what, said in (("moment", "no moment"), ("else", "give one of")):
+    for what, said in (("moment", "No moment"), ("else", "give one of")):
         with pytest.raises(ConfigError, match=said):
             still.figure(fault, what)
     with pytest.raises(ConfigError, match="Nothing to draw"):
