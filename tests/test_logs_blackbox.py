@@ -608,7 +608,7 @@ def test_motors_that_turn_both_ways_are_refused_and_odd_numbers_too(file):
     log = writer.betaflight(3)
     writer.fly(log, writer.rows(log, 40, time=np.arange(40) * 500, motor_0=500))
     craft = airframes.identify(logs.read(file("z.bbl", log.bytes())))
-    assert craft.name == "betaflight-tri" and "not judged" in craft.assumptions[0]
+    assert craft.name == "betaflight-tri" and "not assessed" in craft.assumptions[0]
 
 
 def small(log, count=60, **columns):
