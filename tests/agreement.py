@@ -215,7 +215,7 @@ def headline(views):
     """Headline and reason speak of the main event and of nothing else, with its numbers."""
     d, said = views.json, views.json["headline"]
     unjudged = bool(d["rotors"]) and {r["from_takeoff"] for r in d["rotors"]} == {"not judged"}
-    hidden = "Damage from take-off was not judged" in said
+    hidden = "Damage present at take-off was not assessed" in said
     views.expect(hidden == (unjudged and d["verdict"] == "healthy"), "the headline and the rotors differ on take-off")
     if d["main_event"] is None or (d["verdict"] == "fault" and d["events"][d["main_event"]]["alternatives"]):
         return
@@ -231,7 +231,7 @@ def headline(views):
     if main["kind"] == LOSS and not main["alternatives"]:
         for text in (said, d["reason"]):
             gives = event.extra.get("gives")
-            wanted = report.losses(event) if gives is None else f"it gives {gives:.1f} times"
+            wanted = report.losses(event) if gives is None else f"stuck at {gives:.1f} times"
             views.expect(wanted in text, f"the loss of the main event is not in: {text}")
         views.expect((main["end_s"] is None) == ("until" not in said), "headline and main event differ on the end")
 
@@ -317,7 +317,7 @@ def rotors(views):
         if r["status"] == "suspect":
             expect(bool(r["note"]), f"{me}: no word why")
             # Its own evidence, an unjudged landing, an override, the trim or the comparison: at least one must have named it.
-            by_evidence = any(words in r["note"] for words in ("no event explains", "or the wind turned then"))
+            by_evidence = any(words in r["note"] for words in ("no event explains", "or the wind changed then"))
             why = bool(claims) or r["from_takeoff"] == "suspect" or by_evidence
             expect(why, f"{me} although nothing names it")
         if r["status"] == "healthy":

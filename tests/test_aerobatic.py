@@ -106,7 +106,7 @@ def test_motion_that_does_not_answer_the_outputs_is_not_judged(healthy):
 def test_nothing_is_found_in_healthy_flight(healthy):
     found, table, out = judged(healthy)
     assert found == () and (table.mode == JUDGE).sum() * table.dt == pytest.approx(46.0, abs=1.5)
-    assert 0.03 < 1.96 * out.detectable[table.mode == JUDGE][-1].max() < 0.4  # a loss that could have gone unseen
+    assert 0.03 < 1.96 * out.detectable[table.mode == JUDGE][-1].max() < 0.4  # a loss that could have gone undetected
 
 
 @pytest.mark.thorough(keep=1)

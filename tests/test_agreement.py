@@ -193,7 +193,9 @@ def spoilt(field):
         "small interval": replace(good, rotors=(replace(good.rotors[0], interval=(0.0, 0.001)), *good.rotors[1:])),
         "verdict": replace(good, verdict="healthy"),
         "headline": replace(good, headline=good.headline.replace("otor 3", "otor 4")),
-        "take-off": replace(unjudged, headline=unjudged.headline.replace("Damage from take-off was not judged.", "")),
+        "take-off": replace(
+            unjudged, headline=unjudged.headline.replace("Damage present at take-off was not assessed.", "")
+        ),
         "reason": replace(good, reason="rotor 1 lost much."),
         "main": replace(good, main=None),
         "advice": replace(good, advice=()),

@@ -171,7 +171,7 @@ def test_old_firmware_without_message_is_told_by_how_its_outputs_move(frame, noi
     log = Flight("test", "ArduPilot", {"motors": motors}, 40.0, parameters={"FRAME": kind, "THR_MIN": 130})
     vehicle = airframes.identify(log)
     assert vehicle.name == f"ardupilot-{frame}"
-    assert any("can be mixed for" in a for a in vehicle.assumptions) or kind == 10  # only a Y6 has that type
+    assert any("matches the mixing of" in a for a in vehicle.assumptions) or kind == 10  # only a Y6 has that type
 
 
 @pytest.mark.parametrize(

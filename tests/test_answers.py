@@ -19,9 +19,9 @@ LOGS = (
     "crazypad/normal_flight__E8_log01.usd.xz", "ardupilot-real-rrc/25_mm_cut_hover_2.bin.xz", "blackbox/LOG00006.BFL.xz",
 )  # fmt: skip
 REASONS = {  # of logs whose reason is known
-    "vibration-wrong-reason-1.bin.xz": "vibration of 20 m/s2", "sdlog2-1.ulg.xz": "outputs explain nothing",
+    "vibration-wrong-reason-1.bin.xz": "vibration of 20 m/s2", "sdlog2-1.ulg.xz": "outputs do not explain",
     "sample.ulg.xz": "never took off",
-    "knock-1.bin.xz": "knocked at 11.22 s and 22.62 s", "normal_flight__E8_log01.usd.xz": "11 s of flight in one piece are needed",
+    "knock-1.bin.xz": "made contact at 11.22 s and 22.62 s", "normal_flight__E8_log01.usd.xz": "11 s of flight without landing are needed",
     "on-its-side-1.bin.xz": "no motor outputs", "time_jumps_backwards.bin": "clock jumps at 53.2 s",
 }  # fmt: skip
 NEVER = (
@@ -65,7 +65,9 @@ def test_an_answer_says_what_is_known_and_why_no_more_is(answer):
 def test_what_matters_is_asked_for(matters, verdict):
     log = Path(rw.__file__).parent / "samples" / "quadx_healthy_hover.bin.xz"
     found = rw.diagnose(log, matters=matters)
-    assert found.verdict == verdict and ("could be missing unseen" in found.headline) == (verdict == "inconclusive")
+    assert found.verdict == verdict and ("No loss was detected, but a loss of up to" in found.headline) == (
+        verdict == "inconclusive"
+    )
 
 
 @pytest.mark.parametrize("matters", [0.0, -0.1, 1.5, float("nan")])

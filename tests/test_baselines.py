@@ -61,7 +61,7 @@ def test_a_vehicle_of_another_frame_is_refused_and_one_that_differs_is_mentioned
 
 
 def test_a_flight_says_nothing_about_itself():
-    with pytest.raises(VehicleError, match="says nothing about itself"):
+    with pytest.raises(VehicleError, match="cannot serve as its own baseline"):
         diagnose(flown(), baseline=flown())
     kept, aside = healthy([flown(), flown(), flown("two.bin")], diagnose)
     assert names(kept) == ["one.bin", "two.bin"] and "same flight as one.bin" in aside[0]
@@ -71,7 +71,7 @@ def test_a_faulty_flight_is_no_baseline():
     weak = replace(inject(flown("weak.bin"), QUAD, 2, 0.4, 25.0), name="weak.bin")
     kept, aside = healthy([weak, flown("two.bin"), flown("three.bin")], diagnose)
     assert names(kept) == ["two.bin", "three.bin"]
-    assert "weak.bin was set aside: judged by itself it is" in aside[0] and "rotor 2" in aside[0]
+    assert "weak.bin was set aside: on its own it is diagnosed as" in aside[0] and "rotor 2" in aside[0]
     with pytest.raises(VehicleError, match=r"No healthy flight is left.*weak.bin"):
         diagnose(flown(), baseline=[weak])
 
@@ -105,7 +105,7 @@ def faster(flight, times=2):
 
 def test_another_logging_rate_is_set_aside():
     fast = faster(flown("fast.bin"))
-    assert "another rate: judged every 0.05 s, not every 0.10 s" in unlike(Candidate(fast), Candidate(flown()))
+    assert "another rate: assessed every 0.05 s, not every 0.10 s" in unlike(Candidate(fast), Candidate(flown()))
     assert names(healthy([fast, flown("two.bin")], diagnose, of=Candidate(flown()))[0]) == ["two.bin"]
 
 
@@ -117,7 +117,7 @@ def set_to(flight, **parameters):
     ("other", "says"),
     [
         (lambda: flown("heavy.bin", hover=0.64), "hovers at 64 % of full thrust, not at 40 %"),
-        (lambda: set_to(flown("curve.bin"), MOT_THST_EXPO=0.0), "thrust curve .*expo 0.* rises otherwise"),
+        (lambda: set_to(flown("curve.bin"), MOT_THST_EXPO=0.0), "thrust curve .*expo 0.* rises differently"),
         (lambda: set_to(flown("wide.bin"), MOT_SPIN_MIN=0.02), "thrust curve .*1020 to 1950"),
     ],
 )
@@ -173,7 +173,7 @@ def test_the_one_that_hovers_otherwise_is_found_by_the_others():
     flights = [flown("a.bin"), flown("bent.bin", offset=DAMAGED), flown("b.bin"), flown("c.bin")]
     kept, aside = healthy(flights, diagnose)
     assert names(kept) == ["a.bin", "b.bin", "c.bin"]
-    assert aside == ("bent.bin was set aside: its rotors share the load otherwise than in the 3 other flights",)
+    assert aside == ("bent.bin was set aside: its rotors share the load differently than in the 3 other flights",)
 
 
 def test_of_two_that_differ_nobody_can_say_which_is_wrong():
@@ -198,7 +198,7 @@ def test_unreadable_frames_and_flights_on_the_ground_are_named():
     nameless = replace(flown("nameless.bin"), autopilot="", parameters={})
     kept, aside = healthy([nameless, flown("two.bin"), on_the_ground()], diagnose)
     assert names(kept) == ["two.bin"]
-    assert "does not say which airframe flew" in aside[0] and "ground.bin was set aside: it shows no flight" in aside[1]
+    assert "does not say which airframe flew" in aside[0] and "ground.bin was set aside: it has no flight" in aside[1]
     with pytest.raises(ConfigError, match="at least one"):
         healthy([], diagnose)
 

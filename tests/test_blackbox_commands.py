@@ -39,7 +39,7 @@ def test_inject_judges_as_diagnose_does(log, capsys):
 @pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize(("words", "why"), [
     (("compare", "--seeds", "0"), ("does not hover", "published methods model hover")),
-    (("watch", "--speed", "max", "--jsonl"), ("firmware that no link shows", "`rotorwatch diagnose`")),
+    (("watch", "--speed", "max", "--jsonl"), ("firmware without a telemetry link", "`rotorwatch diagnose`")),
     (("false-alarms", "--hours", "0.1"), ("does not hover", "noise of hover")),
     (("diagnose", "--estimator", "ekf"), ("does not hover", "leave out the estimator")),
     (("tune", "--estimator", "ekf"), ("does not hover", "published methods model hover")),
@@ -51,7 +51,7 @@ def test_what_is_made_for_hover_says_so(log, capsys, words, why):
 
 def test_calibrate_says_what_it_cannot_learn(log, capsys, tmp_path):
     code, out, err = run(capsys, "calibrate", log, "-o", str(tmp_path / "quad.toml"))
-    assert code == 0 and "learned from 1 flight" in out and "does not hover: of it only the airframe is used" in err
+    assert code == 0 and "learned from 1 flight" in out and "does not hover: only its airframe is used" in err
     code, out, _ = run(capsys, "diagnose", log, "--vehicle", str(tmp_path / "quad.toml"), "--json", "-q")
     answer = json.loads(out)  # of half a minute the bound may be too large for `healthy`
     assert code in (0, 3) and not [e for e in answer["events"] if e["rotors"]]

@@ -112,7 +112,7 @@ def test_a_link_with_what_cannot_be_asked_says_so(tab, site):
     found(page, "2 flights found")
     assert page.input_value("#since") == "2026-05-03T09:00" and page.input_value("#min_loss") == "0.01"
     for ask, says in (
-        ("aircraft=nobody", "knows no aircraft nobody"),
+        ("aircraft=nobody", "has no aircraft nobody"),
         ("sort=size", "choose from"),
         ("until=May", "give a day"),
     ):

@@ -227,7 +227,7 @@ def test_a_page_opens_with_the_token(site, browser, tmp_path):
         assert tab.violations() == []
         tab.page.fill("#token", "not the one that is wanted")
         tab.page.click("button")
-        tab.page.wait_for_selector("text=This token is wrong")
+        tab.page.wait_for_selector("text=Wrong token")
         tab.page.fill("#token", TOKEN)
         tab.page.click("button")
         tab.page.wait_for_selector("text=No vehicle is watched")

@@ -206,8 +206,8 @@ def test_demo_explains_the_samples_and_says_where_the_page_is(fake, run, monkeyp
     monkeypatch.setattr(cli, "SAMPLES", samples)
     code, out, err = run("demo", "--report", "d.html")
     assert code == 0 and err == ""
-    assert out.index("healthy-quad.bin.xz") < out.index("fault-hexa.bin.xz") < out.index("What to look at")
-    assert "The faulty flight as a page: d.html" in out
+    assert out.index("healthy-quad.bin.xz") < out.index("fault-hexa.bin.xz") < out.index("How to read this")
+    assert "Report of the faulty flight: d.html" in out
     assert "fault-hexa.bin.xz" in (fake / "d.html").read_text().split("</title>")[0]
     assert "rotorwatch demo --report" in run("demo")[1]
     monkeypatch.setattr(cli, "SAMPLES", fake / "nothing")

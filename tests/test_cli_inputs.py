@@ -212,7 +212,7 @@ def test_an_answer_that_cannot_be_written_is_an_error_and_no_verdict(words, wher
 def test_a_tuning_that_is_no_text_is_no_tuning(tmp_path):
     path = tmp_path / "t.toml"
     path.write_bytes(b"\xff\xfe")
-    with pytest.raises(ConfigError, match="is no tuning file"):
+    with pytest.raises(ConfigError, match="is not a tuning file"):
         tune.read(path, "ekf")
 
 
@@ -277,7 +277,7 @@ def test_a_pipe_in_a_folder_is_passed_over_and_one_without_a_writer_is_said(tmp_
     assert [path.name for path in found] == ["log.bin"] and found.others == 2
     for command in ("diagnose", "info"):
         code, out, err = run(command, pipe)
-        assert code == 2 and not out and "a pipe into which nobody writes" in err and len(err.strip().splitlines()) == 1
+        assert code == 2 and not out and "a pipe without a writer" in err and len(err.strip().splitlines()) == 1
     for ask in (read, fingerprint):
         with pytest.raises(LogError, match="a pipe"):
             ask(pipe)

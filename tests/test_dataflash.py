@@ -169,7 +169,7 @@ def test_outputs_with_another_function_are_no_motors():
         lambda k: dict(o1=1300 + k, o2=1300 + k, o3=1300 + k, o4=1300 + k), FRAME_CLASS=1, **functions
     )
     assert flight.rotor_count == 0 and "motors" not in flight.signals
-    assert any("what drove the rotors is not in this log" in w for w in flight.warnings)
+    assert any("the motor outputs are not in this log" in w for w in flight.warnings)
 
 
 @pytest.mark.parametrize("slope, rotors", [(4, 4), (0, 0), (-4, 0)])

@@ -183,11 +183,11 @@ def one(rotor=0, start=10.0, lasting=0.1, ratio=5.0, others=()):
 def test_events_are_one_a_motor():
     first, second = desync.events([one(2, 12.0, 0.03), one(0), one(2, 34.0, 0.14)], False)
     assert (first.rotors, first.extra["count"], first.onset_s) == ((1,), 1, 10.0)
-    assert first.reason == "motor 1 desynced once, at 10.00 s: it was commanded up and gave nothing for 100 ms"
+    assert first.reason == "motor 1 desynced once, at 10.00 s: it was commanded up and gave no thrust for 100 ms"
     assert (second.rotors, second.extra[TIMES], second.end_s) == ((3,), [12.0, 34.0], pytest.approx(34.14))
     assert (
         second.reason
-        == "motor 3 desynced 2 times, first at 12.00 s: it was commanded up and gave nothing for 30 to 140 ms"
+        == "motor 3 desynced 2 times, first at 12.00 s: it was commanded up and gave no thrust for 30 to 140 ms"
     )
     assert second.loss == () and second.extra["rpm"] is False
 
@@ -234,7 +234,7 @@ def test_the_terminal_counts_them():
         screen.print(terminal.diagnosis(answer("long"), verbose=True))
     text = " ".join(out.get().split())
     assert f"Motor 3 (rear left) desynced {answer('long').events[0].extra['count']} times, first at" in text
-    assert "motor lost step" in text and "motor timing, demag compensation" in text
+    assert "motor desync" in text and "motor timing, demag compensation" in text
 
 
 def test_the_picture_shows_the_moment_of_the_first_desync():
@@ -267,5 +267,5 @@ def test_the_headline_says_that_the_motor_stopped_for_good():
     cut = {name: s.between(0.0, 25.5) for name, s in flight.signals.items()}  # it fell
     stopped = diagnose(replace(flight, signals=cut, duration=25.5))
     assert re.match(r"Motor 3 \(rear left\) desynced 2 times, first at (13\.9|14\.0)", stopped.headline)
-    assert "and gave nothing any more from 24." in stopped.headline
+    assert "and gave no thrust from 24." in stopped.headline
     assert "any more" not in answer("long").headline

@@ -238,8 +238,8 @@ def test_resume_does_nothing_twice(fake, run, monkeypatch):  # noqa: F811
 @pytest.mark.parametrize(
     ("argv", "says"),
     [
-        (("--jsonl", "-o", "there.jsonl"), "there.jsonl is there already: go on with it by --resume"),
-        (("--jsonl", "-o", "there.jsonl", "--resume"), "line 1 is no answer of rotorwatch"),
+        (("--jsonl", "-o", "there.jsonl"), "there.jsonl exists already: continue it with --resume"),
+        (("--jsonl", "-o", "there.jsonl", "--resume"), "line 1 is not a diagnosis of rotorwatch"),
         (("--jsonl", "-o", "other.jsonl", "--resume"), "made by another version"),
         (("--jsonl", "--json"), "give one"),
         (("-o", "x.jsonl"), "belong to --jsonl"),

@@ -56,8 +56,8 @@ def test_faulty_flights_are_shown_and_teach_nothing():
     one = found["A"]
     assert (one["used"], one["flights"]) == (21, 40)
     assert {o["why"] for o in one["left_out"]} == {
-        "judged fault by itself", "judged ambiguous by itself", "its log contradicts itself", "a rotor was at its limit",
-        "too little steady hover", "of another number of rotors",
+        "diagnosed fault on its own", "diagnosed ambiguous on its own", "its log is inconsistent", "a rotor was at its limit",
+        "too little steady hover", "different number of rotors",
     }  # fmt: skip
     assert not one["changes"] and points["A"]["loss"][12] is None and not points["A"]["used"][12]
 

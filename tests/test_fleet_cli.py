@@ -103,7 +103,9 @@ def test_a_log_behind_an_address_is_fetched_once(folder, quick, call):
 def test_what_cannot_be_judged_is_said_and_the_rest_added(call, folder, quick):
     (folder / "broken.bin").write_bytes(SAMPLE[:200])
     code, out, err = call("add", folder / "broken.bin", folder / "a.bin")
-    assert code == 2 and out.count("healthy") == 1 and "broken.bin" in err and "1 added, 1 could not be judged" in err
+    assert (
+        code == 2 and out.count("healthy") == 1 and "broken.bin" in err and "1 added, 1 could not be diagnosed" in err
+    )
     code, _, err = call("add", folder / "nothing*.bin")
     assert code == 2 and "fits no flight log" in err
 
@@ -113,9 +115,9 @@ def test_a_bad_file_of_a_folder_is_remembered(call, folder, quick):
     (folder / "broken.bin").write_bytes(SAMPLE[:200])
     assert call("add", folder)[0] == 2
     code, _, err = call("add", folder)
-    assert code == 0 and "failed" not in err and "1 could not be judged before" in err and "broken.bin" in err
+    assert code == 0 and "failed" not in err and "1 could not be diagnosed before" in err and "broken.bin" in err
     code, _, err = call("add", folder / "broken.bin")
-    assert code == 2 and "1 could not be judged" in err, "one that is named by itself is tried again"
+    assert code == 2 and "1 could not be diagnosed" in err, "one that is named by itself is tried again"
     (folder / "broken.bin").write_bytes(SAMPLE[:300])
     assert call("add", folder)[0] == 2
     (folder / "broken.bin").write_bytes(SAMPLE + b"whole")
@@ -199,13 +201,13 @@ def test_two_are_made_one(call, folder, quick):
 
 def test_judging_again_says_what_changed(call, folder, quick, tmp_path):
     call("add", folder)
-    assert "0 judged again" in call("rejudge")[1]
+    assert "0 diagnosed again" in call("rejudge")[1]
     quick["verdict"] = "ambiguous"
     (folder / "b.bin").unlink()
     (folder / "below" / "c.bin").write_bytes(SAMPLE + b"other")
     code, out, _ = call("rejudge", "--all")
-    assert code == 0 and "a.bin  healthy -> ambiguous" in out and "1 judged again, 1 changed" in out
-    assert "kept as it was" in out and "has another content now" in out
+    assert code == 0 and "a.bin  healthy -> ambiguous" in out and "1 diagnosed again, 1 changed" in out
+    assert "kept as it was" in out and "has changed" in out
     with Store(tmp_path / "fleet.db") as store:
         assert sorted(r["verdict"] for r in store.flights()) == ["ambiguous", "healthy", "healthy"]
 
@@ -391,7 +393,7 @@ def test_flights_are_deleted_and_added_again(call, three, folder, tmp_path):
         report.parent.mkdir()
         report.write_text("a report")
     code, out, err = call("delete", three["c.bin"])
-    assert code == 2 and "--yes" in err and not out, "nobody can be asked here"
+    assert code == 2 and "--yes" in err and not out, "without confirmation"
     code, out, err = call("delete", three["c.bin"], "0123456789", "--yes")
     assert code == 2 and "0123456789: the store holds no flight" in err and report.exists(), "all or none"
     code, out, err = call("delete", three["c.bin"], three["c.bin"], "--yes")

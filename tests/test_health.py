@@ -165,7 +165,7 @@ def test_the_answer_names_the_rotor_whose_loss_grows():
     assert end.verdict == "ambiguous" and end.rotors[1].trend is SLOW
     assert end.rotors[1].grade == "worn to weak" and end.rotors[0].grade == "healthy"
     for text in (end.headline, end.reason):
-        assert "otor 2 loses 7.3 % (5.5 to 9.1 %) more of its thrust every minute" in text
+        assert "otor 2 is losing thrust at 7.3 % (5.5 to 9.1 %) per minute" in text
     assert "No rotor lost thrust after take-off" not in end.headline
     assert any("rotor 2" in step and "grew" in step for step in end.advice)
 

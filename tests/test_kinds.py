@@ -28,7 +28,7 @@ LABORATORY = ROOT / "src" / "rotorwatch_lab"
 # Rows that nobody finds yet: a rotor that gives more than it is asked for, and so on.
 PLANTED = (
     Kind(100, "gives_more", "more thrust than commanded", "", Weight.FAULT, Span.LASTS),
-    Kind(101, "mount_turned", "turned motor mount", "", Weight.FAULT, Span.STAYS, brief="turned on its mount"),
+    Kind(101, "mount_turned", "twisted motor mount", "", Weight.FAULT, Span.STAYS, brief="turned on its mount"),
     Kind(
         102,
         "growing_loss",
@@ -139,7 +139,7 @@ def test_a_rotor_that_follows_no_command_is_said_so_everywhere():
     event = hexa_event(end_s=None, loss=(0.98,), interval=((0.9, 1.0),), extra={"gives": 2.14})
     answer = hexa_diagnosis(events=(event,))
     for text in (answer.headline, answer.reason, view.words(event, 50.0)):
-        assert "it gives 2.1 times the thrust of hover" in text and "98 %" not in text
+        assert "stuck at 2.1 times hover thrust" in text and "98 %" not in text
     alert = {"type": "event", "state": "announced", "vehicle": "1", "number": 1, "event": event.to_dict()}
     assert ground.text_of(alert)[0] == "rotorwatch: rotor 3 stuck at 2.1x hover"
     for gives, words in ((0.04, "0.0x"), (3.3, "3.3x"), (9.96, "10x"), (10.0, "10x"), (33.4, "33x"), (2000.0, "999x")):
@@ -163,7 +163,7 @@ def test_a_kind_without_words_of_its_own_has_the_plain_ones():
     (row,) = (r for r in PLANTED if r.name == "gives_more")
     answer = hexa_diagnosis(events=(an_event(row.name),))
     assert answer.headline == "More thrust than commanded of rotor 3 (front left) at 31.20 s."
-    assert answer.advice[0].startswith("Do not fly again before rotor 3 (front left) has been looked at")
+    assert answer.advice[0].startswith("Do not fly again until rotor 3 (front left) has been inspected")
     assert answer.rotors[2].note == "more thrust than commanded since 31.20 s"
     assert said(row.began, an_event(row.name), over="") == "At 31.20 s more thrust than commanded of rotor 3."
 

@@ -130,7 +130,7 @@ def test_heartbeats_from_elsewhere_win_nothing(undisturbed):
     """Neither who is heard first, nor who is heard while the vehicle is silent for some seconds."""
     alerts, link = flown(beats("b", 0.5), first="b")
     found_in_time(alerts, undisturbed)
-    assert sum("it is heard through a from now on, not through b" in text for text in texts(alerts)) == 1
+    assert sum("it is now received through a instead of b" in text for text in texts(alerts)) == 1
     alerts, link = flown(beats("b"), lambda at, frame: [] if 14.0 < at < 18.0 else [("a", frame)])
     found_in_time(alerts, undisturbed)
     assert not any("from now on" in text for text in texts(alerts)) and link.vehicles[0].health.others > 20
@@ -144,10 +144,10 @@ def test_an_attitude_without_outputs_wins_nothing(undisturbed):
 def test_a_path_that_keeps_only_the_heartbeats_does_not_hide_that_the_other_is_gone():
     alerts, _link = flown(beats("b"), lambda at, frame: [("a", frame)] if at < 15.0 or at > 34.0 else [])
     (gone,) = [
-        a for a in alerts if "no motor outputs and angular rates that can be used have come" in a.get("text", "")
+        a for a in alerts if "no motor outputs and angular rates that can be used have arrived" in a.get("text", "")
     ]
     assert gone["missing"] == ["outputs", "rates"] and gone["at"] < 25.0
-    (again,) = [a for a in alerts if "come now" in a.get("text", "")]
+    (again,) = [a for a in alerts if "arriving now" in a.get("text", "")]
     assert 34.0 < again["at"] < 35.0
 
 
@@ -167,13 +167,13 @@ def test_of_two_paths_of_one_vehicle_either_may_fade_and_nothing_is_taken_twice(
     (vehicle,) = link.vehicles
     found_in_time(alerts, undisturbed + (late if fades == "a" else 0.0))
     assert vehicle.health.reboots == vehicle.health.jumps == 0 and vehicle.health.taken < 1.02 * len(frames)
-    assert sum("it is heard through b from now on" in text for text in texts(alerts)) == (fades == "a")
+    assert sum("it is now received through b" in text for text in texts(alerts)) == (fades == "a")
 
 
 def test_a_vehicle_that_was_silent_is_not_said_to_lack_what_then_comes():
     polls = [(at, "c", b"\0") for at in np.arange(12.0, 24.0, 0.1).tolist()]
     alerts, _ = flown(polls, lambda at, frame: [] if 12.0 < at < 24.0 else [("a", frame)])
-    assert [t for t in texts(alerts) if "nothing has been heard" in t] and not [
+    assert [t for t in texts(alerts) if "nothing has been received" in t] and not [
         t for t in texts(alerts) if "outputs" in t
     ]
 
@@ -191,8 +191,8 @@ def test_who_is_contradicted_by_the_motion_gives_way_to_another_that_sends_too()
 
     alerts, link = flown([(at, "b", frame) for at, frame in base(0)[0]], change, which=0)
     assert not [a for a in alerts if a["type"] == "event"]
-    (other,) = [a for a in alerts if "it is heard through b from now on" in a.get("text", "")]
-    assert "contradicts itself" in other["text"] and other["at"] < 40.0 and link.vehicles[0].session.doubt == ""
+    (other,) = [a for a in alerts if "it is now received through b" in a.get("text", "")]
+    assert "its data are inconsistent" in other["text"] and other["at"] < 40.0 and link.vehicles[0].session.doubt == ""
 
 
 def garbage(begin=0.0, end=45.0, seed=0):
@@ -329,5 +329,5 @@ def test_what_a_link_loses_is_said_while_it_does_and_at_the_end():
     (bad,) = [a for a in alerts if "of the messages of the last 10 s were lost" in a.get("text", "")]
     (good,) = [a for a in alerts if "loses few messages again" in a.get("text", "")]
     assert 10.0 < bad["at"] < 21.0 and 25.0 < good["at"] < 41.0
-    assert "messages came; " in texts(alerts)[-1] and "% lost" in texts(alerts)[-1]
-    assert "messages came; " in texts(flown()[0])[-1] and "lost" not in texts(flown()[0])[-1]
+    assert "messages received; " in texts(alerts)[-1] and "% lost" in texts(alerts)[-1]
+    assert "messages received; " in texts(flown()[0])[-1] and "lost" not in texts(flown()[0])[-1]

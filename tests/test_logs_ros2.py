@@ -230,7 +230,7 @@ def test_what_is_no_flight_is_said_in_one_sentence(px4, tmp_path):
 
     with sqlite3.connect(database) as base:
         base.execute("CREATE TABLE people(name TEXT)")
-    with pytest.raises(LogError, match="no ROS 2 bag"):
+    with pytest.raises(LogError, match="not a ROS 2 bag"):
         rw.read(database)
 
 
@@ -354,7 +354,7 @@ def test_only_plain_tables_of_a_database_are_read(tmp_path):
     ):
         path = database(tmp_path / f"{k}.db3", *statements)
         for source in (path, path.read_bytes()):
-            with pytest.raises(LogError, match="no ROS 2 bag, or too damaged"):
+            with pytest.raises(LogError, match="not a ROS 2 bag, or is too damaged"):
                 bag_storage.read_sqlite(source, bag_storage.Bag(ros2._wanted, 1 << 28))
     bag = bag_storage.Bag(ros2._wanted, 1 << 28)
     bag_storage.read_sqlite(database(tmp_path / "x.db3", TOPICS, MESSAGES, ATTITUDE, defined), bag)
@@ -398,7 +398,7 @@ def test_a_database_that_never_ends_is_given_up_and_lets_signals_in(tmp_path, to
     path = circular(tmp_path / "x.db3", topic)
     assert path.stat().st_size < 20_000
     with pytest.raises(
-        LogError, match="unfolds to more than 16 MB" if topic == 1 else "takes longer to read than its size allows"
+        LogError, match="decompresses to more than 16 MB" if topic == 1 else "takes too long to read for its size"
     ):
         bag_storage.read_sqlite(path, bag_storage.Bag(ros2._wanted, 1 << 24))
     monkeypatch.setattr(bag_storage, "STEPS_BESIDES", 1 << 60)
@@ -452,7 +452,7 @@ def test_what_an_mcap_file_unfolds_to_is_limited(monkeypatch):
     tracemalloc.start()
     try:
         for records, words in [
-            *((r, "unfolds to more than 3 MB") for r in large),
+            *((r, "decompresses to more than 3 MB") for r in large),
             *((r, "none could be read") for r in damaged),
         ]:
             with pytest.raises(LogError, match=words):

@@ -134,7 +134,7 @@ def test_a_fault(fault):
     assert what == "`hexa.bin` · ardupilot-hexa-x, 6 rotors · ArduPilot · 60 s, airborne 4 to 58 s"
     row = "| loss of effectiveness | rotor 3 (front left) | 31.20 s | 0.36 s | 37 % (33–41 %) | 99.8 % |"
     assert row in made and "![" not in made
-    assert "Do not fly again before rotor 3 (front left)" in made and "`--baseline HEALTHY.LOG`" in made
+    assert "Do not fly again until rotor 3 (front left)" in made and "`--baseline HEALTHY.LOG`" in made
     assert f"*rotorwatch {rotorwatch.__version__}. Times are in seconds" in made
     assert "The log ends in the air." in made and "- 33.00 s error: `crash check`" in made
     assert "LOITER" not in made, "messages far from the event are left out"
@@ -220,7 +220,7 @@ def test_it_is_written_with_its_picture(fault, tmp_path):
 
 def test_without_a_picture_it_shows_none(fault, tmp_path, monkeypatch):
     why = markdown.write(replace(fault, trace=None), tmp_path / "a.md").why
-    assert "nothing to draw" in why and "![" not in (tmp_path / "a.md").read_text()
+    assert "Nothing to draw" in why and "![" not in (tmp_path / "a.md").read_text()
 
     def lacking(*_):
         raise ConfigError("The picture of a post needs matplotlib.")
@@ -279,7 +279,7 @@ def test_the_command_writes_a_post(quad, run, monkeypatch):
     ("argv", "words"),
     [
         (("--markdown", "a.bin", "b.bin"), "--markdown a.bin: give a name that ends in .md"),
-        (("a.bin", "--identify"), "give both"),
+        (("a.bin", "--identify"), "needs --markdown"),
         (("a.bin", "--markdown", "--json"), "cannot both go to standard output"),
         (("a.bin", "--markdown", "-", "--jsonl"), "cannot both go to standard output"),
         (("a.bin", "b.bin", "--markdown", "{name}.bin"), "ends in .md"),

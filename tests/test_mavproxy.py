@@ -310,7 +310,7 @@ def test_a_thread_that_has_ended_begins_again(flight, monkeypatch):
     monkeypatch.setattr(watch.Guarded, "poll", lambda self, wait_s: 1 / 0 if failing else made(self, wait_s))
     mpstate = state(Master(0))
     module = rw.init(mpstate)
-    turns(module, lambda: any("an error in rotorwatch itself" in line for line, _ in mpstate.console.lines))
+    turns(module, lambda: any("an internal error of rotorwatch" in line for line, _ in mpstate.console.lines))
     failing.clear()
     pilot = Autopilot(parameters(flight))
     (beat,) = [data for _, data in packets(flight.until(1.0), pilot) if parsed(data)[0].get_type() == "HEARTBEAT"][:1]

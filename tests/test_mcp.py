@@ -276,7 +276,7 @@ def test_no_other_file_is_read(session, path):
 
 @pytest.mark.parametrize(("tool", "arguments"), WRONG, ids=range(len(WRONG)))
 def test_wrong_calls_are_refused_in_a_sentence(session, tool, arguments):
-    assert "error in rotorwatch itself" not in refused(session.call(tool, **arguments))
+    assert "internal error of rotorwatch" not in refused(session.call(tool, **arguments))
 
 
 @pytest.mark.parametrize("uri", ADDRESSES, ids=range(len(ADDRESSES)))

@@ -128,10 +128,10 @@ def test_still_pictures(fault, tmp_path):
     assert still.shows(fault) == "flight"
     still.figure(fault, path=tmp_path / "a.svg")
     assert "loss [%]" in (tmp_path / "a.svg").read_text() or (tmp_path / "a.svg").stat().st_size > 10_000
-    for what, said in (("moment", "no moment"), ("else", "give one of")):
+    for what, said in (("moment", "No moment"), ("else", "give one of")):
         with pytest.raises(ConfigError, match=said):
             still.figure(fault, what)
-    with pytest.raises(ConfigError, match="nothing to draw"):
+    with pytest.raises(ConfigError, match="Nothing to draw"):
         still.figure(replace(fault, trace=None))
 
 
@@ -139,7 +139,7 @@ def test_a_log_that_takes_too_long_is_given_up(monkeypatch):
     here = Desk([SAMPLES], "", 1 << 30, 0.3, 500)
     here._judging = Workers(misbehaving.endless, 0.3, 500)
     try:
-        with pytest.raises(ConfigError, match=r"^Judging it took longer than 0.3 s"):
+        with pytest.raises(ConfigError, match=r"^The diagnosis exceeded 0.3 s"):
             here.ask("info", "quadx_healthy_hover.bin.xz")
         monkeypatch.setattr(desk, "PATIENCE_S", 0.01)
         here._turn.acquire()

@@ -61,7 +61,7 @@ def code(tmp_path_factory):
     "how, says",
     [
         ({"loss": 0.4}, "rotorwatch: rotor 1 lost 37 % (28-45)"),
-        ({"rise": 0.0, "drift": (0.0, 0.0, 0.8)}, "rotorwatch: a mount turned"),
+        ({"rise": 0.0, "drift": (0.0, 0.0, 0.8)}, "rotorwatch: motor mount twisted"),
         ({"turns": 0.3, "sag": 0.3}, ""),
         ({"drift": (0.3, 0.2, -0.5)}, ""),
     ],

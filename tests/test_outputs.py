@@ -167,7 +167,7 @@ def test_why_a_vehicle_sank_without_a_rotor():
     )
     assert "without rotor 3" in event.reason and "could not have stayed up" in event.reason
     (able,) = sinking(0.6, True, 3.0, weight=2.0)
-    assert able.extra["lift"] > 1.0 and "the mixer held them back" in able.reason and "motor 3" in able.reason
+    assert able.extra["lift"] > 1.0 and "the mixer limited them" in able.reason and "motor 3" in able.reason
 
 
 @pytest.mark.parametrize("how", [(1.0, True, 3.0), (0.6, False, 3.0), (0.6, True, -1.0), (0.6, True, 0.1)], ids=str)

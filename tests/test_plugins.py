@@ -101,11 +101,11 @@ def test_what_other_packages_offer_is_found(package):
 @pytest.mark.parametrize(
     ("target", "source", "says"),
     [
-        ("elsewhere:Own", "import nonsense_that_is_not_there", "cannot be loaded .*nonsense_that_is_not_there.* mend that package"),
+        ("elsewhere:Own", "import nonsense_that_is_not_there", "cannot be loaded .*nonsense_that_is_not_there.* fix or uninstall that"),
         ("elsewhere:Missing", GOOD, "cannot be loaded .*Missing"),
         ("elsewhere:Half", GOOD, "lacks step"),
         ("elsewhere:Own", GOOD.replace('name = "own"', 'name = "other"'), "calls itself 'other'"),
-        ("elsewhere:Own", GOOD.replace('name = "own"', "name = 3"), "must have a text as its name, not 3"),
+        ("elsewhere:Own", GOOD.replace('name = "own"', "name = 3"), "must have a string as its name, not 3"),
         ("elsewhere:Own", "raise SystemError('no GPU\\nat all')", "SystemError: no GPU at all"),
     ],
 )  # fmt: skip
@@ -187,7 +187,7 @@ def test_a_broken_format_or_airframe_of_another_package_stops_nothing(package, t
     texts = " ".join(str(w.message) for w in said)
     assert texts.count("of the package elsewhere 1.2") == len(said) and "\n" not in texts
     for part in ("a of the package elsewhere 1.2 is passed over: its sniff failed (ZeroDivisionError", "cannot be loaded",
-                 "lacks FORMAT", "str is no Vehicle"):  # fmt: skip
+                 "lacks FORMAT", "str is not a Vehicle"):  # fmt: skip
         assert part in texts
 
 
@@ -195,7 +195,7 @@ def test_a_format_of_ours_stays_ours(package):
     ulog = next(m for m in logs.formats() if m.__name__.endswith(".ulog"))
     source = GOOD.replace('FORMAT = "own log"', f"FORMAT = {ulog.FORMAT!r}")
     package({"rotorwatch.logs": {"x": "elsewhere:Log"}}, source)
-    with pytest.warns(PluginWarning, match="its FORMAT is taken"):
+    with pytest.warns(PluginWarning, match="its FORMAT is already in use"):
         assert ulog.FORMAT not in logs.offered()
 
 
@@ -203,5 +203,5 @@ def test_a_reader_of_another_package_that_gives_no_flight(package, tmp_path):
     package({"rotorwatch.logs": {"x": "elsewhere:Log"}}, GOOD.replace("return Flight(", "return dict(").replace('"own log", "Own", {', "a={"
             ).replace("}, 2.0)", "})"))  # fmt: skip
     (tmp_path / "a.log").write_bytes(b"OWN 1")
-    with pytest.raises(LogError, match="gave no Flight"):
+    with pytest.raises(LogError, match="returned no Flight"):
         logs.read(tmp_path / "a.log")

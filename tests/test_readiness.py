@@ -36,7 +36,7 @@ def without(flight, *names):
         (flown, None, ""),
         (lambda: slower(flown()), None, ""),
         (lambda: without(flown(), "motors"), "motors", "no motor outputs"),
-        (lambda: without(flown(), "gyro"), "gyro", "no gyro and no attitude"),
+        (lambda: without(flown(), "gyro"), "gyro", "neither gyro nor attitude"),
         (lambda: without(flown(), "accel"), None, ""),
         (on_the_ground, "airborne", "in the air"),
         (lambda: replace(flown(), autopilot="", parameters={}), "frame", "does not say which airframe"),
@@ -50,7 +50,7 @@ def test_ready_is_what_diagnose_does(flight, what, words):
     assert (found.what if found else None) == what and (found is None or words in found.why)
     assert facts["ready"] == (what is None) == (not any(gap["needed"] for gap in facts["missing"]))
     try:
-        judged = not diagnose(flight).headline.startswith("Not judged")
+        judged = not diagnose(flight).headline.startswith("Not assessed")
     except RotorwatchError as why:
         judged = False
         assert found is not None and str(why) == found.why

@@ -448,4 +448,4 @@ def test_a_comment_on_logs_that_are_gone_is_updated(commented, tmp_path):
         codes == {JUDGE: 0, COMMENT: 0} and "changes no flight logs any more" in comments[1][1] and len(comments) == 2
     )
     codes, _, comments = commented({"fail-on": "sometimes"})
-    assert codes == {JUDGE: 2, COMMENT: 0} and "could not be judged" in comments[1][1] and len(comments) == 2
+    assert codes == {JUDGE: 2, COMMENT: 0} and "could not be diagnosed" in comments[1][1] and len(comments) == 2

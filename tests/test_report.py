@@ -68,7 +68,7 @@ def test_comparison_is_in_time_order_and_says_when_nobody_else_found_anything(fa
     assert report.comparison(px4)[1][:2] == ("px4-current-residual, px4-esc-current", "nothing")
     other = replace(fault, comparison=(), flight={**fault.flight, "autopilot": "Crazyflie"})
     assert report.comparison(other)[1][:2] == ("other checks", "none made")
-    assert "no check of Crazyflie itself" in report.comparison(other)[1][3]
+    assert "no built-in check of Crazyflie" in report.comparison(other)[1][3]
     assert report.comparison(replace(healthy, comparison=())) == []
 
 
@@ -224,7 +224,7 @@ def test_page_without_trace_events_or_rotors():
         hexa_diagnosis(events=(), doubts=("Nothing moved.",)), rotors=(), trace=None, comparison=(), common_mode={}
     )
     page = html.page(bare)
-    assert "Not judged: Nothing moved." in page and len(page) < 30_000
+    assert "Not assessed: Nothing moved." in page and len(page) < 30_000
 
 
 def test_page_of_an_odd_trace(fault):
@@ -232,7 +232,7 @@ def test_page_of_an_odd_trace(fault):
     trace = fault.trace
     odd = replace(trace, airborne=(), blind=(), loss=np.full_like(trace.loss, np.nan), evidence={})
     page = html.page(replace(fault, trace=odd, events=(event(kind="contact", rotors=(), loss=(), interval=()),)))
-    assert "Knock or contact" in page and 'id="plot-evidence"' not in page
+    assert "Contact or collision" in page and 'id="plot-evidence"' not in page
     assert "NaN" not in re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
 
 
@@ -345,11 +345,19 @@ def test_moments_on_the_autopilots_clock_and_in_utc(fault):
 @pytest.mark.parametrize(
     ("shift", "half", "words"),
     [
-        (0.01, 0.02, "the same thrust at the end as at the beginning, within 2 %"),
-        (0.3, 0.6, "the same thrust at the end as at the beginning, within 15 %"),
+        (0.01, 0.02, "thrust was the same at the end as at the beginning, within 2 %"),
+        (0.3, 0.6, "thrust was the same at the end as at the beginning, within 15 %"),
         (0.3, 3.0, "varied too much"),
-        (0.6, 0.06, "10 % more thrust at the end than at the beginning (95 % interval 9 % to 11 %)"),
-        (-0.6, 0.06, "10 % less thrust at the end than at the beginning (95 % interval 9 % to 11 %)"),
+        (
+            0.6,
+            0.06,
+            "10 % more total thrust was commanded at the end than at the beginning (95 % interval 9 % to 11 %)",
+        ),
+        (
+            -0.6,
+            0.06,
+            "10 % less total thrust was commanded at the end than at the beginning (95 % interval 9 % to 11 %)",
+        ),
     ],
 )
 def test_common_mode_in_words(fault, shift, half, words):

@@ -191,7 +191,7 @@ def test_every_answer_binds_the_browser(served, path):
 def test_there_are_no_paths(served, path):
     answer = served[0].get(path)
     assert answer.status_code == 404 and "rotorwatch.serve" not in answer.text
-    assert "There is no such page" in answer.text or "No such flight" in answer.text
+    assert "No such page" in answer.text or "No such flight" in answer.text
 
 
 def test_odd_questions_get_a_sentence(served):
@@ -224,7 +224,7 @@ def test_a_flight_of_another_version_says_so(tmp_path, monkeypatch):
     app, flights = guarded(tmp_path)
     monkeypatch.setattr(flights._store, "flight", lambda digest: {"diagnosis": {"schema": 1}})
     answer = TestClient(app, HERE, raise_server_exceptions=False).get("/flights/" + 64 * "0")
-    assert answer.status_code == 503 and "judge the log again" in answer.text
+    assert answer.status_code == 503 and "diagnose the log again" in answer.text
 
 
 # Connections
@@ -391,7 +391,7 @@ def test_a_log_is_judged_and_kept(served):
 BROKEN = {
     "notes.txt": (lambda: b"Dear diary, today I flew.\n" * 50, 422, "not a flight log"),
     "empty.bin": (lambda: b"", 400, "is empty"),
-    "bomb.bin.xz": (lambda: lzma.compress(bytes(400 << 20), preset=0), 422, "unfolds to more"),
+    "bomb.bin.xz": (lambda: lzma.compress(bytes(400 << 20), preset=0), 422, "decompresses to more"),
     "short.bin": (lambda: lzma.decompress(SAMPLE.read_bytes())[:3000], 422, "holds no flight"),
     "big.bin": (lambda: bytes((2 << 20) + 1), 413, "--max-upload"),
 }  # fmt: skip
@@ -520,7 +520,7 @@ def test_a_full_disk_keeps_the_log_until_there_is_room(quick, monkeypatch):
     rows, said = [], []
 
     async def action(here):
-        with pytest.raises(Refused, match=r"^a\.bin: .*make room") as why:
+        with pytest.raises(Refused, match=r"^a\.bin: .*free some space") as why:
             await here.take("a.bin", None, body(b"a log"))
         assert why.value.code == 507 and "kept" in str(why.value) and str(quick.folder("")) not in str(why.value)
         assert kept(quick) == ["a.bin"] and quick.rows(10)["total"] == 0
@@ -529,7 +529,7 @@ def test_a_full_disk_keeps_the_log_until_there_is_room(quick, monkeypatch):
 
     run_uploads(quick, action, rows.append, said.append)
     assert [row["name"] for row in rows] == ["a.bin"] and quick.rows(10)["total"] == 1
-    assert kept(quick) == [] and any("a.bin" in text and "make room" in text for text in said)
+    assert kept(quick) == [] and any("a.bin" in text and "free some space" in text for text in said)
 
 
 @pytest.mark.parametrize(("why", "code"), [
@@ -547,7 +547,7 @@ def test_what_the_store_does_not_take_is_kept_and_tried_again(quick, monkeypatch
     rows, said = [], []
 
     async def refused(here):
-        with pytest.raises(Refused, match="kept here and judged later") as refusal:
+        with pytest.raises(Refused, match="kept and diagnosed later") as refusal:
             await here.take("a.bin", None, body(b"a log"))
         assert refusal.value.code == code and "/srv" not in str(refusal.value)
 
@@ -652,7 +652,7 @@ def test_a_page_that_cannot_be_written_is_no_fault_of_the_log(served, monkeypatc
     client, flights = served
     monkeypatch.setattr(flights, "page", lambda digest: flights.folder("incoming") / "gone" / "page.html")
     answer = send(client, "room.bin.xz", SAMPLE.read_bytes()[:250_000])
-    assert answer.status_code == 507 and str(flights.folder("")) not in answer.text and "make room" in answer.text
+    assert answer.status_code == 507 and str(flights.folder("")) not in answer.text and "free some space" in answer.text
     assert kept(flights) == ["room.bin.xz"]
 
 
@@ -664,7 +664,7 @@ def test_an_answer_is_made_of_its_json_again():
     again = Diagnosis.from_dict(json.loads(json.dumps(told)))
     assert again.to_json() == json.dumps(told, indent=1)
     assert "rotor 3" in page(again)
-    with pytest.raises(ConfigError, match="judge the log again"):
+    with pytest.raises(ConfigError, match="diagnose the log again"):
         Diagnosis.from_dict({**told, "schema": 1})
 
 
@@ -776,9 +776,9 @@ def test_bad_beginnings_are_one_sentence(run, tmp_path):
         (("--port", port), "another program uses this port"),
         (("--host", "0.0.0.0"), "--token"),
         (("--token", "short"), "at least 16"),
-        (("--token", TOKEN, "--host", "no.such.host.invalid"), "no address of this computer"),
+        (("--token", TOKEN, "--host", "no.such.host.invalid"), "not an address of this computer"),
         (("--port", 0, "missing.bin"), "no such log"),
-        (("--port", 0, "udp:99999"), "no endpoint"),
+        (("--port", 0, "udp:99999"), "not an endpoint"),
         (("--port", 0, "--max-upload", -1), "above zero"),
         (("--port", 0, "--speed", "fast"), "above 0, or max"),
         (("--port", 0, "--store", tmp_path), "is a folder"),
@@ -817,7 +817,7 @@ def test_a_flight_heard_over_a_link_is_listed_when_it_has_ended(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name, verdict, words", [("quad-off-1", "fault", "Rotor 2"), ("disarmed-1", "crashed", "Not a rotor")]
+    "name, verdict, words", [("quad-off-1", "fault", "Rotor 2"), ("disarmed-1", "crashed", "Not a rotor fault")]
 )
 def test_a_crash_that_was_watched_is_lost_on_the_page_and_listed_as_a_crash(tmp_path, name, verdict, words):
     crash = Path(__file__).parents[2] / "shared" / "flights" / "crash" / f"{name}.bin.xz"
@@ -832,10 +832,10 @@ def test_a_crash_that_was_watched_is_lost_on_the_page_and_listed_as_a_crash(tmp_
     feed._thread.join(120)
     feed.stop()
     store_writer.stop()
-    (row,) = [r for r in rows if "left control" in r["headline"]]
+    (row,) = [r for r in rows if "departed controlled flight" in r["headline"]]
     assert row["verdict"] == verdict and words in row["headline"]
     found = Diagnosis.from_dict(flights.diagnosis(row["hash"]))
-    assert len(found.story) >= 3 and "left control" in flights.report(row["hash"])
+    assert len(found.story) >= 3 and "departed controlled flight" in flights.report(row["hash"])
     state = feed.state()["vehicles"][0]
     assert state["state"] == "LOST" and any(
         e["kind"] == "fault" and "loss of control" in e["text"] for e in state["events"]

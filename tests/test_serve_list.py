@@ -112,10 +112,10 @@ def test_a_row_says_how_much_and_when(read):
         ("until=%00", 400, "give a day"),
         ("min_loss=1e999", 400, "0.1 for 10 %"),
         ("min_duration=-1", 400, "such as 60"),
-        ("verdicts=fault", 400, "verdicts is no filter (did you mean verdict?); choose from search, verdict"),
+        ("verdicts=fault", 400, "verdicts is not a filter (did you mean verdict?); choose from search, verdict"),
         ("limit=1.5", 400, "whole number"),
-        ("aircraft=nobody", 404, "knows no aircraft nobody"),
-        (f"aircraft=a%0Ab%1B%00{'x' * 500}", 404, "knows no aircraft a b"),
+        ("aircraft=nobody", 404, "has no aircraft nobody"),
+        (f"aircraft=a%0Ab%1B%00{'x' * 500}", 404, "has no aircraft a b"),
     ],
 )
 def test_what_cannot_be_asked_gets_a_code_and_a_sentence(read, ask, code, says):
@@ -161,7 +161,7 @@ def test_what_cannot_be_compared_gets_a_code_and_a_sentence(read, path, ask, cod
     answer = read.get(path + ask)
     assert answer.status_code == code
     text = answer.json()["error"] if path.startswith("/api") else re.sub("<[^>]+>", " ", answer.text)
-    assert {400: "Choose two different flights", 404: "flight", 503: "judge the log again"}[code] in text
+    assert {400: "Choose two different flights", 404: "flight", 503: "diagnose the log again"}[code] in text
 
 
 # Reports as files
@@ -225,7 +225,7 @@ def test_a_flight_is_deleted_once_and_for_all_tabs(made):
         assert client.get(path).status_code == 404
     sent = len(hub._recent)
     again = client.delete(f"/api/flights/{FAULT}")
-    assert again.status_code == 404 and again.json() == {"error": "No such flight is known here."}
+    assert again.status_code == 404 and again.json() == {"error": "No such flight."}
     for bad in (NONE, FAULT[:8], "%25", "..%2f..%2ffleet.db", "A" * 64):
         assert client.delete(f"/api/flights/{bad}").status_code == 404
     assert len(hub._recent) == sent and client.get("/api/flights").json()["total"] == 2
@@ -289,7 +289,7 @@ def test_a_flight_that_is_being_judged_is_not_deleted_and_a_deleted_one_is_judge
     with monkeypatch.context() as patch:
         patch.setitem(waiting._logs, digest, None)
         answer = client.delete(f"/api/flights/{digest}")
-        assert answer.status_code == 409 and "is being judged" in answer.json()["error"]
+        assert answer.status_code == 409 and "is being diagnosed" in answer.json()["error"]
     again = send(client, "b.bin.xz", SAMPLE.read_bytes())
     assert again.status_code == 201 and again.json()["name"] == "b.bin.xz"
     assert flights.page(digest).exists() and client.get(f"/flights/{digest}").status_code == 200

@@ -133,7 +133,12 @@ def test_a_loss_is_over_where_its_trim_is():
         for a, b in ((30.0, 36.0), (38.0, 41.0), (50.0, 62.0))
     ]
     (joined,) = slow.join(spells, lasts)
-    assert joined.onset_s == 30.0 and joined.detected_s == 30.3 and joined.end_s is None and "its end" in joined.reason
+    assert (
+        joined.onset_s == 30.0
+        and joined.detected_s == 30.3
+        and joined.end_s is None
+        and "its apparent end" in joined.reason
+    )
     assert joined.interval[0][0] < 0.3 < joined.interval[0][1] and "grew_until_s" not in joined.extra
     late = [*spells[:2], replace(spells[2], end_s=84.0)]
     assert slow.join(late, lasts) == tuple(late)  # too little is left of the flight to tell
@@ -146,7 +151,7 @@ def test_the_answer_says_that_it_grew_and_how_much_it_is_now():
     end = conclude(Evidence((event,), 4, hidden=np.full(4, 0.02), judged_s=80.0))
     assert end.verdict == "fault" and end.rotors[0].status == "degraded" and end.rotors[0].loss == event.loss[0]
     for text in (end.headline, end.reason):
-        assert f"little by little from {event.onset_s:.2f} s to {event.extra['grew_until_s']:.2f} s" in text
+        assert f"gradually from {event.onset_s:.2f} s to {event.extra['grew_until_s']:.2f} s" in text
 
 
 def test_growth_that_is_not_certain_makes_its_rotor_a_suspect():

@@ -82,7 +82,7 @@ def test_a_crash_is_told_from_its_flight_to_the_terminal():
     want = (
         r" 1\. The vehicle lifted off at 3\.\d\d s\.",
         r" 2\. At 5\.\d\d s rotor 3 \(front left\) lost \d\d % \(\d\d–\d+ %\) of thrust\.",
-        r" 3\. Control was lost at 6\.\d\d s, tilted \d+ degrees away from what was wanted; it had begun to leave control at 5\.\d\d s\.",
+        r" 3\. Control was lost at 6\.\d\d s, tilted \d+ degrees from its setpoint; the departure began at 5\.\d\d s\.",
         r" 4\. It hit the ground at 7\.\d\d s\.",
     )
     for line, pattern in zip(lines[first + 1 : first + 5], want, strict=True):
@@ -141,12 +141,12 @@ def test_what_is_said_beside_a_crash_moves_no_mark_of_its_picture():
 @pytest.mark.parametrize(
     ("cause", "said"),
     [
-        ("disarmed", "All 4 rotors followed their commands until 30.00 s, when the motors were disarmed in the air."),
+        ("disarmed", "All 4 rotors followed their commands until 30.00 s, when the motors were disarmed in flight."),
         ("knock", "All 4 rotors followed their commands until 30.00 s, when something struck the vehicle."),
         ("power", "All 4 rotors followed their commands until 30.00 s, when the power failed."),
         (
             "unknown",
-            "No rotor is accused: as far as the log shows, all 4 rotors followed their commands until 30.00 s.",
+            "No rotor fault was found: as far as the log shows, all 4 rotors followed their commands until 30.00 s.",
         ),
     ],
 )
@@ -154,7 +154,7 @@ def test_to_exonerate_is_told_as_well(cause, said):
     assert told(lost(cause), main=0) == [
         "Until 30.00 s the vehicle flew as commanded.",
         said,
-        "Control was lost at 31.00 s, falling without thrust; it had begun to leave control at 30.00 s.",
+        "Control was lost at 31.00 s, falling without thrust; the departure began at 30.00 s.",
         "It hit the ground at 33.00 s.",
     ]
 
@@ -171,7 +171,7 @@ def test_a_loss_that_is_not_why_control_was_lost_leaves_the_cause_in_the_story()
     said = told(weak, lost("disarmed"), main=0)
     assert said[1].startswith("At 20.00 s rotor 2 (rear left) lost ")
     assert said[2].endswith(
-        "All 4 rotors followed their commands until 30.00 s, when the motors were disarmed in the air."
+        "All 4 rotors followed their commands until 30.00 s, when the motors were disarmed in flight."
     )
 
 
@@ -186,9 +186,9 @@ def test_an_impact_before_the_loss_was_certain_stays_last():
 
 
 def test_how_it_ended_is_told_where_nothing_was_hit():
-    assert told(lost("knock", extra={"impact_s": None}))[-1] == "Control came back at 33.00 s."
+    assert told(lost("knock", extra={"impact_s": None}))[-1] == "Control was regained at 33.00 s."
     open_end = told(lost("knock", end_s=None, extra={"impact_s": None}))[-1]
-    assert open_end == "No impact was seen; control had not come back by 60.00 s."
+    assert open_end == "No impact was seen; control had not been regained by 60.00 s."
     again = told(lost("knock", extra={"impact_s": None}), lost("knock", onset_s=40.0, detected_s=41.0))[-1]
     assert again.endswith("It was lost again at 40.00 s.")
 

@@ -54,24 +54,24 @@ def test_a_note_stands_beside_its_word_where_there_is_room():
 def test_a_healthy_flight_has_few_lines_and_the_rest_is_asked_for():
     """Verdict, reason, one table, what to do; in 80 columns the table stays one, and nothing says that nothing is known."""
     answer = hexa_diagnosis(
-        events=(), warnings=("motors (RCOU): 1 value that does not fit the ones before and after ignored.",)
+        events=(), warnings=("motors (RCOU): 1 value that does not fit the neighbouring values ignored.",)
     )
     short, whole = (rendered(terminal.diagnosis(answer, verbose), 80) for verbose in (False, True))
     lines = [line for line in short.splitlines() if line.strip()]
     assert len(lines) <= 17 and max(map(len, short.splitlines())) <= 80
     assert short.index("HEALTHY") < short.index("rotor   where") < short.index("→") < short.index("--verbose")
     assert [line.split()[0] for line in lines if "at most 4 %" in line] == [str(k) for k in range(1, 7)]
-    for words in ("not judged\n", "ignored", "Who found what", "took", "blind", "Thrust curve"):
+    for words in ("not judged\n", "ignored", "Detections by method", "took", "blind", "Thrust curve"):
         assert words not in short
     for words in ("ignored", "Thrust curve", "read 0.12 s", "ardupilot-thrust-loss"):
         assert words in whole
 
 
 def test_a_warning_that_is_about_the_answer_is_shown():
-    said = "weak.bin was set aside: judged by itself it is a fault."
+    said = "weak.bin was set aside: on its own it is diagnosed as a fault."
     assert f"! {said}" in rendered(terminal.diagnosis(hexa_diagnosis(warnings=(said,))))
 
 
 def test_a_table_of_rotors_of_which_nothing_is_known_is_left_out():
     nothing = rendered(terminal.diagnosis(hexa_diagnosis(events=(), judged_s=0.0)))
-    assert "unobservable" not in nothing and "Not judged: hardly any of it was flight." in nothing
+    assert "unobservable" not in nothing and "Not assessed: hardly any of the log is flight." in nothing

@@ -55,7 +55,7 @@ def test_a_tricopters_log_is_identified(tmp_path, autopilot):
     assert vehicle.name == {"ardupilot": "ardupilot-tri", "px4": "px4-3-rotors"}[autopilot]
     places = [(np.degrees(np.arctan2(r.y, r.x)), r.spin) for r in vehicle.rotors]
     assert np.allclose([p for p, _ in places], [60, -60, 180]) and {s for _, s in places} == {0}
-    assert vehicle.mixer is None and any("yaw is not judged" in a for a in vehicle.assumptions)
+    assert vehicle.mixer is None and any("yaw is not assessed" in a for a in vehicle.assumptions)
 
 
 @pytest.mark.parametrize(

@@ -190,10 +190,10 @@ def test_a_tuning_that_makes_things_worse_says_so(tuned, tmp_path):
     worse, asked = tuned(-2.0, "one", "two")
     assert asked == [1] and worse.held_out == "two.bin" and worse.flights == ("one.bin", "two.bin")
     (said,) = worse.notes
-    assert "makes things worse: on two.bin" in said and "from -1.000 to -2.000; do not use it" in said
+    assert "is worse: on two.bin" in said and "from -1.000 to -2.000; do not use it" in said
     tune.write(worse, tmp_path / "t.toml")
     assert (
-        "makes things worse" in (tmp_path / "t.toml").read_text()
+        "The tuning is worse" in (tmp_path / "t.toml").read_text()
         and "held_out_after = -2" in (tmp_path / "t.toml").read_text()
     )
     better, _ = tuned(-0.5, "one", "two")
@@ -250,7 +250,7 @@ def test_files_hold_what_was_found(tmp_path_factory, q, r, walk):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("estimator = ", "no tuning file"),
+        ("estimator = ", "not a tuning file"),
         ('estimator = "ukf"', "for ukf, not for ekf"),
         ("q = [1, 2, 3]", "for no estimator"),
         ('estimator = "ekf"\nq = [1, 2]', "q must be 3 numbers"),

@@ -27,14 +27,14 @@ KNOCKS = tuple(SimpleNamespace(time=t) for t in (11.0, 22.5))
 @pytest.mark.parametrize(
     ("made", "air", "judged_s", "says"),
     [
-        (table(8.0), ((2.0, 10.0),), 0.0, "11 s of flight are needed, 8 were flown"),
-        (table(10.5), ((2.0, 12.5),), 2.0, "11 s of flight are needed, 10.5 were flown"),
-        (table(16.0), ((2.0, 10.0), (20.0, 28.0)), 0.4, "11 s of flight in one piece are needed, 8 were flown"),
-        (table(30.0, ticks.LEARN, contacts=KNOCKS), ((2.0, 32.0),), 2.0, "knocked at 11.00 s and 22.50 s"),
+        (table(8.0), ((2.0, 10.0),), 0.0, "11 s of flight are needed, 8 s were flown"),
+        (table(10.5), ((2.0, 12.5),), 2.0, "11 s of flight are needed, 10.5 s were flown"),
+        (table(16.0), ((2.0, 10.0), (20.0, 28.0)), 0.4, "11 s of flight without landing are needed, 8 s were flown"),
+        (table(30.0, ticks.LEARN, contacts=KNOCKS), ((2.0, 32.0),), 2.0, "made contact at 11.00 s and 22.50 s"),
         (table(30.0, upset=True), ((2.0, 32.0),), 2.0, "more than 65 degrees"),
-        (table(30.0, valid=False), ((2.0, 32.0),), 0.0, "motion or its commands are missing"),
-        (table(30.0), ((2.0, 32.0),), 22.0, "22 s of judged flight are too few"),
-        (table(300.0, dt=0.5), ((2.0, 302.0),), 285.0, "motor outputs every 0.5 s say little"),
+        (table(30.0, valid=False), ((2.0, 32.0),), 0.0, "motion or command data are missing"),
+        (table(30.0), ((2.0, 32.0),), 22.0, "22 s of assessed flight are too few"),
+        (table(300.0, dt=0.5), ((2.0, 302.0),), 285.0, "motor outputs every 0.5 s are too sparse"),
     ],
 )  # fmt: skip
 def test_the_reason_is_the_true_one_and_the_advice_fits_it(made, air, judged_s, says):

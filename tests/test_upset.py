@@ -82,7 +82,7 @@ def test_what_was_no_rotor_is_said(case, cause):
     assert abs(lost.onset_s - truth.begins_s) < (3.0 if case == "gyro" else 1.5)
     assert not of(diagnosis, "loss_of_effectiveness")
     assert diagnosis.verdict != "healthy"
-    assert "Not a rotor" in diagnosis.headline
+    assert "Not a rotor fault" in diagnosis.headline
 
 
 @pytest.mark.parametrize("shakes, cause", [(5.0, "controller"), (60.0, "unknown")])
@@ -94,7 +94,7 @@ def test_motion_that_shakes_acquits_no_rotor(shakes, cause):
     diagnosis = diagnose(shaken, airframes.named("ardupilot-quad-x"))
     (lost,) = of(diagnosis, "loss_of_control")
     assert lost.extra["cause"] == cause and not of(diagnosis, "loss_of_effectiveness")
-    assert ("Not a rotor" in diagnosis.headline) is (cause == "controller")
+    assert ("Not a rotor fault" in diagnosis.headline) is (cause == "controller")
 
 
 @pytest.mark.thorough(keep=2)
@@ -280,7 +280,7 @@ def test_a_descent_that_was_asked_for_is_no_loss_of_control(number):
 def test_a_loss_that_had_become_trim_is_not_said_to_be_no_rotor(number):
     """Quads that lost 26 to 51 % of a rotor in wind, hard against any explanation but that, flew on, and left control seconds later."""
     diagnosis, fault = drawn(number)
-    assert "Not a rotor" not in diagnosis.headline
+    assert "Not a rotor fault" not in diagnosis.headline
     assert diagnosis.verdict in ("fault", "ambiguous")
     assert [r.rotor for r in diagnosis.rotors if r.status != "healthy"] == [fault["rotor"]]
 

@@ -313,7 +313,7 @@ def test_the_view_says_what_is_wrong_first():
     silent = view.line(watched_with([], last_frame=-100.0))
     assert silent.state == "SILENT" and "silent for" in silent.link
     knock = hexa_event(kind="contact", rotors=(), loss=(), interval=(), end_s=31.2)
-    assert view.line(watched_with([knock])).events == ("knock or contact at 31.2 s (0 s ago)",)
+    assert view.line(watched_with([knock])).events == ("contact or collision at 31.2 s (0 s ago)",)
 
 
 def test_the_view_fits_a_narrow_terminal():

@@ -82,7 +82,7 @@ def test_what_fails_is_sent_again_and_nothing_is_lost_or_doubled(served):
     until(lambda: hook.sent == 20)
     hook.leave()
     assert server.got == alerts and server.asked == 23
-    assert len(told) == 2 and "does not take alerts (500" in told[0] and "takes alerts again" in told[1]
+    assert len(told) == 2 and "does not accept alerts (500" in told[0] and "accepts alerts again" in told[1]
 
 
 def test_what_is_refused_for_good_is_said_once_and_holds_nothing_up(served):
@@ -245,7 +245,7 @@ def test_a_fault_is_told_in_plain_words_and_again_only_when_it_has_changed_much(
         (ground.WARNING, "rotorwatch: rotor 3 lost 37 % (33-41) or 4")
     ]
     assert step(alert(state="changed", end_s=40.0)) == [(INFO, "rotorwatch: rotor 3 lost 37 % (33-41) is over")]
-    assert step(alert(state="withdrawn")) == [(INFO, "rotorwatch: rotor 3 lost 37 % (33-41) taken back")]
+    assert step(alert(state="withdrawn")) == [(INFO, "rotorwatch: rotor 3 lost 37 % (33-41) withdrawn")]
     assert step(alert(number=2), alert(number=2, state="withdrawn")) == []  # gone before it was said
 
 
@@ -256,10 +256,10 @@ def test_a_fault_is_told_in_plain_words_and_again_only_when_it_has_changed_much(
         ({"rotors": (2,), "alternatives": ((3,),), "cause": "unknown"}, "announced", ground.CRITICAL, "LOSS OF CONTROL, rotor 2 or 3"),
         ({"cause": "disarmed"}, "announced", ground.CRITICAL, "LOSS OF CONTROL, motors stopped"),
         ({"cause": "unknown"}, "changed", ground.CRITICAL, "LOSS OF CONTROL"),
-        ({"cause": "knock", "end_s": 33.0, "impact_s": 33.0}, "final", ground.CRITICAL, "LOSS OF CONTROL, knock"),
-        ({"cause": "knock", "end_s": 33.0, "impact_s": None}, "changed", INFO, "LOSS OF CONTROL, knock is over"),
-        ({"rotors": (2,), "cause": "rotor"}, "withdrawn", INFO, "LOSS OF CONTROL, rotor 2 taken back"),
-        ({"kind": "motor_order", "rotors": (1, 2)}, "announced", ground.CRITICAL, "rotors 1+2 in the wrong order"),
+        ({"cause": "knock", "end_s": 33.0, "impact_s": 33.0}, "final", ground.CRITICAL, "LOSS OF CONTROL, collision"),
+        ({"cause": "knock", "end_s": 33.0, "impact_s": None}, "changed", INFO, "LOSS OF CONTROL, collision is over"),
+        ({"rotors": (2,), "cause": "rotor"}, "withdrawn", INFO, "LOSS OF CONTROL, rotor 2 withdrawn"),
+        ({"kind": "motor_order", "rotors": (1, 2)}, "announced", ground.CRITICAL, "rotors 1+2 wrong motor order"),
     ],
 )  # fmt: skip
 def test_a_loss_of_control_is_critical_and_its_cause_is_told(event, state, severity, words):
@@ -288,7 +288,7 @@ def test_texts_are_few_and_the_worst_comes_first(told):
     assert texts(wire) == [(ground.WARNING, "rotorwatch: rotor 3 lost 37 % (33-41)")]
     now[0] += ground.PAUSE_S
     outlet.step([link])
-    assert texts(wire)[1:] == [(ground.NOTICE, "rotorwatch: knock or contact")]
+    assert texts(wire)[1:] == [(ground.NOTICE, "rotorwatch: contact or collision")]
     wire.sent.clear()
     for k in range(600):  # a minute of an event that never rests
         outlet.take(alert(number=2, state="changed", loss=(0.2 if k % 2 else 0.8,)))

@@ -63,7 +63,7 @@ time.sleep(30.0)
 
 
 def test_code_that_is_being_built_keeps_nobody_from_ending_the_watch():
-    """Ctrl-C ends it at once."""
+    """Ctrl-C stops it at once."""
     began = time.monotonic()
     done = subprocess.run([sys.executable, "-c", BUILDS_FOR_LONG], capture_output=True, text=True, timeout=60.0)
     assert done.returncode == -signal.SIGINT and "KeyboardInterrupt" in done.stderr
@@ -245,9 +245,7 @@ def test_after_an_error_of_its_own_a_vehicle_is_watched_anew(monkeypatch):
             monkeypatch.setattr(first, "add", lambda *given: 1 / 0)
         link.poll(0.0)
     texts = [a["text"] for a in alerts if "text" in a]
-    assert (
-        sum("ZeroDivisionError" in t for t in texts) == 1 and texts[-1] == "after an error the vehicle is watched anew"
-    )
+    assert sum("ZeroDivisionError" in t for t in texts) == 1 and texts[-1] == "watching restarts after an error"
     assert watched.trouble == "" and watched.session is not first and watched.session.now > 2.0
 
 

@@ -75,4 +75,4 @@ def test_texts_health_and_vibration_of_a_link_go_through_the_same_table(flight, 
     assert "vibration was up to" in view.announced(shaking)
     # Ground stations have heard the autopilot's own words; of what was measured they are told.
     assert {a["event"]["trouble"] for a in announced if ground.worth_sending(None, a)} == {"vibration"}
-    assert ground.text_of(shaking)[0] == "rotorwatch: reported trouble: vibration"
+    assert ground.text_of(shaking)[0] == "rotorwatch: autopilot warning: vibration"

@@ -231,7 +231,7 @@ def test_no_odds_are_claimed_that_few_flights_cannot_show():
         baseline = [drawn(rng, QUAD, *spreads) for _ in range(count)]
         result = wf.judge(bent, baseline, QUAD)
         assert result.verdict == "fault" and result.p_value == wf.FALSE_FAULT
-        assert "fewer than 1 in 100 healthy flights would differ so much, if they spread as assumed" in result.reason
+        assert "fewer than 1 in 100 healthy flights would differ by this much if they vary as assumed" in result.reason
         assert words in result.reason
         assert wf.rarity(bent, baseline) < 1e-3 * wf.FALSE_FAULT  # which orders flights, and is shown to nobody
 

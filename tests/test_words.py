@@ -63,22 +63,21 @@ def test_the_comparison_with_healthy_flights_in_words():
 def test_a_headline_is_short_and_says_how_much_it_leaves_out():
     from rotorwatch.answer.wording import LONGEST, headline
 
-    lost = "Rotor 1 (right) lost 99 % (88–100 %) of thrust at 30.45 s until the landing at 85.77 s (the first of 2 events)."
+    lost = "Rotor 1 (right) lost 99 % (88–100 %) of thrust from 30.45 s until the landing at 85.77 s (the first of 2 events)."
     sank = "Without it the vehicle sank by 6 m in 2.7 s: the others gave 86 % of its weight, and could carry 170 %; and so on."
-    said = 'At 27.58 s the autopilot doubted its own estimate ("EKF3: lane switch 1", and 2 more).'
-    caveat = "A loss of up to 2 % of one rotor, or 35 % of each of two opposite rotors, could have gone unseen."
+    said = 'At 27.58 s the autopilot reported an estimator fault ("EKF3: lane", and 2 more).'
+    caveat = "A loss of up to 2 % of one rotor, or 35 % of each of two opposite rotors, could have gone undetected."
     assert headline([lost, sank[:60]]) == f"{lost} {sank[:60]}", "what fits stays as it is"
     assert headline([lost, said]) == f"{lost} {said}"
     assert headline([lost, sank]) == f"{lost} Without it the vehicle sank by 6 m in 2.7 s."
     assert (
-        headline([lost, caveat, said], caveats=[caveat]) == f"{lost} At 27.58 s the autopilot doubted its own estimate."
+        headline([lost, caveat, said], caveats=[caveat])
+        == f"{lost} At 27.58 s the autopilot reported an estimator fault."
     )
-    assert headline([said, said, lost], 2).endswith(f"estimate. {lost} And 1 more finding."), "the main one stays"
+    assert headline([said, said, lost], 2).endswith(f"fault. {lost} And 1 more finding."), "the main one stays"
     many = headline([lost, *[sank.replace("it", f"rotor {k}") for k in range(9)]])
     assert many.startswith(lost) and many.endswith(" more findings.") and len(many) <= LONGEST
     either = (
-        "Something lost thrust at 30.00 s: "
-        + ", or ".join(f"rotors {k} (front left) and {k + 4}" for k in range(9))
-        + "."
+        "Loss of thrust at 30.00 s: " + ", or ".join(f"rotors {k} (front left) and {k + 4}" for k in range(9)) + "."
     )
     assert len(headline([either])) <= LONGEST and headline([either]).endswith(", or others.")

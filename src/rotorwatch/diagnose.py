@@ -35,12 +35,12 @@ from rotorwatch.witnesses.healthy.baselines import Given
 from rotorwatch.witnesses.witness import Stage, View
 
 AEROBATIC = (
-    "the vehicle does not hover in this flight: it is judged by its angular motion over seconds, so that a loss is seen later than in "
+    "the vehicle does not hover in this flight: it is assessed by its angular motion over seconds, so a loss is detected later than in "
     "hover (docs/aerobatic.md)"
 )
 NOT_COMPARED = (
-    "flights of a vehicle that does not hover are not compared with healthy ones: the balance of its rotors follows what it flies, "
-    "so damage that was there from take-off is not judged"
+    "flights of a vehicle that does not hover are not compared with healthy ones: the balance of its rotors follows its maneuvers, "
+    "so damage present at take-off is not assessed"
 )
 PREPARED, ESTIMATED, JUDGED = 0.7, 0.85, 0.97  # share of the work when that is done
 LONGEST_UP_US = 1e14  # a start later than that counts from 1970, not from the autopilot's boot
@@ -110,7 +110,7 @@ def diagnose(
     clock.lap("read_s")
     vehicle = baselines.vehicle_of(vehicle)
     if estimator != "default":
-        aerobatic.decline(flight, "the published methods model hover; leave out the estimator.", vehicle)
+        aerobatic.decline(flight, "the published methods model hover only; leave out the estimator.", vehicle)
     if not 0.0 < matters <= 1.0:
         raise ConfigError(f"A loss that matters is a share above 0 and up to 1, not {matters:g}.")
     log = prepare(flight, vehicle, baseline, clock, portion(tell, READ, PREPARED, "preparing"))
@@ -171,8 +171,8 @@ def _flown(log: LogCase, progress: Callable[[float], object]) -> LogCase:
     flight, dynamics, assumptions = log.flight, log.dynamics, list(log.assumptions)
     if flight.has("motors") and dynamics and dynamics.get("dt") != ticks.length_of(flight):
         assumptions.append(
-            f"the healthy flights were logged at another rate (judged every {dynamics.get('dt', 0):.2f} s): their noise is not "
-            "this flight's, which therefore learns its own for as long as without them"
+            f"the healthy flights were logged at another rate (assessed every {dynamics.get('dt', 0):.2f} s): their noise does not "
+            "apply to this flight, which learns its own for as long as without them"
         )
         dynamics = None
     # Without a gyro every swing at take-off looks like a missing torque: no short blind time then.
@@ -191,12 +191,12 @@ def _flown(log: LogCase, progress: Callable[[float], object]) -> LogCase:
         assumptions += [AEROBATIC, NOT_COMPARED]
     elif not log.known:
         assumptions.append(
-            f"the flight's first {ready_s:.0f} s in the air are its trim: damage that was there from take-off is judged by what healthy "
+            f"the flight's first {ready_s:.0f} s in the air are its trim: damage present at take-off is assessed by what healthy "
             "vehicles of any build need, and better with --baseline or --vehicle"
         )
     assumptions += done.table.notes if done is not None else ()
     return log._replace(
-        dynamics=dynamics, source=log.source if log.known else "the flight's own first healthy part", ready_s=ready_s,
+        dynamics=dynamics, source=log.source if log.known else "the first healthy part of this flight", ready_s=ready_s,
         written=written, estimated=done, hovers=hovers, assumptions=tuple(assumptions),
     )  # fmt: skip
 
@@ -304,5 +304,5 @@ def _facts(flight: Flight, vehicle: Vehicle, air, table: Ticks | None) -> dict:
         "utc_start": flight.facts.get("utc_start"),
         "airborne_s": [round(air[0][0], 3), round(air[-1][1], 3)] if air else [],
         "hops": [[round(a, 3), round(b, 3)] for a, b in air],
-        "profile": profile + (f"; judged every {table.dt:.2f} s" if table is not None else ""),
+        "profile": profile + (f"; assessed every {table.dt:.2f} s" if table is not None else ""),
     }

@@ -23,7 +23,7 @@ def score(store: Store, folder: str | Path) -> dict[str, Any]:
     try:
         truth = json.loads((Path(folder) / TRUTH).read_text())
     except (OSError, ValueError) as why:
-        raise ConfigError(f"{folder}: no truth of a simulated fleet is there ({why}).") from None
+        raise ConfigError(f"{folder}: no truth of a simulated fleet found ({why}).") from None
     flights = int(truth["flights"])
     found = {a["name"]: a["standing"] for a in store.aircraft()}
     if any(a["stale"] for a in store.aircraft()):
@@ -36,7 +36,7 @@ def score(store: Store, folder: str | Path) -> dict[str, Any]:
         standing = found.get(story.name)
         if standing is None:
             raise ConfigError(
-                f"The store knows no aircraft {story.name} of the truth; give the store that belongs to it."
+                f"The store has no aircraft {story.name} of the truth; give the store that belongs to it."
             )
         ever = story.rotor if story.size else -1
         weak = story.rotor if t["loss"] >= COUNTS else -1

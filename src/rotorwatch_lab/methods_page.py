@@ -43,10 +43,10 @@ def page(found: Estimates) -> str:
     body = [
         html.masthead(title),
         '<main id="report">',
-        f"<h1>{escape(title)}: what each method says itself</h1>",
-        "<p>Each method's own losses, step by step, with its own interval or bound shaded; nothing is held, clipped or decided here. "
-        f"Whether a rotor is faulty is the question of <code>rotorwatch diagnose --estimator</code>.{key} Drag over a stretch of "
-        "time to zoom all plots.</p>",
+        f"<h1>{escape(title)}: estimates of each method</h1>",
+        "<p>Losses estimated by each method, step by step, with its own interval or bound shaded; nothing is held, clipped or decided. "
+        f"<code>rotorwatch diagnose --estimator</code> decides whether a rotor is faulty.{key} Drag over a time span "
+        "to zoom all plots.</p>",
         summary(found),
         f'<div class="chips" role="group" aria-label="Losses shown">{chips}</div>',
     ]
@@ -62,7 +62,7 @@ def page(found: Estimates) -> str:
             + "</details>",
         ]
     body += [
-        _list("What it rests on", [f"{who}: {note}" for note, who in found.notes().items()]),
+        _list("Assumptions", [f"{who}: {note}" for note, who in found.notes().items()]),
         _list("Could not run", [f"{name}: {why}" for name, why in found.failed.items()]),
         "</main>",
         f"<footer>Written by rotorwatch {__version__}. Times are in seconds from the first record of the log.</footer>",

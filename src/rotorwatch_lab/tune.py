@@ -177,7 +177,7 @@ def tune(
         found = replace(found, held_out=held_name, held_out_before=before, held_out_after=after)
         if after < before:
             notes.append(
-                f"The tuning makes things worse: on {held_name}, which it was not fitted to, the log-likelihood of a row falls from "
+                f"The tuning is worse: on {held_name}, which it was not fitted to, the log-likelihood of a row falls from "
                 f"{before:.3f} to {after:.3f}; do not use it, or tune to more flights."
             )
     else:
@@ -216,8 +216,8 @@ def _at_bounds(factors: np.ndarray, system, pace: str | None) -> list[str]:
         return []
     said = ", ".join(f"{name} ({'largest' if factor > 1 else 'smallest'})" for name, factor in ends)
     return [
-        f"The fit ran into its bounds, factors of {RANGE:g} up and down: {said}. The flights do not tell these, or the plant is "
-        "wrong in shape."
+        f"The fit ran into its bounds, factors of {RANGE:g} up and down: {said}. The flights do not determine these, or the plant "
+        "model is structurally wrong."
     ]
 
 
@@ -336,7 +336,7 @@ def read(path: str | PathLike, estimator: str) -> Tuning:
         with open(path, "rb") as file:
             d = tomllib.load(file)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as why:
-        raise ConfigError(f"{path} is no tuning file: {why}.") from None
+        raise ConfigError(f"{path} is not a tuning file: {why}.") from None
     if d.get("estimator") != estimator:
         raise ConfigError(f"{path} holds a tuning for {d.get('estimator', 'no estimator')}, not for {estimator}.")
     found = []

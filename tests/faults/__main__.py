@@ -94,7 +94,7 @@ def tried(command: commands.Command, preload: Path, folder: Path, fault: Fault, 
 
 def _first(done: commands.Done, wanted: commands.Done) -> str:
     """What is wrong with the run that met the fault."""
-    if "Traceback" in done.said or "error in rotorwatch itself" in done.said:
+    if "Traceback" in done.said or "internal error of rotorwatch" in done.said:
         return f"said {done.said[-400:]!r}"
     if done.code not in (wanted.code, 2):
         return f"left with {done.code}: {done.said[-200:]!r}"

@@ -44,7 +44,7 @@ trap 'rm -f "$body"' EXIT
     elif [ "${EXIT_CODE:-}" = 0 ]; then
         say "This pull request changes no flight logs any more."
     else
-        say "The logs could not be judged: the job's log says why."
+        say "The logs could not be diagnosed: the job's log says why."
     fi
 } >"$body"
 

@@ -90,7 +90,7 @@ def _theirs(flight: Flight) -> Vehicle | None:
         try:
             vehicle = found.identify(flight)
             if vehicle is not None and not isinstance(vehicle, Vehicle):
-                raise TypeError(f"{type(vehicle).__name__} is no Vehicle")
+                raise TypeError(f"{type(vehicle).__name__} is not a Vehicle")
         except VehicleError:  # it knows the vehicle, and says why it cannot be judged
             raise
         except Exception as why:  # a module of another package may raise anything

@@ -60,11 +60,9 @@ def identify(flight: Flight) -> Vehicle | None:
     elif (guess := airframes.kind(flight)) is not None:
         frame, source = "tri" if guess == "tri" else f"{guess}-x", "vehicle type"
         if guess != "tri":
-            notes.append(f"The log only says that this is a {guess} rotor vehicle: frame {guess} X assumed.")
+            notes.append(f"The log only gives {guess} rotors: frame {guess} X assumed.")
         if guess == "octa":
-            notes.append(
-                "An octa can as well be a + or coaxial frame, and rotor numbers be wrong: give --vehicle FILE."
-            )
+            notes.append("An octa can also be a + or coaxial frame with other rotor numbers: give --vehicle FILE.")
     else:
         return None
     vehicle = build(frame, curve(flight, notes), source=source, assumptions=tuple(notes))
@@ -115,12 +113,12 @@ def curve(flight: Flight, notes: list[str]) -> ThrustCurve:
             full = p["MOT_TCRV_MAXPCT"] / 100.0 if p.get("MOT_TCRV_ENABLE", 1.0) else 1.0
     if not 0 <= start < full <= 1.0:
         start, full = 0.15, 0.95
-        notes.append("MOT_SPIN_MIN/MAX in the log make no sense: ArduPilot's defaults 0.15 and 0.95 assumed.")
+        notes.append("MOT_SPIN_MIN/MAX in the log are invalid: ArduPilot's defaults 0.15 and 0.95 assumed.")
     known = "MOT_THST_EXPO" in p
     expo = float(np.clip(p.get("MOT_THST_EXPO", 0.65), 0.0, 1.0))
     if not known:
         notes.append(
-            "The log has no MOT_THST_EXPO: ArduPilot's default 0.65 assumed, which affects the size of a loss."
+            "The log has no MOT_THST_EXPO: ArduPilot's default 0.65 assumed, which affects the estimated size of a loss."
         )
     span = high - low
     return ThrustCurve(low + start * span, low + full * span, expo, known)
@@ -153,7 +151,7 @@ def _old_frame(flight: Flight, notes: list[str]) -> str:
     if not flight.rotor_count:
         raise VehicleError(
             f"{flight.name or 'The log'} holds no motor outputs (RCOU records, or MOT before ArduCopter 3.2), so its rotors "
-            "cannot be judged; include motors in LOG_BITMASK for the next flight."
+            "cannot be diagnosed; include motors in LOG_BITMASK for the next flight."
         )
     kind = int(airframes.finite(flight)["FRAME"])
     texts = [m.text for m in flight.messages if m.kind == "text"] + [flight.firmware, flight.vehicle_type]
@@ -165,7 +163,11 @@ def _old_frame(flight: Flight, notes: list[str]) -> str:
     else:
         classes = {4: ("quad",), 6: ("hexa", "y6"), 8: ("octa", "octaquad")}.get(flight.rotor_count, ("",))
         name, unique = _class_by_outputs(flight, classes, kind)
-        how = "the only one that its outputs can be mixed for" if unique else f"its {flight.rotor_count} motor outputs"
+        how = (
+            "the only one that matches the mixing of its outputs"
+            if unique
+            else f"its {flight.rotor_count} motor outputs"
+        )
         notes.append(f"The log does not name its frame class: {name} taken from {how}.")
     if name == "tri":
         return name
@@ -216,7 +218,7 @@ def _place(motor: tuple) -> tuple[float, float, float]:
 
 OFF_MIXER = 0.25  # of what the next class leaves unexplained: by chance the sums differ by far less
 TRI_NOTE = (
-    "A tricopter: a servo yaws it, so yaw is not judged, and its outputs are not held against the mixer; "
+    "A tricopter: a servo yaws it, so yaw is not assessed, and its outputs are not compared with the mixer; "
     "rotor 3 is motor 4, the rear one."
 )
 DEFAULT_CURVE = ThrustCurve(1150.0, 1950.0, 0.65, known=False)

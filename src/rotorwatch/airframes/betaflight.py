@@ -28,7 +28,7 @@ UNSEEN = (
     "The log does not name its frame: {frame} with {autopilot}'s motor order assumed, and propellers that turn as is usual (props in); "
     "give --vehicle FILE if it is another, or if the motors are reversed (props out)."
 )
-TRI_NOTE = "A tricopter: a servo yaws it, so yaw is not judged, and its outputs are not held against the mixer."
+TRI_NOTE = "A tricopter: a servo yaws it, so yaw is not assessed, and its outputs are not compared with the mixer."
 
 
 def identify(flight: Flight) -> Vehicle | None:
@@ -41,13 +41,13 @@ def identify(flight: Flight) -> Vehicle | None:
     parameters = airframes.finite(flight)
     if int(parameters.get("features", 0)) & FEATURE_3D:
         raise VehicleError(
-            f"{flight.name or 'This log'} is of motors that turn both ways (feature 3D): their outputs say nothing of their thrust alone, "
-            "so it is not judged."
+            f"{flight.name or 'This log'} is of motors that turn both ways (feature 3D): their outputs alone do not determine the thrust, "
+            "so it cannot be diagnosed."
         )
     count = flight.rotor_count
     if count not in USUAL:
         raise VehicleError(
-            f"{flight.name or 'This log'} commands {count} motor{'s' if count > 1 else ''}, which no frame known here has; "
+            f"{flight.name or 'This log'} commands {count} motor{'s' if count > 1 else ''}, which no known frame has; "
             "describe a multirotor with --vehicle FILE."
         )
     frame, turned, notes = _seen(flight, count)
@@ -74,11 +74,11 @@ def _seen(flight: Flight, count: int) -> tuple[str, bool, list[str]]:
     frame = min(off, key=lambda name: off[name][0])
     error, turned = off[frame]
     notes = [
-        f"The frame {frame}{', motors reversed (props out),' if turned else ''} is what the outputs were seen to be mixed for."
+        f"The frame {frame}{', motors reversed (props out),' if turned else ''} was identified from the mixing of the outputs."
     ]
     if error > NEAR:
         notes = [
-            f"The outputs are mixed for none of the known frames; {frame} is nearest. Describe the vehicle with --vehicle FILE."
+            f"The mixing of the outputs matches no known frame; {frame} is closest. Describe the vehicle with --vehicle FILE."
         ]
     return frame, turned, notes
 
@@ -102,8 +102,8 @@ def curve(flight: Flight, notes: list[str]) -> ThrustCurve:
     linear = airframes.finite(flight).get("thrust_linear", 0.0)
     own = f", thrust_linear {linear:g} included, which is in the logged outputs," if linear else ""
     notes.append(
-        f"The firmware knows no thrust curve of the motors: thrust{own} taken as {1 - EXPO:.2f} u + {EXPO:.2f} u^2 of the command u, "
-        "which affects the size of a loss."
+        f"The firmware has no thrust curve of the motors: thrust{own} taken as {1 - EXPO:.2f} u + {EXPO:.2f} u^2 of the command u, "
+        "which affects the estimated size of a loss."
     )
     return ThrustCurve(float(low), float(high), EXPO, known=False)
 

@@ -27,7 +27,7 @@ def build(raw: bool = False) -> Vehicle:
     # Crazyflie numbers go round clockwise from the front right.
     rotors = (Rotor(ARM, ARM, 1), Rotor(-ARM, ARM, -1), Rotor(-ARM, -ARM, 1), Rotor(ARM, -ARM, -1))
     if raw:
-        note = "Thrust curve of the motors from Bitcraze's published measurement, not from this vehicle."
+        note = "Thrust curve from Bitcraze's published measurement, not from this vehicle."
         curve, extra = (
             ThrustCurve(0.0, 1.0, 0.48, known=False),
             {"full_voltage": FULL_VOLTAGE, "rests_at_minimum": True},

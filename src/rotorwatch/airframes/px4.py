@@ -60,7 +60,7 @@ def identify(flight: Flight) -> Vehicle | None:
     tilts = len(rotors) == 3 and not any(r.spin for r in rotors)
     if tilts:
         notes.append(
-            "A tricopter: a servo yaws it, so yaw is not judged, and its outputs are not held against the mixer."
+            "A tricopter: a servo yaws it, so yaw is not assessed, and its outputs are not compared with the mixer."
         )
     return Vehicle(
         *(name, rotors, curve(flight, notes)),
@@ -105,7 +105,7 @@ def curve(flight: Flight, notes: list[str]) -> ThrustCurve:
     if not known:
         notes.append(
             f"THR_MDL_FAC is not set: thrust taken as {1 - USUAL_EXPO:.2f} u + {USUAL_EXPO:.2f} u^2 of the command u, "
-            "which affects the size of a loss."
+            "which affects the estimated size of a loss."
         )
     expo = factor if known else USUAL_EXPO
     motors = flight.signals.get("motors")

@@ -9,7 +9,7 @@ unseen.py       how large a loss can be that has not been announced, and whether
 trim.py         what the trim of a whole flight shows: losses that grew, mounts and arms that turned
 slow.py         losses that grew slowly or only seemed to end, with the others
 from_takeoff.py damage from take-off, as healthy flights or vehicles show it
-story.py        what happened when control was lost, in the order of time
+story.py        what happened when control was lost, in time order
 ledger.py       all that is claimed of a flight, and the one rule that makes events of the claims
 falls.py        the events with those of a loss of control
 evidence.py     what a conclusion is drawn from

@@ -13,12 +13,12 @@ from rotorwatch.flight.kinds import CONTACT, DESYNC, LOST, REPORTED, Weight
 AFTER_S = 5.0  # after a blow, within which what is reported came of it
 
 PARTS = {
-    "propeller": "its propeller first (nicked, bent, loose on its shaft); the motor turns as commanded",
-    "motor_or_esc": "its motor, ESC, connectors and supply wires first; it turns slower than commanded",
-    "bearing": "its motor's bearings first; it draws more current than its speed needs",
+    "propeller": "the propeller first (nicked, bent, loose on its shaft); the motor turns as commanded",
+    "motor_or_esc": "motor, ESC, connectors and supply wires first; the motor turns slower than commanded",
+    "bearing": "the motor bearings first; the motor draws more current than its speed needs",
 }
 
-SENSORS = "Judge another log of this vehicle; `rotorwatch info LOG` lists what this one holds, from where, and how much of it is valid."
+SENSORS = "Use another log of this vehicle; `rotorwatch info LOG` lists the signals of this one, their sources and their valid shares."
 
 
 def advise(
@@ -50,23 +50,23 @@ def advise(
         out.append(first)
     elif broken:
         parts = "nicked, bent or loose propeller, motor bearing, ESC"
-        out.append(f"Look at {rotors(broken, places)} before the next flight: {parts}.")
+        out.append(f"Inspect {rotors(broken, places)} before the next flight: {parts}.")
     rest = [r for r in (*broken, *suspects) if event is None or event.alternatives or r not in event.rotors]
     if rest and not (broken and event is None and not suspects):
-        out.append(f"Look at {rotors(sorted(set(rest)), places)}{', too' if out else ' before the next flight'}.")
+        out.append(f"Inspect {rotors(sorted(set(rest)), places)}{' as well' if out else ' before the next flight'}.")
     if verdict == "ambiguous" and (event is None or event.kind != DESYNC):
         out.append(
-            "To distinguish the explanations: swap the propellers of the suspects with others and see whether the loss moves along, or fly "
-            "with brisk turns and rolls and a healthy flight of this build as --baseline."
+            "To distinguish the candidates: swap the propellers of the suspects with others and see whether the loss moves with them, "
+            "or fly brisk yaw turns and rolls, with a healthy flight of this build as --baseline."
         )
     out += [
         said(e.means.advice, e, places)
         for e in events
         if e.means.weight is Weight.NOTICE and not (e.kind == REPORTED and _came_of(e, events))
     ]
-    why = "its loss grew all the time, as a bearing, a hot motor or a propeller that comes loose does"
+    why = "its loss grew steadily, as with a worn bearing, a hot motor or a propeller coming loose"
     growing = [s.rotor for s in states if s.trend and s.trend.word == "growing" and s.status == "healthy"]
-    out += [f"Look at {rotors([rotor], places)} before the next flight: {why}." for rotor in growing]
+    out += [f"Inspect {rotors([rotor], places)} before the next flight: {why}." for rotor in growing]
     outside = [e for e in events if e.means.weight is Weight.OUTSIDE]
     for kind in dict.fromkeys(e.kind for e in outside):
         own = [e for e in outside if e.kind == kind]
@@ -86,13 +86,13 @@ def _came_of(report: Event, events: Sequence[Event]) -> bool:
 
 
 CAUSES = {
-    "disarmed": "Find out who or what stopped the motors: the switch, a failsafe, the arming checks; the log's messages say which.",
-    "knock": "Look the vehicle over for damage, and fly away from what it touched.",
-    "controller": "Look at sensors, vibration, calibration, the estimator's messages and the pilot's inputs around that time.",
-    "saturated": "The vehicle had no thrust left: take weight off, charge the battery, wait for less wind, or fit stronger motors.",
-    "power": "Look at the battery, its connectors and wires, and the power module.",
-    "unknown": "Look at everything that moves or carries current before the next flight; log faster: `rotorwatch info LOG` shows how.",
-    "rotor": "Look at propellers, motors and ESCs before the next flight.",
+    "disarmed": "Find out what stopped the motors: a switch, a failsafe, the arming checks; the log's messages say which.",
+    "knock": "Inspect the vehicle for damage, and keep clear of what it hit.",
+    "controller": "Check sensors, vibration, calibration, the estimator's messages and the pilot's inputs around that time.",
+    "saturated": "The vehicle had no thrust margin left: reduce weight, charge the battery, wait for less wind, or fit stronger motors.",
+    "power": "Inspect the battery, its connectors and wires, and the power module.",
+    "unknown": "Inspect all moving and current-carrying parts before the next flight; log faster: `rotorwatch info LOG` shows how.",
+    "rotor": "Inspect propellers, motors and ESCs before the next flight.",
 }
 
 
@@ -107,7 +107,7 @@ def _parts(event: Event, stays: bool) -> str:
     if len(event.rotors) == 1 and event.extra.get("cause") in PARTS:
         return PARTS[event.extra["cause"]]
     if not stays:
-        return "it came back by itself, so look first for a loose connector, a cold joint, an ESC that lost its motor, a hot motor"
+        return "it recovered by itself, so look first for a loose connector, a cold solder joint, an ESC desync, a hot motor"
     if max(event.loss, default=0.0) > TOTAL_LOSS:
         return "propeller missing or loose, motor, ESC, and the wires between them"
     return "nicked, bent or loose propeller, motor bearing, ESC, and their connectors"

@@ -35,10 +35,10 @@ from rotorwatch.flight.kinds import CONTACT, LOST, REPORTED
 
 # Causes of a loss of control that clear the rotors, in words that follow "when".
 NOT_A_ROTOR = {
-    "disarmed": "the motors were stopped in the air",
+    "disarmed": "the motors were stopped in flight",
     "knock": "something struck the vehicle",
-    "controller": "the vehicle left what was wanted though it followed its commands: a sensor, an estimate or the pilot was wrong",
-    "saturated": "they had no more to give",
+    "controller": "the vehicle left its setpoint although it followed its commands: a sensor, an estimate or the pilot was wrong",
+    "saturated": "they were at their limit",
     "power": "the power failed",
 }
 LEAST_S = 3.0  # of judged flight, below which no rotor is called healthy
@@ -48,14 +48,12 @@ AFTER_S = 5.0  # after a flight in which control was lost, for which what is rep
 ALIKE = 0.05  # bounds of rotors that differ by less accuse none
 LANDED_S = 1.5
 SHORT_S = 20.0  # of flight, below which tenths of a second are worth saying
-UNJUDGED = "Damage from take-off was not judged."
+UNJUDGED = "Damage present at take-off was not assessed."
 INVISIBLE = (0.0, 1.0)
-OFF_MIDDLE = "the centre of mass is off the middle"
-AFTER_KNOCK = "Fly again, half a minute or more in the air, once it has been looked over."
+OFF_MIDDLE = "the centre of mass is offset"
+AFTER_KNOCK = "Inspect the vehicle, then fly it again for at least 30 s."
 UNKNOWING = ("inconclusive", "crashed")  # verdicts that say nothing of the rotors at the end
-LOPSIDED = (
-    "may have been weak from take-off on"  # compared with any build's vehicles: nothing else is known of the rotor
-)
+LOPSIDED = "may have been weak since take-off"  # compared with any build's vehicles: nothing else is known of the rotor
 
 
 class Conclusion(NamedTuple):
@@ -110,7 +108,7 @@ def _concluded(seen: Evidence, verdict, reason, first, main, doubts) -> Conclusi
 
 def _not_judged(why: str) -> str:
     """The headline of a log of which nothing could be judged: the reason, without what follows from it."""
-    return sentence(f"not judged: {re.split('[:;] ', why)[0].rstrip('.')}.")
+    return sentence(f"not assessed: {re.split('[:;] ', why)[0].rstrip('.')}.")
 
 
 def _shows_more(seen: Evidence, main: int | None, verdict: str) -> str:
@@ -148,10 +146,10 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
         return "ambiguous", whole["reason"]
     if seen.hidden is None:
         why = _missing(seen) or seen.unjudged.why
-        some = f"; {seen.judged_s:.1f} s of flight could be judged" if seen.judged_s >= 0.1 else ""
+        some = f"; {seen.judged_s:.1f} s of flight could be assessed" if seen.judged_s >= 0.1 else ""
         return "inconclusive", f"{why}{some}."
     if (spell := _lasting(seen)) is not None:
-        return "ambiguous", f"{_as_if(spell, ())}: a loss that wind hides, or wind that turned then."
+        return "ambiguous", f"{_as_if(spell, ())}: a loss masked by wind, or a change of wind."
     if seen.residual_evidence:
         spells = [f"{rotors(s.rotors)} from {seconds(s.onset_s)} to {seconds(s.end_s)}" for s in seen.residual_evidence]
         return "ambiguous", f"there is evidence against {listed(spells)} that no event explains."
@@ -160,21 +158,21 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
         scope = (
             f"and none more than {up_to(seen.bound)} from {seen.start} on, compared with healthy vehicles of any build"
         )
-    slow = "".join(f"; but slowly {rotors([k])} {grows(t)}" for k, t in seen.growing)
-    unseen = f"a loss of up to {_bound(seen)} could have gone unseen"
+    slow = "".join(f"; but {rotors([k])} {grows(t)}" for k, t in seen.growing)
+    unseen = f"a loss of up to {_bound(seen)} could have gone undetected"
     flown = seen.flown_s
     of = f", of {flown:.{0 if flown > SHORT_S else 1}f} s in the air" if flown > 1.5 * seen.judged_s else ""
-    healthy = f"no rotor lost effectiveness in {seen.judged_s:.0f} s of judged flight{of}, {scope}{slow}; {unseen}"
+    healthy = f"no rotor lost effectiveness in {seen.judged_s:.0f} s of assessed flight{of}, {scope}{slow}; {unseen}"
     if seen.missing:
-        return "inconclusive", f"{_missing(seen)}, without which nothing can be judged; until then {healthy}."
+        return "inconclusive", f"{_missing(seen)}, so nothing can be assessed after that; until then {healthy}."
     if seen.vague:
         return "inconclusive", f"{healthy}, and more than {percent(seen.matters)} would matter: {seen.unjudged.why}."
     if seen.knocked_s is not None:
-        return "inconclusive", f"{healthy}; and what the knock at {seconds(seen.knocked_s)} broke could not be judged."
+        return "inconclusive", f"{healthy}; damage from the contact at {seconds(seen.knocked_s)} could not be assessed."
     if slow:
-        return "ambiguous", f"{healthy}; wind or a load that changes slowly would look the same."
+        return "ambiguous", f"{healthy}; slowly changing wind or load would look the same."
     if seen.patchy:
-        return "inconclusive", f"{healthy}; the rest of {flown:.0f} s in the air was not judged: {seen.unjudged.why}."
+        return "inconclusive", f"{healthy}; the rest of {flown:.0f} s in the air was not assessed: {seen.unjudged.why}."
     return "healthy", f"{healthy}."
 
 
@@ -189,7 +187,7 @@ def _missing(seen: Evidence) -> str:
     if not seen.missing:
         return ""
     who = sorted({rotor for gap in seen.missing for rotor in gap.rotors})
-    return f"the log holds no command for {rotors(who)} from {seconds(seen.missing_s)} on"
+    return f"the log has no command for {rotors(who)} from {seconds(seen.missing_s)} on"
 
 
 def _lasting(seen: Evidence) -> Event | None:
@@ -203,7 +201,7 @@ def _as_if(spell: Event, places: Sequence[str]) -> str:
 
 
 def _what_happened(seen: Evidence, event: Event) -> str:
-    return said(event.means.reason, event, comma_until=_until(seen, event, ", until")).removesuffix(": ")
+    return said(event.means.reason, event, until=_until(seen, event, " until")).removesuffix(": ")
 
 
 def _cleared(seen: Evidence, lost: Event) -> str:
@@ -213,12 +211,14 @@ def _cleared(seen: Evidence, lost: Event) -> str:
     when = min((t for t in lost.extra.get("worked_until_s", ()) if t is not None), default=None)
     until = "" if when is None else f" until {seconds(when)}"
     if lost.extra.get("cause") in NOT_A_ROTOR:
-        return f"Not a rotor: all {seen.n} followed their commands{until}, when {NOT_A_ROTOR[lost.extra['cause']]}."
+        return (
+            f"Not a rotor fault: all {seen.n} followed their commands{until}, when {NOT_A_ROTOR[lost.extra['cause']]}."
+        )
     if any(until is None for until in lost.extra.get("worked_until_s", ())) and not lost.rotors:
-        return "No rotor is accused, and the log does not show all of their commands."
+        return "No rotor fault was found, but the log does not show all of their commands."
     if lost.alternatives:
         return f"It may have been {candidates(replace(lost, rotors=lost.alternatives[0]), seen.places)}, or something else."
-    return f"No rotor is accused: as far as the log shows, all {seen.n} followed their commands{until}."
+    return f"No rotor fault was found: as far as the log shows, all {seen.n} followed their commands{until}."
 
 
 def _until(seen: Evidence, event: Event, word: str) -> str:
@@ -234,7 +234,7 @@ def _and_more(seen: Evidence, main: Event) -> str:
 
 def _open(seen: Evidence) -> str:
     who = sorted({r for spell in seen.residual_evidence for r in spell.rotors})
-    return f"; later evidence against {rotors(who)} is not explained by that" if who else ""
+    return f"; it does not explain later evidence against {rotors(who)}" if who else ""
 
 
 def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
@@ -246,21 +246,21 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
         return headline([*before, sentence(first), _cleared(seen, event)], len(before))
     if verdict == "inconclusive" and event is not None and event.means.accuses:
         return _with_reports(
-            seen, event, [f"Something happened at {seconds(event.onset_s)}, and any of the rotors may explain it."]
+            seen, event, [f"Something happened at {seconds(event.onset_s)} that any of the rotors could explain."]
         )
     if verdict == "inconclusive":
         return _with_reports(seen, event, [_inconclusive(seen)])
     knocks = [seconds(e.onset_s) for e in seen.events if e.kind == CONTACT]
-    first = _matter(seen, verdict, main) if verdict != "healthy" else "All rotors pull their weight."
+    first = _matter(seen, verdict, main) if verdict != "healthy" else "All rotors perform as on healthy flights."
     if verdict == "healthy" and (not seen.compared or seen.bound is not None):
         first = f"No rotor lost thrust after {seen.start}."
     if verdict == "healthy" and knocks:
-        first = f"No rotor lost thrust in the {seen.judged_s:.0f} s that were judged."
+        first = f"No rotor lost thrust in the {seen.judged_s:.0f} s that were assessed."
     parts, caveats = [first], [UNJUDGED]
     if seen.lost is not None:
         parts.append(said(seen.lost.means.headline, seen.lost))
     if verdict == "healthy" and max(seen.unseen, seen.hidden_pair) >= dict(SCALE)["weak"]:
-        parts.append(f"A loss of up to {_bound(seen)} could have gone unseen.")
+        parts.append(f"A loss of up to {_bound(seen)} could have gone undetected.")
         caveats.append(parts[-1])
     if event is not None or verdict != "ambiguous":
         parts += [sentence(f"{rotors([k], seen.places)} {grows(t)}.") for k, t in seen.growing]
@@ -270,8 +270,10 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
         parts.append(_lopsided(seen))
         caveats.append(parts[-1])
     if knocks:  # after each the trim is learned afresh, with whatever it broke
-        when = f"the knock at {knocks[0]}" if len(knocks) == 1 else f"{len(knocks)} knocks, the first at {knocks[0]},"
-        parts.append(f"What {when} broke was not judged.")
+        when = (
+            f"the contact at {knocks[0]}" if len(knocks) == 1 else f"{len(knocks)} contacts, the first at {knocks[0]},"
+        )
+        parts.append(f"Damage from {when} was not assessed.")
     for rotor in sorted({r for e in seen.notices for r in e.rotors}):
         own = [e for e in seen.notices if rotor in e.rotors]
         notices = listed([said(e.means.headline, e) for e in own])
@@ -293,14 +295,16 @@ def _with_reports(seen: Evidence, main: Event | None, parts: Sequence[str], cave
 def _inconclusive(seen: Evidence) -> str:
     """Why a flight without an event that matters says too little."""
     if seen.missing and seen.hidden is not None:
-        return f"No rotor lost thrust until {seconds(seen.missing_s)}. What came then cannot be said: {_missing(seen)}."
+        return (
+            f"No rotor lost thrust until {seconds(seen.missing_s)}. After that nothing can be said: {_missing(seen)}."
+        )
     if seen.hidden is None:
         return _not_judged(_missing(seen) or seen.unjudged.why)
     if not seen.vague and seen.knocked_s is not None:
-        return f"No loss was seen until the knock at {seconds(seen.knocked_s)}. What that broke could not be judged."
+        return f"No loss was detected until the contact at {seconds(seen.knocked_s)}. Damage from it could not be assessed."
     if not seen.vague and seen.patchy:
-        return f"No loss was seen in the {seen.judged_s:.0f} s of {seen.flown_s:.0f} s in the air that were judged: {seen.unjudged.why}."
-    return f"No loss was seen, but up to {_bound(seen)} could be missing unseen: {seen.unjudged.why}."
+        return f"No loss was detected in the {seen.judged_s:.0f} s assessed of {seen.flown_s:.0f} s in the air: {seen.unjudged.why}."
+    return f"No loss was detected, but a loss of up to {_bound(seen)} could have gone undetected: {seen.unjudged.why}."
 
 
 def _told_beside(seen: Evidence, main: Event | None) -> list[Event]:
@@ -332,9 +336,9 @@ def _lopsided(seen: Evidence) -> str:
     bounds = seen.bounds
     most = up_to(max(bounds))
     if max(bounds) - min(bounds) < ALIKE:
-        return f"From {seen.start} on no rotor lacked more than {most}."
+        return f"Any loss already present at {seen.start} is at most {most} per rotor."
     who = rotors([int(np.argmax(bounds)) + 1], seen.places)
-    return f"From {seen.start} on no rotor lacked more than {most}, and only {who} perhaps so much."
+    return f"Any loss already present at {seen.start} is at most {most} in {who}, and less in the others."
 
 
 def _matter(seen: Evidence, verdict: str, main: int | None) -> str:
@@ -345,16 +349,16 @@ def _matter(seen: Evidence, verdict: str, main: int | None) -> str:
         shares = [f"{percent(whole['loss'][r - 1])} ({interval(*whole['interval'][r - 1])})" for r in whole["rotors"]]
         who = sentence(rotors(whole["rotors"], seen.places))
         than = "on healthy flights" if seen.whole else f"a rotor of any healthy vehicle, from {seen.start} on"
-        return f"{who} pulled less than {than}: loss {', '.join(shares)}."
+        return f"{who} gave less thrust than {than}: loss {', '.join(shares)}."
     if event is None and whole and whole["verdict"] == "ambiguous":
         return _from_the_start(seen, whole)
     if event is None and (spell := _lasting(seen)) is not None:
-        return sentence(f"{_as_if(spell, seen.places)}, or the wind turned then.")
+        return sentence(f"{_as_if(spell, seen.places)}, or the wind changed then.")
     if event is None and (growing := seen.growing):
         grown = listed([f"{rotors([k], seen.places)} {grows(t)}" for k, t in growing], "and")
-        return sentence(f"{grown}, or wind or a load changed as slowly.")
+        return sentence(f"{grown}, or wind or load changed at the same rate.")
     if event is None:
-        return "Something is wrong, but the log cannot say which rotor."
+        return "There is evidence of a fault, but the log does not show which rotor."
     more = sum(e.means.accuses for e in seen.events) - 1
     again = f" (the first of {more + 1} events)" if more and event is seen.events[0] else ""
     again = again or (f" (one of {more + 1} events)" if more else "")
@@ -450,7 +454,7 @@ def _suspicions(seen: Evidence, rotor: int, maybe, landed, claims) -> list[tuple
     """(why a rotor is a suspect, how much it may have lost then), of what was seen in flight."""
     found = []
     for e in (*maybe, *landed):
-        later = ", not judged again after landing" if e in landed else ""
+        later = ", not assessed again after landing" if e in landed else ""
         found.append((f"{said(e.means.now, e)}{later}", e.most(rotor)))
     for e in _other_faults(seen):
         who = e.rotors if e.means.now.unsure is None else e.suspects
@@ -459,7 +463,7 @@ def _suspicions(seen: Evidence, rotor: int, maybe, landed, claims) -> list[tuple
     for s in seen.residual_evidence:
         if rotor in s.rotors and s.interval:
             lost = interval(*s.interval[s.rotors.index(rotor)])
-            found.append((f"may have lost {lost} since {seconds(s.onset_s)}, or the wind turned then", s.most(rotor)))
+            found.append((f"may have lost {lost} since {seconds(s.onset_s)}, or the wind changed then", s.most(rotor)))
         elif rotor in s.rotors:
             span = f"from {seconds(s.onset_s)} to {seconds(s.end_s)}"
             found.append((f"evidence against it {span} that no event explains", 1.0))
@@ -486,7 +490,7 @@ def _stopped(seen: Evidence, event: Event) -> str:
     """What became of a motor that lost step: whether it stopped for good."""
     after = (e for e in seen.losses if e.rotors == event.rotors and not e.alternatives and e.onset_s >= event.onset_s)
     last = next((e for e in after if e.end_s is None and e.loss and e.loss[0] > TOTAL_LOSS), None)
-    return "" if last is None else f", and gave nothing any more from {seconds(last.onset_s)} on"
+    return "" if last is None else f", and gave no thrust from {seconds(last.onset_s)} on"
 
 
 def _broken(loss: float) -> str:
@@ -502,7 +506,7 @@ def _worked(seen: Evidence, rotor: int) -> str:
     if np.isfinite(own):
         notes.append(f"no command for it in the log since {seconds(own)}")
     if seen.missing_s < own:
-        notes.append(f"not judged since {seconds(seen.missing_s)}")
+        notes.append(f"not assessed since {seconds(seen.missing_s)}")
     return listed(notes)
 
 

@@ -147,14 +147,14 @@ def _who(rotors: Sequence[int]) -> str:
 def _loss(best: Explanation, p: float, others, n: int, decided: float, judged: Judged) -> Event:
     rotor = best.rotors[0] + 1
     onset = min(best.onset, judged.left.onset)
-    how = f"as without {'the' if best.size > 0.5 else 'part of the'} thrust of rotor {rotor}"
+    how = f"as it would without {'the' if best.size > 0.5 else 'part of the'} thrust of rotor {rotor}"
     if best.gives:
-        how = f"as if rotor {rotor} gave {best.gives:.1f} times the thrust of hover, whatever it was commanded"
+        how = f"as if rotor {rotor} were stuck at {best.gives:.1f} times hover thrust"
     reason = f"from {onset:.1f} s on the vehicle turned {how}"
     if others:
         who = ", ".join("all rotors alike" if len(o) == n else "+".join(map(str, o)) for o in others)
         reason += f", but {who} may have failed instead"
-    reason += "; found afterwards, by the motion up to the impact" if judged.left.impact else "; found afterwards"
+    reason += "; found in hindsight from the motion up to the impact" if judged.left.impact else "; found in hindsight"
     return Event(
         LOSS, (rotor,), onset, decided, None, (best.size,), ((best.low, best.high),), p, others, reason,
         {"live": False, "loss_2s": [best.size], **({"gives": round(best.gives, 2)} if best.gives else {})},
@@ -163,7 +163,7 @@ def _loss(best: Explanation, p: float, others, n: int, decided: float, judged: J
 
 def _order(best: Explanation, p: float, others, decided: float) -> Event:
     if best.kind == "yaw":
-        reason = "the vehicle yawed against its commands from the first movement on: propellers or motors turn the wrong way round"
+        reason = "the vehicle yawed against its commands from the first movement on: propellers or motors turn in the wrong direction"
         return Event(
             ORDER,
             (),
@@ -178,7 +178,7 @@ def _order(best: Explanation, p: float, others, decided: float) -> Event:
             {"live": False, "yaw_reversed": True},
         )
     i, j = (r + 1 for r in best.rotors)
-    reason = f"from the first movement on the vehicle turned as if the outputs of motors {i} and {j} went to each other's motor"
+    reason = f"from the first movement on the vehicle turned as if the outputs of motors {i} and {j} were swapped"
     if others:
         reason += ", but " + ", ".join("+".join(map(str, o)) for o in others) + " may be swapped instead"
     return Event(ORDER, (i, j), best.onset, decided, None, (), (), p, others, reason, {"live": False})
@@ -187,12 +187,12 @@ def _order(best: Explanation, p: float, others, decided: float) -> Event:
 CAUSES = {
     "rotor": "a rotor lost its thrust",
     ORDER: "motors are connected in the wrong order",
-    "disarmed": "the motors were stopped in the air",
+    "disarmed": "the motors were stopped in flight",
     "knock": "something struck the vehicle",
     "controller": "the vehicle did what was commanded, and the commands were wrong",
-    "saturated": "the rotors had no more to give",
+    "saturated": "the rotors were at their limit",
     "power": "the power failed",
-    "unknown": "why is not known",
+    "unknown": "the cause is unknown",
 }
 
 
@@ -201,7 +201,7 @@ def _control_lost(judged: Judged, n: int, named, others, decided: float) -> Even
     fell = judged.fell
     end = left.ground if fell and left.end is None else left.end
     worked = _worked(judged, n, named, others, decided)
-    reason = f"the vehicle left control at {judged.onset:.1f} s, {left.what}: {CAUSES[judged.cause]}"
+    reason = f"the vehicle departed controlled flight at {judged.onset:.1f} s, {left.what}: {CAUSES[judged.cause]}"
     reason += "".join(f"; {disarmed}" for disarmed in judged.evidence)
     if fell:
         reason += f"; it hit the ground at {left.ground:.1f} s"

@@ -35,11 +35,11 @@ def _event(grown: Growth, grew: bool, first: Event | None, onset: float, detecte
     """The event of a loss that grew, or stays. first: the first one that it takes in."""
     (rotor,), (size,) = grown.rotors, grown.loss
     reason = (
-        f"the rotors came to be commanded a torque that the motion does not show, along the direction of rotor {rotor} and by more than "
+        f"the commanded torque gradually departed from the motion, along the direction of rotor {rotor} and by more than "
         "wind or load drift"
     )
     if first is not None and not grew:
-        reason = f"{first.reason}; what looked like its end left the trim as it was"
+        reason = f"{first.reason}; its apparent end did not change the trim"
     return Event(
         LOSS, grown.rotors, onset, detected, None, (size,), grown.interval, grown.odds / (1.0 + grown.odds), (), reason,
         {"live": first is not None, "loss_2s": [round(size, 4)], **({"grew_until_s": grown.end_s} if grew else {})},

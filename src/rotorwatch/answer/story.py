@@ -16,13 +16,13 @@ SOON_S = 0.1  # a tick of slow logs: moments closer than this count as one
 # Causes that clear the rotors: {who} are all of them, {when} is until when they were seen to work.
 FOLLOWED = "{who} followed their commands until {when}"
 CLEARED = {
-    "disarmed": f"{FOLLOWED}, when the motors were disarmed in the air.",
+    "disarmed": f"{FOLLOWED}, when the motors were disarmed in flight.",
     "knock": f"{FOLLOWED}, when something struck the vehicle.",
     "power": f"{FOLLOWED}, when the power failed.",
-    "saturated": "At {onset} {who} had no more to give; they followed their commands, as was seen until {when}.",
-    "controller": "At {onset} the vehicle left what was wanted, though {who} followed their commands, as was seen until {when}: "
-    "a sensor, an estimate or the pilot was wrong.",
-    "unknown": f"No rotor is accused: as far as the log shows, {FOLLOWED}.",
+    "saturated": "At {onset} {who} were at their limit; as far as the log shows, they followed their commands until {when}.",
+    "controller": "At {onset} the vehicle left its setpoint although, as far as the log shows, {who} followed their commands until "
+    "{when}: a sensor, an estimate or the pilot was wrong.",
+    "unknown": f"No rotor fault was found: as far as the log shows, {FOLLOWED}.",
 }
 
 
@@ -106,7 +106,7 @@ def _cleared(lost: Event, n: int) -> str:
 
 def _lost(lost: Event, when: float, first: Event | None, n: int) -> str:
     how = str(lost.extra.get("how") or "")
-    since = "" if when - lost.onset_s < SOON_S else f"; it had begun to leave control at {seconds(lost.onset_s)}"
+    since = "" if when - lost.onset_s < SOON_S else f"; the departure began at {seconds(lost.onset_s)}"
     text = f"Control was lost at {seconds(when)}{f', {how}' if how else ''}{since}."
     named = frozenset() if first is None else first.suspects
     other = not named & lost.suspects
@@ -119,10 +119,10 @@ def _end(lost: Event, later: Sequence[Event], hops: Sequence[tuple[float, float]
     again = f" It was lost again at {seconds(later[0].onset_s)}." if later else ""
     impact = lost.extra.get("impact_s")
     if impact is not None:
-        back = f" Control came back at {seconds(lost.end_s)}." if lost.end_s not in (None, impact) else ""
+        back = f" Control was regained at {seconds(lost.end_s)}." if lost.end_s not in (None, impact) else ""
         return StoryLine(impact, f"It hit the ground at {seconds(impact)}.{back}{again}")
     if lost.end_s is not None:
-        return StoryLine(lost.end_s, f"Control came back at {seconds(lost.end_s)}.{again}")
+        return StoryLine(lost.end_s, f"Control was regained at {seconds(lost.end_s)}.{again}")
     last = max((b for _, b in hops), default=lost.detected_s)
     last = max(last, lost.detected_s)
-    return StoryLine(last, f"No impact was seen; control had not come back by {seconds(last)}.{again}")
+    return StoryLine(last, f"No impact was seen; control had not been regained by {seconds(last)}.{again}")

@@ -59,8 +59,8 @@ def mounts(state: Rows) -> tuple[Event, ...]:
         return ()
     side = "right" if yaw > 0.0 else "left"
     reason = (
-        f"since {onset:.1f} s the rotors have had to yaw the vehicle to the {side} by {abs(yaw):.1f} times what one rotor's drag does in "
-        "hover, and the motion does not show it: more than wind or a load do. No thrust is missing"
+        f"since {onset:.1f} s a yaw torque to the {side} of {abs(yaw):.1f} times one rotor's drag torque in hover has been commanded "
+        "without the yaw motion to match: more than wind or a load needs. No thrust is missing"
     )
     extra = {"yaw": round(yaw, 3), "yaw_interval": [round(yaw - half, 3), round(yaw + half, 3)]}
     return (Event(TURNED, (), onset, detected, None, (), (), odds / (1.0 + odds), (), reason, extra, events.TRIM),)

@@ -24,8 +24,8 @@ NAMED = 3  # knocks that are named
 FEW_S = 30.0  # of judged flight: below, more of it is what shows more
 MOST = 0.5  # of the time in the air
 OUTPUTS = "Log the outputs that reach the motors; `rotorwatch info LOG` lists what a log holds and lacks."
-LONGER = "Fly at least a minute in the air, most of it in steady hover."
-CALM = "Hover for a minute in calm air, with nothing that swings or shifts on board."
+LONGER = "Fly for at least a minute, mostly in steady hover."
+CALM = "Hover for a minute in calm air, without a swinging or shifting load."
 
 
 class Unjudged(NamedTuple):
@@ -37,18 +37,18 @@ class Unjudged(NamedTuple):
 
 def silent(what: str) -> Unjudged:
     """Of a log that holds this of the outputs."""
-    return Unjudged(f"the log holds {what}", OUTPUTS)
+    return Unjudged(f"the log has {what}", OUTPUTS)
 
 
-UNKNOWN = Unjudged("hardly any of it was flight", "Fly at least 20 s in the air.")
+UNKNOWN = Unjudged("hardly any of the log is flight", "Fly for at least 20 s.")
 SILENT = silent("no motor outputs")
 MOTIONLESS = Unjudged(
-    "the log holds no gyro and no attitude at 5 Hz or more, and commands alone do not show what a rotor gives",
+    "the log has neither gyro nor attitude at 5 Hz or more, and commands alone do not show rotor thrust",
     "Log the gyro, or at least the attitude; `rotorwatch info LOG` lists what a log holds and lacks.",
 )
 NEVER = Unjudged(
     "the vehicle never took off",
-    "Judge a log of a flight of 20 s or more; `rotorwatch info LOG` lists when this one was in the air, and what it holds.",
+    "Use a log with at least 20 s of flight; `rotorwatch info LOG` lists when this one was in the air, and what it holds.",
 )
 
 
@@ -62,8 +62,8 @@ def shaken(flight: Flight, air: Spans) -> Unjudged | None:
     if size < SHAKEN:
         return None
     return Unjudged(
-        f"vibration of {size:.0f} m/s2 hides it",
-        "Balance the propellers, look for what is loose, and mount the autopilot on dampers: judging needs less than "
+        f"vibration of {size:.0f} m/s2 masks rotor faults",
+        "Balance the propellers, check for loose parts, and mount the autopilot on dampers: the assessment needs less than "
         f"{SHAKEN:.0f} m/s2 of vibration.",
     )
 
@@ -86,7 +86,7 @@ def patchy(air: Spans, table: Ticks, hovers: bool) -> Unjudged:
     if table.contacts:
         when = [seconds(c.time) for c in table.contacts]
         times = listed(when) if len(when) <= NAMED else f"{when[0]} and {len(when) - 1} times more"
-        return Unjudged(f"after the knock at {times} the trim is learned afresh, whatever it broke", LONGER)
+        return Unjudged(f"the trim is learned anew after the contact at {times}, with any damage from it", LONGER)
     return _too_little(air, table, 0.0, hovers)
 
 
@@ -104,41 +104,41 @@ def _too_little(air: Spans, table: Ticks, needed_s: float, hovers: bool) -> Unju
     flown = max((end - start for start, end in air), default=0.0)
     up = table.mode > GROUND
     if flown < needed_s:
-        piece = " in one piece" if len(air) > 1 else ""
+        piece = " without landing" if len(air) > 1 else ""
         return Unjudged(
-            f"{needed_s:.0f} s of flight{piece} are needed, {flown:.{0 if flown < needed_s - 1.0 else 1}f} were flown",
-            f"Fly at least {needed_s:.0f} s{piece}; a minute shows more.",
+            f"{needed_s:.0f} s of flight{piece} are needed, {flown:.{0 if flown < needed_s - 1.0 else 1}f} s were flown",
+            f"Fly for at least {needed_s:.0f} s{piece}; a minute shows more.",
         )
     if table.contacts and (table.mode == LEARN).sum() * table.dt > MOST * up.sum() * table.dt:
         when = [seconds(c.time) for c in table.contacts]
         times = listed(when) if len(when) <= NAMED else f"{when[0]} and {len(when) - 1} times more"
-        return Unjudged(f"it was knocked at {times}, and its trim is learned afresh after each knock", LONGER)
+        return Unjudged(f"it made contact at {times}, and its trim is learned anew after each contact", LONGER)
     if table.upset[up].mean() > MOST:
         tilt = np.degrees(np.arccos(UPSET_LEVEL))
-        return Unjudged(f"it tumbled, or flew at more than {tilt:.0f} degrees, most of the time", LONGER)
+        return Unjudged(f"it tumbled or was tilted by more than {tilt:.0f} degrees most of the time", LONGER)
     if not table.valid[up].any(axis=1).mean() > MOST:
         return Unjudged(
-            "its motion or its commands are missing most of the time",
+            "motion or command data are missing most of the time",
             "Log gyro and motor outputs all the time; `rotorwatch info LOG` lists what a log holds and lacks.",
         )
     if not hovers:
-        return Unjudged("it does not turn as its outputs would turn it, or turns too little to say", LONGER)
+        return Unjudged("its rotation does not follow its outputs, or is too small to tell", LONGER)
     return Unjudged("too little of it was steady flight", LONGER)
 
 
 def _shown_little(table: Ticks, judged_s: float, hovers: bool, steps: bool) -> Unjudged:
     if table.dt > SHORTEST_S:
         return Unjudged(
-            f"motor outputs every {table.dt:g} s say little",
+            f"motor outputs every {table.dt:g} s are too sparse",
             "Log motor outputs and gyro at 10 Hz or more; `rotorwatch info LOG` shows how.",
         )
     if judged_s < FEW_S:
-        return Unjudged(f"{judged_s:.0f} s of judged flight are too few", LONGER)
+        return Unjudged(f"{judged_s:.0f} s of assessed flight are too few", LONGER)
     if not hovers:
         return Unjudged(
-            "its angular motion shows no more",
+            "its angular motion does not resolve smaller losses",
             "Fly a minute in steady hover, or longer; log gyro and motors at 500 Hz or more.",
         )
     if steps:
-        return Unjudged("wind that turned, or a load that moved, would look the same", CALM)
-    return Unjudged("the flight was too rough to show less", CALM)
+        return Unjudged("a change of wind or a shifted load would look the same", CALM)
+    return Unjudged("the flight was too rough to resolve smaller losses", CALM)

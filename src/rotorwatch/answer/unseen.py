@@ -221,11 +221,11 @@ class Unseen:
             return lost
         who = np.flatnonzero(most > most.max() - hypotheses.CLEAR).tolist()
         names = " and ".join(f"rotor {i + 1} (since {since[i]:.1f} s)" for i in who)
-        how = f"the vehicle left control at {lost.onset_s:.1f} s, {lost.extra.get('how', '')}"
+        how = f"the vehicle departed controlled flight at {lost.onset_s:.1f} s, {lost.extra.get('how', '')}"
         worked = [min(t, float(since[i])) if t is not None and i in who else t for i, t in enumerate(worked)]
         return replace(
             lost, alternatives=tuple((i + 1,) for i in who),
-            reason=f"{how}: why is not known; before that there was evidence against {names}",
+            reason=f"{how}: the cause is unknown; before that there was evidence against {names}",
             extra={**lost.extra, "cause": "unknown", "worked_until_s": worked, "evidence": []},
         )  # fmt: skip
 

@@ -13,11 +13,13 @@ from rotorwatch.flight.diagnosis import Event, Trend
 from rotorwatch.flight.kinds import Words
 
 CAUSES = {"propeller": "propeller", "motor_or_esc": "motor or ESC", "bearing": "bearing"}
-BASELINE = "To see smaller damage that was there from take-off, give a healthy flight of the same build: --baseline HEALTHY.LOG."
+BASELINE = (
+    "To detect smaller damage present at take-off, give a healthy flight of the same build: --baseline HEALTHY.LOG."
+)
 LONGEST, SAYS = 200, 40  # letters of a headline; of a sentence that says something without its last clause
 NAMED = 5  # gaps that warnings name
 VERDICTS = {
-    "healthy": "Healthy", "fault": "Fault found", "crashed": "Crashed, not a rotor", "ambiguous": "Ambiguous",
+    "healthy": "Healthy", "fault": "Fault found", "crashed": "Crashed, no rotor fault", "ambiguous": "Ambiguous",
     "inconclusive": "Inconclusive",
 }  # fmt: skip
 
@@ -75,22 +77,22 @@ def not_commanded(gaps: Sequence[Gap], n: int) -> list[str]:
         what = (
             "No motor outputs are logged"
             if len(gap.rotors) == n
-            else f"The log holds no command for {rotors(gap.rotors)}"
+            else f"The log has no command for {rotors(gap.rotors)}"
         )
         if gap.lasts:
-            said.append(f"{what} from {gap.start:.1f} s to the end of the flight: nothing can be judged after that.")
+            said.append(f"{what} from {gap.start:.1f} s to the end of the flight: nothing can be assessed after that.")
         elif gap.first:
             said.append(
-                f"{what} from lift-off at {gap.start:.1f} s to {gap.end:.1f} s: the flight is judged from then on, and what happened "
-                "before counts as there from take-off."
+                f"{what} from lift-off at {gap.start:.1f} s to {gap.end:.1f} s: the flight is assessed from then on, and earlier "
+                "damage counts as present at take-off."
             )
         else:
             said.append(
-                f"{what} from {gap.start:.1f} s to {gap.end:.1f} s, in the air: what happened in that time is only told by what was "
-                "different after it."
+                f"{what} from {gap.start:.1f} s to {gap.end:.1f} s, in the air: what happened in that time shows only by "
+                "its effect afterwards."
             )
     if len(gaps) > NAMED:
-        said.append(f"The same holds for {len(gaps) - NAMED} more gaps, the last one up to {gaps[-1].end:.1f} s.")
+        said.append(f"The same applies to {len(gaps) - NAMED} more gaps, the last one up to {gaps[-1].end:.1f} s.")
     return said
 
 
@@ -102,10 +104,10 @@ def together(outputs: Sequence[Event]) -> list[tuple[str, bool]]:
     said = []
     for (start, end), who in spans.items():
         until = "to the end" if end is None else f"to {end:.1f} s"
-        what = f"the outputs of {rotors(sorted(who))} leave the mixer at the same sample, from {start:.1f} s {until}"
-        said.append(
-            (f"{sentence(what)}: the log has them wrong, and what it shows then accuses no rotor.", end is None)
+        what = (
+            f"the outputs of {rotors(sorted(who))} depart from the mixer at the same sample, from {start:.1f} s {until}"
         )
+        said.append((f"{sentence(what)}: the log is wrong there and is not evidence of a rotor fault.", end is None))
     return said
 
 
@@ -182,8 +184,8 @@ def losses(event: Event) -> str:
 
 
 def grows(trend: Trend) -> str:
-    """'loses 7.3 % (5.5 to 9.1 %) more of its thrust every minute'."""
-    return f"loses {rate(trend.per_minute)} ({rate(trend.interval[0])[:-2]} to {rate(trend.interval[1])}) more of its thrust every minute"
+    """'is losing thrust at 7.3 % (5.5 to 9.1 %) per minute'."""
+    return f"is losing thrust at {rate(trend.per_minute)} ({rate(trend.interval[0])[:-2]} to {rate(trend.interval[1])}) per minute"
 
 
 def rate(share: float) -> str:
@@ -220,6 +222,7 @@ def said(words: Words | str, event: Event, places: Sequence[str] = (), **more: s
         "lost_effect": lost(event, " of its effectiveness"),
         "at": seconds(event.onset_s),
         "when": when(event),
+        "from_on": f"from {seconds(event.onset_s)}{' on' if event.end_s is None else ''}",
         "end": seconds(event.end_s),
         "why": event.reason.strip().removesuffix("."),
         "Why": sentence(event.reason.strip().removesuffix(".")),
@@ -237,14 +240,16 @@ def lost(event: Event, what: str = "") -> str:
     gives = event.extra.get("gives")
     if gives is None:
         return f"lost {losses(event)}{what}"
-    return f"stopped following its command (it gives {gives:.1f} times the thrust of hover)"
+    return f"stopped following its command (stuck at {gives:.1f} times hover thrust)"
 
 
 def when(event: Event) -> str:
-    """'at 41.20 s'; 'little by little from 41.20 s to 65.00 s' of a loss that grew."""
+    """'at 41.20 s'; 'from 41.20 s' of a loss that ended; 'gradually from 41.20 s to 65.00 s' of a loss that grew."""
     grew = event.extra.get("grew_until_s")
     at = seconds(event.onset_s)
-    return f"at {at}" if grew is None else f"little by little from {at} to {seconds(grew)}"
+    if grew is not None:
+        return f"gradually from {at} to {seconds(grew)}"
+    return f"at {at}" if event.end_s is None else f"from {at}"
 
 
 def cause(event: Event) -> str:

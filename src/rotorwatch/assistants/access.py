@@ -17,11 +17,11 @@ def checked(host: str, token: str) -> str:
     """The token, if it will do and the address is this computer's own. Raises ConfigError."""
     if not security.loopback(host):
         raise ConfigError(
-            f"--host {host}: other computers can reach this address; give a loopback address, such as 127.0.0.1."
+            f"--host {host}: other computers can reach this address; give a loopback address such as 127.0.0.1."
         )
     if not token:
         raise ConfigError(
-            "Over HTTP a token is needed: set the environment variable ROTORWATCH_TOKEN, say to what `openssl rand -hex 16` prints."
+            "Over HTTP a token is required: set the environment variable ROTORWATCH_TOKEN, such as the output of `openssl rand -hex 16`."
         )
     return security.checked(host, token)
 
@@ -40,9 +40,9 @@ class Access:
         """What is answered instead, or None for a request that may pass."""
         headers = request.headers
         if len(headers.getlist("host")) != 1 or not _own(headers["host"]):
-            return _refused(421, "This address is not this server's; use the one that it printed.")
+            return _refused(421, "This is not the server's address; use the one it printed.")
         if not security.from_here(headers):
-            return _refused(403, "This came from the page of another site.")
+            return _refused(403, "This request came from another site.")
         kind, _, token = headers.get("authorization", "").partition(" ")
         given = token.strip().encode("utf-8", "replace")
         if kind.lower() != "bearer" or not hmac.compare_digest(given, self._token.encode()):

@@ -82,9 +82,7 @@ def event(found: Diagnosis, name: str, number: int | None) -> dict[str, Any] | s
         number = d["main_event"] if d["main_event"] is not None else 0
     if not 0 <= number < many:
         last = many - 1
-        return (
-            f"number: this diagnosis has the events 0 to {last}." if many else "This diagnosis found no event to show."
-        )
+        return f"number: this diagnosis has the events 0 to {last}." if many else "This diagnosis has no event."
     one = d["events"][number]
     details = {k: _short(v) for k, v in one.items() if k not in (*SHORT, "reason", "evidence", "count")}
     return {
@@ -132,14 +130,14 @@ def log(facts: Mapping[str, Any], name: str) -> dict[str, Any]:
         "messages": [{"time_s": m["time_s"], "kind": m["kind"], "text": quoted(m["text"], 80)} for m in shown],
         "messages_left_out": len(facts["messages"]) - len(shown),
         "warnings": several(facts["warnings"], MOST_WARNINGS),
-        "note": None if len(facts["messages"]) < MESSAGES_SHOWN else f"Of the messages the first {MESSAGES_SHOWN} count.",
+        "note": None if len(facts["messages"]) < MESSAGES_SHOWN else f"Only the first {MESSAGES_SHOWN} messages are used.",
     }  # fmt: skip
 
 
 def what_to_log(facts: Mapping[str, Any], name: str) -> dict[str, Any]:
     """`WhatToLog` of models.py. facts: as `report.info.info` gives them."""
     missing = [gap | {"why": cut(gap["why"]), "setting": cut(gap["setting"])} for gap in facts["missing"][:MOST_GAPS]]
-    advice = [] if missing else ["Nothing is missing: this log holds all that a diagnosis uses."]
+    advice = [] if missing else ["Nothing is missing: this log has everything a diagnosis uses."]
     return {"log": quoted(name), "ready": facts["ready"], "missing": missing, "advice": advice}
 
 
@@ -175,4 +173,4 @@ def caption(found: Diagnosis, kind: str) -> str:
         return "The loss of every rotor with its 95 % band, and the commands, over the whole flight."
     facts: Any = found.picture
     marks = ", ".join(f"{m['what']} at {report.seconds(m['time_s'])}" for m in facts["marks"])
-    return f"Wanted and flown motion and the commands of every rotor from {facts['start_s']:.1f} to {facts['end_s']:.1f} s: {marks}."
+    return f"Setpoint, actual motion and the commands of every rotor from {facts['start_s']:.1f} to {facts['end_s']:.1f} s: {marks}."

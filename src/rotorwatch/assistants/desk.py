@@ -64,17 +64,17 @@ class Desk:
 
     def _answered(self, workers: Workers, question: Question) -> Any:
         if not self._places.acquire(blocking=False):
-            raise ConfigError("Too many questions at once; ask again when the others are answered.")
+            raise ConfigError("Too many requests at once; try again when the others are answered.")
         try:
             if not self._turn.acquire(timeout=PATIENCE_S):
-                raise ConfigError("The questions before this one take too long; ask again later.")
+                raise ConfigError("Earlier requests take too long; try again later.")
             try:
                 return workers.call(question)
             except TooMuch as why:
                 text = str(why)
                 raise ConfigError(text[:1].upper() + text[1:]) from None
             except MemoryError:
-                raise ConfigError("There is not enough memory to answer this.") from None
+                raise ConfigError("Not enough memory to answer this.") from None
             finally:
                 self._turn.release()
         finally:
@@ -92,7 +92,7 @@ class Desk:
                 {"id": name, "path": quoted(shown), "bytes": about.st_size, "changed_utc": f"{when:%Y-%m-%dT%H:%MZ}"}
             )
         left = len(found) - len(rows)
-        note = f"{left} more logs; search for words of their paths, or give a larger limit." if left else None
+        note = f"{left} more logs; search for words of their paths, or raise the limit." if left else None
         return {"total": len(found), "logs": rows, "note": note}
 
     def stored(self, flight: str) -> dict[str, Any]:

@@ -19,7 +19,7 @@ DEEPEST = 12  # folders inside folders
 LONGEST = 1024  # letters of a path
 ID = re.compile(r"[0-9a-f]{12}")
 TABLE = re.compile(r"(\.toml)$", re.IGNORECASE)
-OUTSIDE = "lies in none of the allowed folders; `list_logs` shows what may be read."
+OUTSIDE = "is in none of the allowed folders; `list_logs` shows what may be read."
 
 
 @dataclass(frozen=True)
@@ -48,9 +48,9 @@ class Folders:
             try:
                 root = Path(folder).expanduser().resolve(strict=True)
             except (OSError, RuntimeError, ValueError):
-                raise ConfigError(f"{folder}: there is no such folder.") from None
+                raise ConfigError(f"{folder}: no such folder.") from None
             if not root.is_dir():
-                raise ConfigError(f"{folder} is no folder; name the folder that the logs lie in.")
+                raise ConfigError(f"{folder} is not a folder; name the folder of the logs.")
             if root not in self.roots:
                 self.roots.append(root)
 
@@ -67,11 +67,11 @@ class Folders:
         try:
             about = path.lstat()
         except (OSError, ValueError):
-            raise ConfigError(f"{what}: there is no such file.") from None
+            raise ConfigError(f"{what}: no such file.") from None
         if stat.S_ISDIR(about.st_mode):
             raise ConfigError(f"{what}: this is a folder; name one file in it.")
         if not stat.S_ISREG(about.st_mode):
-            raise ConfigError(f"{what}: this is no ordinary file.")
+            raise ConfigError(f"{what}: not a regular file.")
         ending = endings.search(path.name)
         if ending is None:
             wanted = "a vehicle file (.toml)" if endings is TABLE else "a log of a known kind, by the end of its name"
@@ -102,7 +102,7 @@ class Folders:
         try:
             real = path.resolve()
         except (OSError, RuntimeError, ValueError):
-            raise ConfigError(f"{what}: there is no such file.") from None
+            raise ConfigError(f"{what}: no such file.") from None
         for root in self.roots:
             if real.is_relative_to(root):
                 if any(part.startswith(".") for part in real.relative_to(root).parts):

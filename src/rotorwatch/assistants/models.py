@@ -27,7 +27,7 @@ class QuotedList(BaseModel):
 class AnyAnswer(BaseModel):
     """What all answers share."""
 
-    note: str | None = Field(None, description="what this answer leaves out, and how to get it")
+    note: str | None = Field(None, description="what this answer omits, and how to get it")
 
 
 class Rotor(BaseModel):
@@ -81,12 +81,12 @@ class Diagnosis(AnyAnswer):
     exit_code: Literal[0, 1, 3]
     headline: str
     reason: str
-    story: list[str] = Field([], description="what happened when control was lost, in the order of time")
+    story: list[str] = Field([], description="what happened when control was lost, in time order")
     main_event: int | None = Field(None, description="number of the event that verdict and headline are about")
     events: list[EventLine] = []
     rotors: list[Rotor] = []
     advice: list[str] = []
-    warnings: QuotedList = Field(description="what is damaged or doubtful in the log; may quote it")
+    warnings: QuotedList = Field(description="damaged or doubtful parts of the log; may quote it")
 
 
 class Compared(Diagnosis):
@@ -103,7 +103,7 @@ class Event(AnyAnswer):
 
     log: Quoted
     number: int
-    of: int = Field(description="how many events there are")
+    of: int = Field(description="number of events")
     event: EventLine
     reason: str
     evidence: list[str] = []
@@ -129,7 +129,7 @@ class Series(AnyAnswer):
     columns: list[str]
     rows: list[list[float | None]]
     samples: int = Field(
-        description="samples in this span of the flight; rows keep the least and greatest of each stretch"
+        description="samples in this span of the flight; rows keep the minimum and maximum of each interval"
     )
     start_s: float
     end_s: float
@@ -183,12 +183,10 @@ class Log(AnyAnswer):
     rotors: int
     duration_s: float
     airborne_s: list[list[float]]
-    ready: bool = Field(description="whether `diagnose` can judge it")
+    ready: bool = Field(description="whether `diagnose` can assess it")
     signals: list[Signal]
-    missing: list[str] = Field(
-        description="signals that are not there and would help; `what_to_log` says how to log them"
-    )
-    slow: list[str] = Field([], description="signals that are there, and would show more if they were logged faster")
+    missing: list[str] = Field(description="missing signals that would help; `what_to_log` says how to log them")
+    slow: list[str] = Field([], description="signals that would show more if logged faster")
     parameters: int
     messages: list[Message]
     messages_left_out: int = 0
@@ -199,7 +197,7 @@ class WhatToLog(AnyAnswer):
     """What to log next time. missing: the indispensable first."""
 
     log: Quoted
-    ready: bool = Field(description="whether `diagnose` can judge this log as it is")
+    ready: bool = Field(description="whether `diagnose` can assess this log as it is")
     missing: list[Missing]
     advice: list[str] = []
 
@@ -266,11 +264,11 @@ class Aircraft(BaseModel):
         description="fault, suspect, not judged or healthy: by its rotors over all flights, and by its last flights"
     )
     last_verdict: str | None = Field(description="of the last flight")
-    verdicts: dict[str, int] = Field(description="how many flights were judged how")
-    new: dict[str, int] = Field({}, description="the same, of those since somebody last ran `rotorwatch fleet list`")
+    verdicts: dict[str, int] = Field(description="number of flights by verdict")
+    new: dict[str, int] = Field({}, description="the same for flights added since the last `rotorwatch fleet list`")
     headline: str
-    out_of_date: bool = Field(description="flights came since this was worked out")
-    rotors: list[FleetRotor] = Field([], description="those that are not well, the worst first")
+    out_of_date: bool = Field(description="flights were added since this assessment")
+    rotors: list[FleetRotor] = Field([], description="aircraft with findings, the worst first")
     rotors_left_out: int = 0
 
 

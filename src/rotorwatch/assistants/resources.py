@@ -41,7 +41,7 @@ def register(server: MCPServer) -> None:
         """Terms as rotorwatch's answers use them."""
         return document("glossary")
 
-    @server.resource("rotorwatch://glossary/{term}", title="One term", mime_type="text/plain")
+    @server.resource("rotorwatch://glossary/{term}", title="Term", mime_type="text/plain")
     def term(term: str) -> str:
         """What one term means, such as `ambiguous` or `onset`."""
         known = {name.lower(): f"{name}: {meaning}" for name, meaning in terms().items()}

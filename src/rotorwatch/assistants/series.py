@@ -63,7 +63,7 @@ def _number(value: float, digits: int) -> float | None:
 def _whole(diagnosis: Diagnosis, what: str, rotor: int | None) -> Table:
     trace = diagnosis.trace
     if trace is None or trace.time.size < 2:
-        raise ConfigError("No part of this log could be judged, so there is no series of it.")
+        raise ConfigError("No part of this log could be assessed, so it has no series.")
     n = trace.loss.shape[1]
     if rotor is not None and not 1 <= rotor <= n:
         raise ConfigError(f"rotor: this vehicle has rotors 1 to {n}.")
@@ -80,13 +80,13 @@ def _whole(diagnosis: Diagnosis, what: str, rotor: int | None) -> Table:
     if what == "evidence":
         names = figures.hypotheses(diagnosis)
         if not names:
-            raise ConfigError("This method leaves no evidence over time.")
+            raise ConfigError("This method provides no evidence over time.")
         return trace.time, names, np.stack([trace.evidence[name] for name in names], axis=1)
     flown, wanted = (trace.attitude, trace.wanted) if what == "attitude" else (trace.rates, trace.rates_wanted)
     have = {"": flown, "wanted ": wanted}
     parts = {f"{prefix}{axis}": v[:, k] for prefix, v in have.items() if v is not None for k, axis in enumerate(AXES)}
     if not parts:
-        raise ConfigError(f"The log holds no {what}.")
+        raise ConfigError(f"The log has no {what}.")
     return trace.time, list(parts), np.stack(list(parts.values()), axis=1)
 
 
@@ -95,9 +95,7 @@ def _moment(diagnosis: Diagnosis, what: str) -> Table:
     key = {"command": "commands", "speed": "speeds"}.get(what.removeprefix("moment_"), what.removeprefix("moment_"))
     part = facts.get(key)
     if not part:
-        raise ConfigError(
-            "There is no such series: control was not lost and no motor lost step, or the log does not hold it."
-        )
+        raise ConfigError("No such series: control was not lost and no motor desynced, or the log does not hold it.")
     lists = part.get("share", part.get("rpm"))
     if lists is not None:
         named = {f"rotor {k}": values for k, values in enumerate(lists, 1)}

@@ -13,7 +13,7 @@ from rotorwatch.fleet.store import Store
 from rotorwatch.flight.diagnosis import Diagnosis
 
 MOST, MOST_ROTORS = 30, 3  # rows of an answer; rotors of an aircraft
-NONE = "No store of a fleet was named: start the server with --store, as of `rotorwatch fleet add`."
+NONE = "No fleet store: start the server with --store, as written by `rotorwatch fleet add`."
 
 
 class Fleet:
@@ -66,7 +66,7 @@ class Fleet:
         try:
             return store.find(aircraft)["key"]
         except StoreError:  # its sentence holds names that others gave
-            raise ConfigError("aircraft: the store knows none of that name or key; `fleet` lists them.") from None
+            raise ConfigError("aircraft: no such name or key in the store; `fleet` lists them.") from None
 
 
 def _left(count: int, what: str) -> str | None:
@@ -99,7 +99,7 @@ def _aircraft(a: Mapping) -> dict[str, Any]:
         "last_verdict": (standing.get("last") or {}).get("verdict"),
         "verdicts": a["verdicts"],
         "new": a["new"],
-        "headline": answers.cut(standing.get("headline", "Not worked out yet: `rotorwatch fleet assess`."), 300),
+        "headline": answers.cut(standing.get("headline", "Not assessed yet: run `rotorwatch fleet assess`."), 300),
         "out_of_date": bool(a["stale"]),
         "rotors": [_rotor(r) for r in unwell[:MOST_ROTORS]],
         "rotors_left_out": len(unwell[MOST_ROTORS:]),

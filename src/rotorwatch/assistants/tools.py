@@ -26,7 +26,7 @@ from rotorwatch.report import still
 
 ROWS, MOST_ROWS = 40, 400  # of a series: by default, and at most
 M = TypeVar("M", bound=BaseModel)
-SORT = f"{', '.join(listing.ORDERS)}; with - before it the largest, gravest or newest first"
+SORT = f"{', '.join(listing.ORDERS)}; with a leading - the largest, most severe or newest first"
 READS = ToolAnnotations(read_only_hint=True, destructive_hint=False, idempotent_hint=True, open_world_hint=False)
 Path = Annotated[str, Field(min_length=1, max_length=LONGEST)]
 Log = Annotated[
@@ -36,7 +36,7 @@ Log = Annotated[
 Vehicle = Annotated[Path | None, Field(description="vehicle file (.toml), for logs that do not name their frame")]
 Baseline = Annotated[list[Path] | None, Field(max_length=MOST_HEALTHY, description="healthy flights of the same build")]
 Number = Annotated[int | None, Field(ge=0, le=10_000, description="number of the event; default: the main one")]
-Words = Annotated[str, Field(max_length=200, description="words that must all be found; empty: all")]
+Words = Annotated[str, Field(max_length=200, description="words that must all match; empty: all")]
 Digest = Annotated[
     str, Field(pattern="^[0-9a-fA-F]{6,64}$", description="hash of a flight in the store, or its first digits")
 ]
@@ -62,7 +62,7 @@ class Server(MCPServer):
         """Call a tool. Parameters that it does not have are refused."""
         known = {tool.name: list(tool.input_schema.get("properties", {})) for tool in await super().list_tools()}
         if name not in known:
-            return failed(Failed("There is no such tool; tools/list names them."))
+            return failed(Failed("No such tool; tools/list names them."))
         if unknown := set(arguments) - set(known[name]):
             text = f"{len(unknown)} parameter(s) that `{name}` does not have; it has {', '.join(known[name])}."
             return failed(Failed(text))
@@ -80,7 +80,7 @@ def _wrong_parameters(tool: str, why: ValidationError) -> str:
     for error in why.errors(include_url=False, include_input=False, include_context=False)[:3]:
         where = next((str(part) for part in error["loc"]), "")
         said.append(f"{where}: {error['msg'][:1].lower()}{error['msg'][1:]}")
-    return f"`{tool}` cannot be asked that way ({'; '.join(said)})."
+    return f"`{tool}` has invalid parameters ({'; '.join(said)})."
 
 
 def _own_error(why: BaseException) -> str:
@@ -90,7 +90,7 @@ def _own_error(why: BaseException) -> str:
 
         traceback.print_exception(why)
     print(f"rotorwatch: {files.printable(f'{type(why).__name__}: {why}')}", file=sys.stderr, flush=True)
-    return f"An error in rotorwatch itself ({type(why).__name__}); please report it with what the server has printed."
+    return f"Internal error of rotorwatch ({type(why).__name__}); please report it with the server's output."
 
 
 def failed(why: Failed) -> CallToolResult:
@@ -221,7 +221,7 @@ def register(server: MCPServer, desk: Desk) -> None:
         more = {"loss": tuple(loss), "mass_kg": mass_kg, "thrust_to_weight": thrust_to_weight, "arm_m": arm_m}
         return answered(models.Survival, lambda: desk.ask("survive", vehicle=vehicle, **more))
 
-    @tool("How do the aircraft of the fleet stand?")
+    @tool("What is the status of the fleet?")
     def fleet(
         search: Words = "", limit: Annotated[int, Field(ge=1, le=MOST)] = 6
     ) -> Annotated[CallToolResult, models.Fleet]:

@@ -203,7 +203,7 @@ def _picture(question: Question, more: dict) -> tuple[dict[str, Any], bytes]:
         drawn = _ours(still.figure, found, kind, path)
         data = path.read_bytes()
     if len(data) > LARGEST:
-        raise _Ours("The picture is too large to be sent; `rotorwatch diagnose --report` writes it as a page.")
+        raise _Ours("The picture is too large to send; `rotorwatch diagnose --report` writes it as a page.")
     width, height = (round(side) for side in drawn.get_size_inches() * drawn.dpi)
     size = {"width": width, "height": height, "bytes": len(data)}
     return {"log": quoted.quoted(_name(question)), "shows": answers.caption(found, kind)} | size, data

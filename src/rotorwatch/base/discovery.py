@@ -373,7 +373,7 @@ def load(entry: metadata.EntryPoint, parts: tuple[str, ...]) -> Any:
     except Exception as why:  # a module of another package may raise anything
         if absent(entry, why):
             raise Absent(missing(entry)) from why
-        raise ConfigError(f"{whose} cannot be loaded ({brief(why)}): mend that package or uninstall it.") from why
+        raise ConfigError(f"{whose} cannot be loaded ({brief(why)}): fix or uninstall that package.") from why
     _complete(whose, found, parts)
     if "name" in parts and found.name != entry.name:
         raise ConfigError(f"{whose} calls itself {found.name!r}: its entry point must have the same name.")
@@ -450,7 +450,7 @@ def _complete(whose: str, found: Any, parts: tuple[str, ...]) -> None:
     if "name" not in parts:
         return
     if not isinstance(found.name, str) or not found.name:
-        raise ConfigError(f"{whose} must have a text as its name, not {found.name!r}.")
+        raise ConfigError(f"{whose} must have a string as its name, not {found.name!r}.")
 
 
 def package(entry: metadata.EntryPoint) -> str:

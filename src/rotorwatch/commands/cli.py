@@ -146,7 +146,7 @@ def explain(why: Exception) -> str:
     if isinstance(why, MemoryError):
         return "Out of memory; try a shorter log."
     text = " ".join(f"{type(why).__name__}: {why}".split())[:200]
-    return f"An error in rotorwatch itself ({text}); please report it with the output of the same command with --debug."
+    return f"Internal error of rotorwatch ({text}); please report it with the output of the same command with --debug."
 
 
 ELSEWHERE = {"export-c": "export", "fleet": "fleet_flights", "mcp": "mcp", "serve": "serve", "watch": "watch"}
@@ -157,24 +157,24 @@ ELSEWHERE = {"export-c": "export", "fleet": "fleet_flights", "mcp": "mcp", "serv
 @click.version_option(__version__, prog_name="rotorwatch", message="%(prog)s %(version)s")
 @DEBUG
 def cli() -> None:
-    """Which rotor lost effectiveness, how much, since when and how sure that is: from a multirotor's flight log.
+    """Diagnose multirotor flight logs: which rotor lost effectiveness, how much, since when and how certain that is.
 
     New here? Run `rotorwatch demo`, then `rotorwatch diagnose YOUR.LOG --report report.html`.
     """
 
 
-@cli.command(short_help="Judge flights: verdict, rotors, events.")
+@cli.command(short_help="Diagnose flights: verdict, rotors, events.")
 @click.argument("logs", nargs=-1, required=True, type=LOGS, metavar="LOG...")
 @option("--baseline baselines", "A healthy flight of the same build.", multiple=True, type=LOG, metavar="LOG")
 @option("--vehicle", "Vehicle file (TOML), as `rotorwatch calibrate` writes it.", type=LOG, metavar="FILE")
 @option("--estimator", "Estimator to use.", "default", metavar="NAME")
 @option("--tuning", "Tuning of a published estimator (TOML), as `rotorwatch tune` writes it.", type=LOG, metavar="FILE")
 @option(
-    "--matters", "Loss of one rotor, 0 to 1, up to which `healthy` is a claim; where more could go unseen, it is inconclusive.",
+    "--matters", "Loss of one rotor, 0 to 1, that `healthy` must rule out; where more could go undetected, the verdict is inconclusive.",
     0.2, type=click.FloatRange(0, 1, min_open=True), metavar="X",
 )  # fmt: skip
-@option("--report", "Write an HTML page; for several logs a folder or {name}.html.", type=OUT, metavar="OUT.html")
-@option("--html", "Write a page for each log, and one that lists them.", type=OUT, metavar="DIR")
+@option("--report", "Write an HTML report; for several logs a folder or {name}.html.", type=OUT, metavar="OUT.html")
+@option("--html", "Write a report for each log and a page that lists them.", type=OUT, metavar="DIR")
 @option(
     "--mcap",
     "Write an MCAP file for Foxglove or PlotJuggler; for several logs as --report.",
@@ -189,17 +189,17 @@ def cli() -> None:
     type=OUT,
     metavar="[FILE.md]",
 )
-@flag("--identify", "With --markdown: also the serial number, the time of day, and texts as they are in the log.")
-@flag("--verbose", "Print all that the answer rests on: events, other checks, assumptions, blind times.")
+@flag("--identify", "With --markdown: include the serial number, the time of day, and unedited texts of the log.")
+@flag("--verbose", "Print all details: events, other checks, assumptions, blind times.")
 @flag("--json as_json", "Print JSON (docs/json.md): an object, or a list for several logs.")
-@flag("--jsonl", "Print JSON lines: one for each log, as soon as it is judged.")
-@option("-o --out", "With --jsonl: the file that lines are added to.", type=OUT, metavar="FILE")
-@flag("--resume", "Go on with FILE: logs that have a line and did not change are left out.")
+@flag("--jsonl", "Print JSON lines: one per log, as soon as it is diagnosed.")
+@option("-o --out", "With --jsonl: file to append to.", type=OUT, metavar="FILE")
+@flag("--resume", "Resume FILE: skip unchanged logs that already have a line.")
 @spread
 @common
 @click.pass_context
 def diagnose(context, **options) -> None:
-    """Judge each LOG: PX4 .ulg, ArduPilot .bin/.log, Betaflight and INAV .bbl, MAVLink .tlog, ROS 2 bag, CSV, also .xz and .gz; - is
+    """Diagnose each LOG: PX4 .ulg, ArduPilot .bin/.log, Betaflight and INAV .bbl, MAVLink .tlog, ROS 2 bag, CSV, also .xz and .gz; - is
     standard input. A folder stands for all logs in it, a file for all flights in it; also quoted patterns, and addresses such as
     s3://BUCKET/FOLDER/ (docs/cluster.md).
 
@@ -211,9 +211,9 @@ def diagnose(context, **options) -> None:
     request = several.Request(**options)
     findable(request.estimator)
     if request.as_json and request.jsonl:
-        raise ConfigError("--json and --jsonl are two ways to say the same; give one.")
+        raise ConfigError("--json and --jsonl exclude each other; give one.")
     if (request.out or request.resume) and not (request.jsonl and request.out):
-        raise ConfigError("--out and --resume belong to --jsonl: write --jsonl -o FILE, and --resume to go on with it.")
+        raise ConfigError("--out and --resume belong to --jsonl: write --jsonl -o FILE, and --resume to continue it.")
     _check_markdown(request)
     several_ways = request.jsonl or request.html or request.scheduler
     many = len(request.logs) > 1 or bool(several_ways) or gathering.is_several(request.logs[0])
@@ -283,7 +283,7 @@ def _diagnose(request: several.Request) -> int:
 def _check_markdown(request: several.Request) -> None:
     """Raises ConfigError for --markdown and --identify beside what they do not go with."""
     if request.identify and not request.markdown:
-        raise ConfigError("--identify says what --markdown may tell; give both.")
+        raise ConfigError("--identify needs --markdown.")
     if request.to_stdout and (request.as_json or (request.jsonl and not request.out)):
         raise ConfigError("--markdown and JSON cannot both go to standard output: write --markdown FILE.md.")
 
@@ -335,7 +335,7 @@ def report_paths(logs: Sequence[Any], out: Path | None, option: str = "--report"
 @option("-o --out", "Vehicle file to write.", required=True, type=OUT, metavar="vehicle.toml")
 @common
 def calibrate(logs, out, quiet) -> None:
-    """Learn from healthy flights of one build what healthy means for it, and write a vehicle file.
+    """Learn the healthy behaviour of a build from its healthy flights and write a vehicle file.
 
     Give the file to `rotorwatch diagnose --vehicle` later.
     """
@@ -354,12 +354,12 @@ def calibrate(logs, out, quiet) -> None:
     click.echo(f"{learned.name}: learned from {count} {'flight' if count == 1 else 'flights'}, written to {out}")
 
 
-@cli.command(short_help="Show what a log holds and lacks.")
+@cli.command(short_help="Show which signals a log has and lacks.")
 @click.argument("log", type=LOG)
 @JSON
 @common
 def info(log, as_json, quiet) -> None:
-    """Show what LOG holds, what is missing for a diagnosis, and which logging setting would give it."""
+    """Show the signals in LOG, those missing for a diagnosis, and the logging settings that would record them."""
     from rotorwatch.report.info import info as run
 
     with progress(quiet) as report:
@@ -374,7 +374,7 @@ def info(log, as_json, quiet) -> None:
 @option("--report", "Also write the faulty flight's HTML page.", type=OUT, metavar="OUT.html")
 @common
 def demo(report, quiet) -> None:
-    """Diagnose the sample flights that come with rotorwatch, and say what to look at."""
+    """Diagnose the sample flights that come with rotorwatch, and explain the output."""
     from rotorwatch.diagnose import diagnose as run
 
     samples = sorted(SAMPLES.glob("*.bin.xz"), key=lambda p: ("healthy" not in p.name, p.name))
@@ -392,14 +392,14 @@ def demo(report, quiet) -> None:
         if page and sample is samples[-1]:
             result.to_html(page[0])
     click.echo(
-        "What to look at: the line in capitals is the verdict. The rotor table says how much\n"
-        "thrust each rotor has lost, and the range that holds with 95 % probability; the line\n"
-        "below it says since when. `rotorwatch diagnose --verbose` also shows all events."
+        "How to read this: the word in capitals is the verdict. The rotor table shows how much\n"
+        "thrust each rotor has lost, with its 95 % interval; the line below it says since when.\n"
+        "`rotorwatch diagnose --verbose` also shows all events."
     )
     if page:
-        click.echo(f"The faulty flight as a page: {page[0]} (open it in a browser; it needs no network).")
+        click.echo(f"Report of the faulty flight: {page[0]} (open it in a browser; it needs no network).")
     else:
-        click.echo("For the same as an interactive page: rotorwatch demo --report rotorwatch-demo.html")
+        click.echo("For an interactive page: rotorwatch demo --report rotorwatch-demo.html")
 
 
 def _read(path: Any, report: Callable | None) -> Any:

@@ -18,11 +18,20 @@ from rotorwatch.errors import ConfigError
 @option("--vehicle", "Vehicle file (TOML) or an airframe's name; default: the method's paper's.", metavar="FILE|NAME")
 @option("-o --out", "Folder to write into.", required=True, type=OUT, metavar="DIR")
 @option("--dt", "Length of a step.", type=click.FloatRange(0, min_open=True), metavar="S")
-@flag("--variable-dt", "Let the step take its length as an argument.")
-@option("--rate-hz", "Of the diagnoser: rate of outputs [50].", type=click.FloatRange(0, min_open=True), metavar="HZ")
-@option("--control-hz", "... of the rate controller's output, if fed.", type=click.FloatRange(0), metavar="HZ")
-@option("--sensor-hz", "... of gyro and accelerometer [100].", type=click.FloatRange(0, min_open=True), metavar="HZ")
-@option("--prefix", "... what its names begin with [rw].", metavar="NAME")
+@flag("--variable-dt", "Pass the step length as an argument.")
+@option(
+    "--rate-hz", "Diagnoser: rate of the motor outputs [50].", type=click.FloatRange(0, min_open=True), metavar="HZ"
+)
+@option(
+    "--control-hz", "Diagnoser: rate of the rate controller's output, if fed.", type=click.FloatRange(0), metavar="HZ"
+)
+@option(
+    "--sensor-hz",
+    "Diagnoser: rate of gyro and accelerometer [100].",
+    type=click.FloatRange(0, min_open=True),
+    metavar="HZ",
+)
+@option("--prefix", "Diagnoser: prefix of its names [rw].", metavar="NAME")
 @common
 def export_c(
     estimator, allocator, diagnoser, vehicle, out, dt, variable_dt, rate_hz, control_hz, sensor_hz, prefix, quiet
@@ -34,7 +43,7 @@ def export_c(
     from rotorwatch.flight import vehicle_file
 
     if (estimator is not None) + (allocator is not None) + diagnoser != 1:
-        raise ConfigError("Say what to export: give one of --estimator NAME, --allocator WAY and --diagnoser.")
+        raise ConfigError("Give one of --estimator NAME, --allocator WAY and --diagnoser.")
     own: dict[str, Any] = {"rate_hz": rate_hz, "control_hz": control_hz, "gyro_hz": sensor_hz, "accel_hz": sensor_hz}
     own = {key: value for key, value in (own | {"prefix": prefix}).items() if value is not None}
     if own and not diagnoser:

@@ -54,27 +54,27 @@ def _store(make: bool) -> Callable:
 STORE = _store(make=False)
 
 
-@click.group(commands=Commands({}, "fleet"), short_help="Remember flights; follow every rotor of a fleet over time.")
+@click.group(commands=Commands({}, "fleet"), short_help="Store flights and track every rotor of a fleet over time.")
 def fleet() -> None:
-    """Remember flights in a store, and say of every aircraft which rotor loses thrust, since when, and when it should be exchanged.
+    """Store flights, and report for every aircraft which rotor is losing thrust, since when, and when to replace it.
 
-    Begin with `rotorwatch fleet add FOLDER`, then `rotorwatch fleet list` (docs/fleet.md).
+    Start with `rotorwatch fleet add FOLDER`, then `rotorwatch fleet list` (docs/fleet.md).
     """
 
 
-@fleet.command(short_help="Judge logs and put them into the store.")
+@fleet.command(short_help="Diagnose logs and add them to the store.")
 @click.argument("logs", nargs=-1, required=True, metavar="LOG|DIR...")
-@option("--aircraft", "Whose flights they are, for logs that do not say.", "", metavar="NAME")
+@option("--aircraft", "Aircraft, for logs that do not name it.", "", metavar="NAME")
 @option("--vehicle", "Vehicle file (TOML), for logs that do not name their frame.", type=LOG, metavar="FILE")
-@flag("--follow", "Then watch the folders and add logs as they come, until interrupted.")
+@flag("--follow", "Then watch the folders and add new logs until interrupted.")
 @spread
 @_store(make=True)
 @common
 def add(store, logs, aircraft, vehicle, follow, jobs, scheduler, quiet) -> None:
-    """Judge every LOG, and all logs in every DIR, that the store does not know yet (by content), and work out where each aircraft stands.
+    """Diagnose every LOG, and all logs in every DIR, that the store does not have yet (by content), and assess each aircraft.
 
-    Broken off, even by a lost database, it goes on where it was when called again. Exit code: 0, or 2 when a log could not be judged; one
-    in a DIR that could not be judged before is named, and tried again when it or rotorwatch has changed, or when it is given by itself.
+    After an interruption, even a lost database, the same command resumes. Exit code: 0, or 2 when a log could not be diagnosed; one in
+    a DIR that failed before is named, and retried when it or rotorwatch has changed, or when it is given by itself.
     """
     from rotorwatch.fleet import add as run
     from rotorwatch.fleet import assess
@@ -91,18 +91,18 @@ def add(store, logs, aircraft, vehicle, follow, jobs, scheduler, quiet) -> None:
     if not quiet:
         parts = [f"{count['added']} added"]
         parts += [f"{count['known']} known already"] if count["known"] else []
-        parts += [f"{others} files that are no logs"] if others else []
-        parts += [f"{count['failed']} could not be judged"] if count["failed"] else []
+        parts += [f"{others} files that are not logs"] if others else []
+        parts += [f"{count['failed']} could not be diagnosed"] if count["failed"] else []
         say(f"{', '.join(parts)}; {store.count()} flights in {store.label}")
         _say_refused([label(Path(t.path).name) for t in outcomes if t.state == "refused"])
         lost = sum(t.state == "added" and not t.aircraft for t in outcomes)
         if lost:
             say(
-                f"{lost} of them name no aircraft, and belong to no history: add such logs with --aircraft NAME to an empty store."
+                f"{lost} of them name no aircraft and belong to no history: add such logs with --aircraft NAME to an empty store."
             )
     if follow:
         if not quiet:
-            say(f"watching {', '.join(map(str, folders))}; Ctrl-C ends it")
+            say(f"watching {', '.join(map(str, folders))}; Ctrl-C stops it")
         run.follow(store, folders, aircraft, known, _print_outcome, say)
     click.get_current_context().exit(FAILED if count["failed"] else ADDED)
 
@@ -113,7 +113,7 @@ def _say_refused(names: list[str]) -> None:
             f" and {len(names) - REFUSED_SHOWN} more" if names[REFUSED_SHOWN:] else ""
         )
         say(
-            f"{len(names)} could not be judged before, and not tried again as unchanged: {shown}; give one by itself to see why."
+            f"{len(names)} could not be diagnosed before and, unchanged, were not retried: {shown}; give one by itself to see why."
         )
 
 
@@ -125,13 +125,13 @@ def _print_outcome(outcome) -> None:
         click.echo(f"{outcome.verdict:<13}{outcome.aircraft or '(no aircraft)'}  {name}  {outcome.text}")
 
 
-@fleet.command("show", short_help="One aircraft: every rotor, what changed and when.")
+@fleet.command("show", short_help="Show one aircraft: every rotor, what changed and when.")
 @click.argument("aircraft")
 @STORE
 @JSON
 @common
 def show_(store, aircraft, as_json, quiet) -> None:
-    """Show what the flights of AIRCRAFT (its name, key or serial number) say of each of its rotors."""
+    """Show the state of each rotor of AIRCRAFT (its name, key or serial number) over its flights."""
     key = store.find(aircraft)["key"]
     (found,) = [a for a in store.aircraft() if a["key"] == key]
     if as_json:
@@ -143,7 +143,7 @@ def show_(store, aircraft, as_json, quiet) -> None:
     )
     click.echo(f"known by: {'; '.join(found['identities'])}")
     if assessment is None:
-        click.echo("Not worked out yet: `rotorwatch fleet assess`.")
+        click.echo("Not assessed yet: run `rotorwatch fleet assess`.")
         return
     if last := assessment.get("last"):
         click.echo(f"last flight: {last['verdict']}, {label(last['name'])}, {day(last['utc'])}")
@@ -199,20 +199,20 @@ def day(utc: str | None) -> str:
     return utc[:16].replace("T", " ") if utc else "-"
 
 
-@fleet.command(short_help="Note maintenance, which cuts a rotor's history.")
+@fleet.command(short_help="Record maintenance, which restarts a rotor's history.")
 @click.argument("aircraft")
 @click.argument("what")
-@option("--rotor", "Which rotor; default: all of them.", type=click.IntRange(1), metavar="N")
+@option("--rotor", "Rotor number; default: all.", type=click.IntRange(1), metavar="N")
 @option(
     "--at",
-    "When, in UTC: 2026-05-01 or 2026-05-01T14:30; default: after its last flight.",
+    "Time in UTC: 2026-05-01 or 2026-05-01T14:30; default: after its last flight.",
     metavar="TIME",
 )
-@option("--after", "After this flight (the start of its hash), for logs without a time.", metavar="FLIGHT")
+@option("--after", "After this flight (first digits of its hash), for logs without a time.", metavar="FLIGHT")
 @STORE
 @common
 def service(store, aircraft, what, rotor, at, after, quiet) -> None:
-    """Note that WHAT ("new propeller") was done to AIRCRAFT: the rotor's history begins anew there."""
+    """Record that WHAT ("new propeller") was done to AIRCRAFT: the rotor's history restarts there."""
     from rotorwatch.fleet import assess, listing
 
     if at and after:
@@ -237,24 +237,24 @@ def unknown(hash: str) -> NoReturn:
     )
 
 
-@fleet.command(short_help="Give an aircraft another name.")
+@fleet.command(short_help="Rename an aircraft.")
 @click.argument("aircraft")
 @click.argument("name")
 @STORE
 @common
 def rename(store, aircraft, name, quiet) -> None:
-    """Call AIRCRAFT by NAME from now on; its serial number still finds it."""
+    """Rename AIRCRAFT to NAME; its serial number still finds it."""
     store.rename(aircraft, name)
     click.echo(f"{aircraft} is called {name} now")
 
 
-@fleet.command(short_help="Two that are one: an autopilot was exchanged, say.")
+@fleet.command(short_help="Merge two entries of one aircraft, for example after an autopilot swap.")
 @click.argument("aircraft")
 @click.argument("other")
 @STORE
 @common
 def merge(store, aircraft, other, quiet) -> None:
-    """Put the flights and services of OTHER to those of AIRCRAFT, now and for all logs to come."""
+    """Merge the flights and services of OTHER into AIRCRAFT, now and for all future logs."""
     from rotorwatch.fleet import assess
 
     store.merge(aircraft, other)
@@ -262,27 +262,27 @@ def merge(store, aircraft, other, quiet) -> None:
     click.echo(f"{other} is part of {aircraft} now")
 
 
-@fleet.command(short_help="Work out anew where each aircraft stands.")
+@fleet.command(short_help="Assess every aircraft again.")
 @STORE
 @common
 def assess(store, quiet) -> None:
-    """Work out anew where every aircraft of the store stands; `add`, `service` and `merge` do so themselves."""
+    """Assess every aircraft of the store again; `add`, `service` and `merge` do so automatically."""
     from rotorwatch.fleet import assess as run
 
     with progress(quiet) as report:
         run.refresh(store, report)
-        click.echo(f"{len(store.aircraft())} aircraft worked out")
+        click.echo(f"{len(store.aircraft())} aircraft assessed")
 
 
-@fleet.command(short_help="Judge flights again with this version, and say what changed.")
-@flag("--all every", "Also those that this version has judged.")
+@fleet.command(short_help="Diagnose flights again with this version and show what changed.")
+@flag("--all every", "Include flights that this version has diagnosed.")
 @option("--aircraft", "Only of this aircraft.", metavar="NAME")
 @spread
 @STORE
 @JSON
 @common
 def rejudge(store, every, aircraft, jobs, scheduler, as_json, quiet) -> None:
-    """Judge the store's flights again from their logs, where those still lie, and say what changed."""
+    """Diagnose the store's flights again from their logs, where these still exist, and show what changed."""
     from dataclasses import asdict
 
     from rotorwatch.fleet import add as run
@@ -298,11 +298,11 @@ def rejudge(store, every, aircraft, jobs, scheduler, as_json, quiet) -> None:
         text = f"kept as it was: {c.lost}" if c.lost else f"{c.before[0]} -> {c.after[0]}: {c.after[1]}"
         click.echo(f"{c.aircraft or '(no aircraft)'}  {label(c.name)}  {text}")
     changed = sum(not c.lost for c in changes)
-    click.echo(f"{count} judged again, {changed} changed")
+    click.echo(f"{count} diagnosed again, {changed} changed")
 
 
-@fleet.command(short_help="Pages: the fleet, and each aircraft.")
-@option("-o --out", "Folder; it is made.", required=True, type=OUT, metavar="DIR")
+@fleet.command(short_help="Write pages of the fleet and of each aircraft.")
+@option("-o --out", "Folder; created if missing.", required=True, type=OUT, metavar="DIR")
 @STORE
 @common
 def report(store, out, quiet) -> None:
@@ -313,8 +313,8 @@ def report(store, out, quiet) -> None:
     click.echo(f"{len(made)} pages written; begin with {made[0]}")
 
 
-@fleet.command(short_help="The store as Parquet files.")
-@option("-o --out", "Folder; it is made.", required=True, type=OUT, metavar="DIR")
+@fleet.command(short_help="Export the store as Parquet files.")
+@option("-o --out", "Folder; created if missing.", required=True, type=OUT, metavar="DIR")
 @STORE
 @common
 def export(store, out, quiet) -> None:

@@ -12,36 +12,36 @@ from rotorwatch.commands.tools import common, flag, label, option, print_json, s
 from rotorwatch.errors import ConfigError, StoreError
 
 
-@fleet.command("list", short_help="All aircraft, those that need attention first; or flights.")
-@flag("--flights", "Flights instead of aircraft; so with any option of flights.")
-@option("--search", "Of flights: words that name, verdict, headline or aircraft hold.", "", metavar="WORDS")
+@fleet.command("list", short_help="List aircraft, those that need attention first, or flights.")
+@flag("--flights", "List flights; implied by any option for flights.")
+@option("--search", "Flights: words in name, verdict, headline or aircraft.", "", metavar="WORDS")
 @option(
     "--verdict",
-    "Of flights: healthy, fault, crashed, ambiguous, inconclusive; several with commas.",
+    "Flights: healthy, fault, crashed, ambiguous, inconclusive; several with commas.",
     "",
     metavar="VERDICT,...",
 )
-@option("--aircraft", "Of flights: only of this aircraft.", metavar="NAME")
-@option("--since", "Of flights: begun on this day or later, in UTC.", "", metavar="TIME")
-@option("--until", "Of flights: begun on this day or before.", "", metavar="TIME")
-@option("--min-loss", "Of flights: the worst loss is at least this share, 0..1.", 0.0, metavar="X")
-@option("--min-duration", "Of flights: at least so long.", 0.0, metavar="S")
+@option("--aircraft", "Flights: only of this aircraft.", metavar="NAME")
+@option("--since", "Flights: on this day or later, in UTC.", "", metavar="TIME")
+@option("--until", "Flights: on this day or earlier, in UTC.", "", metavar="TIME")
+@option("--min-loss", "Flights: worst loss at least this share, 0..1.", 0.0, metavar="X")
+@option("--min-duration", "Flights: minimum duration.", 0.0, metavar="S")
 @option(
     "--sort",
-    "Of flights: by date, verdict, loss, duration, aircraft or name; with - turned around.",
+    "Flights: by date, verdict, loss, duration, aircraft or name; a leading - reverses the order.",
     "-date",
     metavar="ORDER",
 )
-@option("--limit", "Of flights: how many.", 50, type=click.IntRange(1))
-@option("--offset", "Of flights: how many of the first to leave out.", 0, type=click.IntRange(0))
+@option("--limit", "Flights: maximum number.", 50, type=click.IntRange(1))
+@option("--offset", "Flights: number to skip.", 0, type=click.IntRange(0))
 @STORE
 @JSON
 @common
 def list_(store, flights, sort, limit, offset, as_json, quiet, **filters) -> None:
-    """List the aircraft of the store, those first that need attention; or its flights.
+    """List the aircraft of the store, those that need attention first, or its flights.
 
-    state: fault (a rotor has lost thrust, or the last flight that was judged crashed or had a fault), suspect (something points to a
-    fault, or an earlier flight had one and no service is noted since), not judged, healthy. new: flights since this list was last shown.
+    state: fault (a rotor has lost thrust, or the last diagnosed flight crashed or had a fault), suspect (signs of a fault, or an earlier
+    fault without a recorded service since), not judged, healthy. new: flights since this list was last shown.
     """
     from rotorwatch.fleet import condition
 
@@ -67,28 +67,28 @@ def list_(store, flights, sort, limit, offset, as_json, quiet, **filters) -> Non
         return
     rows = []
     for a in found:
-        headline = a["standing"]["headline"] if a["standing"] else "not worked out yet"
+        headline = a["standing"]["headline"] if a["standing"] else "not assessed yet"
         last = (a["standing"] or {}).get("last") or {}
         new = ", ".join(f"{count} {verdict}" for verdict, count in a["new"].items()) or "-"
         rows.append((a["name"], a["state"], str(a["flights"]), day(a["last"]), last.get("verdict", "-"), new, headline))
-    head = ("aircraft", "state", "flights", "last flight", "verdict", "new", "how it stands")
+    head = ("aircraft", "state", "flights", "last flight", "verdict", "new", "status")
     table(f"{len(found)} aircraft", head, rows, right=(2,))
     with suppress(StoreError):  # a store that may only be read
         store.look()
     if nobody and not quiet:
         say(f"{nobody} flights name no aircraft: add such logs with --aircraft NAME.")
     if any(a["stale"] for a in found) and not quiet:
-        say("The store has changed since this was worked out; `rotorwatch fleet assess` does it again.")
+        say("The store has changed since this assessment; run `rotorwatch fleet assess` again.")
 
 
-@fleet.command(short_help="Two flights next to each other, with their differences.")
+@fleet.command(short_help="Compare two flights side by side.")
 @click.argument("a", metavar="FLIGHT")
 @click.argument("b", metavar="FLIGHT")
 @STORE
 @JSON
 @common
 def compare(store, a, b, as_json, quiet) -> None:
-    """Show what the answers of two flights say, next to each other. FLIGHT: the start of its hash (`rotorwatch fleet list --flights`).
+    """Show the diagnoses of two flights side by side. FLIGHT: the first digits of its hash (`rotorwatch fleet list --flights`).
 
     ! marks what differs: losses whose 95 % intervals do not overlap, and all but times and durations.
     """
@@ -115,13 +115,14 @@ def _marked(what: str, differs: bool) -> str:
 
 @fleet.command(short_help="Delete flights, with their reports.")
 @click.argument("flights", nargs=-1, required=True, metavar="FLIGHT...")
-@flag("--yes", "Do not ask first.")
+@flag("--yes", "Do not ask for confirmation.")
 @STORE
 @common
 def delete(store, flights, yes, quiet) -> None:
-    """Delete flights from the store for good, with their reports. FLIGHT: the start of its hash (`rotorwatch fleet list --flights`).
+    """Delete flights and their reports permanently. FLIGHT: the first digits of its hash (`rotorwatch fleet list --flights`).
 
-    Logs are not touched. An aircraft goes with its last flight, unless maintenance is noted for it or another aircraft was merged into it.
+    Logs are not touched. An aircraft is removed with its last flight, unless it has recorded maintenance or another aircraft was merged
+    into it.
     """
     from rotorwatch.fleet import assess
 
@@ -129,13 +130,13 @@ def delete(store, flights, yes, quiet) -> None:
     found = {row["hash"]: row for row in (store.flight(one) or unknown(one) for one in flights)}
     if not yes:
         if not sys.stdin.isatty():
-            raise ConfigError("Deleting cannot be undone: give --yes where nobody can be asked.")
+            raise ConfigError("Deleting cannot be undone: give --yes to delete without confirmation.")
         for row in found.values():
             say(
                 f"{row['hash'][:8]}  {row['aircraft_name'] or '(no aircraft)'}  {label(row['name'])}: {row['headline']}"
             )
         what = "this flight" if len(found) == 1 else f"these {len(found)} flights"
-        click.confirm(f"Delete {what} for good?", abort=True, err=True)
+        click.confirm(f"Delete {what} permanently?", abort=True, err=True)
     try:
         for hash in found:
             row = store.delete(hash)

@@ -7,23 +7,23 @@ import click
 from rotorwatch.commands.tools import OUT, common, flag, option, say
 
 
-@click.command(short_help="Let assistants ask about logs (Model Context Protocol).")
+@click.command(short_help="Serve logs to assistants (Model Context Protocol).")
 @click.argument("folders", nargs=-1, type=OUT, metavar="[FOLDER...]")
-@option("--store", "The fleet's store (docs/fleet.md), to be read.", envvar="ROTORWATCH_STORE", metavar="URL|FILE")
-@flag("--http", "On a port of this computer, in place of standard input and output.")
+@option("--store", "Fleet store to read (docs/fleet.md).", envvar="ROTORWATCH_STORE", metavar="URL|FILE")
+@flag("--http", "Serve on a local port instead of standard input and output.")
 @option("--host", "With --http: address to listen on, a loopback address.", "127.0.0.1", metavar="HOST")
 @option("--port", "With --http: port; 0: any.", 8765, type=click.IntRange(0, 65535))
 @option(
     "--token",
-    "With --http: what a client must know; better in the environment.",
+    "With --http: token that clients must send; better set in the environment.",
     "",
     envvar="ROTORWATCH_TOKEN",
     metavar="T",
 )
-@option("--max-size", "Largest log that is read.", 512.0, metavar="MB")
-@option("--max-seconds", "Longest time for one question.", 120.0, metavar="S")
-@option("--max-memory", "Most memory for one question.", 4000, metavar="MB")
-@option("--jobs", "Questions answered at once.", 1, type=click.IntRange(1, 64))
+@option("--max-size", "Maximum size of a log.", 512.0, metavar="MB")
+@option("--max-seconds", "Maximum time per request.", 120.0, metavar="S")
+@option("--max-memory", "Maximum memory per request.", 4000, metavar="MB")
+@option("--jobs", "Requests served at once.", 1, type=click.IntRange(1, 64))
 @common
 def mcp(folders, http, quiet, **settings) -> None:
     """Serve the Model Context Protocol: an assistant may ask about the logs in each FOLDER, and about the fleet's store (docs/mcp.md).

@@ -77,7 +77,7 @@ def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
     from rotorwatch.report import markdown, overview
 
     if request.others and not request.quiet:
-        say(f"{request.others} other {'file is' if request.others == 1 else 'files are'} no flight logs and left out.")
+        say(f"{request.others} other {'file is' if request.others == 1 else 'files are'} not flight logs; skipped.")
     rows, codes, listed = overview.Rows(), set(), {}
     together = markdown.Several(request.identify) if request.document else None
     pictures = bool(request.markdown) and not request.to_stdout and _drawable(request.quiet)
@@ -263,7 +263,7 @@ def _there(request: Request, how: str) -> dict[str, _Line]:
     if not out.exists() or not out.stat().st_size:
         return {}
     if not request.resume:
-        raise ConfigError(f"{out} is there already: go on with it by --resume, delete it, or give another name.")
+        raise ConfigError(f"{out} exists already: continue it with --resume, delete it, or give another name.")
     there, whole = {}, 0
     with out.open("rb") as file:
         for number, text in enumerate(file, start=1):
@@ -274,7 +274,9 @@ def _there(request: Request, how: str) -> dict[str, _Line]:
                 path, code, size, sha256 = (line[key] for key in KEYS)
                 made = line["settings"]
             except (ValueError, TypeError, KeyError):
-                raise ConfigError(f"{out}: line {number} is no answer of rotorwatch; give another file.") from None
+                raise ConfigError(
+                    f"{out}: line {number} is not a diagnosis of rotorwatch; give another file."
+                ) from None
             if made != how:
                 raise ConfigError(
                     f"{out} was made by another version, or with another estimator, vehicle or baseline; give another file."

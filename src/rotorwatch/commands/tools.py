@@ -23,7 +23,7 @@ from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, Worker
 
 PICTURES = (".svg", ".png", ".pdf")
 ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
-BUILDING = "building native code for this computer; it is done once, and takes some seconds."
+BUILDING = "building native code for this computer, once; this takes some seconds."
 LINE_S, FEW = 2.0, 10  # s between two lines of progress; no lines for fewer items
 
 
@@ -69,9 +69,7 @@ class Logs(Log):
 
 def _standard_input() -> Path:
     if sys.stdin is None or sys.stdin.isatty():
-        raise ConfigError(
-            "- stands for standard input, where no log comes in: write `rotorwatch diagnose - < flight.bin`."
-        )
+        raise ConfigError("- means standard input, which has no log: write `rotorwatch diagnose - < flight.bin`.")
     spool = incoming.spooled()
     if spool is not None and any(spool.glob("*/standard input")):
         raise ConfigError("Standard input (-) can be read only once.")
@@ -90,9 +88,7 @@ def _opened(path: Path) -> Any:
     pipe = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     if not select.select([pipe], [], [], WRITER_S)[0]:
         os.close(pipe)
-        raise ConfigError(
-            f"{path} is a pipe into which nobody writes; give a flight log, or start the program that writes it first."
-        )
+        raise ConfigError(f"{path} is a pipe without a writer; give a flight log, or start the writing program first.")
     os.set_blocking(pipe, True)
     return os.fdopen(pipe, "rb")
 
@@ -121,9 +117,9 @@ def flag(names: str, help: str, **more: Any) -> Callable:
 
 
 JSON = flag("--json as_json", "Print JSON.")
-WATCHED = option("--vehicle", "Vehicle file (TOML) of all vehicles that are watched.", type=LOG, metavar="FILE")
-RECORD = option("--record", "Record every link in this folder, as telemetry logs (.tlog).", type=OUT, metavar="DIR")
-SPEED = option("--speed", "Of a replayed log: times real time, or max.", "1", metavar="N|max")
+WATCHED = option("--vehicle", "Vehicle file (TOML) for all watched vehicles.", type=LOG, metavar="FILE")
+RECORD = option("--record", "Record every link in this folder as telemetry logs (.tlog).", type=OUT, metavar="DIR")
+SPEED = option("--speed", "Replay speed: multiple of real time, or max.", "1", metavar="N|max")
 FIGURE = option("--figure", "Draw it.", type=OUT, metavar="OUT.svg")
 
 
@@ -165,14 +161,14 @@ def spread(command: Callable) -> Callable:
     """Options of commands that do many things: how many processes, or which cluster."""
     jobs = option("--jobs", "Processes; default: one per processor.", type=click.IntRange(1, 256))
     scheduler = option(
-        "--scheduler", "Let the workers of this Dask scheduler do it (docs/cluster.md).", metavar="tcp://HOST:PORT"
+        "--scheduler", "Use the workers of this Dask scheduler (docs/cluster.md).", metavar="tcp://HOST:PORT"
     )
     return jobs(scheduler(command))
 
 
 def resumable(command: Callable) -> Callable:
     """The option --keep of long work that can be interrupted and resumed."""
-    text = "Keep in DIR what is finished; the same call goes on from it."
+    text = "Keep finished results in DIR; the same call resumes from it."
     return click.option("--keep", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help=text)(command)
 
 
@@ -189,7 +185,7 @@ def shares(option: str, text: str) -> tuple[float, ...]:
     found = numbers(option, text)
     if not all(0 < x < 1 for x in found):
         raise ConfigError(
-            f"{option} {text}: a loss is above 0 and below 1; no vehicle flies on as before with a dead rotor."
+            f"{option} {text}: a loss must be above 0 and below 1; no vehicle flies on unchanged with a dead rotor."
         )
     return found
 

@@ -28,14 +28,14 @@ from rotorwatch.errors import ConfigError
 FAULT, ERROR, NOTHING = 1, 2, 3
 
 
-@click.command(short_help="Judge vehicles while they fly.")
+@click.command(short_help="Diagnose vehicles in flight.")
 @click.argument("endpoints", nargs=-1, required=True, metavar="ENDPOINT...")
 @SPEED
 @WATCHED
 @RECORD
-@flag("--listen-only", "Send nothing: neither ask for parameters nor for rates.")
-@click.option("--seconds", type=float, default=math.inf, metavar="S", help="Stop after so long.")
-@option("--patience", "Wait so long for a first vehicle on a link.", 30.0, type=float, metavar="S")
+@flag("--listen-only", "Send nothing: request neither parameters nor rates.")
+@click.option("--seconds", type=float, default=math.inf, metavar="S", help="Stop after this time.")
+@option("--patience", "Time to wait for the first vehicle on a link.", 30.0, type=float, metavar="S")
 @option(
     "--webhook",
     "POST every alert as JSON to this address.",
@@ -44,16 +44,16 @@ FAULT, ERROR, NOTHING = 1, 2, 3
     show_envvar=True,
 )
 @option("--metrics", "Metrics for Prometheus, at http://HOST:PORT/metrics.", metavar="[HOST:]PORT")
-@flag("--tell-ground", "Tell the vehicles' ground stations, as STATUSTEXT and NAMED_VALUE_FLOAT.")
-@flag("--jsonl", "Alerts as JSON lines on standard output (docs/watch.md), no picture.")
+@flag("--tell-ground", "Send results to the vehicles' ground stations as STATUSTEXT and NAMED_VALUE_FLOAT.")
+@flag("--jsonl", "Print alerts as JSON lines (docs/watch.md) instead of the display.")
 @common
 def watch(
     endpoints, speed, vehicle, record, listen_only, seconds, patience, webhook, metrics, tell_ground, jsonl, quiet
 ) -> None:
-    """Judge vehicles while they fly. ENDPOINT: udp:PORT, udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, serial:DEVICE:BAUD, or a
+    """Diagnose vehicles in flight. ENDPOINT: udp:PORT, udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, serial:DEVICE:BAUD, or a
     recorded log, which is replayed in real time.
 
-    Exit code, once all endpoints have ended: 0 no event, 1 a fault was found, 3 nothing could be judged, 2 error.
+    Exit code, once all endpoints have ended: 0 no event, 1 a fault was found, 3 nothing could be assessed, 2 error.
     """
     from rotorwatch.live.endpoint import is_endpoint, open_endpoint
 

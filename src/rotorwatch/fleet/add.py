@@ -228,7 +228,7 @@ def rejudge(
     if jobs is None and scheduler is None:
         jobs = many.useful_jobs(len(rows))
     changes, count = [], 0
-    told = (lambda n: progress(n / len(rows), "judging again")) if progress else None
+    told = (lambda n: progress(n / len(rows), "diagnosing again")) if progress else None
     for done in many.in_order(_again, [(r["path"], r["hash"]) for r in rows], jobs, scheduler, told):
         row = rows[done.index]
         _expected(done.error)
@@ -250,5 +250,5 @@ def _again(known: tuple[str, str]) -> Entry:
     path, hash = known
     with fetched(path) as here, _readable(path):
         if fingerprint(here)[1] != hash:
-            raise LogError(f"{path} has another content now.")
+            raise LogError(f"{path} has changed.")
         return judge.entry(here)

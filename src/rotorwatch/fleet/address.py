@@ -38,7 +38,7 @@ def resolve(url: str | os.PathLike | None) -> tuple[str, str]:
         try:
             urlsplit(f"postgresql://{rest}").port  # noqa: B018 - raises for what is no port
         except ValueError:
-            raise ConfigError(f"{label} is no address of a database; give postgresql://USER@HOST/DATABASE.") from None
+            raise ConfigError(f"{label} is not a database address; give postgresql://USER@HOST/DATABASE.") from None
         if rest.count("@") > 1:  # drivers end the password at the first one, and show the rest of it as the host
             raise ConfigError(f"{label}: write @ in a user's name or a password as %40.")
         return f"postgresql+psycopg://{rest}", label
@@ -46,13 +46,13 @@ def resolve(url: str | os.PathLike | None) -> tuple[str, str]:
         text = text.removeprefix("sqlite:///")
     elif re.match(r"[a-z][a-z0-9+.-]+:/", text, re.IGNORECASE) and not Path(text).exists():  # one letter is a disk
         text = re.sub(":/+", "://", text, count=1)
-        raise ConfigError(f"{public(text)} is no store; give a file name or postgresql://USER@HOST/DATABASE.")
+        raise ConfigError(f"{public(text)} is not a store; give a file name or postgresql://USER@HOST/DATABASE.")
     if not text:
         raise ConfigError("An empty name was given for the store; give a file name or postgresql://USER@HOST/DATABASE.")
     try:
         path = Path(text).expanduser()
     except RuntimeError:
-        raise ConfigError(f"The store {text}: there is no such user; give a file name.") from None
+        raise ConfigError(f"The store {text}: no such user; give a file name.") from None
     if path.is_dir():
         raise ConfigError(f"The store {path} is a folder; give a file name.")
     return f"sqlite:///{path}", str(path)

@@ -116,10 +116,10 @@ def _why_not(row: Mapping, rotors: int) -> str:
     trim = row["trim"]
     reasons = {
         FELL: trim.get("lost"),
-        f"judged {row['verdict']} by itself": row["verdict"] not in TAUGHT_BY,
+        f"diagnosed {row['verdict']} on its own": row["verdict"] not in TAUGHT_BY,
         "too little steady hover": not trim.get("share"),
-        "its log contradicts itself": trim.get("doubt"),
-        "of another number of rotors": len(trim.get("share", ())) != rotors,
+        "its log is inconsistent": trim.get("doubt"),
+        "different number of rotors": len(trim.get("share", ())) != rotors,
         "a rotor was at its limit": max(trim.get("limited", (0.0,))) > LIMITED,
     }
     return next((why for why, holds in reasons.items() if holds), "")
@@ -233,7 +233,7 @@ def _unknown(one: History) -> dict:
     }
     rotors = [{"rotor": k} | rotor for k in range(1, max((r["rotors"] for r in one.rows), default=0) + 1)]
     why = Counter(one.left_out).most_common(1)[0][0]
-    headline = f"Its rotors are not judged over time: no flight can be used ({why})."
+    headline = f"Its rotors are not assessed over time: no flight can be used ({why})."
     return _standing_of(one, 0, headline, {"worst": 0.0, "rotors": rotors, "changes": []})
 
 

@@ -76,7 +76,7 @@ def compare(store: Store, a: str, b: str) -> Comparison:
 def _found(store: Store, hash: str) -> dict[str, Any]:
     flight = store.flight(hash)
     if flight is None:
-        raise NotInStore("The store holds no flight with such a hash, or several.")
+        raise NotInStore("The store has no flight with such a hash, or several.")
     return flight
 
 
@@ -103,7 +103,7 @@ def _facts(flights: Any, answers: Any) -> Iterable[tuple[str, Callable[[int], st
     yield line("logging", fact("profile"))
     yield line("compared with", lambda k: answers[k].baseline)
     yield line("warnings", lambda k: str(len(answers[k].warnings)), False)
-    yield line("judged by", lambda k: f"rotorwatch {flights[k]['version']}")
+    yield line("diagnosed by", lambda k: f"rotorwatch {flights[k]['version']}")
 
 
 def _rotors(answers: tuple[Diagnosis, ...]) -> Iterable[Row]:

@@ -56,11 +56,11 @@ class Database:
         file = Path(self.label) if self._lite else None
         if file is not None and not file.exists():
             if not make:
-                raise StoreError(f"There is no store {file} yet; `rotorwatch fleet add` makes it.")
+                raise StoreError(f"No store {file} yet; `rotorwatch fleet add` creates it.")
             try:
                 file.parent.mkdir(parents=True, exist_ok=True)
             except OSError as why:
-                raise StoreError(f"The store {file} cannot be made: {why.strerror or why}.") from None
+                raise StoreError(f"The store {file} cannot be created: {why.strerror or why}.") from None
         with self._errors_as_sentences():
             self.engine = _engine(self.url, self._lite)
 
@@ -141,30 +141,30 @@ def _connected(path: Path) -> sqlite3.Connection:
     return base
 
 
-AGAIN = "Nothing was half-written; run the same command again afterwards."
+AGAIN = "No partial data were written; run the same command again afterwards."
 
 
 def _error(why: Exception, label: str, lite: bool) -> StoreError:
     text = " ".join(str(getattr(why, "orig", None) or why).split())
     low = text.lower()
     if "disk is full" in low or "no space left" in low or "disk i/o error" in low:
-        return StoreFull(f"The disk of the store {label} is full or broken: make room. {AGAIN}")
+        return StoreFull(f"The disk of the store {label} is full or broken: free some space. {AGAIN}")
     return StoreError(_sentence(text, low, label, lite))
 
 
 def _sentence(text: str, low: str, label: str, lite: bool) -> str:
-    copy = "give another file, or put a copy back"
+    copy = "give another file, or restore a backup"
     known = (
         (
             "locked",
             f"Another program has kept the store {label} busy for {WAIT_S:.0f} s: wait for it or stop it. {AGAIN}",
         ),
-        ("not a database|malformed", f"{label} is no store of rotorwatch, or is damaged; {copy}."),
-        ("readonly|read-only", f"The store {label} cannot be written to; see to the rights of its file and folder."),
-        ("unable to open", f"The store {label} cannot be opened; see to its folder and rights."),
+        ("not a database|malformed", f"{label} is not a store of rotorwatch, or is damaged; {copy}."),
+        ("readonly|read-only", f"The store {label} is not writable; check the permissions of its file and folder."),
+        ("unable to open", f"The store {label} cannot be opened; check its folder and permissions."),
     )
     if not lite:
-        away = f"The database {label} cannot be reached ({text[:120]}): see that it runs. {AGAIN}"
+        away = f"The database {label} cannot be reached ({text[:120]}): check that it is running. {AGAIN}"
         known = (*known, ("connect|server|terminat|shutting down", away))
     return next(
         (said for words, said in known if re.search(words, low)), f"The store {label} failed ({text[:160]}). {AGAIN}"

@@ -84,7 +84,7 @@ def order(sort: str) -> str:
     name, falls = sort.removeprefix("-"), sort.startswith("-")
     if name not in ORDERS:
         known = f"{meant(name, ORDERS)}: choose from {', '.join(ORDERS)}"
-        raise ConfigError(f"sort {_quoted(sort)}{known}; - before it turns the order around.")
+        raise ConfigError(f"sort {_quoted(sort)}{known}; a leading - reverses the order.")
     way = " DESC" if falls else ""
     if name in ("aircraft", "name"):
         return f"{ORDERS[name]}{way}, f.utc DESC, f.ordinal DESC"
@@ -108,7 +108,7 @@ def find(db: Any, aircraft: str) -> dict[str, Any]:
     names = [row["name"] for row in db.rows("SELECT name FROM aircraft")]
     near = difflib.get_close_matches(wanted, names, 3, 0.4)
     hint = f"; did you mean {' or '.join(near)}?" if near else "; `rotorwatch fleet list` names them."
-    raise NotInStore(f"The store knows no aircraft {_quoted(wanted)}{hint}")
+    raise NotInStore(f"The store has no aircraft {_quoted(wanted)}{hint}")
 
 
 def moment(name: str, given: str) -> tuple[str, str]:

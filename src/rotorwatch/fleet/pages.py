@@ -62,7 +62,7 @@ def _index(aircraft: Sequence[Mapping]) -> str:
     rows = []
     for a in aircraft:
         standing = a["standing"] or {}
-        said = standing.get("headline", "Not worked out yet.")
+        said = standing.get("headline", "Not assessed yet.")
         last = (standing.get("last") or {}).get("verdict", "-")
         rows.append(
             f'<tr><td><a href="{_file(a)}">{escape(a["name"])}</a></td><td class="{a["state"].replace(" ", "-")}">{a["state"]}</td>'
@@ -71,7 +71,7 @@ def _index(aircraft: Sequence[Mapping]) -> str:
         )
     head = (
         '<tr><th>aircraft</th><th>state</th><th class="n">flights</th><th class="n more">hours</th><th class="more">last flight</th>'
-        "<th>last verdict</th><th>how it stands</th></tr>"
+        "<th>last verdict</th><th>status</th></tr>"
     )
     return _page("Fleet", f"<table><thead>{head}</thead><tbody>{''.join(rows)}</tbody></table>")
 
@@ -81,7 +81,7 @@ def _aircraft(a: Mapping, points: Mapping, services: Sequence[Mapping]) -> str:
     about = f"{a['flights']} flights, {a['airborne_s'] / 3600:.1f} h in the air. {a['build']}. Known by {'; '.join(a['identities'])}."
     body = [f'<p><a href="index.html">The fleet</a></p><p>{escape(about)}</p>']
     if standing is None or not points:
-        said = standing["headline"] if standing else "Not worked out yet."
+        said = standing["headline"] if standing else "Not assessed yet."
         return _page(a["name"], body[0] + f'<p class="lead">{escape(said)}</p>')
     body.append(f'<p class="lead">{escape(standing["headline"])}</p>')
     for i, r in enumerate(standing["rotors"]):

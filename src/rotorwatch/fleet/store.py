@@ -122,7 +122,7 @@ class Store:
                     place = damage.found(db.connection)
                 if place:
                     raise StoreError(
-                        f"The store {self.label} is damaged ({place}): put a copy back, or add the logs to a new one."
+                        f"The store {self.label} is damaged ({place}): restore a backup, or add the logs to a new one."
                     ) from why
         finally:
             self.close()
@@ -147,7 +147,7 @@ class Store:
         columns = ", ".join(f"{name} = :{name}" for name in row)
         with self._database.writing() as db:
             if not db.run(f"UPDATE flights SET {columns} WHERE hash = :hash", hash=entry.hash, **row):
-                raise NotInStore(f"The store holds no flight {entry.hash[:12]}.")
+                raise NotInStore(f"The store has no flight {entry.hash[:12]}.")
             for table, column, value in (("diagnoses", "diagnosis", entry.diagnosis), ("trims", "trim", entry.trim)):
                 db.run(f"UPDATE {table} SET {column} = :text WHERE hash = :hash", text=_json(value), hash=entry.hash)
             db.run("UPDATE standings SET seen = -1")
@@ -157,12 +157,12 @@ class Store:
         hash: as for `flight`. Raises NotInStore when there is none, or several."""
         found = self.flight(hash)
         if found is None:
-            raise NotInStore(f"The store holds no flight {listing.text(hash)[:64]}, or several that begin so.")
+            raise NotInStore(f"The store has no flight {listing.text(hash)[:64]}, or several with this prefix.")
         with self.reports.removed(found["hash"]), self._database.writing() as db:
             for table in ("diagnoses", "trims", "flights"):
                 gone = db.run(f"DELETE FROM {table} WHERE hash = :hash", hash=found["hash"])
             if not gone:
-                raise NotInStore(f"The store holds no flight {found['hash'][:12]} any more.")
+                raise NotInStore(f"The store has no flight {found['hash'][:12]} any more.")
             db.run("UPDATE standings SET seen = -1")
             if found["aircraft"] and not db.value(NEEDED, key=found["aircraft"]):
                 for table, column in (("standings", "aircraft"), ("identities", "aircraft"), ("aircraft", "key")):
@@ -170,14 +170,14 @@ class Store:
         return {name: found[name] for name in (*SHOWN, "aircraft_name")}
 
     def rename(self, aircraft: str, name: str) -> None:
-        """Give an aircraft another name. Raises StoreError when it is not known or the name is another's."""
+        """Rename an aircraft. Raises StoreError when it is not known or the name is another's."""
         name = listing.text(name).strip()
         if not name:
-            raise ConfigError("An aircraft needs a name that is not empty.")
+            raise ConfigError("An aircraft needs a non-empty name.")
         with self._database.writing() as db:
             key = listing.find(db, aircraft)["key"]
             if db.value("SELECT key FROM aircraft WHERE name = :name AND key <> :key", name=name, key=key):
-                raise StoreError(f"Another aircraft is called {name} already; choose another name.")
+                raise StoreError(f"The name {name} is taken; choose another one.")
             db.run("UPDATE aircraft SET name = :name WHERE key = :key", name=name, key=key)
 
     def service(self, aircraft: str, rotor: int, what: str, utc: str = "", after: int | None = None) -> dict:
@@ -187,7 +187,7 @@ class Store:
             found = listing.find(db, aircraft)
             rotors = db.value("SELECT max(rotors) FROM flights WHERE aircraft = :key", key=found["key"]) or 0
             if not 0 <= rotor <= rotors:
-                raise ConfigError(f"{found['name']} has rotors 1 to {rotors}, no rotor {rotor}.")
+                raise ConfigError(f"{found['name']} has rotors 1 to {rotors}, not {rotor}.")
             last = db.value("SELECT max(ordinal) FROM flights") or 0
             if not utc and after is None:
                 columns = "ordinal, utc, count, clock_us"

@@ -183,7 +183,7 @@ def version(connection: Any) -> int:
         return 0
     found = connection.execute(sa.select(meta.c.value).where(meta.c.key == "version")).scalar()
     if not str(found or 0).isdecimal():
-        raise StoreError("The store is damaged (table meta, version): put a copy back, or add the logs to a new one.")
+        raise StoreError("The store is damaged (table meta, version): restore a backup, or add the logs to a new one.")
     if int(found or 0) > len(STEPS):
         raise StoreError(
             f"The store was made by a later version of rotorwatch (tables {found}, known {len(STEPS)}); update rotorwatch."

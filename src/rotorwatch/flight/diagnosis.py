@@ -285,7 +285,9 @@ class Diagnosis:
         """What `to_dict` gave as a Diagnosis again, without the trace and a method's own series, numbers as rounded. Raises ConfigError for
         another schema."""
         if found.get("schema") != SCHEMA:
-            raise ConfigError(f"This answer has the schema {found.get('schema')}, not {SCHEMA}; judge the log again.")
+            raise ConfigError(
+                f"This diagnosis has the schema {found.get('schema')}, not {SCHEMA}; diagnose the log again."
+            )
         rotors = [{**r, "trend": None if r["trend"] is None else Trend(**_tuples(r["trend"]))} for r in found["rotors"]]
         optional_ = {"timing": {}, "picture": None, "story": ()}
         answer = {name: found.get(name, optional_[name]) if name in optional_ else found[name] for name in ANSWER}

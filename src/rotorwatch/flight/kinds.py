@@ -53,12 +53,12 @@ class Words(NamedTuple):
 # What is said of a kind whose row says nothing of its own.
 _HEADLINE = Words("{noun} of {who} at {at}{until}{again}.", "{noun} at {at}: {candidates}.", "{noun} at {at}.")
 _BEGAN = Words("At {at} {noun} of {who}{over}.", "At {at} {noun}: {candidates}.", "At {at} {noun}{over}.")
-_NOW = Words("{noun} since {at}", "one of several explanations since {at}")
+_NOW = Words("{noun} since {at}", "one of several candidates since {at}")
 _PAST = Words("{noun} at {at}", "maybe {noun} at {at}")
 _ADVICE = Words(
-    "Do not fly again before {who} has been looked at: motor, propeller, ESC, mount and output.",
+    "Do not fly again until {who} has been inspected: motor, propeller, ESC, mount and output.",
     "",
-    "Look the vehicle over before the next flight.",
+    "Inspect the vehicle before the next flight.",
 )
 _WATCH = Words("{noun} of {who} at {ago}{over}", nameless="{noun} at {ago}{over}")
 
@@ -114,13 +114,13 @@ class Kind(NamedTuple):
         return self.wrong and (self.span is Span.STAYS or (self.lasts and end_s is None))
 
 
-_WRONG_WAY = "propellers or motors turn the wrong way round."
+_WRONG_WAY = "propellers or motors turn in the wrong direction."
 
 
 def _notice(number: int, name: str, noun: str, meaning: str, verb: str, part: str) -> Kind:
     """A kind that ESC telemetry alone shows. verb: what the motor does; part: what to look at."""
-    why = "before the next flight: its ESC telemetry changed in flight, though no thrust was missed."
-    past, advice = Words(f"{verb} since {{at}}"), Words(f"Look at {part} {{who}} {why}")
+    why = "before the next flight: its ESC telemetry changed in flight, although no loss of thrust was found."
+    past, advice = Words(f"{verb} since {{at}}"), Words(f"Inspect {part} {{who}} {why}")
     return Kind(number, name, noun, meaning, Weight.NOTICE, brief=verb, headline=Words(verb), past=past, advice=advice)
 
 
@@ -132,63 +132,63 @@ def _setup(number: int, name: str, noun: str, meaning: str, brief: str, advice: 
 ROWS = (
     Kind(
         0, LOSS, "loss of effectiveness", "a rotor lost effectiveness", Weight.FAULT, Span.LASTS, weakens=True,
-        headline=Words("{who} {lost} {when}{until}{cause}{again}.", "Something lost thrust at {at}: {candidates}."),
-        reason="{plain_who} {lost_effect} {when}{comma_until}: {why}",
-        began=Words("At {at} {who} {lost}{over}.", "At {at} something lost thrust: {candidates}."),
-        now=Words("weak since {at}", "one of several explanations since {at}"),
+        headline=Words("{who} {lost} {when}{until}{cause}{again}.", "Loss of thrust at {at}: {candidates}."),
+        reason="{plain_who} {lost_effect} {when}{until}: {why}",
+        began=Words("At {at} {who} {lost}{over}.", "At {at} thrust was lost: {candidates}."),
+        now=Words("weak since {at}", "one of several candidates since {at}"),
         past=Words("was weak from {at} to {end}", "may have been weak from {at} to {end}"),
-        advice=Words("Do not fly again before {who} has been looked at: {parts}.", ""),
+        advice=Words("Do not fly again until {who} has been inspected: {parts}.", ""),
         watch=Words("{who} {lacks} since {ago}{over}{others}"),
     ),
     Kind(
         1, OVERRIDE, "output overridden", "an output does not follow the mixer: stuck, off, replaced", Weight.FAULT, Span.LASTS,
-        headline=Words("The output of {who} stopped following the mixer at {at}{until}{again}."),
+        headline=Words("The output of {who} did not follow the mixer {from_on}{until}{again}."),
         began=Words("At {at} the output of {candidates} stopped following the mixer{over}."),
         now=Words("its output has not followed the mixer since {at}"),
         past=Words("its output did not follow the mixer from {at} to {end}"),
         advice=Words(
-            "Do not fly again before it is clear why the output of {who} left the mixer: output functions and passthrough, motor test, "
-            "failsafe, a second controller.", "",
+            "Do not fly again until it is clear why the output of {who} departed from the mixer: output functions and passthrough, "
+            "motor test, failsafe, a second controller.", "",
         ),
     ),
     Kind(
-        2, CONTACT, "knock or contact", "a knock, a collision, contact with the ground", Weight.OUTSIDE, Span.MOMENT, by_outputs=False,
-        advice=Words("Look the vehicle over for damage: it was knocked at {all_times}."),
+        2, CONTACT, "contact or collision", "a blow, a collision, contact with the ground", Weight.OUTSIDE, Span.MOMENT, by_outputs=False,
+        advice=Words("Inspect the vehicle for damage: it was struck or made contact at {all_times}."),
     ),
     Kind(
-        3, LOST, "loss of control", "the vehicle left what was wanted and did not come back", Weight.UPSET, Span.STAYS,
+        3, LOST, "loss of control", "the vehicle departed controlled flight and did not recover", Weight.UPSET, Span.STAYS,
         by_outputs=False, brief="LOSS OF CONTROL",
-        headline=Words("The vehicle left control at {at}."),
-        now=Words("may be why control was lost at {at}"),
+        headline=Words("The vehicle departed controlled flight at {at}."),
+        now=Words("may have caused the loss of control at {at}"),
         watch=Words("{noun} at {ago}, {who}{others}: {lost_why}", nameless="{noun} at {ago}{others}: {lost_why}"),
     ),
     Kind(
         4, ORDER, "motors in the wrong order", "outputs go to the wrong motors, or yaw is reversed", Weight.FAULT, Span.STAYS,
-        brief="in the wrong order",
+        brief="wrong motor order",
         headline=Words(
-            "The outputs of motors {numbers} go to each other's motor.", "Something lost thrust at {at}: {candidates}.",
-            f"The vehicle yaws against its commands: {_WRONG_WAY}",
+            "The outputs of motors {numbers} are swapped.", "Loss of thrust at {at}: {candidates}.",
+            f"Yaw is reversed: {_WRONG_WAY}",
         ),
         began=Words(
-            "From its first movement at {at} on it turned as if the outputs of motors {numbers} went to each other's motor: {who}.",
-            nameless=f"From its first movement at {{at}} on it yawed against its commands: {_WRONG_WAY}",
+            "From its first movement at {at} it turned as if the outputs of motors {numbers} were swapped: {who}.",
+            nameless=f"From its first movement at {{at}} it yawed against its commands: {_WRONG_WAY}",
         ),
-        now=Words("its output seems to go to motor {other}"),
+        now=Words("its output appears to drive motor {other}"),
         past=Words(""),
         advice=Words(
-            "Do not fly before the motor test has shown which motor answers to which output: swap the outputs of motors {numbers} "
-            "(ArduPilot: {servos}; PX4: the actuator page), or their wires.",
-            nameless="Do not fly before each motor's direction and its propeller have been checked against the frame's drawing: motor "
+            "Before flying, check with the motor test which output drives which motor, and swap the outputs of motors {numbers} "
+            "(ArduPilot: {servos}; PX4: the actuator page) or their wires.",
+            nameless="Before flying, check the direction of every motor and its propeller against the frame diagram, with the motor "
             "test.",
         ),
     ),
     Kind(
-        5, DESYNC, "motor lost step", "a motor lost step for moments: commanded up, it gave nothing for 30 to 500 ms and came back",
-        Weight.FAULT, Span.SPELLS, brief="lost step",
+        5, DESYNC, "motor desync", "a motor lost synchronisation briefly: commanded up, it gave no thrust for 30 to 500 ms, then recovered",
+        Weight.FAULT, Span.SPELLS, brief="desynced",
         headline=Words("{motors} desynced {times} at {at}{stopped}."),
         past=Words("desynced at {at}{in_all}", "may have desynced at {at}{in_all}"),
         advice=Words(
-            "Do not fly again before {motors} and its ESC have been looked at: motor timing, demag compensation, ESC firmware, PWM "
+            "Do not fly again until {motors} and its ESC have been inspected: motor timing, demag compensation, ESC firmware, PWM "
             "frequency, a worn bearing or loose bell, solder joints{log_speed}."
         ),
     ),
@@ -205,44 +205,44 @@ ROWS = (
         "the propeller of",
     ),
     Kind(
-        9, TURNED, "turned motor mount", "the vehicle needs more yaw than before: a motor mount or an arm has turned", Weight.NOTICE,
-        brief="a mount turned",
+        9, TURNED, "twisted motor mount", "more yaw command than before: a motor mount or an arm has twisted", Weight.NOTICE,
+        brief="motor mount twisted",
         headline=Words(
-            "sits on a mount that has turned", nameless="A motor mount or an arm seems to have turned, and yaws the vehicle: {why}."
+            "is on a mount that has twisted", nameless="A motor mount or an arm appears to have twisted, which yaws the vehicle: {why}."
         ),
-        past=Words("its mount has turned at {at}"),
+        past=Words("its mount twisted at {at}"),
         advice=Words(
-            "Look at the mount and the arm of {who} before the next flight.",
-            nameless="Look at every motor mount and arm before the next flight: one has turned, or a propeller's drag has changed.",
+            "Inspect the mount and the arm of {who} before the next flight.",
+            nameless="Inspect every motor mount and arm before the next flight: one has twisted, or a propeller's drag has changed.",
         ),
     ),
     _setup(
-        11, AT_LIMIT, "outputs at their limit", "outputs stood at their limit for long", "outputs at their limit",
-        "Give the vehicle more room: less weight, a fresh battery, less wind, gentler climbs. Where only some motors stand at their limit, "
-        "look for a load off the middle and for twisted mounts.",
+        11, AT_LIMIT, "outputs at their limit", "outputs were at their limit for long", "outputs at their limit",
+        "Increase the thrust margin: less weight, a fresh battery, less wind, gentler climbs. Where only some motors are at their limit, "
+        "look for an off-centre load and twisted mounts.",
     ),
     _setup(
-        12, HEAVY, "little thrust left", "hover takes nearly all of the thrust: too heavy, or a weak battery", "little thrust left",
-        "Take weight off, charge the battery, or fit stronger motors before the next flight: a vehicle should lift twice its weight.",
+        12, HEAVY, "low thrust margin", "hover takes nearly all of the thrust: too heavy, or a weak battery", "low thrust margin",
+        "Reduce weight, charge the battery, or fit stronger motors before the next flight: full thrust should be twice the weight.",
     ),
     _setup(
-        13, UNEVEN, "yaw imbalance", "rotors of one sense of rotation work harder since take-off: twisted mounts", "yaw imbalance",
-        "Set every motor upright, and look for twisted arms; then compare propellers and ESC end points of both senses of rotation.",
+        13, UNEVEN, "yaw imbalance", "rotors of one spin direction work harder since take-off: twisted mounts", "yaw imbalance",
+        "Align every motor upright and check the arms for twist; then compare propellers and ESC end points of both spin directions.",
     ),
     _setup(
-        14, STANDS_APART, "output apart from the others", "an output stands off its place in the mixer since take-off: ESC end points",
-        "output apart",
-        "Calibrate the end points of all ESCs alike. If it stays, exchange this motor's propeller, and then the motor, with another one's, "
-        "and see whether it moves along.",
+        14, STANDS_APART, "output offset", "an output is offset from what the mixer needs since take-off: ESC end points",
+        "output offset",
+        "Calibrate the end points of all ESCs alike. If the offset stays, swap this motor's propeller, and then the motor, with another "
+        "one's and see whether it moves with them.",
     ),
     _setup(
-        15, EXHAUSTED, "too little without a rotor", "a vehicle sank without a rotor, for the others did not carry it",
+        15, EXHAUSTED, "not enough thrust without a rotor", "the vehicle sank without a rotor because the others could not carry it",
         "others at their limit",
-        "Fly this vehicle lighter if it is to stay up without a rotor: `rotorwatch survive` says how heavy it may be.",
+        "Reduce the weight if this vehicle must stay up without a rotor: `rotorwatch survive` gives the limit.",
     ),
     Kind(16, EVIDENCE, "unexplained evidence", "evidence against rotors that no event explains", Weight.OPEN, Span.SPELLS),
     Kind(
-        17, FROM_TAKEOFF, "damage from take-off", "the balance of commands is unlike that of healthy flights or vehicles",
+        17, FROM_TAKEOFF, "damage present at take-off", "the balance of commands differs from that of healthy flights or vehicles",
         Weight.OPEN, Span.STAYS,
     ),
 )  # fmt: skip

@@ -47,4 +47,4 @@ def refusal(flight: Flight) -> str:
     if not kind:
         return ""
     more = " If it flew on fixed lifting rotors alone, describe them with --vehicle FILE." if "VTOL" in kind else ""
-    return f"{flight.name or 'This log'}: this log is of {kind}; rotorwatch judges multirotors only.{more}"
+    return f"{flight.name or 'This log'}: this log is of {kind}; rotorwatch diagnoses multirotors only.{more}"

@@ -31,7 +31,7 @@ def open_endpoint(text: str) -> Endpoint:
             raise LinkError(f"{text}: name the device and its speed, as in serial:/dev/ttyUSB0:57600.")
         return Serial(text, where, int(number))
     if not number.isdigit() or not 0 < int(number) < 65536:
-        raise LinkError(f"{text}: this is no endpoint; give {KINDS}.")
+        raise LinkError(f"{text}: not an endpoint; give {KINDS}.")
     if kind == "tcp":
         return Tcp(text, where or "127.0.0.1", int(number))
     return Udp(text, where, int(number), listens=kind != "udpout")
@@ -209,10 +209,10 @@ class Serial(Stream):
         try:
             self._connect(0.0)
         except FileNotFoundError:
-            raise LinkError(f"{device}: there is no such device; is it plugged in?") from None
+            raise LinkError(f"{device}: no such device; is it plugged in?") from None
         except PermissionError:
             raise LinkError(
-                f"{device} may not be opened; join the group that owns it (often dialout) and log in again."
+                f"{device}: permission denied; join the group that owns it (often dialout) and log in again."
             ) from None
         except OSError as why:
             raise LinkError(f"{device} cannot be opened as a serial port ({why.strerror or why}).") from why
@@ -228,7 +228,7 @@ class Serial(Stream):
         speed = getattr(termios, f"B{self._baud}", None)
         if speed is None:
             raise LinkError(
-                f"{self.name}: {self._baud} is no speed that this computer's serial ports have; 57600 and 115200 are usual."
+                f"{self.name}: {self._baud} is not a baud rate of this computer's serial ports; 57600 and 115200 are usual."
             )
         file = os.open(self._device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         try:
@@ -239,7 +239,7 @@ class Serial(Stream):
             termios.tcsetattr(file, termios.TCSANOW, mode)
         except (termios.error, OSError) as why:
             os.close(file)
-            raise OSError(0, "it is no terminal device") from why
+            raise OSError(0, "it is not a terminal device") from why
         self._file, self.open = file, True
 
     def fileno(self) -> int:

@@ -30,7 +30,8 @@ A_MINUTE = 10  # texts of one vehicle in a minute
 STEP = 0.1  # by which a loss must move to be told again: half of what is worth an alert elsewhere would fill a pilot's screen
 SLOW_S, FAST_S = 5.0, 1.0  # between two values of a rotor, on serial ports and elsewhere
 CAUSES = {  # of a loss of control without a rotor, in the few characters there are
-    "disarmed": "motors stopped", "knock": "knock", "controller": "wrong commands", "saturated": "no thrust left", "power": "power failed",
+    "disarmed": "motors stopped", "knock": "collision", "controller": "wrong commands", "saturated": "no thrust left",
+    "power": "power failed",
 }  # fmt: skip
 
 
@@ -134,9 +135,9 @@ def worth_sending(reported: tuple | None, alert: dict) -> bool:
 def text_of(alert: dict) -> tuple[str, int]:
     """(a text of plain ASCII, severity) of an alert: engine/front/words.py. A loss of control is critical as well."""
     if alert["type"] == "notice":
-        stands = "stands" in alert["text"]
-        text = f"rotorwatch: ESC: rotor {alert['rotor']} {'stands' if stands else 'turns again'}"
-        return text, CRITICAL if stands else NOTICE
+        stopped = "stopped" in alert["text"]
+        text = f"rotorwatch: ESC: rotor {alert['rotor']} {'stopped' if stopped else 'turns again'}"
+        return text, CRITICAL if stopped else NOTICE
     event: Any = SimpleNamespace(**alert["event"], extra=alert["event"])
     withdrawn = alert["state"] == WITHDRAWN
     kind = kind_of(event.kind)

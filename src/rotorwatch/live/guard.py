@@ -24,7 +24,7 @@ def trouble(why: BaseException) -> str:
     if isinstance(why, RotorwatchError):
         return str(why)
     text = " ".join(f"{type(why).__name__}: {why}".split())[:200]
-    return f"an error in rotorwatch itself ({text}); please report it"
+    return f"an internal error of rotorwatch ({text}); please report it"
 
 
 class Guard:
@@ -43,7 +43,7 @@ class Guard:
             if what not in self._failing:
                 self._failing.add(what)
                 reason = f"{why.strerror or why}" if isinstance(why, OSError) else trouble(why)
-                self.failed[what] = f"{what}: {reason.rstrip('.')}; vehicles are judged on."
+                self.failed[what] = f"{what}: {reason.rstrip('.')}; the diagnosis continues."
                 self._report(self.failed[what])
             return False
         if what in self._failing:

@@ -37,8 +37,8 @@ MISSED_S, UNANSWERED_S = (
 )  # without what judging begins with, before that is said: where nothing is asked for, and where it is
 FEW = 10  # vehicles of a link, up to which it is said of each what does not come
 PEERS = 200  # whose unfinished frames are kept
-ONE_ID = "give each vehicle an id of its own (SYSID_THISMAV, MAV_SYS_ID)"
-TWO_SENDERS = f"two vehicles seem to send with the same id: {ONE_ID}"
+ONE_ID = "give each vehicle its own id (SYSID_THISMAV, MAV_SYS_ID)"
+TWO_SENDERS = f"two vehicles appear to send with the same id: {ONE_ID}"
 NO_AUTOPILOT = 8
 COMMAND_ACK, MESSAGE_INTERVAL = 77, 244
 
@@ -51,15 +51,14 @@ def _missing(what: str, asked: bool) -> str:
     """What has not come, and what would help. asked: it was requested of the vehicle."""
     if what != "parameters":
         helps = "the vehicle has to send them here" + (
-            "." if asked else ", or leave out --listen-only, so that they are requested."
+            "." if asked else ", or omit --listen-only so that they are requested."
         )
         return f"no {WORDS[what]} come ({' or '.join(NEEDS[what][:2])}); {helps}"
-    why = "the parameters have not come, which say what airframe it is and which output drives which rotor; "
+    why = "the parameters, which define the airframe and which output drives which rotor, have not arrived; "
     if asked:
         return why + "they were requested, so let a ground station fetch them, or give --vehicle FILE."
     return (
-        why
-        + "leave out --listen-only, so that they are requested, let a ground station fetch them, or give --vehicle FILE."
+        why + "omit --listen-only so that they are requested, let a ground station fetch them, or give --vehicle FILE."
     )
 
 
@@ -91,8 +90,8 @@ class LinkedVehicle:
             route = Route(peer, self._rates(), arrival)
             if not self.watched.health.others:
                 self.watched.say(
-                    f"it is heard from a second address too ({route}), which is left out while {self.routes.followed} sends what judging "
-                    f"needs; if it is another vehicle, {ONE_ID}"
+                    f"it is also received from a second address ({route}), which is ignored while {self.routes.followed} sends the "
+                    f"required data; if it is another vehicle, {ONE_ID}"
                 )
             if not self.routes.add(route, arrival):
                 self.watched.health.others += 1
@@ -102,7 +101,7 @@ class LinkedVehicle:
         self.only_beats = self.only_beats and identity == 0
         if self._silent:
             self._silent = False
-            self.watched.say("the vehicle is heard again")
+            self.watched.say("the vehicle is received again")
             self.routes.usable = dict.fromkeys(self.routes.usable, arrival)  # what it sends shows from now on
         if route is self.routes.followed:
             return True
@@ -113,11 +112,11 @@ class LinkedVehicle:
         """Why nothing can be judged of the address that is followed; empty where it can."""
         routes = self.routes
         if self._mixed:
-            return "two seem to send there"
+            return "two vehicles appear to send there"
         if self.watched.session is not None:
-            return "" if routes.used(now) else "it sends no motor outputs or no angular rates that can be used"
+            return "" if routes.used(now) else "it sends no usable motor outputs or angular rates"
         if not routes.followed.carries(now):
-            return "it sends no motor outputs or no angular rates"
+            return "it sends no motor outputs or angular rates"
         unknown = self._begun is None and not self._parameters.count and now - routes.since > UNKNOWN_S
         return "it does not send its parameters" if unknown else ""
 
@@ -129,8 +128,8 @@ class LinkedVehicle:
             routes.doubt(now)
         other = routes.better(now, bool(why))
         if other is not None:
-            why = why or ("what comes from it contradicts itself" if doubted else "it came in with another clock")
-            self.watched.say(f"it is heard through {other} from now on, not through {routes.followed}: {why}")
+            why = why or ("its data are inconsistent" if doubted else "it arrived with a different clock")
+            self.watched.say(f"it is now received through {other} instead of {routes.followed}: {why}")
         elif why and (self._link.talks or routes.followed.silent(now)):
             other = routes.next(now)
         if other is None:
@@ -160,10 +159,10 @@ class LinkedVehicle:
         """Whether all frames are of one sender: nothing can be judged of what two send together."""
         several = self.routes.followed.senders.several
         if several and not self._mixed:
-            self.watched.say(f"{TWO_SENDERS}; nothing is judged until only one is left", "error")
+            self.watched.say(f"{TWO_SENDERS}; nothing is assessed until only one is left", "error")
             self.watched.session = None
         elif self._mixed and not several:
-            self.watched.say("only one vehicle is heard with this id again; it is watched anew")
+            self.watched.say("only one vehicle has this id again; watching restarts")
             self._anew()
         self._mixed = several
         return not several
@@ -209,9 +208,9 @@ class LinkedVehicle:
         health = self.watched.health
         health.reboots, health.jumps = health.reboots + reboot, health.jumps + (not reboot)
         self.watched.say(
-            "the vehicle has rebooted; it is watched anew"
+            "the vehicle has rebooted; watching restarts"
             if reboot
-            else "the vehicle's clock was set; it is watched anew"
+            else "the vehicle's clock was set; watching restarts"
         )
         self._anew()
 
@@ -242,13 +241,13 @@ class LinkedVehicle:
             self._anew_s = min(2.0 * self._anew_s, ANEW_MOST_S)
         elif now >= self._anew_at:
             self._anew_at, self.watched.broken = math.inf, False
-            self.watched.say("after an error the vehicle is watched anew")
+            self.watched.say("watching restarts after an error")
             self._anew()
 
     def _step(self, now: float) -> None:
         if now - self.watched.health.last_frame > SILENT_S and not self._silent:
             self._silent = True
-            self.watched.say(f"nothing has been heard for {SILENT_S:.0f} s")
+            self.watched.say(f"nothing has been received for {SILENT_S:.0f} s")
         if text := self._losing.look(self.watched.health, now):
             self.watched.say(text)
         self._reroute(now)
@@ -292,7 +291,7 @@ class LinkedVehicle:
             elif there != self._begun and self._airframe(there) != self._airframe(self._begun):
                 self.watched.withdraw()
                 self.watched.say(
-                    "its parameters are not those kept of it: another vehicle, or changed; it is watched anew"
+                    "its parameters differ from the stored ones: it is another vehicle, or they were changed; watching restarts"
                 )
                 self._begin(there)
             return
@@ -301,7 +300,7 @@ class LinkedVehicle:
         there = requests.cached(self._identity.key) if self._identity.key and not self._unfit else {}
         if there and self._airframe(there) is None:
             self._unfit, there = True, {}
-            self.watched.say("the parameters kept of it do not fit it: those of another vehicle; its own are asked for")
+            self.watched.say("the stored parameters do not match this vehicle; its own are requested")
         if not there and (self._parameters.given_up or self._link.known is not None or not self._link.talks):
             there = self.messages.parameters()
             if not mavlink.known(there, self.messages.autopilot) and self._link.known is None:
@@ -327,15 +326,15 @@ class LinkedVehicle:
         before, self._missed = self._missed, tuple(missing)
         if lost:
             self.watched.say(
-                f"no {_words(lost)} that can be used have come for {FADED_S:.0f} s: nothing is judged until they come again",
+                f"no {_words(lost)} that can be used have arrived for {FADED_S:.0f} s: nothing is assessed until they arrive again",
                 missing=missing,
             )
         elif missing:
             self.watched.say(
-                f"nothing can be judged yet: {' '.join(_missing(what, talks) for what in missing)}", missing=missing
+                f"nothing can be assessed yet: {' '.join(_missing(what, talks) for what in missing)}", missing=missing
             )
         elif set(before) & set(NEEDS):
-            self.watched.say("motor outputs and angular rates come now")
+            self.watched.say("motor outputs and angular rates are arriving now")
 
     def _begin(self, parameters: dict[str, float]) -> None:
         self._begun = parameters
@@ -465,12 +464,12 @@ class Link:
     def _nobody(self) -> str:
         """Why no vehicle is watched."""
         if self.damaged and not self.frames:
-            slow = "is the speed right, and " if self.endpoint.slow else ""
-            return f"{self.endpoint.name}: bytes come, but none of them are MAVLink; {slow}is it MAVLink that is sent here?"
+            slow = "is the baud rate right, and " if self.endpoint.slow else ""
+            return f"{self.endpoint.name}: data arrive but are not MAVLink; {slow}is MAVLink sent here?"
         others = ", ".join(sorted(OTHERS.get(k, "something unknown") for k in self._refused))
         return (
-            f"{self.endpoint.name}: no heartbeat of a multirotor has come within {self._patience_s:.0f} s"
-            f"{f' (only {others})' if others else ''}; check the address, and that the vehicle is on and sends here."
+            f"{self.endpoint.name}: no heartbeat of a multirotor has arrived within {self._patience_s:.0f} s"
+            f"{f' (only {others})' if others else ''}; check the address, and that the vehicle is on and sending here."
         )
 
     def send(self, message: Outgoing, peer: Any = None) -> None:
@@ -537,7 +536,7 @@ class Link:
                     {
                         "type": "notice",
                         "vehicle": self._name(system, component),
-                        "text": f"this is {what}; only multirotors are judged",
+                        "text": f"this is {what}; only multirotors are supported",
                     }
                 )
             return
@@ -565,7 +564,7 @@ class Link:
                 return True
         if now - self._crowded > 60.0:
             self._crowded = now
-            text = f"more than {VEHICLES} vehicles are heard here; the others are left out"
+            text = f"more than {VEHICLES} vehicles are received here; the others are ignored"
             self._notify({"type": "error", "vehicle": self.endpoint.name, "text": text})
         return False
 
@@ -581,5 +580,5 @@ class Link:
         for vehicle in self._vehicles.values():
             health = vehicle.watched.health
             vehicle.watched.finish()
-            vehicle.watched.say(f"{health.taken} messages came; {health.words() or 'none was lost'}")
+            vehicle.watched.say(f"{health.taken} messages received; {health.words() or 'none was lost'}")
         self.endpoint.close()

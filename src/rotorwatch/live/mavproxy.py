@@ -142,7 +142,7 @@ class Watcher:
             self._link = Link(self._handed, self._publish, known, None, self._talks, float("inf"))
             source = Guarded(NAME, self._link, self._publish)
         except Exception as why:
-            self._say(f"rotorwatch cannot begin: {trouble(why)}", CRITICAL)
+            self._say(f"rotorwatch cannot start: {trouble(why)}", CRITICAL)
             self._stop.set()
             return
         guard, shown = Guard(lambda text: self._say(f"rotorwatch: {text}", WARNING)), 0.0
@@ -311,7 +311,7 @@ def _module(base: type) -> type:
             self.add_command("rotorwatch", self._command, "events of rotors", ["status", "clear"])
             if talks and getattr(self.settings, "streamrate", -1) != -1:
                 self.console.writeln(
-                    "rotorwatch: MAVProxy asks for its streamrate every 15 s; `set streamrate -1` leaves the rates to rotorwatch"
+                    "rotorwatch: MAVProxy requests its streamrate every 15 s; `set streamrate -1` leaves the rates to rotorwatch"
                 )
 
         def mavlink_packet(self, m: Any) -> None:

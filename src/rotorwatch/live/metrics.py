@@ -106,15 +106,15 @@ class Metrics:
         columns = [
             Gauge(f"rotorwatch_rotor_loss{part}", text, labels=["vehicle", "rotor"])
             for part, text in (
-                ("", "Share of its effectiveness that a rotor has lost."),
+                ("", "Share of a rotor's effectiveness that is lost."),
                 ("_lower", "Lower end of the 95 % interval of the loss."),
                 ("_upper", "Upper end of the 95 % interval of the loss."),
             )
         ]
-        events = Gauge("rotorwatch_events", "Events that were announced and hold.", labels=["vehicle", "kind"])
-        ticks = Counter("rotorwatch_ticks_judged", "Ticks that were judged.", labels=by_name)
-        taken = Counter("rotorwatch_messages", "Messages that came.", labels=by_name)
-        lost = Counter("rotorwatch_messages_lost", "Messages missing by their running numbers.", labels=by_name)
+        events = Gauge("rotorwatch_events", "Active events.", labels=["vehicle", "kind"])
+        ticks = Counter("rotorwatch_ticks_judged", "Assessed ticks.", labels=by_name)
+        taken = Counter("rotorwatch_messages", "Received messages.", labels=by_name)
+        lost = Counter("rotorwatch_messages_lost", "Messages missing by their sequence numbers.", labels=by_name)
         share = Gauge("rotorwatch_link_loss", "Share of the messages that were lost on the link.", labels=by_name)
         age = Gauge("rotorwatch_message_age_seconds", "Time since the last message.", labels=by_name)
         for one in pictures:

@@ -61,7 +61,7 @@ class Record:
             except OSError:
                 pass
         self._failed(
-            f"recording to {self._path} has stopped ({why.strerror or why}): what came until then is in the file; vehicles are judged on"
+            f"recording to {self._path} has stopped ({why.strerror or why}): the file ends there; the diagnosis continues"
         )
 
     def close(self) -> None:

@@ -21,7 +21,7 @@ class Replay:
     def __init__(self, flight: Flight, watched: Watched, speed: float = np.inf):
         if aerobatic.flown_by_rates(flight):
             raise ConfigError(
-                f"{flight.name or 'The log'} is of firmware that no link shows: judge it as a whole by `rotorwatch diagnose`."
+                f"{flight.name or 'The log'} is of a firmware without a telemetry link: use `rotorwatch diagnose`."
             )
         times = [s.time for s in flight.signals.values() if len(s)]
         self._now = min((float(t[0]) for t in times), default=0.0)

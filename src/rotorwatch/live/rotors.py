@@ -64,14 +64,16 @@ class Rotors:
         found = []
         for k in np.flatnonzero(self._bad >= REPORTS).tolist():
             if k not in self._turned:
-                found.append((k + 1, f"the ESC of {rotors([k + 1])} reports that it stands, at {time:.1f} s"))
+                found.append((k + 1, f"the ESC of {rotors([k + 1])} reports a stopped motor at {time:.1f} s"))
             self._turned[k] = np.inf
         for k, since in list(self._turned.items()):
             if known[k] and not stands[k] and self.speed[k] > OTHERS_TURN * usual[k] > 0.0:
                 self._turned[k] = min(since, time)
                 if time - self._turned[k] >= AGAIN_S:
                     del self._turned[k]
-                    found.append((k + 1, f"the ESC of {rotors([k + 1])} reports that it turns again, at {time:.1f} s"))
+                    found.append(
+                        (k + 1, f"the ESC of {rotors([k + 1])} reports that the motor turns again at {time:.1f} s")
+                    )
         if not self._bad.any() and known.any():
             self._speeds.append(np.where(known, speed, np.nan))
             self._commands.append(command)

@@ -185,7 +185,7 @@ class Session:
             return "upset"
         if table.mode[-1] == LEARN:
             if max([-np.inf, *(c.time for c in case.driver.diagnoser.contacts[-1:])]) > self.spans[-1][0]:
-                return "learning after a knock"
+                return "learning after a contact"
             left = self.spans[-1][0] + case.driver.diagnoser.plan.ready_s - table.time[-1]
             return f"learning, {max(left, 0.0):.0f} s left"
         if table.mode[-1] != JUDGE:

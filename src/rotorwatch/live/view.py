@@ -142,4 +142,4 @@ def table(sources: Sequence[Source]) -> Any:
             )
         if sentences := getattr(source, "trouble", ""):
             parts.append(Text(sentences, "bold red"))
-    return Group(*parts) if parts else Text("nothing has been heard yet")
+    return Group(*parts) if parts else Text("nothing received yet")

@@ -51,7 +51,7 @@ class Health:
         counts = (
             (self.twice, "twice or late"),
             (self.damaged, "damaged"),
-            (self.others, "from other addresses left out"),
+            (self.others, "from other addresses ignored"),
             (self.reboots, "reboots"),
             (self.jumps, "clock jumps"),
         )
@@ -77,7 +77,7 @@ class Losing:
             return ""
         self._bad = not self._bad
         if self._bad:
-            return f"{percent(share)} of the messages of the last {LOSING_S:.0f} s were lost: what is found may be found later"
+            return f"{percent(share)} of the messages of the last {LOSING_S:.0f} s were lost: detections may be delayed"
         return f"the link loses few messages again, {percent(share, 1)}"
 
 
@@ -139,7 +139,7 @@ class Watched:
         stepped = self.session.advance(complete)
         if stepped and self.session.flying:
             unseen = self.session.unseen
-            unseen += " comes over the link: nothing is judged until it does" if unseen else ""
+            unseen += " arrives over the link: nothing is assessed until it does" if unseen else ""
             before, self._said = self._said, (self.session.limits, unseen)
             for text, known in zip(self._said, before):
                 if text and text != known:
@@ -180,13 +180,16 @@ class Watched:
             self._alert(change)
         if self.session.doubt != self._doubt:
             self._doubt = self.session.doubt
-            self.say(self._doubt or "what comes fits again; it is judged", "error" if self._doubt else "notice")
+            self.say(
+                self._doubt or "the data are consistent again; the assessment continues",
+                "error" if self._doubt else "notice",
+            )
 
     def _alert(self, change: Change) -> None:
         alert = {"type": "event", "vehicle": self.name, "number": change.number, "state": change.what}
         self._notify({**alert, "event": change.event.to_dict()})
         if change.what == WITHDRAWN:
-            self.notice = "an event was taken back: it began with the landing, or the data favour another explanation"
+            self.notice = "an event was withdrawn: it began with the landing, or the data favour another explanation"
 
     def say(self, text: str, kind: str = "notice", **more: int | list[str]) -> None:
         """A sentence on the link or the vehicle. more: further fields of the alert."""

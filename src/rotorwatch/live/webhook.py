@@ -80,7 +80,7 @@ class Webhook:
         if self._ends is None and not self._thread.is_alive():
             self._start()
             self._notices.append(
-                f"{self.name}: sending alerts had ended by an error in rotorwatch itself and begins again; please report it"
+                f"{self.name}: sending alerts stopped after an internal error and restarts; please report it"
             )
         while self._notices:
             self._notify(self._notices.popleft())
@@ -94,7 +94,9 @@ class Webhook:
         with self._change:
             left = len(self._queue)
         if left:
-            self._notices.append(f"{self.name}: {left} alert{'s' if left > 1 else ''} could not be sent before the end")
+            self._notices.append(
+                f"{self.name}: {left} alert{'s' if left > 1 else ''} could not be sent before shutdown"
+            )
         self.step()
 
     def _work(self) -> None:
@@ -110,14 +112,14 @@ class Webhook:
             with self._change:
                 if not why:
                     if failing:
-                        self._notices.append(f"{self.name} takes alerts again")
+                        self._notices.append(f"{self.name} accepts alerts again")
                     failing, pause = False, self._pause_s
                     if self.dropped == dropped:  # else this one has gone already
                         self._queue.popleft()
                     continue
                 if not failing:
                     failing = True
-                    self._notices.append(f"{self.name} does not take alerts ({why}); they wait, and it is tried again")
+                    self._notices.append(f"{self.name} does not accept alerts ({why}); they are queued and sent again")
                 self._change.wait_for(self._ended, min(pause, self._left()))
                 pause = min(2.0 * pause, LONGEST_S)
 

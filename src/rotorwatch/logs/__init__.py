@@ -55,7 +55,7 @@ def offered() -> dict[str, tuple[Any, Any]]:
         whole = any(all(hasattr(found, part) for part in pair) for pair in (FILE_PARTS, FOLDER_PARTS))
         taken = found.FORMAT in {m.FORMAT for m in formats()}
         if taken:
-            return "its FORMAT is taken"
+            return "its FORMAT is already in use"
         return "" if whole else "it needs sniff and read, or sniff_folder and read_folder"
 
     return {found.FORMAT: (entry, found) for entry, found in discovery.others(__name__, ("FORMAT",), refuse)}
@@ -199,9 +199,7 @@ def _checked(job, module, path, warnings, progress=None) -> Flight:
     except (Exception, RecursionError) as error:
         raise LogError(f"{path}: this {module.FORMAT} is too damaged to be read ({type(error).__name__})") from error
     if not isinstance(flight, Flight):
-        raise LogError(
-            f"{path}: the reader of {module.FORMAT} gave no Flight; mend or uninstall the package that it is from"
-        )
+        raise LogError(f"{path}: the reader of {module.FORMAT} returned no Flight; fix or uninstall its package")
     if not any(len(s) >= 2 for name, s in flight.signals.items() if name not in series.SHOWN):
         raise LogError(f"{path}: this {module.FORMAT} holds no flight data; was logging switched on?")
     flight = replace(flight, name=path.name, warnings=(*warnings, *flight.warnings))

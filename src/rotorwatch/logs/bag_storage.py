@@ -199,7 +199,7 @@ def read_mcap(data, bag: Bag, progress=None) -> None:
         bag.notes.append("the MCAP file is cut off or damaged; what comes before that place was read")
     if lost:
         bag.notes.append(
-            f"{lost} chunk{'s' if lost > 1 else ''} of the MCAP file {'are' if lost > 1 else 'is'} damaged and left out"
+            f"{lost} chunk{'s' if lost > 1 else ''} of the MCAP file {'are' if lost > 1 else 'is'} damaged and skipped"
         )
 
 
@@ -235,7 +235,7 @@ class _Database:
                 yield self._why is not None
                 self._left -= STEPS
                 if self._left < 0:
-                    raise LogError("this database takes longer to read than its size allows; it is damaged, or made to")
+                    raise LogError("this database takes too long to read for its size; it is damaged or malicious")
             except GeneratorExit:
                 return
             except BaseException as why:
@@ -286,7 +286,7 @@ def read_sqlite(source: Path | bytes, bag: Bag, progress=None) -> None:
     """Put the messages of a .db3 file, a path or its bytes, into the bag."""
     with _opened(source) as base:
         if not base.there("topics") or not base.there("messages"):
-            raise LogError("this database is no ROS 2 bag, or too damaged to be read")
+            raise LogError("this database is not a ROS 2 bag, or is too damaged to be read")
         definitions: dict[Any, Any] = {}
         if base.there("message_definitions"):
             query = "SELECT topic_type, encoded_message_definition FROM message_definitions WHERE encoding = 'ros2msg'"
@@ -300,7 +300,7 @@ def read_sqlite(source: Path | bytes, bag: Bag, progress=None) -> None:
                 elif (topic := bag.topic(str(name), str(kind), str(definitions.get(kind, "")))) is not None:
                     topics[int(number)] = topic
         except (sqlite3.Error, TypeError, ValueError) as error:
-            raise LogError("this database is no ROS 2 bag, or too damaged to be read") from error
+            raise LogError("this database is not a ROS 2 bag, or is too damaged to be read") from error
         wanted_ids = ",".join(map(str, topics))
         done = 0
         try:

@@ -12,7 +12,7 @@ from rotorwatch.base import incoming
 from rotorwatch.errors import LogError
 
 SLACK, SHRINKS = 256 << 20, 16
-"""Logs shrink to a third to a sixth; what unfolds to more than so many bytes, and so many times its size, is made to fill memory."""
+"""Logs shrink to a third to a sixth; what decompresses to more than so many bytes, and so many times its size, is made to fill memory."""
 _CHUNK, _HEAD = 1 << 20, 1 << 16
 _MAGIC = {
     b"\xfd7zXZ\x00": (".xz", lambda: lzma.LZMADecompressor(memlimit=SLACK)),
@@ -69,7 +69,7 @@ def open_log(path: Path, progress=None, limit: int = incoming.MOST):
             for magic, (kind, tool) in _REFUSED.items():
                 if head.startswith(magic):
                     raise LogError(
-                        f"{path}: {kind} archives are not opened; unpack it first, for instance with '{tool}'"
+                        f"{path}: {kind} archives are not supported; unpack it first, for instance with '{tool}'"
                     )
             for magic, (suffix, decoder) in _MAGIC.items():
                 if head.startswith(magic):
@@ -90,8 +90,8 @@ def most(size: int, limit: int = incoming.MOST) -> int:
 
 
 def too_much(limit: int, where: str = "") -> LogError:
-    """The error of a log that unfolds to more than `limit` bytes."""
-    return LogError(f"{where}unfolds to more than {limit >> 20} MB, which no flight log does")
+    """The error of a log that decompresses to more than `limit` bytes."""
+    return LogError(f"{where}decompresses to more than {limit >> 20} MB, which no flight log does")
 
 
 def head(path: Path, count: int) -> tuple[bytes, str]:

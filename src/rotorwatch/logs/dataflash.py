@@ -240,7 +240,7 @@ class _Signals:
         if rotors.BY_NUMBER in notes and (throttle := self.collective()) is not None:
             known = [pwm[o] for o in self.outputs.values() if o in pwm]
             if known and not rotors.follow(time, np.stack(known, axis=1), *throttle):
-                self.warnings.append("Those outputs do not follow the throttle: they are no motors and were left out.")
+                self.warnings.append("Those outputs do not follow the throttle: they are not motors and were ignored.")
                 self.outputs = {}
                 return
         self.left_out = rotors.left_out(parameters, self.outputs, pwm)

@@ -131,7 +131,9 @@ def make_clock(stamps: np.ndarray) -> Clock:
     if resets:
         size, when = f"{resets[0][1] / 1e6:.1f} s", f"{jumps[0]:.1f} s"
         more = f" (and {amount(len(jumps) - 1, 'more time')})" if len(jumps) > 1 else ""
-        warnings.append(f"The log's clock jumps back by {size} at {when}{more}; later times are shifted to follow on.")
+        warnings.append(
+            f"The log's clock jumps back by {size} at {when}{more}; later times are shifted to be continuous."
+        )
     # Carry the last stamp forward to records without one; those before the first stamp belong to the start.
     last = np.zeros(stamps.size, np.int32 if stamps.size < 2**31 else np.int64)
     last[timed] = np.arange(timed.size, dtype=last.dtype)
@@ -239,4 +241,4 @@ def _anchors(log, paced) -> tuple[np.ndarray | None, np.ndarray, str]:
     loop = next((paced[name] for name in ("MOT", "CTUN") if name in paced), None)
     if loop is None:
         return None, np.zeros(0), ""
-    return loop, np.arange(loop.size) * LOOP_S, "the ten records a second that it writes"
+    return loop, np.arange(loop.size) * LOOP_S, "its rate of ten records a second"

@@ -74,7 +74,7 @@ def outputs(
         if extra := sorted(set(mapped) - set(expected)):
             # A tricopter's tail servo is function 39 ("motor 7"); nothing odd about that.
             if not (frame_class == 7 and extra == [7]):
-                notes.append(f"Outputs of motors {_listed(extra)} are not part of this frame and were left out.")
+                notes.append(f"Outputs of motors {_listed(extra)} are not part of this frame and were ignored.")
         if missing := [k for k in expected if k not in mapped]:
             free = {k: k for k in missing if not functions.get(k) or _one_bit_off(functions[k], k)}
             # An output drives one rotor: one that is claimed twice is its own rotor's, and the other's name was damaged.
@@ -91,7 +91,7 @@ def outputs(
         # ArduPilot drives no rotor through an output that has another function.
         notes.append(
             f"No output has a motor function, and outputs {_listed(other)} have others (SERVO{other[0]}_FUNCTION "
-            f"{functions[other[0]]}): what drove the rotors is not in this log."
+            f"{functions[other[0]]}): the motor outputs are not in this log."
         )
         return {}, notes
     if expected:

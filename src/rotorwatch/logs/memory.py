@@ -221,12 +221,12 @@ def numbers(data, notes, name="", wanted: Callable[[str], bool] = lambda column:
     where = f"{name}: " if name else ""
     used = [k for k, column in enumerate(names) if wanted(column)]
     if not names or len(names) > _MOST_COLUMNS or not used:
-        raise LogError(f"{where}the first line is no list of column names separated by commas")
+        raise LogError(f"{where}the first line is not a comma-separated list of column names")
     if len(set(names)) < len(names):
-        raise LogError(f"{where}column {next(n for n in names if names.count(n) > 1)} is there twice")
+        raise LogError(f"{where}column {next(n for n in names if names.count(n) > 1)} appears twice")
     body = data.partition(b"\n")[2]
     if not body.strip():
-        raise LogError(f"{where}the table has no line of numbers")
+        raise LogError(f"{where}the table has no numeric line")
     try:
         full = body
         for empty, filled in _EMPTY:
@@ -242,7 +242,7 @@ def numbers(data, notes, name="", wanted: Callable[[str], bool] = lambda column:
     except ValueError:
         rows = _line_by_line(body, len(names), used, notes, where)
     if not rows.size:
-        raise LogError(f"{where}the table has no line of numbers")
+        raise LogError(f"{where}the table has no numeric line")
     return {names[column]: rows[:, k] for k, column in enumerate(used)}
 
 

@@ -96,7 +96,7 @@ def checked(flight: Flight, progress: Callable[[float], object] | None = None) -
             continue
         signals[name], shares[name] = replace(signal, valid=signal.valid & ~found), share
         each = "value that does" if count == 1 else "values that do"
-        warnings.append(f"{name} ({signal.source}): {count} {each} not fit the ones before and after ignored.")
+        warnings.append(f"{name} ({signal.source}): {count} {each} not fit the neighbouring values ignored.")
         if count >= LEAST_HEAVY and share > HEAVY:
             heavy.append(name)
     # Vehicles that tumble, are tuned or lose a motor's step jolt as well: only what cannot be at all says that it is the log.
@@ -104,7 +104,7 @@ def checked(flight: Flight, progress: Callable[[float], object] | None = None) -
     if heavy and impossible >= LEAST_HEAVY:
         warnings.append(
             f"This log is damaged: {impossible} of its records or values are impossible, and too many of {', '.join(heavy)} do not fit "
-            "the ones before and after for it to be chance. Copy the log from the autopilot again."
+            "the neighbouring values for this to be chance. Copy the log from the autopilot again."
         )
     if not shares and not warnings and not impossible:
         return flight
@@ -128,9 +128,7 @@ def _once(flight: Flight) -> Flight:
             often.append(name)
     if not set(often) & set(COUPLED):  # counts and levels may well stand still
         return flight
-    warning = (
-        f"Records stand in the log twice, with the same time and values ({', '.join(often)}): each was taken once."
-    )
+    warning = f"The log has duplicate records, with the same time and values ({', '.join(often)}): each was taken once."
     messages = tuple(m for k, m in enumerate(flight.messages) if not k or m != flight.messages[k - 1])
     return replace(flight, signals=signals, messages=messages, warnings=(*flight.warnings, warning))
 

@@ -139,15 +139,15 @@ def tables(bag: bag_storage.Bag) -> dict[str, tuple[np.ndarray, dict[str, np.nda
         lost = len(topic.payloads) - rows.size
         if not rows.size:
             what = (
-                "its messages do not fit their definition"
+                "its messages do not match their definition"
                 if topic.definition
                 else "the bag does not carry its definition"
             )
             if topic.definition or (at := place(topic.name)) is None or at[1] not in px4_reports.TOPICS:
-                bag.notes.append(f"{topic.name} was left out: {what}")
+                bag.notes.append(f"{topic.name} was skipped: {what}")
             continue
         if lost:
-            bag.notes.append(f"{topic.name}: {lost} of {len(topic.payloads)} messages are damaged and were left out")
+            bag.notes.append(f"{topic.name}: {lost} of {len(topic.payloads)} messages are damaged and were skipped")
         out[topic.name] = np.array(topic.stamps, np.float64)[rows], columns
     return out
 
@@ -211,7 +211,7 @@ def _px4_flight(found, notes: list[str]) -> Flight:
     signals, facts = px4_topics.signals(topics, {})
     if "motors" not in signals:
         notes.append(
-            "the bag has no motor commands: let PX4 publish actuator_motors (dds_topics.yaml) and record it, or judge this flight's ULog"
+            "the bag has no motor commands: let PX4 publish actuator_motors (dds_topics.yaml) and record it, or diagnose this flight's ULog"
         )
     facts["utc_start"] = _utc(facts.get("utc_start"), start, stamps, parts)
     return Flight(

@@ -14,7 +14,7 @@ FORMAT = "CSV or Parquet table"
 COMMON_ENDINGS = (".csv", ".parquet")
 
 _PARQUET = b"PAR1"
-_NO_NUMBERS = "this Parquet table is damaged or holds columns that are no numbers"
+_NO_NUMBERS = "this Parquet table is damaged or has non-numeric columns"
 
 
 def sniff(head: bytes, name: str) -> bool:

@@ -89,11 +89,11 @@ def rotors_title(diagnosis: Diagnosis) -> str:
     """What the rotor table shows."""
     if all(r.status == "unobservable" for r in diagnosis.rotors):
         if diagnosis.story and any(r.note for r in diagnosis.rotors):
-            return "Rotors: until when each was seen to work"
-        return "Rotors: none could be judged"
+            return "Rotors: last time each was seen working"
+        return "Rotors: none could be assessed"
     if diagnosis.story:
         return "Rotors, up to the loss of control and after it"
-    return "Rotors at the end of the judged flight"
+    return "Rotors at the end of the assessed flight"
 
 
 def scope(diagnosis: Diagnosis) -> str:
@@ -102,8 +102,10 @@ def scope(diagnosis: Diagnosis) -> str:
     if diagnosis.own is None or not said:
         return said
     name = diagnosis.estimator
-    shared = f"Losses and intervals here are of the decision that all methods share, made of {name}'s estimates"
-    return f"{said} {shared}; {name}'s own stand apart."
+    shared = (
+        f"Losses and intervals are those of the decision stage common to all methods, fed with the estimates of {name}"
+    )
+    return f"{said} {shared}; {name}'s own are listed separately."
 
 
 def _scope(diagnosis: Diagnosis) -> str:
@@ -113,12 +115,12 @@ def _scope(diagnosis: Diagnosis) -> str:
     if all(r.from_takeoff == "not judged" for r in diagnosis.rotors):
         more = ", and no loss in this flight" if diagnosis.whole_flight else ""
         needs = f": that needs healthy flights of the same build{more}" if more or BASELINE in diagnosis.advice else ""
-        return f"{since}, with 95 % intervals. Damage that was there from take-off was not judged{needs}."
+        return f"{since}, with 95 % intervals. Damage present at take-off was not assessed{needs}."
     if diagnosis.whole_flight:
         return "Losses compared with the healthy flights of this build, with 95 % intervals."
     return (
-        f"{since}, with 95 % intervals. What was there from take-off is bounded by how unequally healthy vehicles of any build are "
-        "commanded; healthy flights of this build show more."
+        f"{since}, with 95 % intervals. Damage present at take-off is bounded by the spread of healthy vehicles of any build; "
+        "healthy flights of this build show more."
     )
 
 
@@ -213,15 +215,15 @@ def common_mode(diagnosis: Diagnosis) -> str:
     within = max(abs(low), abs(high))
     if low <= 0.0 <= high or within < SMALL_SHIFT:
         if within > VARIED:
-            return "The thrust of all rotors together varied too much in this flight to compare its end with its beginning."
-        same = "All rotors together were commanded the same thrust at the end as at the beginning"
+            return "The total thrust varied too much in this flight to compare its end with its beginning."
+        same = "The total commanded thrust was the same at the end as at the beginning"
         return f"{same}, within {percent(max(within, SMALL_SHIFT))}."
     more, why = "less", "a lighter vehicle, denser air or a fresher battery"
     if share > 0:
-        more, why = "more", "a tired battery, more weight or thinner air, or a loss that all rotors share"
+        more, why = "more", "a weaker battery, more weight, thinner air, or a loss common to all rotors"
     return (
-        f"For the same motion all rotors together were commanded {percent(abs(share))} {more} thrust at the end than at the beginning "
-        f"(95 % interval {percent(min(abs(low), abs(high)))} to {percent(within)}): {why}. No single rotor is meant."
+        f"For the same motion {percent(abs(share))} {more} total thrust was commanded at the end than at the beginning "
+        f"(95 % interval {percent(min(abs(low), abs(high)))} to {percent(within)}): {why}. This is not a fault of a single rotor."
     )
 
 
@@ -248,7 +250,7 @@ def whole_flight(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     if facts.get("common") is not None and facts.get("verdict") != "inconclusive":
         rows["all rotors together"] = (
             f"{percent(abs(share))} {'more' if share > 0 else 'less'} command than on the healthy flights (battery, payload and air "
-            "density change it, too)"
+            "density also change it)"
         )
     return [(name, text) for name, text in rows.items() if text]
 
@@ -266,7 +268,7 @@ def messages(diagnosis: Diagnosis) -> list[tuple[float, str, str]]:
 
 
 def comparison(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
-    """Who found what, when and why: our events among the other checks' findings, in time order. Empty without any."""
+    """Detections by method and why: our events among the other checks' findings, in time order. Empty without any."""
     method = "rotorwatch" if diagnosis.estimator == "default" else diagnosis.estimator
     rows = [
         (method if e.kind == LOSS else "rotorwatch", candidates(e), e.detected_s, e.means.noun)
@@ -287,8 +289,8 @@ def _other_checks(autopilot: str) -> tuple[str, str, str, str]:
 
     names = ", ".join(module.name for module in detectors.for_autopilot(autopilot))
     if names:
-        return names, "nothing", seconds(None), "as far as this log lets it run"
-    why = f"no check of {autopilot or 'this autopilot'} itself is known here"
+        return names, "nothing", seconds(None), "as far as this log allows"
+    why = f"no built-in check of {autopilot or 'this autopilot'} is available here"
     return "other checks", "none made", seconds(None), why
 
 

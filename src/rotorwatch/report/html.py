@@ -63,7 +63,7 @@ def page(diagnosis: Diagnosis) -> str:
         _messages(diagnosis),
         _list("Warnings", diagnosis.warnings, "warnings"),
         _list("Assumptions", [f"Baseline: {diagnosis.baseline}", *diagnosis.assumptions]),
-        _list("When it could not judge", (f"{start:.1f} to {end:.1f} s: {why}" for start, end, why in blind)),
+        _list("Times that could not be assessed", (f"{start:.1f} to {end:.1f} s: {why}" for start, end, why in blind)),
         "</main>",
         _footer(diagnosis, title),
     ]
@@ -258,7 +258,7 @@ def _messages(diagnosis: Diagnosis) -> str:
 
 MOST_MESSAGES = 300
 PLOTS = (
-    (("command",), "Motor commands", "The autopilot's command of each rotor: a weak rotor gets a higher one."),
+    (("command",), "Motor commands", "The autopilot's command of each rotor; a weak rotor gets a higher one."),
     (
         ("evidence",),
         "Evidence",
@@ -268,18 +268,18 @@ PLOTS = (
     (
         tuple(f"rate_{axis}" for axis in figures.ANGLES),
         "Rates: sticks and gyro",
-        "Blue: as it turned. Dashed: the pilot's setpoint, after rates and expo. A vehicle with a weak motor lags behind, "
+        "Blue: measured. Dashed: the pilot's setpoint, after rates and expo. A vehicle with a weak motor lags behind, "
         "or shakes, on the axes of that motor.",
     ),
     (
         tuple(f"angle_{angle}" for angle in figures.ANGLES),
-        "Attitude: wanted and flown",
-        "Blue: as it flew. Dashed: the controller's setpoint. A vehicle that is at its limit no longer follows.",
+        "Attitude: setpoint and actual",
+        "Blue: actual. Dashed: the controller's setpoint. A vehicle at its limit no longer follows it.",
     ),
     (
         figures.CHANNELS,
         "Residuals",
-        "What the motion shows beyond what the commands explain, with the ±2 sd a healthy aircraft stays in; "
+        "The part of the motion that the commands do not explain, with the ±2 sd band of a healthy aircraft; "
         "in units of the hover thrust (torques: times the arm).",
     ),
 )
@@ -294,7 +294,7 @@ def _plots(diagnosis: Diagnosis, divs: Mapping[str, str]) -> str:
     marks = " &ensp; ".join(f'<span class="key {name}"></span>{text}' for name, text in MARKS.items())
     parts = [
         "<h2>Loss of each rotor over the flight</h2><p>The estimate as a live observer would have had it, with its "
-        "95 % band. Drag over a stretch of time to zoom all plots; the arrow in a plot's corner goes back.</p>",
+        "95 % band. Drag over a time span to zoom all plots; the arrow in a plot's corner resets it.</p>",
         f'<div class="chips" role="group" aria-label="Rotors shown">{chips}</div>',
         _plot("loss", divs),
         _plot("lane", divs) if "lane" in divs else "",
@@ -317,8 +317,8 @@ def _own_estimate(diagnosis: Diagnosis, divs: Mapping[str, str]) -> list[str]:
         _plot(plot, divs) for plot in divs if plot.startswith(f"{figures.OWN}_") and plot != f"{figures.OWN}_loss"
     )
     return [
-        f"<h2>{escape(name)} itself</h2><p>{_text(diagnosis.own.whose)} Nothing of it is held, clipped or decided; the losses above are of "
-        "the decision that all methods share.</p>",
+        f"<h2>{escape(name)}: own estimates</h2><p>{_text(diagnosis.own.whose)} Nothing is held, clipped or decided; the losses above are "
+        "those of the decision stage common to all methods.</p>",
         _plot(f"{figures.OWN}_loss", divs),
         f"<details><summary>States and innovations of {escape(name)}</summary>{rest}</details>",
     ]
@@ -393,7 +393,7 @@ def _plot(name: str, divs: Mapping[str, str]) -> str:
 def _comparison(rows: Iterable[tuple[str, str, str, str]]) -> str:
     head = _row(("check", "found", "at", "why"), cell="th", right=(2,))
     table = _table(head, "".join(_row(row, right=(2,)) for row in rows))
-    return f"<h2>Who found what, when</h2>{table}" if table else ""
+    return f"<h2>Detections by method</h2>{table}" if table else ""
 
 
 def _list(title: str, sentences: Iterable[str], name: str = "") -> str:

@@ -73,9 +73,9 @@ _FASTER = {
     },
 }
 _WHY = {
-    "motors": "No motor commands: without them no rotor can be judged.",
+    "motors": "No motor commands: without them no rotor can be assessed.",
     "gyro": "No angular rates: they can only be derived from the attitude, where that is logged.",
-    "accel": "No accelerations: thrust cannot be checked, so a loss common to all rotors stays unseen.",
+    "accel": "No accelerations: thrust cannot be checked, so a loss common to all rotors goes undetected.",
     "control": "No rate controller output: an overridden output cannot be distinguished from a commanded one.",
     "attitude": "No attitude: take-off, landing and flips are found less reliably.",
     "battery": "No battery voltage: battery sag cannot be distinguished from a loss common to all rotors.",
@@ -150,7 +150,7 @@ def obstacle(
     except RotorwatchError as why:
         return Obstacle("frame", str(why))
     if not flight.has("motors"):
-        return Obstacle("motors", "The log shows no motor outputs: without them no rotor can be judged.")
+        return Obstacle("motors", "The log has no motor outputs: without them no rotor can be assessed.")
     flight, _ = turning.with_rates(flight)
     if flight.angular_rate() is None:
         return Obstacle("gyro", sentence(f"{unjudged.MOTIONLESS.why}."))
@@ -220,14 +220,14 @@ def _missing(flight: Flight, frame: str, stop: Obstacle | None) -> list[dict]:
             gaps.append(
                 _gap(
                     name,
-                    f"Gyro at {max(rates):.3g} Hz: short moments, as desyncs are, can be missed.",
+                    f"Gyro at {max(rates):.3g} Hz: short events such as desyncs can be missed.",
                     setting,
                     False,
                     True,
                 )
             )
         elif max(rates) < FAST_HZ:
-            often = f"judged every {tick_length(max(rates)):g} s; faster logging finds a loss sooner"
+            often = f"assessed every {tick_length(max(rates)):g} s; faster logging detects a loss sooner"
             gaps.append(_gap(name, f"{name.capitalize()} at {max(rates):.3g} Hz: {often}.", setting, False, True))
     if stop and stop.what in _OBSTACLES:
         name, setting = _OBSTACLES[stop.what]

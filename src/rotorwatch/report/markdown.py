@@ -216,7 +216,7 @@ class _About:
         )
         yield _bullets("Messages of the autopilot around the main event", said)
         checks = [[self.own(cell, 160) for cell in row] for row in report.comparison(d)[:8]]
-        yield f"**Who found what, when**\n\n{table(('check', 'found', 'at', 'why'), checks)}" if checks else ""
+        yield f"**Detections by method**\n\n{table(('check', 'found', 'at', 'why'), checks)}" if checks else ""
         common = report.common_mode(d)
         yield f"**All rotors together:** {self.own(common, size.letters)}" if common else ""
 

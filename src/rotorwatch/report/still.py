@@ -27,9 +27,9 @@ def shows(diagnosis: Diagnosis, what: str = "auto") -> str:
     if what not in KINDS:
         raise ConfigError(f"what: there is no {what!r}{meant(what, KINDS)}; give one of {', '.join(KINDS)}.")
     if what == "moment" and not moment:
-        raise ConfigError("There is no moment to show: control was not lost, and no motor lost step.")
+        raise ConfigError("No moment to show: control was not lost and no motor desynced.")
     if (what == "flight" and not flight) or not (moment or flight):
-        raise ConfigError("There is nothing to draw: no part of this log could be judged.")
+        raise ConfigError("Nothing to draw: no part of this log could be assessed.")
     return "moment" if moment and what != "flight" else "flight"
 
 

@@ -58,7 +58,7 @@ def diagnosis(result: Diagnosis, verbose: bool = False) -> RenderableType:
     rows = report.comparison(result)
     if rows:
         head = ("check", "found", "at", "why")
-        parts += [Text(), Fitted("Who found what, when", head, [[Text(cell) for cell in row] for row in rows], (2,))]
+        parts += [Text(), Fitted("Detections by method", head, [[Text(cell) for cell in row] for row in rows], (2,))]
     return Group(*parts, Text(), _small_print(result))
 
 
@@ -81,7 +81,7 @@ def _besides(result: Diagnosis) -> list[RenderableType]:
     out += _steps(result)
     left = {"warning": len(result.warnings), "assumption": len(result.assumptions), "event": len(result.events)}
     said = ", ".join(f"{n} {word}{'s' if n > 1 else ''}" for word, n in left.items() if n)
-    return [*out, Text(f"What this rests on{f' ({said})' if said else ''}: --verbose", style="dim")]
+    return [*out, Text(f"Details{f' ({said})' if said else ''}: --verbose", style="dim")]
 
 
 def _routine(warning: str) -> bool:

@@ -29,8 +29,8 @@ from rotorwatch.serve.uploads import Limits, Refused, Uploads
 
 MOST_ROWS, MOST_LETTERS = 200, 200  # of one answer; of a filter
 FILTERS = tuple(field.name for field in fields(Filters))
-UNKNOWN = "No such flight is known here."
-NO_DELETION = "This server deletes no flights; whoever runs it can start it with --allow-delete, or use `rotorwatch fleet delete`."
+UNKNOWN = "No such flight."
+NO_DELETION = "This server does not delete flights; start it with --allow-delete, or use `rotorwatch fleet delete`."
 # Scripts of a report are inline; in a sandbox they are of no origin, so that they could ask this server for nothing.
 SANDBOX = f"{REPORT_POLICY}; frame-ancestors 'none'; base-uri 'none'; form-action 'none'; sandbox allow-scripts allow-downloads"
 NAME = "x-rotorwatch-name"  # header with an upload's name; no page of another site may send it
@@ -116,7 +116,7 @@ async def _list(request: Request) -> Response:
     if unknown := sorted(query.keys() - FILTERS):
         raise HTTPException(
             400,
-            f"{one_line(unknown[0], 40)} is no filter{meant(unknown[0], FILTERS)}; choose from {', '.join(FILTERS)}.",
+            f"{one_line(unknown[0], 40)} is not a filter{meant(unknown[0], FILTERS)}; choose from {', '.join(FILTERS)}.",
         )
     filters = {name: text[:MOST_LETTERS] for name, text in query.items()}
     rows = request.app.state.flights.rows
@@ -128,7 +128,7 @@ async def _list(request: Request) -> Response:
 
 def _number(text: str, name: str, most: int) -> int:
     if not text.isascii() or not text.isdecimal() or len(text) > 10:
-        raise HTTPException(400, f"{name} must be a whole number from 0 on.")
+        raise HTTPException(400, f"{name} must be a whole number, 0 or more.")
     return min(int(text), most)
 
 
@@ -168,7 +168,7 @@ async def _delete(request: Request) -> Response:
         row = await asyncio.to_thread(state.flights.delete, digest)
     except NotInStore:
         if state.uploads.waiting(digest):
-            raise HTTPException(409, "This flight is being judged; delete it when it is in the list.") from None
+            raise HTTPException(409, "This flight is being diagnosed; delete it once it is in the list.") from None
         raise HTTPException(404, UNKNOWN) from None
     state.feed.hub.publish("deleted", {"hash": digest})
     return JSONResponse(row)
@@ -215,7 +215,7 @@ async def _download(request: Request) -> Response:
 
 async def _failed(request: Request, why: Exception) -> Response:
     assert isinstance(why, HTTPException)
-    standard = {404: "There is no such page here.", 405: "This address does not take such a request."}
+    standard = {404: "No such page.", 405: "This address does not accept such a request."}
     text = standard.get(why.status_code, "This request cannot be answered.")
     text = why.detail if why.detail and why.detail.endswith(".") else text
     answer = refused(request, why.status_code, text)

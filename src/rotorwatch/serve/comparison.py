@@ -22,7 +22,7 @@ def page(found: Comparison) -> str:
         f'<a href="{swap}">Swap A and B</a></header>'
         f'<main id="compared"><h1>Two flights compared</h1><p class="lead">{escape(found.headline)}</p>'
         f'<div class="pair">{_card(found, 0)}{_card(found, 1)}</div>'
-        "<h2>Rotors</h2><p>Loss of effectiveness with its 95 % interval. ≠ marks a rotor whose state is another one, or whose intervals do "
+        "<h2>Rotors</h2><p>Loss of effectiveness with its 95 % interval. ≠ marks a rotor whose state differs, or whose intervals do "
         f"not overlap.</p>{_table(found.rotors, 'rotor')}"
         f'<h2>Events</h2><div class="pair">{_events(found, 0)}{_events(found, 1)}</div>'
         f"<h2>Flight, vehicle and log</h2>{_table(found.facts, 'what')}</main>"

@@ -159,11 +159,11 @@ def wrong(why: Exception) -> tuple[int, str]:
     with suppress(OSError, ValueError, AttributeError):  # nobody reads it
         text = files.public(files.printable(f"{type(why).__name__}: {why}"))
         print(f"rotorwatch: {text}", file=sys.stderr, flush=True)
-    mine = f"An error in rotorwatch itself ({type(why).__name__}); please report it with what the server has printed."
+    mine = f"Internal error of rotorwatch ({type(why).__name__}); please report it with the server's output."
     causes: tuple[tuple[Any, int, str], ...] = (
-        ((StoreFull, OSError), 507, "The server's disk has no room, or cannot be written to; make room."),
-        (StoreError, 503, "The list of flights cannot be read or written now; see to the server's store."),
-        (WorkerError, 503, "The process that judges logs does not run; try again."),
+        ((StoreFull, OSError), 507, "The server's disk is full or not writable; free some space."),
+        (StoreError, 503, "The list of flights cannot be read or written; check the server's store."),
+        (WorkerError, 503, "The diagnosis process is not running; try again."),
         (RotorwatchError, 503, str(why)),  # of what a flight says, not of where it lies
     )
     return next(((code, text) for kind, code, text in causes if isinstance(why, kind)), (500, mine))

@@ -218,7 +218,7 @@ class Guarded(loop.Guarded):
         state = "has ended" if self.ended else "is watched" if count else "waits for a vehicle"
         if isinstance(self.source, Link):
             if self.source.damaged and not self.source.frames:
-                state = "bytes come, but none of them are MAVLink"
+                state = "data arrive but are not MAVLink"
             if self.source.trouble:
                 state += f"; {self.source.trouble}"
         return {"name": self.name, "text": self.trouble or state}
@@ -265,8 +265,8 @@ class Feed:
                 return
             except BaseException as why:
                 text = " ".join(f"{type(why).__name__}: {why}".split())[:200]
-                error = f"an error in rotorwatch itself ({text})"
-                self.failed = f"Watching has ended by {error}; please report it. It begins again."
+                error = f"an internal error of rotorwatch ({text})"
+                self.failed = f"Watching stopped after {error}; please report it. It restarts."
                 self._error(self.failed)
             pause = loop.FIRST_S if time.monotonic() - began > LASTS_S else min(2.0 * pause, loop.LONGEST_S)
             time.sleep(0.0 if self.stopped else pause)

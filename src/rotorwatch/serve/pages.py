@@ -37,7 +37,7 @@ def message(text: str, with_form: bool = False) -> str:
         '<input id="token" name="token" type="password" autocomplete="current-password" required> <button>Open</button></form>'
     )
     body = f"<h1>rotorwatch</h1><p>{escape(text)}</p>{form if with_form else ''}"
-    back = "" if with_form else '<p><a href="/">To the list of flights</a></p>'
+    back = "" if with_form else '<p><a href="/">Back to the list of flights</a></p>'
     return page("rotorwatch", f'<main class="only">{body}{back}</main>')
 
 

@@ -27,9 +27,7 @@ ALWAYS = {"X-Content-Type-Options": "nosniff", "X-Frame-Options": "DENY"} | dict
 )
 LEAST = 16  # letters of a token: nobody guesses one of them over a network
 MOST_FORM, FORM_S = 4096, 10.0  # bytes of the login form; s for sending it
-NEEDED, WRONG = (
-    f"{what}: give the one that rotorwatch was started with." for what in ("A token is needed", "This token is wrong")
-)
+NEEDED, WRONG = (f"{what}: give the one rotorwatch was started with." for what in ("A token is needed", "Wrong token"))
 OPEN = ("/static/page.css", "/static/serve.css")  # the login form looks like the page
 
 
@@ -51,8 +49,8 @@ def checked(host: str, token: str) -> str:
         )
     if not token and not loopback(host):
         raise ConfigError(
-            f"--host {host}: other computers can reach this address; give a token that they must know (--token, or the environment "
-            "variable ROTORWATCH_TOKEN), or leave --host away."
+            f"--host {host}: other computers can reach this address; set a token (--token, or the environment "
+            "variable ROTORWATCH_TOKEN), or omit --host."
         )
     return token
 
@@ -86,10 +84,10 @@ class Guard:
         """What is answered instead, or None for a request that may pass."""
         headers = request.headers
         if len(headers.getlist("host")) != 1 or not self._known(headers["host"]):
-            why = "This address is not this server's; open it by the name or the address it was started with."
+            why = "This is not the server's address; use the name or address it was started with."
             return refused(request, 421, why)
         if request.method not in ("GET", "HEAD") and not from_here(headers):
-            return refused(request, 403, "This came from the page of another site; open rotorwatch's own page.")
+            return refused(request, 403, "This request came from another site; open rotorwatch's own page.")
         if not self._token:
             return RedirectResponse("/", 303) if request.url.path == "/login" else None
         form = request.method == "POST" and not request.url.path.startswith("/api/")
@@ -133,7 +131,7 @@ class Guard:
         try:
             body = await asyncio.wait_for(_form(request), FORM_S)
         except asyncio.TimeoutError:
-            return refused(request, 408, "This was too slow; try again on a better connection.")
+            return refused(request, 408, "The request was too slow; try again on a better connection.")
         if len(body) > MOST_FORM:
             return refused(request, 413, "This is too long for a token.")
         token = parse_qs(body.decode("utf-8", "replace")).get("token", [""])[0].strip()

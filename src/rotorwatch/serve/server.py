@@ -87,7 +87,7 @@ def listen(host: str, port: int) -> socket.socket:
         family, kind, proto, _, address = found[0]
     except (OSError, UnicodeError) as why:
         reason = getattr(why, "strerror", None) or why
-        raise ConfigError(f"--host {host}: this is no address of this computer ({reason}).") from None
+        raise ConfigError(f"--host {host}: not an address of this computer ({reason}).") from None
     sock = socket.socket(family, kind, proto)
     try:
         if os.name == "posix":

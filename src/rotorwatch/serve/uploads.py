@@ -136,7 +136,7 @@ class Uploads:
                 first = self._logs[log.digest].name
         except asyncio.TimeoutError:
             await _drain(body)
-            raise Refused(503, "Too many logs have been sent at once; try again in a minute.") from None
+            raise Refused(503, "Too many logs at once; try again in a minute.") from None
         try:
             row, new = await asyncio.shield(task)
         except Refused as why:
@@ -182,10 +182,10 @@ class Uploads:
                 shutil.rmtree(folder, ignore_errors=True)
                 raise
         except asyncio.TimeoutError:
-            text = f"{name}: the upload was too slow and was given up; try again on a better connection."
+            text = f"{name}: the upload was too slow and was aborted; try again on a better connection."
             raise Refused(408, text) from None
         except OSError as why:
-            text = f"{name}: the upload cannot be kept ({why.strerror or why}); make room on the server's disk."
+            text = f"{name}: the upload cannot be stored ({why.strerror or why}); free space on the server's disk."
             raise Refused(507, text) from None
         return Log(path, name, digest.hexdigest(), size)
 
@@ -239,8 +239,8 @@ class Uploads:
         except Refused:
             raise
         except Exception as why:
-            code, text = (503, "The server stops.") if self._stopping else wrong(why)
-            raise Later(code, f"{log.name}: the log is kept here and judged later. {text}") from why
+            code, text = (503, "The server is stopping.") if self._stopping else wrong(why)
+            raise Later(code, f"{log.name}: the log is kept and diagnosed later. {text}") from why
 
     def _into_store(self, log: Log) -> dict[str, Any]:
         """The flight, judged and put into the store."""
@@ -258,7 +258,7 @@ class Uploads:
 
 
 def _too_large(name: str, most: int) -> str:
-    return f"{name}: this is more than the {most / 2**20:g} MB that are taken here; start the server with a larger --max-upload."
+    return f"{name}: larger than the limit of {most / 2**20:g} MB; start the server with a larger --max-upload."
 
 
 async def _drain(body: AsyncIterator[bytes]) -> None:

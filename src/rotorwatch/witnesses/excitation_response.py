@@ -376,7 +376,7 @@ def _unsure(event: Event, found: dict[tuple[int, ...], float], extra: dict) -> E
     others = tuple(who for who in left if who != own)
     names = ", ".join("+".join(map(str, who)) for who in others)
     reason = (
-        f"while the commands were excited they and the motion changed as if rotor {' and '.join(map(str, event.rotors))} had lost thrust, "
+        f"during the excitation, commands and motion changed as if rotor {' and '.join(map(str, event.rotors))} had lost thrust, "
         f"but {names} would look the same"
     )
     return replace(event, alternatives=others, reason=reason, extra=extra) if others else replace(event, extra=extra)
@@ -392,7 +392,7 @@ def _unseen(
     best, share = next(iter(found.items()))
     when = _when(responses)
     if not best:
-        well = f"the excitation of the commands from {when} was answered as by a vehicle whose rotors are all well"
+        well = f"the excitation of the commands from {when} drew the response of a vehicle with healthy rotors"
         return None, well if share > CERTAIN else ""
     whole = [responses, *([[*responses, before]] if before else [])]
     _, mean, cov = max((evidence(some, best, prior(best, n)) for some in whole), key=lambda one: one[0])
@@ -401,7 +401,7 @@ def _unseen(
         return None, ""
     others = tuple(tuple(k + 1 for k in who) for who, p in found.items() if who != best and p >= CREDIBLE)
     who = tuple(k + 1 for k in best)
-    reason = f"the excitation of the commands from {when} was answered as by a vehicle whose rotor {' and '.join(map(str, who))} is weak"
+    reason = f"the excitation of the commands from {when} drew the response of a vehicle with weak rotor {' and '.join(map(str, who))}"
     reason += f", but {', '.join('+'.join(map(str, o)) for o in others)} would look the same" if others else ""
     extra = {"asked": _extra(responses, found)}
     start, end = responses[0].start, responses[-1].end
@@ -439,8 +439,8 @@ def _resolved(event: Event, responses: Sequence[ExcitationEvidence], B: np.ndarr
         return _unsure(event, found, extra), ""
     if not best:
         return None, (
-            f"a shift of thrust at {event.onset_s:.1f} s might have been rotors {'+'.join(map(str, event.rotors))} or others; the "
-            f"excitation of the commands from {when} was answered as by a vehicle whose rotors are all well"
+            f"a shift of thrust at {event.onset_s:.1f} s might have come from rotors {'+'.join(map(str, event.rotors))} or others; the "
+            f"excitation of the commands from {when} drew the response of a vehicle with healthy rotors"
         )
     _, mean, cov = evidence(responses, best, prior(best, n, named.get(best)))
     loss, bounds = _losses(best, mean, cov, B)
@@ -448,7 +448,7 @@ def _resolved(event: Event, responses: Sequence[ExcitationEvidence], B: np.ndarr
     names = " and ".join(map(str, who))
     reason = (
         f"commands and motion changed at {event.onset_s:.1f} s as if rotors had lost thrust, and the excitation of the commands "
-        f"from {when} was answered as only weak rotors {names} answer it"
+        f"from {when} drew a response that only weak rotors {names} give"
     )
     return replace(
         event, rotors=who, loss=loss, interval=bounds, probability=share, alternatives=(), reason=reason, extra=extra

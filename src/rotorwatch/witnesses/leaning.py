@@ -48,7 +48,7 @@ def find(flight: Flight, table: Ticks) -> Event | None:
         calm = np.flatnonzero(~grown)
         onset = float(table.time[calm[-1] + 1 if calm.size and calm[-1] + 1 < start else start])
         reason = (
-            f"something outside the vehicle has pushed it sideways with {pushes / G0:.1f} g while it stood still, and turned it by "
+            f"an external force has pushed the vehicle sideways with {pushes / G0:.1f} g while it stood still, and turned it by "
             f"{torque:.1f} hover thrusts of one rotor"
         )
         extra = {"size": round(pushes / G0, 3), "unit": "g"}

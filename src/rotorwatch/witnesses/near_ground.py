@@ -44,8 +44,8 @@ def warning(loss: Event) -> str:
     """A sentence on a loss that is not counted."""
     who = f"rotor{'s' if len(loss.rotors) > 1 else ''} {' and '.join(map(str, loss.rotors))}"
     return (
-        f"At {loss.onset_s:.1f} s thrust of {who} seemed to be missing, within {NEAR_M:g} m of the height of take-off: "
-        "the ground explains that as well, and it is not counted."
+        f"At {loss.onset_s:.1f} s {who} seemed to lose thrust within {NEAR_M:g} m of the take-off height: "
+        "ground effect explains that as well, so it is not counted."
     )
 
 

@@ -24,10 +24,10 @@ from rotorwatch.witnesses.witness import Stage, View, Witness, adding
 
 register(
     Kind(
-        10, REPORTED, "report of the autopilot", "what the autopilot itself reported in flight: battery, radio, position, estimator, ...",
-        Weight.NOTICE, by_outputs=False, brief="reported trouble",
+        10, REPORTED, "autopilot report", "what the autopilot itself reported in flight: battery, radio, position, estimator, ...",
+        Weight.NOTICE, by_outputs=False, brief="autopilot warning",
         headline=Words("", nameless="At {at} {why}."), watch=Words("{noun} of {who} at {ago}", nameless="{noun} at {ago}: {why}"),
-        advice=Words("", nameless="At {at} {why}: find out why before the next flight."),
+        advice=Words("", nameless="At {at} {why}: find the cause before the next flight."),
     )
 )  # fmt: skip
 LATE_S = 1.0  # after a flight: what ended it is written down a moment later
@@ -65,54 +65,54 @@ def _of(name: str, words: str, *says: str, late_s: float = LATE_S) -> Trouble:
 
 # A report is of the first that it matches.
 TROUBLES = (
-    _of("crash", "took the vehicle for crashed", r"^crash check: error", r"^crash: disarming", late_s=CRASHED_S),
+    _of("crash", "detected a crash", r"^crash check: error", r"^crash: disarming", late_s=CRASHED_S),
     _of(
-        "stopped", "had the motors stopped",
+        "stopped", "stopped the motors",
         r"^disarmed: ([\w ]*failsafe|crash protection|runaway take-off|gps rescue|kill switch|lockdown|failure detector|shutdown)",
         r"^disarmed: (termination|avoidance|parachute|fence breach|software error)",
         r"\bdisarmed by (kill-switch|lockdown|failure detector)", r"\bkill-switch engaged", r"^emergency stop of the motors$",
         r"\bflight termination\b",
     ),
     _of(
-        "motor", "found a motor that does not give what it should", r"^thrust loss check: error", r"\bpotential thrust loss",
+        "motor", "reported a loss of thrust or a motor fault", r"^thrust loss check: error", r"\bpotential thrust loss",
         r"^failure detector: (motor|esc)", r"\bmotor failure", r"\bmotor \d+ (under|over)current", r"\besc ?\d+ offline",
     ),
     _of(
-        "attitude", "found the vehicle beyond its limits", r"^failure detector: (attitude|height|external)", r"\battitude failure",
+        "attitude", "reported attitude or height beyond limits", r"^failure detector: (attitude|height|external)", r"\battitude failure",
         r"\battitude limit exceeded",
     ),
     _of(
-        "battery", "found the battery low", r"^battery failsafe: error", r"\b(low|critical|dangerous|emergency) battery",
+        "battery", "reported a low battery", r"^battery failsafe: error", r"\b(low|critical|dangerous|emergency) battery",
         r"\bbattery\b(?!.*resolved).*\b(low|critical|dangerous|emergency|failsafe)\b", r"^battery (warning: failed|unhealthy)",
         r"^failure detector: battery",
     ),
     _of(
-        "radio", "lost the radio", r"^radio( failsafe)?: error", r"\b(rc|manual control)( signal)? lost",
+        "radio", "lost the radio link", r"^radio( failsafe)?: error", r"\b(rc|manual control)( signal)? lost",
         r"^radio (unhealthy|failsafe)(?!.*(cleared|:))", r"^failsafe: (?!over|signal back)",
     ),
-    _of("link", "lost the ground station", r"^ground station failsafe: error", r"\bgcs failsafe(?!.*cleared)"),
+    _of("link", "lost the ground station link", r"^ground station failsafe: error", r"\bgcs failsafe(?!.*cleared)"),
     _of(
-        "vibration", "found too much vibration", r"^vibration: error", r"^vibration compensation on", r"\bhigh vibration",
+        "vibration", "reported high vibration", r"^vibration: error", r"^vibration compensation on", r"\bhigh vibration",
         r"\bclipping, not safe to fly", r"\bimbalanced propeller",
     ),
     _of(
-        "position", "lost its position", r"^gps: error", r"\bgps glitch(?! cleared)",
+        "position", "lost its position estimate", r"^gps: error", r"\bgps glitch(?! cleared)",
         r"\b(global|local) (position|velocity) (lost|invalid)", r"\bnavigation failure", r"^dead reckoning failsafe: error",
         r"^(lost gps|gnss lost|gps unhealthy)", r"\bstopped aiding",
     ),
     _of(
-        "estimator", "doubted its own estimate", r"^estimator (check|failsafe|core): error",
+        "estimator", "reported an estimator fault", r"^estimator (check|failsafe|core): error",
         r"\bekf\d? (variance|lane switch|primary changed)", r"\bprimary ekf changed", r"\bekf failsafe(?!.*cleared)",
         r"\bemergency yaw reset", r"^(attitude|angular velocity) invalid", r"^estimate unhealthy",
     ),
-    _of("compass", "found the compass wrong", r"^compass: error", r"\bcompass(es)? (error|failure|inconsistent|unhealthy)"),
+    _of("compass", "reported a compass fault", r"^compass: error", r"\bcompass(es)? (error|failure|inconsistent|unhealthy)"),
     _of(
-        "imu", "found an IMU wrong", r"^imu failure", r"^sensor failsafe: error", r"^(accelerometer|gyro) unhealthy",
+        "imu", "reported an IMU fault", r"^imu failure", r"^sensor failsafe: error", r"^(accelerometer|gyro) unhealthy",
         r"\b(accel|gyro)\w*\b.*\b(failure|inconsistent|timeout)",
     ),
-    _of("yaw", "found yaw out of balance", r"\byaw imbalance"),
-    _of("internal", "had an internal error", r"^internal: error", r"\binternal error"),
-    _of("failsafe", "began a failsafe", r"^failsafe begins", r"\bfailsafe (mode )?activated"),
+    _of("yaw", "reported a yaw imbalance", r"\byaw imbalance"),
+    _of("internal", "reported an internal error", r"^internal: error", r"\binternal error"),
+    _of("failsafe", "started a failsafe", r"^failsafe begins", r"\bfailsafe (mode )?activated"),
 )  # fmt: skip
 
 
@@ -179,7 +179,7 @@ def _low_voltage(flight: Flight, air: Spans) -> Event | None:
     if since is None:
         return None
     least = float(volts[low].min())
-    reason = f"the battery had {least:.1f} V under load, less than {name} allows ({limit:.1f} V)"
+    reason = f"the battery had {least:.1f} V under load, below {name} ({limit:.1f} V)"
     extra = {"trouble": "battery", "least_v": round(least, 2), "limit_v": round(limit, 2)}
     return _event(since, since + LASTS_S, reason, extra)
 
@@ -203,7 +203,7 @@ def _vibration(flight: Flight, air: Spans) -> Event | None:
     if since is None:
         return None
     most = float(level[level > limit].max())
-    reason = f"vibration was up to {most:.0f} m/s², and more than {limit:.3g} m/s² for {LASTS_S:.0f} s and longer"
+    reason = f"vibration was up to {most:.0f} m/s², above {limit:.3g} m/s² for {LASTS_S:.0f} s or longer"
     return _event(since, since + LASTS_S, reason, {"trouble": "vibration", "most": round(most, 2), "limit": limit})
 
 
@@ -217,7 +217,7 @@ def _clipping(flight: Flight, air: Spans) -> Event | None:
         more = counts - counts[0]
         if more[-1] > limit:
             at = float(found[0][int(np.argmax(more > limit))])
-            reason = f"the accelerometer was at the end of its range in {more[-1]:.0f} samples, more than {limit:.0f}"
+            reason = f"the accelerometer clipped in {more[-1]:.0f} samples, more than {limit:.0f}"
             return _event(at, at, reason, {"trouble": "clipping", "most": float(more[-1]), "limit": limit})
     return None
 
@@ -234,7 +234,7 @@ def _innovations(flight: Flight, air: Spans) -> list[Event]:
             continue
         name = "compass" if column == "compass" else "estimator"
         most = float(ratio[ratio > INNOVATIONS].max())
-        reason = f"the autopilot's estimator rejected its {column}: it was up to {most:.1f} times as far off as allowed"
+        reason = f"the autopilot's estimator rejected its {column}: the innovation was up to {most:.1f} times its limit"
         event = _event(since, since + LASTS_S, reason, {"trouble": name, "most": round(most, 2), "limit": INNOVATIONS})
         if name not in made or since < made[name].onset_s:
             made[name] = event
@@ -270,8 +270,8 @@ def end(flight: Flight, air: Spans) -> tuple[str, ...]:
     last = air[-1][1]
     if any(m.kind in ("landed", "armed") and m.time > last - LATE_S for m in flight.messages):
         return ()
-    why = "the power or the logging failed, or somebody stopped it"
-    return (f"The log ends in the air at {last:.1f} s: {why}. What happened then is not in it.",)
+    why = "power or logging failed, or logging was stopped"
+    return (f"The log ends in the air at {last:.1f} s: {why}. What followed is not in the log.",)
 
 
 def _claims(view: View) -> tuple[Event, ...]:

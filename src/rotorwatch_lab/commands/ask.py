@@ -25,28 +25,32 @@ from rotorwatch.toolkit.commands import (
 )
 
 
-@click.command(short_help="How to ask a vehicle which rotors are weak.")
+@click.command(short_help="Plan an excitation that shows which rotors are weak.")
 @click.argument("log", required=False, type=OUT)
 @option("--vehicle", "Vehicle file (TOML), or an airframe's name (docs/airframes.md).", metavar="FILE|NAME")
-@option("--candidates", "Sets of rotors, by numbers; default: what the log leaves open.", metavar="1+4,2+5,none")
-@option("--loss", "Their losses: one for all, or one each.", "0.3", metavar="X,...")
-@option("--hover", "Command in hover, share of full thrust.", type=float, metavar="X")
-@option("--arm", "Centre to the outermost rotor.", type=float, metavar="M")
-@option("--within", "No longer than that.", 10.0, type=float, metavar="S")
-@option("--tilt", "Largest turn of the vehicle.", 1.0, type=float, metavar="DEG")
-@option("--amplitude", "Largest change of a command.", 0.2, type=float, metavar="X")
-@option("--commands", "Write what is added to each command, 100 times a second.", type=OUT, metavar="OUT.csv")
+@option(
+    "--candidates",
+    "Candidate sets of rotors, by number; default: those of the log's diagnosis.",
+    metavar="1+4,2+5,none",
+)
+@option("--loss", "Losses of the candidates: one for all, or one each.", "0.3", metavar="X,...")
+@option("--hover", "Hover command, share of full thrust.", type=float, metavar="X")
+@option("--arm", "Distance from the centre to the outermost rotor.", type=float, metavar="M")
+@option("--within", "Maximum duration.", 10.0, type=float, metavar="S")
+@option("--tilt", "Maximum angular rate of the vehicle.", 1.0, type=float, metavar="DEG")
+@option("--amplitude", "Maximum change of a command.", 0.2, type=float, metavar="X")
+@option("--commands", "Write the excitation of each command at 100 Hz.", type=OUT, metavar="OUT.csv")
 @FIGURE
 @JSON
 @common
 def ask(log, vehicle, candidates, loss, hover, arm, within, tilt, amplitude, commands, figure, as_json, quiet) -> None:
-    """Design the small excitation of the commands that tells apart soonest which of the candidates is weak: of LOG, whose answer is
-    ambiguous, or of a vehicle. It moves no thrust and no moment while all rotors are well."""
+    """Design the smallest excitation of the commands that distinguishes the candidate rotors soonest, for an ambiguous LOG or for a
+    vehicle. With healthy rotors it changes neither thrust nor moments."""
     from rotorwatch.base import files
     from rotorwatch_lab.planning.ask import ask as run
 
     if (log is None) == (vehicle is None):
-        raise ConfigError("Give a log whose answer is ambiguous, or --vehicle with --candidates.")
+        raise ConfigError("Give a log with an ambiguous diagnosis, or --vehicle with --candidates.")
     if log is not None and not Path(log).exists():
         raise ConfigError(f"{log}: no such file.")
     if figure:
@@ -85,7 +89,7 @@ def _sets(text: str | None) -> list[tuple[int, ...]] | None:
         raise ConfigError(f"--candidates {text}: give sets of rotors as in 1+4,2+5,none.") from None
 
 
-@click.command("ask-flights", short_help="Fly ambiguous losses with and without an excitation.")
+@click.command("ask-flights", short_help="Fly simulated ambiguous losses with and without an excitation.")
 @option("--flights", "How many.", 96, type=click.IntRange(1, 100_000))
 @option("--frames", "Airframes, in turn.", "hexa-x,hexa-plus,octa-x,octa-plus")
 @option("--seed", "Same seed, same flights.", 1, type=click.IntRange(0))
@@ -94,8 +98,8 @@ def _sets(text: str | None) -> list[tuple[int, ...]] | None:
 @flag("--json as_json", "Print JSON: measures and every flight.")
 @common
 def ask_flights(flights, frames, seed, jobs, scheduler, keep, as_json, quiet) -> None:
-    """Fly pairs of rotors that lose thrust in the simulator; where the diagnosis is ambiguous, ask and diagnose again. Says how often that
-    names the broken rotors, with 95 % intervals (docs/control.md)."""
+    """Simulate losses of rotor pairs; where the diagnosis is ambiguous, excite and diagnose again. Prints how often that names the
+    faulty rotors, with 95 % intervals (docs/control.md)."""
     from rotorwatch_lab.campaign import excitation_flights
 
     with progress(quiet) as report:

@@ -11,21 +11,21 @@ from rotorwatch.toolkit.commands import OUT, common, findable, say, show
 from rotorwatch_lab.commands.campaign import flying
 
 
-@click.command(short_help="Try methods on fixed flights, and rank them.")
+@click.command(short_help="Run methods on fixed flights and rank them.")
 @click.argument("what", nargs=-1, metavar="[PLAN | --rank FILE...]")
-@click.option("--methods", default="", metavar="A,B,...", help="Methods to try; default: all that are installed.")
+@click.option("--methods", default="", metavar="A,B,...", help="Methods to run; default: all installed ones.")
 @click.option(
     "--method",
     "more",
     multiple=True,
     metavar="MODULE:CLASS",
-    help="An estimator that is in no package; may be repeated.",
+    help="Estimator outside any package; may be repeated.",
 )
 @click.option(
     "--data",
     multiple=True,
     metavar="NAME=PATH",
-    help="Also try them on a public data set in that folder; may be repeated.",
+    help="Also run them on a public data set in this folder; may be repeated.",
 )
 @click.option("--jobs", type=click.IntRange(1, 256), help="Processes; default: one per processor.")
 @click.option("-o", "--out", type=OUT, metavar="FILE", help="Results to write (.json); with --rank the page (.html).")
@@ -34,8 +34,8 @@ from rotorwatch_lab.commands.campaign import flying
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @common
 def benchmark(what, methods, more, data, jobs, out, rank, listing, as_json, quiet) -> None:
-    """Try methods on the fixed flights of PLAN (quick or full, docs/benchmark.md): what each finds at one rate of false alarms, how soon,
-    how exactly, at what cost, with 95 % intervals. The same command again goes on where it was stopped. --rank compares results files.
+    """Run methods on the fixed flights of PLAN (quick or full, docs/benchmark.md): detections at a common false-alarm rate, delay, accuracy
+    and cost, with 95 % intervals. The same command resumes an interrupted run. --rank compares results files.
 
     \b
     rotorwatch benchmark quick --methods ekf,aukf -o mine.json
@@ -53,7 +53,7 @@ def benchmark(what, methods, more, data, jobs, out, rank, listing, as_json, quie
     if len(what) > 1:
         raise click.UsageError(f"One plan at a time, not {len(what)}; to compare results files write --rank.")
     if out is None:
-        raise click.UsageError("Where do the results go? Give -o FILE.json.")
+        raise click.UsageError("No results file: give -o FILE.json.")
     from rotorwatch_lab.campaign import benchmark as benchmarks
     from rotorwatch_lab.campaign import ranking
 
@@ -63,9 +63,7 @@ def benchmark(what, methods, more, data, jobs, out, rank, listing, as_json, quie
     findable(*names)
     for spec in more:
         if ":" not in spec:
-            raise ConfigError(
-                f"--method {spec}: write package.module:Class; what is installed is named with --methods."
-            )
+            raise ConfigError(f"--method {spec}: write package.module:Class; name installed methods with --methods.")
     sets = [_named(text) for text in data]
     plan = benchmarks.read(what[0] if what else "quick")
     if not quiet:
@@ -79,7 +77,7 @@ def benchmark(what, methods, more, data, jobs, out, rank, listing, as_json, quie
         if benchmarks.parts_of(out).is_dir():
             parts = benchmarks.parts_of(out)
             say(
-                f"finished flights are kept in {parts}: the same command goes on from there; those in the making are lost"
+                f"finished flights are kept in {parts}: the same command resumes from there; unfinished flights are lost"
             )
         raise
     if as_json:

@@ -7,7 +7,7 @@ import click
 from rotorwatch.toolkit.commands import LOG, OUT, common, counting, progress, resumable, say, spread
 
 
-@click.command(short_help="Judge thousands of simulated flights.")
+@click.command(short_help="Diagnose thousands of simulated flights.")
 @click.argument("plan", type=LOG)
 @click.option(
     "--flights", type=click.IntRange(1, 10_000_000), default=1000, show_default=True, help="How many, with those done."
@@ -17,8 +17,8 @@ from rotorwatch.toolkit.commands import LOG, OUT, common, counting, progress, re
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 @common
 def campaign(plan, flights, jobs, scheduler, out, as_json, quiet) -> None:
-    """Fly PLAN (TOML, docs/campaigns.md): random flights, simulated, judged by the plan's estimators and detectors, or by `diagnose` on
-    the log of each. The same command again goes on where it was stopped; more --flights add to what is there.
+    """Simulate the random flights of PLAN (TOML, docs/campaigns.md) and diagnose them with the plan's estimators and detectors, or with
+    `diagnose` on the log of each. The same command resumes an interrupted run; more --flights extend it.
 
     Writes DIR/flights.parquet, DIR/summary.json and, where estimators are compared, DIR/index.html, and prints the summary.
     """
@@ -47,7 +47,7 @@ def campaign(plan, flights, jobs, scheduler, out, as_json, quiet) -> None:
         say(f"table and summary written to {out}" if by_log else f"table, summary and page written to {out}")
 
 
-@click.command(short_help="Judge simulated flights with several faults.")
+@click.command(short_help="Diagnose simulated flights with several faults.")
 @click.option("--flights", type=click.IntRange(1, 100_000), default=300, show_default=True, help="How many.")
 @click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=31, show_default=True, help="Of the flights.")
 @spread
@@ -55,8 +55,8 @@ def campaign(plan, flights, jobs, scheduler, out, as_json, quiet) -> None:
 @click.option("--json", "as_json", is_flag=True, help="Print JSON: the table and every state.")
 @common
 def sequences(flights, seed, jobs, scheduler, keep, as_json, quiet) -> None:
-    """Fly flights in which rotors fail one after the other, together, recover, change or come and go (docs/experiments.md), and say how
-    often the state of all rotors is known."""
+    """Simulate flights in which rotors fail in turn or together, recover, change or fail intermittently (docs/experiments.md), and print
+    how often the state of all rotors is known."""
     import json
 
     from rotorwatch_lab.campaign import sequences as study
@@ -66,7 +66,7 @@ def sequences(flights, seed, jobs, scheduler, keep, as_json, quiet) -> None:
     click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else study.describe(result))
 
 
-@click.command(short_help="What each constant of the default method is worth.")
+@click.command(short_help="Measure the effect of each constant of the default method.")
 @click.argument("plan", type=LOG)
 @click.argument("logs", nargs=-1, type=LOG)
 @click.option(
@@ -75,17 +75,15 @@ def sequences(flights, seed, jobs, scheduler, keep, as_json, quiet) -> None:
 @click.option(
     "--hours", type=click.FloatRange(0.01, 1000.0), default=1.0, show_default=True, help="Of surrogates of LOGS."
 )
-@click.option(
-    "--only", default="", metavar="NAMES", help="Constants whose names begin so, such as model_error.,noise.CLIP."
-)
-@click.option("--variants", default="off,half,double", show_default=True, help="How they are changed.")
+@click.option("--only", default="", metavar="NAMES", help="Constants by prefix, such as model_error.,noise.CLIP.")
+@click.option("--variants", default="off,half,double", show_default=True, help="How the constants are changed.")
 @spread
 @resumable
 @click.option("--json", "as_json", is_flag=True, help="Print JSON: measures and differences of every variant.")
 @common
 def ablate(plan, logs, flights, hours, only, variants, jobs, scheduler, keep, as_json, quiet) -> None:
     """Leave out, halve and double every constant of the default method over a fixed set: flights of PLAN, flights with several faults,
-    losses put into healthy LOGS, and surrogates of those. Prints what changes, with intervals (docs/ablation.md)."""
+    losses injected into healthy LOGS, and surrogates of those. Prints the changes, with intervals (docs/ablation.md)."""
     import json
 
     from rotorwatch_lab import campaign as campaigns
@@ -111,7 +109,7 @@ def ablate(plan, logs, flights, hours, only, variants, jobs, scheduler, keep, as
     click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else ablation.markdown(result))
 
 
-@click.command(short_help="Does the vehicle stay up when an estimator drives the allocation?")
+@click.command(short_help="Fly with an estimator in the loop of the control allocation.")
 @click.argument("plan", type=LOG)
 @click.option("--flights", type=click.IntRange(1, 1_000_000), default=200, show_default=True, help="How many.")
 @click.option(
@@ -133,8 +131,8 @@ def ablate(plan, logs, flights, hours, only, variants, jobs, scheduler, keep, as
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @common
 def closed_loop(plan, flights, drivers, by, jobs, scheduler, out, as_json, quiet) -> None:
-    """Fly the flights of PLAN (TOML, docs/control.md) with every driver: what it believes of the rotors becomes the allocation while the
-    vehicle flies. Prints who survives, how soon, and what was done for nothing. The same command again goes on where it was stopped."""
+    """Simulate the flights of PLAN (TOML, docs/control.md) with every driver: its estimate of the rotors sets the control allocation in
+    flight. Prints survival, delay and needless reconfigurations. The same command resumes an interrupted run."""
     import json
 
     from rotorwatch.base import files

@@ -13,33 +13,33 @@ TIMES = 6  # of the way to the end that are printed
 HELICOPTER = "aesmf"  # the method for helicopters when none is named
 
 
-@click.command(short_help="What published methods themselves say of a log, over time.")
+@click.command(short_help="Show the estimates of published methods over time.")
 @click.argument("log", type=LOG)
 @option(
     "--method --estimator methods",
-    "Published method (docs/methods); give it again for several.",
+    "Published method (docs/methods); may be repeated.",
     multiple=True,
     metavar="NAME",
 )
-@option("-o --out outs", "Write .csv, .parquet, .json, .png, .svg, .pdf or .html; give it again for several.", multiple=True, type=OUT,
+@option("-o --out outs", "Write .csv, .parquet, .json, .png, .svg, .pdf or .html; may be repeated.", multiple=True, type=OUT,
         metavar="FILE")  # fmt: skip
 @option("--vehicle", "Vehicle file (TOML), as `rotorwatch calibrate` writes it.", type=LOG, metavar="FILE")
 @option("--baseline baselines", "A healthy flight of the same build.", multiple=True, type=LOG, metavar="LOG")
 @option("--plant", "rates: rotation, identified from the flight; paper: that of the method's paper; both.", "rates",
         type=click.Choice(("rates", "paper", "both")))  # fmt: skip
 @option("--tuning", "Tuning of the method (TOML), as `rotorwatch tune` writes it.", type=LOG, metavar="FILE")
-@option("--truth", "What was truly lost (CSV), to be drawn and compared.", type=LOG, metavar="FILE")
+@option("--truth", "True losses (CSV), to plot and compare.", type=LOG, metavar="FILE")
 @option(
     "--airframe",
-    "Of a helicopter's log: one that a paper describes, such as ruav-40kg, or an airframe file.",
+    "For a helicopter log: an airframe of a paper, such as ruav-40kg, or an airframe file.",
     metavar="NAME|FILE",
 )
 @option("--lag", "Of a helicopter's actuators, s.", 0.03, type=click.FloatRange(0.001, 1.0))
 @JSON
 @common
 def estimate(log, methods, outs, vehicle, baselines, plant, tuning, truth, airframe, lag, as_json, quiet) -> None:
-    """Run published methods over LOG and show what they themselves say: losses with their own intervals or bounds, states and innovations
-    over time. Which rotor is faulty is the question of `rotorwatch diagnose --estimator NAME`.
+    """Run published methods over LOG and show their own estimates over time: losses with intervals or bounds, states and innovations.
+    `rotorwatch diagnose --estimator NAME` decides which rotor is faulty.
     """
     from rotorwatch.base import checks
     from rotorwatch_lab.estimate import estimate as run
@@ -105,5 +105,5 @@ def _of(found: Any, series: Any) -> str:
     coverage = found.coverage(series)
     if coverage is not None:
         shares = ", ".join(f"{name.replace('_', ' ')} {share:.0%}" for name, share in zip(series.theta_names, coverage))
-        lines.append(f"It holds the truth in this share of the steps: {shares}.")
+        lines.append(f"Share of the steps in which the interval contains the truth: {shares}.")
     return "\n".join(lines)

@@ -15,12 +15,12 @@ import click
 from rotorwatch.errors import ConfigError
 from rotorwatch.toolkit.commands import OUT, common, drawable, live, progress, say, show, spread
 
-FIGURES = "Draw the paper's figures again, as SVG files in this folder."
+FIGURES = "Redraw the paper's figures as SVG files in this folder."
 EVERY_S = 120.0  # between two lines of a run that no bar shows
-KEPT = "Keep each paper's result in this folder as soon as it is there, and do not run again what is kept there."
+KEPT = "Keep each paper's result in this folder, and skip papers whose result is kept there."
 
 
-@click.command(short_help="Which losses can be distinguished on an airframe.")
+@click.command(short_help="Show which losses can be distinguished on an airframe.")
 @click.option(
     "--vehicle",
     required=True,
@@ -31,7 +31,7 @@ KEPT = "Keep each paper's result in this folder as soon as it is there, and do n
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @common
 def observability(vehicle, figure, as_json, quiet) -> None:
-    """Say which losses of which rotors can be distinguished on this airframe, in hover and in a manoeuvre."""
+    """Show which losses of which rotors can be distinguished on this airframe, in hover and in a manoeuvre."""
     from rotorwatch_lab.published.observability import observability as run
 
     if figure:
@@ -67,7 +67,7 @@ class _Papers(click.Command):
         """The list, line by line."""
         from rotorwatch_lab.experiments.studies import reproduction
 
-        formatter.write("\nPapers, and what of each can be read literally:\n")
+        formatter.write("\nPapers, and the errata of each that can be read literally:\n")
         for line in reproduction.listing().splitlines():
             indent = " " * (len(line) - len(line.lstrip()) + 2)
             text = textwrap.fill(
@@ -78,10 +78,10 @@ class _Papers(click.Command):
 
 @click.command(cls=_Papers, short_help="Run a paper's experiments again.")
 @click.argument("paper", required=False)
-@click.option("--all", "every", is_flag=True, help="All papers, one after the other; the same as the paper `all`.")
+@click.option("--all", "every", is_flag=True, help="All papers in turn; the same as the paper `all`.")
 @click.option("--seeds", type=click.IntRange(1), help="Noise seeds per experiment; default: the study's own number.")
 @click.option(
-    "--literal", multiple=True, metavar="NAME", help="Read this erratum as the paper prints it, to see what it does."
+    "--literal", multiple=True, metavar="NAME", help="Run this erratum as printed in the paper, to see its effect."
 )
 @click.option("--figures", type=OUT, metavar="DIR", help=FIGURES)
 @click.option("-o", "--output", type=OUT, metavar="DIR", help=KEPT)
@@ -89,7 +89,7 @@ class _Papers(click.Command):
 @click.option("--json", "as_json", is_flag=True, help="Print JSON; for `all` a list.")
 @common
 def reproduce(paper, every, seeds, literal, figures, output, jobs, scheduler, as_json, quiet) -> None:
-    """Run the experiments of PAPER (or of `all`): each claim beside what comes out here, a verdict, and why."""
+    """Run the experiments of PAPER (or of `all`): each claim with the result here, a verdict, and the reason."""
     from rotorwatch.base import files, optional
     from rotorwatch_lab.experiments.studies import reproduction
 
@@ -159,7 +159,7 @@ def _results(modules, kept, due, together, seeds, literal, figures, output, as_j
             result = kept[module.PAPER]
             if result is not None and module.PAPER not in due:
                 if not quiet:
-                    say(f"{module.PAPER}: read from {output}; it is not run again")
+                    say(f"{module.PAPER}: read from {output}; not run again")
             else:
                 if together and report:
                     report(done / len(modules), f"waiting for {module.PAPER}")

@@ -24,11 +24,11 @@ from rotorwatch.toolkit.commands import LOG, OUT, common, progress, say
     metavar="FLIGHT",
     help="FLIGHT.bin or .ulg; without ending: both. A helicopter's: .csv or .parquet.",
 )
-@click.option("--seed", type=click.IntRange(0, 2**31 - 1), help="Another seed than the scenario's.")
+@click.option("--seed", type=click.IntRange(0, 2**31 - 1), help="Seed, instead of the scenario's.")
 @common
 def simulate(scenario, out, seed, quiet) -> None:
     """Fly SCENARIO (TOML, docs/simulation.md): writes an ArduPilot .bin or a PX4 .ulg as the autopilot would have logged it (of a
-    helicopter a .csv or .parquet table), and what was broken beside it, as FLIGHT.truth.json and FLIGHT.truth.csv.
+    helicopter a .csv or .parquet table), with the true faults beside it in FLIGHT.truth.json and FLIGHT.truth.csv.
     """
     from rotorwatch.base import files
     from rotorwatch_lab import simulation

@@ -7,20 +7,25 @@ import click
 from rotorwatch.toolkit.commands import FIGURE, JSON, common, drawable, numbers, option, progress, show, written
 
 
-@click.command(short_help="What a vehicle survives: losses of one and two rotors.")
+@click.command(short_help="Show which losses of one and two rotors a vehicle survives.")
 @option(
     "--vehicle", "Vehicle file (TOML), or an airframe's name (docs/airframes.md).", required=True, metavar="FILE|NAME"
 )
-@option("--loss", "Sizes of the losses; 1 is a total loss.", "1", metavar="X,...")
-@option("--mass", "Mass; default: what the vehicle file says.", type=float, metavar="KG")
-@option("--thrust-to-weight", "Full thrust over weight; default: the same.", type=float, metavar="X")
-@option("--arm", "Centre to the outermost rotor; default: the same.", type=float, metavar="M")
+@option("--loss", "Losses; 1 is a total loss.", "1", metavar="X,...")
+@option("--mass", "Mass; default: that of the vehicle file.", type=float, metavar="KG")
+@option("--thrust-to-weight", "Thrust-to-weight ratio; default: that of the vehicle file.", type=float, metavar="X")
+@option(
+    "--arm",
+    "Distance from the centre to the outermost rotor; default: that of the vehicle file.",
+    type=float,
+    metavar="M",
+)
 @FIGURE
 @JSON
 @common
 def survive(vehicle, loss, mass, thrust_to_weight, arm, figure, as_json, quiet) -> None:
-    """Say what is left after the loss of any rotor and of any two: full control, hover without yaw, hover only while spinning, or none; how
-    much thrust and moment, and what wind it holds."""
+    """Show what remains after the loss of any rotor and of any two: full control, hover without yaw, hover only while spinning, or none;
+    with the attainable thrust, moments and wind."""
     from rotorwatch_lab.planning.survive import survive as run
 
     sizes = numbers("--loss", loss, "0.3,0.6,1")

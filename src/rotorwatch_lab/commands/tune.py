@@ -31,7 +31,7 @@ from rotorwatch.toolkit.commands import (
 @option("--estimator", "Published method to tune.", "ekf", metavar="NAME")
 @option("-o --out", "Tuning file to write.", type=OUT, metavar="tuning.toml")
 @option("--rounds", "Steps of the optimiser.", 30, type=click.IntRange(1))
-@flag("--papers", "Instead: what tuning brings over each paper's hand tuning, on simulated flights.")
+@flag("--papers", "Instead: compare with each paper's hand tuning, on simulated flights.")
 @JSON
 @common
 def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
@@ -62,7 +62,7 @@ def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
     if as_json:
         print_json(found.to_dict())
         return
-    click.echo(f"{estimator}: log-likelihood of a row {found.before:.3f} as it was, {found.after:.3f} as tuned")
+    click.echo(f"{estimator}: log-likelihood per row {found.before:.3f} as it was, {found.after:.3f} as tuned")
     for name, values in (("process noise", found.tuning.q), ("measurement noise", found.tuning.r)):
         click.echo(f"{name}, factors on the variances: {', '.join(f'{v:.3g}' for v in values)}")
     for name, value in found.tuning.keywords.items():
@@ -76,33 +76,31 @@ def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
     written(quiet, tuning=out)
 
 
-@click.command(short_help="All estimators on the same flights.")
+@click.command(short_help="Run all estimators on the same flights.")
 @click.argument("logs", nargs=-1, type=LOG, metavar="[LOG]...")
-@option(
-    "--truth", "What is wrong with which LOG: path, faulty_rotors, thrust_loss, start_s.", type=LOG, metavar="FILE.csv"
-)
-@option("--estimators", "Only these.", metavar="NAME,NAME,...")
-@option("--losses", "Losses to simulate and to put in, 0..1.", "0.2,0.4", metavar="L,L,...")
+@option("--truth", "Faults of the LOGs: path, faulty_rotors, thrust_loss, start_s.", type=LOG, metavar="FILE.csv")
+@option("--estimators", "Only these estimators.", metavar="NAME,NAME,...")
+@option("--losses", "Losses to simulate and inject, 0..1.", "0.2,0.4", metavar="L,L,...")
 @option("--seeds", "Simulated flights of each kind.", 2, type=click.IntRange(0, 1000))
 @JSON
 @common
 def compare(logs, truth, estimators, losses, seeds, as_json, quiet) -> None:
-    """Run all estimators on simulated flights, on healthy LOGs with losses put in, and on LOGs with a table of their faults.
+    """Run all estimators on simulated flights, on healthy LOGs with injected losses, and on LOGs with a table of their faults.
 
-    Each estimator is told on standard error as soon as it has seen all flights. Ctrl-C ends it with what there is by then.
+    Each finished estimator is reported on standard error. Ctrl-C stops and prints the results so far.
     """
     from rotorwatch_lab.experiments.studies import compare as study
     from rotorwatch_lab.experiments.studies import compare_flights as flights
 
     wanted = shares("--losses", losses)
     if truth and not logs:
-        raise ConfigError("--truth says what is wrong with LOGs; give them, too.")
+        raise ConfigError("--truth describes the faults of LOGs; give these as well.")
     names = [name.strip() for name in estimators.split(",") if name.strip()] if estimators else []
     findable(*names)
     names = study.known(names)
     if not quiet:
         say(
-            f"{len(names)} estimators, one after the other: {', '.join(names)}; Ctrl-C ends with those that are through"
+            f"{len(names)} estimators, one after the other: {', '.join(names)}; Ctrl-C stops and shows the finished ones"
         )
     with progress(quiet) as report:
         scenes = [] if not logs else flights.with_truth(logs, truth) if truth else flights.injected(logs, wanted)

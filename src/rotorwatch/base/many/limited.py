@@ -91,10 +91,8 @@ class Workers:
 
     def _sentence(self, why: Exception) -> str:
         if isinstance(why, WorkerError) and not why.how.startswith("died"):
-            return f"judging it took longer than {self._judge_s:g} s and was given up; try `rotorwatch diagnose`."
-        return (
-            f"judging it needed more than {self._memory_mb} MB of memory and was given up; try `rotorwatch diagnose`."
-        )
+            return f"the diagnosis exceeded {self._judge_s:g} s and was aborted; try `rotorwatch diagnose`."
+        return f"the diagnosis exceeded {self._memory_mb} MB of memory and was aborted; try `rotorwatch diagnose`."
 
     def _worker(self) -> Worker:
         worker = Worker(self._work, self._judge_s + incoming.GRACE_S)

@@ -52,7 +52,7 @@ class Words(Struct):
         else:
             self._add(what)
         if withdrawn:
-            self._add(" taken back")
+            self._add(" withdrawn")
         elif over:
             self._add(" is over")
         elif e.alternative_count > 0 and e.kind != CONTACT:

@@ -227,7 +227,7 @@ def overridden(one: Override) -> Event:
 
 
 def _contact(one: Contact) -> Event:
-    reason = f"something outside the vehicle {one.what}, by {one.size:.1f} {one.unit}"
+    reason = f"an external disturbance {one.what}, by {one.size:.1f} {one.unit}"
     extra = {"size": one.size, "unit": one.unit}
     return Event(CONTACT, (), one.time, one.time, one.time, (), (), 1.0, (), reason, extra, CONTACTS)
 
@@ -236,7 +236,7 @@ def _one_arm(event: Event) -> Event:
     """The event of two rotors on one arm, with each alone among its explanations."""
     if event.alternatives:
         return event
-    reason = f"{event.reason}, but one of them alone may be gone: the two stand on one arm"
+    reason = f"{event.reason}, but only one of them may have failed: the two share an arm"
     return replace(event, alternatives=tuple((r,) for r in event.rotors), reason=reason)
 
 
@@ -322,12 +322,12 @@ def _loss(row: _Row) -> Event:
         )
     elif row.size > 0.0:
         reason = (
-            f"since {onset:.1f} s rotor {names} has given about {row.size:.1f} times the thrust of hover, whatever it was commanded: "
+            f"since {onset:.1f} s rotor {names} has been stuck at about {row.size:.1f} times hover thrust, whatever the command: "
             "it has lost all effectiveness"
         )
     else:
         reason = (
-            f"since {onset:.1f} s the rotors are commanded a torque and thrust that the motion does not show; the "
+            f"since {onset:.1f} s part of the commanded torque and thrust has been missing from the motion; the "
             f"missing part has the direction of rotor {names}"
         )
     n = len(rotors)

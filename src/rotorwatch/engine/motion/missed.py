@@ -51,7 +51,7 @@ def without_missed(flight: Flight, air: Spans) -> Flight:
     when = ", ".join(f"from {motors.time[a]:.1f} to {motors.time[b - 1]:.1f} s" for a, b in runs[:NAMED])
     warning = (
         f"motors ({motors.source}): all outputs repeat {when}{' and later' if len(runs) > NAMED else ''}, while the vehicle is flown "
-        "by other ones: the log has missed them, and they are not used."
+        "by others that the log missed: the repeats are not used."
     )
     signals = {**flight.signals, "motors": replace(motors, valid=valid)}
     return replace(flight, signals=signals, warnings=(*flight.warnings, warning))

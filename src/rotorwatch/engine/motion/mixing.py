@@ -191,8 +191,8 @@ def outputs_in_another_order(found: Mixing | None) -> str | None:
         return None
     moved = [f"output {k + 1} as motor {row + 1}" for k, row in enumerate(rows) if row != k]
     return (
-        f"the motor outputs stand in another order than the frame's: the rate controller's demand moves {', '.join(moved)}. No rotor is "
-        "accused before output functions and frame are those that flew."
+        f"the motor outputs are not in the frame's order: the rate controller's demand moves {', '.join(moved)}. No rotor is "
+        "diagnosed until output functions and frame are those that flew."
     )
 
 
@@ -210,7 +210,7 @@ def outputs_of_another_mixer(found: Mixing | None) -> str | None:
         return None
     which = f"motor output{'s' if len(astray) > 1 else ''} {', '.join(astray)}"
     return (
-        f"{which} follow{'' if len(astray) > 1 else 's'} the rate controller by another mixer than the frame's: frame, rotor positions or "
+        f"{which} follow{'' if len(astray) > 1 else 's'} the rate controller by a mixer other than the frame's: frame, rotor positions or "
         "directions of rotation are not those that flew."
     )
 
@@ -279,7 +279,7 @@ def aligned(flight: Flight, vehicle: Vehicle, air: Spans) -> Flight:
         for lag in late
         if lag.seconds
     ]
-    warning = f"motors ({motors.source}): logged {', '.join(told)} than the rate controller's output that they follow; put on its clock."
+    warning = f"motors ({motors.source}): logged {', '.join(told)} than the rate controller's output that they follow; moved to its clock."
     return replace(flight, signals={**flight.signals, "motors": motors}, warnings=(*flight.warnings, warning))
 
 
@@ -292,7 +292,7 @@ def outputs_of_another_range(found: Mixing | None) -> str | None:
     if SCALES[0] < (typical := float(median(scales))) < SCALES[1]:
         return None
     return (
-        f"the motor outputs differ from each other {typical:.2g} times as much as the rate controller asks for at their thrust: the "
+        f"the motor outputs differ from each other {typical:.2g} times as much as the rate controller demands at their thrust: the "
         "range of the outputs or the thrust curve in the parameters is not the one that flew."
     )
 
@@ -317,5 +317,5 @@ def outputs_that_never_move(flight: Flight, air: Spans) -> str | None:
     at = ", ".join(f"{k} ({x[0]:.4g})" if x.size else f"{k} (no value)" for k, x in still)
     return (
         f"motor output{'s' if len(still) > 1 else ''} {at} never move{'' if len(still) > 1 else 's'} in flight while the others do: the "
-        "log does not hold what drove these motors."
+        "log does not show what drove these motors."
     )

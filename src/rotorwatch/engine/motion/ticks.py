@@ -113,7 +113,7 @@ def slow(rate_hz: float, dt: float, ready_s: float) -> str:
         return ""
     return (
         f"motor outputs at {rate_hz:.1f} Hz are judged every {dt:g} s, after {ready_s:.0f} s of learning: a loss is announced when it "
-        f"shows in {EARLIEST_TICKS} of these, {EARLIEST_TICKS * dt:g} s; one that ends sooner is not seen, and a small one may stay unseen"
+        f"shows in {EARLIEST_TICKS} of these, {EARLIEST_TICKS * dt:g} s; one that ends sooner is missed, and a small one may be missed"
     )
 
 
@@ -179,9 +179,9 @@ def plan(flight: Flight, thrust: Signal, ready_s: float, lag_s: float = LAG_S, d
     phase = float(np.angle(turns.mean()) / (2.0 * np.pi) % 1.0 * dt) if thrust.rate_hz < 1.5 / dt else 0.0
     gyro = "gyro" if flight.has("gyro") else "rates" if flight.has("rates") else None
     if gyro is None:
-        notes.append("no angular rate in the log: torque is judged from commands alone, as in steady hover")
+        notes.append("no angular rate in the log: torque is assessed from commands alone, as in steady hover")
     if not flight.has("accel"):
-        notes.append("no accelerometer in the log: thrust is not judged, only torque")
+        notes.append("no accelerometer in the log: only torque is assessed, not thrust")
     motion = [name for name in (gyro, "accel" if flight.has("accel") else None) if name]
     return Plan(
         dt, ready_s, lag_s, float(np.floor((thrust.time[0] - phase) / dt) * dt + phase + half), gyro, flight.has("accel"),

@@ -109,7 +109,7 @@ def contradictions(
 def two_publishers(case: Case) -> str | None:
     """Outputs of two publishers that both move: neither can be told to be the one that reached the motors."""
     if case.flight.facts.get("publishers", 1) > 1:
-        return "the motor outputs in this log come from two publishers at once, and nothing tells which of them reached the motors."
+        return "the motor outputs in this log come from two publishers at once, and the log does not show which of them drove the motors."
     return None
 
 
@@ -126,7 +126,7 @@ def two_flights(case: Case) -> str | None:
             away = np.minimum(away[1:], away[:-1])
             often += int(np.count_nonzero((away > least) & (away > AWAY * back)))
         if len(values) >= 100 and often > ALTERNATES * len(values):
-            return f"two series of {name} alternate in this log: it holds records of two flights, or of two vehicles."
+            return f"two series of {name} alternate in this log: it mixes records of two flights or of two vehicles."
     return None
 
 
@@ -153,8 +153,8 @@ def another_airframe(case: Case) -> str | None:
         output = output_functions.function(name, value)
         if (name in GEOMETRY or (output is not None and output.motor)) and start <= time <= end:
             return (
-                f"the airframe changes after take-off ({name} becomes {value:g} at {time:.1f} s): the log is not of one vehicle; judge its "
-                "flights one by one."
+                f"the airframe changes after take-off ({name} becomes {value:g} at {time:.1f} s): the log is not of one vehicle; diagnose "
+                "its flights one by one."
             )
     return None
 
@@ -208,7 +208,7 @@ def wild_motion(case: Case) -> str | None:
                 most, at = float(smooth.max()), float(time[int(np.argmax(smooth))])
             before, sizes = time[len(smooth) :], size[len(smooth) :]
         if most > limit:
-            return f"the vehicle {what} {most:.0f} {unit} at {at:.1f} s, which none survives: its {name} or its unit is wrong."
+            return f"the vehicle {what} {most:.0f} {unit} at {at:.1f} s, which no vehicle survives: its {name} or its unit is wrong."
     return None
 
 
@@ -232,7 +232,7 @@ def weightless(case: Case) -> str | None:
         wrong = max(typical, up + speed) < 1.0 / NEARER or min(typical, up - speed) > NEARER
     if not wrong:
         return None
-    return f"the accelerometer shows {typical:.3g} g over the flight instead of one: its unit is not m/s^2, or it is another vehicle's."
+    return f"the accelerometer shows {typical:.3g} g over the flight instead of 1 g: its unit is not m/s^2, or it is of another vehicle."
 
 
 def attitude_against_gyro(case: Case) -> str | None:
@@ -252,9 +252,7 @@ def attitude_against_gyro(case: Case) -> str | None:
     size = np.sqrt(np.sum(rate**2, axis=0) * np.sum(turned**2, axis=0))
     alike = float((np.sum(rate * turned, axis=0) / np.maximum(size, 1e-12)).max())
     if moving and alike < ALIKE:
-        return (
-            "gyro and attitude tell of different turns: they are not of one vehicle, one clock or one coordinate frame."
-        )
+        return "gyro and attitude show different rotations: they are not of one vehicle, one clock or one coordinate frame."
     low, high = min((inertial.scale(rate[:, k], turned[:, k]) for k in range(3)), key=lambda one: one[1] / one[0])
     if low <= NEARER and high >= 1.0 / NEARER:
         return None
@@ -262,7 +260,7 @@ def attitude_against_gyro(case: Case) -> str | None:
     why = (
         f"it seems to be in {units[0]} instead of rad/s."
         if units
-        else "one of them is in a wrong unit, or of another vehicle."
+        else "one of them is in a wrong unit, or is of another vehicle."
     )
     return f"the gyro turns {(low * high) ** 0.5:.3g} times as fast as the attitude: {why}"
 
@@ -304,7 +302,7 @@ def two_clocks(case: Case) -> str | None:
         return None
     least, most = (f"{value:.1f}" for value in sorted(np.abs(apart[[0, -1]])))
     far = most if least == most else f"{least} to {most}"
-    return f"gyro and attitude tell of the same turns {far} s apart: they are not of one clock."
+    return f"gyro and attitude show the same rotations {far} s apart: they are not on one clock."
 
 
 def outputs_beyond_range(case: Case) -> str | None:
@@ -317,14 +315,14 @@ def outputs_beyond_range(case: Case) -> str | None:
     highest = motors.values[inside].max(axis=1)
     if (usual := quantile(highest, MOSTLY)) <= curve.u_min:
         return (
-            f"the motor outputs stay at {usual:.4g} and below in the air, but {curve.u_min:.4g} is said to be no thrust: the range of the "
+            f"the motor outputs stay at {usual:.4g} and below in the air, but {curve.u_min:.4g} is given as zero thrust: the range of the "
             "outputs is wrong in the parameters or in the vehicle file."
         )
     reached = quantile(highest, 1.0 - SELDOM)
     if reached < curve.u_max + BEYOND * (curve.u_max - curve.u_min):
         return None
     return (
-        f"the motor outputs reach {reached:.4g}, but {curve.u_max:.4g} is said to be full thrust: the range of the outputs is wrong in the "
+        f"the motor outputs reach {reached:.4g}, but {curve.u_max:.4g} is given as full thrust: the range of the outputs is wrong in the "
         "parameters or in the vehicle file."
     )
 
@@ -350,8 +348,8 @@ def outputs_at_rest(case: Case) -> str | None:
         long = seconds > STILL_LONG_S and b - a >= STILL_SAMPLES and angle > STILL_LONG_RAD
         if angle > STILL_RAD or long:
             return (
-                f"the motor outputs in the log stand still from {time[a]:.1f} to {time[b]:.1f} s while the vehicle turns by "
-                f"{np.degrees(angle):.0f} deg: they are not what drove the motors, so nothing can be concluded from them."
+                f"the motor outputs in the log do not change from {time[a]:.1f} to {time[b]:.1f} s while the vehicle turns by "
+                f"{np.degrees(angle):.0f} deg: they did not drive the motors, so nothing can be concluded from them."
             )
     return None
 
@@ -362,7 +360,7 @@ def motion_without_command(case: Case) -> str | None:
     if any(s is None for s in sizes):
         return None
     if all(s.needed > max(HARDER * s.commanded, HARD) and s.alike < ALIKE for s in sizes if s):
-        return "the vehicle turns harder than its motor outputs can make it: they are not what drove the motors."
+        return "the vehicle rotates harder than its motor outputs can make it: they did not drive the motors."
     return None
 
 
@@ -379,7 +377,7 @@ def command_without_effect(case: Case) -> str | None:
     still = quantile(rates, 0.8) < PLAIN_RATE
     if all(c.needed > HELD * LEAST_GAIN / MOST_GAIN * c.commanded and (still or c.needed < least) for c in found[:2]):
         return None
-    return "the motor outputs explain nothing of how the vehicle moves: they are of another vehicle, another time or another airframe."
+    return "the motor outputs do not explain the motion of the vehicle: they are of another vehicle, another time or another airframe."
 
 
 def outputs_of_other_rotors(case: Case) -> str | None:
@@ -388,7 +386,7 @@ def outputs_of_other_rotors(case: Case) -> str | None:
     if rotors is None:
         return None
     moved = [f"output {k + 1} as motor {rotor + 1}" for k, rotor in enumerate(rotors) if rotor != k]
-    return f"the motor outputs drive other rotors than the ones they were taken for: the vehicle moves by {', '.join(moved)}."
+    return f"the motor outputs drive other rotors than assumed: the vehicle moves by {', '.join(moved)}."
 
 
 class Coherence(NamedTuple):

@@ -14,7 +14,7 @@ from rotorwatch.flight import Flight, Signal
 SLOWEST_HZ = 5.0  # of an attitude whose change is worth a rate
 MADE = ", differentiated"  # behind the source of such rates
 LONGEST_S = 0.5  # between two samples
-NOTE = "the log has no gyro: angular rates are taken from the change of the attitude ({source}, {rate:.0f} Hz)"
+NOTE = "the log has no gyro: angular rates are differentiated from the attitude ({source}, {rate:.0f} Hz)"
 
 
 def with_rates(flight: Flight) -> tuple[Flight, str]:

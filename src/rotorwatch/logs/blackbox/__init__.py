@@ -72,9 +72,7 @@ def read(data, name: str, progress=None, part: int | None = None) -> Flight:
     """
     starts = [*header.starts(data), len(data)]
     if len(starts) == 1:
-        raise LogError(
-            f"{name}: no session of this Blackbox log has kept its beginning; copy it from the vehicle again"
-        )
+        raise LogError(f"{name}: no session of this Blackbox log has a valid beginning; copy it from the vehicle again")
     if part is not None and not 1 <= part < len(starts):
         raise LogError(f"{name}: this Blackbox log holds {len(starts) - 1} sessions, not one of number {part}")
     there = parts(data)
@@ -86,7 +84,7 @@ def read(data, name: str, progress=None, part: int | None = None) -> Flight:
         except LogError as why:
             if number == wanted[-1]:
                 raise LogError(f"{name}: {why}") from None
-            notes.append(f"Session {number} was passed over: {why}.")
+            notes.append(f"Session {number} was skipped: {why}.")
             continue
         others = [k for k in there if k != number]
         if part is None and others:
@@ -125,15 +123,15 @@ def _damage(session: decoder.Session) -> list[str]:
     if lost or session.garbage:
         what = f"{session.corrupt} damaged frame{'s' if session.corrupt != 1 else ''}"
         found.append(
-            f"{what}, {session.orphans} more that need them, and {session.garbage} bytes between frames were passed over."
+            f"{what}, {session.orphans} more that need them, and {session.garbage} bytes between frames were skipped."
         )
     if session.header.lost:
         kinds = " and ".join(session.header.lost)
-        found.append(f"The header's list of fields of {kinds} frames is damaged: those frames were passed over.")
+        found.append(f"The header's list of fields of {kinds} frames is damaged: those frames were skipped.")
     if session.cut:
-        found.append(f"The log goes on after {len(session.main)} frames, which is more than is read.")
+        found.append(f"The log continues after {len(session.main)} frames, which is more than is read.")
     elif not session.ended:
-        found.append("The log stops without the firmware's end: power was lost, or the file is not whole.")
+        found.append("The log has no end marker of the firmware: power was lost, or the file is incomplete.")
     return found
 
 

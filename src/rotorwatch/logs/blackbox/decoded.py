@@ -62,7 +62,9 @@ def read(data, name: str, progress=None) -> Flight:
                 notes.append(f"{kind} is left out: the table does not give its unit, {unit} is not known.")
         else:
             table[column] = table[column] * factor
-    notes.append("This is a table of blackbox_decode, without the log's header: give the log itself, which says more.")
+    notes.append(
+        "This is a table of blackbox_decode without the log's header: give the log itself, which has more data."
+    )
     columns = flight.Columns(table, time - start, Header(0, settings), notes)
     made = flight.assembled(columns, FORMAT, name, start_us=round(start * 1e6))
     return Flight(**{**vars(made), "parameters": {}, "autopilot": "Betaflight", "warnings": tuple(notes)})

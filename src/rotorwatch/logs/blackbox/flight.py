@@ -202,7 +202,7 @@ def _accel(columns: Columns) -> Signal | None:
     if raw is None or not np.any(raw):
         return None
     if unit <= 0:
-        columns.notes.append("The header does not say what 1 g is: the accelerometer is left out.")
+        columns.notes.append("The header has no accelerometer scale: the accelerometer is ignored.")
         return None
     return columns.signal("accel", raw / unit * G0 * FLIP, "accSmooth")
 
@@ -285,7 +285,7 @@ def _esc(columns: Columns) -> Signal | None:
         if name == "eRPM":
             poles = columns.header.number("motor_poles")
             if not 2 <= poles <= 100:
-                columns.notes.append(f"The header does not say how many poles the motors have: {POLES:.0f} assumed.")
+                columns.notes.append(f"The header has no number of motor poles: {POLES:.0f} assumed.")
                 poles = POLES
             values = values * 100.0 / (poles / 2.0)
         return esc_columns.build(

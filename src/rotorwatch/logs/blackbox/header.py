@@ -170,7 +170,7 @@ def _layouts(fields: Mapping[tuple[str, str], str]) -> tuple[dict[str, Layout], 
         else:
             found[kind] = layout
     if "I" not in found or "time" not in found["I"].names:
-        raise LogError("the header does not say which fields its frames have")
+        raise LogError("the header does not list the fields of its frames")
     return found, tuple(lost)
 
 
@@ -205,7 +205,7 @@ def laid_out(kind: str, layout: Layout) -> tuple[list[int], list[tuple[int, int]
     if any(e not in known or e == encodings.UNUSED for e in layout.encoding) or any(
         p not in known for p in layout.predictor
     ):
-        raise LogError(f"the fields of {kind} frames are encoded in a way that is not known")
+        raise LogError(f"the fields of {kind} frames have an unknown encoding")
     # A field that always goes up by one is not written.
     how = [encodings.NOTHING if p == frames.INCREMENT else e for e, p in zip(layout.encoding, layout.predictor)]
     count, runs, at = len(how), [], 0
@@ -223,7 +223,7 @@ def laid_out(kind: str, layout: Layout) -> tuple[list[int], list[tuple[int, int]
     for k, what in enumerate(layout.predictor):
         motor = what == frames.MOTOR_0 and ("motor[0]" not in layout.names[:k] or kind not in "IP")
         if motor or (what == frames.HOME_COORDINATE and kind == "H"):
-            raise LogError(f"the fields of {kind} frames are predicted in a way that makes no sense")
+            raise LogError(f"the fields of {kind} frames have an invalid predictor")
         if steps and steps[-1][0] == what:
             steps[-1] = (what, steps[-1][1], k + 1)
         elif what != frames.ZERO:

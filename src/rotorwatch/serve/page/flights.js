@@ -92,7 +92,7 @@ async function load(offset, count) {
   }
   const many = `${total.toLocaleString("en")} flight${total === 1 ? "" : "s"}`;
   if (total) trouble(address.filtered() ? `${many} found` : many);
-  else trouble(!address.filtered() ? "No flight yet: drop a log above." : address.asked().get("search") ? "No flight has all these words." : "No flight is like this.");
+  else trouble(!address.filtered() ? "No flight yet: drop a log above." : address.asked().get("search") ? "No flight has all these words." : "No flight matches.");
   if (offset && rows.length) rows[0].querySelector("a").focus();
 }
 

@@ -7,8 +7,8 @@ const WORDS = {
   MAYBE: ["?", "Ambiguous", "ambiguous"],
   OK: ["✓", "No fault", "healthy"],
   GROUND: ["–", "On the ground", "idle"],
-  BLIND: ["…", "Cannot judge now", "idle"],
-  SILENT: ["!", "Nothing is heard", "inconclusive"],
+  BLIND: ["…", "No assessment now", "idle"],
+  SILENT: ["!", "No data received", "inconclusive"],
   ERROR: ["!", "Not watched", "inconclusive"],
 };
 const POINTS = 1200; // of a band; as on the server, every second one goes then
@@ -61,7 +61,7 @@ export function message(line) {
 function endpoints(list) {
   const text = list.length
     ? list.map((e) => `${e.name}: ${e.text}`).join("; ")
-    : "No vehicle is watched: name an endpoint when you start the server, as in rotorwatch serve udp:14550.";
+    : "No vehicle is watched: give an endpoint when you start the server, as in rotorwatch serve udp:14550.";
   say(document.getElementById("endpoints"), text);
 }
 
@@ -125,7 +125,7 @@ class Card {
     say(this.word, `${sign} ${word}`);
     say(this.title, v.name + (this.frame ? ` – ${this.frame.name}, ${this.frame.rotors.length} rotors` : ""));
     const lasting = v.events.filter((e) => e.kind !== "other");
-    say(this.sentence, lasting.length ? capital(lasting.map((e) => e.text).join("; ")) : v.blind ? capital(v.blind) : "All rotors give the thrust that they are asked for.");
+    say(this.sentence, lasting.length ? capital(lasting.map((e) => e.text).join("; ")) : v.blind ? capital(v.blind) : "All rotors give their commanded thrust.");
     const received = v.counts.taken ? `, ${v.counts.taken.toLocaleString("en")} ${v.now === null ? "messages" : `messages or samples, ${v.now.toFixed(0)} s`}` : "";
     say(this.link, `Link: ${v.link}${received}${lasting.length && v.blind ? `; blind: ${v.blind}` : ""}${v.esc ? `; ${v.esc}` : ""}${v.notice ? `; ${v.notice}` : ""}`);
     this.rotors(v);

@@ -72,7 +72,7 @@ function upload(file, item, text) {
     say(document.getElementById("alarm"), `${file.name}: ${words}`);
   };
   if (file.size > most) {
-    done(`this is more than the ${most / 2 ** 20} MB that are taken here; start the server with a larger --max-upload.`, "refused");
+    done(`larger than the limit of ${most / 2 ** 20} MB; start the server with a larger --max-upload.`, "refused");
     return Promise.resolve();
   }
   const bar = make("progress", { max: 1, value: 0, "aria-label": `Sending ${file.name}` });
@@ -95,7 +95,7 @@ function upload(file, item, text) {
       bar.remove();
       const answer = request.response;
       if (request.status === 200 || request.status === 201) {
-        done(`${SIGNS[answer.verdict] ?? answer.verdict}: ${answer.headline}${request.status === 200 ? ` (judged before${answer.known_as ? ` as ${answer.known_as}` : ""})` : ""} `, answer.verdict);
+        done(`${SIGNS[answer.verdict] ?? answer.verdict}: ${answer.headline}${request.status === 200 ? ` (diagnosed before${answer.known_as ? ` as ${answer.known_as}` : ""})` : ""} `, answer.verdict);
         item.append(make("a", { href: `/flights/${answer.hash}`, "aria-label": `Report of ${file.name}` }, "Report"));
         listed();
       } else done(answer?.error ?? "the server did not answer; send the log again when it runs.", "refused");

@@ -122,7 +122,7 @@ def _event(who: tuple[int, ...], group: list[Desync], rpm: bool) -> Event:
     others = tuple((r + 1,) for r in who if r != rotor)
     event = Event(DESYNC, (rotor + 1,), first.start, first.end, last.end, (), (), p, others, "", extra, SOURCE)
     fell = ", and its speed fell" if rpm else ""
-    gave = f": it was commanded up and gave nothing for {_span(length)}{fell}"
+    gave = f": it was commanded up and gave no thrust for {_span(length)}{fell}"
     return replace(event, reason=said("{motors} desynced {times} at {at}", event) + gave)
 
 

@@ -134,7 +134,7 @@ def lacks(flight: Flight) -> tuple[str, ...]:
     if flight.angular_rate() is not None:
         return ()
     return (
-        "the log holds no gyro, and a vehicle that does not hover is judged by its angular motion; log the gyro (Betaflight: "
+        "the log has no gyro, and a vehicle that does not hover is assessed by its angular motion; log the gyro (Betaflight: "
         "set blackbox_disable_gyro = OFF).",
     )
 

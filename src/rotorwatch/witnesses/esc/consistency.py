@@ -142,22 +142,22 @@ def in_words(entry: dict) -> str:
     share = entry["thrust_of_speed"]
     high = 1.0 - entry["speed_loss_interval"][0]
     if share < ratios.STANDS:
-        phrases = ["it stands"]
+        phrases = ["the motor has stopped"]
     elif high < 1.0:
-        phrases = [f"its speed gives {percent(share)} of the thrust asked for"]
+        phrases = [f"its speed gives {percent(share)} of the commanded thrust"]
     else:
-        phrases = ["it turns as commanded"]
+        phrases = ["the motor turns as commanded"]
     draws = entry["current_ratio"]
     if draws is not None and abs(draws - 1.0) >= 0.1:
         more = "more" if draws > 1.0 else "less"
-        phrases.append(f"draws {percent(abs(draws - 1.0))} {more} current than such a speed needs")
+        phrases.append(f"draws {percent(abs(draws - 1.0))} {more} current than this speed needs")
     drop = entry["supply_drop_V"]
     if drop is not None and drop > NOTABLE_V:
         phrases.append(f"its supply fell {drop:.1f} V below the others'")
     cause = entry["cause"]
     if cause == ratios.UNKNOWN:
         none_fits = entry["causes"][ratios.UNKNOWN] >= LIKELY
-        so = "which fits no single cause" if none_fits else "which leaves the cause open"
+        so = "which matches no single cause" if none_fits else "which leaves the cause open"
     else:
         so = f"so the cause is the {CAUSES[cause]} ({probability(entry['causes'][cause])})"
-    return f"the ESC of {rotors([entry['rotor']])} says that {listed(phrases)}, {so}"
+    return f"the ESC of {rotors([entry['rotor']])} shows that {listed(phrases)}, {so}"

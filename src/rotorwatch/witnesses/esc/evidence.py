@@ -57,7 +57,7 @@ def loss(
     order of `ratios.PRIOR`; parts: as for `entry`; sentence: what the ESC shows, to follow "says that"."""
     causes = dict(zip(ratios.PRIOR, shares, strict=True))
     cause = max(causes, key=lambda name: causes[name])
-    reason = f"the ESC of {rotors([rotor])} says that {sentence}so the cause is the {CAUSES[cause]}"
+    reason = f"the ESC of {rotors([rotor])} shows that {sentence}so the cause is the {CAUSES[cause]}"
     about = entry(rotor, cause, causes, parts, thrust_of_speed, current_ratio)
     extra = {"cause": cause, "causes": causes, "esc": [about]}
     return Event(

@@ -53,7 +53,7 @@ def find(bins: Binned, events: Sequence[Event], air, upset: np.ndarray) -> tuple
                     continue
                 if np.count_nonzero(later) * bins.width > FLIES_ON_S:
                     warnings.append(
-                        f"The ESC of {rotors([rotor])} reports a rotor that stands from {seconds(onset)} on, but the vehicle flies on "
+                        f"The ESC of {rotors([rotor])} reports a stopped motor from {seconds(onset)} on, but the vehicle flies on "
                         "without a loss: its telemetry has failed, and it is not used from there."
                     )
                 else:
@@ -99,13 +99,13 @@ def _usual(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
 
 def _stands(rotor: int, onset: float, known: float) -> Event:
     parts = {"speed": (1.0, LEAST_LOSS, 1.0), "propeller": (0.0, 0.0, 1.0)}
-    sentence = f"it stands from {seconds(onset)} on though it is commanded to turn, "
+    sentence = f"the motor has been stopped since {seconds(onset)} although commanded to turn, "
     return evidence.loss(rotor, onset, known, (1.0, LEAST_LOSS, 1.0), (0.0, 0.95, 0.04, 0.01), parts, sentence, 0.0)
 
 
 def _unloaded(rotor: int, onset: float, known: float, load: float) -> Event:
     loss = 1.0 - load
     parts = {"speed": (0.0, 0.0, 0.1), "propeller": (loss, LEAST_UNLOADED, 1.0)}
-    sentence = f"it turns from {seconds(onset)} on with a fraction of the current that such a speed needs, "
+    sentence = f"since {seconds(onset)} the motor has drawn only a fraction of the current that its speed needs, "
     size = max(loss, LEAST_UNLOADED), LEAST_UNLOADED, 1.0
     return evidence.loss(rotor, onset, known, size, (0.95, 0.02, 0.0, 0.03), parts, sentence, 1.0, load)

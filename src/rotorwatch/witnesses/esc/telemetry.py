@@ -106,7 +106,7 @@ def read(flight: Flight, thrust: Signal, air: allocation.Spans) -> tuple[Binned 
         return None, notes
     if _mixed_up(bins):
         notes.append(
-            "ESC telemetry follows other rotors' commands better than its own: its ESCs are numbered otherwise, and it is not used."
+            "ESC telemetry follows other rotors' commands better than its own: its ESCs are numbered differently, and it is not used."
         )
         return None, notes
     return bins, notes
@@ -171,7 +171,7 @@ def _note_frozen(time, still: np.ndarray, notes: list[str]) -> None:
     for k in np.flatnonzero(still.any(axis=0)):
         at = np.flatnonzero(still[:, k])
         notes.append(
-            f"ESC telemetry of {rotors([int(k) + 1])} stands still between {seconds(time[at[0]])} and {seconds(time[at[-1]])} while its "
+            f"ESC telemetry of {rotors([int(k) + 1])} does not change between {seconds(time[at[0]])} and {seconds(time[at[-1]])} while its "
             "command changes; it is not used there."
         )
 

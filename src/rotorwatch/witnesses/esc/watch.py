@@ -66,7 +66,7 @@ def examine(bins: Binned, usable: np.ndarray) -> tuple[tuple[Event, ...], list[s
                     wrong.add(rotor)
                     warnings.append(
                         f"The ESC of {rotors([rotor])} reports a speed that gives {percent(size)} less thrust since {seconds(onset)}, but "
-                        "neither its current nor the vehicle shows it: its speed is not believed."
+                        "neither its current nor the vehicle's motion confirms it: the speed is not used."
                     )
             elif rotor not in wrong:
                 out.append(_notice(kind, rotor, onset, announced, size, bounds, probability_of(change / sd)))
@@ -80,7 +80,7 @@ def _notice(kind: str, rotor: int, onset: float, announced: float, size: float, 
         HIGH: f"{who} draws {much} more current at the same speed than before",
         LOW: f"{who} draws {much} less current at the same speed than before",
     }[kind]
-    reason = f"since {seconds(onset)} {phrases}, and the other rotors do not; commands and motion show no loss"
+    reason = f"since {seconds(onset)} {phrases}, unlike the other rotors; commands and motion show no loss"
     extra = {"change": size, "change_interval": bounds}
     return Event(kind, (rotor,), onset, announced, None, (), (), sure, (), reason, extra, CHANGED)
 

@@ -101,8 +101,8 @@ class Candidate:
         """Why nothing can be held against it at all; empty when it shows a flight of a known airframe."""
         try:
             if not self.flight.has("motors"):
-                return "it shows no motor outputs"
-            return "it shows no flight" if self.table is None else ""
+                return "it has no motor outputs"
+            return "it has no flight" if self.table is None else ""
         except RotorwatchError as why:
             return str(why).rstrip(".")
 
@@ -124,7 +124,7 @@ class Candidate:
         lopsided = {r.note for r in found.rotors if r.status == "suspect"} == {LOPSIDED} and not found.events
         if found.verdict == "healthy" or lopsided or (found.verdict == "inconclusive" and not doubts):
             return ""
-        return f"judged by itself it is {found.verdict}, not healthy: {found.reason.rstrip('.')}"
+        return f"on its own it is diagnosed as {found.verdict}, not healthy: {found.reason.rstrip('.')}"
 
 
 Given = Flight | Candidate | str | PathLike
@@ -224,9 +224,7 @@ def _other_frame(flight: Flight, vehicle: Vehicle | None) -> tuple[str, ...]:
         return ()
     if _same_geometry(own, vehicle):
         return ()
-    return (
-        f"the log says {own.name}; its rotors are taken to be where the vehicle {vehicle.name} has them, as asked for",
-    )
+    return (f"the log says {own.name}; its rotor positions are taken from the vehicle {vehicle.name}, as requested",)
 
 
 def _again(one: Candidate, accepted: list[Candidate], of: Candidate | None) -> str:
@@ -237,7 +235,7 @@ def _again(one: Candidate, accepted: list[Candidate], of: Candidate | None) -> s
         return np.array_equal(a.time, b.time) and np.array_equal(a.values, b.values)
 
     if of is not None and same(of):
-        return "it is the flight that is to be judged, which says nothing about itself"
+        return "it is the flight to be diagnosed and cannot serve as its own baseline"
     return next((f"it is the same flight as {other.name}" for other in accepted if same(other)), "")
 
 
@@ -257,7 +255,7 @@ def _same_build(found: list[Candidate], of: Candidate | None, rejected: list[tup
                 f"{found[odd].name} and {found[best].name} are not of one build: {table[best][odd]}; give flights of one build only."
             )
         reference, why = found[best], table[best]
-    rejected += [(one.name, f"{w} (held against {reference.name})") for one, w in zip(found, why) if w]
+    rejected += [(one.name, f"{w} (compared with {reference.name})") for one, w in zip(found, why) if w]
     return [one for one, w in zip(found, why) if not w]
 
 
@@ -276,12 +274,12 @@ def _alike_in_hover(found: list[Candidate], rejected: list[tuple[str, str]]) -> 
                 return found
             raise VehicleError(
                 f"{usable[0].name} and {usable[1].name} hover too differently for two healthy flights of one aircraft, and two cannot show "
-                "which of them is not healthy; add a third, or leave one out."
+                "which one is not healthy; add a third, or leave one out."
             )
         if rare[worst] >= whole_flight.FALSE_ALARM / m:
             return found
         odd = usable[worst]
-        rejected.append((odd.name, f"its rotors share the load otherwise than in the {m - 1} other flights"))
+        rejected.append((odd.name, f"its rotors share the load differently than in the {m - 1} other flights"))
         found = [one for one in found if one is not odd]
 
 
@@ -294,24 +292,24 @@ def unlike(one: Candidate, other: Candidate) -> str:
     if len(a.rotors) != len(b.rotors):
         return f"its frame is {a.name} with {len(a.rotors)} rotors, not {b.name} with {len(b.rotors)}"
     if not _same_geometry(a, b):
-        return f"its frame is {a.name}, not {b.name}: the rotors are placed, turn or share the load otherwise"
+        return f"its frame is {a.name}, not {b.name}: the rotors differ in position, direction or load share"
     units = one.flight["motors"].unit, other.flight["motors"].unit
     if units[0] != units[1]:
         words = {"us": "pulses in us"}
         return f"its outputs are logged as {words.get(units[0], 'shares')}, not as {words.get(units[1], 'shares')}"
     assert one.table is not None and other.table is not None
     if one.table.dt != other.table.dt:
-        return f"it is logged at another rate: judged every {one.table.dt:.2f} s, not every {other.table.dt:.2f} s"
+        return f"it is logged at another rate: assessed every {one.table.dt:.2f} s, not every {other.table.dt:.2f} s"
     command = _hover_command(other)
     slopes = _slope(a.curve, command), _slope(b.curve, command)
     if _ratio(*slopes) > SLOPE:
         return (
-            f"its thrust curve ({_curve(a)}) rises otherwise than the other ({_curve(b)}), by a factor {_ratio(*slopes):.1f} in hover: "
-            "other settings or another drive"
+            f"its thrust curve ({_curve(a)}) rises differently from the other ({_curve(b)}), by a factor {_ratio(*slopes):.1f} in hover: "
+            "different settings or drive"
         )
     hover = float(np.mean(one.features.share)), float(np.mean(other.features.share))
     if one.features.usable and other.features.usable and _ratio(*hover) > HOVER:
-        return f"it hovers at {100 * hover[0]:.0f} % of full thrust, not at {100 * hover[1]:.0f} %: another weight or another drive"
+        return f"it hovers at {100 * hover[0]:.0f} % of full thrust, not at {100 * hover[1]:.0f} %: different weight or drive"
     return _other_gains(one, other)
 
 
@@ -327,7 +325,7 @@ def _other_gains(one: Candidate, other: Candidate) -> str:
         return ""
     ratio = theirs[axis] / mine[axis]
     faster = f"{max(ratio, 1 / ratio):.1f} times as {'fast' if ratio > 1 else 'slowly'}"
-    return f"a command turns it {faster} in {AXES[axis]}: another weight, size or drive"
+    return f"a command turns it {faster} in {AXES[axis]}: different weight, size or drive"
 
 
 def _same_geometry(a: Vehicle, b: Vehicle) -> bool:

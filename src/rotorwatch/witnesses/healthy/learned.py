@@ -56,12 +56,12 @@ def _assumptions(kept: Sequence[Candidate]) -> list[str]:
         "The hover command is the mean of these flights, at their battery voltages.",
     ]
     said += [
-        f"{one.name} does not hover: of it only the airframe is used."
+        f"{one.name} does not hover: only its airframe is used."
         for one in kept
         if aerobatic.applies(one.flight, one.table)
     ]
     short = (t.name or "A calibration flight" for t in tables if not t.usable)
-    said += [f"{name} has too little steady hover to be compared with." for name in short]
+    said += [f"{name} has too little steady hover for a comparison." for name in short]
     if sum(t.usable for t in tables) < whole_flight.MANY_FLIGHTS:
         said.append(
             "With few calibration flights the spread between healthy flights is mostly assumed: "

@@ -123,7 +123,7 @@ def at_limit(flight: Flight, vehicle: Vehicle, air: Spans) -> list[Event]:
         return []
     reason = (
         f"the output{'s' if len(who) > 1 else ''} of {_motors(who)} {'were' if len(who) > 1 else 'was'} within {percent(NEAR)} of "
-        f"{'their' if len(who) > 1 else 'its'} limit for {total:.0f} s of {flown:.0f} s, up to {longest:.1f} s in one go"
+        f"{'their' if len(who) > 1 else 'its'} limit for {total:.0f} s of {flown:.0f} s, up to {longest:.1f} s at a time"
     )
     extra = {"motors": who, "seconds": round(total, 1), "of_s": round(flown, 1), "longest_s": round(longest, 1)}
     return [_claim(AT_LIMIT, float(when[0]), float(when[-1]), reason, extra)]
@@ -139,7 +139,7 @@ def _most(flight: Flight, vehicle: Vehicle, at: np.ndarray) -> np.ndarray:
 
 
 def _assumed(vehicle: Vehicle) -> str:
-    return "" if vehicle.curve.known else ", by a thrust curve that is assumed"
+    return "" if vehicle.curve.known else ", with an assumed thrust curve"
 
 
 def heavy(flight: Flight, vehicle: Vehicle, hover: Hover) -> list[Event]:
@@ -154,7 +154,7 @@ def heavy(flight: Flight, vehicle: Vehicle, hover: Hover) -> list[Event]:
     share, start, end = float(takes[much].mean()), float(time[much][0]), float(time[much][-1]) + whole_flight.BLOCK_S
     reason = (
         f"hover takes {percent(share)} of full thrust{_assumed(vehicle)}, for {much.sum() * whole_flight.BLOCK_S:.0f} s: no more than "
-        f"{percent(1.0 - share)} is left to climb, to hold against wind, or to make up for a rotor"
+        f"{percent(1.0 - share)} is left to climb, to hold against wind or to compensate for a weak rotor"
     )
     return [_claim(HEAVY, start, end, reason, {"hover_share": round(share, 3)})]
 
@@ -178,9 +178,9 @@ def unequal(flight: Flight, vehicle: Vehicle, air: Spans, hover: Hover) -> list[
     side, other, than = ("above", "below", "weaker") if more > 0.0 else ("below", "above", "stronger")
     too = "" if opposite is None else f", or that of motor {opposite + 1} {other} it,"
     reason = (
-        f"since take-off the output of motor {rotor + 1} has stood {percent(abs(more))} of its range {side} what its place in the mixer "
-        f"needs{too}{_assumed(vehicle)}: its ESC has other end points, or its motor or propeller is {than} than the others, unless a load "
-        "sits off the middle of a vehicle with twisted mounts"
+        f"since take-off the output of motor {rotor + 1} has been {percent(abs(more))} of its range {side} what its place in the mixer "
+        f"needs{too}{_assumed(vehicle)}: its ESC end points differ, or its motor or propeller is {than} than the others, unless the load "
+        "is off-centre and the mounts are twisted"
     )
     motors = [rotor + 1] if opposite is None else [rotor + 1, opposite + 1]
     extra = {"motors": motors, "output": round(float(more), 3), "thrust": round(loss, 3)}
@@ -224,7 +224,7 @@ def _twisted(
     limit = f", and ArduPilot itself warns from {percent(0.75 * warns)} on" if warns else ""
     reason = (
         f"since take-off {rotors(harder)} have given {percent(ratio)} more than {rotors(others).removeprefix('rotors ')}"
-        f"{_assumed(vehicle)}: {percent(abs(yaw))} of full yaw goes into flying straight{limit}"
+        f"{_assumed(vehicle)}: {percent(abs(yaw))} of full yaw is needed to hold heading{limit}"
     )
     extra = {"harder": harder, "more": round(ratio, 3), "yaw_share": round(abs(yaw), 3)}
     return [_claim(UNEVEN, start, air[-1][1], reason, extra)]
@@ -267,14 +267,14 @@ def exhausted(flight: Flight, vehicle: Vehicle, table: Ticks, air: Spans, events
     if held > 1.0:
         who = [int(k) + 1 for k in np.flatnonzero(full[fall].mean(axis=0) > 0.5)]
         at = f" with the output of {_motors(who)} at its limit" if who else ""
-        so = f"the mixer held them back, to keep the vehicle level{at}"
+        so = f"the mixer limited them to keep the vehicle level{at}"
     else:
-        so = "that is enough only with yaw given up" if free > 1.0 else "it could not have stayed up"
+        so = "that is enough only without yaw control" if free > 1.0 else "it could not have stayed up"
     gave = float(given[fall].mean())
-    yawing = f", or {percent(free)} with yaw given up" if percent(free) != percent(held) else ""
+    yawing = f", or {percent(free)} without yaw control" if percent(free) != percent(held) else ""
     reason = (
         f"without {', or '.join(rotors(one) for one in gone[0].explanations)} the vehicle sank by {sank:.0f} m in {seconds:.1f} s with an "
-        f"output at its limit: the others gave {percent(gave)} of its weight, and could carry {percent(held)} in balance{yawing}"
+        f"output at its limit: the others gave {percent(gave)} of its weight and could carry {percent(held)} in balance{yawing}"
         f"{_assumed(vehicle)}; {so}"
     )
     numbers = {"given": gave, "sank_m": sank, "seconds": seconds, "lift": held, "lift_without_yaw": free}

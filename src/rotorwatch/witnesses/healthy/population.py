@@ -81,13 +81,13 @@ def weigh(found: Features, B: np.ndarray) -> dict:
     if verdict == "fault":
         named = [best]
         reason = (
-            f"{said} had to work harder from take-off on than in any healthy vehicle, and roll, pitch and yaw agree."
+            f"{said} has needed more command since take-off than in any healthy vehicle, and roll, pitch and yaw agree."
         )
     else:
         others = "".join(f", rotor {i + 1}" for i in named if i != best)
         reason = (
-            f"{said}{others} or a centre of mass off the middle: from take-off on the rotors were commanded unlike those of healthy "
-            "vehicles, and yaw does not tell them apart."
+            f"{said}{others} or an off-centre mass: since take-off the balance of commands has differed from that of healthy "
+            "vehicles, and yaw does not distinguish the two."
         )
         low = np.zeros(n)
     mine = np.isin(np.arange(n), named)

@@ -336,7 +336,9 @@ def judge(flight: Features, baseline: Sequence[Features], vehicle: Vehicle) -> W
     """
     n = len(vehicle.rotors)
     if not baseline:
-        raise ConfigError("Whole-flight damage can only be judged against healthy flights; give some with --baseline.")
+        raise ConfigError(
+            "Damage present at take-off can only be assessed against healthy flights; give some with --baseline."
+        )
     if any(len(one.share) != n for one in (flight, *baseline)):
         raise ConfigError("The baseline flights are not of this airframe: their number of rotors differs.")
     healthy = [one for one in baseline if one.usable]
@@ -402,7 +404,7 @@ def _seldom(p_value: float, flights: int) -> str:
     odds = f"fewer than {odds}" if p_value < FALSE_FAULT else odds
     few = "one flight cannot show that" if flights == 1 else f"{flights} flights are too few to show that"
     given = few if flights < MANY_FLIGHTS else f"{flights} flights were given"
-    return f"{odds} healthy flights would differ so much, if they spread as assumed ({given})"
+    return f"{odds} healthy flights would differ by this much if they vary as assumed ({given})"
 
 
 def _explain(causes, suspects, sure, p_mean, p_change, p_value, flight, loss, healthy) -> tuple[str, str]:
@@ -415,17 +417,17 @@ def _explain(causes, suspects, sure, p_mean, p_change, p_value, flight, loss, he
     limited = int(np.argmax(flight.limited))
     if flight.limited[limited] > LIMITED:
         why = f"rotor {limited + 1} was at its limit {100 * flight.limited[limited]:.0f} % of the time"
-        return "ambiguous", f"{rotors} or a shifted centre of mass: {why}, too much to tell them apart."
+        return "ambiguous", f"{rotors} or a shifted centre of mass: {why}, too much to distinguish them."
     if sure and p_value < FALSE_FAULT:
-        return "fault", f"{rotors} had to work harder from take-off on, and roll, pitch and yaw agree; {seldom}."
+        return "fault", f"{rotors} needed more command from take-off on, and roll, pitch and yaw agree; {seldom}."
     if any(c.kind == "centre_of_mass" and c.probability > MENTIONED for c in causes):
         both = (rotors, "a shifted centre of mass")
         either = " or ".join(both[::-1] if causes[0].kind == "centre_of_mass" else both)
-        return "ambiguous", f"{either}: yaw and thrust do not tell them apart; {seldom}."
+        return "ambiguous", f"{either}: yaw and thrust do not distinguish them; {seldom}."
     sets = [c.rotors for c in causes if c.rotors and (c.probability > MENTIONED or c is causes[0])]
     either = " or ".join("+".join(map(str, r)) for r in sets)
     which = "but not beyond doubt" if len(sets) < 2 else f"and it is not certain which ({either})"
-    return "ambiguous", f"{rotors} had to work harder from take-off on, {which}; {seldom}."
+    return "ambiguous", f"{rotors} needed more command from take-off on, {which}; {seldom}."
 
 
 def _undecided(n: int, reason: str, flights: int) -> WholeFlight:

@@ -48,7 +48,7 @@ DISARMED_S = 1.0
 # m/s^2, standard deviation on one axis: beyond, ArduPilot's and PX4's guides call vibration a cause of failing estimates. A broken
 # propeller shakes a vehicle so, and the torques of a balance that is blurred by it fit everything.
 SHAKES, LEAST_FORCES = 30.0, 10
-UNSAID = "the battery's voltage fell, and no current is logged that would tell whether that was cause or effect"
+UNSAID = "the battery voltage fell, and without a logged current it is not clear whether as cause or as effect"
 LIMIT, LIMIT_SHARE = 0.97, 0.5  # of full thrust; of the last second before the onset in which an output was there
 LEVEL_DEG = 40.0
 TRIM = 0.1  # arm lengths: healthy vehicles are commanded less of roll and pitch in calm flight (witnesses/healthy/population.py, 95 %)
@@ -108,7 +108,10 @@ def judge(flight: Flight, vehicle: Vehicle, air, left: LossOfControl) -> Judged:
     onset = left.onset if left.falls else _strays(window, healthy.residual, left.onset)
     cause, evidence = _cause(flight, vehicle, start, left, found, probability, window, onset)
     if cause == "controller" and np.abs(offset.mean[:2]).max() > TRIM * len(vehicle.rotors):
-        cause, evidence = "unknown", ("its rotors had been commanded unlike those of healthy vehicles since take-off",)
+        cause, evidence = (
+            "unknown",
+            ("its rotor commands had been out of balance since take-off, compared with healthy vehicles",),
+        )
     if left.impact is None and ground is not None:
         left = left._replace(impact=ground, ground=ground if left.end is None else None)
     return Judged(left, cause, found, probability, window, onset, evidence)
@@ -125,25 +128,21 @@ def _cause(
         near = (m.text for m in flight.messages if abs(m.time - left.onset) < DISARMED_S)
         by = next((text.partition(": ")[2] for text in near if text.startswith("disarmed: ")), "")
         says = f", and the autopilot says disarmed{f' ({by})' if by else ''}" if disarmed else ""
-        return "disarmed", (f"all outputs went to rest in the air{says}",)
+        return "disarmed", (f"all outputs went to idle in flight{says}",)
     best, p = found[0], float(probability[0])
     rms = np.sqrt((best.residual[:, :3] ** 2).mean(axis=0))
     fits = bool((rms < FITS).all())
     rotor = sum(float(q) for e, q in zip(found, probability) if e.kind == "rotor")
     struck = _struck(window, vehicle.effectiveness(), onset)
     if rotor > SURE and fits and not struck:
-        without = (
-            f"with {best.gives:.1f} times the thrust of hover, whatever it was commanded,"
-            if best.gives
-            else "without its thrust"
-        )
-        return "rotor", (f"the motion is what {_names(found, probability)} {without} would make it",)
+        without = f"stuck at {best.gives:.1f} times hover thrust" if best.gives else "without thrust"
+        return "rotor", (f"the motion matches {_names(found, probability)} {without}",)
     order = sum(float(q) for e, q in zip(found, probability) if e.kind in ("order", "yaw"))
     if best.kind in ("order", "yaw") and order > SURE and fits:
-        return ORDER, ("the first movement went against the commands",)
+        return ORDER, ("the first movement opposed the commands",)
     blow = left.impact is not None and left.impact - onset <= HIT_S and not loss_of_control.low(flight, onset, start)
     if struck or blow:
-        return "knock", ("something outside pushed the vehicle harder than its rotors can",)
+        return "knock", ("an external force pushed the vehicle harder than its rotors can",)
     sagged = battery.sagged(flight, onset)
     if sagged:
         return "power", ("the battery's voltage collapsed, by more than its current explains",)
@@ -160,7 +159,7 @@ def _cause(
     nobody = best.kind == "common" and rotor < (1.0 - SURE) * float(probability[1:].sum())
     if (best.kind == "healthy" and p > SURE and fits and turned) or (nobody and turned and _level(flight, left, onset)):
         if _shaken(flight, onset):
-            return "unknown", ("the vehicle shook too hard for its motion to show what the rotors did",)
+            return "unknown", ("vibration was too strong for the motion to show what the rotors did",)
         return "controller", (
             "all rotors turned the vehicle as commanded, so the commands were wrong: from a sensor, an estimate or the pilot",
         )

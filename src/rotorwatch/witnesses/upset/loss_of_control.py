@@ -116,7 +116,7 @@ def attitude_error(flight: Flight, progress: Progress = None) -> tuple[np.ndarra
     """
     if flight.has("attitude"):
         time, q = known(flight["attitude"])
-        angle, words = np.full(time.size, np.nan), "tilted {:.0f} degrees away from what was wanted"
+        angle, words = np.full(time.size, np.nan), "tilted {:.0f} degrees from its setpoint"
         if flight.has("attitude_wanted"):
             angle = _angle(flight["attitude_wanted"], time, q, progress)
         if flight.has("rates_wanted") and flight.angular_rate() is not None:
