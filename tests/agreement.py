@@ -18,6 +18,8 @@ from rotorwatch import report
 from rotorwatch.flight.diagnosis import EXIT_CODES
 from rotorwatch.flight.kinds import DESYNC, LOSS, OVERRIDE
 from rotorwatch.report import colours, drawing, figures, html, terminal
+from rotorwatch.report.sections import all_rotors
+from rotorwatch.report.sections import health as health_section
 
 WIDTHS = (40, 80, 200)
 EPS = 1.01e-4  # numbers in the JSON are rounded to four digits
@@ -75,7 +77,7 @@ class Views:
         self.diagnosis = diagnosis
         self.json = json.loads(diagnosis.to_json())
         self.figures = {}
-        with mock.patch.object(figures, "plots", self._plots(figures.plots)):
+        with mock.patch.object(figures, "drawn", self._plots(figures.drawn)):
             self.page_text = html.page(diagnosis)
         self.page = Page(self.page_text)
         self.screens, self.faults = {}, []
@@ -91,8 +93,8 @@ class Views:
             self.expect("…" not in out.get() and "\x1b" not in out.get(), f"text is cut or coloured at {width} columns")
 
     def _plots(self, make):
-        def wrapped(diagnosis):
-            self.figures = make(diagnosis)
+        def wrapped(diagnosis, shown):
+            self.figures = make(diagnosis, shown)
             return self.figures
 
         return wrapped
@@ -248,7 +250,7 @@ def health(views):
         trend = r["trend"]
         if trend is None:
             continue
-        shown = next(row[3] for row in report.health(views.diagnosis) if row[0] == str(r["rotor"]))
+        shown = next(row[3] for row in health_section.rows(views.diagnosis) if row[0] == str(r["rotor"]))
         known = shown.startswith(trend["word"])
         low, high = trend["interval"]
         views.expect(low <= trend["per_minute"] <= high, f"the trend of {me} lies outside its interval")
@@ -621,7 +623,7 @@ FIELDS = {
     "events[].evidence": every("what speaks for a cause"),
     "common_mode": HIDDEN,
     "common_mode.thrust_shift": lambda views, value: views.shown(
-        report.common_mode(views.diagnosis), "what all rotors share"
+        all_rotors.sentence(views.diagnosis), "what all rotors share"
     ),
     "common_mode.interval": HIDDEN,
     "common_mode.unit": HIDDEN,

@@ -2,7 +2,7 @@
 as entry points; and by `package.module:Class`, wherever a name is asked for.
 
 Names that start with an underscore, and classes that a module merely imports, do not count. A package hands in an estimator, a plant, a
-detector, a log format or an airframe by three lines of its pyproject.toml (docs/your-own-method.md, docs/plug-ins.md):
+detector, a log format, an airframe or a report section by three lines of its pyproject.toml (docs/your-own-method.md, docs/plug-ins.md):
 
     [project.entry-points."rotorwatch.estimators"]
     fixed_gain = "two_methods.fixed_gain:FixedGain"
@@ -38,6 +38,7 @@ GROUPS = {
     "rotorwatch.detectors": "detector",
     "rotorwatch.logs": "log format",
     "rotorwatch.airframes": "airframe",
+    "rotorwatch.sections": "report section",
 }
 # Rooms of ours that are not called as their group.
 ROOMS = {

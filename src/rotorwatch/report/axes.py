@@ -4,7 +4,20 @@ from __future__ import annotations
 
 from typing import Any
 
+from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.report.colours import INK, MOMENT
+
+FLIGHT = "flight"
+"""Name of the ranges that the page makes one time axis."""
+
+
+def flight_range(diagnosis: Diagnosis) -> Any:
+    """Time axis of a plot over the whole flight [s], for `blank` and `stacked`. diagnosis: with a trace."""
+    from bokeh.models import Range1d
+
+    assert diagnosis.trace is not None
+    start, end = float(diagnosis.trace.time[0]), float(diagnosis.trace.time[-1])
+    return Range1d(name=FLIGHT, start=start, end=end, bounds=(start, end), min_interval=0.2)
 
 
 def blank(x_range, height: int, y_label: str, tooltips: list[tuple[str, str]], **more) -> Any:

@@ -15,7 +15,7 @@ from rotorwatch import __version__
 from rotorwatch.base import files, optional
 from rotorwatch.flight.method_series import MethodSeries
 from rotorwatch.flight.notebook import table
-from rotorwatch.report import colours, html, percent, seconds, words
+from rotorwatch.report import colours, html, markup, percent, seconds, words
 from rotorwatch.report.method_plots import axis, drawn, label, limits
 from rotorwatch.report.still import DASHES
 
@@ -38,7 +38,7 @@ def page(found: Estimates) -> str:
     scripts, divs = html.embed(plots)
     title = found.log or "a flight"
     names = list(dict.fromkeys(name for s in found.series for name in s.theta_names))
-    chips = "".join(html.chip(label(name), *looks[name]) for name in names)
+    chips = "".join(markup.chip(label(name), *looks[name]) for name in names)
     key = " Dashed: the truth." if found.truth is not None else ""
     body = [
         html.masthead(title),
@@ -54,11 +54,11 @@ def page(found: Estimates) -> str:
         here = [name for name in plots if name.endswith(f"-{k}")]
         body += [
             f"<h2>{escape(s.title)}</h2><p>{escape(s.whose)}</p>",
-            *(_plot(name, divs) for name in here if name.startswith(("loss", "m_"))),
+            *(markup.plot(name, divs[name]) for name in here if name.startswith(("loss", "m_"))),
             _actuators(found.found.get(s.method, {})),
             "<details><summary>States and innovations</summary>"
             "<p>States with their interval or bound. Innovations: measured less predicted, with what the method expects of them.</p>"
-            + "".join(_plot(name, divs) for name in here if name.startswith(("x_", "e_")))
+            + "".join(markup.plot(name, divs[name]) for name in here if name.startswith(("x_", "e_")))
             + "</details>",
         ]
     body += [
@@ -84,10 +84,6 @@ def summary(found: Estimates) -> str:
             rows.append(("", "", "holds the truth in", "of the steps", *(held.get(n, "") for n in names)))
     heads = ("method", "plant", "what is shaded", "until", *map(label, names))
     return f'<div class="scroll">{table("At the end", heads, rows)}</div>'
-
-
-def _plot(name: str, divs: Mapping[str, str]) -> str:
-    return f'<div class="plot" id="plot-{name}">{divs[name]}</div>'
 
 
 def _actuators(found: Mapping[str, Mapping[str, Any]]) -> str:
