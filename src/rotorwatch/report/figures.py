@@ -45,13 +45,14 @@ def _link(diagnosis: Diagnosis, over_flight: list[Any]) -> None:
     if not over_flight or diagnosis.trace is None:
         return
     cross = CrosshairTool(dimensions="height", overlay=Span(dimension="height", line_color=INK, line_dash="dotted"))
-    at = moment()
+    shared = [moment(), *_shades(diagnosis.trace), *_marks(diagnosis)]
     for figure in over_flight:
         figure.x_range = over_flight[0].x_range
         figure.add_tools(cross)
-        figure.add_layout(at)
-        _shade(figure, diagnosis.trace)
-        _mark(figure, diagnosis)
+        for annotation in shared:
+            figure.add_layout(annotation)
+        if figure.name == "loss":
+            _name_events(figure, diagnosis)
 
 
 def judged(diagnosis: Diagnosis) -> Diagnosis | None:
@@ -129,35 +130,44 @@ def followed(series: Series, x_range, kind: str, unit: str, pairs: dict[str, np.
     return out
 
 
-def _shade(figure, trace: Trace) -> None:
-    """Shade time on the ground grey, hatch blind time."""
+def _shades(trace: Trace) -> list[Any]:
+    """Grey boxes over time on the ground, hatched ones over blind time."""
     from bokeh.models import BoxAnnotation
 
-    edges = [float(trace.time[0]), *(t for span in trace.airborne for t in span), float(trace.time[-1])]
-    if trace.airborne:
-        for start, end in zip(edges[::2], edges[1::2], strict=True):
-            if end > start:
-                ground = BoxAnnotation(left=start, right=end, fill_color=INK, fill_alpha=0.20, line_color=None)
-                figure.add_layout(ground)
+    grey: dict[str, Any] = dict(fill_color=INK, fill_alpha=0.20, line_color=None)
     hatch: dict[str, Any] = dict(
         hatch_pattern="right_diagonal_line", hatch_color=INK, hatch_alpha=0.35, hatch_scale=10.0
     )
-    for start, end, _ in trace.blind:
-        box = BoxAnnotation(left=float(start), right=float(end), fill_color=None, line_color=None, **hatch)
-        figure.add_layout(box)
+    edges = [float(trace.time[0]), *(t for span in trace.airborne for t in span), float(trace.time[-1])]
+    ground = zip(edges[::2], edges[1::2], strict=True) if trace.airborne else ()
+    return [
+        *(BoxAnnotation(left=start, right=end, **grey) for start, end in ground if end > start),
+        *(
+            BoxAnnotation(left=float(start), right=float(end), fill_color=None, line_color=None, **hatch)
+            for start, end, _ in trace.blind
+        ),
+    ]
 
 
-def _mark(figure, diagnosis: Diagnosis) -> None:
-    """Events: dashed line at the onset, full one at the announcement, dotted one at the end; named on the loss plot."""
-    from bokeh.models import Label, Span
+def _marks(diagnosis: Diagnosis) -> list[Any]:
+    """Lines of the events: dashed at the onset, full at the announcement, dotted at the end."""
+    from bokeh.models import Span
+
+    return [
+        Span(
+            location=float(when), line_dash=dash, dimension="height", line_color=colours.of_event(event), line_width=1.5
+        )
+        for event in diagnosis.events
+        for when, dash in ((event.onset_s, "dashed"), (event.detected_s, "solid"), (event.end_s, "dotted"))
+        if when is not None
+    ]
+
+
+def _name_events(figure, diagnosis: Diagnosis) -> None:
+    """Number and rotors of each event at its announcement."""
+    from bokeh.models import Label
 
     for number, event in enumerate(diagnosis.events, 1):
-        tint = colours.of_event(event)
-        style: dict[str, Any] = dict(dimension="height", line_color=tint, line_width=1.5)
-        for when, dash in ((event.onset_s, "dashed"), (event.detected_s, "solid"), (event.end_s, "dotted")):
-            if when is not None:
-                figure.add_layout(Span(location=float(when), line_dash=dash, **style))
-        if figure.name == "loss":
-            text = f"{number}: {report.rotors(event.rotors) if event.rotors else event.means.noun}"
-            where: dict[str, Any] = dict(x=float(event.detected_s), y=highest_loss(diagnosis), x_offset=5)
-            figure.add_layout(Label(text=text, y_offset=-4 - 16 * ((number - 1) % 4), **where, **words("12px", "top")))
+        text = f"{number}: {report.rotors(event.rotors) if event.rotors else event.means.noun}"
+        where: dict[str, Any] = dict(x=float(event.detected_s), y=highest_loss(diagnosis), x_offset=5)
+        figure.add_layout(Label(text=text, y_offset=-4 - 16 * ((number - 1) % 4), **where, **words("12px", "top")))
