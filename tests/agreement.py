@@ -17,8 +17,7 @@ from rich.console import Console
 from rotorwatch import report
 from rotorwatch.flight.diagnosis import EXIT_CODES
 from rotorwatch.flight.kinds import DESYNC, LOSS, OVERRIDE
-from rotorwatch.report import colours, drawing, figures, html, terminal
-from rotorwatch.report.sections import all_rotors
+from rotorwatch.report import blocks, colours, drawing, figures, html, sections, terminal
 from rotorwatch.report.sections import health as health_section
 
 WIDTHS = (40, 80, 200)
@@ -120,7 +119,7 @@ def walk(diagnosis, flown=True):
             views.faults.append(f"{path}: nobody has said how it is shown")
         elif FIELDS[path] is not None:
             FIELDS[path](views, value)
-    for check in (verdict, main_event, headline, rotors, health, events, advice, page, plots, one_line):
+    for check in (verdict, main_event, headline, rotors, health, events, advice, page, plots, texts, one_line):
         check(views)
     return views.faults
 
@@ -443,6 +442,15 @@ def plots(views):
             views.expect(top >= r.loss - 0.05, f"rotor {r.rotor}: the plot ends at {top}, the table at {r.interval}")
 
 
+def texts(views):
+    """Sentences of the sections, on the page and in the terminal."""
+    for view in ("page", "terminal"):
+        for one in sections.shown(views.diagnosis, view):
+            for block in one.blocks():
+                if isinstance(block, blocks.Text) and not one.has("page"):
+                    views.shown(block.text, one.section.name, view == "page", view == "terminal")
+
+
 def one_line(views):
     """One flight of several on a line: the same verdict and headline."""
     text = flat(terminal.line("x.bin", views.diagnosis).plain)
@@ -622,9 +630,7 @@ FIELDS = {
     "events[].how": word("how control was lost"),
     "events[].evidence": every("what speaks for a cause"),
     "common_mode": HIDDEN,
-    "common_mode.thrust_shift": lambda views, value: views.shown(
-        all_rotors.sentence(views.diagnosis), "what all rotors share"
-    ),
+    "common_mode.thrust_shift": SHOWN,
     "common_mode.interval": HIDDEN,
     "common_mode.unit": HIDDEN,
     "whole_flight": SHOWN,

@@ -16,7 +16,7 @@ from rotorwatch.flight import Flight, Signal, kinds
 from rotorwatch.flight.diagnosis import Event, RotorState
 from rotorwatch.report import colours, drawing, figures, html, lanes, terminal, thinning, track
 from rotorwatch.report.info import info
-from rotorwatch.report.sections import all_rotors, checks
+from rotorwatch.report.sections import checks
 
 
 def text_of(diagnosis):
@@ -341,21 +341,6 @@ def test_moments_on_the_autopilots_clock_and_in_utc(fault):
     assert report.moment(there, 31.2) == "77.77 s since boot, 00:00:29.5 UTC"
     assert report.day(there) == "2026-11-21 23:59:58 UTC" and report.moment(fault, 31.2) == ""
     assert "77.77 s since boot" in text_of(there) and "00:00:29.5" in html.page(replace(there, trace=None))
-
-
-@pytest.mark.parametrize(
-    ("shift", "half", "words"),
-    [
-        (0.01, 0.02, "the same thrust at the end as at the beginning, within 2 %"),
-        (0.3, 0.6, "the same thrust at the end as at the beginning, within 15 %"),
-        (0.3, 3.0, "varied too much"),
-        (0.6, 0.06, "10 % more thrust at the end than at the beginning (95 % interval 9 % to 11 %)"),
-        (-0.6, 0.06, "10 % less thrust at the end than at the beginning (95 % interval 9 % to 11 %)"),
-    ],
-)
-def test_common_mode_in_words(fault, shift, half, words):
-    there = {"thrust_shift": shift, "interval": [shift - half, shift + half], "unit": "hover thrusts of one rotor"}
-    assert words in all_rotors.sentence(replace(fault, common_mode=there))
 
 
 def test_the_faulty_rotor_has_one_colour_everywhere(fault, page):
