@@ -244,7 +244,7 @@ def health(views):
     for r in states_ if judged else ():
         me = f"rotor {r['rotor']}"
         state = views.diagnosis.rotors[r["rotor"] - 1]
-        views.shown(report.grade(state), f"the grade of {me}")
+        views.shown(health_section.grade(state), f"the grade of {me}")
         views.expect(r["status"] != "failed" or "healthy" not in r["grade"], f"{me} failed and is graded {r['grade']}")
         trend = r["trend"]
         if trend is None:
@@ -257,7 +257,8 @@ def health(views):
         views.expect(sign is not False, f"the trend of {me} is {trend['word']} with {low} to {high}")
         sure = trend["word"] in ("growing", "shrinking")
         views.expect(
-            known or (not sure and max(map(abs, trend["interval"])) > report.VAGUE), f"the trend of {me} is left out"
+            known or (not sure and max(map(abs, trend["interval"])) > health_section.VAGUE),
+            f"the trend of {me} is left out",
         )
         if not known:
             continue

@@ -1,4 +1,4 @@
-"""The answer as terminal tables and HTML pages. No estimation here; the words that both use are below."""
+"""Views of a diagnosis: terminal, HTML page, Markdown, MCAP, notebook, pictures. Words that several of them use are below."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from datetime import datetime, timedelta
 from typing import Any
 
-from rotorwatch.answer.wording import (  # noqa: F401 - its words are the report's, too
+from rotorwatch.answer.wording import (  # noqa: F401 - re-exported
     BASELINE,
     SCALE,
     VERDICTS,
@@ -26,7 +26,7 @@ from rotorwatch.flight.diagnosis import Diagnosis, Event, RotorState
 
 
 def frame(diagnosis: Diagnosis) -> str:
-    """'hexa X, 6 rotors', as far as the flight says."""
+    """Frame and number of rotors as far as known: 'hexa X, 6 rotors'."""
     facts = diagnosis.flight
     parts = [str(facts["frame"])] if facts.get("frame") else []
     if facts.get("rotors"):
@@ -35,12 +35,12 @@ def frame(diagnosis: Diagnosis) -> str:
 
 
 def places(diagnosis: Diagnosis) -> tuple[str, ...]:
-    """Where each rotor is, in words; empty texts when unknown."""
+    """Place of each rotor in words; empty texts when unknown."""
     return tuple(r.place for r in diagnosis.rotors)
 
 
 def who(event: Event, diagnosis: Diagnosis) -> str:
-    """The rotors of an event with their places, and what else explains it; what it is about when no single rotor is."""
+    """Rotors of an event with their places, and the alternatives; the subject of an event without rotors."""
     return candidates(event, places(diagnosis))
 
 
@@ -54,7 +54,7 @@ def moment(diagnosis: Diagnosis, time: float | None) -> str:
 
 
 def day(diagnosis: Diagnosis) -> str:
-    """When the log began: '2026-11-21 07:40:36 UTC'; empty when it does not say."""
+    """UTC of the first record: '2026-11-21 07:40:36 UTC'; empty where the log has none."""
     start = diagnosis.flight.get("utc_start")
     return f"{_utc(start, 0.0):%Y-%m-%d %H:%M:%S} UTC" if start else ""
 
@@ -64,7 +64,7 @@ def _utc(start: str, time: float) -> datetime:
 
 
 def rotor_loss(state: RotorState) -> str:
-    """'37.0 %', '?' when the loss is not observable, 'none seen' where none was found but damage from take-off was not looked for."""
+    """Loss in words: '37.0 %'; '?' when not observable; 'none seen' where none was found and damage present at take-off was not checked."""
     if state.status == "unobservable" or (state.status == "suspect" and state.loss == 0.0):
         return "?"
     only_in_flight = state.status == "healthy" and state.from_takeoff in ("not judged", "bounded")
@@ -72,7 +72,7 @@ def rotor_loss(state: RotorState) -> str:
 
 
 def rotor_interval(state: RotorState) -> str:
-    """The 95 % interval in words: of the loss, or of the change since take-off where no more than that was judged."""
+    """The 95 % interval in words: of the loss, or of the change since take-off where only that was estimated."""
     if state.status == "unobservable":
         return f"up to {up_to(state.since_takeoff[1])} unseen" if state.since_takeoff else ""
     if state.status == "healthy" and state.from_takeoff in ("not judged", "bounded") and state.since_takeoff:
@@ -82,7 +82,7 @@ def rotor_interval(state: RotorState) -> str:
 
 
 def size(event: Event) -> str:
-    """How hard a contact was, '3.2 g'; how often a motor lost step, '7 times'."""
+    """Size of a contact, '3.2 g'; number of desyncs, '7 times'."""
     if "count" in event.extra:
         return f"{event.extra['count']} time{'' if event.extra['count'] == 1 else 's'}"
     value = event.extra.get("size")

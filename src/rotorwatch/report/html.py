@@ -16,19 +16,19 @@ from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.report import figures, markdown, markup, sections, words
 
 SYMBOLS = {"healthy": "✓", "fault": "✕", "crashed": "✕", "ambiguous": "?", "inconclusive": "?"}
-# A button; for it the page holds the post as `diagnose --markdown` writes it; where a browser lets nothing be copied, it is shown selected.
+# Copies the post of `diagnose --markdown`, which the page holds; where a browser forbids copying, the text is shown selected.
 COPY = (
     '<div class="copy"><button type="button" id="copy-markdown">Copy for a forum</button> <span role="status" id="copied"></span>'
     '<textarea id="post" readonly hidden aria-label="Post for a forum, as Markdown" rows="8"></textarea></div>'
 )
-# The page may run its own inline scripts and styles and nothing else; in particular it may not fetch anything.
+# The page may run its own inline scripts and styles only, and fetch nothing.
 POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; font-src data:"
 )
 
 
 def write(diagnosis: Diagnosis, path: str | os.PathLike) -> None:
-    """Write the page to `path`: all of it or nothing. Raises ConfigError when the place cannot be written to."""
+    """Write the page to `path` atomically. Raises ConfigError when the place cannot be written to."""
     text = page(diagnosis)
     try:
         with files.replacing(path) as unfinished:

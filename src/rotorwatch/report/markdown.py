@@ -1,5 +1,5 @@
-"""The answer as Markdown for a forum or an issue: GitHub, Discourse (ArduPilot, PX4), Reddit. Short enough to be posted, nothing in it that
-only the owner should give away, and no text of a log that a site would take for more than text."""
+"""A diagnosis as Markdown for a forum or an issue: GitHub, Discourse (ArduPilot, PX4), Reddit. Short enough for a post, without private
+data, and with text from logs escaped."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SIGNS = {"healthy": "✓", "fault": "✕", "crashed": "✕", "ambiguous": "?", "
 
 
 class _Size(NamedTuple):
-    """How much of an answer a post shows: events, letters of a sentence, steps of advice, and parts of what is folded."""
+    """Limits of a post: events (and rows, bullets), letters of a sentence, steps of advice, folded sections."""
 
     events: int
     letters: int
@@ -115,7 +115,7 @@ def picture_of(diagnosis: Diagnosis) -> bytes:
 
 
 def save(path: str | os.PathLike, made: str) -> None:
-    """Write a post, all of it or nothing. Raises ConfigError."""
+    """Write a post atomically. Raises ConfigError."""
     with files.replacing(path) as unfinished:
         unfinished.write_text(made, encoding="utf-8", newline="\n")
 
@@ -134,15 +134,15 @@ class _About:
     sections: Sequence[Part]
 
     def own(self, words: Any, most: int = 600) -> str:
-        """A sentence as Markdown."""
+        """A sentence as Markdown, escaped; without private data unless `identify`."""
         return escaped(words if self.identify else private(words, self.diagnosis.aircraft), most)
 
     def quoted(self, words: Any, most: int = 160, logged: bool = False) -> str:
-        """A text of others as code."""
+        """Text of others as code."""
         return code(words if self.identify else private(words, self.diagnosis.aircraft, logged), most)
 
     def parts(self, size: _Size, picture: str | None) -> Iterator[str]:
-        """In their order; empty ones among them."""
+        """Parts in order, some of them empty."""
         d = self.diagnosis
         headline = self.own(d.headline or d.reason, max(size.letters, 160))
         yield f"**{SIGNS[d.verdict]} {report.VERDICTS[d.verdict]}: {headline}**"
@@ -233,14 +233,14 @@ def _name(name: Any) -> str:
 
 
 def _alternative(diagnosis: Diagnosis) -> str:
-    """What the picture shows, for whoever does not see it."""
+    """Alternative text of the picture."""
     moment = diagnosis.picture and diagnosis.picture.get("commands")
     shown = "The moment: attitude and motor commands" if moment else "Loss and command of every rotor over the flight"
     return f"{shown}. {report.VERDICTS[diagnosis.verdict]}."
 
 
 def _first(sentences: Sequence[str], size: _Size) -> list[str]:
-    """The first sentences, and how many there are more."""
+    """The first sentences, and the number of those left out."""
     left = len(sentences) - size.events
     return [*sentences[: size.events], *([f"{left} more."] if left > 0 else [])]
 
@@ -260,7 +260,7 @@ def _numbered(title: str, lines: Sequence[str]) -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table of cells that are Markdown already."""
+    """A table; cells are Markdown already."""
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
@@ -278,7 +278,7 @@ class _Section:
 
 @dataclass
 class Several:
-    """A post on several logs, filled as the answers come: a table of them, worst first, and a section for each as far as there is room."""
+    """A post on several logs, filled as results arrive: a table, worst first, and a part for each log as far as there is room."""
 
     identify: bool = False
     rows: overview.Rows = field(default_factory=overview.Rows)

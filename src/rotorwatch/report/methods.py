@@ -1,5 +1,5 @@
-"""What methods themselves say of a log, drawn: a page (Bokeh) in which they stand over each other, and a still picture (matplotlib). The
-interval or bound of every loss is shaded, the truth dashed where it is known."""
+"""Methods' own estimates of a log: a page (Bokeh) with the methods one above the other, and a still picture (matplotlib). The interval or
+bound of every loss is shaded, the truth dashed where it is known."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def page(found: Estimates) -> str:
 
 
 def summary(found: Estimates) -> str:
-    """A table: every method's losses at the end of what it saw, and coverage where the truth is known."""
+    """Table of every method's losses at the end of its data, and coverage where the truth is known."""
     names = list(dict.fromkeys(name for s in found.series for name in s.theta_names))
     rows = []
     for s in found.series:
@@ -87,7 +87,7 @@ def summary(found: Estimates) -> str:
 
 
 def _actuators(found: Mapping[str, Mapping[str, Any]]) -> str:
-    """Of a helicopter: which actuator was named faulty, and how far each is off at the end."""
+    """Table of a helicopter's actuators: declared faulty or not, and deviation at the end."""
     rows = [
         (
             name, "sound" if one["found_s"] is None else f"faulty, found at {seconds(one['found_s'])}",

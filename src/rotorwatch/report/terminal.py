@@ -38,7 +38,7 @@ BARS_FROM = 110  # columns from which a table has room for bars
 
 
 def console(stderr: bool = False) -> Console:
-    """Where tables go: colours only in a terminal, 80 columns in a pipe, no markup or emoji read from names."""
+    """Console for tables: colours only in a terminal, 80 columns in a pipe, no markup or emoji from names."""
     out = Console(stderr=stderr, highlight=False, emoji=False, markup=False)
     if not out.is_terminal:
         out = Console(stderr=stderr, highlight=False, emoji=False, markup=False, width=80, color_system=None)
@@ -100,7 +100,7 @@ def _cell(value: Any) -> Text:
 
 
 def _more(result: Diagnosis) -> Text:
-    """How to see the rest."""
+    """Hint at --verbose, with the number of warnings, assumptions and events."""
     left = {"warning": len(result.warnings), "assumption": len(result.assumptions), "event": len(result.events)}
     counted = ", ".join(f"{n} {word}{'s' if n > 1 else ''}" for word, n in left.items() if n)
     return Text(f"What this rests on{f' ({counted})' if counted else ''}: --verbose", style="dim")
@@ -112,7 +112,7 @@ def aside(text: str, mark: str = "") -> Padding:
 
 
 def line(name: str, result: Diagnosis) -> Text:
-    """One flight of several on one line."""
+    """A flight of several on one line."""
     text = Text(f"{report.VERDICTS[result.verdict].lower():<11}  ", style=STYLES[result.verdict])
     return text.append(f"{name}  {result.headline}", style="default not bold")
 
@@ -123,8 +123,8 @@ def overview(title: str, rows: Sequence[Row]) -> RenderableType:
 
 
 class _Overview:
-    """A table: why, when and of which aircraft where there is room for that. Paths and sentences go on over lines, and the folder that all
-    logs are in is said once."""
+    """A table; reason, time and aircraft where there is room. Paths and sentences wrap; the folder common to all logs is
+    printed once."""
 
     def __init__(self, title: str, rows: Sequence[Row]):
         self.title, self.rows = title, rows
@@ -164,9 +164,9 @@ class _Overview:
 
 
 class Fitted:
-    """A table where it fits; else each row as lines, its cells named.
+    """A table where it fits, else a line for each cell, with the cell's name.
 
-    rows: cells (Text). right: places of numbers. wide: places of cells that need not be on one line. bars: places left out below
+    rows: cells (Text). right: columns of numbers. wide: columns that may wrap. bars: columns left out below
     BARS_FROM columns. short: a row is one line then, in which only these places are named.
     """
 
@@ -177,7 +177,7 @@ class Fitted:
 
     def __rich_console__(self, console: Console, options):
         shown = [i for i in range(len(self.columns)) if i not in self.bars or options.max_width >= BARS_FROM]
-        least = 3 * (len(shown) - 1) + 2  # what stands between columns and at the edges
+        least = 3 * (len(shown) - 1) + 2  # space between columns and at the edges
         for i in shown:
             cells = [Text(self.columns[i]), *(row[i] for row in self.rows)]
             least += max(_longest_word(c) if i in self.wide else _longest_line(c) for c in cells)
@@ -228,7 +228,7 @@ def _heading(result: Diagnosis, brief: bool = False) -> list[RenderableType]:
 
 
 def _said(reason: str, headline: str) -> bool:
-    """Whether a headline says all of a reason."""
+    """True if a headline contains all of a reason."""
     plain_ = [re.sub(r"[^a-z0-9]+", " ", text.lower()).strip() for text in (reason, headline)]
     return plain_[0] in plain_[1]
 
@@ -238,13 +238,13 @@ def _steps(result: Diagnosis) -> list[RenderableType]:
 
 
 def _story(result: Diagnosis) -> list[RenderableType]:
-    """What happened when control was lost, a line for each sentence."""
+    """Course of a loss of control, a line for each sentence."""
     lines = [aside(f"{k}. {line.text}") for k, line in enumerate(result.story, start=1)]
     return [Text(), Text("What happened", style="bold"), *lines, Text()] if lines else []
 
 
 def listing(title: str, *columns: str, right: Iterable[int] = ()) -> Table:
-    """An empty table: a title and its columns; `right`: the places of those with numbers."""
+    """An empty table with a title and columns; right: columns of numbers."""
     table = Table(
         title=title or None,
         title_justify="left",
@@ -264,7 +264,7 @@ def _cells(rows: Iterable[Iterable[Any]]) -> list[list[Text]]:
 
 
 class Notes:
-    """Sentences with a word before them: side by side, or one after the other where there is little room."""
+    """Sentences with a word before each: in two columns, or one after the other on a narrow terminal."""
 
     def __init__(self, rows: Iterable[tuple[str, str]]):
         self.rows = list(rows)
@@ -286,7 +286,7 @@ class Notes:
 
 
 def info(facts: Mapping[str, Any]) -> RenderableType:
-    """What `rotorwatch info` prints; facts as from `rotorwatch.info`."""
+    """Tables of `rotorwatch info`; facts as from `rotorwatch.info`."""
     autopilot = "" if facts["autopilot"] in facts["firmware"] else f"{facts['autopilot']} "
     entries = {
         "log": facts["name"],
