@@ -47,7 +47,7 @@ PARTS: dict[str, tuple[tuple[str, ...], float]] = {
     "readers": (("logs/*.py",), 0.25),
     "motion": (("engine/motion/allocation.py", "engine/motion/ticks.py"), 0.15),
     "campaign": (("lab/campaign/score.py", "lab/campaign/summary.py", "lab/campaign/sequences.py"), 0.15),
-    "report": (("report/*.py",), 0.13),
+    "report": (("report/*.py", "report/sections/*.py"), 0.13),
     "estimators": (("methods/estimators/*.py",), 0.15),
     "default": (("engine/host/*.py", "engine/estimator/*.py", "witnesses/*.py"), 0.17),
 }
@@ -87,6 +87,8 @@ NAMED: dict[str, tuple[str, ...]] = {
     "report/colours.py": ("figures",),
     "report/html.py": ("figures", "words"),
     "report/terminal.py": ("words",),
+    "report/sections/all_rotors.py": ("all_rotors",),
+    "report/sections/*.py": ("sections", "figures", "words"),
     "lab/experiments/research_tables.py": ("cli_research",),
     "report/*.py": ("report",),
     "engine/front/losses.py": ("hypotheses", "announcement", "events"),

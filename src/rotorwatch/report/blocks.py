@@ -74,4 +74,3 @@ class Table:
 
 
 Block = Title | Text | Bullets | Pairs | Notes | Table
-KINDS = (Title, Text, Bullets, Pairs, Notes, Table)

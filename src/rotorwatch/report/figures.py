@@ -68,7 +68,7 @@ class Series:
         assert diagnosis.trace is not None
         self.trace, self.flying = diagnosis.trace, airborne(diagnosis.trace)
         self._screen = Screen(self.trace.time, windows(diagnosis))
-        self.data: dict[str, np.ndarray] = {"time": self._screen.time.astype(np.float32)}
+        self.data: dict[str, Any] = {"time": self._screen.time.astype(np.float32)}
 
     def line(self, name: str, values: np.ndarray, on_ground: bool = False) -> None:
         """values (T,); on_ground: also where nothing is airborne."""

@@ -27,7 +27,7 @@ from typing import Any
 
 from rotorwatch.base import discovery
 from rotorwatch.flight.diagnosis import Diagnosis
-from rotorwatch.report.blocks import KINDS, Text
+from rotorwatch.report.blocks import Block, Text
 
 PARTS = ("name", "title", "order", "data")
 VIEWS = ("page", "terminal", "post", "notebook")
@@ -56,7 +56,7 @@ class Shown:
             found = getattr(self.section, part)(self.data) if self.has(part) else None
             blocks = [Text(block) if isinstance(block, str) else block for block in found or ()]
             for block in blocks:
-                if not isinstance(block, KINDS) and part == "words":
+                if not isinstance(block, Block) and part == "words":
                     raise TypeError(f"{type(block).__name__} is no block of rotorwatch.report.blocks")
             return tuple(blocks)
 
