@@ -67,6 +67,7 @@ _SHORT = {
     "detectors": "methods.published.detectors",
     "estimators": "methods.estimators",
     "many": "base.many",
+    "sections": "report.sections",
     "simulation": "lab.simulation",
     "systems": "methods.maths.systems",
 }
