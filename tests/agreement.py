@@ -17,7 +17,8 @@ from rich.console import Console
 from rotorwatch import report
 from rotorwatch.flight.diagnosis import EXIT_CODES
 from rotorwatch.flight.kinds import DESYNC, LOSS, OVERRIDE
-from rotorwatch.report import colours, drawing, figures, html, terminal
+from rotorwatch.report import blocks, colours, drawing, figures, html, sections, terminal
+from rotorwatch.report.sections import health as health_section
 
 WIDTHS = (40, 80, 200)
 EPS = 1.01e-4  # numbers in the JSON are rounded to four digits
@@ -75,7 +76,7 @@ class Views:
         self.diagnosis = diagnosis
         self.json = json.loads(diagnosis.to_json())
         self.figures = {}
-        with mock.patch.object(figures, "plots", self._plots(figures.plots)):
+        with mock.patch.object(figures, "drawn", self._plots(figures.drawn)):
             self.page_text = html.page(diagnosis)
         self.page = Page(self.page_text)
         self.screens, self.faults = {}, []
@@ -91,8 +92,8 @@ class Views:
             self.expect("…" not in out.get() and "\x1b" not in out.get(), f"text is cut or coloured at {width} columns")
 
     def _plots(self, make):
-        def wrapped(diagnosis):
-            self.figures = make(diagnosis)
+        def wrapped(diagnosis, shown):
+            self.figures = make(diagnosis, shown)
             return self.figures
 
         return wrapped
@@ -118,7 +119,7 @@ def walk(diagnosis, flown=True):
             views.faults.append(f"{path}: nobody has said how it is shown")
         elif FIELDS[path] is not None:
             FIELDS[path](views, value)
-    for check in (verdict, main_event, headline, rotors, health, events, advice, page, plots, one_line):
+    for check in (verdict, main_event, headline, rotors, health, events, advice, page, plots, texts, one_line):
         check(views)
     return views.faults
 
@@ -243,12 +244,12 @@ def health(views):
     for r in states_ if judged else ():
         me = f"rotor {r['rotor']}"
         state = views.diagnosis.rotors[r["rotor"] - 1]
-        views.shown(report.grade(state), f"the grade of {me}")
+        views.shown(health_section.grade(state), f"the grade of {me}")
         views.expect(r["status"] != "failed" or "healthy" not in r["grade"], f"{me} failed and is graded {r['grade']}")
         trend = r["trend"]
         if trend is None:
             continue
-        shown = next(row[3] for row in report.health(views.diagnosis) if row[0] == str(r["rotor"]))
+        shown = next(row[3] for row in health_section.rows(views.diagnosis) if row[0] == str(r["rotor"]))
         known = shown.startswith(trend["word"])
         low, high = trend["interval"]
         views.expect(low <= trend["per_minute"] <= high, f"the trend of {me} lies outside its interval")
@@ -256,7 +257,8 @@ def health(views):
         views.expect(sign is not False, f"the trend of {me} is {trend['word']} with {low} to {high}")
         sure = trend["word"] in ("growing", "shrinking")
         views.expect(
-            known or (not sure and max(map(abs, trend["interval"])) > report.VAGUE), f"the trend of {me} is left out"
+            known or (not sure and max(map(abs, trend["interval"])) > health_section.VAGUE),
+            f"the trend of {me} is left out",
         )
         if not known:
             continue
@@ -441,6 +443,15 @@ def plots(views):
             views.expect(top >= r.loss - 0.05, f"rotor {r.rotor}: the plot ends at {top}, the table at {r.interval}")
 
 
+def texts(views):
+    """Sentences of the sections, on the page and in the terminal."""
+    for view in ("page", "terminal"):
+        for one in sections.shown(views.diagnosis, view):
+            for block in one.blocks():
+                if isinstance(block, blocks.Text) and not one.has("page"):
+                    views.shown(block.text, one.section.name, view == "page", view == "terminal")
+
+
 def one_line(views):
     """One flight of several on a line: the same verdict and headline."""
     text = flat(terminal.line("x.bin", views.diagnosis).plain)
@@ -620,9 +631,7 @@ FIELDS = {
     "events[].how": word("how control was lost"),
     "events[].evidence": every("what speaks for a cause"),
     "common_mode": HIDDEN,
-    "common_mode.thrust_shift": lambda views, value: views.shown(
-        report.common_mode(views.diagnosis), "what all rotors share"
-    ),
+    "common_mode.thrust_shift": SHOWN,
     "common_mode.interval": HIDDEN,
     "common_mode.unit": HIDDEN,
     "whole_flight": SHOWN,

@@ -103,7 +103,7 @@ def test_a_module_without_a_place_is_found(copy):
 
 
 def test_a_plug_in_is_one_file(copy):
-    """An estimator, a plant, a detector, a format and an airframe are found as soon as their file is there."""
+    """An estimator, a plant, a detector, a format, an airframe and a report section are found as soon as their file is there."""
     folder, run = copy
     (folder / "rotorwatch_lab" / "estimators" / "planted.py").write_text(
         "class Planted:\n    name = 'planted'\n    def init(self): ...\n    def step(self, carry, u, y, valid): ...\n"
@@ -122,10 +122,12 @@ def test_a_plug_in_is_one_file(copy):
         sys.executable,
         "-c",
         "from rotorwatch import airframes, detectors, logs\nfrom rotorwatch.base import discovery\n"
+        "from rotorwatch.report import sections\n"
         "print('planted' in discovery.estimators(), 'planted' in discovery.systems(), 'planted' in airframes.names(),\n"
-        "      'planted' in [m.name for m in detectors.modules()], 'planted' in [m.FORMAT for m in logs.formats()])",
+        "      'planted' in [m.name for m in detectors.modules()], 'planted' in [m.FORMAT for m in logs.formats()],\n"
+        "      'planted' in [section.name for section, _ in sections.registered()])",
     )
-    assert done.stdout.split() == ["True"] * 5, done.stderr
+    assert done.stdout.split() == ["True"] * 6, done.stderr
 
 
 def test_two_plug_ins_of_one_name_are_refused(copy):

@@ -206,12 +206,12 @@ def test_diagnose_names_the_method_and_shows_its_own_estimate():
 
 
 def test_the_report_of_another_method_says_who_found_it():
-    from rotorwatch import report
     from rotorwatch.report import html
+    from rotorwatch.report.sections import checks, rotors
 
     pytest.importorskip("bokeh")
     found = rw.diagnose(FAULTY, estimator="ekf")
-    assert report.comparison(found)[0][0] == "ekf" and "decision that all methods share" in report.scope(found)
+    assert checks.rows(found)[0][0] == "ekf" and "decision that all methods share" in rotors.scope(found)
     text = html.page(found)
     assert "ekf itself" in text and 'id="plot-own_loss"' in text and "1.96 standard deviations of ekf" in text
 

@@ -8,6 +8,7 @@ import pytest
 
 from conftest import hexa_diagnosis, hexa_trace
 from rotorwatch.report import colours, figures, html, lanes
+from rotorwatch.report.sections import evidence
 
 
 def event(**changes):
@@ -24,6 +25,11 @@ def test_plots_begin_and_end_with_the_flight_and_are_in_percent(pictures):
     for p in pictures.values():
         assert (p.x_range.start, p.x_range.end) == (trace.time[0], trace.time[-1])
     data = next(r for r in pictures["loss"].renderers if r.name == "rotor 3").data_source.data
+    data = (
+        data
+        | next(iter(pictures["command"].renderers)).data_source.data
+        | pictures["roll"].renderers[0].data_source.data
+    )
     late = data["time"] > 40.0
     assert np.nanmedian(data["loss3"][late]) == pytest.approx(37.0, abs=1.0)
     assert np.nanmedian(data["command3"][late]) == pytest.approx(58.0, abs=1.0)
@@ -57,15 +63,15 @@ def test_the_axis_of_evidence_holds_what_speaks_for_a_fault_and_as_much_against(
     shown = ["rotor 3", "common mode"]
     worse = replace(trace, evidence={**trace.evidence, "common mode": np.full(trace.time.size, -500.0)})
     source = ColumnDataSource({"time": [], "odds0": [], "odds1": []})
-    axis = figures._evidence(worse, source, Range1d(), shown, colours.looks(hexa_diagnosis())).y_range
+    axis = evidence.drawn(worse, source, Range1d(), shown, colours.looks(hexa_diagnosis())).y_range
     assert axis.start == -axis.end
 
 
 def test_a_hypothesis_of_one_rotor_has_its_colour_and_no_other_has():
     looks = colours.looks(hexa_diagnosis())
-    assert figures._look("rotor 3", 1, looks) == {"color": colours.FAULT, "line_dash": looks[3][1]}
+    assert evidence.look_of("rotor 3", 1, looks) == {"color": colours.FAULT, "line_dash": looks[3][1]}
     for name in ("rotors 1+3", "axis 3", "rotor x", "rotor 9", "common mode"):
-        assert figures._look(name, 1, looks) == {"color": colours.INK, "line_dash": "dashed"}
+        assert evidence.look_of(name, 1, looks) == {"color": colours.INK, "line_dash": "dashed"}
 
 
 def test_rotors_that_nothing_is_known_against_have_the_palette_in_order(healthy):
@@ -100,21 +106,16 @@ def test_the_lane_of_a_log_that_names_no_mode_shows_what_was_said():
     assert sorted(drawn["messages"]["time"]) == [3.5, 33.0]
 
 
-def test_headings_stand_above_plots_that_are_there(fault, pictures):
-    divs = {name: f"<i>{name}</i>" for name in pictures}
-    shown = re.findall(r"<h2>(.*?)</h2>", html._plots(fault, divs))
-    titles = [
-        title for _, title, _ in html.PLOTS if title != "Rates: sticks and gyro"
-    ]  # of vehicles that are flown by rates
-    assert shown == ["Loss of each rotor over the flight", *titles]
-    few = {name: div for name, div in divs.items() if name not in ("evidence", "lane") and not name.startswith("angle")}
-    few = {name: div for name, div in few.items() if name not in (*lanes.LANES, "modes")}
-    text = html._plots(fault, few)
-    assert (
-        re.findall(r"<h2>(.*?)</h2>", text) == [shown[0], "Motor commands", "Residuals"]
-        and 'id="plot-lane"' not in text
-    )
-    assert all(f'id="plot-{name}"><i>{name}</i>' in text for name in few) and html._plots(fault, {}) == ""
+def test_headings_stand_above_plots_that_are_there(fault):
+    text = html.page(fault)
+    shown = re.findall(r"<h2>(.*?)</h2>", text)
+    first = shown.index("Loss of each rotor over the flight")
+    assert shown[first + 1 : first + 5] == [
+        "Motor commands", "Evidence", "Attitude: wanted and flown", "Residuals",  # rates: of vehicles that are flown by rates
+    ]  # fmt: skip
+    few = html.page(replace(fault, trace=replace(fault.trace, evidence={}, messages=(), attitude=None, wanted=None)))
+    shown = re.findall(r"<h2>(.*?)</h2>", few)
+    assert shown[first + 1 : first + 3] == ["Motor commands", "Residuals"] and "Evidence" not in shown
+    assert 'id="plot-lane"' not in few and 'id="plot-command"' in few and "(4)" in text and "messages of the" not in few
     own, none = html.embed({})
     assert none == {} and own.count("<script") == 1 and len(own) < 30_000  # without plots no library
-    assert "(4)" in html._messages(fault) and html._messages(replace(fault, trace=None)) == ""

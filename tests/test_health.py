@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from conftest import hexa_diagnosis, hexa_event
-from rotorwatch import report
 from rotorwatch.answer import health
 from rotorwatch.answer.conclusion import Evidence, conclude
 from rotorwatch.engine.motion.ticks import JUDGE
 from rotorwatch.flight.diagnosis import Trend
 from rotorwatch.report import html, terminal
+from rotorwatch.report.sections import health as health_section
 
 # Roll, pitch, yaw, thrust of a quad X in the autopilot's order: front right, rear left, front left, rear right.
 QUAD = np.array([[-0.7, 0.7, 0.7, -0.7], [0.7, -0.7, 0.7, -0.7], [1.0, 1.0, -1.0, -1.0], [1.0, 1.0, 1.0, 1.0]])
@@ -198,12 +198,12 @@ def test_json_terminal_and_page_say_the_same():
     assert given[1]["trend"] == {
         "per_minute": 0.073, "interval": [0.055, 0.091], "start_s": 18.0, "end_s": 148.0, "word": "growing", "beyond": [0.12, 0.2],
     }  # fmt: skip
-    assert report.health(made)[1][2:] == ("worn or weak", "growing: 7.3 % a minute (5.5 to 9.1 %)")
+    assert health_section.rows(made)[1][2:] == ("worn or weak", "growing: 7.3 % a minute (5.5 to 9.1 %)")
     for text in (text_of(made), html.page(made).replace("\u00a0", " ").replace("\u2060", "")):
         assert "worn or weak" in text and "growing: 7.3 % a minute" in text
         assert "critical below 80 %" in " ".join(text.split())
     nothing = hexa_diagnosis(events=(), judged_s=0.0)
-    assert report.health(nothing) == [] and "Health" not in text_of(nothing)
+    assert health_section.rows(nothing) == [] and "Health" not in text_of(nothing)
 
 
 def test_a_rotor_that_rests_has_no_trend():

@@ -20,7 +20,8 @@ from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.flight.kinds import Kind, Span, Weight, Words
 from rotorwatch.live import ground, view
 from rotorwatch.live.changes import Changes
-from rotorwatch.report import colours, html, terminal
+from rotorwatch.report import colours, terminal
+from rotorwatch.report.sections import events
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "rotorwatch"
@@ -94,7 +95,7 @@ def shown(answer: Diagnosis) -> dict[str, str]:
     written = io.StringIO()
     Console(file=written, width=400, no_color=True).print(terminal.diagnosis(answer, verbose=True))
     return {
-        "terminal": written.getvalue(), "page": re.sub("<[^>]*>", " ", html._events(answer)), "markdown": answer.to_markdown(),
+        "terminal": written.getvalue(), "page": re.sub("<[^>]*>", " ", events.page(answer, {})), "markdown": answer.to_markdown(),
     }  # fmt: skip
 
 

@@ -63,7 +63,7 @@ def test_a_notebook_shows_verdict_rotors_and_events():
     found = hexa_diagnosis()
     page = _Page(found._repr_html_())
     assert not page.open and "script" not in page.tags
-    assert sum(row[0] == str(k) for row in page.rows for k in range(1, 7)) == 6
+    assert sum(row[0] == str(k) for row in page.rows for k in range(1, 7)) == 12  # rotors, their health
     third = next(row for row in page.rows if row[0] == "3")
     assert "37.0 %" in third
     assert any("31.20 s" in row for row in page.rows)

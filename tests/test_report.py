@@ -16,6 +16,7 @@ from rotorwatch.flight import Flight, Signal, kinds
 from rotorwatch.flight.diagnosis import Event, RotorState
 from rotorwatch.report import colours, drawing, figures, html, lanes, terminal, thinning, track
 from rotorwatch.report.info import info
+from rotorwatch.report.sections import checks
 
 
 def text_of(diagnosis):
@@ -59,17 +60,17 @@ def test_rotor_lists_read_as_english():
 
 
 def test_comparison_is_in_time_order_and_says_when_nobody_else_found_anything(fault, healthy):
-    assert [(who, at) for who, _, at, _ in report.comparison(fault)] == [
+    assert [(who, at) for who, _, at, _ in checks.rows(fault)] == [
         ("rotorwatch", "31.56 s"),
         ("ardupilot-thrust-loss", "33.40 s"),
     ]
-    assert report.comparison(replace(fault, comparison=()))[1][:2] == ("ardupilot-thrust-loss", "nothing")
+    assert checks.rows(replace(fault, comparison=()))[1][:2] == ("ardupilot-thrust-loss", "nothing")
     px4 = replace(fault, comparison=(), flight={**fault.flight, "autopilot": "PX4"})
-    assert report.comparison(px4)[1][:2] == ("px4-current-residual, px4-esc-current", "nothing")
+    assert checks.rows(px4)[1][:2] == ("px4-current-residual, px4-esc-current", "nothing")
     other = replace(fault, comparison=(), flight={**fault.flight, "autopilot": "Crazyflie"})
-    assert report.comparison(other)[1][:2] == ("other checks", "none made")
-    assert "no built-in check of Crazyflie" in report.comparison(other)[1][3]
-    assert report.comparison(replace(healthy, comparison=())) == []
+    assert checks.rows(other)[1][:2] == ("other checks", "none made")
+    assert "no built-in check of Crazyflie" in checks.rows(other)[1][3]
+    assert checks.rows(replace(healthy, comparison=())) == []
 
 
 # Terminal
@@ -301,7 +302,7 @@ def test_nothing_is_cut_at_any_width(changes, width):
     assert max(len(line.rstrip()) for line in text.splitlines()) <= width and "…" not in text
     words = re.compile(r"[\w.%–]{2,}")
     missing = set(words.findall(" ".join(whole))) - set(words.findall(text))
-    assert missing <= {"where", "status", "interval", "95"}  # headings of a table that became lines
+    assert missing <= {"where", "status", "interval", "95", "trend"}  # headings of a table that became lines
 
 
 def text_at(diagnosis, width, console):
@@ -340,29 +341,6 @@ def test_moments_on_the_autopilots_clock_and_in_utc(fault):
     assert report.moment(there, 31.2) == "77.77 s since boot, 00:00:29.5 UTC"
     assert report.day(there) == "2026-11-21 23:59:58 UTC" and report.moment(fault, 31.2) == ""
     assert "77.77 s since boot" in text_of(there) and "00:00:29.5" in html.page(replace(there, trace=None))
-
-
-@pytest.mark.parametrize(
-    ("shift", "half", "words"),
-    [
-        (0.01, 0.02, "thrust was the same at the end as at the beginning, within 2 %"),
-        (0.3, 0.6, "thrust was the same at the end as at the beginning, within 15 %"),
-        (0.3, 3.0, "varied too much"),
-        (
-            0.6,
-            0.06,
-            "10 % more total thrust was commanded at the end than at the beginning (95 % interval 9 % to 11 %)",
-        ),
-        (
-            -0.6,
-            0.06,
-            "10 % less total thrust was commanded at the end than at the beginning (95 % interval 9 % to 11 %)",
-        ),
-    ],
-)
-def test_common_mode_in_words(fault, shift, half, words):
-    there = {"thrust_shift": shift, "interval": [shift - half, shift + half], "unit": "hover thrusts of one rotor"}
-    assert words in report.common_mode(replace(fault, common_mode=there))
 
 
 def test_the_faulty_rotor_has_one_colour_everywhere(fault, page):

@@ -7,7 +7,7 @@ import pytest
 from conftest import against_healthy, hexa_diagnosis
 from rotorwatch import report
 from rotorwatch.flight.diagnosis import RotorState
-from rotorwatch.report import html
+from rotorwatch.report.sections import events, healthy_flights
 from test_report import text_of
 
 
@@ -17,7 +17,7 @@ def event(**changes):
 
 def test_the_main_event_is_pointed_out_among_several_only(fault):
     two = hexa_diagnosis(events=(event(), event(rotors=(5,), onset_s=40.0, detected_s=40.5)))
-    assert "main event" not in html._events(fault) and html._events(two).count("main event") == 1
+    assert "main event" not in events.page(fault, {}) and events.page(two, {}).count("main event") == 1
     assert "(main)" not in text_of(fault) and text_of(two).count("(main)") == 1
 
 
@@ -44,20 +44,20 @@ def test_a_rotor_in_words(state, loss, interval):
 
 
 def test_the_comparison_with_healthy_flights_in_words():
-    rows = dict(report.whole_flight(against_healthy()))
+    rows = dict(healthy_flights.rows(against_healthy()))
     assert (
         rows["answer"] == "fault found: rotor 3 lost thrust"
         and rows["compared with"] == "3 healthy flights of this build"
     )
     assert rows["what explains the difference"] == "rotor 3 (front left) 90 %; a shifted centre of mass 6 %"
     assert rows["all rotors together"].startswith("11 % more command")
-    assert dict(report.whole_flight(against_healthy(common=-0.1)))["all rotors together"].startswith(
+    assert dict(healthy_flights.rows(against_healthy(common=-0.1)))["all rotors together"].startswith(
         "10 % less command"
     )
-    assert dict(report.whole_flight(against_healthy(common=0.0)))["all rotors together"].startswith("0 % less command")
-    assert dict(report.whole_flight(against_healthy(flights=1)))["compared with"] == "1 healthy flight of this build"
-    assert "all rotors together" not in dict(report.whole_flight(against_healthy(verdict="inconclusive")))
-    assert report.whole_flight(hexa_diagnosis()) == []
+    assert dict(healthy_flights.rows(against_healthy(common=0.0)))["all rotors together"].startswith("0 % less command")
+    assert dict(healthy_flights.rows(against_healthy(flights=1)))["compared with"] == "1 healthy flight of this build"
+    assert "all rotors together" not in dict(healthy_flights.rows(against_healthy(verdict="inconclusive")))
+    assert healthy_flights.rows(hexa_diagnosis()) == []
 
 
 def test_a_headline_is_short_and_says_how_much_it_leaves_out():

@@ -49,7 +49,7 @@ _HOMES = {
     "VehicleError": "errors",
 }
 # Modules by a shorter name.
-_SHORT = {"checks": "base.checks", "many": "base.many"}
+_SHORT = {"checks": "base.checks", "many": "base.many", "sections": "report.sections"}
 
 __all__ = ["__version__", "read", *_VERBS, *(n for n in _HOMES if n != "read")]
 

@@ -35,7 +35,7 @@ class Known(NamedTuple):
 class Answer:
     """The result of one log. index: its place among the logs; path: its full path, or its address. diagnosis: without the trace; None
     where there is an error. size, sha256: of the content, where requested. page: the HTML report, where requested.
-    recording: the MCAP file, picture: a PNG, likewise. messages: the autopilot's around the main event. unchanged: it is as it was known,
+    recording: the MCAP file, picture: a PNG, likewise. parts: sections of a post. unchanged: it is as it was known,
     and was not judged again."""
 
     index: int
@@ -47,7 +47,7 @@ class Answer:
     page: str | None = None
     recording: bytes | None = None
     picture: bytes | None = None
-    messages: tuple[tuple[float, str, str], ...] = ()
+    parts: tuple[Any, ...] = ()
     unchanged: bool = False
 
     @property
@@ -190,7 +190,7 @@ class _Judge:
                 picture = markdown.picture_of(found)
         return Answer(
             0, path, replace(found, trace=None), size=size, sha256=sha256, page=page, recording=recording, picture=picture,
-            messages=markdown.around(found),
+            parts=markdown.prepared(found),
         )  # fmt: skip
 
 

@@ -1,5 +1,5 @@
-"""What methods themselves say of a log, drawn: a page (Bokeh) in which they stand over each other, and a still picture (matplotlib). The
-interval or bound of every loss is shaded, the truth dashed where it is known."""
+"""Methods' own estimates of a log: a page (Bokeh) with the methods one above the other, and a still picture (matplotlib). The interval or
+bound of every loss is shaded, the truth dashed where it is known."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rotorwatch import __version__
 from rotorwatch.base import files, optional
 from rotorwatch.flight.method_series import MethodSeries
 from rotorwatch.flight.notebook import table
-from rotorwatch.report import colours, html, percent, seconds, words
+from rotorwatch.report import colours, html, markup, percent, seconds, words
 from rotorwatch.report.method_plots import axis, drawn, label, limits
 from rotorwatch.report.still import DASHES
 
@@ -38,7 +38,7 @@ def page(found: Estimates) -> str:
     scripts, divs = html.embed(plots)
     title = found.log or "a flight"
     names = list(dict.fromkeys(name for s in found.series for name in s.theta_names))
-    chips = "".join(html.chip(label(name), *looks[name]) for name in names)
+    chips = "".join(markup.chip(label(name), *looks[name]) for name in names)
     key = " Dashed: the truth." if found.truth is not None else ""
     body = [
         html.masthead(title),
@@ -54,11 +54,11 @@ def page(found: Estimates) -> str:
         here = [name for name in plots if name.endswith(f"-{k}")]
         body += [
             f"<h2>{escape(s.title)}</h2><p>{escape(s.whose)}</p>",
-            *(_plot(name, divs) for name in here if name.startswith(("loss", "m_"))),
+            *(markup.plot(name, divs[name]) for name in here if name.startswith(("loss", "m_"))),
             _actuators(found.found.get(s.method, {})),
             "<details><summary>States and innovations</summary>"
             "<p>States with their interval or bound. Innovations: measured less predicted, with what the method expects of them.</p>"
-            + "".join(_plot(name, divs) for name in here if name.startswith(("x_", "e_")))
+            + "".join(markup.plot(name, divs[name]) for name in here if name.startswith(("x_", "e_")))
             + "</details>",
         ]
     body += [
@@ -72,7 +72,7 @@ def page(found: Estimates) -> str:
 
 
 def summary(found: Estimates) -> str:
-    """A table: every method's losses at the end of what it saw, and coverage where the truth is known."""
+    """Table of every method's losses at the end of its data, and coverage where the truth is known."""
     names = list(dict.fromkeys(name for s in found.series for name in s.theta_names))
     rows = []
     for s in found.series:
@@ -86,12 +86,8 @@ def summary(found: Estimates) -> str:
     return f'<div class="scroll">{table("At the end", heads, rows)}</div>'
 
 
-def _plot(name: str, divs: Mapping[str, str]) -> str:
-    return f'<div class="plot" id="plot-{name}">{divs[name]}</div>'
-
-
 def _actuators(found: Mapping[str, Mapping[str, Any]]) -> str:
-    """Of a helicopter: which actuator was named faulty, and how far each is off at the end."""
+    """Table of a helicopter's actuators: declared faulty or not, and deviation at the end."""
     rows = [
         (
             name, "sound" if one["found_s"] is None else f"faulty, found at {seconds(one['found_s'])}",

@@ -49,6 +49,7 @@ GROUPS = {
     "rotorwatch.api": "function",
     "rotorwatch.estimation": "runner of estimators",
     "rotorwatch.witnesses": "witness",
+    "rotorwatch.sections": "report section",
 }
 OURS = "rotorwatch"  # our distribution; its classes come first
 DEFAULT = "rotorwatch.engine.host"  # the package that holds the default estimator and its plant

@@ -110,7 +110,7 @@ def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
             row = overview.row(label(answer.path), found, page)
             rows.add(row)
             if together:
-                together.add(row, answer.diagnosis, answer.messages, answer.picture)
+                together.add(row, answer.diagnosis, answer.parts, answer.picture)
             if counter and answer.diagnosis is not None and not (request.as_json or lines.streams):
                 from rotorwatch.report import terminal
 
@@ -191,7 +191,7 @@ def _write_page(request: Request, answer: Any) -> str | None:
     if request.posts and answer.diagnosis is not None:
         from rotorwatch.report import markdown
 
-        markdown.write(answer.diagnosis, request.posts[answer.index], request.identify, answer.picture, answer.messages)
+        markdown.write(answer.diagnosis, request.posts[answer.index], request.identify, answer.picture, answer.parts)
     if answer.recording is not None:
         with files.replacing(request.recordings[answer.index]) as unfinished:
             Path(unfinished).write_bytes(answer.recording)

@@ -1,14 +1,27 @@
-"""Empty time plots in the report's look (Bokeh), for the plots that are drawn into them."""
+"""Empty time plots in the report's style (Bokeh), and what they share."""
 
 from __future__ import annotations
 
 from typing import Any
 
+from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.report.colours import INK, MOMENT
+
+FLIGHT = "flight"
+"""Name of the ranges that the page makes one time axis."""
+
+
+def flight_range(diagnosis: Diagnosis) -> Any:
+    """Time axis of a plot over the whole flight [s], for `blank` and `stacked`. diagnosis: with a trace."""
+    from bokeh.models import Range1d
+
+    assert diagnosis.trace is not None
+    start, end = float(diagnosis.trace.time[0]), float(diagnosis.trace.time[-1])
+    return Range1d(name=FLIGHT, start=start, end=end, bounds=(start, end), min_interval=0.2)
 
 
 def blank(x_range, height: int, y_label: str, tooltips: list[tuple[str, str]], **more) -> Any:
-    """An empty plot in the report's look. tooltips: (name, value) pairs, shown for the renderers that are set later."""
+    """An empty plot in the report's style. tooltips: (name, value) pairs, for the renderers that `hover` sets."""
     from bokeh.models import BoxZoomTool, HoverTool, PanTool, ResetTool, SaveTool, WheelZoomTool
     from bokeh.plotting import figure
 
@@ -40,7 +53,7 @@ def words(size: str, baseline: str = "middle") -> dict[str, Any]:
 
 
 def hover(p, *renderers, **more) -> None:
-    """The tooltip of a plot, attached to a line, so that there is one per time, or to what else it belongs to. more: its properties."""
+    """Attach the tooltip of a plot to these renderers: to one line, so that each time has one. more: properties of the tool."""
     from bokeh.models import HoverTool
 
     (tool,) = (one for one in p.toolbar.tools if isinstance(one, HoverTool))  # select_one looks through the whole plot
@@ -48,14 +61,14 @@ def hover(p, *renderers, **more) -> None:
 
 
 def stacked(name: str, last: bool, x_range, label: str, tips, **more) -> Any:
-    """A low plot of several, one below the other: only the last one has a time axis."""
+    """A low plot for a stack of them: only the last one has a time axis."""
     p = blank(x_range, 165 if last else 135, label, tips, **more)
     p.name, p.xaxis.visible, p.yaxis.ticker.desired_num_ticks = name, last, 3
     return p
 
 
 def moment() -> Any:
-    """The line of the moment that the page's address names: the page's script places it. One for all plots of a time axis."""
+    """Line of the moment in the page's address, placed by the page's script; one for all plots of a time axis."""
     from bokeh.models import Span
 
     return Span(name="moment", location=0.0, dimension="height", line_color=MOMENT, line_width=2.0, visible=False)

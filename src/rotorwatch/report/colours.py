@@ -1,4 +1,4 @@
-"""One colour for each rotor, wherever it appears: table, top view and plots. The faulty ones share one that no other has."""
+"""Colours of rotors, the same in table, top view and plots. Faulty rotors share one that no other has."""
 
 from __future__ import annotations
 
@@ -6,26 +6,26 @@ from collections.abc import Iterable, Sequence
 
 from rotorwatch.flight.diagnosis import Diagnosis, Event
 
-# Okabe and Ito's palette and neighbours, which colour-blind readers can distinguish: vermilion for what is broken, orange for what is
-# suspected, the rest for rotors that nothing is known against. Dashes distinguish what shares a colour.
+# Okabe and Ito's palette and neighbours, which colour-blind readers can distinguish: vermilion for faulty rotors, orange for
+# suspected ones, the rest for all others. Dashes distinguish rotors of the same colour.
 FAULT, SUSPECT = "#d55e00", "#e69f00"
 OTHERS = ("#0072b2", "#009e73", "#56b4e9", "#9467bd", "#8c8c8c", "#44727f", "#6aa84f", "#b08fb5")
-# For all that are no rotors.
+# For anything but rotors.
 PALETTE = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c8c8c", "#9467bd")
 DASHES = ("solid", "dashed", "dotted", "dotdash", "dashdot")
-MOMENT = "#c2185b"  # the moment that the page shows; no event and no rotor has it
-INK = "#7a828a"  # reads on white and on black until the page's script has set the theme
+MOMENT = "#c2185b"  # the moment marked on the page; no event and no rotor has this colour
+INK = "#7a828a"  # legible on white and on black until the page's script has set the theme
 
 
 def faulty(diagnosis: Diagnosis) -> list[int]:
-    """Rotors that the verdict names: those of the main event when it is sure, and those that are degraded or failed."""
+    """Rotors of the main event where it has no alternatives, and degraded or failed ones."""
     event = None if diagnosis.main is None else diagnosis.events[diagnosis.main]
     named = set(event.rotors) if event is not None and not event.alternatives else set()
     return sorted(named | {r.rotor for r in diagnosis.rotors if r.status in ("degraded", "failed")})
 
 
 def suspects(diagnosis: Diagnosis) -> list[int]:
-    """Rotors under suspicion that the verdict does not name."""
+    """Suspect rotors that are not among `faulty`."""
     named = faulty(diagnosis)
     return [r.rotor for r in diagnosis.rotors if r.status == "suspect" and r.rotor not in named]
 
@@ -37,7 +37,7 @@ def looks(diagnosis: Diagnosis, count: int = 0) -> dict[int, tuple[str, str]]:
 
 
 def chosen(numbers: Iterable[int], bad: Sequence[int], open_: Sequence[int] = ()) -> dict[int, tuple[str, str]]:
-    """(colour, dash) of each rotor, 1-based. bad: those that are named faulty; open_: those that are suspected."""
+    """(colour, dash) of each rotor, 1-based. bad: faulty rotors; open_: suspect ones."""
     out = {}
     for k in sorted(numbers):
         for group, tint in ((bad, FAULT), (open_, SUSPECT)):
@@ -49,5 +49,5 @@ def chosen(numbers: Iterable[int], bad: Sequence[int], open_: Sequence[int] = ()
 
 
 def of_event(event: Event) -> str:
-    """The colour of an event: of its verdict."""
+    """Colour of an event: faulty, suspect, or neutral."""
     return INK if not event.rotors or not event.means.wrong else SUSPECT if event.alternatives else FAULT

@@ -36,7 +36,7 @@ def airframe(diagnosis: Diagnosis) -> str:
 
 
 def layout(rotors: Sequence[Rotor]) -> tuple[np.ndarray, float, float]:
-    """Where the rotors are in the picture, nose up: centres (n, 2), x to the right, y down; radius of a disc; half the picture's width."""
+    """Positions of the rotors drawn nose up: centres (n, 2), x to the right, y down; radius of a disc; half the picture's width."""
     xy = np.array([(r.y, -r.x) for r in rotors], float)
     reach = max(float(np.hypot(*xy.T).max()), 1e-9)
     xy *= 100 / reach
@@ -50,7 +50,7 @@ def layout(rotors: Sequence[Rotor]) -> tuple[np.ndarray, float, float]:
 
 
 def _rotor(x: float, y: float, radius: float, place: Rotor, state, tint: str) -> str:
-    """One rotor: a disc that empties with the loss, its number, its loss in percent, an arrow for its spin."""
+    """A rotor: a disc that empties with the loss, its number, its loss in percent, an arrow for its spin."""
     loss = min(max(state.loss, 0.0), 1.0)
     label = {"?": "?", "none seen": "none"}.get(report.rotor_loss(state), report.percent(state.loss))
     opacity = 0.15 + 0.85 * loss if loss > 0.02 else 0.0
@@ -91,7 +91,7 @@ ROW, LEFT, WIDTH = 26, 118, 380  # of the baseline pictures, in SVG units
 
 def baseline(diagnosis: Diagnosis) -> str:
     """Two pictures: loss of each rotor with its 95 % interval, and how far roll, pitch and yaw are off their usual balance, both against
-    the healthy flights. Empty without a comparison that says something."""
+    the healthy flights. Empty without a conclusive comparison."""
     facts = diagnosis.whole_flight or {}
     loss, bounds = facts.get("loss"), facts.get("interval")
     if facts.get("verdict") in (None, "inconclusive") or not loss or not bounds or len(loss) != len(diagnosis.rotors):

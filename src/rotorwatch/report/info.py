@@ -1,6 +1,6 @@
-"""What a log holds, what it lacks for a diagnosis, and which setting of the autopilot would log it next time.
+"""Contents of a log, gaps for a diagnosis, and the autopilot's settings that close them.
 
-The same functions as in the diagnosis decide whether the log can be judged.
+The diagnosis' own functions decide whether the log can be judged.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from rotorwatch.flight.vehicle import Vehicle
 FAST_HZ, FAST_BLACKBOX_HZ = 50.0, 500.0
 MESSAGES_SHOWN = 40
 
-# What gives a signal on each autopilot; {10} of a setting is a bit (`_with_values`). ArduPilot: LOG_BITMASK bits of ArduCopter/defines.h
+# Settings that log a signal; {10} in one is a bit (`_with_values`). ArduPilot: LOG_BITMASK bits of ArduCopter/defines.h
 # (MASK_LOG_*); PX4: SDLOG_PROFILE bits of src/modules/logger (logged_topics.cpp). Anything else: the column to add.
 _ARDUPILOT = {
     "motors": "Set LOG_BITMASK{10} (motor outputs, RCOU).",
@@ -83,10 +83,10 @@ _WHY = {
     "esc": "No motor speeds: a short desync is less certain, and a slow motor cannot be distinguished from a damaged propeller.",
 }
 _ONLY = {"lift": "ardupilot", "esc": "blackbox"}
-"""Signals that are missed in logs of one autopilot alone."""
+"""Signals that only logs of one autopilot can lack."""
 
 
-# What is missing where no signal is, and what to do.
+# Gaps other than signals, and the remedy.
 _OBSTACLES = {
     "frame": ("frame", "Give its geometry with --vehicle FILE."),
     "airborne": ("airborne", "Use a log of a flight, not of a bench test."),
@@ -95,7 +95,7 @@ _OBSTACLES = {
 
 
 def info(flight: Flight, progress: Callable[[float], object] | None = None) -> dict:
-    """What `rotorwatch info --json` prints. Times in s from the first record of the log.
+    """Contents and gaps of a log, as `rotorwatch info --json` prints them. Times in s from the first record of the log.
 
     flight: as `rotorwatch.read` gives it. progress: called with the finished share, 0..1.
 
@@ -131,7 +131,7 @@ def info(flight: Flight, progress: Callable[[float], object] | None = None) -> d
 
 
 class Obstacle(NamedTuple):
-    """What keeps `diagnose` from judging a flight. what: frame, motors, gyro, airborne or trust. why: one sentence."""
+    """Obstacle to a diagnosis. what: frame, motors, gyro, airborne or trust. why: one sentence."""
 
     what: str
     why: str
@@ -239,8 +239,8 @@ def _missing(flight: Flight, frame: str, stop: Obstacle | None) -> list[dict]:
 
 
 def _with_values(flight: Flight, gaps: Sequence[dict]) -> list[dict]:
-    """Gaps whose settings name the whole new value of a parameter in place of a {bit}: what the log's parameter is, with the bits of all
-    gaps, so that who follows one does not undo another. Where the log does not have the parameter: what the bit adds."""
+    """Gaps with the whole new value of a parameter in place of a {bit}: the logged value with the bits of all gaps, so that following one
+    does not undo another. Without the parameter in the log: the value that the bit adds."""
 
     def filled(setting: str) -> str:
         name = next((one for one in ("LOG_BITMASK", "SDLOG_PROFILE") if f"{one}{{" in setting), "")
@@ -273,7 +273,7 @@ def _family(flight: Flight) -> str:
 
 
 def _messages(flight: Flight) -> list[dict]:
-    """Messages that matter to a reader: errors, modes, arming, landing, dropouts, texts on motors and failsafes."""
+    """Notable messages: errors, modes, arming, landing, dropouts, texts on motors and failsafes."""
     words = "thrust motor esc crash failsafe fail-safe vibration battery error emergency lost".split()
     shown = [m for m in flight.messages if m.kind != "text" or any(w in m.text.lower() for w in words)]
     return [{"time_s": round(float(m.time), 3), "kind": m.kind, "text": m.text} for m in shown[:MESSAGES_SHOWN]]

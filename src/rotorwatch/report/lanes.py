@@ -12,9 +12,9 @@ from rotorwatch.report.colours import INK
 from rotorwatch.report.thinning import Screen, airborne, windows
 
 SHADES = ("#56b4e9", "#009e73", "#9467bd", "#0072b2", "#8c8c8c", "#6aa84f")
-MARKS = 400  # of the lane: more are no help
+MARKS = 400  # at most, of messages
 HEIGHTS = {"armed": 0.2, "landed": 0.35, "event": 0.5, "text": 0.65, "dropout": 0.8, "error": 0.9}
-OVERVIEW, DETAIL = 500, 500  # rows: slow quantities need fewer than the estimates
+OVERVIEW, DETAIL = 500, 500  # rows; slow quantities need fewer than the estimates
 LINE = "#2b83ba"
 # name: what it is, in the sentence on what is not logged; label of the axis; the lines: (name, colour, dash).
 ONE = (("", LINE, "solid"),)
@@ -29,12 +29,12 @@ LANES: dict[str, tuple[str, str, tuple[tuple[str, str, str], ...]]] = {
     ),
 }  # fmt: skip
 ALOFT = ("altitude", "ground_speed", "vibration")
-"""Lanes whose axes have room for what was in the air: on the ground and after an impact estimates run away."""
+"""Lanes whose axes are scaled to airborne time: on the ground and after an impact estimates diverge."""
 FROM_ZERO = ("ground_speed", "current", "vibration")
 LEAST_SPAN = {"altitude": 2.0, "ground_speed": 2.0, "voltage": 1.0, "current": 2.0, "vibration": 1.0}
-"""What an axis shows at least: a calm flight is to look calm."""
+"""Least span of an axis, so that a calm flight looks calm."""
 PEAK, USUAL = 3.0, 0.995
-"""Peaks are shown up to so many times what this share of the values stays below."""
+"""Peaks are shown up to PEAK times the quantile USUAL of the values."""
 
 
 def messages(diagnosis: Diagnosis, x_range) -> Any:
@@ -132,14 +132,14 @@ def context(diagnosis: Diagnosis, x_range) -> dict[str, Any]:
 
 
 def _range(values: np.ndarray) -> tuple[float, float]:
-    """What an axis has to show of these values: all of them, but for peaks that would make the rest a flat line, as an impact has."""
+    """Range of an axis for these values, without peaks that would flatten the rest, as at an impact."""
     seen = values[np.isfinite(values)]
     low, high, usual = float(seen.min()), float(seen.max()), float(np.quantile(seen, USUAL))
     return low, min(high, low + PEAK * max(usual - low, 1e-9))
 
 
 def _lane(name: str, values: np.ndarray, source, x_range, last: bool) -> Any:
-    """values: those for which the axis has room."""
+    """Plot of one lane. values: those that the axis is scaled to."""
     from bokeh.models import Legend, LegendItem, Range1d
 
     _, label, lines = LANES[name]
@@ -178,7 +178,7 @@ def _modes(trace: Trace, x_range) -> Any:
 
 
 def absent(trace: Trace) -> list[str]:
-    """What the log does not hold, of the track, the lanes and the flight modes, in words."""
+    """Names of the track, lanes and flight modes that the log does not hold."""
     found = logged(trace)
     out = [] if has_track(trace) else ["position"]
     out += [text for name, (text, *_) in LANES.items() if name not in found]
@@ -186,12 +186,12 @@ def absent(trace: Trace) -> list[str]:
 
 
 def has_track(trace: Trace) -> bool:
-    """Whether the log says where the vehicle was over ground."""
+    """True if the log has at least two positions over ground."""
     return trace.position is not None and bool(np.isfinite(trace.position[:, :2]).all(axis=1).sum() > 1)
 
 
 def summary(trace: Trace) -> dict[str, str]:
-    """Name -> words: the ends and extremes of what the lanes show, in the air."""
+    """Name -> words: ends and extremes of the lanes in airborne time."""
     flying, found = airborne(trace), logged(trace)
     seen = {name: v[flying & np.isfinite(v).all(axis=1)] for name, v in found.items()}
     seen = {name: values for name, values in seen.items() if len(values)}

@@ -1,5 +1,5 @@
-"""The answer as Markdown for a forum or an issue: GitHub, Discourse (ArduPilot, PX4), Reddit. Short enough to be posted, nothing in it that
-only the owner should give away, and no text of a log that a site would take for more than text."""
+"""A diagnosis as Markdown for a forum or an issue: GitHub, Discourse (ArduPilot, PX4), Reddit. Short enough for a post, without private
+data, and with text from logs escaped."""
 
 from __future__ import annotations
 
@@ -14,21 +14,19 @@ from urllib.parse import quote
 from rotorwatch import __version__, report
 from rotorwatch.base import files, optional
 from rotorwatch.errors import ConfigError
-from rotorwatch.flight.diagnosis import Diagnosis, Event
-from rotorwatch.report import overview, still
+from rotorwatch.flight.diagnosis import Diagnosis
+from rotorwatch.report import blocks, overview, sections, still
 from rotorwatch.report.markdown_text import code, escaped, private
 
 MOST = 9_500  # letters of a post; forums take 10,000 and more
 LEAST = 1_500  # letters left, below which no further log gets a section of its own
 SECTIONS, ROWS, ROWS_MOST = 10, 25, 3_500  # of a post on several logs
-AROUND_S, MESSAGES = 10.0, 8  # messages of the autopilot around the main event
 ENDINGS = (".md", ".markdown", ".txt")
 SIGNS = {"healthy": "✓", "fault": "✕", "crashed": "✕", "ambiguous": "?", "inconclusive": "?", "error": "!"}
-Message = tuple[float, str, str]
 
 
 class _Size(NamedTuple):
-    """How much of an answer a post shows: events, letters of a sentence, steps of advice, and parts of what is folded."""
+    """Limits of a post: events (and rows, bullets), letters of a sentence, steps of advice, folded sections."""
 
     events: int
     letters: int
@@ -46,18 +44,35 @@ def text(
     diagnosis: Diagnosis,
     identify: bool = False,
     picture: str | None = None,
-    messages: Sequence[Message] | None = None,
+    parts: Sequence[Part] = (),
     most: int = MOST,
 ) -> str:
     """The post. identify: with the aircraft's serial number, the time of day, and texts as they are in the log; picture: name of the file
-    that it shows; messages: those of the autopilot around the main event, of a diagnosis without its trace; most: letters."""
-    about = _About(diagnosis, identify, around(diagnosis) if messages is None else tuple(messages))
+    that it shows; parts: as `prepared` made them, of a diagnosis that has lost its trace since; most: letters."""
+    about = _About(diagnosis, identify, parts or prepared(diagnosis))
     made = ""
     for size in SIZES:
         made = "\n\n".join(part for part in about.parts(size, picture) if part) + "\n"
         if len(made) <= most:
             break
     return made
+
+
+class Part(NamedTuple):
+    """A section of the post. top: above the fold."""
+
+    title: str
+    top: bool
+    blocks: tuple[Any, ...]
+
+
+def prepared(diagnosis: Diagnosis) -> tuple[Part, ...]:
+    """The sections of the post, those above the fold first, then the most important first: of the folded ones the last are left out
+    where there is no room."""
+    shown = sections.shown(diagnosis, "post")
+    shown.sort(key=lambda one: getattr(one.section, "post_order", one.section.order))
+    made = (Part(str(s.section.title), getattr(s.section, "post_top", False), s.blocks()) for s in shown)
+    return tuple(sorted((part for part in made if part.blocks), key=lambda part: not part.top))
 
 
 class Written(NamedTuple):
@@ -72,10 +87,10 @@ def write(
     path: str | os.PathLike,
     identify: bool = False,
     picture: bytes | None = None,
-    messages: Sequence[Message] | None = None,
+    parts: Sequence[Part] = (),
 ) -> Written:
-    """Write the post to `path`, and the picture that it shows beside it, as a PNG of the same name. picture, messages: drawn and picked
-    before, of a diagnosis without its trace. Raises ConfigError where the place cannot be written to."""
+    """Write the post to `path`, and the picture that it shows beside it, as a PNG of the same name. picture, parts: made before, of a
+    diagnosis that has lost its trace since. Raises ConfigError where the place cannot be written to."""
     path, why = Path(path), ""
     target = path.with_suffix(".png")
     if picture is None:
@@ -85,7 +100,7 @@ def write(
             why = str(reason)
     if picture is not None:
         _put(target, picture)
-    made = text(diagnosis, identify, None if why else target.name, messages)
+    made = text(diagnosis, identify, None if why else target.name, parts)
     save(path, made)
     return Written(made, why)
 
@@ -100,7 +115,7 @@ def picture_of(diagnosis: Diagnosis) -> bytes:
 
 
 def save(path: str | os.PathLike, made: str) -> None:
-    """Write a post, all of it or nothing. Raises ConfigError."""
+    """Write a post atomically. Raises ConfigError."""
     with files.replacing(path) as unfinished:
         unfinished.write_text(made, encoding="utf-8", newline="\n")
 
@@ -110,34 +125,24 @@ def _put(path: Path, picture: bytes) -> None:
         unfinished.write_bytes(picture)
 
 
-def around(diagnosis: Diagnosis) -> tuple[Message, ...]:
-    """The autopilot's messages around the main event, those closest to it, in the order of time; none without one or without a trace."""
-    if diagnosis.main is None or diagnosis.trace is None:
-        return ()
-    event = diagnosis.events[diagnosis.main]
-    start, end = event.onset_s - AROUND_S, max(event.onset_s, event.detected_s) + AROUND_S
-    near = [m for m in diagnosis.trace.messages if start <= m[0] <= end]
-    return tuple(sorted(sorted(near, key=lambda m: abs(m[0] - event.onset_s))[:MESSAGES]))
-
-
 @dataclass(frozen=True)
 class _About:
     """The parts of a post on one flight."""
 
     diagnosis: Diagnosis
     identify: bool
-    messages: tuple[Message, ...]
+    sections: Sequence[Part]
 
     def own(self, words: Any, most: int = 600) -> str:
-        """A sentence as Markdown."""
+        """A sentence as Markdown, escaped; without private data unless `identify`."""
         return escaped(words if self.identify else private(words, self.diagnosis.aircraft), most)
 
     def quoted(self, words: Any, most: int = 160, logged: bool = False) -> str:
-        """A text of others as code."""
+        """Text of others as code."""
         return code(words if self.identify else private(words, self.diagnosis.aircraft, logged), most)
 
     def parts(self, size: _Size, picture: str | None) -> Iterator[str]:
-        """In their order; empty ones among them."""
+        """Parts in order, some of them empty."""
         d = self.diagnosis
         headline = self.own(d.headline or d.reason, max(size.letters, 160))
         yield f"**{SIGNS[d.verdict]} {report.VERDICTS[d.verdict]}: {headline}**"
@@ -147,14 +152,62 @@ class _About:
         story = [self.own(line.text, size.letters) for line in d.story]
         yield _numbered("What happened", story)
         yield self.own(report.sentence(d.reason), size.letters) if d.reason != d.headline else ""
-        yield self._events(size)
+        yield from (self._section(part, size) for part in self.sections if part.top)
         yield _bullets("What to check next", (self.own(step, size.letters) for step in d.advice[: size.advice]))
-        folded = [part for part in self._folded(size) if part][: size.folded]
+        below = (self._section(part, size) for part in self.sections if not part.top)
+        folded = [part for part in below if part][: size.folded]
         if folded:
             inside = "\n\n".join(folded)
             yield f"<details><summary>Rotors, evidence, assumptions and warnings</summary>\n\n{inside}\n\n</details>"
         method = f", estimator {self.own(d.estimator, 60)}" if d.estimator != "default" else ""
         yield f"*rotorwatch {escaped(__version__)}{method}. Times are in seconds from the first record of the log.*"
+
+    def _section(self, part: Part, size: _Size) -> str:
+        """Title and blocks, without the title above the fold; empty without blocks."""
+        made = "\n\n".join(filter(None, self._blocks(part.blocks, size)))
+        title = next((b.text for b in part.blocks if isinstance(b, blocks.Title)), part.title)
+        return f"**{self.own(title)}**\n\n{made}" if made and not part.top else made
+
+    def _blocks(self, parts: Iterable[Any], size: _Size) -> Iterator[str]:
+        notes: list[str] = []
+        for block in (*parts, None):
+            if isinstance(block, blocks.Notes):
+                word = f"{block.word.capitalize()}: " if block.named else ""
+                notes += [report.sentence(f"{word}{item}") for item in block.items]
+                continue
+            yield _items(self.own(note, size.letters) for note in _first(notes, size))
+            notes = []
+            match block:
+                case blocks.Text():
+                    yield self.own(block.text, size.letters)
+                case blocks.Bullets():
+                    yield _items(self._pieces(item, size.letters) for item in block.items[: size.events])
+                case blocks.Pairs():
+                    yield _items(self.own(f"{name}: {text}", size.letters) for name, text in block.rows)
+                case blocks.Table():
+                    yield self._table(block, size)
+
+    def _pieces(self, item: str | tuple[str, ...], most: int) -> str:
+        return self._cell(item, most) if isinstance(item, str) else " ".join(self._cell(piece, most) for piece in item)
+
+    def _cell(self, cell: Any, most: int = 160) -> str:
+        if isinstance(cell, blocks.Logged):
+            return self.quoted(cell, min(most, 160), True)
+        made = self.own(cell, most)
+        return f"**{made}**" if made and isinstance(cell, blocks.Strong) else made
+
+    def _table(self, block: blocks.Table, size: _Size) -> str:
+        """The first rows, or the most important ones in their order, and how many there are more."""
+        count = len(block.rows) if block.most is None else block.most
+        chosen = range(len(block.rows))[:count] if block.ranks is None else sorted(block.ranks[: size.events])
+        if not chosen:
+            return ""
+        left = len(block.rows) - len(chosen)
+        are = f"{block.noun} is" if left == 1 else f"{block.noun}s are"
+        rows = ([self._cell(cell) for cell in block.rows[k]] for k in chosen)
+        return table([self.own(name, 60) for name in block.head], rows) + (
+            f"\n\n{left} more {are} not shown." if left else ""
+        )
 
     def _what_flew(self) -> str:
         facts = self.diagnosis.flight
@@ -173,68 +226,6 @@ class _About:
             cells += [escaped(report.day(self.diagnosis)), code(self.diagnosis.aircraft, 120)]
         return " · ".join(cell for cell in cells if cell)
 
-    def _events(self, size: _Size) -> str:
-        d = self.diagnosis
-        if not d.events or not size.events:
-            return ""
-        chosen = d.important(size.events)
-        rows = (self._event(d.events[k], len(d.events) > 1 and k == d.main) for k in chosen)
-        left = len(d.events) - len(chosen)
-        more = f"\n\n{left} more {'event is' if left == 1 else 'events are'} not shown." if left else ""
-        return table(("what", "rotor", "since", "found after", "loss (95 % interval)", "how sure"), rows) + more
-
-    def _event(self, event: Event, main: bool) -> tuple[str, ...]:
-        lasted = event.end_s is not None and event.end_s > event.onset_s
-        until = f" until {report.seconds(event.end_s)}" if lasted else ""
-        loss = report.losses(event) or report.size(event)
-        what = self.own(event.means.noun, 60)
-        return (
-            f"**{what}**" if main else what,
-            self.own(report.who(event, self.diagnosis), 160),
-            f"{report.seconds(event.onset_s)}{until}",
-            f"{event.detected_s - event.onset_s:.2f} s",
-            escaped(loss or "–", 160),
-            escaped(report.probability(event.probability)),
-        )
-
-    def _folded(self, size: _Size) -> Iterator[str]:
-        """The most important first: what there is no room for is left out from the end."""
-        d = self.diagnosis
-        yield self._rotors(size)
-        yield _bullets("Warnings", (self.own(w, size.letters) for w in _first(d.warnings, size)))
-        assumed = (f"Baseline: {d.baseline}", *d.assumptions)
-        yield _bullets("Assumed", (self.own(report.sentence(a), size.letters) for a in _first(assumed, size)))
-        reasons = [
-            f"{report.seconds(e.onset_s)}: {self.own(e.reason, size.letters)}"
-            for e in d.events[: size.events]
-            if e.reason
-        ]
-        yield _bullets("Evidence", reasons)
-        said = (
-            f"{report.seconds(t)} {escaped(kind, 40)}: {self.quoted(words, 120, True)}"
-            for t, kind, words in self.messages
-        )
-        yield _bullets("Messages of the autopilot around the main event", said)
-        checks = [[self.own(cell, 160) for cell in row] for row in report.comparison(d)[:8]]
-        yield f"**Detections by method**\n\n{table(('check', 'found', 'at', 'why'), checks)}" if checks else ""
-        common = report.common_mode(d)
-        yield f"**All rotors together:** {self.own(common, size.letters)}" if common else ""
-
-    def _rotors(self, size: _Size) -> str:
-        d = self.diagnosis
-        if not d.rotors:
-            return ""
-        rows = [
-            (str(r.rotor), self.own(r.place, 40), self.own(r.status, 40), report.rotor_loss(r), report.rotor_interval(r),
-             self.own(r.note, 120))
-            for r in d.rotors
-        ]  # fmt: skip
-        made = table(("rotor", "where", "status", "loss", "95 % interval", ""), rows)
-        scope = report.scope(d)
-        return f"**{escaped(report.rotors_title(d))}**\n\n{made}" + (
-            f"\n\n{self.own(scope, size.letters)}" if scope else ""
-        )
-
 
 def _name(name: Any) -> str:
     """The name of a file without its folder, whatever system it is of."""
@@ -242,20 +233,24 @@ def _name(name: Any) -> str:
 
 
 def _alternative(diagnosis: Diagnosis) -> str:
-    """What the picture shows, for whoever does not see it."""
+    """Alternative text of the picture."""
     moment = diagnosis.picture and diagnosis.picture.get("commands")
     shown = "The moment: attitude and motor commands" if moment else "Loss and command of every rotor over the flight"
     return f"{shown}. {report.VERDICTS[diagnosis.verdict]}."
 
 
 def _first(sentences: Sequence[str], size: _Size) -> list[str]:
-    """The first sentences, and how many there are more."""
+    """The first sentences, and the number of those left out."""
     left = len(sentences) - size.events
     return [*sentences[: size.events], *([f"{left} more."] if left > 0 else [])]
 
 
+def _items(lines: Iterable[str]) -> str:
+    return "\n".join(f"- {line}" for line in lines if line)
+
+
 def _bullets(title: str, lines: Iterable[str]) -> str:
-    items = "\n".join(f"- {line}" for line in lines if line)
+    items = _items(lines)
     return f"**{title}**\n\n{items}" if items else ""
 
 
@@ -265,7 +260,7 @@ def _numbered(title: str, lines: Sequence[str]) -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table of cells that are Markdown already."""
+    """A table; cells are Markdown already."""
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
@@ -277,13 +272,13 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 class _Section:
     row: overview.Row
     diagnosis: Diagnosis
-    messages: tuple[Message, ...]
+    parts: Sequence[Part]
     picture: bytes | None
 
 
 @dataclass
 class Several:
-    """A post on several logs, filled as the answers come: a table of them, worst first, and a section for each as far as there is room."""
+    """A post on several logs, filled as results arrive: a table, worst first, and a part for each log as far as there is room."""
 
     identify: bool = False
     rows: overview.Rows = field(default_factory=overview.Rows)
@@ -293,13 +288,13 @@ class Several:
         self,
         row: overview.Row,
         diagnosis: Diagnosis | None = None,
-        messages: Sequence[Message] = (),
+        parts: Sequence[Part] = (),
         picture: bytes | None = None,
     ) -> None:
         """A log's row, and its answer, where it has one. picture: PNG."""
         self.rows.add(row)
         if diagnosis is not None:
-            self.sections.append(_Section(row, diagnosis, tuple(messages), picture))
+            self.sections.append(_Section(row, diagnosis, parts, picture))
             self.sections = sorted(self.sections, key=lambda s: s.row.rank)[:SECTIONS]
 
     def write(self, path: Path) -> None:
@@ -316,7 +311,7 @@ class Several:
                 break
             share = max(LEAST, room // (len(self.sections) - shown)) - 20
             name = self._picture(section, beside, shown + 1)
-            made = f"---\n\n{text(section.diagnosis, self.identify, name, section.messages, share)}"
+            made = f"---\n\n{text(section.diagnosis, self.identify, name, section.parts, share)}"
             parts.append(made)
             room -= len(made) + 2
             shown += 1

@@ -1,5 +1,4 @@
-"""Texts for a post: escaped, so that nothing in them is Markdown, HTML, a mention or a link wherever it is posted; and without what only
-the owner of the vehicle should give away."""
+"""Texts for a post: escaped, so that nothing in them is Markdown, HTML, a mention or a link on any site; and without private data."""
 
 from __future__ import annotations
 
@@ -7,9 +6,9 @@ import re
 
 from rotorwatch.base.files import one_line
 
-APART = "\u200b"  # without width: what it stands in is no mention, no link and no emoji any more
+APART = "\u200b"  # zero width: it breaks mentions, links and emoji
 HIDDEN = "…"
-LONGEST = 4_000  # letters of a text that are looked at
+LONGEST = 4_000  # letters of a text that are processed
 # Commands and options of rotorwatch in its own sentences. Of these letters nothing can be made but code.
 COMMAND = re.compile(r"(`rotorwatch [\w .-]+`|(?<![\w-])--[a-z]+(?:-[a-z]+)*(?: [A-Z]+(?:\.[A-Z]+)?)?(?![\w-]))")
 SIGNS = re.compile(r"[\\`*_\[\]|~^$<>&]")
@@ -51,8 +50,10 @@ LOGGED = re.compile(
 
 
 def escaped(text: object, most: int = 600) -> str:
-    """The text in one line of Markdown that says the same and does nothing else, in CommonMark, on GitHub, Discourse and Reddit, also in a
-    table's cell. most: letters of it, before escaping (40 or more)."""
+    """The text as one inert line of Markdown, in CommonMark, on GitHub, Discourse and Reddit, also in a table's cell.
+
+    most: letters of it, before escaping (40 or more).
+    """
     parts = COMMAND.split(one_line(str(text), most))
     out = "".join(f"`{part.strip('`')}`" if k % 2 else _inert(part) for k, part in enumerate(parts))
     return START.sub(lambda found: f"\\{found[1]}" if found[1] else f"{found[2]}\\{found[3]}", out)
@@ -64,14 +65,14 @@ def _inert(text: str) -> str:
 
 
 def code(text: object, most: int = 160) -> str:
-    """A text of others as code, in which no site looks for anything; a backtick and a bar become signs that look alike."""
+    """Text of others as code, which no site interprets; a backtick and a bar become look-alikes."""
     plain = one_line(str(text), most).replace("`", "ˋ").replace("|", "¦").strip()
     return f"`{plain}`" if plain else ""
 
 
 def private(text: object, aircraft: str = "", logged: bool = False) -> str:
-    """The text without addresses, folders, serial numbers and positions. aircraft: what the aircraft is known by, of which no word stays;
-    logged: it was written by the autopilot, whose long numbers are left out, too."""
+    """The text without addresses, folders, serial numbers and positions. aircraft: identification of the aircraft, removed word by word;
+    logged: written by the autopilot: long numbers are removed, too."""
     out = str(text)
     if len(out) > LONGEST:
         out = out[:LONGEST].rpartition(" ")[0]  # half a serial number would not be known as one

@@ -1,7 +1,7 @@
 """A diagnosis as an MCAP file, for Foxglove and PlotJuggler next to the log: JSON messages with their schemas, one a tick.
 
     /rotorwatch/losses     rotor_1.loss, .lower, .upper ..     shares of the rotor's thrust, 95 % interval
-    /rotorwatch/evidence   rotor_1, best_pair .., threshold    log10 odds against healthy, and what they have to pass to be announced
+    /rotorwatch/evidence   rotor_1, best_pair .., threshold    log10 odds against healthy, and the threshold of an announcement
     /rotorwatch/residuals  roll, pitch, yaw, thrust, and their standard deviations (roll_sd ..), hover thrusts of one rotor
     /rotorwatch/motors     rotor_1 ..                          commands, shares of full thrust
     /rotorwatch/attitude   roll, pitch, yaw, and wanted_roll ..  degrees
@@ -11,7 +11,7 @@
     /rotorwatch/verdict    the answer, once, at the start
     /rotorwatch/log        foxglove.Log: the autopilot's messages and modes, the events, the verdict
 
-A value that is not known is left out. MCAP: https://mcap.dev/spec; foxglove.Log: https://docs.foxglove.dev/docs/sdk/schemas/log
+Unknown values are left out. MCAP: https://mcap.dev/spec; foxglove.Log: https://docs.foxglove.dev/docs/sdk/schemas/log
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ Row = tuple[float, str, str]
 
 
 def write(diagnosis: Diagnosis, path: str | os.PathLike) -> None:
-    """Write the diagnosis to `path`: all of it or nothing. Raises ConfigError when it cannot be written, or the package mcap is missing.
+    """Write the diagnosis to `path` atomically. Raises ConfigError when it cannot be written, or the package mcap is missing.
 
     Times are the log's: UTC where the log says it, else since the autopilot's start, else since the first record.
     """
@@ -53,7 +53,7 @@ def write(diagnosis: Diagnosis, path: str | os.PathLike) -> None:
 
 
 def content(diagnosis: Diagnosis) -> bytes:
-    """The same as bytes."""
+    """The MCAP file as bytes."""
     writer_of = optional.library("mcap.writer", "Writing an MCAP file")
     clock, start_ns = _clock(diagnosis)
     file = io.BytesIO()
@@ -89,7 +89,7 @@ def _clock(diagnosis: Diagnosis) -> tuple[str, int]:
 
 
 def key(name: str) -> str:
-    """A name as a field of a message: `rotor 1` is rotor_1."""
+    """Field name of a message: `rotor 1` is rotor_1."""
     return re.sub(r"\W+", "_", name)
 
 
@@ -155,7 +155,7 @@ def _ticks(trace: Trace) -> Iterator[Row]:
 
 
 def _fields(names: list[str], row: list[float], of: list[int]) -> str:
-    """The numbers that are known, as the inside of a JSON object; in an object of their own where their names have a dot."""
+    """Finite numbers as the inside of a JSON object, nested where their names have a dot."""
     outer, dot, _ = names[of[0]].partition(".")
     text = ",".join(f'"{names[k].rpartition(".")[2]}":{row[k]:.6g}' for k in of if abs(row[k]) < np.inf)
     return f'"{outer}":{{{text}}}' if dot and text else text
@@ -173,8 +173,8 @@ def _phases(trace: Trace) -> Iterator[Row]:
 
 
 def _schema(topic: str, text: str, names: list[str] | None) -> dict[str, Any]:
-    """The JSON schema of a topic, from the names of its numbers, else from one of its messages. Nothing is required: what is not known
-    is left out."""
+    """The JSON schema of a topic, from the names of its numbers, else from one of its messages. Nothing is required: unknown
+    values are left out."""
     if topic == LOG:
         parts = {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}
         moment = {"type": "object", "title": "time", "properties": parts}

@@ -1,5 +1,5 @@
-"""What a method itself says over a flight, drawn on the report's time axis (Bokeh): its losses with their interval or bound shaded, its
-states and its innovations."""
+"""A method's own estimates over a flight on the report's time axis (Bokeh): losses with their interval or bound shaded, states and
+innovations."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from rotorwatch.report.axes import blank, hover, stacked
 from rotorwatch.report.colours import INK
 from rotorwatch.report.thinning import Screen
 
-WIDEST = (-60.0, 160.0)  # % that an axis of losses shows at most: an estimate that runs away must not flatten the rest
+WIDEST = (-60.0, 160.0)  # % that an axis of losses shows at most: a diverging estimate must not flatten the rest
 LEAST = (-10.0, 30.0)
 ROWS = 1200  # of a plot: the whole flight
 Truths = Mapping[str, tuple[np.ndarray, np.ndarray]]
 
 
 def label(name: str) -> str:
-    """What a theta is called: loss_3 is 'rotor 3', loss_tail 'loss tail'."""
+    """Label of a theta: 'rotor 3' for loss_3, 'loss tail' for loss_tail."""
     number = name.removeprefix("loss_")
     return f"rotor {number}" if number.isdigit() else words(name)
 
@@ -32,7 +32,7 @@ def axis(series: MethodSeries) -> str:
 
 
 def limits(series: Iterable[MethodSeries], truth: Truths | None = None) -> tuple[float, float]:
-    """Of the axis of losses of these methods [%]."""
+    """Limits of the axis of losses of these methods [%]."""
     low, high = LEAST
     for s in series:
         if len(s.theta):

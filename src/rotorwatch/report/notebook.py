@@ -6,25 +6,37 @@ from html import escape
 
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.flight.notebook import table
-from rotorwatch.report import VERDICTS, frame, health, rotor_interval, rotor_loss, rotors_title, seconds, who
+from rotorwatch.report import VERDICTS, blocks, frame, sections
 
 
 def page(result: Diagnosis) -> str:
-    """Verdict, rotors and events."""
-    grades = {rotor: (grade, trend) for rotor, _, grade, trend in health(result)}
-    rotors = []
-    for r in result.rotors:
-        graded = grades.get(str(r.rotor), ("", ""))
-        rotors.append((str(r.rotor), r.place, r.status, rotor_loss(r), rotor_interval(r), *graded))
-    happened = [(seconds(e.onset_s), seconds(e.detected_s), who(e, result), e.reason) for e in result.events]
+    """Verdict, sections and advice."""
     return "".join(
         [
             f"<p><b>{escape(VERDICTS[result.verdict])}</b> {escape(result.headline)}<br>"
             f"<small>{escape(str(result.flight.get('name', '')))}, {escape(frame(result))}</small></p>",
-            table(
-                rotors_title(result), ("rotor", "where", "status", "loss", "95 % interval", "grade", "trend"), rotors
-            ),
-            table("Events", ("since", "announced", "what", "why"), happened),
-            "".join(f"<p>&rarr; {escape(text)}</p>" for text in result.advice),
+            *(_section(one) for one in sections.shown(result, "notebook")),
+            *(f"<p>&rarr; {escape(text)}</p>" for text in result.advice),
         ]
     )
+
+
+def _section(shown: sections.Shown) -> str:
+    """Tables with the section's title, texts below them."""
+    found = shown.blocks()
+    title = next((b.text for b in found if isinstance(b, blocks.Title)), str(shown.section.title))
+    out, texts = [], []
+    for block in found:
+        match block:
+            case blocks.Table():
+                out.append(table(title, block.head, block.rows))
+            case blocks.Text():
+                texts.append(block.text)
+            case blocks.Bullets():
+                texts += ["".join(item) for item in block.items]
+            case blocks.Pairs():
+                texts += [f"{name}: {text}" for name, text in block.rows]
+            case blocks.Notes():
+                texts += block.items
+    head = [] if out else [f"<p><b>{escape(title)}</b></p>"]
+    return "".join([*head, *out, *(f"<p>{escape(text)}</p>" for text in texts)]) if out or texts else ""

@@ -1,4 +1,4 @@
-"""Several flights at once: a row for each, worst first, and the page that lists them. Made of answers as data (docs/json.md)."""
+"""Several flights: a row for each, worst first, and the page that lists them, made from answers as JSON (docs/json.md)."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from rotorwatch.base import files
 ORDER = ("error", "crashed", "fault", "ambiguous", "inconclusive", "healthy")
 """Worst first."""
 MOST = 10_000
-"""Rows that are shown; more are only counted."""
-# The page may run its own inline script and style and nothing else; in particular it may not fetch anything.
+"""Most rows shown; further ones are only counted."""
+# The page may run its own inline script and style only, and fetch nothing.
 POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'"
 STYLE = """
 .tools { margin: 18px 0 8px; } .tools input { font: inherit; width: 100%; max-width: 420px; padding: 6px 10px; color: inherit;
@@ -56,7 +56,7 @@ class Row(NamedTuple):
 
     @property
     def rank(self) -> tuple[int, float, str]:
-        """The worst is the least."""
+        """Sort key: the worst flight has the least."""
         return ORDER.index(self.verdict), -self.loss, self.path
 
 
@@ -73,8 +73,8 @@ def row(path: str, answer: Mapping[str, Any], page: str | None = None) -> Row:
 
 
 def when(answer: Mapping[str, Any]) -> str:
-    """Since when the main event is there: '2026-11-21 07:41:07 UTC', else on the autopilot's or the log's own clock; without an event when
-    the log began, where it says so."""
+    """Onset of the main event: '2026-11-21 07:41:07 UTC', else on the autopilot's or the log's own clock; without an event the
+    start of the log in UTC, where known."""
     facts, main = answer["flight"], answer.get("main_event")
     since = None if main is None else float(answer["events"][main]["onset_s"])
     if facts.get("utc_start"):
@@ -86,14 +86,14 @@ def when(answer: Mapping[str, Any]) -> str:
 
 
 class Rows:
-    """All flights of a call: the worst of them, and how many have each verdict."""
+    """Flights of a call: the worst rows, and the number of each verdict."""
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
         self._rows: list[Row] = []
 
     def add(self, row: Row) -> None:
-        """Count it, and keep it unless there are worse ones enough."""
+        """Count a row; keep it while it is among the MOST worst."""
         self.counts[row.verdict] += 1
         self._rows.append(row)
         if len(self._rows) > 2 * MOST:
@@ -149,5 +149,5 @@ def _line(row: Row) -> str:
 
 
 def _printable(text: str) -> str:
-    """Names may hold bytes that are no text."""
+    """Text without bytes that are not UTF-8, as file names may hold."""
     return text.encode("utf-8", "backslashreplace").decode("utf-8")

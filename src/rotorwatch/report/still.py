@@ -1,5 +1,5 @@
-"""Still pictures of an answer (matplotlib): the moment of a loss of control or a desync, or the losses over the whole flight. They show
-what the report's plots show."""
+"""Still pictures of a diagnosis (matplotlib), with the content of the report's plots: the moment of a loss of control or a desync, or the
+losses over the whole flight."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DASHES = {"solid": "-", "dashed": "--", "dotted": ":", "dotdash": "-.", "dashdot
 
 
 def shows(diagnosis: Diagnosis, what: str = "auto") -> str:
-    """Which picture `figure` draws: "moment" or "flight". Raises ConfigError where there is none."""
+    """The picture that `figure` draws: "moment" or "flight". Raises ConfigError where there is none."""
     moment = bool(diagnosis.picture and diagnosis.picture.get("commands"))
     flight = diagnosis.trace is not None and diagnosis.trace.time.size > 1
     if what not in KINDS:
@@ -124,5 +124,5 @@ def _rotors(diagnosis: Diagnosis, ax: Any, time: Any, values: np.ndarray, accuse
 
 
 def _numbers(values: Any) -> np.ndarray:
-    """None as NaN."""
+    """Array with NaN for None."""
     return np.asarray(values, float)

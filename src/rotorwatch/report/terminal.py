@@ -6,7 +6,7 @@ Where a table does not fit, its rows become lines: no word and no number is cut.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rich import box
@@ -16,9 +16,8 @@ from rich.table import Table
 from rich.text import Text
 
 from rotorwatch import report
-from rotorwatch.flight.diagnosis import Diagnosis, RotorState
-from rotorwatch.flight.kinds import LOST
-from rotorwatch.report import plain, words
+from rotorwatch.flight.diagnosis import Diagnosis
+from rotorwatch.report import blocks, plain, sections, words
 
 if TYPE_CHECKING:
     from rotorwatch.report.overview import Row
@@ -35,13 +34,11 @@ STYLES = {
     "suspect": "yellow",
     "unobservable": "dim",
 }
-OTHERS = 5  # events that are named besides the main one
-ROUTINE = ("ignored", "was dropped", "were dropped", "was scaled", "taken as full output", "it is not used")
 BARS_FROM = 110  # columns from which a table has room for bars
 
 
 def console(stderr: bool = False) -> Console:
-    """Where tables go: colours only in a terminal, 80 columns in a pipe, no markup or emoji read from names."""
+    """Console for tables: colours only in a terminal, 80 columns in a pipe, no markup or emoji from names."""
     out = Console(stderr=stderr, highlight=False, emoji=False, markup=False)
     if not out.is_terminal:
         out = Console(stderr=stderr, highlight=False, emoji=False, markup=False, width=80, color_system=None)
@@ -49,48 +46,73 @@ def console(stderr: bool = False) -> Console:
 
 
 def diagnosis(result: Diagnosis, verbose: bool = False) -> RenderableType:
-    """The answer for one flight: verdict, story, reason, the rotors, what to do; verbose: with all that it rests on."""
+    """The answer for one flight: verdict, story, reason, a summary of the sections, the next steps; verbose: all sections in full."""
     if not verbose:
-        return Group(*_heading(result, brief=True), *_table(result), *_besides(result))
-    parts: list[RenderableType] = [*_heading(result), *_steps(result), Text(), _rotors(result), *_health(result)]
-    parts += [Text(), _events(result)] if result.events else []
-    parts += _mentions(result)
-    rows = report.comparison(result)
-    if rows:
-        head = ("check", "found", "at", "why")
-        parts += [Text(), Fitted("Detections by method", head, [[Text(cell) for cell in row] for row in rows], (2,))]
-    return Group(*parts, Text(), _small_print(result))
+        parts = [part for one in sections.shown(result, "summary") for part in _rendered(one.blocks("summary"))]
+        return Group(*_heading(result, brief=True), *parts, *_steps(result), _more(result))
+    parts: list[RenderableType] = [*_heading(result), *_steps(result)]
+    notes: list[tuple[str, str]] = []
+    for one in sections.shown(result, "terminal"):
+        if one.has("screen"):
+            parts += [Text(), *(one.call("screen", one.data) or ())]
+            continue
+        words_ = one.blocks()
+        notes += [
+            (block.word, str(item)) for block in words_ if isinstance(block, blocks.Notes) for item in block.items
+        ]
+        parts += _section(str(one.section.title), [block for block in words_ if not isinstance(block, blocks.Notes)])
+    if result.timing:
+        notes.append(("took", ", ".join(f"{words(k)} {v:.2f} s" for k, v in result.timing.items())))
+    return Group(*parts, Text(), Notes(notes))
 
 
-def _table(result: Diagnosis) -> list[RenderableType]:
-    """The rotors, where anything is known of one."""
-    known = (r for r in result.rotors if report.rotor_loss(r) != "?" or report.rotor_interval(r) or _noted(r, result))
-    return [Text(), _rotors(result, brief=True)] if any(True for _ in known) else []
+def _section(title: str, parts: Sequence[Any]) -> list[RenderableType]:
+    """A blank line, the title and the blocks; nothing without blocks. A table that comes first has the title as its own."""
+    title = next((b.text for b in parts if isinstance(b, blocks.Title)), title)
+    rest = [b for b in parts if not isinstance(b, blocks.Title)]
+    if not rest:
+        return []
+    named = isinstance(rest[0], blocks.Table)
+    return [Text(), *([] if named else [Text(title, style="bold")]), *_rendered(rest, title if named else "")]
 
 
-def _besides(result: Diagnosis) -> list[RenderableType]:
-    """What else happened, what to do, and how to see the rest."""
-    others = [e for k, e in enumerate(result.events) if k != result.main and not (result.story and e.kind == LOST)]
-    out: list[RenderableType] = []
-    for e in others[:OTHERS]:
-        who = f" of {report.candidates(e)}" if e.rotors else ""
-        out.append(_aside(f"{report.seconds(e.onset_s)}: {e.means.noun}{who}"))
-    if len(others) > OTHERS:
-        out.append(_aside(f"and {len(others) - OTHERS} more events"))
-    out += [_aside(f"{sentence}", "! ") for sentence in result.warnings if not _routine(sentence)]
-    out += _steps(result)
+def _rendered(parts: Iterable[Any], title: str = "") -> Iterator[RenderableType]:
+    """Blocks, and renderables among them as they are. title: of the first table."""
+    for part in parts:
+        match part:
+            case blocks.Text():
+                yield aside(part.text, part.mark) if part.text else Text()
+            case blocks.Bullets():
+                yield from (aside("".join(item), "• ") for item in part.items)
+            case blocks.Pairs():
+                pairs = (Text(f"{name}: ", style="dim").append(text, style="default") for name, text in part.rows)
+                yield from (Padding(pair, (0, 0, 0, 1)) for pair in pairs)
+            case blocks.Table():
+                cells = [[_cell(cell) for cell in row] for row in part.rows]
+                yield Fitted(title, part.head, cells, right=part.right, wide=part.long, short=part.short)
+                title = ""
+            case _:
+                yield part
+
+
+def _cell(value: Any) -> Text:
+    return Text(str(value), style="bold" if isinstance(value, blocks.Strong) else "")
+
+
+def _more(result: Diagnosis) -> Text:
+    """Hint at --verbose, with the number of warnings, assumptions and events."""
     left = {"warning": len(result.warnings), "assumption": len(result.assumptions), "event": len(result.events)}
-    said = ", ".join(f"{n} {word}{'s' if n > 1 else ''}" for word, n in left.items() if n)
-    return [*out, Text(f"Details{f' ({said})' if said else ''}: --verbose", style="dim")]
+    counted = ", ".join(f"{n} {word}{'s' if n > 1 else ''}" for word, n in left.items() if n)
+    return Text(f"Details{f' ({counted})' if counted else ''}: --verbose", style="dim")
 
 
-def _routine(warning: str) -> bool:
-    """Of a log as most are: single values that were left out, and how its firmware writes what it measures."""
-    return any(words in warning for words in ROUTINE)
+def aside(text: str, mark: str = "") -> Padding:
+    """An indented sentence."""
+    return Padding(Text(f"{mark}{text}"), (0, 0, 0, 1))
 
 
 def line(name: str, result: Diagnosis) -> Text:
-    """One flight of several on one line."""
+    """A flight of several on one line."""
     text = Text(f"{report.VERDICTS[result.verdict].lower():<11}  ", style=STYLES[result.verdict])
     return text.append(f"{name}  {result.headline}", style="default not bold")
 
@@ -101,8 +123,8 @@ def overview(title: str, rows: Sequence[Row]) -> RenderableType:
 
 
 class _Overview:
-    """A table: why, when and of which aircraft where there is room for that. Paths and sentences go on over lines, and the folder that all
-    logs are in is said once."""
+    """A table; reason, time and aircraft where there is room. Paths and sentences wrap; the folder common to all logs is
+    printed once."""
 
     def __init__(self, title: str, rows: Sequence[Row]):
         self.title, self.rows = title, rows
@@ -142,9 +164,9 @@ class _Overview:
 
 
 class Fitted:
-    """A table where it fits; else each row as lines, its cells named.
+    """A table where it fits, else a line for each cell, with the cell's name.
 
-    rows: cells (Text). right: places of numbers. wide: places of cells that need not be on one line. bars: places left out below
+    rows: cells (Text). right: columns of numbers. wide: columns that may wrap. bars: columns left out below
     BARS_FROM columns. short: a row is one line then, in which only these places are named.
     """
 
@@ -155,7 +177,7 @@ class Fitted:
 
     def __rich_console__(self, console: Console, options):
         shown = [i for i in range(len(self.columns)) if i not in self.bars or options.max_width >= BARS_FROM]
-        least = 3 * (len(shown) - 1) + 2  # what stands between columns and at the edges
+        least = 3 * (len(shown) - 1) + 2  # space between columns and at the edges
         for i in shown:
             cells = [Text(self.columns[i]), *(row[i] for row in self.rows)]
             least += max(_longest_word(c) if i in self.wide else _longest_line(c) for c in cells)
@@ -169,7 +191,8 @@ class Fitted:
                 table.add_row(*(row[i] for i in shown))
             yield table
             return
-        yield Text(self.title, style="bold")
+        if self.title:
+            yield Text(self.title, style="bold")
         for row in self.rows:
             cells = [i for i in range(len(self.columns)) if i not in self.bars and row[i].plain]
             first = cells[0]
@@ -205,27 +228,23 @@ def _heading(result: Diagnosis, brief: bool = False) -> list[RenderableType]:
 
 
 def _said(reason: str, headline: str) -> bool:
-    """Whether a headline says all of a reason."""
+    """True if a headline contains all of a reason."""
     plain_ = [re.sub(r"[^a-z0-9]+", " ", text.lower()).strip() for text in (reason, headline)]
     return plain_[0] in plain_[1]
 
 
 def _steps(result: Diagnosis) -> list[RenderableType]:
-    return [_aside(step, "→ ") for step in result.advice]
-
-
-def _aside(text: str, mark: str = "") -> Padding:
-    return Padding(Text(f"{mark}{text}"), (0, 0, 0, 1))
+    return [aside(step, "→ ") for step in result.advice]
 
 
 def _story(result: Diagnosis) -> list[RenderableType]:
-    """What happened when control was lost, a line for each sentence."""
-    lines = [_aside(f"{k}. {line.text}") for k, line in enumerate(result.story, start=1)]
+    """Course of a loss of control, a line for each sentence."""
+    lines = [aside(f"{k}. {line.text}") for k, line in enumerate(result.story, start=1)]
     return [Text(), Text("What happened", style="bold"), *lines, Text()] if lines else []
 
 
 def listing(title: str, *columns: str, right: Iterable[int] = ()) -> Table:
-    """An empty table: a title and its columns; `right`: the places of those with numbers."""
+    """An empty table with a title and columns; right: columns of numbers."""
     table = Table(
         title=title or None,
         title_justify="left",
@@ -240,87 +259,12 @@ def listing(title: str, *columns: str, right: Iterable[int] = ()) -> Table:
     return table
 
 
-def _rotors(result: Diagnosis, brief: bool = False) -> RenderableType:
-    if not result.rotors:
-        return Text("The log shows no rotors.")
-    rows = []
-    for r in result.rotors:
-        style = STYLES.get(r.status, "")
-        full = round(20 * min(max(r.loss, 0.0), 1.0))
-        bar = Text("█" * full, style=style).append("·" * (20 - full), style="dim")
-        texts = map(Text, (report.rotor_loss(r), report.rotor_interval(r)))
-        known = r.status not in ("unobservable", "suspect")
-        rows.append(
-            [Text(str(r.rotor)), Text(r.place), Text(r.status, style=style), *texts, bar if known else Text("")]
-        )
-    head = ("rotor", "where", "status", "loss", "95 % interval", "")
-    table = Fitted(report.rotors_title(result), head, rows, right=(0, 3), wide=(4,), bars=(5,), short=(0, 3))
-    notes = [f"Rotor {r.rotor}: {r.note}." for r in result.rotors if (_noted(r, result) if brief else r.note)]
-    notes += [report.health_line(result)] if brief else [report.scope(result)]
-    return Group(table, *(_aside(note) for note in notes if note))
-
-
-def _noted(state: RotorState, result: Diagnosis) -> bool:
-    """Whether a rotor's note says more than the story: that the rotor worked until control was lost."""
-    told = bool(result.story) and state.note.startswith("seen to work until") and " and " not in state.note
-    return bool(state.note) and not told
-
-
-def _health(result: Diagnosis) -> list[RenderableType]:
-    rows = [[Text(cell) for cell in (number, *rest)] for number, _, *rest in report.health(result)]
-    if not rows:
-        return []
-    table = Fitted("Health", ("rotor", "grade", "trend (95 %)"), rows, right=(0,), wide=(2,), short=(0,))
-    return [Text(), table, _aside(report.health_scale(result))]
-
-
-def _events(result: Diagnosis) -> RenderableType:
-    rows = []
-    for number, e in enumerate(result.events):
-        main = " (main)" if number == result.main and len(result.events) > 1 else ""
-        what = Text(f"{e.means.noun}{main}\n").append(report.candidates(e), style="bold")
-        loss = "\n".join(report.losses(e).split(", ")) or report.size(e)
-        times = [report.seconds(t) for t in (e.onset_s, e.detected_s, e.end_s)]
-        rows.append([what, *map(Text, (*times, loss or "–", report.probability(e.probability)))])
-    head = ("what", "since", "announced", "until", "loss (95 %)", "sure")
-    reasons = []
-    for e in result.events:
-        clock = report.moment(result, e.onset_s)
-        reasons.append(_aside(f"{report.seconds(e.onset_s)}{f' ({clock})' if clock else ''}: {e.reason}"))
-    return Group(Fitted("Events", head, rows, right=(1, 2, 3, 4, 5), wide=(0,)), *reasons)
-
-
-def _mentions(result: Diagnosis) -> list[RenderableType]:
-    """The comparison with healthy flights, and what all rotors share."""
-    out: list[RenderableType] = []
-    rows = report.whole_flight(result)
-    if rows:
-        pairs = (Text(f"{name}: ", style="dim").append(value, style="default") for name, value in rows)
-        title = Text("Against healthy flights of this build", style="bold")
-        out += [Text(), title, *(Padding(pair, (0, 0, 0, 1)) for pair in pairs)]
-    common = report.common_mode(result)
-    if common:
-        out += [Text(), Text("All rotors together", style="bold"), _aside(common)]
-    return out
-
-
-def _small_print(result: Diagnosis) -> RenderableType:
-    rows = [("warning", sentence) for sentence in result.warnings]
-    rows.append(("baseline", result.baseline))
-    rows += [("assumed", sentence) for sentence in result.assumptions]
-    if result.trace is not None:
-        rows += [("blind", f"{start:.1f} to {end:.1f} s: {why}") for start, end, why in result.trace.blind]
-    if result.timing:
-        rows.append(("took", ", ".join(f"{words(k)} {v:.2f} s" for k, v in result.timing.items())))
-    return Notes(rows)
-
-
 def _cells(rows: Iterable[Iterable[Any]]) -> list[list[Text]]:
     return [[Text(str(cell)) for cell in row] for row in rows]
 
 
 class Notes:
-    """Sentences with a word before them: side by side, or one after the other where there is little room."""
+    """Sentences with a word before each: in two columns, or one after the other on a narrow terminal."""
 
     def __init__(self, rows: Iterable[tuple[str, str]]):
         self.rows = list(rows)
@@ -342,7 +286,7 @@ class Notes:
 
 
 def info(facts: Mapping[str, Any]) -> RenderableType:
-    """What `rotorwatch info` prints; facts as from `rotorwatch.info`."""
+    """Tables of `rotorwatch info`; facts as from `rotorwatch.info`."""
     autopilot = "" if facts["autopilot"] in facts["firmware"] else f"{facts['autopilot']} "
     entries = {
         "log": facts["name"],

@@ -1,4 +1,4 @@
-"""Which of a flight's samples a screen can show: series thinned without losing a peak."""
+"""Series thinned to what a screen can show, without losing a peak."""
 
 from __future__ import annotations
 
@@ -68,12 +68,12 @@ def within(time: np.ndarray, spans: Iterable[tuple[float, float]]) -> np.ndarray
 
 
 def airborne(trace: Trace) -> np.ndarray:
-    """(T,) bool: in the air, where estimates mean something. All of it when no part was found airborne."""
+    """(T,) bool: airborne, where estimates are meaningful; all True when no part was found airborne."""
     return within(trace.time, trace.airborne or [(-np.inf, np.inf)])
 
 
 def windows(diagnosis: Diagnosis) -> list[tuple[float, float]]:
-    """Stretches to keep at full rate: around what happened."""
+    """Stretches around the events, to be kept at full rate."""
     before, after = DETAIL_S
     out = [(e.onset_s - before, e.detected_s + after) for e in diagnosis.events]
     return out + [(e.end_s - before, e.end_s + before) for e in diagnosis.events if e.end_s is not None]

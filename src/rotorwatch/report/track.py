@@ -1,4 +1,4 @@
-"""The track over ground as a plain local map (SVG): metres north and east of the lift-off, no picture of the ground, no place on earth."""
+"""Track over ground as a local map (SVG): metres north and east of the lift-off, without imagery and without geographic position."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from rotorwatch.report.thinning import within
 
 WIDTH, LEAST_HEIGHT, MOST_HEIGHT, MARGIN, FOOT = 440.0, 180.0, 360.0, 22.0, 34.0  # SVG units; the foot is below the map
 LEAST_M = 2.0
-"""Metres that the map shows at least: noise in a calm hover is to look small."""
+"""Least span of the map [m], so that noise in a calm hover looks small."""
 TOLERANCE = 0.6
-"""SVG units that the vehicle may be off, at any time, in the line that is drawn."""
+"""Largest error of the drawn line, at any time [SVG units]."""
 BAR = 0.25
-"""Share of the map's width that the scale bar has at most."""
+"""Greatest length of the scale bar, as a share of the map's width."""
 
 
 @dataclass(frozen=True)
 class Map:
-    """Where metres are in the picture. scale: SVG units of a metre, north and east alike; height: of the map above its foot; north,
-    east: of its middle [m]."""
+    """Scale and place of the map in the picture. scale: SVG units per metre, north and east alike; height: of the map above its foot;
+    north, east: of its centre [m]."""
 
     scale: float
     height: float
@@ -69,7 +69,7 @@ def flown(trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def thinned(time: np.ndarray, x: np.ndarray, y: np.ndarray, tolerance: float) -> np.ndarray:
     """Indices of the points between which a vehicle that goes straight on, evenly, is never further off than `tolerance`.
 
-    So both the line and the place at any time stay right: of a curve many points are left, of a hover two.
+    So both the line and the place at any time stay correct: a curve keeps many points, a hover two.
     """
     keep = np.zeros(time.size, bool)
     keep[[0, -1]] = True
@@ -114,7 +114,7 @@ def svg(diagnosis: Diagnosis) -> str:
 
 
 def reach(north: np.ndarray, east: np.ndarray) -> float:
-    """How far from the lift-off it flew [m]."""
+    """Greatest distance from the lift-off [m]."""
     return float(np.hypot(north - north[0], east - east[0]).max())
 
 
@@ -160,7 +160,7 @@ def _foot(area: Map) -> str:
 
 
 def _events(diagnosis: Diagnosis, time: np.ndarray, x: np.ndarray, y: np.ndarray) -> list[str]:
-    """Where each event began. Those that began at one place stand side by side."""
+    """Markers of the onset of each event; those at the same place stand side by side."""
     out: list[str] = []
     taken = [(float(x[k]), float(y[k])) for k in (0, -1)]  # lift-off and end stay visible
     for number, event in enumerate(diagnosis.events, 1):

@@ -1,5 +1,5 @@
-"""The picture around a loss of control or a desync (Bokeh): what happened when, wanted against actual attitude and rates, the commands of
-every rotor, and their speeds."""
+"""Plots around a loss of control or a desync (Bokeh): the sequence of moments, wanted against actual attitude and rates, commands and
+speeds of every rotor."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ TINTS = {
     "works again": "#0072b2",
 }
 HALF_TURN = 180.0
-LEAST_SPAN = 20.0  # degrees that an axis shows at least: a calm flight is to look calm
+LEAST_SPAN = 20.0  # degrees that an axis shows at least, so that a calm flight looks calm
 
 
 def plots(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Bokeh figures by name, one below the other on one time axis; empty where there is no such moment, or nothing is logged of it."""
+    """Bokeh figures by name, one below the other on one time axis; empty without such a moment, or where nothing of it is logged."""
     from bokeh.models import Range1d, Span
 
     facts = diagnosis.picture
@@ -119,7 +119,7 @@ def _followed(facts: Mapping[str, Any], x_range, axis: str, key: str, unit: str)
 
 
 def _unbroken(degrees) -> np.ndarray:
-    """With a gap in place of a line from one end of the circle to the other."""
+    """Degrees with a gap in place of a jump across 360."""
     values = np.asarray(degrees, float).copy()
     values[1:][np.abs(np.diff(values)) > HALF_TURN] = np.nan
     return values
