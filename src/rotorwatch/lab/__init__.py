@@ -1,4 +1,4 @@
-"""Where rotorwatch and its methods are tried: one simulator that writes logs, and figures that `diagnose` makes of them.
+"""Tests of rotorwatch and its methods: a simulator that writes logs, and statistics of the diagnoses of them.
 
 simulation/    flights and their logs
 planning/      questions before a flight: what a vehicle survives, how to find out which rotor is weak

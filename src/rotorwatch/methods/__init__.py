@@ -1,4 +1,4 @@
-"""Published methods, one a file, and what they stand on.
+"""Published methods, one per file, and the mathematics they share.
 
 estimators/   the methods: states and losses of a plant, step by step
 maths/        what several of them use; maths/systems/ holds their plants

@@ -1,4 +1,4 @@
-"""What each constant of the default method is worth: left out, halved and doubled, over a fixed set of flights.
+"""Ablation of the default method: every constant left out, halved and doubled, over a fixed set of flights.
 
 The set: simulated flights of a plan, flights in which several things happen (sequences.py), losses put into real healthy flights, and
 surrogates of those. Every variant judges the same flights as the method as it is, so that what counts is the difference: of n states,
@@ -82,7 +82,7 @@ FAULT = 0.05  # a change of loss that counts as one
 
 
 def constants() -> dict[str, Any]:
-    """ "file.NAME" -> value of every constant of the method that somebody chose."""
+    """Chosen constants of the method: "file.NAME" -> value."""
     found = {}
     for file, home in FILES.items():
         module = import_module(home)
@@ -99,7 +99,7 @@ def constants() -> dict[str, Any]:
 
 
 def _has_number(node: ast.expr) -> bool:
-    """Whether somebody chose it: what is made of other constants alone follows from them."""
+    """True if the expression holds a number; an expression of other constants alone follows from them."""
     return any(isinstance(part, ast.Constant) and isinstance(part.value, int | float) for part in ast.walk(node))
 
 
@@ -132,7 +132,7 @@ def variants(only: Sequence[str] = (), words: Sequence[str] = WORDS) -> dict[str
 
 @contextmanager
 def changed(values: Mapping[str, Any]) -> Iterator[None]:
-    """The method with other constants, and those that follow from them, while this lasts."""
+    """Context in which the method has other constants, and those that follow from them."""
     others = {}
     for key, value in values.items():
         file, _, name = key.partition(".")
@@ -145,21 +145,21 @@ def changed(values: Mapping[str, Any]) -> Iterator[None]:
 
 
 def _read_only(key: str) -> bool:
-    """Whether a constant is read after the estimator alone."""
+    """True for constants that are read after the estimator alone."""
     file, _, name = key.partition(".")
     return key == "decisions.CREDIBLE" or (file == "losses" and name not in TAKEN)
 
 
 def judge(table: Ticks, B: np.ndarray, values: Mapping[str, Any]) -> program.TickOutput:
-    """The ticks of the method with other constants."""
+    """Ticks of the method with other constants."""
     with changed(values):
         return program.estimate(table, B)[1]
 
 
 @dataclass(frozen=True)
 class Case:
-    """One flight, ready to be judged. kind: which part of the set it is of. theta (T, n): true losses at its ticks; lost_s: when it
-    crashed, or None; ready: as `diagnose` has it before an estimator sees it, None of surrogates, which are no logs."""
+    """A flight, ready to be diagnosed. kind: its part of the set; theta (T, n): true losses at its ticks; lost_s: time of its crash, or
+    None; ready: input of `diagnose` before the estimator, None for surrogates, which are no logs."""
 
     kind: str
     ticks: Ticks
@@ -210,7 +210,7 @@ def _surrogates(path: str, hours: float, seed: int) -> list[Case]:
 
 
 def _said(case: Case, kept: program.TickOutput) -> tuple[Event, ...]:
-    """The losses that `diagnose` says; of a surrogate what the estimator announces."""
+    """Losses that `diagnose` reports; for a surrogate the estimator's announcements."""
     if case.ready is None:
         return events.read(kept, case.ticks, case.B)
     said = conclude(case.ready, Estimated(case.ticks, kept)).end.events
@@ -218,8 +218,8 @@ def _said(case: Case, kept: program.TickOutput) -> tuple[Event, ...]:
 
 
 def outcomes(case: Case, kept: program.TickOutput) -> dict[str, Any]:
-    """What became of one flight: states (see sequences.py); false: announcements of rotors none of which is weak; hours judged; delays
-    of faults, None where not found soon; errors of the losses of weak rotors in right states, and whether their intervals held them."""
+    """Outcome of one flight: states (see sequences.py); false: announcements of healthy rotors; hours evaluated; delays of faults, None
+    where not found soon; errors of the losses of weak rotors in right states, and whether their intervals held them."""
     table, theta = case.ticks, case.theta
     found = _said(case, kept)
     read_out: list[tuple[float, str]] = [(s.at, s.outcome) for s in sequences.states(case, found)]
@@ -255,7 +255,7 @@ def outcomes(case: Case, kept: program.TickOutput) -> dict[str, Any]:
 
 
 def _part(work: tuple) -> list[dict[str, list[dict]]]:
-    """Of every flight of one part of the set, what became of it under every variant."""
+    """Outcomes of one part of the set: for each flight, variant -> outcome."""
     make, parameters, selected = work
     cases = make(*parameters)
     rows: list[dict[str, Any]] = [{} for _ in cases]
@@ -282,7 +282,7 @@ def run(
     scheduler: str | None = None,
     keep: str | PathLike | None = None,
 ) -> dict[str, Any]:
-    """Judge the set under every variant: {"set", "variants": name -> measures, "differences": name -> from the method as it is}.
+    """Evaluate every variant on the set: {"set", "variants": name -> measures, "differences": name -> from the method as it is}.
 
     plan: simulated flights; as many of it as of sequences, `flights` in all. paths: healthy logs, for losses put into them and `hours` of
     surrogates. only, words: see `variants`. progress: called as progress(share, text). jobs, scheduler: as for
@@ -315,7 +315,7 @@ def run(
 
 def measures(found: Sequence[dict[str, Any]]) -> dict[str, float | None]:
     """right, wrong: shares of states (ambiguous with the truth is right); found: share of faults; delay_s: median; rms: error of losses;
-    coverage: of their intervals; false_per_h: announcements of rotors that are not weak."""
+    coverage: of their intervals; false_per_h: announcements of healthy rotors."""
     states = [o for f in found for o in f["states"]]
     delays = [d for f in found for d in f["delays"]]
     seen = [d for d in delays if d is not None]

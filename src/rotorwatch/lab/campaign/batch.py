@@ -1,4 +1,4 @@
-"""One batch of a campaign: flights of one cell flown, logged, turned into ticks and judged, side by side where that is possible.
+"""A batch of a campaign: flights of one cell simulated, logged, turned into ticks and diagnosed, side by side where possible.
 
 The simulator's log, in memory, goes through `diagnose` (`prepare`, `estimated`, `judge`); only published methods run over all flights of a
 batch at once.
@@ -50,8 +50,8 @@ def where() -> str:
 
 @dataclass(frozen=True)
 class Flown:
-    """One flight on its way through the batch. ready: as `diagnose` has it before an estimator sees it; theta (T, n): true losses at its
-    ticks; lost_s: when it crashed, or None."""
+    """A flight in a batch. ready: input of `diagnose` before the estimator; theta (T, n): true losses at its ticks; lost_s: time of its
+    crash, or None."""
 
     number: int
     scenario: Scenario
@@ -66,7 +66,7 @@ class Flown:
 
     @property
     def vehicle(self) -> Vehicle:
-        """The vehicle that the log tells of."""
+        """The vehicle identified from the log."""
         return self.ready.vehicle
 
     @property
@@ -76,8 +76,8 @@ class Flown:
 
 
 def judge(plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
-    """Rows of results (score.py), one per flight and method. All flights must be of one cell; `size`: width that the batch is
-    filled up to, always the same, so that a flight's result does not depend on who it flew with."""
+    """Rows of results (score.py), one per flight and method. All flights must be of one cell; `size`: width that the batch is filled up to,
+    always the same, so that a flight's result does not depend on the other flights of its batch."""
     flown = fly(plan, flights, size)
     return rows(plan, flown, size) if flown else []
 
@@ -126,7 +126,7 @@ def rows(
 
 @contextmanager
 def _caught(name: str, failed: Callable[[str, Exception], None] | None) -> Iterator[None]:
-    """What a method raises inside goes to `failed`, where there is one."""
+    """Passes exceptions of a method to `failed`, where given."""
     try:
         yield
     except Exception as why:
@@ -136,7 +136,7 @@ def _caught(name: str, failed: Callable[[str, Exception], None] | None) -> Itera
 
 
 class Flights(Protocol):
-    """What draws flights: a plan, or a study's own."""
+    """Source of flights: a plan, or a study's own."""
 
     def flight(self, k: int) -> Scenario:
         """The scenario of flight k."""
@@ -144,7 +144,7 @@ class Flights(Protocol):
 
 
 def fly(plan: Flights, flights: Sequence[int], size: int) -> list[Flown]:
-    """Simulate the flights and look at them as `diagnose` looks at a log. Flights that never take off are left out."""
+    """Simulate the flights and prepare them as `diagnose` prepares a log. Flights that never take off are left out."""
     scenarios = [plan.flight(k) for k in flights]
     plans = [_planned(k, scenario) for k, scenario in zip(flights, scenarios, strict=True)]
     first = scenarios[0]
@@ -154,7 +154,7 @@ def fly(plan: Flights, flights: Sequence[int], size: int) -> list[Flown]:
 
 
 def prepared(number: int, scenario: Scenario, plan: Any, record: Any) -> Flown | None:
-    """A simulated flight as `diagnose` looks at a log; None when it never took off."""
+    """A simulated flight as `diagnose` prepares a log; None if it never took off."""
     ready = prepare(logbook.flight(scenario, plan, record))
     if ready.table is None:
         return None
@@ -173,7 +173,7 @@ def _planned(number: int, scenario: Scenario) -> Any:
 
 
 def unasked(raised: Sequence[counting.Alarm]) -> list[float]:
-    """When what is no estimator's was raised [s]: outputs, losses of control, hindsight. They know no threshold."""
+    """Times [s] of alarms from sources other than an estimator: outputs, losses of control, hindsight. They have no threshold."""
     return [a.detected_s for a in raised if a.event is not None and a.event.source is not Source.ESTIMATOR]
 
 

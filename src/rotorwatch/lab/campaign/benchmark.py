@@ -37,7 +37,7 @@ REPEATS = 7  # of the table that a step is timed over
 
 
 class Method(NamedTuple):
-    """What is tried. label: the name it was selected by, which rows of results use; kind: "estimator" or "detector"."""
+    """A method under test. label: the name it was selected by, used in rows of results; kind: "estimator" or "detector"."""
 
     label: str
     name: str
@@ -88,7 +88,7 @@ def _method(label: str, kind: str, found: Any) -> Method:
 
 
 def try_out(method: Method) -> str | None:
-    """A sentence that says why an estimator cannot be run on a vehicle's plant, or None: it is made and one step is traced."""
+    """The reason why an estimator cannot run on a vehicle's plant, as a sentence, or None: it is constructed and one step is traced."""
     if method.kind == "detector" or method.name == "default":
         return None
     jax = load_jax()
@@ -133,12 +133,12 @@ def run(
     progress: work.Progress | None = None,
     notify: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
-    """Try methods on a benchmark's flights and on public data; returns what is written to `out` (results_file.py says what it holds).
+    """Run methods on a benchmark's flights and on public data; returns the contents of `out` (format: results_file.py).
 
-    plan: a name of `shipped`, a file, or a Benchmark. methods: names, or package.module:Class; none: all that are installed, and those that
-    cannot be run are listed with the reason, while one that was named is an error. jobs: processes. data: (name, path) of
-    public data sets (public_data.py). progress(done, flights, flights a second). tell: hears of methods that fail on the way. Finished
-    parts are kept in `parts_of(out)`: the same call goes on where it was stopped. Raises ConfigError.
+    plan: a name of `shipped`, a file, or a Benchmark. methods: names, or package.module:Class; none: all installed ones, and those that
+    cannot run are listed with the reason, while a named one that cannot is an error. jobs: processes. data: (name, path) of public data
+    sets (public_data.py). progress(done, flights, flights a second). notify: receives messages on methods that fail during the run.
+    Finished parts are kept in `parts_of(out)`: the same call resumes an interrupted run. Raises ConfigError.
     """
     benchmark = plan if isinstance(plan, Benchmark) else read(plan)
     files.writable(out, "--out")
@@ -230,7 +230,7 @@ class Judge:
 
 
 def scores(d: dict[str, np.ndarray], benchmark: Benchmark) -> dict[str, Any]:
-    """What a method is ranked by, from its rows: each {"value", "low", "high", "n"} with its 95 % interval, or None."""
+    """Scores of a method from its rows: each {"value", "low", "high", "n"} with its 95 % interval, or None."""
     own, fair = summary.measures(d), summary.at_rate(d, benchmark.false_alarms_h, benchmark.within_s)
     return {
         "flights": own["flights"], "clear_faults": own["clear_faults"], "healthy_h": own["healthy_h"],
@@ -257,7 +257,7 @@ def _entry(method: Method, scored: dict[str, Any] | None, failed: str | None) ->
 def _on_data(
     one: public_data.DataSet, methods: Sequence[Method], benchmark: Benchmark, notify: Callable | None
 ) -> dict[str, Any]:
-    """The part of the results that is about one data set."""
+    """Results on one data set."""
     entered, reasons = _entered(benchmark, methods), {}
 
     def note(label: str, why: Exception) -> None:
@@ -279,6 +279,6 @@ def _on_data(
 
 
 def machine() -> str:
-    """One line on what the cost was measured on."""
+    """Description of this machine in one line, for the measured computing times."""
     system = f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors"
     return f"{system}, Python {platform.python_version()}, JAX {load_jax().__version__}, {batch.where()}"

@@ -1,4 +1,4 @@
-"""Does the vehicle stay up? Flights in which an estimator drives the allocation, against knowing the truth and against doing nothing.
+"""Closed-loop survival: flights in which an estimator drives the control allocation, compared with the truth and with no reaction.
 
     from rotorwatch.lab.campaign import closed_loop
     result = closed_loop.run("plans/survival.toml", ["nobody", "truth", "default"], "survival", flights=2000)
@@ -62,9 +62,9 @@ def fly(
     by: str = "estimate",
     aircraft: Callable[[np.ndarray, str], reconfigured.Reconfigured] = reconfigured.Reconfigured,
 ) -> list[dict[str, Any]]:
-    """The flights with a driver: "nobody", "truth", or an estimator's name. All must be of one cell of a plan (one frame). by: what drives
-    the allocation, "estimate", "bounds" or "posterior". aircraft(B, by): what flies. Returns what became of each: those of COLUMNS that
-    say so. Raises ConfigError."""
+    """Fly the flights with a driver: "nobody", "truth", or an estimator's name. All must be of one cell of a plan (one frame). by: basis of
+    the allocation, "estimate", "bounds" or "posterior". aircraft(B, by): the simulated aircraft. Returns for each flight its columns of
+    COLUMNS. Raises ConfigError."""
     _explains(driver, by)
     scenarios = [flown.flight(k) for k in flights]
     for s in scenarios:
@@ -97,7 +97,7 @@ def fly(
 
 
 class Judge(NamedTuple):
-    """Makes rows of flights (`work.Judge`): one for each driver."""
+    """Makes rows of flights (`work.Judge`), one for each driver."""
 
     drivers: tuple[str, ...]
     by: str = "estimate"
@@ -162,11 +162,11 @@ def run(
 def measures(
     rows: Sequence[dict], truth: Mapping[int, float | None], nobody: Mapping[int, float | None]
 ) -> dict[str, Any]:
-    """Of one driver's rows; truth, nobody: when each flight was lost with those drivers (None: never). survived: share of faulty flights;
-    of_possible: share of those that knowing the truth saves, of_able: of those among them whose vehicle, healthy, keeps to its track;
-    lost_healthy: flights without a fault that were lost; false_h: flights in which it acted falsely, per healthy hour; lost_false: how many
-    of those were lost, and not (or later) with nobody, lost_false_able: of able vehicles; healthy_h; first_s, recovered_s, tilt_deg,
-    off_m: medians of faulty flights; by_frame, possible_by_frame: survived and of_possible, by frame."""
+    """Measures of one driver's rows; truth, nobody: when each flight was lost with those drivers (None: never). survived: share of faulty
+    flights; of_possible: share of those that knowing the truth saves, of_able: of those among them whose vehicle, healthy, keeps to its
+    track; lost_healthy: flights without a fault that were lost; false_h: flights in which it acted falsely, per healthy hour; lost_false:
+    how many of those were lost, and not (or later) with nobody, lost_false_able: of able vehicles; healthy_h; first_s, recovered_s,
+    tilt_deg, off_m: medians of faulty flights; by_frame, possible_by_frame: survived and of_possible, by frame."""
     faulty = [r for r in rows if r["faulty"]]
     healthy = [r for r in rows if not r["faulty"]]
     possible = [r for r in faulty if r["flight"] in truth and truth[r["flight"]] is None]
@@ -225,7 +225,7 @@ def _flown(craft, first: Scenario, plans: list, made: list, size: int) -> list[A
 
 
 def _true(scenario: Scenario, n: int) -> list[reconfigured.Entry]:
-    """Entries of somebody who knows every lasting loss, DELAY_S after it began."""
+    """Entries of a driver that knows every lasting loss, DELAY_S after its onset."""
     e, made = np.ones(n), []
     for fault in sorted(scenario.faults, key=lambda f: f["onset_s"]):
         if fault["kind"] not in ("loss", "complete loss"):
@@ -237,7 +237,7 @@ def _true(scenario: Scenario, n: int) -> list[reconfigured.Entry]:
 
 
 def _explains(driver: str, by: str) -> None:
-    """Refuse what has no explanations side by side."""
+    """Raise ConfigError for drivers without alternative explanations."""
     if by == "posterior" and driver not in (NOBODY, TRUTH, "default"):
         raise ConfigError(
             f"{driver} has one explanation at a time: with the allocation driven by a posterior name nobody, truth or default."
@@ -245,7 +245,7 @@ def _explains(driver: str, by: str) -> None:
 
 
 def _entry(scenario: Scenario, since: float, mean, lower, upper, candidates=None, weights=None) -> reconfigured.Entry:
-    """What is done from `since` on with that belief: allocation, or a turning hover where full control of hover is lost."""
+    """The schedule entry for that belief from `since` on: allocation, or a turning hover where full control of hover is lost."""
     bare = replace(scenario, airframe={**scenario.airframe, "payload_kg": 0.0})  # the autopilot knows of no payload
     frame = Airframe.of(prepare.plan(bare).craft)
     half = np.abs(frame.B).sum(axis=1) / 2.0
@@ -320,25 +320,25 @@ def _setpoints():
 
 
 def _off(plan, record) -> np.ndarray:
-    """(T,) distance from where the vehicle should be [m]."""
+    """(T,) distance from the setpoint [m]."""
     return np.linalg.norm(
         record.p - np.asarray(_setpoints()(plan.way, len(record.time), float(record.time[0])).p), axis=1
     )
 
 
 def _flying(record) -> np.ndarray:
-    """(T,) whether it has left the ground."""
+    """(T,) True once it has left the ground."""
     return np.maximum.accumulate(-record.p[:, 2] > 1.0)
 
 
 def _able(scenario: Scenario, plan, record) -> bool:
-    """Of a flight without beliefs so far."""
+    """True if the vehicle, healthy, keeps to its track in a flight without schedule entries."""
     until = min((f["onset_s"] for f in scenario.faults), default=np.inf)
     return bool(_off(plan, record)[_flying(record) & (record.time < until)].max(initial=0.0) < ABLE_M)
 
 
 def _outcome(number: int, scenario: Scenario, plan, record, made: list[reconfigured.Entry], able: bool) -> dict:
-    """What became of a flight, see COLUMNS; first_s of healthy flights counts from the take-off."""
+    """Outcome of a flight, see COLUMNS; first_s of healthy flights counts from the take-off."""
     faults = scenario.faults
     onset = min((f["onset_s"] for f in faults), default=float(plan.way.take_off))
     broken = {f["rotor"] - 1 for f in faults}

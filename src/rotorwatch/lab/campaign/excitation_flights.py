@@ -1,4 +1,4 @@
-"""Does an excitation of the commands resolve ambiguous losses? Flights with such losses, without and with an excitation.
+"""Excitation study: flights with ambiguous losses, without and with an excitation of the commands.
 
     from rotorwatch.lab.campaign import excitation_flights
     result = excitation_flights.run(flights=120)
@@ -90,7 +90,7 @@ def fly(scenarios: Sequence[Scenario], signals: Sequence[excitation.Signal]) -> 
 
 
 def judged(flight: Any, end_s: float = np.inf) -> tuple[Any, Any, Any, np.ndarray, tuple[Event, ...]]:
-    """(ticks, last carry, outputs, B, losses) of the default estimator up to end_s, before excitations are looked at."""
+    """(ticks, last carry, outputs, B, losses) of the default estimator up to end_s, before the excitation response is evaluated."""
     vehicle = airframes.identify(flight)
     air = airborne(flight)
     table, B = observe(flight, vehicle, air, READY_S), vehicle.effectiveness()
@@ -104,8 +104,8 @@ def judged(flight: Any, end_s: float = np.inf) -> tuple[Any, Any, Any, np.ndarra
 def designed(
     question: excitation_response.Question, limits: excitation.Limits | None, B: np.ndarray, exactly: bool = False
 ):
-    """The design that answers it soonest within WITHIN_S; where that is too short, or `exactly`, the most informative one of WITHIN_S.
-    None where the null space cannot distinguish the candidates."""
+    """The design that resolves the question soonest within WITHIN_S; where that is too short, or `exactly`, the most informative one of
+    WITHIN_S. None where the null space cannot distinguish the candidates."""
     give = (B, list(question.candidates.values()), question.hover, question.noise, question.gain, question.dt, limits)
     for way in ({"length_s": WITHIN_S},) if exactly else ({"longest_s": WITHIN_S}, {"length_s": WITHIN_S}):
         try:
@@ -205,8 +205,8 @@ def run(
     scheduler: str | None = None,
     keep: str | PathLike | None = None,
 ) -> dict[str, Any]:
-    """That many flights, frames in turn: {"flights", "seed", "measures" (`measures`), "by_frame", "rows"}. jobs, scheduler: as for
-    `many.run`. keep: a folder for what is finished, from which the same call goes on. Raises ConfigError."""
+    """Fly that many flights, frames in turn: {"flights", "seed", "measures" (`measures`), "by_frame", "rows"}. jobs, scheduler: as for
+    `many.run`. keep: a folder for finished parts, from which the same call resumes. Raises ConfigError."""
     unknown = [f for f in frames if f not in FRAMES]
     if unknown or not frames:
         raise ConfigError(f"frames must be some of {', '.join(FRAMES)}, not {', '.join(unknown) or 'none'}.")

@@ -88,7 +88,7 @@ def run_hops(name: str, found: Sequence[LogPlant], B: np.ndarray, size: int, dec
 
 
 def _side_by_side(program, step: int, found: Sequence[LogPlant], B: np.ndarray, size: int) -> list[tuple]:
-    """What a `_program` keeps of each hop, `step` of them at once."""
+    """Outputs of a `_program` for each hop, `step` hops at once."""
     tree, results = load_jax().tree, []
     rows = stacked([(hop.u, hop.y, hop.valid) for hop in found], size)
     plants = [hop.parameters for hop in found]
@@ -111,7 +111,7 @@ def judge(
     size: int,
     decisions: Decisions,
 ) -> list[list[program.TickOutput]]:
-    """For each decision and each flight what `published.judge` leaves behind. hops: of each flight, by `learn`."""
+    """Output of `published.judge` for each decision and each flight. hops: of each flight, by `learn`."""
     hyp = list_hypotheses(B.shape[1])
     kept = [[program.blank(len(table.time), hyp) for table in tables] for _ in decisions]
     for turn in range(max(map(len, hops), default=0)):
@@ -123,8 +123,8 @@ def judge(
 
 
 def learn(tables: Sequence[Ticks], B: np.ndarray, learned_states: Sequence[tuple | None]) -> list[tuple[LogPlant, ...]]:
-    """The hops of each flight as plants and tables. taught: state and noise variances of the default estimator at the end of the
-    learning time, for flights of one hop; None: worked out for the flight alone."""
+    """The hops of each flight as plants and tables. learned_states: state and noise variances of the default estimator at the end of the
+    learning time, for flights of one hop; None: computed for the flight alone."""
     found = []
     for table, one in zip(tables, learned_states, strict=True):
         known = None if one is None else {"x0": one[0][: 4 * PER_AXIS], "noise": one[1]}

@@ -1,4 +1,4 @@
-"""What the answer of `diagnose` to one flight is worth: who is accused with certainty, and rightly?
+"""Scores the answer of `diagnose` to one flight: rotors accused with certainty, rightly or not.
 
 A rotor is accused by an event of one of ACCUSES that names it without alternatives, or by a verdict `fault` that rests on a comparison.
 
@@ -36,7 +36,7 @@ DOUBTS = ("doubt", "among", "astray")
 
 
 def group(scenario: Scenario) -> str:
-    """healthy, loss, or other."""
+    """Group of the scenario: healthy, loss, or other."""
     if not scenario.faults:
         return "healthy"
     return "loss" if all(f["kind"] in LOSSES for f in scenario.faults) else "other"
@@ -71,8 +71,7 @@ def _candidates(answer: Diagnosis | Conclusion) -> set[int]:
 
 
 def judged(scenario: Scenario, answer: Diagnosis | Conclusion) -> dict[str, Any]:
-    """The columns of `open_world` that depend on the answer's content: outcome, accused, and what there is of delay_s, error, holds and
-    ended."""
+    """The columns of `open_world` that depend on the answer: outcome, accused, and, where defined, delay_s, error, holds and ended."""
     who, truth = accused(answer), {f["rotor"] for f in scenario.faults}
     onset = min((f["onset_s"] for f in scenario.faults), default=0.0)
     sure = _sure(answer)

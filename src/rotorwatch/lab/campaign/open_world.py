@@ -1,5 +1,5 @@
-"""Campaigns judged by `diagnose` itself: each flight's log is written in memory as its autopilot writes it, read and answered, and the
-answers are counted by kind of flight (open_score.py says what each is worth).
+"""Campaigns scored on `diagnose` itself: each flight's log is written in memory in its autopilot's format, read and diagnosed, and the
+answers are counted by kind of flight (scores: open_score.py).
 
     from rotorwatch.lab.campaign import open_world, read
     plan = read("plans/open.toml")
@@ -83,7 +83,7 @@ def _row(scenario: Scenario, record: Any, log: bytes, name: str) -> dict[str, An
 
 
 def _answer(flight: Flight) -> tuple[Diagnosis | Conclusion, list[float]]:
-    """What `diagnose` answers to a flight, and [first take-off, last landing] s; without what only pages about it show."""
+    """Answer of `diagnose` to a flight, without the parts that only pages show, and [first take-off, last landing] s."""
     ready = prepare(flight)
     if ready.table is None:
         answer = diagnose(flight)
@@ -99,7 +99,7 @@ def run(
     progress: work.Progress | None = None,
     scheduler: str | None = None,
 ) -> Any:
-    """As `work.run`, of a plan whose flights are judged by their logs: the table with COLUMNS. Raises ConfigError."""
+    """`work.run` for a plan whose flights are diagnosed from their logs: the table with COLUMNS. Raises ConfigError."""
     return work.run(plan, flights, folder, jobs, progress, judge, COLUMNS, scheduler)
 
 
@@ -120,9 +120,9 @@ def summarise(rows: Any, name: str = "") -> dict[str, Any]:
 
 
 def measures(flights: Sequence[dict]) -> dict[str, Any]:
-    """Of some flights: counts, shares and rates with 95 % intervals; None where there is nothing to count. accused: a healthy rotor is,
-    with certainty; hours: of flights without a fault, accused_h: accusations in them an hour; ended: lasting faults said to be over;
-    unanswered: logs that are inconclusive or refused."""
+    """Counts, shares and rates of some flights with 95 % intervals; None where there is nothing to count. accused: a healthy rotor is
+    accused with certainty; hours: of flights without a fault, accused_h: accusations in them per hour; ended: lasting faults reported as
+    over; unanswered: logs that are inconclusive or refused."""
     healthy = [f for f in flights if f["group"] == "healthy"]
     hours = sum(f["airborne_s"] or 0.0 for f in healthy) / 3600.0
     errors = [f["error"] for f in flights if f["error"] is not None]

@@ -1,4 +1,4 @@
-"""A campaign as one self-contained page: what the summary says, drawn. Bokeh's scripts are inside the file."""
+"""A campaign's summary as one self-contained HTML page with Bokeh figures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Plans: what a campaign flies, as a TOML file. A scenario whose fields may be drawn, and the faults that may happen.
+"""Plans: the flights of a campaign as a TOML file. A scenario whose fields may be drawn at random, and the possible faults.
 
     name = "small multirotors"
     seed = 1
@@ -76,7 +76,7 @@ DECISION = {"sigmas": (0.5, 100.0), "least": (0.0, 1.0), "persist_s": (0.0, 60.0
 
 
 class Cell(NamedTuple):
-    """What the flights of one compiled batch share: frame, autopilot, logging profile."""
+    """Properties shared by the flights of a compiled batch: frame, autopilot, logging profile."""
 
     frame: str
     autopilot: str
@@ -90,12 +90,12 @@ class Decision(NamedTuple):
     tuning: tuple[tuple[str, float], ...] = ()
 
     def label(self, estimator: str) -> str:
-        """What the pair is called in the results."""
+        """Name of the pair in the results."""
         return f"{estimator}/{self.name}" if self.name else estimator
 
 
 class Kind(NamedTuple):
-    """One kind of flights. scenario: the plan's, with what is this kind's own; fault: its template, or None."""
+    """A kind of flights. scenario: the plan's, with this kind's own fields; fault: its template, or None."""
 
     name: str
     share: float
@@ -130,16 +130,16 @@ class Plan:
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """Estimators (published ones with each decision), then detectors: what each flight is judged by."""
+        """Estimators (published ones with each decision), then detectors."""
         pairs = ([name] if name == "default" else [d.label(name) for d in self.decisions] for name in self.estimators)
         return (*itertools.chain.from_iterable(pairs), *self.detectors)
 
     def cell(self, flight: int) -> Cell:
-        """Which cell a flight belongs to."""
+        """The cell of a flight."""
         return self.cells[flight % len(self.cells)]
 
     def kind(self, k: int) -> Kind | None:
-        """Of which kind flight k is, drawn by share from (seed, k); None in a plan without kinds."""
+        """The kind of flight k, drawn by share from (seed, k); None in a plan without kinds."""
         if not self.kinds:
             return None
         rng = np.random.default_rng([self.seed, k, 1])
@@ -164,7 +164,7 @@ class Plan:
         )
 
     def _fault(self, rng: np.random.Generator) -> Mapping[str, Any] | None:
-        """One of `faults` by share, or None for a flight without."""
+        """A fault drawn from `faults` by share, or None for a flight without."""
         if not self.faults or rng.random() < self.healthy:
             return None
         return self.faults[_by_share([f["share"] for f in self.faults], rng)]
@@ -236,13 +236,13 @@ def from_table(table: Mapping[str, Any], text: str = "") -> Plan:
 
 
 def _by_share(shares: Sequence[float], rng: np.random.Generator) -> int:
-    """Which of some is drawn, each by its share of all."""
+    """Index drawn at random, each with its share of the total."""
     weights = np.array(shares)
     return int(rng.choice(len(weights), p=weights / weights.sum()))
 
 
 def _kinds(rows: Any, template: dict[str, Any], cells: tuple[Cell, ...]) -> tuple[Kind, ...]:
-    """The kinds of flights, each tried out at the ends of what it draws itself."""
+    """The kinds of flights, each checked at the ends of its own draws."""
     if not isinstance(rows, (list, tuple)) or not all(isinstance(row, Mapping) for row in rows):
         raise ConfigError("kinds must be [[kinds]] tables.")
     found: list[Kind] = []

@@ -50,7 +50,7 @@ NOT_JUDGED = {
 
 @dataclass(frozen=True)
 class Entry:
-    """One [[logs]] of an index. rotors: none for healthy flights; onset_s; loss: None where nobody knows."""
+    """An entry [[logs]] of an index. rotors: none for healthy flights; onset_s; loss: None where unknown."""
 
     path: str
     rotors: tuple[int, ...] = ()
@@ -58,7 +58,7 @@ class Entry:
     loss: float | None = None
 
     def fits(self, path: str) -> bool:
-        """Whether a path below the data set's folder (with /) fits the pattern, with or without .xz or .gz."""
+        """True if a path below the data set's folder (with /) matches the pattern, with or without .xz or .gz."""
         bare = path.removesuffix(".xz").removesuffix(".gz")
         return any(re.fullmatch(_expression(self.path), text) for text in (path, bare))
 
@@ -131,7 +131,7 @@ def judge(
 
 
 def _flown(number: int, path: Path, entry: Entry) -> Flown:
-    """One log, looked at as `diagnose` does. Raises RotorwatchError where it cannot be judged."""
+    """A log, prepared as by `diagnose`. Raises RotorwatchError where it cannot be diagnosed."""
     ready = prepare(logs.read(path))
     n, table = len(ready.vehicle.rotors), ready.table
     if entry.rotors and max(entry.rotors) > n:
@@ -146,7 +146,7 @@ def _flown(number: int, path: Path, entry: Entry) -> Flown:
 
 
 def _scenario(flight: Flight, entry: Entry) -> Scenario:
-    """What score.py asks of a scenario, as far as a log has it."""
+    """The part of a scenario that score.py needs, as far as a log has it."""
     lasting = {"ramp_s": 0.0, "period_s": None, "end_s": None}
     fault = {"kind": "loss", "onset_s": entry.onset_s, "strength": entry.loss, **lasting}
     made = SimpleNamespace(

@@ -110,7 +110,7 @@ def _overlap(best: dict[str, float] | None, mine: dict[str, float] | None) -> bo
 
 
 def _over(scores: dict[str, Any], limit: float) -> bool:
-    """Whether a rule that has no threshold to set gives more false alarms than the plan allows."""
+    """True if a rule without an adjustable threshold exceeds the plan's false-alarm rate."""
     rate = scores["false_alarms_h"]
     return scores["threshold"] is None and rate is not None and rate["value"] > limit
 
@@ -123,7 +123,7 @@ def _key(row: dict[str, Any]) -> tuple:
 
 
 def cell(key: str, value: dict[str, float] | None) -> str:
-    """A score with its interval, as people read it."""
+    """A score with its interval, as text."""
     if value is None or key in SHARES:
         return interval(value)
     return interval(value, DIGITS.get(key, 0 if value["value"] >= 10 else 1))
@@ -154,7 +154,7 @@ def _rule(ranked: dict[str, Any]) -> str:
 
 
 def _logs(one: dict[str, Any]) -> str:
-    """How many logs of a data set there are, and how many could not be judged."""
+    """Number of logs of a data set, and of those that could not be diagnosed."""
     missing = f", {len(one['left_out'])} of them left out" if one["left_out"] else ""
     return f"{one['logs']} {'log' if one['logs'] == 1 else 'logs'}{missing}"
 

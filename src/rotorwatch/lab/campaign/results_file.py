@@ -95,7 +95,7 @@ def check(results: Any, where: str) -> None:
 
 
 def _plan(plan: dict[str, Any], where: str) -> None:
-    """The plan is what its hash says, and a shipped plan's name and version stand for that plan alone."""
+    """Check the plan against its hash, and the name and version of a shipped plan against that plan."""
     if benchmark_plan.digest(plan["text"]) != plan["sha256"]:
         raise ConfigError(f"{where}: its plan was edited after the run (plan.text does not belong to plan.sha256).")
     known = benchmark_plan.shipped().get(plan["name"])

@@ -1,4 +1,4 @@
-"""What became of one flight under one method: a row of the campaign's table. `COLUMNS` names and explains all of them.
+"""Scores one flight under one method: a row of the campaign's table, with the columns `COLUMNS`.
 
 Healthy time is what was judged before the onset, or the whole flight without a fault. What is found, right and a false alarm, counting.py
 says. Losses are compared EVALUATE_S after the onset (or the end of the ramp).
@@ -74,7 +74,7 @@ def estimator(
 
 
 def answer(end: Conclusion) -> dict[str, str]:
-    """The columns of what `diagnose` answers to the whole flight."""
+    """Columns of the answer of `diagnose` to the whole flight."""
     named = () if end.main is None else end.events[end.main].explanations
     who = {state.rotor for state in end.rotors if state.status not in ("healthy", "unobservable")}.union(*named)
     return {"answer": end.verdict, "accused": "+".join(map(str, sorted(who)))}

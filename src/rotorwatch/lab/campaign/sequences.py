@@ -1,4 +1,4 @@
-"""Flights in which more than one thing happens: how well the state of all rotors is known between one change and the next.
+"""Flights with several events: how well the state of all rotors is known between one change and the next.
 
 Second faults, recoveries, changes of size, intermittent faults, pairs at once, both rotors of a coaxial arm; 10 to 50 % each, in winds to
 6 m/s. Every stretch between two changes that lasts SETTLE_S is one state. It is read at its end from the events of the whole flight:
@@ -52,7 +52,7 @@ class Sequences:
         self.cells = tuple(Cell(frame, "ardupilot", profile) for frame in FRAMES for profile in ("default", "fast"))
 
     def kind(self, k: int) -> str:
-        """What happens in flight k."""
+        """Kind of flight k."""
         return KINDS[(k // len(self.cells)) % len(KINDS)]
 
     def flight(self, k: int) -> Scenario:
@@ -97,8 +97,8 @@ def _faults(kind: str, frame: str, rng: np.random.Generator) -> list[dict[str, A
 
 @dataclass(frozen=True)
 class State:
-    """One stretch between changes: its end `at` [s], the weak rotors (1-based), the sets named then (the first is the answer), and what
-    that is worth."""
+    """An interval between changes: its end `at` [s], the weak rotors (1-based), the sets named then (the first is the answer), and the
+    outcome."""
 
     at: float
     truth: tuple[int, ...]
@@ -115,7 +115,7 @@ def named_at(found: Iterable[Event], at: float) -> tuple[tuple[int, ...], ...]:
 
 
 def outcome(truth: Sequence[int], named: Sequence[Sequence[int]]) -> str:
-    """One of OUTCOMES."""
+    """Outcome of an answer, one of OUTCOMES."""
     want, sets = set(truth), [set(s) for s in named]
     if len(sets) == 1 and sets[0] == want:
         return "right"
@@ -127,7 +127,7 @@ def outcome(truth: Sequence[int], named: Sequence[Sequence[int]]) -> str:
 
 
 class Truth(Protocol):
-    """A flight of which all is known: its ticks, true losses theta (T, n) at them, and when it crashed, or None."""
+    """A flight with known truth: its ticks, true losses theta (T, n) at them, and the time of its crash, or None."""
 
     @property
     def ticks(self) -> Ticks: ...

@@ -1,4 +1,4 @@
-"""From a campaign's table to what it shows: rates and shares with 95 % intervals, ROC and delay curves, loss errors, the limits.
+"""Statistics of a campaign's table: rates and shares with 95 % intervals, ROC and delay curves, loss errors, bounds.
 
 Missed detections are counted apart and never enter a delay or an error.
 """
@@ -61,7 +61,7 @@ def of_method(columns: dict[str, np.ndarray], method: str) -> dict[str, np.ndarr
 
 
 def at_rate(d: dict[str, np.ndarray], false_alarms_h: float, within_s: float = 10.0) -> dict[str, Any]:
-    """What a method finds when its threshold is set on healthy time: {"threshold", "false_alarms_h", "detected", "delay_s", "found"}.
+    """Performance of a method whose threshold is set on healthy time: {"threshold", "false_alarms_h", "detected", "delay_s", "found"}.
 
     The threshold [nats above the one in use] is the lowest at which at most `false_alarms_h` an hour are left, the first of each
     flight; a method without a statistic keeps its own (threshold None). detected: share of clear faults within `within_s` (one of
@@ -120,7 +120,7 @@ def numbers(d: dict[str, np.ndarray], which: np.ndarray) -> list[int]:
 
 
 def mcnemar(first: Sequence[int], other: Sequence[int]) -> dict[str, Any]:
-    """Whether two methods differ in what they find in the same flights: {"only_first", "only_this", "p"}.
+    """McNemar's test of two methods on the same flights: {"only_first", "only_this", "p"}.
 
     first, other: the numbers of the flights in which each succeeds. Flights in which both or neither do say nothing. p: two-sided and
     exact, of the binomial distribution with 1/2 (McNemar, Psychometrika 12 (1947) 153).
@@ -137,7 +137,7 @@ def _threshold(peaks: np.ndarray, allowed: float) -> float:
 
 
 def measures(d: dict[str, np.ndarray]) -> dict[str, Any]:
-    """One line: numbers, or {"value", "low", "high", "n"} for what has an interval; None where it is not defined."""
+    """Measures of some flights: numbers, or {"value", "low", "high", "n"} for what has an interval; None where it is not defined."""
     faulty, clear = d["fault"] != "", d["clear"].astype(bool)
     hours = float(d["healthy_s"].sum() / 3600.0)
     found = clear & (d["detected"] == True)  # noqa: E712 - None where there is no fault
@@ -162,7 +162,7 @@ def measures(d: dict[str, np.ndarray]) -> dict[str, Any]:
 
 
 def _told(d: dict[str, np.ndarray]) -> np.ndarray:
-    """Flights of a method that answers to the whole flight."""
+    """Flights of a method with an answer to the whole flight."""
     return np.array([answer is not None for answer in d["answer"]], bool)
 
 
@@ -204,7 +204,7 @@ def size_errors(d: dict[str, np.ndarray]) -> dict[str, float]:
 
 
 def closer(first: Mapping[str, float], other: Mapping[str, float]) -> dict[str, Any]:
-    """Whose losses are closer to the truth, in the flights in which both announced one: {"flights", "first", "this", "p"}.
+    """Paired comparison of two methods' loss errors in the flights in which both announced a loss: {"flights", "first", "this", "p"}.
 
     first, other: `size_errors` of the two. first, this: their RMS errors over these flights, None where there are none. p: two-sided sign
     test, exact, on which of the two is closer.
@@ -240,18 +240,18 @@ def _labels(d: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def by_speed(speeds: np.ndarray, edges: Sequence[float]) -> np.ndarray:
-    """The name of the stretch between two edges in which each speed [m/s] lies; "unknown" where it is NaN."""
+    """Label of the interval between edges that holds each speed [m/s]; "unknown" where it is NaN."""
     names = [f"{a:g} to {b:g} m/s" if np.isfinite(b) else f"over {a:g} m/s" for a, b in itertools.pairwise(edges)]
     return np.where(np.isnan(speeds), "unknown", np.array(names, object)[np.digitize(speeds, edges[1:-1])])
 
 
 def _groups(d: dict[str, np.ndarray], labels: np.ndarray, count: Callable) -> dict[str, dict]:
-    """What `count` makes of the flights of each label."""
+    """Result of `count` for the flights of each label."""
     return {str(g): count({k: v[labels == g] for k, v in d.items()}) for g in sorted(set(labels))}
 
 
 def _curves(d: dict[str, np.ndarray]) -> dict[str, list[dict]]:
-    """ROC, delays and errors of some flights, as numbers without intervals: what a picture with many lines can show."""
+    """ROC, delays and errors of some flights, as numbers without intervals, for figures with many lines."""
     hours, clear = float(d["healthy_s"].sum() / 3600.0), d["clear"].astype(bool)
     roc: list[dict] = []
     if np.isfinite(d["peak"]).any() and hours > 0.0 and clear.any():
@@ -360,7 +360,7 @@ def markdown(summary: dict[str, Any]) -> str:
 
 
 def cell(key: str, value: Any) -> str:
-    """A measure with its interval as people read it."""
+    """A measure with its interval, as text."""
     if key in ("detected", "answered", "right", "named", "coverage"):
         return interval(value)
     return interval(value, 3 if key in ("loss_rmse", "bias", "rmse", "bound_rmse") else 2)

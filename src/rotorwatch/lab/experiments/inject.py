@@ -1,4 +1,4 @@
-"""Losses put into healthy flights: real noise with a known fault, and what the default diagnoser finds of it.
+"""Losses injected into healthy flights: real noise with a known fault, diagnosed by the default method.
 
 A rotor that loses the share l of its thrust is commanded more until the vehicle moves as before. Rotor thrusts f, mixer
 M and effectiveness B give the commands f + d that the rate controller ends up with: the same wrench, through the mixer,
@@ -120,7 +120,7 @@ def _losses(flight: Flight, vehicle: Vehicle, rotors, loss) -> np.ndarray:
 
 
 def _answer(vehicle: Vehicle, share: np.ndarray) -> np.ndarray:
-    """(n, n): extra thrust d per thrust f with which the controller makes up for losses `share` (n,)."""
+    """(n, n): extra thrust d per thrust f with which the controller compensates for losses `share` (n,)."""
     B = vehicle.effectiveness()
     M = vehicle.mixer if vehicle.mixer is not None else np.linalg.pinv(B)
     return M @ np.linalg.pinv(B @ np.diag(1.0 - share) @ M) @ B @ np.diag(share)
@@ -249,7 +249,7 @@ def _survey(source: Flight | str) -> list[_Survey]:
 
 
 def _trials(part: tuple[Flight | str, list[tuple[int, float, float]]]) -> list[dict]:
-    """What became of injections (rotor, loss, onset) into one flight."""
+    """Outcomes of injections (rotor, loss, onset) into one flight."""
     flight, vehicle, _ = _flown(part[0])
     trials = []
     for rotor, loss, onset in part[1]:
@@ -296,7 +296,7 @@ def draw(room: list[tuple[float, float]], rng: np.random.Generator) -> float:
 
 
 def _outcome(raised: Sequence[counting.Alarm], rotor: int, loss: float, onset: float) -> dict:
-    """What became of one injection."""
+    """Outcome of one injection."""
     counted = counting.count(raised, (rotor,), onset)
     result: dict[str, Any] = {
         "onset_s": onset,
@@ -324,7 +324,7 @@ def _outcome(raised: Sequence[counting.Alarm], rotor: int, loss: float, onset: f
 
 
 def _row(loss: float, trials: list[dict]) -> dict:
-    """One line of the table: all injections of one size."""
+    """Row of the table: all injections of one size."""
     found = [t for t in trials if t["detected"]]
     right = [t for t in found if t["right"]]
     sized = [t for t in right if "loss_2s" in t]

@@ -1,4 +1,4 @@
-"""The best that any diagnoser could do: a bound on the error of a loss, and one on the delay of its detection.
+"""Performance limits of any diagnoser: a bound on the error of a loss, and one on the delay of its detection.
 
 Both follow from one number: how much the data up to a time tell about a jump of one actuator's loss at a known time,
 
@@ -111,7 +111,8 @@ def delay(time: Array, information: Array, theta: float, onset: float, false_ala
 
 
 class Bound(NamedTuple):
-    """Of one flight on its ticks: information (T,) on the loss, and the noise variances (4, 4) it holds for (engine/estimator/noise.py)."""
+    """Bound of one flight on its ticks: information (T,) on the loss, and the noise variances (4, 4) it holds for
+    (engine/estimator/noise.py)."""
 
     information: Array
     variances: Array
@@ -133,8 +134,8 @@ def _program():
 
 
 def on_ticks(B, u, y, valid, flying, theta, rotor, onset, dt: float, batch: bool = False) -> Bound:
-    """The bound for a diagnoser that sees these ticks: plant and noise model are the default estimator's (engine/estimator/plant.py),
-    its noise that of the whole flight with the true losses taken out, the rotor and the onset known.
+    """The bound for a diagnoser that has these ticks: plant and noise model are the default estimator's (engine/estimator/plant.py), its
+    noise that of the whole flight with the true losses taken out, the rotor and the onset known.
 
     B (4, n), u (T, n + 13), y (T, 4), valid (T, 4), flying (T,) bool; theta (T, n) true losses; rotor (0-based), onset (first tick with
     the loss): integers. batch: all but B have a first axis of flights. Arrays of NumPy.

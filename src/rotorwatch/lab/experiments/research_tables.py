@@ -60,7 +60,7 @@ def observability(result) -> RenderableType:
 
 
 def survival(result) -> RenderableType:
-    """What is left after the loss of one and of two rotors, cases that are alike in one row; result as from `rotorwatch.survive`."""
+    """Remaining control after the loss of one and of two rotors, equal cases in one row; result as from `rotorwatch.survive`."""
     names = ("rotors", "loss", "then", "T / W", "roll", "pitch", "yaw", "wind", "turns")
     rows = listing("", *names, right=range(3, 9))
     for column in rows.columns[1:]:
@@ -81,7 +81,7 @@ def survival(result) -> RenderableType:
 
 
 def excitation(result) -> RenderableType:
-    """The candidates, what the excitation does to each and how far apart it brings them; result as from `rotorwatch.ask`."""
+    """Candidates, effect of the excitation on each, and their separation; result as from `rotorwatch.ask`."""
     rows = listing("", "weak rotors", "loss", "turns it by", "lifts it by", "apart from the next", right=(1, 2, 3, 4))
     turn, lift = np.degrees(result.design.tilt), 1e3 * result.design.heave
     for k, who in enumerate(result.candidates):

@@ -1,4 +1,4 @@
-"""Asking a vehicle which of several sets of rotors is weak: how much, how long, what it moves, and what can be told apart.
+"""Designs an excitation that tells which of several sets of rotors is weak: amplitude, length, motion and separation.
 
     asked = rw.ask("ardupilot-hexa-x", [(1, 2), (3, 4), (5, 6), ()], loss=0.3)
     print(asked.summary)
@@ -43,8 +43,8 @@ HOVER = 0.45  # share of full thrust: twice the weight and a little more
 
 @dataclass(frozen=True)
 class Asking:
-    """An excitation of a vehicle, and what it is for. name; rotors: how many; candidates: sets of weak rotors (1-based; (): none), losses
-    (k, n) of each; B (4, n); hover (n,): commands; dt [s]; design: the excitation; assumptions: sentences on what was not known."""
+    """An excitation of a vehicle and its purpose. name; rotors: how many; candidates: sets of weak rotors (1-based; (): none), losses (k,
+    n) of each; B (4, n); hover (n,): commands; dt [s]; design: the excitation; assumptions: sentences on unknown quantities."""
 
     name: str
     rotors: int
@@ -69,7 +69,7 @@ class Asking:
 
     @property
     def summary(self) -> str:
-        """One sentence."""
+        """Summary in one sentence."""
         signal, enough = self.design.signal, self.design.information.min() >= self.design.needed
         what = "tells these candidates apart" if enough else "does not yet tell these candidates apart for sure"
         return (
@@ -101,12 +101,12 @@ class Asking:
         }  # fmt: skip
 
     def to_json(self) -> str:
-        """The same as JSON text."""
+        """JSON text of `to_dict`."""
         return json.dumps(self.to_dict(), indent=1, allow_nan=False)
 
     def figure(self, path: str | os.PathLike | None = None):
-        """What is added to each command, the thrust with which each candidate answers, and how the information grows; written to `path`
-        (SVG, PNG, PDF) when given. Raises ConfigError without matplotlib."""
+        """Change of each command, thrust response of each candidate, and growth of the information; written to `path` (SVG, PNG, PDF) when
+        given. Raises ConfigError without matplotlib."""
         Figure = optional.library("matplotlib.figure", "A figure").Figure
         picture = Figure(figsize=(11, 3.4), layout="constrained")
         left, middle, right = picture.subplots(1, 3)
@@ -131,7 +131,7 @@ class Asking:
 
 
 def label(who: Sequence[int]) -> str:
-    """(1, 4) -> '1+4', () -> 'none'."""
+    """Rotor set as text: (1, 4) -> '1+4', () -> 'none'."""
     return "+".join(map(str, who)) or "none"
 
 

@@ -1,4 +1,4 @@
-"""What a vehicle survives: for every loss of one and of two rotors, can it still hover, with what control, how strongly and in what wind?
+"""Survivability of a vehicle: for every loss of one and of two rotors, can it still hover, with what control authority and in what wind?
 
     survival = rw.survive("ardupilot-hexa-x", mass_kg=2.0, thrust_to_weight=2.2, arm_m=0.3)
     print(survival.summary)
@@ -45,10 +45,10 @@ COLOURS = {FULL: "tab:green", NO_YAW: "gold", SPINNING: "tab:orange", NO: "tab:r
 
 @dataclass(frozen=True)
 class Case:
-    """One set of losses. rotors: those weak or dead (1-based), loss: how much of their thrust. lift: the largest thrust over weight.
-    roll, pitch, yaw [N m]: the largest moment at hover to both sides, the others zero; None where there is none. depth: how far hover is
-    from the nearest limit, as a share of the channels' authority. wind [m/s] that it can hold from any side, None where it spins or
-    falls. rate [rad/s], tilt [rad]: of the turning motion that stays (`control.spinning`), where yaw is given up or it only spins."""
+    """A set of losses. rotors: those weak or dead (1-based), loss: share of their thrust. lift: the largest thrust over weight. roll,
+    pitch, yaw [N m]: the largest moment at hover to both sides, the others zero; None where there is none. depth: distance of hover from
+    the nearest limit, as a share of the channels' authority. wind [m/s] that it can hold from any side, None where it spins or falls. rate
+    [rad/s], tilt [rad]: of the steady turning motion (`control.spinning`), where yaw is given up or it only spins."""
 
     rotors: tuple[int, ...]
     loss: float
@@ -77,13 +77,13 @@ class Survival:
     airframe: Airframe
 
     def count(self, rotors: int, loss: float) -> dict[str, int]:
-        """How many cases of that many rotors and that loss end how."""
+        """Number of cases with each verdict, of that many rotors and that loss."""
         some = [c.verdict for c in self.cases if len(c.rotors) == rotors and c.loss == loss]
         return {verdict: some.count(verdict) for verdict in VERDICTS}
 
     @property
     def summary(self) -> str:
-        """What it comes down to: a sentence for each size of loss."""
+        """Summary: a sentence for each size of loss."""
         sentences = []
         for loss in self.losses:
             what = "Total loss" if loss == 1.0 else f"A loss of {loss:.0%}"
@@ -112,7 +112,7 @@ class Survival:
         }
 
     def to_json(self) -> str:
-        """The same as JSON text."""
+        """JSON text of `to_dict`."""
         return json.dumps(self.to_dict(), indent=1, allow_nan=False)
 
     def figure(self, path: str | os.PathLike | None = None):
@@ -163,7 +163,7 @@ def survive(
     arm_m: float | None = None,
     progress: Any = None,
 ) -> Survival:
-    """What a vehicle survives.
+    """Losses that a vehicle survives.
 
     vehicle: a `Vehicle`, a vehicle file, or the name of an airframe or of a paper's airframe. loss: sizes of losses, above 0 to 1;
     two weak rotors lose the same. mass_kg, thrust_to_weight (full thrust over weight), arm_m (centre to the outermost rotor): instead
@@ -197,7 +197,7 @@ def _plain(case: Case) -> dict:
 
 
 def _case(airframe: Airframe, rotors: tuple[int, ...], loss: float, servo: bool) -> Case:
-    """One row. servo: yaw does not come from the rotors."""
+    """Row of one set of losses. servo: yaw does not come from the rotors."""
     e = np.ones(len(airframe.x))
     e[[k - 1 for k in rotors]] = 1.0 - loss
     B, weight = airframe.B * e, airframe.mass * G0

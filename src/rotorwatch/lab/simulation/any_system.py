@@ -17,7 +17,7 @@ from rotorwatch.errors import ConfigError
 
 
 class Simulation(NamedTuple):
-    """What `simulate_system` returns, a row per step: t (T,) s at the end of the step; u (T, n_u); y (T, n_y), measured at the end of the
+    """Result of `simulate_system`, a row per step: t (T,) s at the end of the step; u (T, n_u); y (T, n_y), measured at the end of the
     step; x (T, n_x), the state then; theta (T, n_theta); dt (T,) s."""
 
     t: np.ndarray

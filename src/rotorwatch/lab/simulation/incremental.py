@@ -31,8 +31,8 @@ Array = Any
 
 
 class Inversion(namedtuple("Inversion", "used turns steer bandwidth lead lag")):
-    """What it knows of the vehicle. used: 0 or 1; turns (3, n): angular acceleration [rad/s^2] by each rotor's full thrust; steer (3, 3):
-    control in mixer units that gives an angular acceleration; bandwidth (3,) [1/s] of the rates; lead [s]: see above; lag [s]."""
+    """Model of the vehicle used by INDI. used: 0 or 1; turns (3, n): angular acceleration [rad/s^2] by each rotor's full thrust; steer (3,
+    3): control in mixer units that gives an angular acceleration; bandwidth (3,) [1/s] of the rates; lead [s]: see the module; lag [s]."""
 
 
 class Memory(namedtuple("Memory", "demand fast slow first second")):

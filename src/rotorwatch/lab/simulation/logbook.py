@@ -1,4 +1,4 @@
-"""From what happened to what an autopilot would have logged of it: a `Flight`, with the sensors' errors and at its rates.
+"""From a simulated record to the log an autopilot would have written: a `Flight`, with sensor errors and at logging rates.
 
 Nothing of the truth gets in: losses, true speeds and the wind stay outside. `write_truth` is where they go.
 """
@@ -31,12 +31,12 @@ MAV_TYPE = {4: 2, 6: 13, 8: 14, 12: 29, 10: 35}
 
 
 def needed(record: Any) -> Any:
-    """What a log and the truth need of a record: much less memory than all of it."""
+    """The parts of a record that log and truth need: much less memory than all of it."""
     return record._replace(omega=(), rates_setpoint=(), wind=())
 
 
 def flight(scenario: Scenario, plan: Plan, record: Record) -> Flight:
-    """The flight as its log tells it. record: of `loop.fly` of a multirotor, recorded `scenario.record_hz` times a second."""
+    """The flight as logged. record: of `loop.fly` of a multirotor, recorded `scenario.record_hz` times a second."""
     craft = vehicle(scenario)
     record = _estimated(scenario, record)
     log = _Log(scenario, plan, record)
@@ -196,7 +196,7 @@ def _px4_parameters(scenario: Scenario, craft: Vehicle, plan: Plan) -> dict[str,
 
 
 def log(scenario: Scenario, plan: Plan, record: Record) -> bytes:
-    """What the autopilot's log file holds."""
+    """Contents of the autopilot's log file."""
     from rotorwatch.lab.simulation.write_dataflash import dataflash
     from rotorwatch.lab.simulation.write_ulog import ulog
 

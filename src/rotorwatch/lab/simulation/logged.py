@@ -1,4 +1,4 @@
-"""What the simulated autopilots log (logged.toml): signals, their rates, and the definitions of messages; and records in order of time."""
+"""Messages logged by the simulated autopilots (logged.toml): signals, rates and definitions; and records in order of time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A multirotor in the closed loop: rotors and their faults, battery, mixer, and what the autopilot believes of them."""
+"""A multirotor in the closed loop: rotors and their faults, battery, mixer, and the autopilot's model of them."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Battery(namedtuple("Battery", "full empty charge resistance current")):
 
 
 class Plan(NamedTuple):
-    """One flight as numbers: everything that a compiled program needs. seed: integer; schedule: of `reconfigured`, else nothing."""
+    """Numbers of one flight for a compiled program. seed: integer; schedule: of `reconfigured`, else nothing."""
 
     craft: dynamics.Craft
     pilot: control.Autopilot
@@ -51,8 +51,8 @@ class Plan(NamedTuple):
 
 
 class Drives(NamedTuple):
-    """What turns the n rotors. w (n,): speeds as shares of full, phase (n,): turns; drawn: charge used [A s]; sag: battery voltage as a
-    share of full, believed: what the autopilot knows of it; held (n,): last sound commands; f (n,): thrust shares that the rotors should
+    """State of the n rotors' drives. w (n,): speeds as shares of full, phase (n,): turns; drawn: charge used [A s]; sag: battery voltage as
+    a share of full, believed: the autopilot's estimate of it; held (n,): last sound commands; f (n,): thrust shares that the rotors should
     have reached; memory: of `incremental`."""
 
     w: Array
@@ -66,8 +66,8 @@ class Drives(NamedTuple):
 
 
 class Supply(NamedTuple):
-    """What the autopilot reckons with during a tick. lift: 0 while the motors idle; compensated: what it divides commands by;
-    lift_max: share of full thrust that it believes it has left; stir (n,): `outside.stirred`, which it does not know."""
+    """The autopilot's assumptions during a tick. lift: 0 while the motors idle; compensated: divisor of commands; lift_max: share of full
+    thrust that it believes it has left; stir (n,): `outside.stirred`, unknown to it."""
 
     lift: Array
     compensated: Array
@@ -82,7 +82,7 @@ class Record(
         "drawn believed lift_max wind flies",
     )
 ):
-    """What there is to know after each tick; n rotors. Logs hold some of it, with noise; the truth file the rest.
+    """Record of one tick; n rotors. Logs hold some of it, with noise; the truth file the rest.
 
     time [s]; p [m], v [m/s] (3,) NED, q (4,) body to world, omega (3,) [rad/s]; rates (3,): filtered gyro [rad/s]; accel (3,): filtered
     specific force [m/s^2]; demand (n,): thrust setpoint of each rotor, command (n,): drive share that gives it; control (4,): roll, pitch,
@@ -171,11 +171,11 @@ class Multirotor:
         return body, loops._replace(free=free), own._replace(w=w, phase=phase, held=held), force, last
 
     def aimed(self, plan: Plan, now: Moment, t, body: Body) -> control.Target:
-        """What the inner loops aim at from here."""
+        """Target of the inner loops."""
         return now.target
 
     def effectiveness(self, plan: Plan, t):
-        """What the autopilot believes is left of each rotor (n,)."""
+        """Effectiveness (n,) of each rotor as assumed by the autopilot."""
         return 1.0 + 0.0 * plan.craft.x
 
     def mixed(self, plan: Plan, now: Moment, t, body: Body, gyro, turning, own: Any) -> tuple:
@@ -183,12 +183,12 @@ class Multirotor:
         return control.mix(plan.pilot.mixer, turning, now.target.throttle)
 
     def moved(self, plan: Plan, body: Body, w, share, lag, air: Air, theta, dt: float) -> tuple:
-        """Body, rotor speeds (n,) and mean specific force (3,) after a step of dt: `dynamics.step`. Another model of the vehicle's motion
-        takes its place here."""
+        """Body, rotor speeds (n,) and mean specific force (3,) after a step of dt: `dynamics.step`. Overridden by other models of the
+        motion."""
         return dynamics.step(plan.craft, body, w, share, lag, air, theta, dt)
 
     def end(self, plan: Plan, now: Moment, before: State, after: State, seen, last, dt: float) -> tuple[State, Record]:
-        """The battery, and whether the vehicle lies on the ground."""
+        """End of a tick: the battery, and whether the vehicle lies on the ground."""
         jnp = load_jax().numpy
         battery, own, body = plan.battery, after.own, after.body
         demand, command, controls, wanted, theta, s, propeller, friction, driven = last

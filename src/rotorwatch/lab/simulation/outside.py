@@ -1,4 +1,4 @@
-"""What befalls a vehicle besides its rotors' faults: a push that lasts, air that it has stirred, a payload that drops, outputs in steps.
+"""External influences besides rotor faults: a lasting push, rotor wake, a dropped payload, quantised outputs.
 
 None of it is known to the autopilot, and none of it is in a log but for what it does. `now` gives the vehicle as it is in one step.
 """

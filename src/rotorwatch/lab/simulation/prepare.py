@@ -1,4 +1,4 @@
-"""From a scenario to numbers: the vehicle, its autopilot's gains, its air, sensors and faults, ready to be flown."""
+"""From a scenario to numbers: vehicle, autopilot gains, air, sensors and faults, ready for simulation."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ def craft(scenario: Scenario, known: Vehicle | None = None) -> dynamics.Craft:
 
 
 def induced_velocity(scenario: Scenario) -> float:
-    """Of the air through the rotors in hover [m/s], each carrying the same weight: sqrt(T / (2 rho A)), momentum theory (Leishman,
+    """Induced velocity of the rotors in hover [m/s], each carrying the same weight: sqrt(T / (2 rho A)), momentum theory (Leishman,
     Principles of Helicopter Aerodynamics, 2006, section 2.2). Raises ConfigError."""
     return float(_induced(_bare(scenario, vehicle(scenario))))
 
@@ -166,12 +166,12 @@ def _induced(bare: Bare) -> np.floating:
 
 
 def _full_speed(scenario: Scenario, bare: Bare) -> float:
-    """rad/s."""
+    """Full rotor speed [rad/s]."""
     return scenario.airframe["rotor_speed_rad_s"] or TIP_SPEED / bare.radius
 
 
 def _bare(scenario: Scenario, craft: Vehicle) -> Bare:
-    """What a paper says of its airframe, else what the scenario asks for or what is usual."""
+    """Bare vehicle from the paper's airframe data, else from the scenario or typical values."""
     a, known = scenario.airframe, _paper(scenario.airframe["frame"])
     x, y, spin, share = (np.array([getattr(r, k) for r in craft.rotors], float) for k in ("x", "y", "spin", "share"))
     arm = float(np.hypot(x, y).max())
@@ -208,13 +208,13 @@ def _pilot(scenario: Scenario, known: Vehicle, bare: Bare, full_speed: float) ->
 
 
 def _rotor_inertia(scenario: Scenario, bare: Bare) -> float:
-    """kg m^2 of one rotor about its axis."""
+    """Inertia of one rotor about its axis [kg m^2]."""
     inertia = scenario.airframe["rotor_inertia_kg_m2"]
     return 0.015 * bare.mass / len(bare.x) * (2.0 * bare.radius) ** 2 / 12.0 if inertia is None else inertia
 
 
 def _outside(scenario: Scenario, bare: Bare, full_speed: float) -> outside.Outside:
-    """What befalls the vehicle. full_speed [rad/s] of the rotors. Raises ConfigError."""
+    """External influences of the scenario. full_speed [rad/s] of the rotors. Raises ConfigError."""
     a, w, drops = scenario.airframe, scenario.outside, scenario.airframe["payload_drops_s"]
     to, empty = np.radians(w["push_to_deg"]), replace(scenario, airframe={**a, "payload_kg": 0.0})
     return outside.Outside(
@@ -281,7 +281,7 @@ def _craft(scenario: Scenario, bare: Bare, full_speed: float) -> dynamics.Craft:
 
 
 def a_compensates(scenario: Scenario) -> bool:
-    """Whether the autopilot divides battery sag out of its commands: an ArduPilot may, PX4 does not."""
+    """True if the autopilot divides battery sag out of its commands: an ArduPilot may, PX4 does not."""
     return scenario.autopilot == "ardupilot" and bool(scenario.battery["compensated"])
 
 

@@ -1,4 +1,4 @@
-"""A multirotor whose commands follow what is believed of its rotors, instead of the autopilot's fixed mixer.
+"""A multirotor whose commands follow a belief about its rotors, instead of the autopilot's fixed mixer.
 
 What is believed, and from when on, is a `Schedule` of a few entries; `closed_loop` writes it from an estimator's output. Up to the first
 entry the vehicle flies as any other. From then on
@@ -27,8 +27,8 @@ MOST_TILT = 0.25  # rad: how far from upright a turning vehicle tilts at most
 
 
 class Entry(NamedTuple):
-    """What is believed from `since` [s] on. mean, lower, upper (n,): effectiveness of each rotor; candidates (PLACES, n) with weights
-    (PLACES,): what it may be, and how likely that is; turning: 0 or 1; hover and gains: of `spinning`, zeros where they are not used."""
+    """Belief from `since` [s] on. mean, lower, upper (n,): effectiveness of each rotor; candidates (PLACES, n) with weights (PLACES,):
+    possible values and their probabilities; turning: 0 or 1; hover and gains: of `spinning`, zeros where unused."""
 
     since: Array
     mean: Array
@@ -108,7 +108,7 @@ class Reconfigured(Multirotor):
         return target._replace(q=jnp.where(begun, q, target.q))
 
     def effectiveness(self, plan: Plan, t):
-        """What the entry that holds expects."""
+        """Effectiveness expected by the active entry."""
         jnp = load_jax().numpy
         return jnp.where(plan.schedule.since[0] <= t, self._expected(_entry_at(plan.schedule, t)), 1.0)
 

@@ -1,4 +1,4 @@
-"""What every vehicle here is: a rigid body in moving air, carried from step to step by one Runge-Kutta rule.
+"""Base of all simulated vehicles: a rigid body in moving air, integrated by one Runge-Kutta rule.
 
 NED world, FRD body, SI; positions are the centre of mass.
 """
@@ -20,7 +20,7 @@ class Body(namedtuple("Body", "p v q omega")):
 
 
 class Air(NamedTuple):
-    """What surrounds the vehicle in one step: wind (3,) NED [m/s], turning (3,) gust rates in body axes [rad/s]; ground 0 or 1."""
+    """The air around the vehicle in one step: wind (3,) NED [m/s], turning (3,) gust rates in body axes [rad/s]; ground 0 or 1."""
 
     wind: Array
     turning: Array

@@ -1,4 +1,4 @@
-"""What sensors make of a flight: noise inside the control loop, and what is added to the record when it is logged."""
+"""Sensor errors: noise inside the control loop, and errors added to the record when it is logged."""
 
 from __future__ import annotations
 

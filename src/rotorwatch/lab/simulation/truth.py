@@ -1,4 +1,4 @@
-"""What only the simulator knows of a flight, in files of its own: STEM.truth.json and STEM.truth.csv. No log holds any of it."""
+"""Ground truth of a simulated flight, in separate files STEM.truth.json and STEM.truth.csv. No log holds any of it."""
 
 from __future__ import annotations
 

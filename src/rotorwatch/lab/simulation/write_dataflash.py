@@ -30,7 +30,7 @@ def write_dataflash(flight: Flight, path: str | os.PathLike) -> None:
 
 
 def dataflash(flight: Flight) -> bytes:
-    """What `write_dataflash` writes. Raises ConfigError as it does."""
+    """Bytes of the log that `write_dataflash` writes. Raises ConfigError as it does."""
     if not flight.autopilot.lower().startswith("ardu"):
         raise ConfigError(f"a DataFlash log is ArduPilot's; this flight is of {flight.autopilot}: write a ULog.")
     records = [_packed(*message, flight.start_us) for message in _tables(flight)]
@@ -77,7 +77,7 @@ def _tables(flight: Flight):
 
 
 def _escs(esc: Signal):
-    """One ESC message after the other: the instance is the servo output's number from 0. The charge is the current's integral [mAh]."""
+    """ESC messages, one instance after the other, numbered as the servo outputs from 0. The charge is the current's integral [mAh]."""
     n = len(esc.columns) // len(esc_columns.QUANTITIES)
     step = np.diff(esc.time, prepend=esc.time[:1])
     none = np.zeros(len(esc))

@@ -39,12 +39,12 @@ TYPES = {"f": np.float64, "i": np.int32, "l": np.int64, "b": np.bool_}
 
 
 class Unmakeable(Unavailable):
-    """None came with the package, and JAX is not there to make any; the sentence says what to do."""
+    """No library came with the package and JAX is not installed to build one; the message says what to do."""
 
 
 class Layout(NamedTuple):
-    """What is needed to call a library without the program it was made of: structs as lists of (name, kind, shape), and what the
-    carry and the outputs look like (`described`)."""
+    """The calling interface of a library, without the program it was built from: structs as lists of (name, kind, shape), and the structure
+    of carry and outputs (`described`)."""
 
     name: str
     parameters: list
@@ -57,7 +57,7 @@ class Layout(NamedTuple):
 
 @contextmanager
 def _alone(goal: Path) -> Iterator[None]:
-    """No other process makes that file of the cache meanwhile; the lock goes with the process."""
+    """Hold an exclusive lock on that file of the cache, across processes; the lock is released when the process ends."""
     with open(goal.with_suffix(".lock"), "w") as file:
         try:
             import fcntl
@@ -103,7 +103,7 @@ def build(header: str, source: str, name: str) -> Path:
 
 
 def _sealed(library: Path) -> bool:
-    """Whether a library of the cache is there, whole, as it was built; found out once of each, as what is loaded stays loaded."""
+    """True if the cache holds the complete library as it was built; checked once per library, since a loaded one stays loaded."""
     if library not in _SEALED:
         recorded_digest = shipped.digest_of(library)
         try:
@@ -181,7 +181,7 @@ class Library:
 
 
 class Live:
-    """One estimator stepped as measurements come: everything is allocated beforehand. Not for two threads at once."""
+    """Steps one estimator as measurements arrive, without allocation. Not thread-safe."""
 
     def __init__(self, estimator):
         """estimator: any that can be exported. Raises Unavailable, or c99.lower.Refused."""
@@ -198,7 +198,7 @@ class Live:
         self._estimate = rebuilt(layout.out_like, views)
 
     def step(self, u, y, valid) -> Any:
-        """What the estimator's own `step` returns beside the carry; its arrays are overwritten by the next step."""
+        """The output of the estimator's `step`, without the carry; its arrays are overwritten by the next step."""
         self.u[:], self.y[:], self.valid[:] = u, y, valid
         self._library.step(*self._pointers)
         return self._estimate
@@ -302,7 +302,7 @@ def _named(function: Callable) -> str | None:
 
 
 class _Example:
-    """Parameters that stand for all of their names, shapes and types: equal where those are."""
+    """Parameters that represent all others with the same names, shapes and types."""
 
     def __init__(self, values: Any):
         self.values, self._shapes = values, json.dumps([described(values), _shapes(values)])
@@ -320,7 +320,7 @@ def _shapes(parameters) -> list[tuple[tuple[int, ...], str]]:
 
 @functools.lru_cache(maxsize=32)
 def _nameless(build_estimator: Callable, select: Callable, example: _Example, sizes: tuple[int, int]):
-    """The library of functions that are known in this process only, or why it cannot be C: traced once, whatever the parameters' values."""
+    """The library of functions known in this process only, or the reason why they cannot become C: traced once for all parameter values."""
     from rotorwatch.methods.compiling.c99.lower import Refused
 
     try:

@@ -47,8 +47,8 @@ OK, HELD = 0, 1
 
 
 class Belief(NamedTuple):
-    """What is known of each rotor's effectiveness, all in [0, 1]. mean, lower, upper (n,); candidates (k, n) with weights (k,), which
-    need not add up to 1. `believed` fills in what is not given."""
+    """Belief about each rotor's effectiveness, all in [0, 1]. mean, lower, upper (n,); candidates (k, n) with weights (k,), not necessarily
+    of sum 1. `believed` fills in defaults."""
 
     mean: Array
     lower: Array
@@ -178,7 +178,7 @@ class Allocator:
         return box.unbounded(A, b, jnp.zeros(self.n), jnp.full(self.n, self.eps))
 
     def _wish(self, A, b):
-        """u0."""
+        """The reference command u0."""
         return jnp.clip(self._free(A, b), 0.0, 1.0)
 
     def _between(self, b, candidates, weights, mean):

@@ -60,8 +60,8 @@ class Signal(NamedTuple):
 
 
 class Noise(NamedTuple):
-    """What the commanded thrust less the load factor varies by without any loss, in hover thrusts of one rotor. variances (4,): white from
-    tick to tick; two disturbances of time constants tau (2,) [s]; a random walk, per second. As the default diagnosis learns them
+    """Noise of the commanded thrust less the load factor of a healthy vehicle, in hover thrusts of one rotor. variances (4,): white from
+    tick to tick; two disturbances of time constants tau (2,) [s]; a random walk, per second. As learned by the default diagnosis
     (engine/estimator/noise.py)."""
 
     variances: Array
@@ -69,8 +69,8 @@ class Noise(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """What an excitation may do. tilt [rad]: the largest turn of the vehicle under any candidate; amplitude: the largest change of a
-    command, share of full thrust; least, most: the commands' limits."""
+    """Limits of an excitation. tilt [rad]: largest turn of the vehicle under any candidate; amplitude: largest change of a command, share
+    of full thrust; least, most: command limits."""
 
     tilt: float = float(np.radians(1.0))
     amplitude: float = 0.2
@@ -79,9 +79,9 @@ class Limits(NamedTuple):
 
 
 class Design(NamedTuple):
-    """signal: the excitation, from 0 s on. information (m,): of each pair of candidates at its end; pairs (m, 2): their places; course
-    (T,): the smallest information up to each tick; needed: what it takes. tilt (k,) [rad]: largest turn under each candidate; heave (k,)
-    [m]: largest change of height. bound: what keeps it from being larger, "attitude", "commands" or "amplitude"."""
+    """An excitation and its expected effect. signal: from 0 s on. information (m,): at its end, for each pair of candidates pairs (m, 2);
+    course (T,): smallest information up to each tick; needed: information required. tilt (k,) [rad], heave (k,) [m]: largest turn and
+    change of height under each candidate. bound: active limit, "attitude", "commands" or "amplitude"."""
 
     signal: Signal
     information: np.ndarray

@@ -75,7 +75,7 @@ def moments(airframe: Airframe, e, u, omega, numpy: Any = np):
 
 
 def _some(airframe: Airframe, rotors) -> Airframe:
-    """The airframe with only these rotors."""
+    """The airframe reduced to these rotors."""
     return airframe._replace(**{name: getattr(airframe, name)[rotors] for name in ("x", "y", "spin", "thrust_max")})
 
 

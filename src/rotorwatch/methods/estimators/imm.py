@@ -45,7 +45,7 @@ class Output(NamedTuple):
 
 
 class Updated(NamedTuple):
-    """One mode after a step: s, P as in Bank; e (n_y,) and S (n_y, n_y): innovation and its covariance; fit: log Lambda."""
+    """Posterior of one mode: s, P as in Bank; e (n_y,) and S (n_y, n_y): innovation and its covariance; fit: log Lambda."""
 
     s: Array
     P: Array
@@ -143,7 +143,7 @@ def directions(system: Any, common: bool) -> np.ndarray:
 def filtered(
     system: Any, d: Array, s: Array, P: Array, walk: Array, u: Array, y: Array, valid: Array, dt: Array
 ) -> Updated:
-    """One step of every mode's filter from s (M, n_x + 1) and P. d (M, n_theta); walk: variance that a loss gains per second."""
+    """Predict and update every mode's filter from s (M, n_x + 1) and P. d (M, n_theta); walk: variance that a loss gains per second."""
     n = system.n_x
     Q, R = system.Q(dt), system.R(u)
 

@@ -213,7 +213,7 @@ class Intermediate:
         return seen, K_x, K_f, jnp.concatenate([states, known[n_x:] | (self.feels & valid)])
 
     def _look(self) -> None:
-        """Which channels losses act on, how states follow from measurements, and gains where they do not."""
+        """Find the channels that losses act on, how states follow from measurements, and the gains where they do not."""
         system = self.system
         x0, u, theta = jnp.asarray(system.x0, float), jnp.ones(system.n_u), jnp.zeros(system.n_theta)
 
@@ -302,11 +302,11 @@ def _block(V, k1, k2, dt, q, drift):
 
 
 def _acts(derivative):
-    """Rows in which any loss does something."""
+    """True for rows in which any loss has an effect."""
     size = abs(derivative).max(axis=1)
     return size > SEEN * size.max()
 
 
 def _known(array):
-    """As NumPy where it has values, else the tracer."""
+    """A NumPy array where concrete, else the tracer."""
     return np.asarray(array) if checks.concrete(array) else array

@@ -90,7 +90,7 @@ class IRLS:
         )
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
-        """One step of dt with input u (n_u,) over it and y (n_y,) at its end where valid."""
+        """Predict over dt with input u (n_u,), then add y (n_y,), where valid, to the window and fit it again."""
         dt = self.dt if dt is None else dt
         found = measured_regression.row(self.system, carry.known, u, y, valid, carry.theta, dt)
         z, Omega = measured_regression.whitened(found, valid)

@@ -52,8 +52,8 @@ class Carry(NamedTuple):
 
 
 class Interval(NamedTuple):
-    """One interval linearised: F(s_{k-1}) and A; residuals e, Jacobian E and 1/R of the inner samples; r, C, and 1/R of the
-    last; Q^-1."""
+    """Linearisation of an interval: F(s_{k-1}) and A; residuals e, Jacobian E and 1/R of the inner samples; r, C, and 1/R of the last;
+    Q^-1."""
 
     F: Any
     A: Any
@@ -122,7 +122,7 @@ class MHE:
         return Carry(s, P, samples(m), zero, samples(M, m), zero, nodes, jnp.zeros((M + 1, n)), s, P)
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
-        """One step of dt seconds (None: the constructor's) with input u over it and y at its end."""
+        """Advance by dt seconds (None: the constructor's dt) with input u held over the step and y at its end."""
         dt = jnp.asarray(self.dt if dt is None else dt, float)
         y = jnp.where(valid, y, 0.0)
         s, A = linearise.once(lambda s: self.move(s, u, dt), carry.s)
@@ -215,8 +215,7 @@ class MHE:
         return jnp.clip(nodes + move, self.low, self.high), force
 
     def leave(self, carry: Carry):
-        """Prior mean and covariance one node later: an extended Kalman filter's step through the oldest interval, linearised at
-        the smoothed nodes."""
+        """Arrival cost one node later: an extended Kalman filter step through the oldest interval, linearised at the smoothed nodes."""
         window = jax.tree.map(lambda a: a[0], carry.window)
         part = self.interval(carry.nodes[0], carry.nodes[1], window)
         inner = part.e_weight > 0
@@ -237,7 +236,7 @@ class MHE:
     # The plant, with s = (x, theta)
 
     def interval(self, before, after, samples: Samples) -> Interval:
-        """One interval between its two nodes, linearised at both."""
+        """An interval, linearised at both of its nodes."""
         (F, inner), (A, E) = linearise.once(lambda s: self.through(s, samples), before)
         u = samples.u[-1]
         y_last, C = linearise.once(lambda s: self.predict(s, u), after)

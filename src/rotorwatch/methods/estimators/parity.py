@@ -78,7 +78,7 @@ class Parity:
         )
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Output]:
-        """One step of dt with input u (n_u,) over it and y (n_y,) at its end where valid."""
+        """Advance by dt with input u (n_u,) held over the step and y (n_y,) at its end where valid."""
         system, x0 = self.system, jnp.asarray(self.system.x0, float)
         regular = jnp.array(True) if dt is None else jnp.abs(dt - self.dt) < 1e-6 * self.dt
         dt = self.dt if dt is None else dt

@@ -126,7 +126,7 @@ class SlidingMode:
         return Carry(x, v, P, w, var, G), estimate
 
     def _twisted(self, e, dt):
-        """What remains of the errors e (n_x,) after a step, and the step of v: the implicit super-twisting law, or plain rates."""
+        """Errors (n_x,) that remain after a step from e (n_x,), and the increment of v: implicit super-twisting law, or plain rates."""
         hold = dt * dt * self.k2
         inside = jnp.where(hold > 0, e / jnp.where(hold > 0, hold, 1.0), 0.0)
         root = 0.5 * (jnp.sqrt((dt * self.k1) ** 2 + 4.0 * jnp.maximum(jnp.abs(e) - hold, 0.0)) - dt * self.k1)

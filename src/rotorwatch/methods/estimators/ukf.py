@@ -32,7 +32,7 @@ class UKF(unscented.Unscented):
         return Carry(*plant.start(self.system, self.theta_var))
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
-        """One time step; arguments as in `core.Estimator`."""
+        """Predict over dt with input u (n_u,), then update with y (n_y,) where valid."""
         dt = self.dt if dt is None else dt
         noise = jax.scipy.linalg.block_diag(self.system.Q(dt), dt * self.theta_walk)
         z, P, out, _ = unscented.joint_step(self.system, self.weights, *carry, noise, u, y, valid, dt, self.limit)

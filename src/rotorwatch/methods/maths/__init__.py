@@ -1,1 +1,1 @@
-"""Mathematics that several methods share, and the plants that they run on (systems/): no logs in here."""
+"""Mathematics shared by several methods, and the plants they run on (systems/). Independent of logs."""

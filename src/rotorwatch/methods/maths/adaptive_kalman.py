@@ -53,7 +53,7 @@ class Memory(NamedTuple):
 
 
 class Zhang:
-    """What the methods of this recursion share. Not a method by itself: a method sets `name`, and says where it linearises."""
+    """Base of the methods that use this recursion. A method sets `name` and chooses the point of linearisation."""
 
     name = ""
     not_kalman = (
@@ -101,7 +101,7 @@ def forget(S, memory: Memory, dt):
 def step(
     state: State, x, f: linearise.Linear, e, h: linearise.Linear, Q, R, valid, memory: Memory, dt
 ) -> tuple[State, Estimate]:
-    """One step of dt seconds from the prediction x (n,) at the old theta, and e (m,): y minus what it predicts.
+    """Update from the prediction x (n,) at the old theta, dt seconds later, with e (m,): y minus its prediction.
 
     f, h: the step, with F (n, n) and Phi (n, p), and the measurement, with C (m, n) and D (m, p). R (m,): variances. The equations
     above, one measurement after the other, because R is diagonal: nothing is inverted.

@@ -1,4 +1,4 @@
-"""One step of the augmented extended Kalman filter, with process noise that is fixed or adapts: what the methods ekf and aekf share.
+"""Augmented extended Kalman filter with fixed or adaptive process noise: base of ekf and aekf.
 
     s = [x; theta],   theta(k+1) = theta(k) + walk,   s- = [f(x, u, theta); theta],   A = [F Phi; 0 I],   H = [C D]
     P- = A P A' + q^1/2 blkdiag(Q, theta_walk dt) q^1/2,   K = P- H' (H P- H' + R)^-1,   s = s- + K (y - h(s-)),   P = (I - K H) P-
@@ -26,7 +26,7 @@ class Carry(NamedTuple):
 
 
 class AugmentedEKF:
-    """Not a method by itself: a method sets `name` and `not_kalman`, and says whether Q adapts."""
+    """Base class. A method sets `name` and `not_kalman`, and chooses whether Q adapts."""
 
     def __init__(self, system, dt: float, *, theta_walk, theta_var, adaptation: mit_rule.Adaptation | None = None):
         """dt: s. theta_walk: variance that a loss gains per second [1/s]; theta_var: variance of the losses at the start;

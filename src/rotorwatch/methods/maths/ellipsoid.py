@@ -62,7 +62,7 @@ def minkowski(P, Q, weights: Array = 1.0):
 
 
 def largest_eigenvalue(A, squarings: int = 7):
-    """Of a symmetric positive semidefinite matrix, from below: Rayleigh's quotient after 2^squarings power steps.
+    """Largest eigenvalue of a symmetric positive semidefinite matrix, from below: Rayleigh's quotient after 2^squarings power steps.
 
     Only products, so it can stand in a compiled step; good to 1 % when the second largest is 0.97 of it or less, and
     never below the mean eigenvalue by more than rounding.

@@ -1,4 +1,4 @@
-"""Which rotors' losses make up a missing wrench: f = Phi theta with more rotors than channels.
+"""Allocates a missing wrench to rotor losses: f = Phi theta with more rotors than channels.
 
 f (c,): what the actuators did not deliver, channel by channel; Phi (c, n): what a full loss of each rotor does; W (c,):
 weight of each channel, 1 / noise variance, 0 where it is not measured. Up to four rotors Phi can be inverted, and weighting the
@@ -38,7 +38,7 @@ class Answer(NamedTuple):
 
 
 class Window(NamedTuple):
-    """What the temporal rule has seen: information G (n, n) and z (n,); both forget."""
+    """Accumulated data of the temporal rule: information G (n, n) and vector z (n,), with forgetting."""
 
     G: Array
     z: Array
@@ -141,7 +141,7 @@ class Sparse:
 
 
 class Temporal:
-    """One constant theta for everything lately seen: least squares over filtered regressors, rotors bounded to [0, 1].
+    """A single constant theta for all recent data: least squares over filtered regressors, rotors bounded to [0, 1].
 
     G <- l G + (dt / correlation_s) Phi' W Phi,  z <- l z + (dt / correlation_s) Phi' W f,  l = exp(-dt / memory_s). Where f departs
     from Phi theta by more than `limit` (chi-squared), theta has changed: what was seen is forgotten.
@@ -189,7 +189,7 @@ class Temporal:
 
 
 def _ridge(G):
-    """Just enough to make G invertible."""
+    """The smallest diagonal that makes G invertible."""
     return RIDGE * jnp.max(jnp.diagonal(G)) + 1e-30
 
 

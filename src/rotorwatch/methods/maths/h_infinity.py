@@ -256,7 +256,7 @@ def _peak(A, E, C, F, low, high) -> float:
 
 
 def _crosses(A, E, C, F, g) -> bool:
-    """Whether the Hamiltonian matrix of the level g has an eigenvalue on the imaginary axis."""
+    """True if the Hamiltonian matrix of the level g has an eigenvalue on the imaginary axis."""
     R = g**2 * np.eye(E.shape[1]) - F.T @ F
     inverse = np.linalg.inv(R)
     left = A + E @ inverse @ F.T @ C

@@ -1,4 +1,4 @@
-"""First-order models of a plant, and the measurement update of a Gaussian: what linearised estimators share.
+"""First-order models of a plant, and the measurement update of a Gaussian, for linearised estimators.
 
     x(k+1) = f + F dx + Phi dtheta,    y = h + C dx + D dtheta
 
@@ -36,7 +36,7 @@ def measurement(system, x, u, theta) -> Linear:
 
 
 def _linear(g, x, theta, part: str, system) -> Linear:
-    """One pass of forward differentiation in all directions. Raises ConfigError for a plant that calls NumPy on what has no value yet."""
+    """Forward derivatives in all directions, in one pass. Raises ConfigError for a plant that calls NumPy on traced values."""
     n = x.shape[0]
 
     try:

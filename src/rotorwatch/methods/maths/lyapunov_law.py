@@ -42,12 +42,13 @@ class Terms(NamedTuple):
 
 @dataclass(eq=False, repr=False)
 class Adaptation:
-    """What the methods of this law share. Not a method by itself: a method sets `name` and `not_kalman`.
+    """Base of the methods that use this law. A method sets `name` and `not_kalman`.
 
     rate: state correction k_w [1/s]. bandwidth: of the adaptation, sqrt of Gamma [rad/s]. direct_rate: speed at which outputs that only
     theta moves (the accelerometer) adapt it [1/s]. bounds: least and largest loss. hold: share of u_nominal below which a
     rotor's loss rests. u_nominal (n_u,): input the gains are evened out for (default: hover). theta_sd: of a loss at the
-    start; walk: of a loss in a second; both for the covariance only. Raises ConfigError for plants with unmeasured states."""
+    start; walk: of a loss in a second; both for the covariance only. Raises ConfigError for plants with unmeasured states.
+    """
 
     system: Any
     dt: Any
@@ -146,7 +147,7 @@ def start(system, theta_sd, x0=None) -> State:
 
 
 def advance(law: Law, state: State, u, y, valid, dt, walk) -> tuple[State, Any, Any, Terms]:
-    """One step of the law: (state, innovation (n_y,), its covariance, the plant's terms).
+    """Advance the law by one step: (state, innovation (n_y,), its covariance, the plant's terms).
 
     P is the covariance of this observer's own error, F P F' + Q and then (I - L C) P (I - L C)' + L R L' with the law's gains
     L: what a fixed-gain observer knows. walk: random walk of theta [1 per square root of s].

@@ -116,7 +116,7 @@ def measured(found: Row, y: Array, valid: Array, theta: Array) -> Known:
 
 
 def estimate(found: Row, after: Known, valid: Array, before_cov: Array, theta: Array, theta_cov: Array) -> Estimate:
-    """What is known after the step; the innovation is against the losses before it, whose covariance was before_cov."""
+    """The posterior of a step; the innovation is against the losses before it, whose covariance was before_cov."""
     e = jnp.where(valid, found.z - found.Omega @ found.theta, 0.0)
     S = symmetric(found.S + found.Omega @ before_cov @ found.Omega.T)
     x_cov = symmetric(after.P + after.Upsilon @ theta_cov @ after.Upsilon.T)

@@ -1,4 +1,4 @@
-"""Process noise that adapts to the innovations by the MIT rule: what the adaptive EKF and UKF share.
+"""Process noise that adapts to the innovations by the MIT rule, for the adaptive EKF and UKF.
 
 Gradient descent on V = tr(dS^2), dS = mean of the last e e' minus S, the covariance the filter expects:
 

@@ -1,4 +1,4 @@
-"""The extended set-membership filter on the augmented state z = (x, theta): what ESMF and AESMF are made of.
+"""Extended set-membership filter on the augmented state z = (x, theta): base of ESMF and AESMF.
 
 Noise is unknown but bounded: w in E(0, Q) and v in E(0, R) at each step. The filter keeps an ellipsoid E(z, P) that holds the
 true state as long as these bounds are true:
@@ -55,8 +55,8 @@ class Carry(NamedTuple):
 
 
 class Cutting(NamedTuple):
-    """What a rule that adapts Q looks at. Phi (n, n); H (n_y, n), rows 0 where not valid; e (n_y,); P (n, n) before the cut;
-    R (n_y, n_y); amplify: how much of one unit on Q's diagonal arrives in P."""
+    """Inputs of a rule that adapts Q. Phi (n, n); H (n_y, n), rows 0 where not valid; e (n_y,); P (n, n) before the cut; R (n_y, n_y);
+    amplify: gain from one unit on Q's diagonal to P."""
 
     Phi: Array
     H: Array
@@ -82,7 +82,7 @@ class Ahead(NamedTuple):
 
 @dataclass(eq=False, repr=False)
 class SetMembership:
-    """See the module. Not a method by itself: a method sets `name` and `not_kalman`, and `adapt` if Q learns.
+    """Base class; see the module. A method sets `name` and `not_kalman`, and overrides `adapt` if Q learns.
 
     dt: s. bound: noise bounds and the start's half-widths in standard deviations of the plant's Q, R and P0, wider where
     several numbers share one bound, so that all are left as rarely; or given
@@ -92,7 +92,8 @@ class SetMembership:
     errors; batch, the source's way of that; scalar, where each error is bounded alone; or ud, the same on factors. cut: how
     much a measurement weighs (`ellipsoid.strip_cut`; default trace, source for batch and ud). remainder: taylor, interval, or none,
     which neglects it and guarantees nothing; remainder_box: `ellipsoid.around_box`. weights (n_x + n_theta,): in traces.
-    restart: start again when the set is empty. Raises ConfigError."""
+    restart: start again when the set is empty. Raises ConfigError.
+    """
 
     system: Any
     dt: float
@@ -162,9 +163,9 @@ class SetMembership:
         return Carry(z, self.prior, np.ones(self.n), none, np.ones(()), z, self.near_prior)
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
-        """One step. Estimate.x_cov and theta_cov are blocks of the ellipsoid's shape P: the bound of a component is its
-        estimate plus and minus the square root of its diagonal element. innovation_cov: shape of an ellipsoid around all
-        innovations the bounds allow."""
+        """Predict over dt with input u, then cut by y where valid. Estimate.x_cov and theta_cov are blocks of the ellipsoid's shape P: the
+        bound of a component is its estimate plus and minus the square root of its diagonal element. innovation_cov: shape of an ellipsoid
+        around all innovations the bounds allow."""
         n_x, step = self.n_x, self.dt if dt is None else dt
         valid = jnp.asarray(valid, bool)
         ahead = self._predict(carry, u, step)
@@ -232,7 +233,7 @@ class SetMembership:
             return jnp.concatenate([x, system.h(x, u, point[n_x:])])
 
         def about(state, first):
-            """One round; the first bounds the remainder over all of S, for want of better."""
+            """A Gauss-Newton round; the first round bounds the remainder over all of S."""
             point, allowed, best = state
             value, J = linearise.once(both, point)
             H = J[n_x:]
@@ -288,7 +289,7 @@ class SetMembership:
         return z, ellipsoid.factored(P) if self.form == "ud" else P, near, near_shape
 
     def adapt(self, q, cutting: Cutting, health, dt):
-        """New factors on Q's diagonal: the same. Methods that learn Q say more."""
+        """New factors on Q's diagonal: unchanged here; methods that learn Q override this."""
         return q
 
     @property
@@ -318,7 +319,7 @@ class SetMembership:
         return jnp.diag((jnp.asarray(self.theta_drift) * dt) ** 2)
 
     def _radius(self, m: int) -> float:
-        """Of an ellipsoid that m Gaussian numbers leave about as rarely as one leaves `bound` standard deviations."""
+        """Radius of an ellipsoid that m Gaussian numbers leave about as rarely as one number leaves `bound` standard deviations."""
         return self.bound + m**0.5 - 1.0
 
     def _error_bound(self, u, form):
@@ -384,10 +385,9 @@ class SetMembership:
         return H, e, left * bound**2 + right * ellipsoid.around_box(half)
 
     def _least(self, ahead: Ahead, H, e, limit, valid):
-        """(cut, near): the smaller of two joint cuts, each of which holds all that is possible; and x as a cut that trusts the
-        measurement has it. Small share and weight leave theta as it was, while little is learned; large ones pay where much
-        is. health: also whether every row alone is possible, which no share enters.
-        """
+        """(cut, near): the smaller of two joint cuts, both of which hold every possible state; and x as a cut that trusts the measurement
+        gives it. Small share and weight leave theta as it was while little is learned; large ones pay where much is. health: includes
+        whether every row alone is possible, which no share enters."""
         H, R = jnp.where(valid[:, None], H, 0.0), jnp.diag(limit)
         share, weight = np.array(TRIED).T
         left, right = (part[:, None, None] for part in ellipsoid.parts(share * ahead.b / (1 + (share - 1) * ahead.b)))
@@ -485,7 +485,7 @@ class SetMembership:
         return lax.cond(valid.any() & leaves, narrowed, lambda: cut)
 
     def _rows(self, cut, z, shape, H, e, limit, valid):
-        """One valid measurement after the other; e: measured minus predicted at z."""
+        """Cut by one valid measurement after the other; e: measured minus predicted at z."""
 
         def row(state, measurement):
             a, P, health = state

@@ -110,7 +110,7 @@ def corrected(L: Array, y: Transformed, K: Array, R: Array) -> Array:
 
 
 def joint_step(system, w: Weights, z, P, noise, u, y, valid, dt, limit: Callable = lambda theta: theta):
-    """One step of a filter of states and losses together: (z, P, Estimate, predicted z).
+    """Predict and update a filter of states and losses together: (z, P, Estimate, predicted z).
 
         z- = sum w (f(chi), chi_theta),   P- = P_f + noise;   points drawn again from (z-, P-):  y-, P_yy, P_zy
         S = P_yy + R,   K = P_zy S^-1;   z = z- + K (y - y-),   P = P- - K S K'
@@ -160,8 +160,8 @@ def to_unit(n: int) -> Callable:
 
 
 class Unscented:
-    """What the unscented filters share. Not a method by itself: a method sets `name` and `not_kalman`, and `joint` to False where points
-    are drawn for the states only, not for the losses."""
+    """Base of the unscented filters. A method sets `name` and `not_kalman`, and `joint` to False where points are drawn for the states
+    only."""
 
     name = not_kalman = called = ""
     joint = True

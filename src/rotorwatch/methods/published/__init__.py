@@ -1,4 +1,4 @@
-"""Published methods on real flights, judged like the default one.
+"""Published methods on real flights, evaluated like the default method.
 
 log_plant.py        a flight's ticks as a plant and its table
 published.py        a method of the literature over them, with the decisions that all methods share

@@ -58,13 +58,13 @@ class Threshold:
         self.hyp = list_hypotheses(np.shape(B)[1])
 
     def init(self) -> Carry:
-        """Nothing seen yet."""
+        """The state before any estimate."""
         return Carry(
             np.zeros(4), np.full(4, 0.1**2), np.float64(0.0), np.float64(0.0), np.int32(0), np.int32(-1), np.int32(0)
         )
 
     def step(self, carry: Carry, estimate, dt) -> tuple[Carry, Decision]:
-        """One time step of dt s."""
+        """Advance by dt seconds."""
         import jax.numpy as jnp
 
         hyp, B = self.hyp, jnp.asarray(self.B)

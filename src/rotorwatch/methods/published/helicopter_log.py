@@ -1,4 +1,4 @@
-"""A helicopter's log as the table of its plant, any estimator over it, and which actuator does not follow its command.
+"""A helicopter's log as the table of its plant, any estimator over it, and the actuators that do not follow their commands.
 
     U = (1 - loss) u + bias          deviation = U - u = bias - loss u
 
@@ -62,7 +62,7 @@ START_REACH = np.repeat([0.05, 0.02], ACTUATORS)  # of losses and displacements:
 
 
 class Table(NamedTuple):
-    """What an estimator steps over: time (T,); u (T, 6): commands, roll, pitch; y (T, 6): body velocities and rates; valid; dt [s]."""
+    """Input of an estimator: time (T,); u (T, 6): commands, roll, pitch; y (T, 6): body velocities and rates; valid; dt [s]."""
 
     time: np.ndarray
     u: np.ndarray
@@ -73,8 +73,8 @@ class Table(NamedTuple):
 
 @dataclass(frozen=True)
 class Estimated:
-    """theta and off (T, 8): losses, then displacements, and what they may be off by (95 %, or the half-width of a set); deviation,
-    deviation_off (T, 4); found (4,): when each actuator was named [s], NaN if never. itself: the method's series."""
+    """theta and off (T, 8): losses, then displacements, and their uncertainty (95 %, or the half-width of a set); deviation, deviation_off
+    (T, 4); found (4,): when each actuator was named [s], NaN if never. itself: the method's own series."""
 
     table: Table
     theta: np.ndarray
@@ -141,8 +141,7 @@ def _to_body(q: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def helicopter(airframe: str) -> dict[str, Any]:
-    """What is known of a helicopter: of one that a paper describes, by its name, or of an airframe file (TOML, as those of the papers).
-    Raises ConfigError."""
+    """Data of a helicopter: one described by a paper, by name, or an airframe file (TOML, in the papers' format). Raises ConfigError."""
     if airframe.endswith(".toml") or "/" in airframe:
         return files.toml(airframe, "airframe file")[0]
     if airframe not in airframes.papers() or "main" not in airframes.paper(airframe):
@@ -187,7 +186,7 @@ def healthy_start(estimator: Any) -> Any:
 
 
 def notes(estimator: Any) -> tuple[str, ...]:
-    """What the figures rest on, and what they neglect."""
+    """Basis and neglected effects of the estimates."""
     if not isinstance(estimator, SetMembership):
         return (AIR, "process and measurement noise are tuned for these logs, not learned from this one", TRIM)
     neglected = (

@@ -1,4 +1,4 @@
-"""Which losses can be distinguished at all: exact observability of states and losses, and how well a flight of some seconds shows them.
+"""Observability of states and losses: which losses can be distinguished at all, and how precisely a flight of some seconds shows them.
 
 Locally observable is what the output's time derivatives determine (Birk and Zeitz 1992; Niermeyer, Pak and Lohmann 2017, eq. 4):
 
@@ -43,8 +43,8 @@ POINTS = 48  # along it
 
 @dataclass(frozen=True)
 class Case:
-    """One way of flying. rank: of Q_obs, the least on the way. singular_values (n,): relative to the largest, at that point.
-    sd (n_theta,): of each loss after SPAN_S, from nothing known. along (T, n): singular values over time."""
+    """Observability in one flight condition. rank: of Q_obs, the least along the path. singular_values (n,): relative to the largest, at
+    that point. sd (n_theta,): of each loss after SPAN_S, from nothing known. along (T, n): singular values over time."""
 
     name: str
     rank: int
@@ -54,7 +54,7 @@ class Case:
 
     @property
     def worst_sd(self) -> float:
-        """The least known loss."""
+        """Standard deviation of the least known loss."""
         return float(self.sd.max())
 
 
@@ -82,7 +82,7 @@ class Observability:
 
     @property
     def summary(self) -> str:
-        """What it comes down to, in a sentence or two."""
+        """The result in a sentence or two."""
         hover, moving = self.cases
         if hover.rank == self.unknowns:
             return "Hover alone shows every loss."
@@ -113,7 +113,7 @@ class Observability:
         }
 
     def to_json(self) -> str:
-        """The same as JSON text."""
+        """JSON text of `to_dict`."""
         return json.dumps(self.to_dict(), indent=1, allow_nan=False)
 
     def figure(self, path: str | os.PathLike | None = None):
@@ -268,7 +268,8 @@ def taylor_outputs(system, x, u, theta, orders: int):
 
 
 def lie_outputs(system, x, u, theta, orders: int):
-    """The same by definition: L^{k+1} h = dL^k h / dx f + dL^k h / dt, forward derivatives nested. Slow beyond order five."""
+    """The derivatives of `taylor_outputs` by definition: L^{k+1} h = dL^k h / dx f + dL^k h / dt, forward derivatives nested. Slow beyond
+    order five."""
     jax = load_jax()
     jnp = jax.numpy
     factorial = np.cumprod(np.concatenate([[1.0], np.arange(1.0, orders + 1)]))

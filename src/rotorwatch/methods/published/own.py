@@ -1,4 +1,4 @@
-"""What a published method itself says at each step, and the same of a flight as series."""
+"""The raw output of a published method at each step, and as series over a flight."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Own(namedtuple("Own", "theta theta_cov x x_var innovation innovation_var s
 
 
 def own(out: Any) -> Own:
-    """Of a method's output: an `Estimate`, or a named tuple that holds one."""
+    """The raw estimate in a method's output: an `Estimate`, or a named tuple that holds one."""
     import jax.numpy as jnp
 
     e = getattr(out, "estimate", out)
@@ -25,7 +25,7 @@ def own(out: Any) -> Own:
 
 
 def says(estimator: Any) -> str:
-    """What stands in the covariances of that estimator: those of an interval, or the shape of a set."""
+    """Describes the covariances of that estimator: interval, or shape of a set."""
     from rotorwatch.methods.maths.set_membership import SetMembership
 
     return SET if isinstance(estimator, SetMembership) else INTERVAL

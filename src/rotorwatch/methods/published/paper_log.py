@@ -68,7 +68,7 @@ class Seen(NamedTuple):
 
 
 def numbers(vehicle: Vehicle) -> Numbers:
-    """Of a vehicle whose file has FIELDS under [extra]. Raises ConfigError that names what is missing or wrong."""
+    """Physical parameters of a vehicle whose file has FIELDS under [extra]. Raises ConfigError that names what is missing or wrong."""
     given: Mapping[str, Any] = vehicle.extra or {}
     if missing := [name for name in FIELDS if name not in given]:
         raise ConfigError(

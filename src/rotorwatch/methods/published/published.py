@@ -1,4 +1,4 @@
-"""A published method on a real flight: from ticks to outputs in the form of the default diagnoser's, so that all else is shared.
+"""A published method on a real flight, with outputs in the form of the default diagnoser's, so that all later stages are shared.
 
 Each hop of the flight becomes a plant and a table (log_plant.py), the method runs over it with the threshold of methods/published/decide.py
 behind it, and its announcements are recorded as the default estimator's outputs are: engine/host/events.py and all after it
@@ -37,7 +37,7 @@ MODEL_SD = 0.004  # of a loss: rotors are not equal
 
 
 class Tuning(NamedTuple):
-    """What `rotorwatch tune` finds: factors on the plant's noise, and the method's own keywords.
+    """Result of `rotorwatch tune`: factors on the plant's noise, and the method's own keywords.
 
     q (n_x,), r (n_y,): factors on the variances of process and measurement noise. keywords: such as theta_walk.
     """
@@ -86,7 +86,7 @@ def method(name: Any, system, dt: float, tuning: Tuning | None = None):
 
 
 class Output(namedtuple("Output", "estimate decision level scatter")):
-    """One step: the method's estimate, the threshold's decision, and the level and scatter (4,) it is held against."""
+    """Output of a step: the method's estimate, the threshold's decision, and the level and scatter (4,) it is compared with."""
 
 
 class Watched:
@@ -97,11 +97,11 @@ class Watched:
         self.system = estimator.system
 
     def init(self):
-        """Carries of all."""
+        """Initial carries of the method and all thresholds."""
         return self.estimator.init(), tuple(threshold.init() for threshold in self.thresholds)
 
     def step(self, carry, u, y, valid):
-        """One time step: an `Output` per threshold."""
+        """Advance by one step: an `Output` per threshold."""
         first, out = self.estimator.step(carry[0], u, y, valid)
         estimate = getattr(out, "estimate", out)
         found = [t.step(c, estimate, self.dt) for t, c in zip(self.thresholds, carry[1], strict=True)]
@@ -110,7 +110,7 @@ class Watched:
 
 
 class Seen(namedtuple("Seen", "theta innovation innovation_var log_odds statistic alarm onset best level scatter")):
-    """What an answer needs of a step: theta (n,), innovation and its variances (n_y,), and the decision."""
+    """The part of a step that a diagnosis needs: theta (n,), innovation and its variances (n_y,), and the decision."""
 
 
 def seen(outputs: Sequence[Output]) -> tuple[Seen, ...]:
@@ -128,7 +128,7 @@ def seen(outputs: Sequence[Output]) -> tuple[Seen, ...]:
 
 
 def both(outputs: Sequence[Output]) -> tuple[Own, Seen]:
-    """What the method itself says at a step, and what the first threshold makes of it."""
+    """The method's raw output at a step, and the decision of the first threshold."""
     return own.own(outputs[0]), seen(outputs[:1])[0]
 
 
@@ -155,8 +155,8 @@ def builder(name: Any, dt: float, keywords: tuple = (), decisions: Decisions = (
 def run_hop(
     name: Any, hop: LogPlant, B: np.ndarray, time: np.ndarray, number: int, tuning: Tuning | None = None, progress=None
 ) -> tuple[MethodSeries, Seen]:
-    """The method over one hop, the flight's `number`-th, of ticks at `time`: what it itself says, and what the threshold makes of it.
-    Native code where there is a compiler: XLA takes four times as long to build it."""
+    """Run the method over one hop, the flight's `number`-th, of ticks at `time`: raw output, and the threshold's decisions. Native code
+    where there is a compiler: XLA takes four times as long to build it."""
     tuning = tuning or Tuning()
     parameters: dict[str, Any] = {"plant": hop.parameters, "B": B}
     parameters |= {k: np.asarray(v) for k, v in (("q", tuning.q), ("r", tuning.r)) if v is not None}
@@ -185,8 +185,8 @@ def judge(
     progress=None,
     hops: Sequence[LogPlant] | None = None,
 ) -> tuple[TickOutput, MethodSeries | None]:
-    """The outputs of a published method on every tick of a flight, in the default estimator's form, and what the method itself says on the
-    judged ticks; None where no part of the flight was judged.
+    """Outputs of a published method on every tick of a flight, in the default estimator's form, and its raw output on the judged ticks;
+    None where no part of the flight was judged.
 
     hops: of `log_plant.hops`, when they are known already. Ticks outside the judged hops hold zeros. biases: the missing
     wrench besides that of the losses shown. log_odds: of `list_hypotheses(n)`. Raises ConfigError for an unknown method and slow logs.
@@ -204,7 +204,7 @@ def judge(
 def itself(
     name: Any, table: Ticks, B: np.ndarray, hops: Sequence[LogPlant], tuning: Tuning | None = None, progress=None
 ) -> MethodSeries:
-    """What the method itself says on the judged ticks of a flight with such hops, of at least one; nothing is decided."""
+    """Raw output of the method on the judged ticks of a flight with at least one such hop, without decisions."""
     return joined([run_hop(name, hop, B, table.time, k, tuning, progress)[0] for k, hop in enumerate(hops, start=1)])
 
 

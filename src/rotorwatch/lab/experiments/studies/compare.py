@@ -1,4 +1,4 @@
-"""One table: every estimator on the same flights, the default method among them.
+"""Comparison of all estimators on the same flights, the default method among them.
 
 Each flight becomes ticks once. The default method judges them on its own plant, a published one as `published.judge` runs it;
 events are read the same way from both. Per estimator and group of flights:
@@ -36,7 +36,8 @@ COLUMNS = ("flights", "faults", "loss_rmse", "delay_s", "right", "named", "false
 
 
 class Compared(NamedTuple):
-    """One estimator on all flights. rows: group of flights -> measures; us_per_step; why: it could not run, a sentence, else empty."""
+    """Results of one estimator on all flights. rows: group of flights -> measures; us_per_step; why: reason why it could not run, a
+    sentence, else empty."""
 
     name: str
     rows: dict[str, dict[str, Any]]
@@ -80,7 +81,7 @@ def known(names: Sequence[str]) -> list[str]:
 
 
 def gathered(scenes: Sequence[Scene], found: Sequence[Compared]) -> dict[str, Any]:
-    """What `compare` returns, of these estimators."""
+    """Result of `compare` for these estimators."""
     groups: dict[str, dict] = {s.group: {} for s in scenes}
     for one in found:
         for group, row in one.rows.items():
@@ -92,7 +93,7 @@ def gathered(scenes: Sequence[Scene], found: Sequence[Compared]) -> dict[str, An
 
 
 def line(one: Compared) -> str:
-    """An estimator's measures in a line, for who waits for the others."""
+    """An estimator's measures in a line, for progress output."""
     if one.why:
         return f"{one.name}: {one.why}"
     parts = []
@@ -103,7 +104,7 @@ def line(one: Compared) -> str:
 
 
 def _trial(name: str, scene: Scene) -> dict:
-    """What became of one flight."""
+    """Outcome of one flight."""
     table = scene.ticks
     if name == "default":
         done = estimated(scene.ready)
@@ -133,7 +134,7 @@ def _trial(name: str, scene: Scene) -> dict:
 
 
 def _row(trials: list[dict]) -> dict:
-    """One line of the table: all flights of one group."""
+    """Row of the table: all flights of one group."""
     faulty = [t for t in trials if t["fault"]]
     delays = [t["delay_s"] for t in faulty if "delay_s" in t]
     squares = [t["square"] for t in faulty if t["square"] is not None]
@@ -164,7 +165,8 @@ def microseconds(name: str, scenes: Sequence[Scene]) -> float:
 
 
 def timings(name: str, scenes: Sequence[Scene], repeats: int) -> list[float]:
-    """The same, every one of so many repeats; NaN for a published method where no scene has a hop to be judged."""
+    """Time of one step as in `microseconds` [us], for each of so many repeats; NaN for a published method where no scene has a hop to
+    evaluate."""
     scene = min(scenes, key=lambda s: s.B.shape[1])
     if name == "default":
         table, B = scene.ticks, scene.B
@@ -196,7 +198,7 @@ def _timed(go: Callable, repeats: int) -> list[float]:
 
 
 def cell(key: str, value: Any) -> str:
-    """A measure as people read it."""
+    """A measure as text."""
     if value is None:
         return "-"
     if key in ("flights", "faults", "false_alarms"):

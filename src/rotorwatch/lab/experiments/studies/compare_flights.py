@@ -41,8 +41,8 @@ TURN_SD, TURN_S = 0.12, 2.5  # rad: how the pilot tilts
 
 @dataclass(frozen=True)
 class Scene:
-    """One flight to judge. group: which line of the table. ready: as `diagnose` has it before an estimator sees it. faults: (rotor,
-    onset s, loss), 1-based; none when it is healthy."""
+    """A flight to evaluate. group: row of the table. ready: input of `diagnose` before the estimator. faults: (rotor, onset s, loss),
+    1-based; none when it is healthy."""
 
     group: str
     name: str
@@ -124,7 +124,7 @@ def simulate(vehicle: Vehicle, losses, rotors, onsets, rng: np.random.Generator)
 
 
 def _flight(vehicle: Vehicle, command, gyro, f_z, angle) -> Flight:
-    """The log of one simulated flight: outputs and attitude at 50 Hz, inertial sensors at 100 Hz, after a second on the ground."""
+    """Log of one simulated flight: outputs and attitude at 50 Hz, inertial sensors at 100 Hz, after a second on the ground."""
     time = LANDED_S + STEP * np.arange(len(command))
     curve = vehicle.curve
     drive = allocation.drive(curve.expo, HOVER * command)
@@ -169,7 +169,7 @@ def injected(paths: Sequence[str | PathLike], losses: Sequence[float] = (0.2, 0.
 
 
 def with_truth(paths: Sequence[str | PathLike], truth: str | PathLike) -> list[Scene]:
-    """Scenes of logs whose faults a CSV file tells: columns path, faulty_rotors (1+2), thrust_loss, start_s; log names decide.
+    """Scenes of logs with a CSV table of faults: columns path, faulty_rotors (1+2), thrust_loss, start_s; matched by log name.
 
     Left out: logs that the file does not list, losses it does not know, and (column faults) those that change on the way.
     Raises ConfigError for other files.

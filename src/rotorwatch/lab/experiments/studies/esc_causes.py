@@ -1,4 +1,4 @@
-"""How often ESC telemetry names the right cause: simulated flights of known faults, diagnosed as any log.
+"""Accuracy of causes named from ESC telemetry: simulated flights of known faults, diagnosed like any log.
 
     python -m rotorwatch.lab.experiments.studies.esc_causes --flights 240 --seed 1
 
@@ -62,7 +62,7 @@ def flights(count: int, seed: int) -> Iterator[tuple[str, int | None, scenario.S
 
 
 def answer(found: Diagnosis, rotor: int | None) -> str:
-    """What the diagnosis says of the faulty rotor (of any where None), as one of ANSWERS."""
+    """The diagnosis of the faulty rotor (of any where None), as one of ANSWERS."""
     losses = [e for e in found.events if e.means.weakens]
     own = [e for e in losses if rotor is None or rotor in e.suspects]
     named = [e for e in own if "cause" in e.extra and (rotor is None or e.rotors == (rotor,))]

@@ -1,4 +1,4 @@
-"""Does thrust from speed squared serve the default method better than thrust from the command? Both views of the same simulated flights.
+"""Thrust from speed squared against thrust from the command, for the default method: both views of the same simulated flights.
 
     python -m rotorwatch.lab.experiments.studies.esc_thrust --repeats 3
 
@@ -57,7 +57,7 @@ def judged(flight: Flight, view: str) -> tuple[Event, ...]:
 
 
 def flown(kind: str | None, strength: float, wind: float, expo: float, autopilot: str, frame: str, seed: int) -> Flight:
-    """One simulated flight with ESC telemetry; expo: of the curve that the autopilot believes in (true: 0.65)."""
+    """A simulated flight with ESC telemetry; expo: of the curve that the autopilot assumes (true: 0.65)."""
     fault = {"kind": kind, "rotor": ROTOR, "onset_s": ONSET_S, "strength": strength}
     table = {
         "duration_s": 70.0,
@@ -73,7 +73,7 @@ def flown(kind: str | None, strength: float, wind: float, expo: float, autopilot
 
 
 def rows(repeats: int, cases: Sequence[tuple[str | None, float]] = CASES) -> list[dict]:
-    """One row a case, wind, curve and view, over both autopilots, quad and hexa and `repeats` seeds."""
+    """A row for each case, wind, curve and view, over both autopilots, quad and hexa and `repeats` seeds."""
     found = []
     for (kind, strength), wind, expo in itertools.product(cases, (0.0, 5.0), (0.65, 0.2)):
         cells = {view: [] for view in VIEWS}

@@ -1,4 +1,4 @@
-"""How often the default diagnoser raises a false alarm on real noise: surrogate flights made from healthy ones.
+"""False-alarm rate of the default diagnoser on real noise: surrogate flights made from healthy ones.
 
 A healthy flight is split, axis by axis, into what its motion explains and what is left over, y = G m + c r + e (plant:
 `systems.wrench_balance`). Residuals e and motion (r, dr/dt, load) then become a new flight with the same statistics:
@@ -78,7 +78,7 @@ class Source:
 
 
 def source(flight: Flight, vehicle: Vehicle) -> Source:
-    """Split a healthy flight into motion and residuals; ConfigError when it has no 20 s that can be judged."""
+    """Split a healthy flight into motion and residuals. Raises ConfigError if less than 20 s of it can be evaluated."""
     air = airborne(flight)
     table = observe(flight, vehicle, air, ready_s(vehicle))
     part = _longest(table, air) if table is not None else slice(0, 0)
@@ -187,7 +187,7 @@ def phases(values: np.ndarray, rng: np.random.Generator, iterations: int = ITERA
 
 
 def surrogate(source: Source, rng: np.random.Generator, flight_s: float = FLIGHT_S) -> Ticks:
-    """One surrogate flight of about `flight_s`: learning as after a take-off, then judged to its end."""
+    """A surrogate flight of about `flight_s`: learning as after a take-off, then evaluated to its end."""
     dt, n = source.table.dt, source.table.thrust.shape[1]
     # Whole chunks of the compiled program: no tick is computed in vain.
     count = CHUNK * max(1, round(flight_s / dt / CHUNK))
@@ -311,7 +311,7 @@ def false_alarms(
 
 
 class _Part(NamedTuple):
-    """What surrogates of one healthy flight come to, and the flight itself. firsts: shift -> (first alarms, hours up to them)."""
+    """Result of surrogates of one healthy flight, and of the flight itself. firsts: shift -> (first alarms, hours up to them)."""
 
     row: dict[str, Any]
     flown: dict[str, Any]
@@ -364,7 +364,7 @@ def _surrogates(
 
 
 def describe(result: dict[str, Any]) -> str:
-    """What `false_alarms` found, as text of at most 80 columns."""
+    """The result of `false_alarms` as text of at most 80 columns."""
 
     def line(name, count, hours, r):
         return f"{name[:30]:<30} {hours:7.2f} h {count:6d}   {r['rate']:7.2f}   {r['low']:7.2f} to {r['high']:.2f}"

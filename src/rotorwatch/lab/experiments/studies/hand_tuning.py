@@ -75,7 +75,7 @@ def atsukf() -> Paper:
 
 
 def lyapunov_mhe() -> Paper:
-    """Niermeyer 2017: gyro 0.01 rad/s, accelerometer 0.3 m/s^2; no covariance is printed: the plant's own are the hand's."""
+    """Niermeyer 2017: gyro 0.01 rad/s, accelerometer 0.3 m/s^2; no covariance is printed: the plant's own count as hand-tuned."""
     from rotorwatch.methods.maths.systems.rate_dynamics import RateDynamics
 
     plant = RateDynamics.of(airframes.paper("niermeyer-hexa"))
@@ -168,8 +168,8 @@ def study(names: Sequence[str] = (), rounds: int = tune.ROUNDS, progress: Callab
 
 
 def _rmse(table: Table, truth: np.ndarray, tuning: published.Tuning) -> float:
-    """Of all losses, once the filter has settled. Where a plant has biases as well, which of the two it was shows only while the
-    command moves: there it is the actuators' outputs that are compared."""
+    """RMSE of all losses, once the filter has settled. A plant with biases cannot tell losses from biases while the command is constant:
+    there the actuators' outputs are compared."""
     estimator = published.method(METHOD, table.system, table.dt, tuning)
     _, theta = run(estimator, table.u, table.y, table.valid, select=tools.losses)
     error = theta - truth

@@ -59,7 +59,7 @@ class Craft:
 
 
 def craft(file: dict) -> Craft:
-    """Of an airframe file: eq. (3), for any number of rotors."""
+    """The craft of an airframe file: eq. (3), for any number of rotors."""
     x, y, spin = (np.array(file["rotors"][k], float) for k in ("x", "y", "spin"))
     thrust = file["thrust_max"] / file["counts_max"]
     M = thrust * np.stack([-y, x, file["drag_ratio"] * spin, np.ones(x.size)])

@@ -162,7 +162,7 @@ def claims(f: dict) -> tuple[Claim, ...]:
 
 
 def _seconds(value: float | None) -> str:
-    """As text; what never settles is NaN in a run and None in a kept result."""
+    """Seconds as text; a run that never settles is NaN, and None in a kept result."""
     return "never" if value is None or np.isnan(value) else f"{value:.2f}"
 
 

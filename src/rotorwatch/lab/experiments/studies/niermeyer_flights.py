@@ -74,7 +74,7 @@ def allocate(B, v, weight):
 
 
 def fly(airframe, loss, eight, seed_noise, disturbance):
-    """One flight. airframe: the tables of an airframe file as arrays; loss (n,); eight 0 or 1; seed_noise (T, 4) standard normal;
+    """Simulate a flight. airframe: the tables of an airframe file as arrays; loss (n,); eight 0 or 1; seed_noise (T, 4) standard normal;
     disturbance (T, 3) torque [N m] held over each step. Returns a `Flight`. Pure: vmap over loss, noise and so on."""
     jax = load_jax()
     jnp = jax.numpy

@@ -235,7 +235,7 @@ def _tells(one: dict) -> bool:
 
 
 def _tightest(esmf: dict, gd: dict) -> Verdict:
-    """Whether GD-ESMF covers and its bounds are narrower than ESMF's, before the fault and after it."""
+    """True if GD-ESMF covers the truth and its bounds are narrower than ESMF's, before the fault and after it."""
     sharper = gd["half_width_healthy"] < NARROWER * esmf["half_width_healthy"]
     after = gd["half_width"] < NARROWER * esmf["half_width"]
     return graded(_covers(gd) and sharper and after, _covers(gd) and (sharper or after))

@@ -225,9 +225,9 @@ def against_kalman() -> float:
 
 
 def against_augmented(system: RigidBody, u, pose) -> dict:
-    """Largest difference of the two-stage filter's losses from the augmented UKF's in one flight (Q1), and how long a step takes of
-    either and of the adaptive one: as exported C where a compiler is there (JAX copies the adaptive filter's window in every step), one
-    after the other, over and over, by the processor's clock, the shortest of each."""
+    """Largest difference of the two-stage filter's losses from the augmented UKF's in one flight (Q1), and the time of a step of either and
+    of the adaptive one: as exported C where a compiler is available (JAX copies the adaptive filter's window in every step), in turns,
+    processor time, the shortest of each."""
     y = measure(pose, NOISE, 0)
     tuned = {m.name: m(system, DT, theta_walk=WALKS["q1"] / DT, theta_var=P0_THETA) for m in (TSUKF, ATSUKF, UKF)}
     found: dict[str, np.ndarray] = {}
@@ -245,7 +245,7 @@ def against_augmented(system: RigidBody, u, pose) -> dict:
 
 
 def as_printed(system: RigidBody, u, pose, truth, reading: str) -> dict:
-    """What one printed slip does in one flight: largest difference of losses from the filter as built, and RMSE."""
+    """Effect of one printed slip in one flight: largest difference of losses from the filter as built, and RMSE."""
     jax = load_jax()
     y, out = measure(pose, NOISE, 0), {}
     walks = np.array(list(WALKS.values()))
@@ -305,7 +305,7 @@ def claims(f: dict) -> tuple[Claim, ...]:
 
 
 def _slip(name: str, found: dict) -> Claim:
-    """What a reading as printed does."""
+    """The claim about a reading as printed."""
     measured, why = "diverges", "The sensitivities are off by a factor of the spread."
     if np.isfinite(found["difference_q1"] + found["difference_q2"]):
         measured = f"losses differ by up to {found['difference_q1']:.2g} (Q1) and {found['difference_q2']:.2g} (Q2)"

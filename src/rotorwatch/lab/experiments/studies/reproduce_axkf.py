@@ -1,4 +1,4 @@
-"""Rot, Hasan and Manoonpong 2020: an adaptive exogenous Kalman filter on a hovering hexarotor of which two motors weaken.
+"""Rot, Hasan and Manoonpong 2020: an adaptive exogenous Kalman filter on a hovering hexarotor, two of whose motors weaken.
 
 Noise-free flights with the paper's tuning, as in the paper; then what happens with noise, with other tunings, and with wrong
 starts, for which the observer stage is there.
@@ -60,7 +60,7 @@ class AsPrinted(AXKF):
         self.literal = literal
 
     def step(self, carry: Carry, u, y, valid, dt=None):
-        """One step; only for plants with y = C x."""
+        """Predict and update as printed; only for plants with y = C x."""
         import jax.numpy as jnp
 
         if not {"innovation", "two_predictions"} & set(self.literal):

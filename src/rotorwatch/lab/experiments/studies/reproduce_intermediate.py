@@ -190,7 +190,7 @@ def _settling_s(theta, true, onset: int) -> float:
 
 
 def _inequality(epsilon: float) -> dict:
-    """Whether the matrix inequality has a solution for the printed epsilon (its inverse where read the other way)."""
+    """Feasibility of the matrix inequality for the printed epsilon (its inverse where read the other way)."""
     A, C, E = design.double_integrators()
 
     def solve(epsilon):
@@ -214,7 +214,7 @@ def _inequality(epsilon: float) -> dict:
 
 
 def _balance(flights, runs) -> dict:
-    """What the yaw gain changes between scenarios 1 and 2, which are the same flight: means, and noise on the yaw fault."""
+    """Effect of the yaw gain between scenarios 1 and 2, which are the same flight: means, and noise on the yaw fault."""
     one, two = (flights.rows[f"scenario_{k}"] for k in (1, 2))
     theta, yaw = runs[1.0].theta[:, -LAST:], runs[1.0].fault[:, -LAST:, 6]
     change = np.abs(theta[one].mean(axis=(0, 1)) - theta[two].mean(axis=(0, 1))).max()
@@ -226,13 +226,13 @@ def _balance(flights, runs) -> dict:
 
 
 def _true_fault(file: dict, flights, k) -> np.ndarray:
-    """(T, 4) what the rotors of flight k lack, as the observer's fault has it: yaw times the gain."""
+    """(T, 4) true wrench deficit of flight k, in the units of the observer's fault: yaw times the gain."""
     fault = error_bound.truth(hover_flights.craft(file), flights.u[k], flights.y[k], flights.gamma[k])[0]
     return fault * np.array([1.0, 1.0, flights.nu[k], 1.0])
 
 
 def _channels(file: dict, flights, runs) -> dict:
-    """Of every scenario and channel: the fault at the end as injected and as estimated, without the gain; mean and scatter with noise."""
+    """For every scenario and channel: the fault at the end as injected and as estimated, without the gain; mean and scatter with noise."""
     out = {}
     for name in SCENARIOS:
         clean, noisy = flights.rows[name][0], flights.rows[name][1:]
@@ -282,7 +282,7 @@ def _as_printed(file: dict, flights, moving) -> dict:
 
 
 def _long(file: dict, rng) -> tuple[dict, dict]:
-    """Of every scenario with its faults at the printed times: final losses, and series."""
+    """For every scenario with its faults at the printed times: final losses, and series."""
     vehicle = hover_flights.craft(file)
     u, y, gamma = printed.long_flights(vehicle, SCENARIOS, rng)
     nu = np.array([gain for _, gain in SCENARIOS.values()])
@@ -437,7 +437,7 @@ def _claims(f: dict) -> tuple[Claim, ...]:
 
 
 def _bound_claim(found: dict) -> Claim:
-    """Theorem 1: is the bound held at every sample of every flight, and how much wider is it than the errors?"""
+    """Theorem 1: whether the bound holds at every sample of every flight, and its ratio to the errors."""
     flights, climbing = found["flights"], found["flights"]["climbing"]
     held = [name for name, row in flights.items() if row["held"]]
     within = climbing["error"] <= climbing["bound"]
@@ -463,7 +463,7 @@ def _channel_claim(channels: dict) -> Claim:
 
 
 def _off_claims(position: dict) -> tuple[Claim, ...]:
-    """Figures 3, 7, 11, 15: how far the vehicle leaves its place. The controller's gains are not printed."""
+    """Figures 3, 7, 11, 15: distance of the vehicle from its place. The controller's gains are not printed."""
     verdicts, texts = {}, {}
     for name, wanted in DEVIATION.items():
         off = np.array(position[name]["off_m"])[:, :, :2]
@@ -484,7 +484,7 @@ def _off_claims(position: dict) -> tuple[Claim, ...]:
 
 
 def _met(off, wanted, axis: int) -> bool:
-    """Whether deviations off (spans, 2) are near all those of an axis that the paper names."""
+    """True if deviations off (spans, 2) are near all those of an axis that the paper names."""
     pairs = [(o[axis], w[axis]) for o, w in zip(off, wanted, strict=True) if w[axis] is not None]
     return all(abs(o / w - 1.0) < ALIKE for o, w in pairs)
 

@@ -51,7 +51,7 @@ class AtEstimate(Lyapunov):
     """Eq. (6) as printed: the plant, its gyroscopic term included, is taken at the observer's state, not at the measured one."""
 
     def step(self, carry: State, u, y, valid, dt=None) -> tuple[State, Estimate]:
-        """As `Lyapunov`."""
+        """Predict and update as in `Lyapunov`."""
         return super().step(carry._replace(measured=carry.x), u, y, valid, dt)
 
 
@@ -237,7 +237,7 @@ def mhe_vs_nlp(system: RateDynamics, flown: flights.Flight) -> float:
     window, n = jax.tree.map(np.asarray, carry.window), thorough.n
 
     def residuals(flat):
-        """Written anew from the definition of the problem: noises of unit variance."""
+        """Residuals of unit variance, derived independently from the definition of the problem."""
         s = flat.reshape(-1, n)
 
         def interval(before, after, samples):
@@ -292,7 +292,7 @@ def claims(n: dict) -> tuple[Claim, ...]:
 
 
 def _read(name: str, row: dict) -> Claim:
-    """What eq. (6), read literally, changes."""
+    """The claim about eq. (6), read literally."""
     return Claim(
         f"Literal reading: {name}",
         LITERAL[name],

@@ -1,4 +1,4 @@
-"""What every `reproduce_<paper>` study returns: the paper's claims beside what comes out here, and the numbers behind them.
+"""Results of the `reproduce_<paper>` studies: the paper's claims, the results obtained here, and the numbers behind them.
 
 A study is a module `studies/reproduce_<paper>.py` with
 
@@ -36,8 +36,8 @@ Verdict = Literal["holds", "partly", "not reproduced", "refuted"]
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim: what it says, what the paper reports, what came out here, the verdict and why. Short sentences. only_if: under which
-    condition it holds, for the verdict "partly"."""
+    """A claim: its text, the paper's result, the result here, the verdict and its reason. Short sentences. only_if: condition under which
+    it holds, for the verdict "partly"."""
 
     claim: str
     paper: str
@@ -82,7 +82,7 @@ class Reproduction:
         }
 
     def to_json(self) -> str:
-        """The same as JSON text."""
+        """JSON text of `to_dict`."""
         return json.dumps(self.to_dict(), indent=1, allow_nan=False)
 
 
@@ -102,17 +102,17 @@ def methods(paper: str) -> tuple[str, ...]:
 
 
 def claimed(paper: str) -> tuple[str, ...]:
-    """What the paper claims, in the order of its study; {names} are filled in by a run."""
+    """The paper's claims, in the order of its study; {names} are filled in by a run."""
     return tuple(row["claim"] for row in _words(paper)["claims"].values())
 
 
 def claimed_as(paper: str, key: str) -> str:
-    """What one claim says, by its key."""
+    """Text of the claim with that key."""
     return _words(paper)["claims"][key]["claim"]
 
 
 def note(paper: str) -> str:
-    """What a reader must know before the claims: what is judged, or not run. Empty where nothing is."""
+    """Prerequisites for reading the claims: what was evaluated, or not run. Empty where there is nothing."""
     return _words(paper).get("note", "")
 
 
@@ -271,7 +271,7 @@ def _file_name(paper: str, literal: Sequence[str]) -> str:
 
 
 def silent(share: float, text: str = "") -> None:
-    """Progress that nobody watches."""
+    """Progress callback that does nothing."""
 
 
 def check_libraries(module: ModuleType) -> None:

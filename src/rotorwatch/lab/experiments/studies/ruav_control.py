@@ -91,7 +91,7 @@ class Designs:
         return tuple(int(k) for k in (*low, *high))
 
     def is_due(self, wanted: tuple, made_for: tuple, loose: float) -> bool:
-        """Whether an interval (of `key`) is not within that which a controller was made for, or one side could be `loose` tighter."""
+        """True if the interval (of `key`) is not within the one a controller was designed for, or one side could be tighter by `loose`."""
         inward = [
             *(w - m for w, m in zip(wanted[:3], made_for[:3])),
             *(m - w for w, m in zip(wanted[3:], made_for[3:])),

@@ -37,7 +37,7 @@ LOST = 20.0  # rad/s or m/s: what flies no more
 
 @dataclass(frozen=True)
 class Setting:
-    """What the paper leaves open. fault (8,): what is added to losses and displacements; dither: factor on DITHER; restart: of a Kalman
+    """Choices that the paper leaves open. fault (8,): added to losses and displacements; dither: factor on DITHER; restart: of a Kalman
     filter; eta: its rate of adaptation [1/s]; floor: of GD-ESMF's Q; sensors: factor on the errors of attitude and place; seed: of the
     noise; begin: first step flown."""
 
@@ -112,7 +112,7 @@ def _bumpless(state, old, new):
 
 
 def judged(flown: Flown) -> dict:
-    """What the claims look at: largest rates before the fault, in the first seconds after it and from then on [rad/s], whether it is
+    """Numbers that the claims use: largest rates before the fault, in the first seconds after it and from then on [rad/s], whether it is
     stable, and the share of steps at which the bounds hold the true coefficients."""
     at, late = FAULT_STEP - flown.begin, FAULT_STEP - flown.begin + round(SETTLE_S / DT)
     rates, well = np.abs(flown.x[:, 3:]), np.isfinite(flown.x).all() and np.abs(flown.x).max() < LOST

@@ -196,7 +196,7 @@ def _records(system, seed: int):
 
 
 def numbers(found: Identified) -> dict:
-    """What the claim says, and every parameter with its interval."""
+    """Numbers of the claim, and every parameter with its interval."""
     ahead = {name: fit(*predicted(found, which)) for name, which in (("model", "value"), ("simulator", "truth"))}
     held = np.abs(found.value - found.truth) <= SURE * found.deviation
     size = np.abs(found.truth)

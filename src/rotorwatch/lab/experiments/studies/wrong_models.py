@@ -1,4 +1,4 @@
-"""The intermediate observer whose model is wrong: mass, inertia, thrust and drag factors, wind; errors beside the bound of theorem 1.
+"""The intermediate observer with model errors: mass, inertia, thrust and drag factors, wind; errors compared with the bound of theorem 1.
 
 Each vehicle holds its place for 35 s and loses 20 % of motor 3 after 15 s; controller and observer take it for the printed one. What
 the model does not say is the paper's disturbance xi, so the theorem holds for it with a larger theta_1:
@@ -124,7 +124,7 @@ def worst(found: dict, kind: str, size: float | None = None) -> float:
 
 
 def said(row: dict) -> str:
-    """What is wrong in a row of the grid, in words."""
+    """Description of the model error in a row of the grid."""
     unit = {"wind": f" {row['size']:g} m/s", "nothing": "", "all": ""}
     return WORDS[row["wrong"]] + unit.get(row["wrong"], f" {100 * row['size']:+.0f} %")
 

@@ -31,7 +31,7 @@ ACTUATORS = 4
 
 
 class Plan(NamedTuple):
-    """One flight as numbers. mass [kg], payload included; lag [s]; altitude [m]; faults: rotors stand for the four actuators."""
+    """Numbers of one flight. mass [kg], payload included; lag [s]; altitude [m]; faults: rotors stand for the four actuators."""
 
     mass: Array
     lag: Array
@@ -130,7 +130,7 @@ class HelicopterAircraft:
         return body, loops, Actuators(U, held), force, (command, theta)
 
     def end(self, plan: Plan, now: Moment, before: State, after: State, seen, last, dt: float) -> tuple[State, Record]:
-        """Whether it met the ground: there it stays."""
+        """End of a tick: detects ground contact; from then on the helicopter stays there."""
         jax = load_jax()
         jnp = jax.numpy
         flies = jnp.where(after.body.p[2] >= 0.0, 0.0, before.flies)

@@ -11,7 +11,7 @@ from rotorwatch.methods.compiling.c99.graph import Axis, Graph, Node, strides
 
 
 def filling(kind: str, params):
-    """What a gather puts where the index is outside."""
+    """The fill value of a gather for indices out of bounds."""
     fill_value = params.get("fill_value")
     if fill_value is not None:
         return fill_value

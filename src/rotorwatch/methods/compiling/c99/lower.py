@@ -425,7 +425,7 @@ def _scan(graph, x, params, outvars):
 
 
 def _inside(graph, a: Node, region: Region) -> Node:
-    """What a branch calls a value from outside."""
+    """The parameter that stands for an outside value within a branch."""
     if value(a) is not None:
         return a
     if a.op == "view":
@@ -435,12 +435,12 @@ def _inside(graph, a: Node, region: Region) -> Node:
 
 
 def _first(graph, a: Node) -> Node:
-    """A turn's share of what is the same in every turn."""
+    """The slice for a single iteration of a value that is the same in every iteration."""
     return graph.broadcast(graph.const(np.asarray(uniform(a), NUMPY[a.kind])), a.shape[1:], ())
 
 
 def _held_state(graph, new: Node, old: Node, region: Region) -> Node:
-    """The new carry as a value of its own, so that no turn reads a carry that is half written."""
+    """The new carry as a separate value, so that no iteration reads a half-written carry."""
     root = new.args[0] if new.op in ("view", "alias") else new
     if new is old or new.op == "const" or root.op != "param":
         return new
@@ -452,7 +452,7 @@ def _deepest(nodes) -> Region:
 
 
 def _free(outputs, regions) -> tuple[Node, ...]:
-    """What the insides of the regions use from outside."""
+    """Outside values that the regions use."""
     found, seen, todo = [], set(), list(outputs)
     while todo:
         node = todo.pop()

@@ -47,8 +47,8 @@ def live(outputs: list[Node]) -> list[Node]:
 
 
 class Plan:
-    """What emit.py needs to know. outputs: nodes to be written somewhere at the end; targets[k]: where output k goes, whether that
-    is an input as well (its parameter's node, else None)."""
+    """Storage plan of a graph, for emit.py. outputs: nodes to be written at the end; targets[k]: the destination of output k and, if that
+    is also an input, its parameter's node (else None)."""
 
     def __init__(self, outputs: list[Node], targets: list[tuple[Place, Node | None]]):
         self.nodes = live(outputs)
@@ -87,7 +87,7 @@ class Plan:
             self.must.add(x.index)
 
     def _readers(self, node: Node):
-        """What this node asks of its arguments."""
+        """Record how this node reads its arguments."""
         op, times = node.op, self.times.get(node.index, 0.0)
         must = node.index in self.must
         if op == "view":
@@ -128,14 +128,14 @@ class Plan:
 
     @staticmethod
     def _needs_storage(node: Node, k: int) -> bool:
-        """Whether argument k is read in another order than element by element."""
+        """True if argument k is read in another order than element by element."""
         op = node.op
         if op == "scatter":
             return k == 1 and regular(node.data[0]) is None
         return op in ("dot", "take") or (op in ("pick", "trisolve") and k == 0)
 
     def local(self, node: Node) -> bool:
-        """Whether the value is a variable of the C function: one element that nobody wants to point at."""
+        """True if the value is a scalar C variable: one element whose address is never taken."""
         return node.shape == () and node.index not in self.must and node.op in (*ELEMENTWISE, "reduce", "dot", "pick")
 
     # When.
@@ -246,7 +246,7 @@ class Plan:
                 self.place[node.index] = self.of(node.args[0])
 
     def _placed_in_output(self, node: Node, begin: int) -> bool:
-        """Whether the value can be computed where it has to go in the end: nobody reads there what was before."""
+        """Compute the value directly in its output, if nobody reads the previous content from then on."""
         if node.region is not self.top:
             return False
         for out, (place, also_input) in zip(self.outputs, self.targets):
@@ -258,7 +258,7 @@ class Plan:
         return False
 
     def _in_place(self, node: Node, place: Place, also_input: Node | None) -> None:
-        """What `node` is made of element by element, and nobody reads later, is computed where `node` goes, too; and what that is made of.
+        """Compute in the place of `node` the values it is made of element by element that nobody reads later, recursively.
 
         An element is read before the same one is written. A step that changes a large matrix a little, several times, needs no second one.
         """
@@ -271,7 +271,7 @@ class Plan:
             self.place[node.index] = place
 
     def _may_go(self, x: Node, reader: Node, also_input: Node | None) -> bool:
-        """Whether x can be where its reader is: nobody then reads what is there before x is written."""
+        """True if x can share the place of its reader: nobody reads the previous content before x is written."""
         if (
             x.index not in self.stored
             or x.op == "result"
@@ -290,7 +290,7 @@ class Plan:
         return self._free(x, self.start[x.index], also_input)
 
     def _free(self, node: Node, begin: int, also_input: Node | None) -> bool:
-        """Whether nobody reads an input any more when `node` is written there, but `node` itself, element by element."""
+        """True if, once `node` is written over an input, only `node` itself still reads it, element by element."""
         if also_input is None:
             return True
         last = self.last.get(also_input.index, 0)

@@ -33,7 +33,7 @@ HEADER = Template(Path(__file__).with_name("header.h.in").read_text("utf-8"))
 
 
 class Field(NamedTuple):
-    """One array of a struct, or an argument. note: unit and meaning, for the header."""
+    """An array of a struct, or an argument. note: unit and meaning, for the header."""
 
     name: str
     kind: str
@@ -122,7 +122,7 @@ def emit_program(
 
 
 class _C(NamedTuple):
-    """One function's statements, what it needs beside them, and the workspace it uses."""
+    """Statements of one function, the tables and kernels it needs, and its workspace."""
 
     lines: list[str]
     tables: list[str]
@@ -195,7 +195,7 @@ def _table(node: Node) -> str:
 
 
 def _short(value: float) -> bool:
-    """Whether an initialiser may hold the number as it is, in single precision too, without a warning."""
+    """True if an initialiser can hold the number literally, in single precision too, without a warning."""
     with np.errstate(over="ignore"):
         return float(np.float32(value)) == value
 
@@ -261,7 +261,7 @@ def _member(f: Field) -> str:
 
 
 def _signature(head: str, arguments_: str, tail: str) -> list[str]:
-    """One line, or arguments wrapped below."""
+    """The signature on one line, or with its arguments wrapped below."""
     one = f"{head}({arguments_}){tail}"
     if len(one) <= WIDTH:
         return [one]

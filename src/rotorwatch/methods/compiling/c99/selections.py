@@ -70,7 +70,7 @@ def _multiplied(graph: Graph, a: Node, b: Node) -> Node:
 
 
 def _blocks(graph: Graph, x: Node, axis: int) -> tuple[Node, ...]:
-    """What x is stacked of along an axis: a concatenation or its transpose."""
+    """The parts of which x is stacked along an axis: a concatenation or its transpose."""
     if x.op == "concat" and x.data == axis:
         return x.args
     if x.op == "view" and x.args[0].op == "concat" and x.args[0].data == 1 - axis and len(x.args[0].shape) == 2:

@@ -37,7 +37,7 @@ def for_autopilot(autopilot: str) -> tuple[Any, ...]:
 
 
 def detect(flight: Flight, vehicle: Vehicle, airborne: tuple[tuple[float, float], ...]) -> tuple[dict[str, Any], ...]:
-    """What the checks of the flight's own autopilot find, in time order. airborne: ((start, end), ...) in s."""
+    """Findings of the flight's own autopilot checks, in time order. airborne: ((start, end), ...) in s."""
     found = [
         finding for module in for_autopilot(flight.autopilot) for finding in module.detect(flight, vehicle, airborne)
     ]
