@@ -47,33 +47,23 @@ FILES = {
         "posterior",
     )
 } | {file: f"rotorwatch.engine.front.{file}" for file in ("decisions", "losses")}  # fmt: skip
-# Names, counts and what follows from others: nothing to be chosen.
+# Names, counts and values that follow from others, which nobody chose; and thresholds of decisions that are not the estimator's.
 NOT_CHOSEN = {
-    *(f"plant.{name}" for name in ("PER_AXIS", "B1", "B2", "B3", "GAIN", "DAMPING", "SIDEWAYS", "CURVE")),
-    *(f"plant.{name}" for name in ("AIR", "SHARE", "THETA", "YAW_GAIN", "LOAD_GAIN", "ONE_ARM")),
-    *(f"noise.{name}" for name in ("WHITE", "FAST", "SLOW", "DRIFT", "LAGS", "LAG_COUNT", "ITERATIONS")),
-    *(f"bank.{name}" for name in ("GROUP", "GROUPS", "SHORT", "LONG", "SLOW_S", "YAW_ERROR", "DAMPING_ERROR", "FIRST_LOSS")),
-    *(f"hypotheses.{name}" for name in ("SINGLE", "PAIR", "RECOVERY", "ONE_THRUST", "DISTURBANCE", "DISTURBANCES", "DISTURBANCE_COUNT")),
-    "hypotheses.ALL_TORQUES", "hypotheses.NOTHING", "hypotheses.LEFT", "hypotheses.SERIES", "opposite.LEAST_ROTORS",
-    "plausibility.CANCELS", "decisions.FALSE_ALARM_PERIOD_S", "posterior.NEVER",
-    "posterior.OLD_S", "losses.WITHIN_95", "losses.CANCELS",
-}  # fmt: skip
-# Thresholds of decisions that are not the estimator's.
-OTHERS = (
-    "SURE",
-    "CERTAIN",
-    "LIKELY",
-    "SAME_S",
-    "FALSE_ALARM",
-    "FALSE_FAULT",
-    "FALSE_FAULT_OF_ANY",
-    "DAMAGED",
-    "MENTIONED",
-    "MATTERS",
-    "GRAVE",
-    "WORN",
-)
-NOT_CHOSEN |= {f"decisions.{name}" for name in OTHERS}
+    f"{file}.{name}"
+    for file, names in {
+        "plant": "PER_AXIS B1 B2 B3 GAIN DAMPING SIDEWAYS CURVE AIR SHARE THETA YAW_GAIN LOAD_GAIN ONE_ARM",
+        "noise": "WHITE FAST SLOW DRIFT LAGS LAG_COUNT ITERATIONS",
+        "bank": "GROUP GROUPS SHORT LONG SLOW_S YAW_ERROR DAMPING_ERROR FIRST_LOSS",
+        "hypotheses": "SINGLE PAIR RECOVERY ONE_THRUST DISTURBANCE DISTURBANCES DISTURBANCE_COUNT ALL_TORQUES NOTHING LEFT SERIES",
+        "opposite": "LEAST_ROTORS",
+        "plausibility": "CANCELS",
+        "posterior": "NEVER OLD_S",
+        "losses": "WITHIN_95 CANCELS",
+        "decisions": "FALSE_ALARM_PERIOD_S SURE CERTAIN LIKELY SAME_S FALSE_ALARM FALSE_FAULT FALSE_FAULT_OF_ANY DAMAGED MENTIONED "
+        "MATTERS GRAVE WORN",
+    }.items()
+    for name in names.split()
+}
 # Constants of `losses` that the estimator takes from there: where it does.
 TAKEN = {"PAIR_WEIGHT": "hypotheses", "YOUNG_S": "posterior"}
 WORDS = ("off", "half", "double")
