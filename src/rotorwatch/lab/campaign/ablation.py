@@ -73,7 +73,7 @@ FAULT = 0.05  # a change of loss that counts as one
 
 def constants() -> dict[str, Any]:
     """Chosen constants of the method: "file.NAME" -> value."""
-    found = {}
+    chosen = {}
     for file, home in FILES.items():
         module = import_module(home)
         for node in ast.parse(Path(str(module.__file__)).read_text(encoding="utf-8")).body:
@@ -84,8 +84,8 @@ def constants() -> dict[str, Any]:
                     key, value = f"{file}.{getattr(name, 'id', '')}", getattr(module, getattr(name, "id", ""), None)
                     number = isinstance(value, int | float | tuple) and not isinstance(value, bool)
                     if key.split(".")[1].isupper() and number and key not in NOT_CHOSEN and _numbers(value):
-                        found[key] = value
-    return dict(sorted(found.items()))
+                        chosen[key] = value
+    return dict(sorted(chosen.items()))
 
 
 def _has_number(node: ast.expr) -> bool:
@@ -105,19 +105,19 @@ def variants(only: Sequence[str] = (), words: Sequence[str] = WORDS) -> dict[str
     """Name of a variant -> the constants it changes; "as it is" first. only: beginnings of names; words: which of WORDS. Raises
     ConfigError when no name fits."""
     known = constants()
-    made: dict[str, dict[str, Any]] = {"as it is": {}}
+    changes: dict[str, dict[str, Any]] = {"as it is": {}}
     for name, value in known.items():
         if only and not any(name.startswith(o) for o in only):
             continue
         for word, factor in (("half", 0.5), ("double", 2.0)):
             if word in words:
-                made[f"{name} {word}"] = {name: _scaled(value, factor)}
+                changes[f"{name} {word}"] = {name: _scaled(value, factor)}
         off = TABLE[name].off
         if off is not None and "off" in words:
-            made[f"{name} off"] = {name: tuple(off for _ in value) if isinstance(value, tuple) else off}
-    if only and len(made) == 1:
+            changes[f"{name} off"] = {name: tuple(off for _ in value) if isinstance(value, tuple) else off}
+    if only and len(changes) == 1:
         raise ConfigError(f"No constant's name begins with {' or '.join(only)}; they are {', '.join(known)}.")
-    return made
+    return changes
 
 
 @contextmanager
@@ -199,44 +199,44 @@ def _surrogates(path: str, hours: float, seed: int) -> list[Case]:
     return cases
 
 
-def _said(case: Case, kept: program.TickOutput) -> tuple[Event, ...]:
+def _said(case: Case, out: program.TickOutput) -> tuple[Event, ...]:
     """Losses that `diagnose` reports; for a surrogate the estimator's announcements."""
     if case.ready is None:
-        return events.read(kept, case.ticks, case.B)
-    said = conclude(case.ready, Estimated(case.ticks, kept)).end.events
-    return tuple(e for e in said if e.means.weakens)
+        return events.read(out, case.ticks, case.B)
+    events_ = conclude(case.ready, Estimated(case.ticks, out)).end.events
+    return tuple(e for e in events_ if e.means.weakens)
 
 
-def outcomes(case: Case, kept: program.TickOutput) -> dict[str, Any]:
+def outcomes(case: Case, out: program.TickOutput) -> dict[str, Any]:
     """Outcome of one flight: states (see sequences.py); false: announcements of healthy rotors; hours evaluated; delays of faults, None
     where not found soon; errors of the losses of weak rotors in right states, and whether their intervals held them."""
     table, theta = case.ticks, case.theta
-    found = _said(case, kept)
-    read_out: list[tuple[float, str]] = [(s.at, s.outcome) for s in sequences.states(case, found)]
+    announced = _said(case, out)
+    read_out: list[tuple[float, str]] = [(s.at, s.outcome) for s in sequences.states(case, announced)]
 
     def weak_at(t: float) -> set[int]:
         near = (table.time > t - SOON_S) & (table.time <= t + 1.0)
         return {int(i) + 1 for i in np.flatnonzero((theta[near] > sequences.WEAK).any(axis=0))}
 
-    false = sum(not (set(itertools.chain(e.rotors, *e.alternatives)) & weak_at(e.detected_s)) for e in found)
+    false = sum(not (set(itertools.chain(e.rotors, *e.alternatives)) & weak_at(e.detected_s)) for e in announced)
     delays = []
     rises = np.argwhere(np.diff(theta, axis=0) > FAULT)
     for k, rotor in rises:
         onset = float(table.time[k + 1])
         if table.mode[k + 1] != JUDGE or (case.lost_s is not None and case.lost_s < onset + 1.0):
             continue
-        times = [e.detected_s - onset for e in found if rotor + 1 in e.rotors and onset - 1.0 <= e.detected_s]
+        times = [e.detected_s - onset for e in announced if rotor + 1 in e.rotors and onset - 1.0 <= e.detected_s]
         delays.append(min((t for t in times if t <= SOON_S), default=None))
     errors, held = [], []
     for at, outcome in read_out:
         if outcome != "right":
             continue
         k = min(int(np.searchsorted(table.time, at)), len(theta) - 1)
-        for e in found:
+        for e in announced:
             if e.onset_s <= at and (e.end_s is None or e.end_s > at):
                 for rotor in e.rotors:
-                    truth, guess = float(theta[k, rotor - 1]), float(kept.theta[k, rotor - 1])
-                    sd = float(events.sd_of(kept.theta[k], kept.theta_sd[k], case.B)[rotor - 1])
+                    truth, guess = float(theta[k, rotor - 1]), float(out.theta[k, rotor - 1])
+                    sd = float(events.sd_of(out.theta[k], out.theta_sd[k], case.B)[rotor - 1])
                     errors.append(guess - truth)
                     held.append(abs(guess - truth) <= 1.96 * sd)
     hours = float((table.mode == JUDGE).sum() * table.dt / 3600.0)
@@ -253,9 +253,9 @@ def _part(work: tuple) -> list[dict[str, list[dict]]]:
     for name, values in selected.items():
         reading = all(_read_only(key) for key in values)  # the ticks stay as they are
         for row, case, same in zip(rows, cases, plain):
-            kept = same if reading else judge(case.ticks, case.B, values)
+            out = same if reading else judge(case.ticks, case.B, values)
             with changed(values):
-                row[name] = outcomes(case, kept)
+                row[name] = outcomes(case, out)
     return rows
 
 
@@ -303,14 +303,14 @@ def run(
     }
 
 
-def measures(found: Sequence[dict[str, Any]]) -> dict[str, float | None]:
+def measures(outcomes_: Sequence[dict[str, Any]]) -> dict[str, float | None]:
     """right, wrong: shares of states (ambiguous with the truth is right); found: share of faults; delay_s: median; rms: error of losses;
     coverage: of their intervals; false_per_h: announcements of healthy rotors."""
-    states = [o for f in found for o in f["states"]]
-    delays = [d for f in found for d in f["delays"]]
+    states = [o for f in outcomes_ for o in f["states"]]
+    delays = [d for f in outcomes_ for d in f["delays"]]
     seen = [d for d in delays if d is not None]
-    errors, held = ([v for f in found for v in f[key]] for key in ("errors", "held"))
-    hours = sum(f["hours"] for f in found)
+    errors, held = ([v for f in outcomes_ for v in f[key]] for key in ("errors", "held"))
+    hours = sum(f["hours"] for f in outcomes_)
     return {
         "right": float(np.mean([o in ("right", "ambiguous") for o in states])) if states else None,
         "wrong": float(np.mean([o == "wrong" for o in states])) if states else None,
@@ -318,7 +318,7 @@ def measures(found: Sequence[dict[str, Any]]) -> dict[str, float | None]:
         "delay_s": float(np.median(seen)) if seen else None,
         "rms": float(np.sqrt(np.mean(np.square(errors)))) if errors else None,
         "coverage": float(np.mean(held)) if held else None,
-        "false_per_h": sum(f["false"] for f in found) / hours if hours else None,
+        "false_per_h": sum(f["false"] for f in outcomes_) / hours if hours else None,
     }
 
 

@@ -90,29 +90,29 @@ def rows(
     B = flown[0].vehicle.effectiveness()
     if any(not np.array_equal(f.vehicle.effectiveness(), B) for f in flown):
         raise ConfigError("flights of one batch must have the same geometry; name the frame by a choice.")
-    found = []
+    results = []
     bounds = _bounds(flown, B, size)
     published = [name for name in plan.estimators if name != "default"]
 
-    def row(label: str, f: Flown, done: Estimated, statistic, bound) -> dict:
-        end = conclude(f.ready, done).end
+    def row(label: str, f: Flown, estimated_: Estimated, statistic, bound) -> dict:
+        end = conclude(f.ready, estimated_).end
         raised = counting.alarms(end.events)
-        found = score.estimator(label, f, done.out, statistic, raised, bound, plan, unasked(raised))
-        return found | (score.answer(end) if done.own else {})
+        results = score.estimator(label, f, estimated_.out, statistic, raised, bound, plan, unasked(raised))
+        return results | (score.answer(end) if estimated_.own else {})
 
     if "default" in plan.estimators:
-        for f, bound, done in zip(flown, bounds, by_default(flown), strict=True):
-            statistic = np.where(done.out.plausible, done.out.statistic, score.NOTHING)
-            found.append(row("default", f, done, statistic, bound))
+        for f, bound, estimated_ in zip(flown, bounds, by_default(flown), strict=True):
+            statistic = np.where(estimated_.out.plausible, estimated_.out.statistic, score.NOTHING)
+            results.append(row("default", f, estimated_, statistic, bound))
     if published:
         tables = [f.ticks for f in flown]
         hops = methods.learn(tables, B, learned_states(flown, B))
         for name in published:
             with _caught(name, failed):
-                judged = methods.judge(name, tables, hops, B, size, tuple(d.tuning for d in plan.decisions))
-                for decision, kept in zip(plan.decisions, judged, strict=True):
+                outputs = methods.judge(name, tables, hops, B, size, tuple(d.tuning for d in plan.decisions))
+                for decision, kept in zip(plan.decisions, outputs, strict=True):
                     label = decision.label(name)
-                    found += [
+                    results += [
                         row(label, f, Estimated(f.ticks, k, own=False), k.statistic, b)
                         for f, k, b in zip(flown, kept, bounds, strict=True)
                     ]
@@ -120,8 +120,8 @@ def rows(
     for name in plan.detectors:
         with _caught(name, failed):
             seen = [rules[name].detect(f.flight, f.vehicle, f.ready.air) for f in flown]
-            found += [score.rule(name, f, s, bound, plan) for f, s, bound in zip(flown, seen, bounds, strict=True)]
-    return found
+            results += [score.rule(name, f, s, bound, plan) for f, s, bound in zip(flown, seen, bounds, strict=True)]
+    return results
 
 
 @contextmanager
@@ -149,8 +149,8 @@ def fly(plan: Flights, flights: Sequence[int], size: int) -> list[Flown]:
     plans = [_planned(k, scenario) for k, scenario in zip(flights, scenarios, strict=True)]
     first = scenarios[0]
     records = fly_each(MULTIROTOR, plans, first.duration_s, first.rate_hz, first.record_hz, logbook.needed, size)
-    found = [prepared(*row) for row in zip(flights, scenarios, plans, records, strict=True)]
-    return [f for f in found if f is not None]
+    prepared_ = [prepared(*row) for row in zip(flights, scenarios, plans, records, strict=True)]
+    return [f for f in prepared_ if f is not None]
 
 
 def prepared(number: int, scenario: Scenario, plan: Any, record: Any) -> Flown | None:
@@ -190,12 +190,12 @@ def by_default(flown: Sequence[Flown], whole: bool = False) -> list[Estimated]:
 
 def learned_states(flown: Sequence[Flown], B: np.ndarray) -> list[tuple | None]:
     """State and noise variances of the default estimator after the learning time of each flight of one hop; None for others."""
-    found: list[tuple | None] = []
+    states: list[tuple | None] = []
     for f in flown:
         span, steps = methods.learning(f.ticks), program.steps(f.ticks.dt, B)
         steps.run(*_table(f.ticks, B, span or slice(0)))
-        found.append(None if span is None else (steps.learned.s, steps.learned.variances))
-    return found
+        states.append(None if span is None else (steps.learned.s, steps.learned.variances))
+    return states
 
 
 def _bounds(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[np.ndarray | None]:
@@ -210,10 +210,10 @@ def _bounds(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[np.ndarray
     )
     rotor = [c["rotor"] - 1 if c else 0 for c in clear]
     onset = [np.searchsorted(f.ticks.command_time + LAG_S, c["onset_s"]) if c else length for f, c in zip(flown, clear)]
-    more = size - len(flown)
-    theta = np.concatenate([theta, np.repeat(theta[-1:], more, axis=0)])
-    found = limits.on_ticks(
-        B, u[..., :-2], y, valid, u[..., -2] > GROUND, theta, np.array(rotor + rotor[-1:] * more),
-        np.array(onset + onset[-1:] * more), flown[0].ticks.dt, batch=True,
+    padding = size - len(flown)
+    theta = np.concatenate([theta, np.repeat(theta[-1:], padding, axis=0)])
+    bound = limits.on_ticks(
+        B, u[..., :-2], y, valid, u[..., -2] > GROUND, theta, np.array(rotor + rotor[-1:] * padding),
+        np.array(onset + onset[-1:] * padding), flown[0].ticks.dt, batch=True,
     )  # fmt: skip
-    return [found.information[k, : len(f.ticks.time)] if clear[k] else None for k, f in enumerate(flown)]
+    return [bound.information[k, : len(f.ticks.time)] if clear[k] else None for k, f in enumerate(flown)]

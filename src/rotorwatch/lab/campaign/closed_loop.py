@@ -74,26 +74,26 @@ def fly(
     B = rows(prepare.vehicle(scenarios[0]))
     craft = aircraft(B, by)
     n, size = B.shape[1], len(plans)
-    made: list[list[reconfigured.Entry]] = [[] for _ in plans]
+    entries: list[list[reconfigured.Entry]] = [[] for _ in plans]
     if driver == TRUTH:
-        made = [_true(s, n) for s in scenarios]
-    first, records = scenarios[0], _flown(craft, scenarios[0], plans, made, size)
+        entries = [_true(s, n) for s in scenarios]
+    first, records = scenarios[0], _flown(craft, scenarios[0], plans, entries, size)
     able = [_able(*row) for row in zip(scenarios, plans, records, strict=True)]
     open_, turns = list(range(size)), ENTRIES if driver not in (NOBODY, TRUTH) else 0
     for _ in range(turns):
         # A flight without a new belief stays as it is, and so does what the estimator says of it.
-        here = [[row[k] for k in open_] for row in (flights, scenarios, plans, records, made)]
-        new = [(k, found) for k, found in zip(open_, _beliefs(driver, *here, by, size), strict=True) if found]
+        here = [[row[k] for k in open_] for row in (flights, scenarios, plans, records, entries)]
+        new = [(k, entry) for k, entry in zip(open_, _beliefs(driver, *here, by, size), strict=True) if entry]
         if not new:
             break
         open_ = [k for k, _ in new]
-        for k, found in new:
-            made[k].append(found)
-        again = _flown(craft, first, [plans[k] for k in open_], [made[k] for k in open_], size)
+        for k, entry in new:
+            entries[k].append(entry)
+        again = _flown(craft, first, [plans[k] for k in open_], [entries[k] for k in open_], size)
         for k, record in zip(open_, again, strict=True):
             records[k] = record
-    every = zip(flights, scenarios, plans, records, made, able, strict=True)
-    return [_outcome(*row) for row in every]
+    results = zip(flights, scenarios, plans, records, entries, able, strict=True)
+    return [_outcome(*row) for row in results]
 
 
 class Judge(NamedTuple):
@@ -104,20 +104,20 @@ class Judge(NamedTuple):
 
     def __call__(self, plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
         filled = [*flights, *[flights[-1]] * (size - len(flights))]  # one program for all parts
-        found = []
+        rows_ = []
         for driver in self.drivers:
             for outcome in fly(plan, filled, driver, self.by)[: len(flights)]:
                 planned = plan.flight(outcome["flight"])
                 losses = [1.0 if f["kind"] == "complete loss" else f["strength"] for f in planned.faults]
                 end = outcome["onset_s"] if outcome["faulty"] else planned.duration_s
-                found.append(
+                rows_.append(
                     {
                         "method": driver, "frame": planned.airframe["frame"], "rotors": plan.rotors[outcome["flight"] % len(plan.cells)],
                         "broken": len(losses), "loss": max(losses, default=0.0), "wind_m_s": planned.wind["speed_m_s"],
                         "healthy_s": min(end, outcome["lost_s"] or end), **outcome,
                     }
                 )  # fmt: skip
-        return found
+        return rows_
 
 
 def run(
@@ -196,7 +196,7 @@ def measures(
 
 def markdown(result: dict[str, Any]) -> str:
     """The drivers side by side, and survival by frame."""
-    cell, found = tools.interval, result["drivers"]
+    cell, drivers = tools.interval, result["drivers"]
     lines = {
         "faulty, healthy flights": lambda m: f"{m['faulty']}, {m['healthy']}",
         "survived": lambda m: cell(m["survived"]),
@@ -212,28 +212,28 @@ def markdown(result: dict[str, Any]) -> str:
         "largest tilt, degrees": lambda m: cell(m["tilt_deg"], 2),
         "largest distance from the track, m": lambda m: cell(m["off_m"], 2),
     }
-    for f in sorted({f for m in found.values() for f in m["by_frame"]}):
+    for f in sorted({f for m in drivers.values() for f in m["by_frame"]}):
         lines[f"survived, {f}"] = lambda m, f=f: cell(m["by_frame"].get(f))
-    return tools.side_by_side(f"{result['plan']}, {result['flights']} flights", found, lines)
+    return tools.side_by_side(f"{result['plan']}, {result['flights']} flights", drivers, lines)
 
 
-def _flown(craft, first: Scenario, plans: list, made: list, size: int) -> list[Any]:
+def _flown(craft, first: Scenario, plans: list, entries: list, size: int) -> list[Any]:
     """The records of plans with these entries."""
     n = craft.allocator.B.shape[1]
-    ready = [p._replace(schedule=reconfigured.schedule(n, m, ENTRIES)) for p, m in zip(plans, made, strict=True)]
+    ready = [p._replace(schedule=reconfigured.schedule(n, m, ENTRIES)) for p, m in zip(plans, entries, strict=True)]
     return list(loop.fly_each(craft, ready, first.duration_s, first.rate_hz, first.record_hz, logbook.needed, size))
 
 
 def _true(scenario: Scenario, n: int) -> list[reconfigured.Entry]:
     """Entries of a driver that knows every lasting loss, DELAY_S after its onset."""
-    e, made = np.ones(n), []
+    e, entries = np.ones(n), []
     for fault in sorted(scenario.faults, key=lambda f: f["onset_s"]):
         if fault["kind"] not in ("loss", "complete loss"):
             raise ConfigError(f"closed loop flights know losses and complete losses, not {fault['kind']}.")
         e = e.copy()
         e[fault["rotor"] - 1] = 0.0 if fault["kind"] == "complete loss" else 1.0 - fault["strength"]
-        made.append(_entry(scenario, fault["onset_s"] + DELAY_S, e, e, e))
-    return made
+        entries.append(_entry(scenario, fault["onset_s"] + DELAY_S, e, e, e))
+    return entries
 
 
 def _explains(driver: str, by: str) -> None:
@@ -258,7 +258,7 @@ def _entry(scenario: Scenario, since: float, mean, lower, upper, candidates=None
 
 
 def _beliefs(
-    driver: str, flights, scenarios, plans, records, made, by: str, size: int
+    driver: str, flights, scenarios, plans, records, entries, by: str, size: int
 ) -> list[reconfigured.Entry | None]:
     """The next entry of each flight, or None."""
     seen = [batch.prepared(*row) for row in zip(flights, scenarios, plans, records, strict=True)]
@@ -268,28 +268,28 @@ def _beliefs(
         return [None] * len(seen)
     B = flown[0].vehicle.effectiveness()
     if driver == "default":
-        kept = [done.out for done in batch.by_default(flown, whole=True)]
+        outputs = [estimated_.out for estimated_ in batch.by_default(flown, whole=True)]
     else:
         tables = [f.ticks for f in flown]
         hops = methods.learn(tables, B, batch.learned_states(flown, B))
-        kept = methods.judge(driver, tables, hops, B, size, ((),))[0]
-    found: list[reconfigured.Entry | None] = [None] * len(seen)
-    for k, f, out in zip(here, flown, kept, strict=True):
-        found[k] = _next(scenarios[k], f.ticks, out, made[k], by)
-    return found
+        outputs = methods.judge(driver, tables, hops, B, size, ((),))[0]
+    beliefs: list[reconfigured.Entry | None] = [None] * len(seen)
+    for k, f, out in zip(here, flown, outputs, strict=True):
+        beliefs[k] = _next(scenarios[k], f.ticks, out, entries[k], by)
+    return beliefs
 
 
 def _next(
-    scenario: Scenario, ticks, out: program.TickOutput, made: list[reconfigured.Entry], by: str
+    scenario: Scenario, ticks, out: program.TickOutput, entries: list[reconfigured.Entry], by: str
 ) -> reconfigured.Entry | None:
     """The first belief after the last entry that is far enough from it."""
-    if len(made) == ENTRIES:
+    if len(entries) == ENTRIES:
         return None
     weak = np.asarray(out.active[:, 0], bool)
     mean = np.where(weak, 1.0 - np.clip(out.theta, 0.0, 1.0), 1.0)
     apart = np.where(weak, 2.0 * out.theta_sd, 0.0)
     since = ticks.time + DELAY_S
-    before, last = (made[-1].mean, float(made[-1].since)) if made else (np.ones(weak.shape[1]), -np.inf)
+    before, last_s = (entries[-1].mean, float(entries[-1].since)) if entries else (np.ones(weak.shape[1]), -np.inf)
     # Allocation that leaves a rotor alone hides its loss: that it has recovered is believed when it is used again.
     idle = np.cumsum(ticks.thrust, axis=0)
     n = max(1, round(IDLE_S / ticks.dt))
@@ -299,12 +299,12 @@ def _next(
     expected, awaited = mean, before
     if by == "posterior":  # what counts is what the explanations expect together
         candidates, weights = np.where(out.active > 0, 1.0 - out.each, 1.0), np.asarray(out.share)
-        awaited = made[-1].weights @ made[-1].candidates if made else before
+        awaited = entries[-1].weights @ entries[-1].candidates if entries else before
         expected = np.einsum("tk,tkn->tn", weights, candidates)
         stays = idle & (expected > awaited)
         expected = np.where(stays, awaited, expected)
         candidates = np.where(stays[:, None], awaited, candidates)
-    due = (np.abs(expected - awaited).max(axis=1) > MOVED) & (since > last + REFRESH_S) & (ticks.mode > LEARN)
+    due = (np.abs(expected - awaited).max(axis=1) > MOVED) & (since > last_s + REFRESH_S) & (ticks.mode > LEARN)
     if not due.any():
         return None
     k = int(np.argmax(due))
@@ -337,7 +337,7 @@ def _able(scenario: Scenario, plan, record) -> bool:
     return bool(_off(plan, record)[_flying(record) & (record.time < until)].max(initial=0.0) < ABLE_M)
 
 
-def _outcome(number: int, scenario: Scenario, plan, record, made: list[reconfigured.Entry], able: bool) -> dict:
+def _outcome(number: int, scenario: Scenario, plan, record, entries: list[reconfigured.Entry], able: bool) -> dict:
     """Outcome of a flight, see COLUMNS; first_s of healthy flights counts from the take-off."""
     faults = scenario.faults
     onset = min((f["onset_s"] for f in faults), default=float(plan.way.take_off))
@@ -355,14 +355,14 @@ def _outcome(number: int, scenario: Scenario, plan, record, made: list[reconfigu
     if lost is None and (not astray.size or astray[-1] < len(time) - 1):
         recovered = float(time[astray[-1]] - onset) if astray.size else 0.0
     # What came too late, after the crash, was never acted on.
-    acted = [m for m in made if lost is None or m.since < lost]
-    who = set(np.flatnonzero(acted[0].mean < 1.0 - MOVED).tolist()) if acted else set()
+    acted = [m for m in entries if lost is None or m.since < lost]
+    accused = set(np.flatnonzero(acted[0].mean < 1.0 - MOVED).tolist()) if acted else set()
     first = float(acted[0].since) if acted else None
-    early = first is not None and (first < onset or not who & broken)
+    early = first is not None and (first < onset or not accused & broken)
     return {
         "flight": number, "faulty": bool(faults), "onset_s": onset, "able": able, "survived": lost is None, "lost_s": lost,
         "beliefs": len(acted), "first_s": None if first is None else first - onset,
-        "false": early if faults else first is not None, "right": bool(acted) and who == broken,
+        "false": early if faults else first is not None, "right": bool(acted) and accused == broken,
         "turning": any(m.turning > 0.5 for m in acted), "tilt_deg": float(tilt[late].max(initial=0.0)),
         "off_m": float(off[late].max(initial=0.0)), "recovered_s": recovered,
     }  # fmt: skip

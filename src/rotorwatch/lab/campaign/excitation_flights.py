@@ -63,7 +63,7 @@ def draw(flight: int, frame: str, seed: int) -> Scenario:
     rng = np.random.default_rng([seed, flight])
     mass = float(np.exp(rng.uniform(np.log(0.8), np.log(8.0))))
     pairs = families(frame)
-    who = pairs[rng.integers(len(pairs))] if rng.uniform() >= HEALTHY else ()
+    weak = pairs[rng.integers(len(pairs))] if rng.uniform() >= HEALTHY else ()
     loss = round(float(rng.uniform(*(LOSSES if len(pairs) < 4 else LARGER))), 3)
     return scenario.from_table(
         {
@@ -76,7 +76,7 @@ def draw(flight: int, frame: str, seed: int) -> Scenario:
             "trajectory": {"altitude_m": 5.0, "land": False},
             "wind": {"speed_m_s": float(rng.uniform(0.0, WINDS_M_S)), "from_deg": float(rng.uniform(-180.0, 180.0))},
             "logging": {"profile": "fast"},
-            "faults": [{"kind": "loss", "rotor": r, "onset_s": ONSET_S, "strength": loss} for r in who],
+            "faults": [{"kind": "loss", "rotor": r, "onset_s": ONSET_S, "strength": loss} for r in weak],
         }
     )  # fmt: skip
 
@@ -122,9 +122,9 @@ def designed_unprompted(frame: str, carry, out, table, B: np.ndarray, limits: ex
     if not sets:
         alike = _alike(frame)
         first = next(one for one, _ in alike if len(one) == 2)
-        for who in (first, *(other for one, other in alike if one == first and len(other) == 2)):
-            own = tuple(k - 1 for k in who)
-            sets[own] = np.where(np.isin(np.arange(B.shape[1]), own), WORST, 0.0)
+        for pair in (first, *(other for one, other in alike if one == first and len(other) == 2)):
+            indices = tuple(k - 1 for k in pair)
+            sets[indices] = np.where(np.isin(np.arange(B.shape[1]), indices), WORST, 0.0)
     return designed(excitation_response.question(sets, carry, table, B), limits=limits, B=B, exactly=True)
 
 
@@ -151,46 +151,46 @@ def batch(frame: str, flights: Sequence[int], seed: int, limits: excitation.Limi
         unsure = [e for e in losses if e.alternatives]
         sure = [e for e in losses if not e.alternatives]
         answers.append("fault" if sure else "ambiguous" if unsure else "healthy")
-        made, start = None, ONSET_S + 4.0
+        design, start = None, ONSET_S + 4.0
         if not sure:
             if unsure:
                 start = max(e.detected_s for e in unsure) + WAITS_S
-                made = designed(
+                design = designed(
                     excitation_response.question(excitation_response.candidates(unsure[0], B), carry, table, B),
                     limits=limits,
                     B=B,
                 )
             else:
                 table, carry, out, B, _ = judged(flight, start)
-                made = designed_unprompted(frame, carry, out, table, B, limits)
-        designs.append(made)
-        signals.append(excitation.none(n) if made is None else made.signal._replace(start=np.array(start)))
+                design = designed_unprompted(frame, carry, out, table, B, limits)
+        designs.append(design)
+        signals.append(excitation.none(n) if design is None else design.signal._replace(start=np.array(start)))
     after = fly(scenarios, signals)
     rows = []
-    for k, s, old, (was, _), (record, flight), made in zip(
+    for k, s, old, (was, _), (record, flight), design in zip(
         flights, scenarios, answers, before, after, designs, strict=True
     ):
         broken = tuple(sorted(f["rotor"] for f in s.faults))
         new, named = old, ()
-        if made is not None:
+        if design is not None:
             answer = diagnose(flight)
             sure = [e for e in answer.events if e.means.lasting_fault and not e.alternatives]
             new, named = answer.verdict, tuple(sorted({r for e in sure for r in e.rotors}))
         row = {
             "flight": k, "frame": frame, "mass_kg": float(s.airframe["mass_kg"]), "wind_m_s": float(s.wind["speed_m_s"]),
             "broken": broken, "loss": float(s.faults[0]["strength"]) if broken else 0.0, "before": old, "after": new, "named": named,
-            "asked": made is not None, "right": new == ("fault" if broken else "healthy") and named == broken,
+            "asked": design is not None, "right": new == ("fault" if broken else "healthy") and named == broken,
             "wrong": bool(named) and named != broken,
             **dict.fromkeys(("length_s", "amplitude", "turned_deg", "information", "needed")),
         }  # fmt: skip
-        if made is not None:
-            size = np.abs(made.signal.first) + np.abs(made.signal.second)
+        if design is not None:
+            size = np.abs(design.signal.first) + np.abs(design.signal.second)
             row |= {
-                "length_s": float(made.signal.length),
+                "length_s": float(design.signal.length),
                 "amplitude": float(size.max()),
                 "turned_deg": attitude_change(was, record),
             }
-            row |= {"information": float(made.information.min()), "needed": made.needed}
+            row |= {"information": float(design.information.min()), "needed": design.needed}
         rows.append(row)
     return rows
 
@@ -214,10 +214,10 @@ def run(
         raise ConfigError(f"flights must be at least 1, not {flights}.")
     parts = []
     for k, frame in enumerate(frames):
-        mine = range(k, flights, len(frames))
-        for start in range(0, len(mine), WIDTH):
-            part = mine[start : start + WIDTH]
-            filled = [*part, *[part[-1]] * (WIDTH - len(part))] if len(mine) > WIDTH else list(part)
+        own_flights = range(k, flights, len(frames))
+        for start in range(0, len(own_flights), WIDTH):
+            part = own_flights[start : start + WIDTH]
+            filled = [*part, *[part[-1]] * (WIDTH - len(part))] if len(own_flights) > WIDTH else list(part)
             parts.append((frame, filled, len(part), seed, limits))
 
     rows = tools.gathered(_part, parts, jobs, progress, "flying", scheduler, keep)

@@ -50,13 +50,13 @@ def judge(plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
         except ConfigError as error:
             raise ConfigError(f"flight {k}: {error}") from error
     records = fly_each(MULTIROTOR, plans, first.duration_s, first.rate_hz, first.record_hz, logbook.needed, size)
-    found = []
+    rows = []
     for k, scenario, numbers, record in zip(flights, scenarios, plans, records, strict=True):
         log = logbook.log(scenario, numbers, record)
         kind = plan.kind(k)
         row = _row(scenario, record, log, f"flight-{k}{SUFFIX[scenario.autopilot]}")
-        found.append(row | {"flight": k, "kind": kind.name if kind else ""})
-    return found
+        rows.append(row | {"flight": k, "kind": kind.name if kind else ""})
+    return rows
 
 
 def _row(scenario: Scenario, record: Any, log: bytes, name: str) -> dict[str, Any]:
@@ -115,7 +115,7 @@ def summarise(rows: Any, name: str = "") -> dict[str, Any]:
     order = list(GROUPS)
     kinds = sorted({(order.index(f["group"]), f["kind"]) for f in flights})
     parts += [(order[k], kind, [f for f in flights if f["kind"] == kind]) for k, kind in kinds]
-    lines = [{"name": label, "group": group, **measures(mine)} for group, label, mine in parts if mine]
+    lines = [{"name": label, "group": group, **measures(part)} for group, label, part in parts if part]
     return {"name": name, "flights": len(flights), "lines": lines}
 
 
@@ -152,8 +152,8 @@ def markdown(summary: dict[str, Any]) -> str:
     for group, lines in itertools.groupby(summary["lines"], key=lambda line: line["group"]):
         rows = [_cells(line) for line in lines]
         rates = {"healthy hours", "accused an hour"} if group else ()  # a kind has flown too little for them
-        kept = [k for k, head in enumerate(heads) if head not in rates and any(row[k] not in ("-", 0) for row in rows)]
-        parts.append(tools.table([heads[k] for k in kept], ([row[k] for k in kept] for row in rows)) + "\n")
+        shown = [k for k, head in enumerate(heads) if head not in rates and any(row[k] not in ("-", 0) for row in rows)]
+        parts.append(tools.table([heads[k] for k in shown], ([row[k] for k in shown] for row in rows)) + "\n")
     return "\n".join(parts)
 
 

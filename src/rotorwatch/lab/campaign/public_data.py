@@ -84,24 +84,24 @@ def read(name: str, path: str | os.PathLike) -> DataSet:
     folder, key = Path(path), name.lower()
     if not folder.is_dir():
         raise ConfigError(f"--data {name}={path}: there is no such folder.")
-    own = folder / OWN
-    if not own.is_file() and key not in shipped():
+    own_index = folder / OWN
+    if not own_index.is_file() and key not in shipped():
         known = NOT_JUDGED.get(
             key, f"rotorwatch knows {', '.join(shipped())}; for others put an index, {OWN}, into the folder."
         )
         raise ConfigError(f"--data {name}={path}: {known} docs/benchmark.md says how.")
-    index = own if own.is_file() else shipped()[key]
+    index = own_index if own_index.is_file() else shipped()[key]
     table, text = files.toml(index, "index")
     entries = _entries(table, index)
-    found = []
-    for file in sorted(p for p in folder.rglob("*") if p.is_file() and p != own):
+    matched = []
+    for file in sorted(p for p in folder.rglob("*") if p.is_file() and p != own_index):
         inside = file.relative_to(folder).as_posix()
         entry = next((e for e in entries if e.fits(inside)), None)
         if entry is not None:
-            found.append((file, entry))
-    if not found:
+            matched.append((file, entry))
+    if not matched:
         raise ConfigError(f"--data {name}={path}: no file in it fits a pattern of {index}.")
-    return DataSet(name, folder, text, tuple(found))
+    return DataSet(name, folder, text, tuple(matched))
 
 
 def judge(
@@ -149,11 +149,11 @@ def _scenario(flight: Flight, entry: Entry) -> Scenario:
     """The part of a scenario that score.py needs, as far as a log has it."""
     lasting = {"ramp_s": 0.0, "period_s": None, "end_s": None}
     fault = {"kind": "loss", "onset_s": entry.onset_s, "strength": entry.loss, **lasting}
-    made = SimpleNamespace(
+    scenario = SimpleNamespace(
         airframe={"frame": "log"}, autopilot=flight.autopilot, logging={"profile": "log"}, trajectory={"kind": "log"},
         wind={"speed_m_s": None}, faults=tuple({**fault, "rotor": rotor} for rotor in entry.rotors),
     )  # fmt: skip
-    return cast(Scenario, made)
+    return cast(Scenario, scenario)
 
 
 def _entries(table: Mapping[str, Any], index: Path) -> tuple[Entry, ...]:

@@ -89,9 +89,9 @@ def check(results: Any, where: str) -> None:
     _fields(results["plan"], PLAN, where, "plan.")
     _plan(results["plan"], where)
     _methods(results["methods"], where, "methods")
-    for k, one in enumerate(results["data"]):
-        _fields(one, DATA, where, f"data[{k + 1}].")
-        _methods(one["methods"], where, f"data[{k + 1}].methods")
+    for k, data_set in enumerate(results["data"]):
+        _fields(data_set, DATA, where, f"data[{k + 1}].")
+        _methods(data_set["methods"], where, f"data[{k + 1}].methods")
 
 
 def _plan(plan: dict[str, Any], where: str) -> None:
@@ -108,9 +108,9 @@ def _plan(plan: dict[str, Any], where: str) -> None:
             )
 
 
-def _methods(found: list, where: str, path: str) -> None:
+def _methods(entries: list, where: str, path: str) -> None:
     names = set()
-    for k, method in enumerate(found):
+    for k, method in enumerate(entries):
         here = f"{path}[{k + 1}]."
         _fields(method, METHOD, where, here)
         if method["name"] in names:

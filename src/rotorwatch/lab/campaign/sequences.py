@@ -106,9 +106,9 @@ class State:
     outcome: str
 
 
-def named_at(found: Iterable[Event], at: float) -> tuple[tuple[int, ...], ...]:
+def named_at(events: Iterable[Event], at: float) -> tuple[tuple[int, ...], ...]:
     """The sets of rotors that may be weak at a time, the answer first, from events: one of each event's explanations holds."""
-    here = [e for e in found if e.onset_s <= at and (e.end_s is None or e.end_s > at)]
+    here = [e for e in events if e.onset_s <= at and (e.end_s is None or e.end_s > at)]
     sets = [((tuple(e.rotors)), *e.alternatives) for e in here]
     merged = dict.fromkeys(tuple(sorted(set(itertools.chain(*one)))) for one in itertools.product(*sets))
     return tuple(merged)
@@ -137,22 +137,22 @@ class Truth(Protocol):
     def lost_s(self) -> float | None: ...
 
 
-def states(f: Truth, found: Sequence[Event]) -> list[State]:
+def states(f: Truth, events: Sequence[Event]) -> list[State]:
     """All states of a flight, up to its crash."""
-    time, judged = f.ticks.time, f.ticks.mode == JUDGE
+    time, judging = f.ticks.time, f.ticks.mode == JUDGE
     weak = f.theta > WEAK
     steps = (weak[1:] != weak[:-1]) | (np.abs(np.diff(f.theta, axis=0)) > 0.02)
     edges = [0, *(np.flatnonzero(steps.any(axis=1)) + 1), len(time)]
     answers = []
     for a, b in itertools.pairwise(edges):
-        here = np.flatnonzero(judged[a:b] & ~f.ticks.upset[a:b]) + a
+        here = np.flatnonzero(judging[a:b] & ~f.ticks.upset[a:b]) + a
         if f.lost_s is not None:
             here = here[time[here] < f.lost_s - 1.0]
         if len(here) * f.ticks.dt < SETTLE_S:
             continue
         at = float(time[here[-1]]) - MARGIN_S
         truth = tuple(int(i) + 1 for i in np.flatnonzero(weak[here[-1]]))
-        named = named_at(found, at)
+        named = named_at(events, at)
         answers.append(State(at, truth, named, outcome(truth, named)))
     return answers
 
@@ -210,8 +210,8 @@ def judged(plan: Sequences, flown: Sequence[batch.Flown]) -> list[dict[str, Any]
     if not flown:
         return []
     rows = []
-    for f, done in zip(flown, batch.by_default(flown)):
-        end = judge(f.ready, done).end
+    for f, estimated in zip(flown, batch.by_default(flown)):
+        end = judge(f.ready, estimated).end
         accusing = [e for e in end.events if e.means.weakens]
         induced = induced_velocity(f.scenario)
         for s in states(f, accusing):
@@ -230,8 +230,8 @@ def table(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     groups += [("frame", f, [r for r in rows if r["frame"] == f]) for f in FRAMES]
     speeds = by_speed(np.array([r["induced_m_s"] for r in rows]), INDUCED_EDGES)
     groups += [("induced", s, [r for r, here in zip(rows, speeds) if here == s]) for s in sorted(set(speeds))]
-    for by, name, mine in groups:
-        if mine:
-            shares = {o: tools.share([r["outcome"] == o for r in mine]) for o in OUTCOMES}
-            lines.append({"by": by, "name": name, "states": len(mine), **shares})
+    for by, name, part in groups:
+        if part:
+            shares = {o: tools.share([r["outcome"] == o for r in part]) for o in OUTCOMES}
+            lines.append({"by": by, "name": name, "states": len(part), **shares})
     return lines

@@ -106,8 +106,8 @@ class Folder:
         for path in self.parts.iterdir():
             if path.name.startswith("."):
                 path.unlink(missing_ok=True)  # begun and never finished
-            elif found := PART.fullmatch(path.name):
-                cell, batch, _, last = map(int, found.groups())
+            elif match := PART.fullmatch(path.name):
+                cell, batch, _, last = map(int, match.groups())
                 done[cell, batch] = max(done.get((cell, batch), 0), last)
         work = []
         for batch in range(-(-flights // (cells * width))):
@@ -135,11 +135,11 @@ class Folder:
         paths = sorted(path for path in self.parts.glob("*.parquet") if PART.fullmatch(path.name))
         if not paths:
             raise ConfigError(f"{self.path} holds no finished part of a campaign.")
-        whole = pa.concat_tables([_part(path) for path in paths])
-        whole = whole.sort_by([("flight", "ascending"), ("method", "ascending")])
+        table = pa.concat_tables([_part(path) for path in paths])
+        table = table.sort_by([("flight", "ascending"), ("method", "ascending")])
         if flights is not None:
-            whole = whole.filter(pa.compute.less(whole["flight"], flights))
-        return whole
+            table = table.filter(pa.compute.less(table["flight"], flights))
+        return table
 
     def finish(self, table: Any, summary: dict) -> None:
         """Write the whole table and its summary."""

@@ -37,17 +37,17 @@ def summarise(rows: Any, name: str = "") -> dict[str, Any]:
     columns = arrays(rows)
     methods = {}
     for method in sorted(set(columns["method"])):
-        mine = of_method(columns, method)
-        labels = _labels(mine)
+        part = of_method(columns, method)
+        labels = _labels(part)
         methods[method] = {
-            "overall": measures(mine),
-            "groups": {kind: _groups(mine, labels[kind], measures) for kind in labels},
-            "roc": _roc(mine), "delay_curve": _delay_curve(mine), "loss_error": _loss_error(mine),
-            "curves": {kind: _groups(mine, labels[kind], _curves) for kind in DRAWN},
+            "overall": measures(part),
+            "groups": {kind: _groups(part, labels[kind], measures) for kind in labels},
+            "roc": _roc(part), "delay_curve": _delay_curve(part), "loss_error": _loss_error(part),
+            "curves": {kind: _groups(part, labels[kind], _curves) for kind in DRAWN},
         }  # fmt: skip
-    one = columns["method"] == columns["method"][0]
-    hours = float(columns["healthy_s"][one].sum() / 3600.0)
-    return {"name": name, "flights": int(one.sum()), "healthy_h": hours, "methods": methods}
+    first = columns["method"] == columns["method"][0]
+    hours = float(columns["healthy_s"][first].sum() / 3600.0)
+    return {"name": name, "flights": int(first.sum()), "healthy_h": hours, "methods": methods}
 
 
 def arrays(rows: Any) -> dict[str, np.ndarray]:
@@ -94,9 +94,9 @@ def at_rate(d: dict[str, np.ndarray], false_alarms_h: float, within_s: float = 1
     rng, shares, medians = np.random.default_rng(len(clear)), [], []
     for _ in range(RESAMPLES):
         again = found_in(rng.integers(len(clear), size=len(clear)))[1]
-        some = again[np.isfinite(again)]
+        finite = again[np.isfinite(again)]
         shares += [float(np.mean(np.isfinite(again)))] if again.size else []
-        medians += [float(np.median(some))] if some.size else []
+        medians += [float(np.median(finite))] if finite.size else []
     found = np.isfinite(delays)
     detected, hits = share(found), delays[found]
     assert detected is not None
@@ -140,10 +140,10 @@ def measures(d: dict[str, np.ndarray]) -> dict[str, Any]:
     """Measures of some flights: numbers, or {"value", "low", "high", "n"} for what has an interval; None where it is not defined."""
     faulty, clear = d["fault"] != "", d["clear"].astype(bool)
     hours = float(d["healthy_s"].sum() / 3600.0)
-    found = clear & (d["detected"] == True)  # noqa: E712 - None where there is no fault
-    delays = d["delay_s"][found].astype(float)
+    detected = clear & (d["detected"] == True)  # noqa: E712 - None where there is no fault
+    delays = d["delay_s"][detected].astype(float)
     error, sd = _errors(d)
-    both = found & np.isfinite(d["bound_delay_s"])
+    both = detected & np.isfinite(d["bound_delay_s"])
     inside = _announced(d)
     covered = (d["lower"] <= d["loss"]) & (d["loss"] <= d["upper"])
     return {
@@ -321,9 +321,9 @@ def column(values: list, kind: str) -> np.ndarray:
     """A column of score.COLUMNS as NumPy: numbers as floats with NaN for what is missing, else objects."""
     if kind in ("double", "int64"):
         return np.array([np.nan if v is None else v for v in values], float)
-    found = np.empty(len(values), object)
-    found[:] = values
-    return found
+    objects = np.empty(len(values), object)
+    objects[:] = values
+    return objects
 
 
 MEASURES = {
@@ -338,22 +338,22 @@ ERRORS = {
 }  # fmt: skip
 
 
-def lines_of(found: dict[str, Any]) -> list[tuple[str, dict]]:
+def lines_of(results: dict[str, Any]) -> list[tuple[str, dict]]:
     """(label, measures) of a method: over all flights, then of each group."""
-    groups = ((kind, name, m) for kind, named in found["groups"].items() for name, m in named.items())
-    return [("all", found["overall"]), *((f"{kind}: {name}", m) for kind, name, m in groups)]
+    groups = ((kind, name, m) for kind, named in results["groups"].items() for name, m in named.items())
+    return [("all", results["overall"]), *((f"{kind}: {name}", m) for kind, name, m in groups)]
 
 
 def markdown(summary: dict[str, Any]) -> str:
     """The summary as Markdown tables."""
     parts = [f"{summary['flights']} flights, {summary['healthy_h']:.1f} healthy hours judged."]
-    for method, found in summary["methods"].items():
-        rows = ([label, m["flights"], *(cell(key, m[key]) for key in MEASURES)] for label, m in lines_of(found))
+    for method, results in summary["methods"].items():
+        rows = ([label, m["flights"], *(cell(key, m[key]) for key in MEASURES)] for label, m in lines_of(results))
         parts.append(f"\n### {method}\n\n{table(['', 'flights', *MEASURES.values()], rows)}")
-        if any(point["rmse"] for point in found["loss_error"]):
+        if any(point["rmse"] for point in results["loss_error"]):
             rows = (
                 [f"{p['low']:g} to {p['high']:g}", p["faults"], *(cell(k, p[k]) for k in ERRORS)]
-                for p in found["loss_error"]
+                for p in results["loss_error"]
             )
             parts.append("\n" + table([f"{method}: loss", "faults", *ERRORS.values()], rows))
     return "\n".join(parts) + "\n"

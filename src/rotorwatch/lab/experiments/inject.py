@@ -83,13 +83,13 @@ def inject(
             f"The injected loss drives rotor {k + 1} to its limit in {limited[k]:.1%} of the commands after "
             f"{onset:.1f} s: the vehicle could not have flown as it did."
         )
-    done = {
+    injection = {
         "rotors": [int(k) + 1 for k in np.flatnonzero(share)],
         "loss": [float(v) for v in share[share > 0]],
         "onset_s": float(onset),
         "at_limit": [float(v) for v in limited],
     }
-    return replace(flight, signals=signals, warnings=tuple(warnings), facts={**flight.facts, "injected": done})
+    return replace(flight, signals=signals, warnings=tuple(warnings), facts={**flight.facts, "injected": injection})
 
 
 def _losses(flight: Flight, vehicle: Vehicle, rotors, loss) -> np.ndarray:
@@ -99,23 +99,23 @@ def _losses(flight: Flight, vehicle: Vehicle, rotors, loss) -> np.ndarray:
         raise ConfigError(
             f"the flight has commands of {flight.rotor_count} rotors, the vehicle {n}: nothing to put a loss into."
         )
-    who, much = np.atleast_1d(rotors), np.atleast_1d(np.asarray(loss, float))
+    faulty, much = np.atleast_1d(rotors), np.atleast_1d(np.asarray(loss, float))
     if (
-        who.dtype.kind not in "iu"
-        or not who.size
-        or len(set(who.tolist())) != who.size
-        or who.min() < 1
-        or who.max() > n
+        faulty.dtype.kind not in "iu"
+        or not faulty.size
+        or len(set(faulty.tolist())) != faulty.size
+        or faulty.min() < 1
+        or faulty.max() > n
     ):
         raise ConfigError(f"rotors {rotors}: give different rotor numbers from 1 to {n}.")
-    if much.ndim != 1 or much.size not in (1, who.size):
-        raise ConfigError(f"{much.size} losses for {who.size} rotors: give one for all, or one each.")
+    if much.ndim != 1 or much.size not in (1, faulty.size):
+        raise ConfigError(f"{much.size} losses for {faulty.size} rotors: give one for all, or one each.")
     if not np.all((much > 0) & (much < 1)):
         raise ConfigError(
             f"loss {loss}: give shares above 0 and below 1; no vehicle flies as before with a dead rotor."
         )
     share = np.zeros(n)
-    share[who - 1] = much
+    share[faulty - 1] = much
     return share
 
 
@@ -150,17 +150,17 @@ def _control(flight: Flight, vehicle: Vehicle, raised: Callable, onset: float) -
     weights = np.concatenate([vehicle.mixer.T, np.zeros((1, len(vehicle.rotors)))])[None]
     if len(check.time):
         weights = check.gain[:, None, None] * weights  # the mixer with the gain it was seen to have
-    last = np.clip(np.searchsorted(check.known, control.time, side="right") - 1, 0, len(weights) - 1)
+    newest = np.clip(np.searchsorted(check.known, control.time, side="right") - 1, 0, len(weights) - 1)
     values = control.values.copy()
-    own, believed = vehicle.curve.expo, allocation.mixer_curve(vehicle).expo
+    commanded, believed = vehicle.curve.expo, allocation.mixer_curve(vehicle).expo
     later = np.flatnonzero((control.time > onset) & control.whole)
     for part in np.array_split(later, len(later) // 8192 + 1):  # weights of all rows: much memory
         if not part.size:
             continue
-        W = weights[last[part], :4]
+        W = weights[newest[part], :4]
         demand = np.einsum("tc,tcr->tr", values[part], W)
-        thrust = _thrust(own, allocation.drive(believed, np.clip(demand, 0.0, None)))
-        wanted = _thrust(believed, allocation.drive(own, raised(thrust, control.time[part])))
+        thrust = _thrust(commanded, allocation.drive(believed, np.clip(demand, 0.0, None)))
+        wanted = _thrust(believed, allocation.drive(commanded, raised(thrust, control.time[part])))
         more = np.where(demand > 0, wanted - demand, 0.0)
         values[part] += np.einsum("tr,trc->tc", more, np.linalg.pinv(W))
     return replace(control, values=values)
@@ -243,9 +243,9 @@ class _Survey(NamedTuple):
 
 def _survey(source: Flight | str) -> list[_Survey]:
     flight, vehicle, air = _flown(source)
-    found, judged_s = _judge(flight, vehicle)
+    alarms, judged_s = _judge(flight, vehicle)
     room = [(start + ready_s(vehicle) + AFTER_READY_S, end - BEFORE_END_S) for start, end in air]
-    return [_Survey(len(vehicle.rotors), [(a, b) for a, b in room if b > a], judged_s, len(found))]
+    return [_Survey(len(vehicle.rotors), [(a, b) for a, b in room if b > a], judged_s, len(alarms))]
 
 
 def _trials(part: tuple[Flight | str, list[tuple[int, float, float]]]) -> list[dict]:
@@ -254,9 +254,9 @@ def _trials(part: tuple[Flight | str, list[tuple[int, float, float]]]) -> list[d
     trials = []
     for rotor, loss, onset in part[1]:
         faulty = inject(flight, vehicle, rotor, loss, onset)
-        found = _outcome(_judge(faulty, vehicle)[0], rotor, loss, onset)
+        outcome = _outcome(_judge(faulty, vehicle)[0], rotor, loss, onset)
         limit = max(faulty.facts["injected"]["at_limit"])
-        trials.append({"flight": flight.name, "rotor": rotor, "loss": loss, **found, "at_limit": limit})
+        trials.append({"flight": flight.name, "rotor": rotor, "loss": loss, **outcome, "at_limit": limit})
     return trials
 
 
@@ -283,9 +283,9 @@ def _judge(flight: Flight, vehicle: Vehicle) -> tuple[tuple[counting.Alarm, ...]
     ready = prepare(flight, vehicle)
     if ready.table is None:
         return (), 0.0
-    done = estimated(ready)
-    judged_s = float((done.table.mode == JUDGE).sum() * done.table.dt)
-    return counting.alarms(judge(ready, done).end.events), judged_s
+    estimate = estimated(ready)
+    judged_s = float((estimate.table.mode == JUDGE).sum() * estimate.table.dt)
+    return counting.alarms(judge(ready, estimate).end.events), judged_s
 
 
 def draw(room: list[tuple[float, float]], rng: np.random.Generator) -> float:
@@ -325,19 +325,19 @@ def _outcome(raised: Sequence[counting.Alarm], rotor: int, loss: float, onset: f
 
 def _row(loss: float, trials: list[dict]) -> dict:
     """Row of the table: all injections of one size."""
-    found = [t for t in trials if t["detected"]]
-    right = [t for t in found if t["right"]]
+    detected = [t for t in trials if t["detected"]]
+    right = [t for t in detected if t["right"]]
     sized = [t for t in right if "loss_2s" in t]
-    delays = [t["delay_s"] for t in found]
+    delays = [t["delay_s"] for t in detected]
     error = np.array([t["loss_2s"] - loss for t in sized])
     return {
         "loss": loss,
         "injections": len(trials),
-        "detected": len(found) / len(trials),
-        "right": len(right) / len(found) if found else None,
-        "ambiguous_with_truth": sum(t["ambiguous_with_truth"] for t in found) / len(found) if found else None,
-        "median_delay_s": float(np.median(delays)) if found else None,
-        "p90_delay_s": float(np.quantile(delays, 0.9)) if found else None,
+        "detected": len(detected) / len(trials),
+        "right": len(right) / len(detected) if detected else None,
+        "ambiguous_with_truth": sum(t["ambiguous_with_truth"] for t in detected) / len(detected) if detected else None,
+        "median_delay_s": float(np.median(delays)) if detected else None,
+        "p90_delay_s": float(np.quantile(delays, 0.9)) if detected else None,
         "loss_rms": float(np.sqrt(np.mean(error**2))) if sized else None,
         "loss_bias": float(error.mean()) if sized else None,
         "coverage": float(np.mean([t["covered"] for t in sized])) if sized else None,

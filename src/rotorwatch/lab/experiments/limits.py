@@ -103,11 +103,11 @@ def delay(time: Array, information: Array, theta: float, onset: float, false_ala
     """
     kl = 0.5 * theta * theta * np.asarray(information, float)
     since = np.asarray(time, float) - onset
-    some = (since > 0.0) & (kl > 0.0)
-    if not some.any():
+    usable = (since > 0.0) & (kl > 0.0)
+    if not usable.any():
         return float("inf")
-    enough = kl[some] >= cusum(kl[some] / since[some], false_alarm_period)[1]
-    return float(since[some][np.argmax(enough)]) if enough.any() else float("inf")
+    enough = kl[usable] >= cusum(kl[usable] / since[usable], false_alarm_period)[1]
+    return float(since[usable][np.argmax(enough)]) if enough.any() else float("inf")
 
 
 class Bound(NamedTuple):
@@ -154,9 +154,9 @@ def on_ticks(B, u, y, valid, flying, theta, rotor, onset, dt: float, batch: bool
         Q.append(_walks(learned, known.plant["left"][0], dt))
         R.append(learned[0])
         variances.append(learned)
-    found = _program()(decay, P0, *map(np.stack, (C, H, Q, R)), flying, valid, onset)
-    told = Bound(np.asarray(found), np.stack(variances))
-    return told if batch else Bound(told.information[0], told.variances[0])
+    information_ = _program()(decay, P0, *map(np.stack, (C, H, Q, R)), flying, valid, onset)
+    bound = Bound(np.asarray(information_), np.stack(variances))
+    return bound if batch else Bound(bound.information[0], bound.variances[0])
 
 
 def _walks(variances: np.ndarray, left: np.ndarray, dt: float) -> np.ndarray:

@@ -115,9 +115,9 @@ class Asking:
             left.plot(time, 100.0 * added[:, k], lw=1, label=str(k + 1))
         left.set(title="Added to the commands", xlabel="time [s]", ylabel="% of full thrust")
         left.legend(frameon=False, fontsize="small", ncols=2, title="rotor")
-        for who, theta in zip(self.candidates, self.losses, strict=True):
+        for rotors, theta in zip(self.candidates, self.losses, strict=True):
             answer = -added @ (self.B[3] * theta) / self.hover.mean()
-            middle.plot(time, answer, lw=1, label=label(who))
+            middle.plot(time, answer, lw=1, label=label(rotors))
         middle.set(title="Answer of each candidate", xlabel="time [s]", ylabel="thrust [hover thrusts of a rotor]")
         middle.legend(frameon=False, fontsize="small")
         course = self.design.course
@@ -130,9 +130,9 @@ class Asking:
         return picture
 
 
-def label(who: Sequence[int]) -> str:
+def label(rotors: Sequence[int]) -> str:
     """Rotor set as text: (1, 4) -> '1+4', () -> 'none'."""
-    return "+".join(map(str, who)) or "none"
+    return "+".join(map(str, rotors)) or "none"
 
 
 def ask(
@@ -186,9 +186,9 @@ def ask(
         )
     about = question.hover, question.noise, question.gain, question.dt
     design = excitation.design(B, list(hypotheses.values()), *about, limits, longest_s=within_s)
-    who = tuple(tuple(k + 1 for k in c) for c in hypotheses)
+    rotor_sets = tuple(tuple(k + 1 for k in c) for c in hypotheses)
     return Asking(
-        name, B.shape[1], who, np.stack(list(hypotheses.values())), B, question.hover, question.dt, design, notes
+        name, B.shape[1], rotor_sets, np.stack(list(hypotheses.values())), B, question.hover, question.dt, design, notes
     )
 
 
@@ -212,13 +212,13 @@ def _candidates(sets: Sequence[Sequence[int]], loss: float | Sequence[float], n:
         raise ConfigError(f"loss: give one number, or one for each of the {len(sets)} candidates, not {len(each)}.")
     if not all(0.0 < x <= 1.0 for x in each):
         raise ConfigError("loss: give numbers above 0 and up to 1.")
-    found = {}
-    for who, size in zip(sets, each, strict=True):
-        own = tuple(sorted(int(k) - 1 for k in who))
-        if len(set(own)) != len(own) or not all(0 <= k < n for k in own):
-            raise ConfigError(f"The candidate {label(who)} is no set of rotors from 1 to {n}.")
-        found[own] = np.where(np.isin(np.arange(n), own), size, 0.0)
-    return found
+    losses = {}
+    for rotors, size in zip(sets, each, strict=True):
+        indices = tuple(sorted(int(k) - 1 for k in rotors))
+        if len(set(indices)) != len(indices) or not all(0 <= k < n for k in indices):
+            raise ConfigError(f"The candidate {label(rotors)} is no set of rotors from 1 to {n}.")
+        losses[indices] = np.where(np.isin(np.arange(n), indices), size, 0.0)
+    return losses
 
 
 def _of_log(subject: Any, vehicle: Vehicle | None) -> tuple[str, np.ndarray, excitation_response.Question]:

@@ -78,8 +78,8 @@ class Survival:
 
     def count(self, rotors: int, loss: float) -> dict[str, int]:
         """Number of cases with each verdict, of that many rotors and that loss."""
-        some = [c.verdict for c in self.cases if len(c.rotors) == rotors and c.loss == loss]
-        return {verdict: some.count(verdict) for verdict in VERDICTS}
+        verdicts = [c.verdict for c in self.cases if len(c.rotors) == rotors and c.loss == loss]
+        return {verdict: verdicts.count(verdict) for verdict in VERDICTS}
 
     @property
     def summary(self) -> str:
@@ -89,10 +89,10 @@ class Survival:
             what = "Total loss" if loss == 1.0 else f"A loss of {loss:.0%}"
             parts = []
             for rotors, word in ((1, "one rotor"), (2, "two rotors")):
-                found = {verdict: count for verdict, count in self.count(rotors, loss).items() if count}
-                total = sum(found.values())
+                counts = {verdict: count for verdict, count in self.count(rotors, loss).items() if count}
+                total = sum(counts.values())
                 if total:
-                    ends = ", ".join(f"{verdict} in {count} of {total}" for verdict, count in found.items())
+                    ends = ", ".join(f"{verdict} in {count} of {total}" for verdict, count in counts.items())
                     parts.append(f"of {word}: {ends}")
             sentences.append(f"{what} {'; '.join(parts)}.")
         return " ".join(sentences)
@@ -202,12 +202,12 @@ def _case(airframe: Airframe, rotors: tuple[int, ...], loss: float, servo: bool)
     e[[k - 1 for k in rotors]] = 1.0 - loss
     B, weight = airframe.B * e, airframe.mass * G0
     size = np.abs(airframe.B).sum(axis=1) / 2.0
-    whole, tilting = (attainable.margins(B, weight, size, free_yaw=free) for free in (False, True))
-    verdict, found, hover = NO, tilting, None
+    upright, tilting = (attainable.margins(B, weight, size, free_yaw=free) for free in (False, True))
+    verdict, margins, hover = NO, tilting, None
     if servo:
         verdict = FULL if tilting.depth > LEAST else NO
-    elif whole.depth > LEAST:
-        verdict, found = FULL, whole
+    elif upright.depth > LEAST:
+        verdict, margins = FULL, upright
     elif tilting.depth > LEAST:
         verdict = NO_YAW
     if verdict in (NO, NO_YAW) and not servo:
@@ -216,10 +216,12 @@ def _case(airframe: Airframe, rotors: tuple[int, ...], loss: float, servo: bool)
             verdict = SPINNING if spinning.design(airframe, hover) is not None else NO
         hover = None if verdict == NO else hover
     held = verdict in (FULL, NO_YAW)
-    roll, pitch, yaw = (float(x) if held and np.isfinite(x) else None for x in (found.roll, found.pitch, found.yaw))
+    roll, pitch, yaw = (
+        float(x) if held and np.isfinite(x) else None for x in (margins.roll, margins.pitch, margins.yaw)
+    )
     wind = _wind(airframe, e, verdict == NO_YAW or servo) if held else None
     turning = (hover.rate, hover.tilt) if hover else (None, None)
-    lift, depth = float(found.lift), float(found.depth)
+    lift, depth = float(margins.lift), float(margins.depth)
     return Case(rotors, loss if rotors else 0.0, verdict, lift, roll, pitch, yaw, depth, wind, *turning)
 
 

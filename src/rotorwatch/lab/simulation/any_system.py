@@ -86,8 +86,8 @@ def simulate_system(
         first = system.h(start, jnp.zeros(system.n_u), rows[2][0])
         return jax.lax.scan(step, (start, first), rows)[1]
 
-    found = jax.jit(whole)(start, (end - seconds, inputs, losses, seconds, w, v))
-    inputs, x, y = (np.asarray(a) for a in found)
+    results = jax.jit(whole)(start, (end - seconds, inputs, losses, seconds, w, v))
+    inputs, x, y = (np.asarray(a) for a in results)
     if not np.isfinite(x).all():
         when = end[np.argmin(np.isfinite(x).all(axis=1))]
         raise ConfigError(
@@ -99,10 +99,10 @@ def simulate_system(
 
 def _rows(name: str, value: Any, T: int, n: int) -> np.ndarray:
     """(T, n) of one number, (n,) or (T, n)."""
-    found = np.asarray(value, float)
-    if found.shape not in ((), (n,), (T, n)):
-        raise ConfigError(f"{name} must be one number or have the shape ({n},) or ({T}, {n}), not {found.shape}.")
-    return np.broadcast_to(checks.finite(name, found), (T, n)).copy()
+    array = np.asarray(value, float)
+    if array.shape not in ((), (n,), (T, n)):
+        raise ConfigError(f"{name} must be one number or have the shape ({n},) or ({T}, {n}), not {array.shape}.")
+    return np.broadcast_to(checks.finite(name, array), (T, n)).copy()
 
 
 def _root(Q):

@@ -158,9 +158,9 @@ def _logged(time, u, gyro, wanted, n, throttle, rng, rpm: bool) -> Flight:
     }
     if rpm:
         speed = np.abs(FULL_SPEED * n + rng.normal(0.0, 8.0, n.shape))
-        made = esc_columns.build(time, {"speed": speed}, range(1, 5), "eRPM[0] ..", [])
-        assert made is not None
-        signals["esc"] = made
+        telemetry = esc_columns.build(time, {"speed": speed}, range(1, 5), "eRPM[0] ..", [])
+        assert telemetry is not None
+        signals["esc"] = telemetry
     facts = {"motor_low": IDLE, "motor_high": 1.0, "mixer": MIX.T.tolist()}
     return Flight(
         "simulated", "Betaflight", signals, float(time[-1]), firmware="simulated FPV flight", facts=facts, name="fpv"

@@ -132,7 +132,9 @@ class Multirotor:
         supply = Supply(lift, compensated, dynamics.thrust_share(pilot.expo, compensated), reference.stir)
         return Moment(target, air, supply), integral
 
-    def step(self, plan: Plan, now: Moment, t, body: Body, gyro, loops: control.Loops, own: Drives, dt: float) -> tuple:
+    def step(
+        self, plan: Plan, now: Moment, t, body: Body, gyro, loops: control.Loops, drives: Drives, dt: float
+    ) -> tuple:
         """Inner loops, mixer, faults, rotors and body."""
         jnp = load_jax().numpy
         pilot, s = plan.pilot, faults.strength(plan.faults, t)
@@ -142,18 +144,18 @@ class Multirotor:
         turning, wanted, loops = control.inner(pilot, target, body.q, gyro, loops, lift, dt)
         known, e = pilot.inversion, self.effectiveness(plan, t)
         miss, cut = wanted - loops.gyro, pilot.gyro_cut
-        change, memory = incremental.control(known, own.memory, miss, gyro, own.f, e, lift, cut, dt)
+        change, memory = incremental.control(known, drives.memory, miss, gyro, drives.f, e, lift, cut, dt)
         turning = jnp.where(known.used > 0.5, change, turning)
-        demand, free = self.mixed(plan, now, t, body, gyro, turning, own)
-        reached = demand + (own.f - demand) * jnp.exp(-dt / craft.lag)
-        own = own._replace(f=reached, memory=memory._replace(demand=demand))
+        demand, free = self.mixed(plan, now, t, body, gyro, turning, drives)
+        reached = demand + (drives.f - demand) * jnp.exp(-dt / craft.lag)
+        drives = drives._replace(f=reached, memory=memory._replace(demand=demand))
         command = jnp.minimum(control.drive(pilot.expo, lift_max * demand) / compensated, 1.0) * jnp.where(
             lift > 0, 1.0, 0.0
         )
-        driven, undriven, held = faults.act(plan.faults, s, command, own.held)
+        driven, undriven, held = faults.act(plan.faults, s, command, drives.held)
         theta = faults.loss(plan.faults, s)  # of the propellers
         driven = outside.rounded(plan.outside, driven)
-        commanded = jnp.sqrt(dynamics.thrust_share(craft.expo, driven * own.sag))
+        commanded = jnp.sqrt(dynamics.thrust_share(craft.expo, driven * drives.sag))
         friction = faults.summed(plan.faults, plan.faults.friction * s)
         remaining = 1.0 - faults.weak(plan.faults, s)
         # Without friction the speed is the commanded one, to the last bit.
@@ -161,14 +163,14 @@ class Multirotor:
         share = jnp.minimum(share, jnp.sqrt(faults.ceiling(plan.faults, s)))
         slower = faults.summed(plan.faults, plan.faults.slower * s)
         lag = craft.lag * (1.0 + (faults.SPIN_DOWN - 1.0) * undriven + slower)
-        body, w, force = self.moved(plan._replace(craft=craft), body, own.w, share, lag, now.air, theta, dt)
-        phase = own.phase + 0.5 * (own.w + w) * plan.sensors.full_turns * dt
+        body, w, force = self.moved(plan._replace(craft=craft), body, drives.w, share, lag, now.air, theta, dt)
+        phase = drives.phase + 0.5 * (drives.w + w) * plan.sensors.full_turns * dt
         phase = phase - jnp.floor(phase)
         controls = jnp.concatenate([turning, target.throttle[None]])
         lost = 1.0 - (1.0 - theta) * jnp.where(commanded > 0.0, (share / jnp.maximum(commanded, 1e-9)) ** 2, remaining)
         lost = jnp.where(share < commanded, lost, theta)
         last = (demand, command, controls, wanted, lost, s, theta, friction, 1.0 - undriven)
-        return body, loops._replace(free=free), own._replace(w=w, phase=phase, held=held), force, last
+        return body, loops._replace(free=free), drives._replace(w=w, phase=phase, held=held), force, last
 
     def aimed(self, plan: Plan, now: Moment, t, body: Body) -> control.Target:
         """Target of the inner loops."""
@@ -178,7 +180,7 @@ class Multirotor:
         """Effectiveness (n,) of each rotor as assumed by the autopilot."""
         return 1.0 + 0.0 * plan.craft.x
 
-    def mixed(self, plan: Plan, now: Moment, t, body: Body, gyro, turning, own: Any) -> tuple:
+    def mixed(self, plan: Plan, now: Moment, t, body: Body, gyro, turning, drives: Any) -> tuple:
         """Thrust demands (n,) of control `turning` (3,), and whether all of it was granted (1 or 0)."""
         return control.mix(plan.pilot.mixer, turning, now.target.throttle)
 
@@ -190,24 +192,24 @@ class Multirotor:
     def end(self, plan: Plan, now: Moment, before: State, after: State, seen, last, dt: float) -> tuple[State, Record]:
         """End of a tick: the battery, and whether the vehicle lies on the ground."""
         jnp = load_jax().numpy
-        battery, own, body = plan.battery, after.own, after.body
+        battery, drives, body = plan.battery, after.own, after.body
         demand, command, controls, wanted, theta, s, propeller, friction, driven = last
-        work = jnp.sum(own.w * own.w * own.w) / own.w.shape[0]
-        at_rest = battery.full - (battery.full - battery.empty) * jnp.minimum(own.drawn / battery.charge, 1.2)
+        work = jnp.sum(drives.w * drives.w * drives.w) / drives.w.shape[0]
+        at_rest = battery.full - (battery.full - battery.empty) * jnp.minimum(drives.drawn / battery.charge, 1.2)
         amps = battery.current * work * battery.full / jnp.maximum(at_rest, 1.0)
         volts = jnp.maximum(at_rest - amps * battery.resistance, 0.3 * battery.full)
         sag = volts / battery.full
-        believed = sag + (own.believed - sag) * math.exp(-TURN * BELIEF_HZ * dt)
+        believed = sag + (drives.believed - sag) * math.exp(-TURN * BELIEF_HZ * dt)
         R22 = 1.0 - 2.0 * (body.q[1] ** 2 + body.q[2] ** 2)
         flies = jnp.where((body.p[2] > 0.0) & (R22 < CRASH_COS), 0.0, before.flies)
-        drawn = motor.current(battery.current / own.w.shape[0], own.w, propeller, friction, sag, driven)
-        own = own._replace(drawn=own.drawn + amps * dt, sag=sag, believed=believed)
+        drawn = motor.current(battery.current / drives.w.shape[0], drives.w, propeller, friction, sag, driven)
+        drives = drives._replace(drawn=drives.drawn + amps * dt, sag=sag, believed=believed)
         record = Record(
             **seen, **body._asdict(), demand=demand, command=command, control=controls, rates_setpoint=wanted, q_setpoint=now.target.q,
-            w=own.w, phase=own.phase, shake=(plan.sensors.shake + faults.imbalance(plan.faults, s)) * own.w * own.w, theta=theta,
-            volts=volts, amps=amps, drawn=drawn, believed=believed, lift_max=now.more.lift_max, flies=flies,
+            w=drives.w, phase=drives.phase, shake=(plan.sensors.shake + faults.imbalance(plan.faults, s)) * drives.w * drives.w,
+            theta=theta, volts=volts, amps=amps, drawn=drawn, believed=believed, lift_max=now.more.lift_max, flies=flies,
         )  # fmt: skip
-        return after._replace(flies=flies, own=own), record
+        return after._replace(flies=flies, own=drives), record
 
 
 MULTIROTOR = Multirotor()

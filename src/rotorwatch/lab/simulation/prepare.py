@@ -38,12 +38,12 @@ def vehicle(scenario: Scenario) -> Vehicle:
     believed = a["expo"] if a["believed_expo"] is None else a["believed_expo"]
     known = _paper(frame)
     if known is not None:
-        found, arm = _rotors(known), 1.0
+        geometry, arm = _rotors(known), 1.0
     else:
-        found = _geometry(scenario.autopilot, frame)
-        arm = a["arm_m"] / max(np.hypot(r.x, r.y) for r in found)
-    shares = (a["lower_rotor"] if r.lower else 1.0 for r in found)
-    rotors = tuple(Rotor(r.x * arm, r.y * arm, r.spin, share, r.lower) for r, share in zip(found, shares))
+        geometry = _geometry(scenario.autopilot, frame)
+        arm = a["arm_m"] / max(np.hypot(r.x, r.y) for r in geometry)
+    shares = (a["lower_rotor"] if r.lower else 1.0 for r in geometry)
+    rotors = tuple(Rotor(r.x * arm, r.y * arm, r.spin, share, r.lower) for r, share in zip(geometry, shares))
     for k, fault in enumerate(scenario.faults):
         if fault["rotor"] > len(rotors):
             raise ConfigError(
@@ -345,9 +345,9 @@ def way(scenario: Scenario, altitude: float, take_off: float, landing: float) ->
 def air(scenario: Scenario, arm: float) -> wind.Wind:
     """The scenario's wind, for a vehicle of that half span [m]."""
     w, flown = scenario.wind, scenario.trajectory
-    own = flown["speed_m_s"] if flown["kind"] in MOVING else 0.0
+    airspeed = flown["speed_m_s"] if flown["kind"] in MOVING else 0.0
     speed = w["speed_m_s"]
-    return wind.dryden(speed, w["from_deg"], w["turbulence"], flown["altitude_m"], np.hypot(speed, own), 2.0 * arm)
+    return wind.dryden(speed, w["from_deg"], w["turbulence"], flown["altitude_m"], np.hypot(speed, airspeed), 2.0 * arm)
 
 
 def _battery(scenario: Scenario, thrust: float, hover: float) -> Battery:

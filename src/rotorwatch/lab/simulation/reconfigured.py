@@ -116,7 +116,7 @@ class Reconfigured(Multirotor):
         """(n,) the mean, or that of the candidates."""
         return entry.weights @ entry.candidates if self.allocator.by == "posterior" else entry.mean
 
-    def mixed(self, plan: Plan, now, t, body, gyro, turning, own: Drives) -> tuple:
+    def mixed(self, plan: Plan, now, t, body, gyro, turning, drives: Drives) -> tuple:
         """The mixer's answer, the allocator's or the turning hover's, as the schedule says."""
         jnp, pilot, throttle = load_jax().numpy, plan.pilot, now.target.throttle
         healthy, free = control.mix(pilot.mixer, turning, throttle)
@@ -137,7 +137,7 @@ class Reconfigured(Multirotor):
         apart = down - level
         apart = apart * jnp.minimum(1.0, MOST_TILT / jnp.maximum(jnp.sqrt((apart * apart).sum()), 1e-6))
         lift = throttle / pilot.hover / jnp.maximum(one.hover.down[2], 0.3)
-        spun = spinning.feedback(one.hover, one.gains, own.f, gyro, level + apart, jnp.clip(lift, 0.5, 1.5))
+        spun = spinning.feedback(one.hover, one.gains, drives.f, gyro, level + apart, jnp.clip(lift, 0.5, 1.5))
 
         turns = one.turning > 0.5
         ours = jnp.where(turns, spun, allocated.u)

@@ -329,7 +329,7 @@ def number(name: str, value: Any, low: float, high: float) -> float:
 
 def whole(name: str, value: Any, low: float, high: float) -> int:
     """The value as an int when it is a whole number in [low, high]. Raises ConfigError."""
-    found = number(name, value, low, high)
-    if found != int(found):
+    converted = number(name, value, low, high)
+    if converted != int(converted):
         raise ConfigError(f"{name} must be a whole number, not {brief(value)}.")
-    return int(found)
+    return int(converted)

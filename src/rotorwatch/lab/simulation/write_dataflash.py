@@ -128,15 +128,15 @@ def _record(name: str, *values) -> bytes:
 
 
 def _events(flight: Flight) -> list[tuple[int, bytes]]:
-    found = []
+    events = []
     for m in flight.messages:
         stamp = flight.start_us + round(m.time * 1e6)
         if m.kind == "armed":
-            found.append((stamp, _record("ARM", stamp, int(m.value), 0, 0, 0)))
+            events.append((stamp, _record("ARM", stamp, int(m.value), 0, 0, 0)))
         if (m.kind, m.value) in EVENTS:
-            found.append((stamp, _record("EV", stamp, EVENTS[m.kind, m.value])))
+            events.append((stamp, _record("EV", stamp, EVENTS[m.kind, m.value])))
         elif m.kind == "mode":
-            found.append((stamp, _record("MODE", stamp, int(m.value), int(m.value), 0)))
+            events.append((stamp, _record("MODE", stamp, int(m.value), int(m.value), 0)))
         elif m.kind == "text":
-            found.append((stamp, _record("MSG", stamp, m.text.encode()[:64])))
-    return found
+            events.append((stamp, _record("MSG", stamp, m.text.encode()[:64])))
+    return events

@@ -85,18 +85,18 @@ def build(header: str, source: str, name: str) -> Path:
         toolchain.building(name)
         for suffix, text in ((".h", header), (".c", source)):
             (Path(scratch) / f"{name}{suffix}").write_text(text, encoding="utf-8")
-        made = Path(scratch) / "made.so"
+        compiled = Path(scratch) / "made.so"
         for extra in (vectors, ()):
-            command = [cc, *flags, *extra[:1], "-o", str(made), str(Path(scratch) / f"{name}.c"), *extra[1:], "-lm"]
-            done = subprocess.run(command, capture_output=True, text=True, check=False)
-            if not done.returncode or not extra:
+            command = [cc, *flags, *extra[:1], "-o", str(compiled), str(Path(scratch) / f"{name}.c"), *extra[1:], "-lm"]
+            result = subprocess.run(command, capture_output=True, text=True, check=False)
+            if not result.returncode or not extra:
                 break
-        if done.returncode:
-            message = (done.stderr.strip().splitlines() or ["nothing said"])[0]
+        if result.returncode:
+            message = (result.stderr.strip().splitlines() or ["nothing said"])[0]
             raise Unavailable(f"{cc} cannot build native code: {message}.")
         # Whole or not at all, whoever else builds the same; between the two it is not sealed, and built again.
         part = goal.with_suffix(f".{os.getpid()}")
-        for place, data in ((goal, made.read_bytes()), (seal, shipped.digest_of(made).encode())):
+        for place, data in ((goal, compiled.read_bytes()), (seal, shipped.digest_of(compiled).encode())):
             part.write_bytes(data)
             os.replace(part, place)
     return goal

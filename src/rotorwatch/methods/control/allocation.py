@@ -159,9 +159,11 @@ class Allocator:
         wrench = self.B @ (mean * u)
         error = demand - wrench
         # Linear in each effectiveness: the ends are where a channel is furthest off.
-        more, less = (upper - mean) * u, (mean - lower) * u
+        surplus, deficit = (upper - mean) * u, (mean - lower) * u
         up, down = np.maximum(self.B, 0.0), np.maximum(-self.B, 0.0)
-        worst = jnp.maximum(jnp.abs(error - up @ more - down @ less), jnp.abs(error + up @ less + down @ more))
+        worst = jnp.maximum(
+            jnp.abs(error - up @ surplus - down @ deficit), jnp.abs(error + up @ deficit + down @ surplus)
+        )
         granted = (jnp.abs(error) <= GRANTED * self.size) & usable
         status = jnp.where(usable, OK, HELD).astype(jnp.int32)
         return Held(u), Allocation(u, wrench, error, worst, granted.astype(float), status), turns

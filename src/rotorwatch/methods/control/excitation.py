@@ -213,17 +213,17 @@ def design(
     turned = np.stack([B[:3] @ (theta[:, None] * N) / unit / gain[:, None] for theta in thetas])  # rad/s^2 per share
     ticks = max(2, round(longest / dt))
     whiten = _whitener(noise, ticks, dt)
-    found: list[Design] = []
+    designs: list[Design] = []
     for period in PERIODS:
         if period < TICKS * FASTER * dt or 2.0 * period > longest:
             continue
         reach = _turn(period)
         typical = min(longest, max(2.0, 2.0 * period))
         D = _directions(seen, _kernel(whiten, period, typical, dt, lag, ticks), turned / limits.tilt, reach, N, room)
-        made = _whole(N @ D, period, longest, length_s, dt, lag, whiten, seen, D, enough)
-        if made is None:
+        candidate = _whole(N @ D, period, longest, length_s, dt, lag, whiten, seen, D, enough)
+        if candidate is None:
             continue
-        signal, found_information = made
+        signal, found_information = candidate
         tilt = np.stack([np.linalg.norm(turned @ D @ (reach * signs), axis=1) for signs in SIGNS]).max(axis=0)
         lift = G0 / n / unit * (thetas * B[3]) @ N @ D
         heave = np.abs(lift) @ reach
@@ -231,14 +231,14 @@ def design(
         bound = "attitude" if tilt.max() > 0.98 * limits.tilt else "commands"
         bound = "amplitude" if bound == "commands" and amplitude.max() > 0.98 * limits.amplitude else bound
         course = found_information.min(axis=1)
-        found.append(Design(signal, found_information[-1], pairs, course, enough, tilt, heave, bound))
-    if not found:
+        designs.append(Design(signal, found_information[-1], pairs, course, enough, tilt, heave, bound))
+    if not designs:
         raise ConfigError(f"An excitation takes at least {2.0 * max(TICKS * dt, PERIODS[0]):.1f} s; allow more time.")
     if length_s is not None:
-        return max(found, key=lambda d: d.information.min())
-    done = [d for d in found if d.information.min() >= enough]
-    if not done:
-        best = max(found, key=lambda d: d.information.min())
+        return max(designs, key=lambda d: d.information.min())
+    sufficient = [d for d in designs if d.information.min() >= enough]
+    if not sufficient:
+        best = max(designs, key=lambda d: d.information.min())
         least = float(best.information.min())
         factor = np.sqrt(enough / max(least, 1e-12))
         what = {
@@ -250,7 +250,7 @@ def design(
             f"Within {what} {longest:.3g} s do not tell these candidates apart: the information is {least:.3g} of {enough:.0f}, and an "
             f"excitation {factor:.2g} times as large would do."
         )
-    return min(done, key=lambda d: (float(d.signal.length), -d.information.min()))
+    return min(sufficient, key=lambda d: (float(d.signal.length), -d.information.min()))
 
 
 def _why_blind(thetas, N, pair) -> str:
@@ -260,10 +260,10 @@ def _why_blind(thetas, N, pair) -> str:
         return f"The candidates {one} and {other} have the same losses: there is nothing to tell apart."
     still = [k for k in differing if np.linalg.norm(N[k]) < 1e-6]
     if still:
-        who = ", ".join(str(k + 1) for k in still)
+        rotors = ", ".join(str(k + 1) for k in still)
         return (
-            f"The null space cannot tell {one} from {other}: no command that leaves the vehicle unmoved uses rotor {who}, whose thrust or "
-            "moment no others can make up for."
+            f"The null space cannot tell {one} from {other}: no command that leaves the vehicle unmoved uses rotor {rotors}, whose thrust "
+            "or moment no others can make up for."
         )
     return (
         f"The null space cannot tell {one} from {other}: their losses differ in a thrust and moment only, which hover shows, and answer "
@@ -382,6 +382,6 @@ def _whole(directions, period, longest, length_s, dt, lag, whiten, seen, D, enou
             high = middle
         else:
             low = middle + 1
-    made = information_by(lengths[low])
+    information = information_by(lengths[low])
     signal = Signal(directions[:, 0], directions[:, 1], np.array(period), np.array(0.0), np.array(float(lengths[low])))
-    return signal, made
+    return signal, information

@@ -117,16 +117,16 @@ class IMM:
         n, modes = self.system.n_x, len(self.directions)
         predicted = carry.probability @ p
         weight = (p * carry.probability[:, None] / predicted).T  # row i: of the modes j that mode i comes from
-        own = np.eye(modes)
+        same_mode = np.eye(modes)
 
-        def enter(w, own, theta_var):
-            keep = jnp.concatenate([jnp.ones((modes, n)), own[:, None]], axis=1)
+        def enter(w, same_mode, theta_var):
+            keep = jnp.concatenate([jnp.ones((modes, n)), same_mode[:, None]], axis=1)
             fresh = jnp.zeros((n + 1, n + 1)).at[n, n].set(theta_var)
-            P = keep[:, :, None] * carry.P * keep[:, None, :] + (1.0 - own)[:, None, None] * fresh
+            P = keep[:, :, None] * carry.P * keep[:, None, :] + (1.0 - same_mode)[:, None, None] * fresh
             return moments(w, keep * carry.s, P)
 
         fresh = jnp.where(self.faulty, self.theta_var, 0.0)
-        s, P = jax.vmap(enter)(weight, jnp.asarray(own), fresh)
+        s, P = jax.vmap(enter)(weight, jnp.asarray(same_mode), fresh)
         return s, P, predicted
 
 

@@ -92,8 +92,8 @@ class IRLS:
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """Predict over dt with input u (n_u,), then add y (n_y,), where valid, to the window and fit it again."""
         dt = self.dt if dt is None else dt
-        found = measured_regression.row(self.system, carry.known, u, y, valid, carry.theta, dt)
-        z, Omega = measured_regression.whitened(found, valid)
+        row = measured_regression.row(self.system, carry.known, u, y, valid, carry.theta, dt)
+        z, Omega = measured_regression.whitened(row, valid)
 
         def pushed(window, new):
             put = lax.dynamic_update_index_in_dim(window, new, carry.next, 0)
@@ -106,8 +106,8 @@ class IRLS:
         )
         following = carry.next + valid.any().astype(jnp.int32)
         following = jnp.where(following == self.rows, 0, following).astype(jnp.int32)
-        known = measured_regression.measured(found, y, valid, theta)
-        out = measured_regression.estimate(found, known, valid, carry.P, theta, P)
+        known = measured_regression.measured(row, y, valid, theta)
+        out = measured_regression.estimate(row, known, valid, carry.P, theta, P)
         return Carry(known, *window, following, theta, P, s), out
 
     def _fitted(self, z, Omega, seen, theta, s):

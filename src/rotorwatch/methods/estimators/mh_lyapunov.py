@@ -127,8 +127,8 @@ class MHLyapunov(Adaptation):
 
         block, seen = self.gather(carry.block, before, at, u, y, valid, dt)
         carry = carry._replace(state=state, block=block)
-        done = block.elapsed >= max(self.block_s, self.dt) - 0.5 * dt
-        carry = jax.lax.cond(done, lambda c: self.close(c, u, seen, at.C_left), lambda c: c, carry)
+        complete = block.elapsed >= max(self.block_s, self.dt) - 0.5 * dt
+        carry = jax.lax.cond(complete, lambda c: self.close(c, u, seen, at.C_left), lambda c: c, carry)
         return carry, estimate(state, e, S, valid)
 
     def gather(self, block: Block, before: State, at, u, y, valid, dt) -> tuple[Block, Any]:

@@ -198,8 +198,8 @@ class MHE:
         scale = jnp.diagonal(D, axis1=1, axis2=2)
 
         def bound(free, fixed):
-            own = (1.0 - free)[:, :, None] * scale[:, :, None] * jnp.eye(self.n)
-            masked = free[:, :, None] * D * free[:, None, :] + own
+            held = (1.0 - free)[:, :, None] * scale[:, :, None] * jnp.eye(self.n)
+            masked = free[:, :, None] * D * free[:, None, :] + held
             right = free * (g - banded(D, below, fixed)) + scale * fixed
             return masked, free[1:, :, None] * below * free[:-1, None, :], right
 

@@ -89,8 +89,8 @@ class Parity:
         fresh = move.value - x0, move.by_theta, look.by_theta, jnp.where(valid, y - look.value, 0.0)
         before = carry.push, carry.Phi, carry.D, carry.y
         push, Phis, Ds, ys = (jnp.concatenate([old[1:], new[None]]) for old, new in zip(before, fresh, strict=True))
-        whole = valid.all() & regular
-        count = jnp.where(whole, jnp.minimum(carry.count + 1, self.N), 0).astype(jnp.int32)
+        regular_step = valid.all() & regular
+        count = jnp.where(regular_step, jnp.minimum(carry.count + 1, self.N), 0).astype(jnp.int32)
         r, A = self._residual(push, Phis, Ds, ys)
         full = count == self.N
         information = A.T @ A + jnp.diag(1.0 / self.theta_var)
@@ -136,15 +136,15 @@ class Parity:
         system, N, dt = self.system, self.N, self.dt
         x0, none = jnp.asarray(system.x0, float), jnp.zeros(system.n_theta)
         u = jnp.asarray(u, float)
-        found = (
+        design = (
             linearise.transition(system, x0, u, none, dt).by_x,
             linearise.measurement(system, x0, u, none).by_x,
             system.Q(dt),
             system.R(u),
         )
-        values = checks.concrete(found)
+        values = checks.concrete(design)
         xp = np if values else jnp  # with a plant's values by NumPy; where they are a program's parameters, inside it
-        F, C, Q, R = (xp.asarray(part) for part in found)
+        F, C, Q, R = (xp.asarray(part) for part in design)
         n_x, n_y = system.n_x, system.n_y
         powers = [xp.eye(n_x)]
         for _ in range(N):

@@ -91,8 +91,8 @@ class SlidingMode:
 
         # Only states all of whose measurements are there.
         needed = jnp.abs(left) > ACTS * jnp.abs(left).max()
-        whole = (valid | ~needed).all(axis=1) & needed.any(axis=1)
-        left = jnp.where(whole[:, None] & needed, left, 0.0)
+        measured = (valid | ~needed).all(axis=1) & needed.any(axis=1)
+        left = jnp.where(measured[:, None] & needed, left, 0.0)
         e = left @ jnp.where(valid, y - y_, 0.0)
         remains, ds = self._twisted(e, dt)
         x, v = x + e - remains, carry.v + ds
@@ -107,7 +107,7 @@ class SlidingMode:
         gain = jnp.where(valid & (self.direct > 0), -jnp.expm1(-self.rate * dt), 0.0)
         w = carry.w + gain * jnp.where(valid, y - y_ - carry.w, 0.0)
         var = (1.0 - gain) ** 2 * (carry.var + self.walk**2 * dt * (self.D0**2).sum(axis=1)) + gain**2 * R
-        G = jnp.where(whole[:, None], Phi / dt * self.driven[:, None], carry.G[:n])
+        G = jnp.where(measured[:, None], Phi / dt * self.driven[:, None], carry.G[:n])
         G = jnp.concatenate([G, carry.G[n:] + gain[:, None] * (D - carry.G[n:])])
 
         noise = jnp.concatenate([jnp.diagonal(P)[n:], var])

@@ -123,8 +123,8 @@ def _volume_weight(n: int, g, r, e):
     A = (n - 1) * g**2
     B = g * ((2 * n - 1) * r - g + e**2)
     C = r * (n * (r - e**2) - g)
-    found = (-B + jnp.sqrt(jnp.maximum(B**2 - 4 * A * C, 0.0))) / jnp.maximum(2 * A, TINY)
-    return jnp.where(C < 0, found, 0.0)
+    weight = (-B + jnp.sqrt(jnp.maximum(B**2 - 4 * A * C, 0.0))) / jnp.maximum(2 * A, TINY)
+    return jnp.where(C < 0, weight, 0.0)
 
 
 def _trace_weight(tau, kappa, g, r, e):

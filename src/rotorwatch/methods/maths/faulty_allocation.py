@@ -128,9 +128,11 @@ class Sparse:
         """theta (n, sets) of every set within bounds, and its score (sets,). G, z: information about the atoms."""
         i, filled = self.index, self.filled
         width = len(i)
-        own = 1e-10 * jnp.diagonal(G) + _ridge(G)
+        ridge = 1e-10 * jnp.diagonal(G) + _ridge(G)
         A = {(j, k): jnp.where(filled[j] & filled[k], G[i[j], i[k]], 0.0) for j in range(width) for k in range(j)}
-        A |= {(k, k): jnp.where(filled[k], (jnp.diagonal(G) + own)[i[k]], 1.0) for k in range(width)}  # empty places: 1
+        A |= {
+            (k, k): jnp.where(filled[k], (jnp.diagonal(G) + ridge)[i[k]], 1.0) for k in range(width)
+        }  # empty places: 1
         a = _solve(A, [jnp.where(filled[k], z[i[k]], 0.0) for k in range(width)])
         theta = sum(jnp.clip(a[k], self.low[i[k]], self.high[i[k]]) * self.places[k] for k in range(width))
         theta = jnp.clip(

@@ -92,32 +92,32 @@ def left_inverse(C: Array) -> Array:
     return 2.0 * left - left @ (C @ left)
 
 
-def whitened(found: Row, valid: Array) -> tuple[Array, Array]:
+def whitened(row_: Row, valid: Array) -> tuple[Array, Array]:
     """z (n_y,) and Omega (n_y, n_theta) with noise of the covariance I; rows that are not valid are 0."""
-    S = jnp.where(valid[:, None] & valid[None, :], found.S, np.eye(len(valid)))
-    both = jnp.where(valid[:, None], jnp.concatenate([found.Omega, found.z[:, None]], axis=1), 0.0)
+    S = jnp.where(valid[:, None] & valid[None, :], row_.S, np.eye(len(valid)))
+    both = jnp.where(valid[:, None], jnp.concatenate([row_.Omega, row_.z[:, None]], axis=1), 0.0)
     white = jax.scipy.linalg.solve_triangular(jnp.linalg.cholesky(S), both, lower=True)
     return white[:, -1], white[:, :-1]
 
 
-def measured(found: Row, y: Array, valid: Array, theta: Array) -> Known:
+def measured(row_: Row, y: Array, valid: Array, theta: Array) -> Known:
     """The state after the step, theta (n_theta,) being the losses as they are known now."""
-    moved = theta - found.theta
-    left = left_inverse(found.C)
+    moved = theta - row_.theta
+    left = left_inverse(row_.C)
     # Below this a coefficient is the rounding of TINY: the measurement is not needed for that state.
     needed = jnp.abs(left) > 1e-9 * jnp.abs(left).max()
-    whole = (valid | ~needed).all(axis=1) & needed.any(axis=1)
-    K = jnp.where(whole[:, None] & needed, left, 0.0)
-    rest = np.eye(len(found.x)) - K @ found.C
-    e = jnp.where(valid, y - found.y - found.Omega @ moved, 0.0)
-    x = found.x + found.Upsilon @ moved + K @ e
-    P = rest @ found.P @ rest.T + (K * found.R) @ K.T
-    return Known(x, symmetric(P), found.Upsilon - K @ found.Omega)
+    complete = (valid | ~needed).all(axis=1) & needed.any(axis=1)
+    K = jnp.where(complete[:, None] & needed, left, 0.0)
+    rest = np.eye(len(row_.x)) - K @ row_.C
+    e = jnp.where(valid, y - row_.y - row_.Omega @ moved, 0.0)
+    x = row_.x + row_.Upsilon @ moved + K @ e
+    P = rest @ row_.P @ rest.T + (K * row_.R) @ K.T
+    return Known(x, symmetric(P), row_.Upsilon - K @ row_.Omega)
 
 
-def estimate(found: Row, after: Known, valid: Array, before_cov: Array, theta: Array, theta_cov: Array) -> Estimate:
+def estimate(row_: Row, after: Known, valid: Array, before_cov: Array, theta: Array, theta_cov: Array) -> Estimate:
     """The posterior of a step; the innovation is against the losses before it, whose covariance was before_cov."""
-    e = jnp.where(valid, found.z - found.Omega @ found.theta, 0.0)
-    S = symmetric(found.S + found.Omega @ before_cov @ found.Omega.T)
+    e = jnp.where(valid, row_.z - row_.Omega @ row_.theta, 0.0)
+    S = symmetric(row_.S + row_.Omega @ before_cov @ row_.Omega.T)
     x_cov = symmetric(after.P + after.Upsilon @ theta_cov @ after.Upsilon.T)
     return Estimate(after.x, x_cov, theta, symmetric(theta_cov), e, S, linearise.status(valid))

@@ -440,17 +440,17 @@ class SetMembership:
     def _box_remainder(self, function, z, reach):
         """(mid, half) of the linearisation's remainder over the box around the ellipsoid, as the source bounds it."""
         low, high = jnp.maximum(z - reach, self.low), jnp.minimum(z + reach, self.high)
-        found = interval.second_order_remainder(function, z, low, high)
-        half = _capped(0.5 * (found.hi - found.lo))
-        return jnp.where(half < UNBOUNDED, 0.5 * (found.lo + found.hi), 0.0), half
+        remainder = interval.second_order_remainder(function, z, low, high)
+        half = _capped(0.5 * (remainder.hi - remainder.lo))
+        return jnp.where(half < UNBOUNDED, 0.5 * (remainder.lo + remainder.hi), 0.0), half
 
     def _cut(self, z, shape, H, e, limit, valid):
         """The predicted set cut by all valid measurements."""
         if self.form == "batch":
             cut, _, _ = ellipsoid.batch_cut(z, shape, jnp.where(valid[:, None], H, 0.0), e, jnp.diag(limit))
-            some = valid.any() & (cut.health > 0)
+            usable = valid.any() & (cut.health > 0)
             return ellipsoid.Cut(
-                jnp.where(some, cut.a, z), jnp.where(some, cut.P, shape), jnp.where(valid.any(), cut.health, 1.0)
+                jnp.where(usable, cut.a, z), jnp.where(usable, cut.P, shape), jnp.where(valid.any(), cut.health, 1.0)
             )
 
         if self.form == "ud":

@@ -48,11 +48,11 @@ def expand(function, a, slope, metric=None, lo=None, hi=None) -> tuple:
         a + reach if hi is None else jnp.minimum(a + reach, hi),
     ]
     start = Model(a, both, jnp.zeros(a.shape), *ends)
-    found = interval.walk(closed.jaxpr, closed.consts, [start], rules.apply, (Model, Interval))[0]
-    if not isinstance(found, Model):
-        found = jnp.asarray(found)
-        return found, jnp.zeros((found.shape[0], k)), jnp.zeros(found.shape)
-    return found.c, found.g[:k].T, found.e
+    model = interval.walk(closed.jaxpr, closed.consts, [start], rules.apply, (Model, Interval))[0]
+    if not isinstance(model, Model):
+        model = jnp.asarray(model)
+        return model, jnp.zeros((model.shape[0], k)), jnp.zeros(model.shape)
+    return model.c, model.g[:k].T, model.e
 
 
 class _Rules:

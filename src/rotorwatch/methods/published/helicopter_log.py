@@ -122,11 +122,11 @@ def _followed(command: np.ndarray, dt: float, lag_s: float) -> np.ndarray:
     """Mean position over each step of sound actuators driven by `command` (T, 4), held over the step: first-order lag, exact."""
     fade = np.exp(-dt / lag_s)
     share = lag_s / dt * (1.0 - fade)
-    at, found = command[0], np.empty_like(command)
+    at, positions = command[0], np.empty_like(command)
     for k, driven in enumerate(command):
-        found[k] = driven + (at - driven) * share
+        positions[k] = driven + (at - driven) * share
         at = driven + (at - driven) * fade
-    return found
+    return positions
 
 
 def _nearest(times: np.ndarray, at: np.ndarray) -> np.ndarray:
@@ -220,15 +220,15 @@ def estimate(flight: Flight, airframe: str, name: Any, lag_s: float = LAG_S, pro
     return Estimated(table, theta, off, deviation, deviation_off, _named(table, deviation, deviation_off), series)
 
 
-def summary(found: Estimated) -> dict[str, dict[str, float | None]]:
+def summary(estimated: Estimated) -> dict[str, dict[str, float | None]]:
     """Actuator -> its estimates at the end of the flight, as numbers that JSON takes."""
-    last = {
-        "loss": found.theta[-1, :ACTUATORS], "loss_off": found.off[-1, :ACTUATORS], "bias": found.theta[-1, ACTUATORS:],
-        "bias_off": found.off[-1, ACTUATORS:], "deviation": found.deviation[-1], "deviation_off": found.deviation_off[-1],
+    final = {
+        "loss": estimated.theta[-1, :ACTUATORS], "loss_off": estimated.off[-1, :ACTUATORS], "bias": estimated.theta[-1, ACTUATORS:],
+        "bias_off": estimated.off[-1, ACTUATORS:], "deviation": estimated.deviation[-1], "deviation_off": estimated.deviation_off[-1],
     }  # fmt: skip
     return {
-        name: {"found_s": None if np.isnan(found.found[k]) else float(found.found[k])}
-        | {key: float(values[k]) for key, values in last.items()}
+        name: {"found_s": None if np.isnan(estimated.found[k]) else float(estimated.found[k])}
+        | {key: float(values[k]) for key, values in final.items()}
         for k, name in enumerate(NAMES)
     }
 
@@ -244,9 +244,9 @@ def _deviation(theta: np.ndarray, cov: np.ndarray, u: np.ndarray) -> tuple[np.nd
 def _named(table: Table, deviation: np.ndarray, off: np.ndarray) -> np.ndarray:
     """(4,) when each actuator had deviated for LASTING_S."""
     far = (np.abs(deviation) > np.maximum(LEAST, MARGIN * off)) & (table.time > table.time[0] + LEARN_S[1])[:, None]
-    width, found = max(1, round(LASTING_S / table.dt)), np.full(ACTUATORS, np.nan)
+    width, named = max(1, round(LASTING_S / table.dt)), np.full(ACTUATORS, np.nan)
     for k in range(ACTUATORS):
         run_length = np.convolve(far[:, k], np.ones(width, int))[: len(far)]
         if (run_length >= width).any():
-            found[k] = table.time[np.argmax(run_length >= width)]
-    return found
+            named[k] = table.time[np.argmax(run_length >= width)]
+    return named

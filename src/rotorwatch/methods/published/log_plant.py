@@ -71,8 +71,8 @@ def hops(table: Ticks, B: np.ndarray, dynamics: dict | None = None) -> tuple[Log
     its tick. Raises ConfigError when the commands are too slow for the default estimator, which is the teacher.
     """
     starts = [*np.flatnonzero(table.restart), len(table.time)]
-    found = (_hop(table, B, dynamics, a, b) for a, b in itertools.pairwise(starts))
-    return tuple(hop for hop in found if hop is not None)
+    candidates = (_hop(table, B, dynamics, a, b) for a, b in itertools.pairwise(starts))
+    return tuple(hop for hop in candidates if hop is not None)
 
 
 def _hop(table: Ticks, B: np.ndarray, dynamics: dict | None, start: int, stop: int) -> LogPlant | None:

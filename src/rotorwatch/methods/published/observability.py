@@ -164,10 +164,10 @@ def observability(subject: Vehicle | str | Any, x=None, u=None, progress=None) -
         path_x, path_u = figure_eight(system)
     else:
         names, (path_x, path_u) = ("rest", "inputs swinging"), shake(x0, u0)
-    every = len(path_x) // POINTS
+    stride = len(path_x) // POINTS
     still = np.concatenate([u0[None], np.zeros((orders, u0.size))])
-    xs = np.concatenate([x0[None], path_x[::every]])
-    us = np.concatenate([still[None], derivatives(path_u, orders)[::every]])
+    xs = np.concatenate([x0[None], path_x[::stride]])
+    us = np.concatenate([still[None], derivatives(path_u, orders)[::stride]])
     matrices = lie_matrices(system, xs, us, np.zeros(system.n_theta), orders)
     if progress:
         progress(0.7)

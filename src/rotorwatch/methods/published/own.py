@@ -32,7 +32,7 @@ def says(estimator: Any) -> str:
 
 
 def series(
-    name: str, estimator: Any, found: Own, time: np.ndarray, hop: int, dt: float, notes: Sequence[str] = ()
+    name: str, estimator: Any, outputs: Own, time: np.ndarray, hop: int, dt: float, notes: Sequence[str] = ()
 ) -> MethodSeries:
     """The stacked outputs of an estimator as series. time (T,): ends of the steps [s]; hop: which flight of the log, from 1."""
     system = estimator.system
@@ -45,9 +45,9 @@ def series(
 
     return MethodSeries(
         method=name, plant=str(getattr(system, "name", "own plant")), says=says(estimator), time=np.asarray(time),
-        hop=np.full(len(time), hop), theta=np.asarray(found.theta), theta_cov=np.asarray(found.theta_cov),
-        x=np.asarray(found.x), x_var=np.asarray(found.x_var), innovation=np.asarray(found.innovation),
-        innovation_var=np.asarray(found.innovation_var), status=np.asarray(found.status),
+        hop=np.full(len(time), hop), theta=np.asarray(outputs.theta), theta_cov=np.asarray(outputs.theta_cov),
+        x=np.asarray(outputs.x), x_var=np.asarray(outputs.x_var), innovation=np.asarray(outputs.innovation),
+        innovation_var=np.asarray(outputs.innovation_var), status=np.asarray(outputs.status),
         theta_names=plant.theta_names(system),
         x_names=named("x_names", system.n_x), x_units=units("x_units", system.n_x),
         y_names=named("y_names", system.n_y), y_units=units("y_units", system.n_y), dt=dt, notes=tuple(notes),

@@ -104,9 +104,9 @@ class Watched:
         """Advance by one step: an `Output` per threshold."""
         first, out = self.estimator.step(carry[0], u, y, valid)
         estimate = getattr(out, "estimate", out)
-        found = [t.step(c, estimate, self.dt) for t, c in zip(self.thresholds, carry[1], strict=True)]
-        outputs = tuple(Output(estimate, decision, c.level, c.scatter) for c, decision in found)
-        return (first, tuple(c for c, _ in found)), outputs
+        results = [t.step(c, estimate, self.dt) for t, c in zip(self.thresholds, carry[1], strict=True)]
+        outputs = tuple(Output(estimate, decision, c.level, c.scatter) for c, decision in results)
+        return (first, tuple(c for c, _ in results)), outputs
 
 
 class Seen(namedtuple("Seen", "theta innovation innovation_var log_odds statistic alarm onset best level scatter")):
@@ -161,19 +161,21 @@ def run_hop(
     parameters: dict[str, Any] = {"plant": hop.parameters, "B": B}
     parameters |= {k: np.asarray(v) for k, v in (("q", tuning.q), ("r", tuning.r)) if v is not None}
     build, backend = builder(name, hop.dt, tuple(sorted(tuning.keywords.items()))), chosen(None, "auto")
-    made, rows = (
+    estimator, rows = (
         build(parameters),
         (hop.u, hop.y, hop.valid),
     )  # with values: a wrong configuration raises here
     try:
-        found = run_built(build, parameters, *rows, both, progress, made.init(), backend)[1]
+        outputs = run_built(build, parameters, *rows, both, progress, estimator.init(), backend)[1]
     except (
         load_jax().errors.JAXTypeError,
         ConfigError,
     ):  # design work that needs values: compiled for this flight alone
-        found = run(made, *rows, both, progress, backend=backend)[1]
-    series = own.series(discovery.title(name), made.estimator, found[0], time[hop.rows], number, hop.dt, PLANT_NOTES)
-    return series, found[1]
+        outputs = run(estimator, *rows, both, progress, backend=backend)[1]
+    series = own.series(
+        discovery.title(name), estimator.estimator, outputs[0], time[hop.rows], number, hop.dt, PLANT_NOTES
+    )
+    return series, outputs[1]
 
 
 def judge(
@@ -195,9 +197,9 @@ def judge(
     hyp = list_hypotheses(B.shape[1])
     out, parts = blank(len(table.time), hyp), []
     for k, hop in enumerate(log_plant.hops(table, B, dynamics) if hops is None else hops, start=1):
-        found, decided = run_hop(name, hop, B, table.time, k, tuning, progress)
+        itself_, decided = run_hop(name, hop, B, table.time, k, tuning, progress)
         record(out, decided, hop, hyp, B)
-        parts.append(found)
+        parts.append(itself_)
     return out, joined(parts) if parts else None
 
 
@@ -234,11 +236,11 @@ def record(out: TickOutput, seen: Seen, hop: LogPlant, hyp: Hypotheses, B: np.nd
     away = seen.theta[:, :n] @ B.T - seen.level
     weight = 1.0 / (seen.scatter + np.array([0, 0, 0, (n * decide.COMMON_SD) ** 2]))
     announced, active, best, onset = _follow(seen, hyp, dt)
-    shown, sd = _losses(_trailing_mean(away, max(1, round(SHOWN_S / dt)), announced), weight, active, B)
+    losses, sd = _losses(_trailing_mean(away, max(1, round(SHOWN_S / dt)), announced), weight, active, B)
     to_wrench = np.concatenate([np.diag(hop.parameters["J"])[:3] / dt, [hop.parameters["m"]]])
     to_wrench[2] *= 1.0 / np.abs(hop.parameters["B_tau"][2]).max()
-    own = np.einsum("ai,ta,ai->ti", B, weight, B)
-    out.theta[rows], out.theta_sd[rows] = shown, sd
+    weighted = np.einsum("ai,ta,ai->ti", B, weight, B)
+    out.theta[rows], out.theta_sd[rows] = losses, sd
     out.innovation[rows], out.innovation_var[rows] = seen.innovation * to_wrench, seen.innovation_var * to_wrench**2
     out.log_odds[rows], out.statistic[rows], out.best[rows], out.onset[rows] = (
         seen.log_odds,
@@ -251,8 +253,8 @@ def record(out: TickOutput, seen: Seen, hop: LogPlant, hyp: Hypotheses, B: np.nd
     out.onsets[rows], out.active[rows], out.share[rows] = _explanations(
         announced, active, onset, out.probability[rows], hyp
     )
-    out.detectable[rows] = np.maximum(decide.SIGMAS / np.sqrt(own), decide.LEAST) / 1.96
-    out.biases[rows] = (hop.u * (seen.theta[:, :n] - shown)) @ B.T
+    out.detectable[rows] = np.maximum(decide.SIGMAS / np.sqrt(weighted), decide.LEAST) / 1.96
+    out.biases[rows] = (hop.u * (seen.theta[:, :n] - losses)) @ B.T
 
 
 def _follow(seen: Seen, hyp: Hypotheses, dt: float):
@@ -266,25 +268,25 @@ def _follow(seen: Seen, hyp: Hypotheses, dt: float):
     best, onset = seen.best.astype(int).copy(), seen.onset.copy()
     over = 0.5 * decide.SIGMAS**2 * decide.FADE
     current: frozenset[int] = frozenset()
-    mine: np.ndarray = np.zeros(0, int)
+    same_set: np.ndarray = np.zeros(0, int)
     quiet = 0
     for k in range(T):
         if current:
-            own = seen.log_odds[k, mine].max()
-            quiet = quiet + 1 if own < over else 0
+            best_of_set = seen.log_odds[k, same_set].max()
+            quiet = quiet + 1 if best_of_set < over else 0
             if quiet * dt >= decide.OVER_S:
-                announced[k], best[k], onset[k] = True, mine[0], quiet
+                announced[k], best[k], onset[k] = True, same_set[0], quiet
                 current, quiet = frozenset(), 0
-        who = frozenset(hyp.rotors[seen.best[k]])
-        if seen.alarm[k] and who != current and not announced[k]:
+        rotors = frozenset(hyp.rotors[seen.best[k]])
+        if seen.alarm[k] and rotors != current and not announced[k]:
             if (
                 not current
-                or who > current
-                or seen.log_odds[k, seen.best[k]] > seen.log_odds[k, mine].max() + OTHER_NATS
+                or rotors > current
+                or seen.log_odds[k, seen.best[k]] > seen.log_odds[k, same_set].max() + OTHER_NATS
             ):
-                announced[k], current, quiet = True, who, 0
+                announced[k], current, quiet = True, rotors, 0
         if announced[k]:
-            mine = np.array([h for h, s in enumerate(hyp.rotors) if hyp.fault[h] and frozenset(s) == current], int)
+            same_set = np.array([h for h, s in enumerate(hyp.rotors) if hyp.fault[h] and frozenset(s) == current], int)
         active[k, sorted(current)] = True
     return announced, active, best, onset
 
@@ -302,8 +304,8 @@ def _explanations(announced, active, onset, probability, hyp: Hypotheses):
             found = rotor_sets(hyp, probability[k])
             share[k:stop, 0] = found.get(named, 0.0)
             others = [item for item in found.items() if item[0] != named]
-            for place, (who, p) in enumerate(others[: PLACES - 1], start=1):
-                sets[k:stop, place, list(who)] = True
+            for place, (rotors, p) in enumerate(others[: PLACES - 1], start=1):
+                sets[k:stop, place, list(rotors)] = True
                 share[k:stop, place] = p
     return since, sets, share
 
@@ -319,13 +321,13 @@ def _trailing_mean(values: np.ndarray, width: int, restart: np.ndarray) -> np.nd
 
 def _losses(away: np.ndarray, weight: np.ndarray, active: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Losses (T, n) of the announced rotors by weighted least squares on the missing wrench, 0..1, and their sd."""
-    shown, sd = np.zeros(active.shape), np.zeros(active.shape)
+    losses, sd = np.zeros(active.shape), np.zeros(active.shape)
     for pattern in np.unique(active[active.any(axis=1)], axis=0):
         rows, M = np.flatnonzero((active == pattern).all(axis=1)), B[:, pattern]
         information = np.einsum("ai,ta,aj->tij", M, weight[rows], M) + 1e-9 * np.eye(M.shape[1])
         moment = np.einsum("ai,ta->ti", M, weight[rows] * away[rows])
         covariance = np.linalg.inv(information)
         where = np.ix_(rows, np.flatnonzero(pattern))
-        shown[where] = np.clip(np.einsum("tij,tj->ti", covariance, moment), 0.0, 1.0)
+        losses[where] = np.clip(np.einsum("tij,tj->ti", covariance, moment), 0.0, 1.0)
         sd[where] = np.sqrt(np.einsum("tii->ti", covariance) + MODEL_SD**2)
-    return shown, sd
+    return losses, sd

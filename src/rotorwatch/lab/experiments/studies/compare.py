@@ -70,7 +70,7 @@ def each(scenes: Sequence[Scene], names: Sequence[str] = (), progress: Callable 
         except ConfigError as why:
             yield Compared(name, {}, float("nan"), str(why))
             continue
-        yield Compared(name, {group: _row(found) for group, found in trials.items()}, speed)
+        yield Compared(name, {group: _row(group_trials) for group, group_trials in trials.items()}, speed)
 
 
 def known(names: Sequence[str]) -> list[str]:
@@ -80,49 +80,49 @@ def known(names: Sequence[str]) -> list[str]:
     return list(names) or list(discovery.estimators())
 
 
-def gathered(scenes: Sequence[Scene], found: Sequence[Compared]) -> dict[str, Any]:
+def gathered(scenes: Sequence[Scene], compared: Sequence[Compared]) -> dict[str, Any]:
     """Result of `compare` for these estimators."""
     groups: dict[str, dict] = {s.group: {} for s in scenes}
-    for one in found:
-        for group, row in one.rows.items():
-            groups[group][one.name] = row
+    for result in compared:
+        for group, row in result.rows.items():
+            groups[group][result.name] = row
     return {
-        "groups": groups, "us_per_step": {one.name: one.us_per_step for one in found if not one.why},
-        "failed": {one.name: one.why for one in found if one.why},
+        "groups": groups, "us_per_step": {result.name: result.us_per_step for result in compared if not result.why},
+        "failed": {result.name: result.why for result in compared if result.why},
     }  # fmt: skip
 
 
-def line(one: Compared) -> str:
+def line(result: Compared) -> str:
     """An estimator's measures in a line, for progress output."""
-    if one.why:
-        return f"{one.name}: {one.why}"
+    if result.why:
+        return f"{result.name}: {result.why}"
     parts = []
-    for group, row in one.rows.items():
+    for group, row in result.rows.items():
         measures = ((words, cell(key, row[key])) for key, words in SHORT.items() if row[key] is not None)
         parts.append(f"{group}: {', '.join(f'{words} {value}' for words, value in measures)}")
-    return f"{one.name}: {'; '.join(parts)}"
+    return f"{result.name}: {'; '.join(parts)}"
 
 
 def _trial(name: str, scene: Scene) -> dict:
     """Outcome of one flight."""
     table = scene.ticks
     if name == "default":
-        done = estimated(scene.ready)
+        estimated_ = estimated(scene.ready)
     else:
         out, _ = published.judge(name, table, scene.B, hops=scene.hops)
-        done = Estimated(table, out, own=False)
-    raised, out = counting.alarms(judge(scene.ready, done).end.events), done.out
-    judged = table.mode == JUDGE
+        estimated_ = Estimated(table, out, own=False)
+    raised, out = counting.alarms(judge(scene.ready, estimated_).end.events), estimated_.out
+    judging = table.mode == JUDGE
     rotors = tuple(sorted(r for r, _, _ in scene.faults))
     onset = min((t for _, t, _ in scene.faults), default=np.inf)
     counted = counting.count(raised, rotors, onset)
     trial: dict[str, Any] = {
-        "judged_s": float(judged.sum() * table.dt), "fault": bool(scene.faults),
+        "judged_s": float(judging.sum() * table.dt), "fault": bool(scene.faults),
         "false_alarms": len(counted.false) + len(counted.wrong),
     }  # fmt: skip
     if not scene.faults:
         return trial
-    late = judged & (table.time > onset + SETTLED_S) & ~table.upset
+    late = judging & (table.time > onset + SETTLED_S) & ~table.upset
     error = np.concatenate([out.theta[late, r - 1] - loss for r, _, loss in scene.faults])
     trial["square"] = float(np.mean(error**2)) if error.size else None
     if counted.found:

@@ -61,20 +61,20 @@ def flights(count: int, seed: int) -> Iterator[tuple[str, int | None, scenario.S
         yield cause, rotor, scenario.from_table(table)
 
 
-def answer(found: Diagnosis, rotor: int | None) -> str:
+def answer(diagnosis: Diagnosis, rotor: int | None) -> str:
     """The diagnosis of the faulty rotor (of any where None), as one of ANSWERS."""
-    losses = [e for e in found.events if e.means.weakens]
-    own = [e for e in losses if rotor is None or rotor in e.suspects]
-    named = [e for e in own if "cause" in e.extra and (rotor is None or e.rotors == (rotor,))]
+    losses = [e for e in diagnosis.events if e.means.weakens]
+    suspected = [e for e in losses if rotor is None or rotor in e.suspects]
+    named = [e for e in suspected if "cause" in e.extra and (rotor is None or e.rotors == (rotor,))]
     if named:
         return CAUSES[named[0].extra["cause"]]
-    if own:
+    if suspected:
         return "ambiguous"
-    notices = {e.kind for e in found.events if rotor is None or rotor in e.rotors}
+    notices = {e.kind for e in diagnosis.events if rotor is None or rotor in e.rotors}
     for notice, word in NOTICES.items():
         if notice in notices:
             return word
-    return "other rotor" if losses or any(e.kind in NOTICES for e in found.events) else "nothing"
+    return "other rotor" if losses or any(e.kind in NOTICES for e in diagnosis.events) else "nothing"
 
 
 def confusion(count: int, seed: int, progress: Callable = lambda share: None) -> dict[str, Counter]:

@@ -74,7 +74,7 @@ def flown(kind: str | None, strength: float, wind: float, expo: float, autopilot
 
 def rows(repeats: int, cases: Sequence[tuple[str | None, float]] = CASES) -> list[dict]:
     """A row for each case, wind, curve and view, over both autopilots, quad and hexa and `repeats` seeds."""
-    found = []
+    table = []
     for (kind, strength), wind, expo in itertools.product(cases, (0.0, 5.0), (0.65, 0.2)):
         cells = {view: [] for view in VIEWS}
         for autopilot, frame, seed in itertools.product(
@@ -87,7 +87,7 @@ def rows(repeats: int, cases: Sequence[tuple[str | None, float]] = CASES) -> lis
             right = [next((e for e in answer if e.rotors == (ROTOR,)), None) for answer in answers]
             hits = [e for e in right if e is not None and kind]
             error = np.array([e.loss[0] - strength for e in hits])
-            found.append(
+            table.append(
                 {
                     "fault": kind or "healthy",
                     "strength": strength,
@@ -104,7 +104,7 @@ def rows(repeats: int, cases: Sequence[tuple[str | None, float]] = CASES) -> lis
                     else None,
                 }
             )
-    return found
+    return table
 
 
 def markdown(table: Sequence[dict]) -> str:

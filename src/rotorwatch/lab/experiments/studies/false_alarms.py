@@ -170,20 +170,20 @@ def phases(values: np.ndarray, rng: np.random.Generator, iterations: int = ITERA
     count = len(values)
     wanted = np.fft.rfft(values, axis=0)
     ranked = np.sort(values, axis=0)
-    own = np.exp(-1j * np.angle(wanted))
+    spectrum_phase = np.exp(-1j * np.angle(wanted))
     turn = np.exp(1j * rng.uniform(0.0, 2.0 * np.pi, (len(wanted), 1)))
-    made = values
+    channels = values
     for k in range(max(1, iterations)):
         if k:
-            together = (np.fft.rfft(made, axis=0) * own).sum(axis=1, keepdims=True)
+            together = (np.fft.rfft(channels, axis=0) * spectrum_phase).sum(axis=1, keepdims=True)
             size = np.abs(together)
             turn = np.where(size > 0, together / np.where(size > 0, size, 1.0), 1.0)
         turn[0] = 1.0
         if count % 2 == 0:  # the highest frequency is real
             turn[-1] = np.where(turn[-1].real < 0, -1.0, 1.0)
-        made = np.fft.irfft(wanted * turn, count, axis=0)
-        made = np.take_along_axis(ranked, np.argsort(np.argsort(made, axis=0), axis=0), axis=0)
-    return made
+        channels = np.fft.irfft(wanted * turn, count, axis=0)
+        channels = np.take_along_axis(ranked, np.argsort(np.argsort(channels, axis=0), axis=0), axis=0)
+    return channels
 
 
 def surrogate(source: Source, rng: np.random.Generator, flight_s: float = FLIGHT_S) -> Ticks:
@@ -194,10 +194,10 @@ def surrogate(source: Source, rng: np.random.Generator, flight_s: float = FLIGHT
     join = max(2, round(JOIN_S / dt))
     channels = _piece(source, rng)
     while len(channels) < count:  # independent pieces, faded into each other at constant power
-        more = _piece(source, rng)
+        piece = _piece(source, rng)
         angle = 0.5 * np.pi * (np.arange(join) + 0.5)[:, None] / join
-        mixed = np.cos(angle) * channels[-join:] + np.sin(angle) * more[:join]
-        channels = np.concatenate([channels[:-join], mixed, more[join:]])
+        mixed = np.cos(angle) * channels[-join:] + np.sin(angle) * piece[:join]
+        channels = np.concatenate([channels[:-join], mixed, piece[join:]])
     channels = channels[:count]
     e, rate, rate_dot, load, side = np.split(channels + source.level, [4, 7, 10, 11], axis=1)
     # The trend goes to and fro: continued, it would leave the range that it had in flight.
@@ -232,8 +232,8 @@ def surrogate(source: Source, rng: np.random.Generator, flight_s: float = FLIGHT
 def _piece(source: Source, rng: np.random.Generator) -> np.ndarray:
     """Surrogate channels as long as the source; they are periodic, so channels and activity may start anywhere."""
     count, k = source.slow.shape
-    made = phases(np.concatenate([source.slow, source.fast], axis=1), rng)
-    return made[:, :k] + np.roll(source.activity, rng.integers(count))[:, None] * made[:, k:]
+    channels = phases(np.concatenate([source.slow, source.fast], axis=1), rng)
+    return channels[:, :k] + np.roll(source.activity, rng.integers(count))[:, None] * channels[:, k:]
 
 
 def mirrored(table: Ticks, vehicle: Vehicle, signs) -> Ticks:
@@ -276,7 +276,7 @@ def false_alarms(
         raise ConfigError("Give at least one healthy flight to make surrogates from.")
     if not (np.isfinite(hours) and hours > 0):
         raise ConfigError(f"hours {hours:g}: give how many flight hours to simulate, above 0.")
-    one = functools.partial(_surrogates, hours=hours / len(paths), seed=seed, flight_s=flight_s)
+    surrogates_of = functools.partial(_surrogates, hours=hours / len(paths), seed=seed, flight_s=flight_s)
     sources = [path if isinstance(path, Flight) else str(path) for path in paths]
     several = jobs != 1 or scheduler is not None or keep is not None
 
@@ -289,9 +289,9 @@ def false_alarms(
             progress((i + share) / len(paths), name)
 
     if not several:  # in this process the progress within a flight can be reported
-        parts = [one((i, source), report=functools.partial(report, i)) for i, source in enumerate(sources)]
+        parts = [surrogates_of((i, source), report=functools.partial(report, i)) for i, source in enumerate(sources)]
     else:
-        parts = list(many.ordered(one, list(enumerate(sources)), jobs, scheduler, finished, keep))
+        parts = list(many.ordered(surrogates_of, list(enumerate(sources)), jobs, scheduler, finished, keep))
     firsts = {
         shift: (sum(p.firsts[shift][0] for p in parts), sum(p.firsts[shift][1] for p in parts)) for shift in SHIFTS
     }
@@ -398,9 +398,9 @@ def _hours(table: Ticks) -> float:
 
 def _rate(count: int, hours: float) -> dict:
     """Events per hour and the exact 95 % interval of a Poisson rate (Garwood, Biometrika 28, 1936)."""
-    found = tools.rate(count, max(hours, 1e-12))
-    assert found is not None
-    return {"rate": found["value"], "low": found["low"], "high": found["high"]}
+    interval = tools.rate(count, max(hours, 1e-12))
+    assert interval is not None
+    return {"rate": interval["value"], "low": interval["low"], "high": interval["high"]}
 
 
 def _line(name: str, what: str, e) -> dict:
@@ -416,10 +416,10 @@ def _line(name: str, what: str, e) -> dict:
 
 def _first_alarms(table: Ticks, vehicle: Vehicle, out) -> dict[float, float | None]:
     """Seconds of judged flight up to the first alarm, None without one, for each of SHIFTS."""
-    judged = np.cumsum(table.mode == JUDGE) * table.dt
+    judged_s = np.cumsum(table.mode == JUDGE) * table.dt
 
     def first(flag) -> float | None:
-        return float(judged[np.argmax(flag)]) if flag.any() else None
+        return float(judged_s[np.argmax(flag)]) if flag.any() else None
 
     result = {}
     for shift in SHIFTS:

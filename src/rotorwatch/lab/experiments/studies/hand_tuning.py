@@ -149,7 +149,7 @@ def study(names: Sequence[str] = (), rounds: int = tune.ROUNDS, progress: Callab
     for name in names:
         if name not in PAPERS:
             raise ConfigError(f"There is no paper called {name!r}{meant(name, PAPERS)}; known are {', '.join(PAPERS)}.")
-    found = []
+    rows = []
     for k, name in enumerate(names or PAPERS):
         paper = PAPERS[name]()
         fit = tune.fit(METHOD, [fly(paper, 0)[0], fly(paper, 1)[0]], paper.keywords, rounds)
@@ -159,12 +159,12 @@ def study(names: Sequence[str] = (), rounds: int = tune.ROUNDS, progress: Callab
         for how, tuning in (("hand", hand), ("tuned", fit.tuning)):
             row[f"{how}_log_likelihood"] = tune.log_likelihood(METHOD, healthy, tuning)
             row[f"{how}_rmse"] = _rmse(faulty, truth, tuning)
-        found.append(
+        rows.append(
             row | {"q": fit.tuning.q.tolist(), "r": fit.tuning.r.tolist(), "keywords": dict(fit.tuning.keywords)}
         )
         if progress:
             progress((k + 1) / len(names or PAPERS), name)
-    return found
+    return rows
 
 
 def _rmse(table: Table, truth: np.ndarray, tuning: published.Tuning) -> float:

@@ -130,8 +130,8 @@ def _flown(
     air = (np.zeros((N, T, 3)), np.zeros(N), np.zeros(N)) if air is None else air
     known = vehicle.M, vehicle.D, vehicle.gravity, vehicle.counts_max
     rows = noise.reshape(N, T, PER_SAMPLE, 8)
-    found = _program(holds)(known, flown, air, gamma, reference, rows, stiffness)
-    return np.asarray(found[0]), np.asarray(found[1])
+    results = _program(holds)(known, flown, air, gamma, reference, rows, stiffness)
+    return np.asarray(results[0]), np.asarray(results[1])
 
 
 @functools.cache

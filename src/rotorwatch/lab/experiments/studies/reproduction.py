@@ -149,10 +149,10 @@ def graded(holds: Any, partly: Any = False) -> Verdict:
 def across(verdicts: Mapping[str, Verdict]) -> Verdict:
     """The verdict on a claim that was judged for several forms of a method: theirs where they agree; else it holds in part, or not at all
     where it does for none."""
-    found = set(verdicts.values())
-    if len(found) == 1:
-        return found.pop()
-    return "partly" if found & {"holds", "partly"} else "not reproduced"
+    distinct = set(verdicts.values())
+    if len(distinct) == 1:
+        return distinct.pop()
+    return "partly" if distinct & {"holds", "partly"} else "not reproduced"
 
 
 def by_form(forms: Mapping[str, Mapping[str, Verdict]]) -> list[tuple[list[str], list[list[str]]]]:
@@ -182,8 +182,8 @@ def studies() -> dict[str, ModuleType]:
     """Paper name -> its study module, in the order of names."""
     package = importlib.import_module("rotorwatch.lab.experiments.studies")
     names = [info.name for info in pkgutil.iter_modules(package.__path__) if info.name.startswith("reproduce_")]
-    found = [importlib.import_module(f"{package.__name__}.{name}") for name in names]
-    return {module.PAPER: module for module in sorted(found, key=lambda module: module.PAPER)}
+    modules = [importlib.import_module(f"{package.__name__}.{name}") for name in names]
+    return {module.PAPER: module for module in sorted(modules, key=lambda module: module.PAPER)}
 
 
 def study(paper: str) -> ModuleType:
@@ -250,11 +250,11 @@ def kept(folder: Path, module: ModuleType, seeds: int | None, literal: Sequence[
         return None
     try:
         row = json.loads(path.read_text(encoding="utf-8"))
-        found = tuple(Claim(**claim) for claim in row["claims"])
+        claims_ = tuple(Claim(**claim) for claim in row["claims"])
         result = Reproduction(
             row["paper"],
             row["title"],
-            found,
+            claims_,
             row["figures"],
             tuple(row["literal"]),
             row["seeds"],

@@ -63,17 +63,17 @@ def flight(estimator=None, seed: int = 0):
 
 def numbers(flights) -> dict:
     """Largest rates [rad/s] before the fault and from SETTLE_S after it, with the filter's coefficients and without."""
-    found = {}
+    largest = {}
     for name, x in zip(("with_coefficients", "without"), flights, strict=True):
         rates = np.abs(x[:, 3:])
         after = rates[FAULT_STEP + round(SETTLE_S / DT) :].max(axis=0)
-        found[name] = {
+        largest[name] = {
             "rates_before": rates[100:FAULT_STEP].max(axis=0),
             "rates_after": after,
             "velocity_after": np.abs(x[FAULT_STEP + round(SETTLE_S / DT) :, :3]).max(),
             "stable": bool(after.max() < STABLE),
         }
-    return found
+    return largest
 
 
 def claims(numbers: dict) -> tuple[Claim, ...]:

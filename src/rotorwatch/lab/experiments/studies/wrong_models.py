@@ -62,10 +62,10 @@ def grid(file: dict, watch: Callable, gains: tuple[float, float], epsilon: float
         [DRAG * (kind in ("wind", "all")) for kind, _ in cases]
     )  # still air would be a disturbance of its own
     u, y = hover_flights.uncertain(known, [_real(file, *case) for case in cases], gamma, wind, air, LEVER)
-    theta, found, x = watch(u, y)
+    theta, faults, x = watch(u, y)
     fault, xi = unmodelled(known, u, y, gamma)
     flights = {
-        str(k): (y[k] - x[k], fault[k] - found[k, :, 4:], fault[k], xi[k], (1, ONSET + 1)) for k in range(len(u))
+        str(k): (y[k] - x[k], fault[k] - faults[k, :, 4:], fault[k], xi[k], (1, ONSET + 1)) for k in range(len(u))
     }
     bounds = error_bound.compare(flights, 1.0, gains, epsilon)["flights"]
     off = np.abs(theta - gamma).max(axis=2)
@@ -95,19 +95,19 @@ def unmodelled(known: Craft, u, y, gamma) -> tuple[np.ndarray, np.ndarray]:
 
 def _real(file: dict, kind: str, size: float) -> Craft:
     """The vehicle that is flown."""
-    more = 1.0 + size
+    factor = 1.0 + size
     changes: dict[str, dict] = {
-        "mass": {"mass": more * file["mass"]},
-        "inertia": {"inertia": [more * v for v in file["inertia"]]},
-        "thrust": {"thrust_max": more * file["thrust_max"], "drag_ratio": file["drag_ratio"] / more},
-        "drag factor": {"drag_ratio": more * file["drag_ratio"]},
+        "mass": {"mass": factor * file["mass"]},
+        "inertia": {"inertia": [factor * v for v in file["inertia"]]},
+        "thrust": {"thrust_max": factor * file["thrust_max"], "drag_ratio": file["drag_ratio"] / factor},
+        "drag factor": {"drag_ratio": factor * file["drag_ratio"]},
         "all": {
             "mass": 1.05 * file["mass"], "inertia": [1.2 * v for v in file["inertia"]],
             "thrust_max": 0.95 * file["thrust_max"], "drag_ratio": file["drag_ratio"] / 0.95,
         },
     }  # fmt: skip
-    one = craft({**file, **changes.get(kind, {})})
-    return replace(one, M=one.M * np.array([1.0, more, 1.0, 1.0])) if kind == "one thrust" else one
+    vehicle = craft({**file, **changes.get(kind, {})})
+    return replace(vehicle, M=vehicle.M * np.array([1.0, factor, 1.0, 1.0])) if kind == "one thrust" else vehicle
 
 
 def _wind(speed: float) -> np.ndarray:
@@ -117,9 +117,9 @@ def _wind(speed: float) -> np.ndarray:
     return speed * np.minimum(t / 2.0, 1.0)[:, None] * (np.array([1.0, 0.0, 0.0]) + gusts)
 
 
-def worst(found: dict, kind: str, size: float | None = None) -> float:
+def worst(grid_: dict, kind: str, size: float | None = None) -> float:
     """The largest error of a loss, with 20 % of motor 3 lost or none, of one kind of error (of that size)."""
-    rows = [r for r in found["rows"] if r["wrong"] == kind and size in (None, r["size"])]
+    rows = [r for r in grid_["rows"] if r["wrong"] == kind and size in (None, r["size"])]
     return max(max(r["healthy"], r["weak"]) for r in rows)
 
 
@@ -129,16 +129,16 @@ def said(row: dict) -> str:
     return WORDS[row["wrong"]] + unit.get(row["wrong"], f" {100 * row['size']:+.0f} %")
 
 
-def claims(found: dict) -> tuple[Claim, ...]:
+def claims(grid_: dict) -> tuple[Claim, ...]:
     """Bounded, and accurate, with a model that is wrong."""
-    rows = found["rows"]
+    rows = grid_["rows"]
     held = sum(row["held"] for row in rows)
-    off = {kind: worst(found, kind) for kind in GRID}
+    off = {kind: worst(grid_, kind) for kind in GRID}
     ten = {
-        kind: worst(found, kind, size)
+        kind: worst(grid_, kind, size)
         for kind, size in (("mass", 0.1), ("thrust", -0.1), ("one thrust", -0.1), ("wind", 5.0))
     }
-    shown = {
+    examples = {
         kind: next(r for r in rows if (r["wrong"], r["size"]) == (kind, size))
         for kind, size in (("mass", 0.1), ("wind", 5.0))
     }
@@ -147,34 +147,34 @@ def claims(found: dict) -> tuple[Claim, ...]:
         "uncertain_bounded": graded(held == len(rows)),
         "uncertain_losses": graded(max(off.values()) < BAND, harmless),
     }
-    return reproduction.claims("intermediate", verdicts, held=held, of=len(rows), off=off, ten=ten, shown=shown)
+    return reproduction.claims("intermediate", verdicts, held=held, of=len(rows), off=off, ten=ten, shown=examples)
 
 
-def table(found: dict) -> Table:
+def table(grid_: dict) -> Table:
     """A row for every case."""
     head = (
         "what is wrong", "largest error of a loss, healthy", "with 20 % of motor 3 lost", "within 0.02 after, s", "errors reached",
         "bound", "with the best epsilon", "held",
     )  # fmt: skip
     rows = []
-    for r in found["rows"]:
+    for r in grid_["rows"]:
         settled = "never" if r["settle_s"] is None else f"{r['settle_s']:.1f}"
         sizes = (f"{r[key]:.2g}" for key in ("error", "bound", "bound_best_epsilon"))
         rows.append((said(r), f"{r['healthy']:.3f}", f"{r['weak']:.3f}", settled, *sizes, "yes" if r["held"] else "no"))
     return Table("Wrong models: errors beside the bound of theorem 1", head, rows)
 
 
-def figure(found: dict):
+def figure(grid_: dict):
     """Errors of the losses by what is wrong, and all errors against the bound. Needs matplotlib."""
     drawn, ((left, right),) = panels(1, 2, (9, 3.6))
     for kind in ("mass", "thrust", "one thrust", "inertia", "drag factor"):
-        rows = [r for r in found["rows"] if r["wrong"] in (kind, "nothing") and abs(r["size"]) <= 0.5]
+        rows = [r for r in grid_["rows"] if r["wrong"] in (kind, "nothing") and abs(r["size"]) <= 0.5]
         rows.sort(key=lambda r: r["size"])
         left.plot([100 * r["size"] for r in rows], [r["weak"] for r in rows], "o-", ms=3, lw=1, label=WORDS[kind])
     left.set(xlabel="error of the model, %", ylabel="largest error of a loss", ylim=(0, 0.42))
     left.legend(fontsize="small", loc="upper center")
     for kind in GRID:
-        rows = [r for r in found["rows"] if r["wrong"] == kind]
+        rows = [r for r in grid_["rows"] if r["wrong"] == kind]
         right.loglog([max(r["bound"], 1e-3) for r in rows], [r["error"] for r in rows], "o", ms=4, label=WORDS[kind])
     ends = np.array([1e-2, 1e3])
     right.loglog(ends, ends, "k--", lw=1, label="bound")

@@ -118,15 +118,17 @@ class HelicopterAircraft:
         target, integral = control.outer(plan.pilot, reference, state.body, state.integral, dt)
         return Moment(target, Air(blowing, turning, 0.0 * reference.yaw)), integral
 
-    def step(self, plan: Plan, now: Moment, t, body: Body, gyro, loops: Loops, own: Actuators, dt: float) -> tuple:
+    def step(
+        self, plan: Plan, now: Moment, t, body: Body, gyro, loops: Loops, actuators: Actuators, dt: float
+    ) -> tuple:
         """Inner loops and allocation, faults, actuators and body."""
         jnp = load_jax().numpy
         system = dynamics.plant(airframes.paper(self.frame), plan.mass)
         command, loops = control.inner(plan.pilot, now.target, body.q, gyro, loops, dt)
-        theta = theta_of(plan.faults, faults.strength(plan.faults, t), own.held)
+        theta = theta_of(plan.faults, faults.strength(plan.faults, t), actuators.held)
         driven = system.outputs(command, theta)
-        body, U, force = dynamics.step(system, body, own.U, driven, plan.lag, now.air, dt)
-        held = jnp.where(theta[:ACTUATORS] >= 1.0, own.held, U)
+        body, U, force = dynamics.step(system, body, actuators.U, driven, plan.lag, now.air, dt)
+        held = jnp.where(theta[:ACTUATORS] >= 1.0, actuators.held, U)
         return body, loops, Actuators(U, held), force, (command, theta)
 
     def end(self, plan: Plan, now: Moment, before: State, after: State, seen, last, dt: float) -> tuple[State, Record]:

@@ -264,16 +264,16 @@ class Graph:
         if x.index not in self._symmetric:
             one, other = x.args[0], x.args[-1]
             if x.op in ("add", "mul") and other.op == "view" and other == self._turned(one):
-                found = True
+                symmetric = True
             elif (
                 x.op == "select"
                 and (mask := value(one)) is not None
                 and not (mask & ~np.eye(len(mask), dtype=bool)).any()
             ):
-                found = self.symmetric(x.args[1])  # only the diagonal comes from elsewhere
+                symmetric = self.symmetric(x.args[1])  # only the diagonal comes from elsewhere
             else:
-                found = all(self.symmetric(a) for a in x.args)
-            self._symmetric[x.index] = found
+                symmetric = all(self.symmetric(a) for a in x.args)
+            self._symmetric[x.index] = symmetric
         return self._symmetric[x.index]
 
     def reversed(self, x: Node, dimensions) -> Node:
@@ -360,16 +360,17 @@ def _joined(graph: Graph, parts: list[Node], dimension: int) -> list[Node]:
     """Merge neighbouring slices of one value."""
     out: list[Node] = []
     for part in parts:
-        last = out[-1] if out else None
-        if last is not None and last.op == part.op == "view" and last.args == part.args:
-            n = last.shape[dimension]
+        previous = out[-1] if out else None
+        if previous is not None and previous.op == part.op == "view" and previous.args == part.args:
+            n = previous.shape[dimension]
             follows = all(
-                a.steps == b.steps and b.start - a.start == n * a.steps[dimension] for a, b in zip(last.data, part.data)
+                a.steps == b.steps and b.start - a.start == n * a.steps[dimension]
+                for a, b in zip(previous.data, part.data)
             )
-            if follows and any(a.steps[dimension] for a in last.data):
+            if follows and any(a.steps[dimension] for a in previous.data):
                 size = n + part.shape[dimension]
-                shape = tuple(size if k == dimension else m for k, m in enumerate(last.shape))
-                out[-1] = graph.view(last.args[0], shape, last.data)
+                shape = tuple(size if k == dimension else m for k, m in enumerate(previous.shape))
+                out[-1] = graph.view(previous.args[0], shape, previous.data)
                 continue
         out.append(part)
     return out

@@ -115,8 +115,8 @@ def affine(table: np.ndarray, shape) -> tuple[Axis, ...] | None:
         return None
     axes = []
     for along in np.unravel_index(table, shape):
-        found = regular(np.asarray(along))
-        if found is None:
+        view = regular(np.asarray(along))
+        if view is None:
             return None
-        axes.append(Axis(*found))
+        axes.append(Axis(*view))
     return tuple(axes)

@@ -105,9 +105,9 @@ def _equation(graph: Graph, name: str, x: list[Node], params, outvars):
         return lower(graph, *_inner(params), x)
     if name in SAME:
         return list(x)
-    made = SPECIAL.get(name)
-    if made is not None:
-        return made(graph, x, params, outvars)
+    special = SPECIAL.get(name)
+    if special is not None:
+        return special(graph, x, params, outvars)
     name = RENAMED.get(name, name)
     if name in ELEMENTWISE and (x[0].kind in ELEMENTWISE[name].c):
         return graph.elementwise(name, *x, kind="b" if name in COMPARISONS else x[0].kind)
@@ -126,9 +126,9 @@ def _as(graph: Graph, x: Node, dtype) -> Node:
 
 def _add(graph, x, params, outvars):
     for one, other in (x, x[::-1]):
-        made = zeros.added(graph, one, other)
-        if made is not None:
-            return made
+        total = zeros.added(graph, one, other)
+        if total is not None:
+            return total
     return graph.elementwise("add", *x, kind=x[0].kind)
 
 
@@ -372,9 +372,9 @@ def _triangular_solve(graph, x, params, outvars):
 
 def _platform_index(graph, x, params, outvars):
     platforms = params["platforms"]
-    mine = [k for k, p in enumerate(platforms) if p is not None and "cpu" in p]
+    usable = [k for k, p in enumerate(platforms) if p is not None and "cpu" in p]
     default = [k for k, p in enumerate(platforms) if p is None]
-    return graph.const(np.asarray((mine + default)[0], np.int32))
+    return graph.const(np.asarray((usable + default)[0], np.int32))
 
 
 def _cond(graph, x, params, outvars):
@@ -453,7 +453,7 @@ def _deepest(nodes) -> Region:
 
 def _free(outputs, regions) -> tuple[Node, ...]:
     """Outside values that the regions use."""
-    found, seen, todo = [], set(), list(outputs)
+    outside, seen, todo = [], set(), list(outputs)
     while todo:
         node = todo.pop()
         if node.index in seen:
@@ -464,8 +464,8 @@ def _free(outputs, regions) -> tuple[Node, ...]:
             if node.op == "param" and node.data[0] in ("alias", "slice"):
                 todo.append(node.data[1])
         else:
-            found.append(node)
-    return tuple(found)
+            outside.append(node)
+    return tuple(outside)
 
 
 SPECIAL = {

@@ -231,9 +231,9 @@ class Plan:
             wanted.setdefault(node.kind, []).append((node.size, begin, self.last.get(node.index, begin + 1), node))
         for node in self.nodes:  # a loop's carry is its result; one that nobody reads needs storage all the same
             if isinstance(node.data, Loop):
-                mine = {r.data for r in self.results.get(node.index, [])}
+                results = {r.data for r in self.results.get(node.index, [])}
                 for k, p in enumerate(node.data.carry):
-                    if k not in mine:
+                    if k not in results:
                         wanted.setdefault(p.kind, []).append((p.size, self.start[node.index], self.end[node.index], p))
         self.sizes = {kind: self._packed(kind, blocks) for kind, blocks in wanted.items()}
         for node in self.nodes:
@@ -293,13 +293,13 @@ class Plan:
         """True if, once `node` is written over an input, only `node` itself still reads it, element by element."""
         if also_input is None:
             return True
-        last = self.last.get(also_input.index, 0)
-        if last < begin:
+        last_read = self.last.get(also_input.index, 0)
+        if last_read < begin:
             return True
         if node.size < LARGE:
             return False
-        own = node.op in ELEMENTWISE and last == self.end.get(node.index)
-        return own and any(x is also_input for x in self._same_elements(node))
+        reads_itself = node.op in ELEMENTWISE and last_read == self.end.get(node.index)
+        return reads_itself and any(x is also_input for x in self._same_elements(node))
 
     def _same_elements(self, node: Node) -> list[Node]:
         """Stored values, and parameters, of which element i is all that element i of an element-wise node reads."""
@@ -318,16 +318,16 @@ class Plan:
 
     def _packed(self, kind: str, blocks) -> int:
         """First fit, largest first. Returns the number of elements."""
-        done: list[tuple[int, int, int, int]] = []
+        placed: list[tuple[int, int, int, int]] = []
         most = 0
         for size, begin, end, node in sorted(blocks, key=lambda b: (-b[0], b[1])):
             room = -(-max(size, 1) // ALIGNMENT) * ALIGNMENT if size > 1 else 1
             at = 0
-            for a, b, _, _ in sorted(d for d in done if not (d[3] < begin or end < d[2])):
+            for a, b, _, _ in sorted(d for d in placed if not (d[3] < begin or end < d[2])):
                 if at + room <= a:
                     break
                 at = max(at, b)
-            done.append((at, at + room, begin, end))
+            placed.append((at, at + room, begin, end))
             most = max(most, at + room)
             self.place[node.index] = Place(WORKSPACE[kind], at)
         return most

@@ -72,15 +72,15 @@ class Program:
 
 def fields(tree: Any, notes: dict[str, str] | None = None) -> tuple[Field, ...]:
     """The leaves of a pytree of arrays, named after where they are in it; reserved words and twins get a tail."""
-    found: list[Field] = []
+    leaves: list[Field] = []
     for path, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]:
         name = "_".join(_key(part) for part in path) or "value"
         name = name if name[0].isalpha() else f"_{name}"
-        while name in {f.name for f in found} or name in RESERVED:
+        while name in {f.name for f in leaves} or name in RESERVED:
             name += "_"
         shape, dtype = np.shape(leaf), np.asarray(leaf).dtype if not hasattr(leaf, "dtype") else leaf.dtype
-        found.append(Field(name, kind(dtype), shape, (notes or {}).get(name, "")))
-    return tuple(found)
+        leaves.append(Field(name, kind(dtype), shape, (notes or {}).get(name, "")))
+    return tuple(leaves)
 
 
 def _key(part) -> str:
@@ -135,9 +135,11 @@ def _function(traced, structs, inputs: tuple[Field, ...], out: tuple[Field, ...]
     """traced: of (parameters, state, *inputs) -> (state, out), or, without out, of (parameters) -> state."""
     graph = Graph()
     args: list[Node] = []
-    own = [("parameters->", structs["parameters"])] + ([("state->", structs["state"])] if out is not None else [])
+    arguments_of = [("parameters->", structs["parameters"])] + (
+        [("state->", structs["state"])] if out is not None else []
+    )
     states: list[Node | None] = []
-    for prefix, group in [*own, ("", inputs)]:
+    for prefix, group in [*arguments_of, ("", inputs)]:
         for f in group:
             node = _input(graph, f, prefix)
             args.append(node)
@@ -262,9 +264,9 @@ def _member(f: Field) -> str:
 
 def _signature(head: str, arguments_: str, tail: str) -> list[str]:
     """The signature on one line, or with its arguments wrapped below."""
-    one = f"{head}({arguments_}){tail}"
-    if len(one) <= WIDTH:
-        return [one]
+    line = f"{head}({arguments_}){tail}"
+    if len(line) <= WIDTH:
+        return [line]
     lines = _wrapped(arguments_.split(", "))
     return [f"{head}(", *lines[:-1], f"{lines[-1]}){tail}"]
 

@@ -63,9 +63,9 @@ def _turned(matrix):
 
 
 def _multiplied(graph: Graph, a: Node, b: Node) -> Node:
-    made = product(graph, a, b)
-    if made is not None:
-        return made
+    result = product(graph, a, b)
+    if result is not None:
+        return result
     return graph.make("dot", (a, b), (*a.shape[:-1], *b.shape[1:]), a.kind, (0, 1))
 
 

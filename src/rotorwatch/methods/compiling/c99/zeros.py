@@ -66,10 +66,10 @@ def _pattern(x: Node, args: list[np.ndarray]) -> np.ndarray:
         which = value(x.args[0])
         return args[1] | args[2] if which is None else np.where(which, args[2], args[1])
     if x.op == "scatter":
-        found = args[0].reshape(-1).copy()
+        nonzero = args[0].reshape(-1).copy()
         at, new = x.data[0].reshape(-1), args[1].reshape(-1)
-        found[at] = new if x.data[1] == "set" else found[at] | new
-        return found.reshape(x.shape)
+        nonzero[at] = new if x.data[1] == "set" else nonzero[at] | new
+        return nonzero.reshape(x.shape)
     return np.any(args, axis=0).reshape(x.shape)
 
 
