@@ -34,11 +34,8 @@ from rotorwatch.methods.control import excitation
 from rotorwatch.witnesses import excitation_response
 
 FRAMES = ("hexa-x", "hexa-plus", "octa-x", "octa-plus")
-ONSET_S, WAITS_S, ENDS_S = (
-    16.0,
-    1.0,
-    14.0,
-)  # onset of the loss; from the answer to the excitation; from the onset to the end
+ONSET_S, ENDS_S = 16.0, 14.0  # onset of the loss; from the onset to the end
+WAITS_S = 1.0  # from the answer to the excitation
 WITHIN_S = 3.0
 WIDTH = 16  # flights side by side
 WORST = 0.5  # loss that is assumed where nothing was announced

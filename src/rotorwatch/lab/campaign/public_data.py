@@ -125,7 +125,7 @@ def judge(
             rows += batch.rows(plan, flights, size, failed)
         except (
             RotorwatchError
-        ) as why:  # what concerns these flights, whatever the method: commands too slow to learn from, say
+        ) as why:  # concerns these flights, whatever the method: commands too slow to learn from, say
             left_out += [[data.logs[f.number][0].relative_to(data.folder).as_posix(), str(why)] for f in flights]
     return rows, sorted(left_out)
 

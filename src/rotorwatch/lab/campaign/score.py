@@ -29,10 +29,8 @@ RISE_S = (
     *(k / 10 for k in range(1, 10)), *(k / 10 for k in range(10, 20, 2)), *(k / 2 for k in range(4, 10)), *map(float, range(5, 11)),
 )  # fmt: skip
 """Windows in which the largest statistic is kept: from these follows the delay at any threshold."""
-NOTHING, CERTAIN = (
-    -50.0,
-    50.0,
-)  # statistic where there is none, and of what is announced without one, whatever the threshold
+# Statistic where there is none, and of an announcement without one, whatever the threshold.
+NOTHING, CERTAIN = -50.0, 50.0
 
 
 def read_columns(table: str) -> dict[str, tuple[str, str]]:

@@ -20,7 +20,7 @@ from __future__ import annotations
 import functools
 from collections import namedtuple
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -110,12 +110,9 @@ def delay(time: Array, information: Array, theta: float, onset: float, false_ala
     return float(since[usable][np.argmax(enough)]) if enough.any() else float("inf")
 
 
-class Bound(NamedTuple):
+class Bound(namedtuple("Bound", "information variances")):
     """Bound of one flight on its ticks: information (T,) on the loss, and the noise variances (4, 4) it holds for
     (engine/estimator/noise.py)."""
-
-    information: Array
-    variances: Array
 
 
 @functools.lru_cache(maxsize=4)

@@ -65,14 +65,9 @@ class Drives(NamedTuple):
     memory: incremental.Memory
 
 
-class Supply(NamedTuple):
+class Supply(namedtuple("Supply", "lift compensated lift_max stir")):
     """The autopilot's assumptions during a tick. lift: 0 while the motors idle; compensated: divisor of commands; lift_max: share of full
     thrust that it believes it has left; stir (n,): `outside.stirred`, unknown to it."""
-
-    lift: Array
-    compensated: Array
-    lift_max: Array
-    stir: Array
 
 
 class Record(

@@ -88,9 +88,8 @@ def _geometry(autopilot: str, frame: str) -> tuple[Rotor, ...]:
         if name in px4.FRAMES:
             return px4.place(name)
     rotors = _built(frame).rotors  # PX4 takes any geometry, by its CA_ROTOR parameters
-    if frame != "tri" and any(
-        r.spin == 0 for r in rotors
-    ):  # the servo of a tricopter is not simulated, its yaw is free
+    # The servo of a tricopter is not simulated; its yaw is free.
+    if frame != "tri" and any(r.spin == 0 for r in rotors):
         raise ConfigError(f"airframe.frame: the rotors of {frame} are tilted, which is not simulated.")
     return rotors
 

@@ -94,9 +94,8 @@ class Reconfigured(Multirotor):
         a time: where yaw is given up its error must not turn into roll and pitch (reduced attitude)."""
         jnp, target = load_jax().numpy, now.target
         here, there = rotation.axes(body.q), rotation.axes(target.q)
-        a, b = (
-            jnp.stack([R[0][2], R[1][2], R[2][2]]) for R in (here, there)
-        )  # body z in the world: now, and its setpoint
+        # Body z in the world: now, and its setpoint.
+        a, b = (jnp.stack([R[0][2], R[1][2], R[2][2]]) for R in (here, there))
         cross = jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
         dot = (a * b).sum(axis=0)
         half = jnp.concatenate([jnp.maximum(1.0 + dot, 1e-3)[None], cross])

@@ -25,6 +25,7 @@ Each is solved exactly: `box`, and for candidates, whose rows are too many for i
 
 from __future__ import annotations
 
+from collections import namedtuple
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,15 +47,9 @@ GRANTED = 1e-3  # of a channel's authority: a smaller error is none
 OK, HELD = 0, 1
 
 
-class Belief(NamedTuple):
+class Belief(namedtuple("Belief", "mean lower upper candidates weights")):
     """Belief about each rotor's effectiveness, all in [0, 1]. mean, lower, upper (n,); candidates (k, n) with weights (k,), not necessarily
     of sum 1. `believed` fills in defaults."""
-
-    mean: Array
-    lower: Array
-    upper: Array
-    candidates: Array
-    weights: Array
 
 
 class Held(NamedTuple):
@@ -63,18 +58,11 @@ class Held(NamedTuple):
     u: Array
 
 
-class Allocation(NamedTuple):
+class Allocation(namedtuple("Allocation", "u wrench error worst granted status")):
     """u (n,): commands, shares of full thrust. wrench (4,): what they should give, by the mean effectiveness, in the units of B.
     error (4,): demand minus that. worst (4,): the largest |error| of each channel, whatever lies between lower and upper. granted (4,):
     1.0 where the error is nothing, else 0.0 (integrators stop). status: 0, or 1 where demand or belief were no numbers and the last
     commands stay."""
-
-    u: Array
-    wrench: Array
-    error: Array
-    worst: Array
-    granted: Array
-    status: Array
 
 
 def effectiveness(x, y, spin, thrust_max, drag_ratio) -> np.ndarray:

@@ -23,6 +23,7 @@ problem of auxiliary signals (Campbell and Nikoukhah, Auxiliary Signal Design fo
 
 from __future__ import annotations
 
+from collections import namedtuple
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -48,24 +49,15 @@ STEP_S = 0.005
 SIGNS = np.array([[1.0, 1.0], [1.0, -1.0]])
 
 
-class Signal(NamedTuple):
+class Signal(namedtuple("Signal", "first second period start length")):
     """An excitation. first, second (n,): commands, shares of full thrust, of the wave with `period` [s] and of the one with two thirds of
     it; start, length [s]."""
 
-    first: Array
-    second: Array
-    period: Array
-    start: Array
-    length: Array
 
-
-class Noise(NamedTuple):
+class Noise(namedtuple("Noise", "variances tau")):
     """Noise of the commanded thrust less the load factor of a healthy vehicle, in hover thrusts of one rotor. variances (4,): white from
     tick to tick; two disturbances of time constants tau (2,) [s]; a random walk, per second. As learned by the default diagnosis
     (engine/estimator/noise.py)."""
-
-    variances: Array
-    tau: Array
 
 
 class Limits(NamedTuple):

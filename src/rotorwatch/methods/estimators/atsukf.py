@@ -11,6 +11,7 @@ way twice speak of a loss that moves, not of noise; and losses kept in [0, 1]. d
 
 from __future__ import annotations
 
+from collections import namedtuple
 from typing import NamedTuple
 
 from rotorwatch.base import checks
@@ -19,18 +20,11 @@ from rotorwatch.core import Array, Estimate
 from rotorwatch.methods.maths import two_stage, unscented
 
 
-class Window(NamedTuple):
+class Window(namedtuple("Window", "rows leaving total lap next full")):
     """Sums over the last M rows, kept by adding what comes and taking away what leaves. rows (M, 2 n_y + 1): squared
     innovations, whether valid, and product with the innovations before. leaving: the row that is overwritten next, read in
     advance, so that compiled code need not copy the rows. total: sum of all rows. lap: of those since row 0 was
     last written; it becomes the total once a lap, so that rounding does not pile up. next: row to write. full: bool."""
-
-    rows: Array
-    leaving: Array
-    total: Array
-    lap: Array
-    next: Array
-    full: Array
 
 
 class Carry(NamedTuple):
@@ -110,9 +104,8 @@ class ATSUKF(unscented.Unscented):
         noise, known = trace(jnp.diagonal(p.P_yy)), trace(((p.H @ p.P_theta_before) * p.H).sum(axis=1))
         walk = trace(((p.H @ Q_theta) * p.H).sum(axis=1))
         expected = noise + known + walk
-        observable = (
-            walk > 1e-15 * expected
-        )  # else no loss shows in the innovations: before the first coupling, or with motors off
+        # Else no loss shows in the innovations: before the first coupling, or with motors off.
+        observable = walk > 1e-15 * expected
         wide = (p.e @ p.e > self.threshold * expected) & window.full & observable
         if self.whiteness is not None:
             wide = wide & (window.total[-1] > self.whiteness * squares.sum())

@@ -18,6 +18,7 @@ Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, sect
 
 from __future__ import annotations
 
+from collections import namedtuple
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,12 +29,8 @@ from rotorwatch.core import Array, Estimate
 from rotorwatch.methods.maths import linearise, plant
 
 
-class Bank(NamedTuple):
+class Bank(namedtuple("Bank", "s P probability")):
     """s (M, n_x + 1) and P (M, n_x + 1, n_x + 1): state and loss of each mode. probability (M,): of each mode."""
-
-    s: Array
-    P: Array
-    probability: Array
 
 
 class Output(NamedTuple):
@@ -44,14 +41,8 @@ class Output(NamedTuple):
     loss: Array
 
 
-class Updated(NamedTuple):
+class Updated(namedtuple("Updated", "s P e S fit")):
     """Posterior of one mode: s, P as in Bank; e (n_y,) and S (n_y, n_y): innovation and its covariance; fit: log Lambda."""
-
-    s: Array
-    P: Array
-    e: Array
-    S: Array
-    fit: Array
 
 
 class _Along:

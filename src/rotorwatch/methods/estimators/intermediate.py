@@ -13,6 +13,7 @@ quadcopter, Sensors 20 (2020) 4917, eqs. (11)-(14), (30)-(38). What it prints an
 
 from __future__ import annotations
 
+from collections import namedtuple
 from typing import NamedTuple
 
 import numpy as np
@@ -31,11 +32,8 @@ ALLOCATIONS = ("auto", "least_squares", "sparse", "temporal")
 SEEN = 1e-9  # share of the largest derivative below which a loss does nothing to a channel
 
 
-class Filter(NamedTuple):
+class Filter(namedtuple("Filter", "value lag")):
     """Regressors value (n_x + n_y, n_theta) as the faults are filtered, and lag: the filter's other state."""
-
-    value: Array
-    lag: Array
 
 
 class Carry(NamedTuple):

@@ -13,6 +13,7 @@ The proximal pull adds at most -kappa |theta* - theta_hat|^2_{Gamma^-1} to dV/dt
 from __future__ import annotations
 
 import math
+from collections import namedtuple
 from dataclasses import KW_ONLY, dataclass
 from typing import Any, NamedTuple
 
@@ -28,18 +29,9 @@ PULLS = ("gradient", "proximal")
 SURPRISED = 2  # blocks in a row that empty the window
 
 
-class Block(NamedTuple):
+class Block(namedtuple("Block", "elapsed predicted slope whole direct direct_slope count noise")):
     """Sums over the current block. elapsed [s]; predicted (n_x,): states predicted without losses; slope (n_x, n_theta); whole (n_x,):
     measured at both ends; direct (n_y,), direct_slope (n_y, n_theta), count (n_y,); noise (n_x,)."""
-
-    elapsed: Any
-    predicted: Any
-    slope: Any
-    whole: Any
-    direct: Any
-    direct_slope: Any
-    count: Any
-    noise: Any
 
 
 class Carry(NamedTuple):
@@ -172,9 +164,8 @@ class MHLyapunov(Adaptation):
         gyro = jnp.sum(C_left**2 * R[None, :], axis=1)  # variance of a measured state
         w_x = block.whole * seen / (2.0 * gyro + block.noise)
         w_y = jnp.where(block.count > 0, average / R, 0.0)
-        if (
-            self.pull == "gradient"
-        ):  # a step that serves all directions needs A well conditioned more than it needs W right
+        # A step that serves all directions needs A well conditioned more than it needs W right.
+        if self.pull == "gradient":
             w_x = block.whole * seen * self.law.M / self.block_s**2
             w_y = jnp.where(block.count > 0, 1.0, 0.0) / jnp.maximum(jnp.sum(Dn**2, axis=1), TINY)
         W = jnp.concatenate([w_x, w_y])

@@ -13,6 +13,7 @@ Source: the estimator that Niermeyer, Pak and Lohmann 2017 compare with; Rao, Ra
 
 from __future__ import annotations
 
+from collections import namedtuple
 from typing import Any, NamedTuple
 
 from rotorwatch.base import checks
@@ -25,13 +26,8 @@ FLOOR = 1e-9  # process noise of states that have none, as a share of P0 in a se
 REST = 1e-4  # share of the walk's variance that a rotor at rest keeps, for the same reason
 
 
-class Samples(NamedTuple):
+class Samples(namedtuple("Samples", "u y valid dt")):
     """Rows of one interval, (m, ...), or of all of them, (M, m, ...): input, measurement (0 where invalid), validity, dt."""
-
-    u: Any
-    y: Any
-    valid: Any
-    dt: Any
 
 
 class Carry(NamedTuple):
@@ -51,19 +47,9 @@ class Carry(NamedTuple):
     prior_P: Any
 
 
-class Interval(NamedTuple):
+class Interval(namedtuple("Interval", "F A e E e_weight r C r_weight Q_inverse")):
     """Linearisation of an interval: F(s_{k-1}) and A; residuals e, Jacobian E and 1/R of the inner samples; r, C, and 1/R of the last;
     Q^-1."""
-
-    F: Any
-    A: Any
-    e: Any
-    E: Any
-    e_weight: Any
-    r: Any
-    C: Any
-    r_weight: Any
-    Q_inverse: Any
 
 
 class MHE:

@@ -13,6 +13,7 @@ Source: Chow and Willsky, Analytical redundancy and the design of robust failure
 
 from __future__ import annotations
 
+from collections import namedtuple
 from typing import NamedTuple
 
 import numpy as np
@@ -24,19 +25,9 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.methods.maths import bounded, linearise, plant
 
 
-class Carry(NamedTuple):
+class Carry(namedtuple("Carry", "x P push Phi D y count theta theta_cov")):
     """x (n_x,), P (n_x, n_x): a Kalman filter of the state, losses given. push (N, n_x), Phi (N, n_x, n_theta), D (N, n_y, n_theta), y
     (N, n_y): the window, oldest first; count (int32): whole steps in a row, at most N. theta, theta_cov: the losses."""
-
-    x: Array
-    P: Array
-    push: Array
-    Phi: Array
-    D: Array
-    y: Array
-    count: Array
-    theta: Array
-    theta_cov: Array
 
 
 class Output(NamedTuple):

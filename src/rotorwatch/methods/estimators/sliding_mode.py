@@ -16,13 +16,13 @@ and Efimov, The implicit discretization of the supertwisting sliding-mode contro
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 
 from rotorwatch.base import checks
 from rotorwatch.base.backend import jax, jnp
-from rotorwatch.core import Array, Estimate
+from rotorwatch.core import Estimate
 from rotorwatch.methods.maths import bounded, linearise, measured_regression
 from rotorwatch.methods.maths.small import symmetric
 
@@ -30,16 +30,9 @@ ACTS = 1e-9  # of the largest effect: what is smaller is none
 TINY = 1e-12
 
 
-class Carry(NamedTuple):
+class Carry(namedtuple("Carry", "x v P w var G")):
     """x, v (n_x,): state and injection; P (2 n_x, 2 n_x): covariance of their errors. w (n_y,), var (n_y,): what the direct outputs
     lack, filtered, and its variance. G (n_x + n_y, n_theta): what losses do to v and w, as last measured."""
-
-    x: Array
-    v: Array
-    P: Array
-    w: Array
-    var: Array
-    G: Array
 
 
 class SlidingMode:

@@ -15,13 +15,13 @@ Susilo and Al Younes, Robust fault diagnosis for quadrotor UAVs using adaptive T
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 
 from rotorwatch.base import checks
 from rotorwatch.base.backend import jax, jnp
-from rotorwatch.core import Array, Estimate
+from rotorwatch.core import Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.methods.maths import bounded, linearise, measured_regression, plant
 from rotorwatch.methods.maths.small import symmetric
@@ -30,11 +30,8 @@ DOUBLINGS = 14  # of the Lyapunov series: 2^14 terms
 TINY = 1e-12
 
 
-class Carry(NamedTuple):
+class Carry(namedtuple("Carry", "s P")):
     """s = [x; theta] (n_x + n_theta,), and the covariance P of its error."""
-
-    s: Array
-    P: Array
 
 
 class Thau:
@@ -124,6 +121,5 @@ class Thau:
         self.gamma = bandwidth**2 / jnp.maximum(jnp.max(jnp.sum((G.T @ P) * G.T, axis=1)), TINY)
         self.weight = P @ measured_regression.left_inverse(C) * (1.0 - self.direct)
         self.k_f = direct_rate / jnp.maximum(jnp.sum((D * self.direct[:, None]) ** 2), TINY)
-        self.lipschitz = (
-            jnp.exp(self.rate * self.dt) - 1.0
-        ) / self.dt  # V falls while the rest is slower than this [1/s]
+        # V falls while the rest is slower than this [1/s].
+        self.lipschitz = (jnp.exp(self.rate * self.dt) - 1.0) / self.dt

@@ -8,18 +8,15 @@ Source: Julier and Uhlmann, Proc. IEEE 92 (2004); the yardstick of the two-stage
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections import namedtuple
 
 from rotorwatch.base.backend import jax
-from rotorwatch.core import Array, Estimate
+from rotorwatch.core import Estimate
 from rotorwatch.methods.maths import plant, unscented
 
 
-class Carry(NamedTuple):
+class Carry(namedtuple("Carry", "z P")):
     """z (n_x + n_theta,): states, then losses. P: its covariance."""
-
-    z: Array
-    P: Array
 
 
 class UKF(unscented.Unscented):

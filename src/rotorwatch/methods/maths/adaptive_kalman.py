@@ -20,13 +20,14 @@ forgetting and resetting: Salgado, Goodwin and Middleton, Int. J. Control 47, 19
 
 from __future__ import annotations
 
+from collections import namedtuple
 from typing import NamedTuple
 
 import numpy as np
 
 from rotorwatch.base import checks
 from rotorwatch.base.backend import jnp
-from rotorwatch.core import Array, Estimate
+from rotorwatch.core import Estimate
 from rotorwatch.methods.maths import linearise, plant
 from rotorwatch.methods.maths.small import definite_solve, symmetric
 
@@ -35,14 +36,8 @@ MEMORY_S = -1e-3 / float(np.log(0.995))
 ROUNDING = 2e-15  # of the largest variance
 
 
-class State(NamedTuple):
+class State(namedtuple("State", "x P theta S Upsilon")):
     """x (n,) and P (n, n): state, and its covariance were theta known. theta (p,), its covariance S. Upsilon (n, p)."""
-
-    x: Array
-    P: Array
-    theta: Array
-    S: Array
-    Upsilon: Array
 
 
 class Memory(NamedTuple):

@@ -7,7 +7,7 @@ Process Control 18, 2008 (the same on factors U D U').
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections import namedtuple
 
 from rotorwatch.base.backend import jax, jnp, lax
 from rotorwatch.core import Array
@@ -16,12 +16,8 @@ from rotorwatch.methods.maths.small import blocks, product, solve, symmetric
 TINY = 1e-300
 
 
-class Cut(NamedTuple):
+class Cut(namedtuple("Cut", "a P health")):
     """An ellipsoid after a measurement. health: how far from empty, 1 where the innovation is 0, 0 or less when empty."""
-
-    a: Array
-    P: Array
-    health: Array
 
 
 def around_box(half, rule: str = "trace"):

@@ -7,22 +7,17 @@ D is the direct feedthrough of a loss to a measurement (an accelerometer feels t
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 
 from rotorwatch.base import checks
 from rotorwatch.base.backend import jax, jnp
-from rotorwatch.core import Array
 from rotorwatch.errors import ConfigError
 
 
-class Linear(NamedTuple):
+class Linear(namedtuple("Linear", "value by_x by_theta")):
     """value (m,) at the point; by_x (m, n_x) and by_theta (m, n_theta): its derivatives there."""
-
-    value: Array
-    by_x: Array
-    by_theta: Array
 
 
 def transition(system, x, u, theta, dt) -> Linear:

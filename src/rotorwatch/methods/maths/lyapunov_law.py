@@ -13,8 +13,9 @@ M is diagonal and evens out the axes: at the nominal input each answers to theta
 
 from __future__ import annotations
 
+from collections import namedtuple
 from dataclasses import KW_ONLY, dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -27,17 +28,8 @@ from rotorwatch.methods.maths import bounded, linearise, plant
 TINY = 1e-12
 
 
-class Terms(NamedTuple):
+class Terms(namedtuple("Terms", "x A G y C D C_left direct")):
     """The plant at one point: x- (n_x,), A = df/dx, G = df/dtheta per second, C = dh/dx, D = dh/dtheta, y- and C's left inverse."""
-
-    x: Any
-    A: Any
-    G: Any
-    y: Any
-    C: Any
-    D: Any
-    C_left: Any
-    direct: Any
 
 
 @dataclass(eq=False, repr=False)
@@ -129,13 +121,8 @@ def estimate(state: State, e, S, valid) -> Estimate:
     return Estimate(state.x, state.P[:n, :n], state.theta, state.P[n:, n:], e, S, linearise.status(valid))
 
 
-class State(NamedTuple):
+class State(namedtuple("State", "x theta P measured")):
     """x, theta: the estimate. P: covariance of both. measured (n_x,): the state as last measured, predicted where it was not."""
-
-    x: Any
-    theta: Any
-    P: Any
-    measured: Any
 
 
 def start(system, theta_sd, x0=None) -> State:

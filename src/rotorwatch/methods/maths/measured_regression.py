@@ -17,7 +17,8 @@ System Identification, 2006, chapter 5.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections import namedtuple
+from typing import Any
 
 import numpy as np
 
@@ -31,29 +32,14 @@ from rotorwatch.methods.maths.small import symmetric
 TINY = 1e-12
 
 
-class Known(NamedTuple):
+class Known(namedtuple("Known", "x P Upsilon")):
     """x (n_x,), P (n_x, n_x): the state as last measured, and its covariance were theta known. Upsilon (n_x, n_theta): how x follows
     theta, 0 but for what was not measured."""
 
-    x: Array
-    P: Array
-    Upsilon: Array
 
-
-class Row(NamedTuple):
+class Row(namedtuple("Row", "theta z Omega S x P Upsilon y C R")):
     """A step's regression about `theta`: z (n_y,), Omega (n_y, n_theta), S (n_y, n_y); the state predicted, x (n_x,), P and Upsilon; y
     (n_y,) and C (n_y, n_x): the measurement predicted; R (n_y,)."""
-
-    theta: Array
-    z: Array
-    Omega: Array
-    S: Array
-    x: Array
-    P: Array
-    Upsilon: Array
-    y: Array
-    C: Array
-    R: Array
 
 
 def check(method: str, system: Any, dt: Any) -> Any:

@@ -13,6 +13,7 @@ innovations: noise with a mean, or coloured, is not covered.
 
 from __future__ import annotations
 
+from collections import namedtuple
 from typing import NamedTuple
 
 from rotorwatch.base import checks
@@ -29,13 +30,9 @@ class Adaptation(NamedTuple):
     window: int
 
 
-class MitState(NamedTuple):
+class MitState(namedtuple("MitState", "log_q e seen")):
     """log_q (n,): logarithms of the factors on Q's diagonal; e, seen (window, n_y): innovations of the last steps in
     which anything was measured, and which were (1) or not (0)."""
-
-    log_q: Array
-    e: Array
-    seen: Array
 
 
 def adaptation(eta: float, window_s: float, dt: float) -> Adaptation:

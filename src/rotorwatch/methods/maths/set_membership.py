@@ -17,14 +17,15 @@ the prior of theta. Scholte and Campbell 2003; Zhou, Han and Liu 2008.
 
 from __future__ import annotations
 
+from collections import namedtuple
 from dataclasses import KW_ONLY, dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from rotorwatch.base import checks
 from rotorwatch.base.backend import jax, jnp, lax
-from rotorwatch.core import Array, Estimate
+from rotorwatch.core import Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.methods.maths import ellipsoid, interval, linearise, plant, taylor
 from rotorwatch.methods.maths.small import blocks, product, symmetric
@@ -40,44 +41,20 @@ SHARP = 1.0  # weight of each of the two measurements that keep the small set sm
 TRIED = (1.0, 0.003), (10.0, 0.003), (10.0, SHARP)
 
 
-class Carry(NamedTuple):
+class Carry(namedtuple("Carry", "z shape q restarts health near near_shape")):
     """z (n,) centre; shape (n, n): P, or its factors U and D in one matrix; q (n,): factors on Q's diagonal; restarts: how
     often the set was empty; health: distance from empty of the last step, 1 at best, 0 or less when it was. near (n,),
     near_shape (n, n): a set of x and a set of theta, both small, that hold the truth too: where remainders are bounded."""
 
-    z: Array
-    shape: Array
-    q: Array
-    restarts: Array
-    health: Array
-    near: Array
-    near_shape: Array
 
-
-class Cutting(NamedTuple):
+class Cutting(namedtuple("Cutting", "Phi H e P R amplify")):
     """Inputs of a rule that adapts Q. Phi (n, n); H (n_y, n), rows 0 where not valid; e (n_y,); P (n, n) before the cut; R (n_y, n_y);
     amplify: gain from one unit on Q's diagonal to P."""
 
-    Phi: Array
-    H: Array
-    e: Array
-    P: Array
-    R: Array
-    amplify: Array
 
-
-class Ahead(NamedTuple):
+class Ahead(namedtuple("Ahead", "z G moved noise half b Phi amplify")):
     """A predicted set before its sum: centre z; moved = G G', what the step makes of the last set; noise (+) remainder; half
     (n_x,): the remainder's; b: the sum's share of least trace. Phi, amplify: as in `Cutting`."""
-
-    z: Array
-    G: Array
-    moved: Array
-    noise: Array
-    half: Array
-    b: Array
-    Phi: Array
-    amplify: Array
 
 
 @dataclass(eq=False, repr=False)

@@ -15,21 +15,15 @@ ellipsoids for boxes.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 from rotorwatch.base.backend import jax, jnp
 from rotorwatch.methods.maths import interval
 from rotorwatch.methods.maths.interval import Interval
 
 
-class Model(NamedTuple):
+class Model(namedtuple("Model", "c g e lo hi")):
     """c, e, lo, hi: (*shape,); g: (k, *shape), the slope in k directions; (2 k, *shape) with what `_Rules` measures it by."""
-
-    c: Any
-    g: Any
-    e: Any
-    lo: Any
-    hi: Any
 
 
 def expand(function, a, slope, metric=None, lo=None, hi=None) -> tuple:

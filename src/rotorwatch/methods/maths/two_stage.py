@@ -17,6 +17,7 @@ the augmented Kalman filter, split in two.
 
 from __future__ import annotations
 
+from collections import namedtuple
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -26,15 +27,9 @@ from rotorwatch.methods.maths import linearise, unscented
 from rotorwatch.methods.maths.small import symmetric
 
 
-class State(NamedTuple):
+class State(namedtuple("State", "x P_free beta theta P_theta")):
     """Fused estimate x (n_x,). P_free (n_x, n_x): covariance of the bias-free filter. beta (n_x, n_theta): sensitivity of the state's error
     to the losses' error. theta (n_theta,), P_theta (n_theta, n_theta)."""
-
-    x: Array
-    P_free: Array
-    beta: Array
-    theta: Array
-    P_theta: Array
 
 
 class Prediction(NamedTuple):

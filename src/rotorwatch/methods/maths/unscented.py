@@ -16,6 +16,7 @@ Julier and Uhlmann, Unscented filtering and nonlinear estimation, Proc. IEEE 92 
 from __future__ import annotations
 
 import math
+from collections import namedtuple
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -42,13 +43,9 @@ class Weights(NamedTuple):
     bend: float
 
 
-class Transformed(NamedTuple):
+class Transformed(namedtuple("Transformed", "mean slope curvature")):
     """A function of a Gaussian. mean (m,). slope D (m, n): its mean derivative times L. curvature (m, m): what its covariance
     has beyond D D'; 0 where the function is linear."""
-
-    mean: Array
-    slope: Array
-    curvature: Array
 
     @property
     def cov(self) -> Array:

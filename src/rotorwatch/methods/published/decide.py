@@ -21,11 +21,8 @@ from rotorwatch.core import Decision
 from rotorwatch.engine.estimator.hypotheses import LOSS_WIDTH, NONE, NOTHING, SMALL_WIDTH, TOTAL_SHARE
 from rotorwatch.engine.host.hypotheses import list_hypotheses
 
-LEVEL_S, SCATTER_S, WARM_UP_S = (
-    20.0,
-    30.0,
-    4.0,
-)  # s: forgetting of level and scatter; no decision so long after the start
+LEVEL_S, SCATTER_S = 20.0, 30.0  # s: memory of level and scatter
+WARM_UP_S = 4.0  # no decision for so long after the start
 FLOOR = 0.01  # hover thrusts: no method is steadier than that
 COMMON_SD = 0.02  # per rotor: battery and air move all of them
 CLIP = 9.0  # a square counts at most this many times its mean: a fault must not look like scatter

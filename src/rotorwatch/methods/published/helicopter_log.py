@@ -33,10 +33,8 @@ VELOCITY_SD, RATE_SD = 0.03, 0.0015  # of one sample: a navigation filter's velo
 PROCESS_SD = (4e-3, 4e-3)  # what gusts and the plant's simplifications add in 0.02 s [m/s, rad/s]
 LEAST, MARGIN, LASTING_S = 0.04, 1.5, 0.5
 FILTER_SD = 2.0  # standard deviations that a filter's estimate may be off by; of a set, its half-width
-LEARN_S = (
-    2.0,
-    6.0,
-)  # what deviates meanwhile is steady wind and trim: it is taken out, and nothing is named before the end
+# Deviations in this time are steady wind and trim: they are removed, and no actuator is named before its end.
+LEARN_S = (2.0, 6.0)
 KALMAN: dict[str, Any] = {
     # A fault is a jump of theta; a random walk follows it in about a second.
     "theta_walk": np.repeat([4e-3, 1e-3], ACTUATORS), "theta_var": np.repeat([1e-3, 4e-4], ACTUATORS),

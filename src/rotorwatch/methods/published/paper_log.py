@@ -34,11 +34,8 @@ from rotorwatch.methods.published import own
 from rotorwatch.methods.published.log_plant import LogPlant
 
 FIELDS = ("mass_kg", "arm_m", "inertia_kg_m2", "drag_ratio_m")
-ANGLE_SD, POSITION_SD, CLIMB_SD = (
-    0.005,
-    0.05,
-    0.05,
-)  # of a navigation filter's attitude [rad], position [m] and climb [m/s]
+# Of a navigation filter's attitude [rad], position [m] and climb [m/s].
+ANGLE_SD, POSITION_SD, CLIMB_SD = 0.005, 0.05, 0.05
 FORCE_SD = 0.3  # m/s^2 per root of Hz: what gusts do to a vehicle's velocity
 PAPER = "of the paper"
 FRESH_S = 0.15  # a sample is used at ticks for so long

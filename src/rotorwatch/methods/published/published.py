@@ -161,16 +161,10 @@ def run_hop(
     parameters: dict[str, Any] = {"plant": hop.parameters, "B": B}
     parameters |= {k: np.asarray(v) for k, v in (("q", tuning.q), ("r", tuning.r)) if v is not None}
     build, backend = builder(name, hop.dt, tuple(sorted(tuning.keywords.items()))), chosen(None, "auto")
-    estimator, rows = (
-        build(parameters),
-        (hop.u, hop.y, hop.valid),
-    )  # with values: a wrong configuration raises here
+    estimator, rows = build(parameters), (hop.u, hop.y, hop.valid)  # with values: a wrong configuration raises here
     try:
         outputs = run_built(build, parameters, *rows, both, progress, estimator.init(), backend)[1]
-    except (
-        load_jax().errors.JAXTypeError,
-        ConfigError,
-    ):  # design work that needs values: compiled for this flight alone
+    except (load_jax().errors.JAXTypeError, ConfigError):  # its design needs values: compiled for this flight alone
         outputs = run(estimator, *rows, both, progress, backend=backend)[1]
     series = own.series(
         discovery.title(name), estimator.estimator, outputs[0], time[hop.rows], number, hop.dt, PLANT_NOTES

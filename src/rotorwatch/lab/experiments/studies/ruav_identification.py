@@ -189,9 +189,8 @@ def _records(system, seed: int):
     error = in_ball(rng, 4, steps, 6) * MEASUREMENT
 
     flights = ruav_flight.closed_loop(system, push, error, r)
-    y = (
-        np.concatenate([np.zeros((4, 1, 6)), flights.x[:, :-1]], axis=1) + error
-    )  # what a command meets, not what it leads to
+    # The state that a command meets, not the one it leads to.
+    y = np.concatenate([np.zeros((4, 1, 6)), flights.x[:, :-1]], axis=1) + error
     return flights.u[:, WINDOW:], y[:, WINDOW:], r[:, WINDOW:]
 
 

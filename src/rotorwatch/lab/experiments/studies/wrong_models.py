@@ -58,9 +58,8 @@ def grid(file: dict, watch: Callable, gains: tuple[float, float], epsilon: float
     gamma = np.zeros((len(cases), SAMPLES, 4))
     gamma[:, ONSET:] = LOSS
     wind = np.stack([_wind(5.0 if kind == "all" else size * (kind == "wind")) for kind, size in cases])
-    air = np.array(
-        [DRAG * (kind in ("wind", "all")) for kind, _ in cases]
-    )  # still air would be a disturbance of its own
+    # Drag in still air would be a disturbance of its own.
+    air = np.array([DRAG * (kind in ("wind", "all")) for kind, _ in cases])
     u, y = hover_flights.uncertain(known, [_real(file, *case) for case in cases], gamma, wind, air, LEVER)
     theta, faults, x = watch(u, y)
     fault, xi = unmodelled(known, u, y, gamma)

@@ -44,11 +44,8 @@ class Plan(NamedTuple):
     seed: Array
 
 
-class Actuators(NamedTuple):
+class Actuators(namedtuple("Actuators", "U held")):
     """U (4,): where they are; held (4,): where they were when they jammed; both in [0, 1]."""
-
-    U: Array
-    held: Array
 
 
 class Record(namedtuple("Record", "time p v q omega rates accel command actuators theta wind flies")):

@@ -23,10 +23,8 @@ START = {
     "and": {"b": "true"},
     "or": {"b": "false"},
 }
-LEAST, MOST = (
-    2.0**-149,
-    float(np.finfo(np.float32).max),
-)  # of single precision; beyond, constants may not be written out for it
+# Limits of single precision, beyond which constants cannot be written out for it.
+LEAST, MOST = 2.0**-149, float(np.finfo(np.float32).max)
 COMBINE = {"sum": "add", "prod": "mul", "max": "max", "min": "min", "and": "and", "or": "or"}
 
 

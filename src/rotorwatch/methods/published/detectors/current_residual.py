@@ -32,11 +32,8 @@ name = "px4-current-residual"
 autopilot = "PX4"
 STEP_S, TAU_S, GAP_S = 0.1, 0.2, 0.3  # of the check; of its filter; after which that starts anew
 C2T, OFF, HOLD_S = 35.0, 10.0, 1.0  # defaults of MOTFAIL_C2T [A], of the band [A] and of MOTFAIL_TIME [s]
-FLAT, SHARE, FITTED_HOLD_S = (
-    5.0 / 75.0,
-    0.2,
-    0.4,
-)  # of the replay tool: of the current at full command, of the expected one
+# Band of the replay tool: shares of the current at full command and of the expected one; hold time.
+FLAT, SHARE, FITTED_HOLD_S = 5.0 / 75.0, 0.2, 0.4
 IDLE = 2.88 / 71.97  # of the replay tool: c of a
 LEARN_S, FEWEST, TURNS = 10.0, 40, 10  # of flight, and samples in it, that a fit needs; of its reweighting
 LOWEST = 0.05  # share of the commands of that flight below the lowest that count as flown
