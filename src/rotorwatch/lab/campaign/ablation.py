@@ -282,12 +282,9 @@ def run(
     seeds = range(len(paths))
     parts: list[tuple] = [(_injected, (str(p), tuple(losses), s), selected) for p, s in zip(paths, seeds)]
     parts += [(_surrogates, (str(p), hours / len(paths), s), selected) for p, s in zip(paths, seeds)]
-    series = sequences.Sequences()
-    for kind, source in (("campaign", plan), ("sequences", series)):
-        cells = len(source.cells)
-        for cell in range(cells):
-            numbers = range(cell, flights // 2, cells)
-            parts += [(_flown, (kind, source, numbers[k : k + 4]), selected) for k in range(0, len(numbers), 4)]
+    for kind, source in (("campaign", plan), ("sequences", sequences.Sequences())):
+        numbers = tools.batches(flights // 2, len(source.cells), 4)
+        parts += [(_flown, (kind, source, batch_), selected) for batch_ in numbers]
     rows = tools.gathered(_part, parts, jobs, progress, "judging", scheduler, keep)
     if not rows:
         raise ConfigError("No flight could be judged: give more flights, or healthy logs of more than half a minute.")

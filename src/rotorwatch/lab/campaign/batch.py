@@ -145,12 +145,16 @@ class Flights(Protocol):
 
 def fly(plan: Flights, flights: Sequence[int], size: int) -> list[Flown]:
     """Simulate the flights and prepare them as `diagnose` prepares a log. Flights that never take off are left out."""
+    return [f for row in simulated(plan, flights, size) if (f := prepared(*row)) is not None]
+
+
+def simulated(plan: Flights, flights: Sequence[int], size: int) -> Iterator[tuple[int, Scenario, Any, Any]]:
+    """(number, scenario, plan, record) of each flight; size: width that the batch is filled up to."""
     scenarios = [plan.flight(k) for k in flights]
     plans = [_planned(k, scenario) for k, scenario in zip(flights, scenarios, strict=True)]
     first = scenarios[0]
     records = fly_each(MULTIROTOR, plans, first.duration_s, first.rate_hz, first.record_hz, logbook.needed, size)
-    prepared_ = [prepared(*row) for row in zip(flights, scenarios, plans, records, strict=True)]
-    return [f for f in prepared_ if f is not None]
+    return zip(flights, scenarios, plans, records, strict=True)
 
 
 def prepared(number: int, scenario: Scenario, plan: Any, record: Any) -> Flown | None:

@@ -210,18 +210,13 @@ def run(
     if flights < 1:
         raise ConfigError(f"flights must be at least 1, not {flights}.")
     parts = []
-    for k, frame in enumerate(frames):
-        own_flights = range(k, flights, len(frames))
-        for start in range(0, len(own_flights), WIDTH):
-            part = own_flights[start : start + WIDTH]
-            filled = [*part, *[part[-1]] * (WIDTH - len(part))] if len(own_flights) > WIDTH else list(part)
-            parts.append((frame, filled, len(part), seed, limits))
-
+    for part in tools.batches(flights, len(frames), WIDTH):
+        cell = part[0] % len(frames)
+        padding = WIDTH - len(part) if cell + len(frames) * WIDTH < flights else 0  # one program for all batches
+        parts.append((frames[cell], [*part, *[part[-1]] * padding], len(part), seed, limits))
     rows = tools.gathered(_part, parts, jobs, progress, "flying", scheduler, keep)
     each = {frame: measures([r for r in rows if r["frame"] == frame]) for frame in frames}
-    return {
-        "flights": flights, "seed": seed, "measures": measures(rows), "by_frame": each, "rows": rows,
-    }  # fmt: skip
+    return {"flights": flights, "seed": seed, "measures": measures(rows), "by_frame": each, "rows": rows}
 
 
 def _part(work: tuple[str, list[int], int, int, excitation.Limits | None]) -> list[dict]:

@@ -23,14 +23,11 @@ from rotorwatch.diagnose import judge as conclude
 from rotorwatch.errors import ConfigError, RotorwatchError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Diagnosis
-from rotorwatch.lab.campaign import open_score, work
+from rotorwatch.lab.campaign import batch, open_score, work
 from rotorwatch.lab.campaign.plan import Plan
 from rotorwatch.lab.campaign.score import read_columns
 from rotorwatch.lab.experiments import tools
 from rotorwatch.lab.simulation import logbook
-from rotorwatch.lab.simulation import plan as flight_plan
-from rotorwatch.lab.simulation.loop import fly_each
-from rotorwatch.lab.simulation.multirotor import MULTIROTOR
 from rotorwatch.lab.simulation.scenario import Scenario
 
 COLUMNS = read_columns("open_world")
@@ -42,16 +39,8 @@ SUFFIX = {autopilot: suffix for suffix, autopilot in logbook.SUFFIXES.items()}
 
 def judge(plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
     """A row of COLUMNS for each flight (`work.Judge`). All flights must be of one cell."""
-    scenarios = [plan.flight(k) for k in flights]
-    first, plans = scenarios[0], []
-    for k, scenario in zip(flights, scenarios, strict=True):
-        try:
-            plans.append(flight_plan(scenario))
-        except ConfigError as error:
-            raise ConfigError(f"flight {k}: {error}") from error
-    records = fly_each(MULTIROTOR, plans, first.duration_s, first.rate_hz, first.record_hz, logbook.needed, size)
     rows = []
-    for k, scenario, numbers, record in zip(flights, scenarios, plans, records, strict=True):
+    for k, scenario, numbers, record in batch.simulated(plan, flights, size):
         log = logbook.log(scenario, numbers, record)
         kind = plan.kind(k)
         row = _row(scenario, record, log, f"flight-{k}{SUFFIX[scenario.autopilot]}")

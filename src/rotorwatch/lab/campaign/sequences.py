@@ -172,13 +172,7 @@ def run(
     """
     if flights < 1:
         raise ConfigError(f"flights must be at least 1, not {flights}.")
-    plan = Sequences(seed)
-    cells = len(plan.cells)
-    parts = [
-        (seed, range(start, min(start + cells * WIDTH, flights), cells))
-        for cell in range(cells)
-        for start in range(cell, flights, cells * WIDTH)
-    ]
+    parts = [(seed, numbers) for numbers in tools.batches(flights, len(Sequences(seed).cells), WIDTH)]
     rows = tools.gathered(_part, parts, jobs, progress, "flying", scheduler, keep)
     rows.sort(key=lambda row: (row["flight"], row["at"]))
     return {"flights": flights, "seed": seed, "table": table(rows), "states": rows}

@@ -36,6 +36,12 @@ def gathered(
     return [row for rows in many.ordered(part, parts, jobs, scheduler, finished, keep) for row in rows]
 
 
+def batches(flights: int, cells: int, width: int) -> list[range]:
+    """Numbers of the flights of each batch: flight k is of cell k % cells, a batch holds at most `width` flights of one cell."""
+    of_cells = (range(cell, flights, cells) for cell in range(cells))
+    return [numbers[k : k + width] for numbers in of_cells for k in range(0, len(numbers), width)]
+
+
 def stepped(estimator: Any, u: Any, y: Any, select: Callable[[Any], Any], valid: Any = None) -> Any:
     """Outputs of each step, reduced by `select`, over rows u (T, n_u), y (T, n_y), valid (T, n_y) (None: all valid). For compiled programs;
     can be mapped over flights or tunings."""
