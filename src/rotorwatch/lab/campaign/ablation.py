@@ -102,8 +102,8 @@ def _scaled(value: Any, factor: float) -> Any:
 
 
 def variants(only: Sequence[str] = (), words: Sequence[str] = WORDS) -> dict[str, dict[str, Any]]:
-    """Name of a variant -> the constants it changes; "as it is" first. only: beginnings of names; words: which of WORDS. Raises
-    ConfigError when no name fits."""
+    """Name of a variant -> the constants it changes; "as it is" first. only: prefixes of names; words: a subset of WORDS. Raises
+    ConfigError if no name matches."""
     known = constants()
     changes: dict[str, dict[str, Any]] = {"as it is": {}}
     for name, value in known.items():
@@ -165,7 +165,7 @@ def _flown(kind: str, plan: Plan | sequences.Sequences, numbers: Sequence[int]) 
 
 
 def _injected(path: str, losses: Sequence[float], seed: int) -> list[Case]:
-    """A loss of each rotor and each size in one healthy flight, and the flight as it is."""
+    """A healthy flight unchanged, and with a loss of each rotor and each size."""
     flight = logs.read(path)
     vehicle, air, rng = airframes.identify(flight), airborne(flight), np.random.default_rng(seed)
     B, plain = vehicle.effectiveness(), prepare(flight, vehicle)

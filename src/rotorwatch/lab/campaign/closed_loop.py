@@ -3,10 +3,10 @@
     from rotorwatch.lab.campaign import closed_loop
     result = closed_loop.run("plans/survival.toml", ["nobody", "truth", "default"], "survival", flights=2000)
 
-What an estimator says at a time t depends on the log up to t only, and up to its first word a reconfigured flight is the flight as it would
-have been anyhow. So a flight is flown as it is, the estimator judges its log, its first belief is entered in the flight's schedule
-(lab/simulation/reconfigured.py), the flight is flown again, and so on, belief by belief: what came before stays the same to the last bit,
-and the estimators are those of `rotorwatch diagnose`, not copies of them.
+An estimate at time t depends on the log up to t only, and until the first estimate a reconfigured flight equals the unreconfigured one. So
+a flight is flown without reaction, its log is estimated, the first belief is entered in the flight's schedule
+(lab/simulation/reconfigured.py), the flight is flown again, and so on, belief by belief: the part before stays the same to the last bit,
+and the estimators are those of `rotorwatch diagnose`.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def fly(
     able = [_able(*row) for row in zip(scenarios, plans, records, strict=True)]
     open_, turns = list(range(size)), ENTRIES if driver not in (NOBODY, TRUTH) else 0
     for _ in range(turns):
-        # A flight without a new belief stays as it is, and so does what the estimator says of it.
+        # A flight without a new belief stays the same, and so do its estimates.
         here = [[row[k] for k in open_] for row in (flights, scenarios, plans, records, entries)]
         new = [(k, entry) for k, entry in zip(open_, _beliefs(driver, *here, by, size), strict=True) if entry]
         if not new:
@@ -132,7 +132,7 @@ def run(
 ) -> dict[str, Any]:
     """Fly a plan's flights with every driver: {"plan", "flights", "drivers": {driver: measures}}, also in out/summary.json.
 
-    Finished parts are kept in the folder `out`: the same call goes on where it was stopped. Measures (`measures`) have 95 % intervals.
+    Finished parts are kept in the folder `out`: the same call resumes an interrupted run. Measures (`measures`) have 95 % intervals.
     jobs, scheduler: as for `work.run`. Raises ConfigError.
     """
     planned = plan if isinstance(plan, Plan) else plans.read(plan)

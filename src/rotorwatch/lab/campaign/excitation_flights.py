@@ -4,8 +4,8 @@
     result = excitation_flights.run(flights=120)
     print(excitation_flights.markdown(result))
 
-Every flight is flown and diagnosed as it is. Where the answer is `ambiguous` the log says which rotor sets to distinguish
-(`default.excitation_response.question`), the excitation is designed from that (`control.excitation`), and the flight is flown again with
+Every flight is flown and diagnosed without excitation. Where the answer is `ambiguous`, the rotor sets to distinguish follow from the log
+(`default.excitation_response.question`), the excitation is designed for them (`control.excitation`), and the flight is flown again with
 it: up to its start it is the same to the last bit. Healthy flights are excited as well.
 """
 

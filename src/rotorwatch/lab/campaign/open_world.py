@@ -132,7 +132,7 @@ def measures(flights: Sequence[dict]) -> dict[str, Any]:
 
 
 def markdown(summary: dict[str, Any]) -> str:
-    """The summary as Markdown tables: of all flights, and of the kinds of each group; without columns that say nothing of their rows."""
+    """The summary as Markdown tables: of all flights, and of the kinds of each group; empty columns are left out."""
     heads = (
         "kind of flight", "flights", "a healthy rotor accused", "ambiguous", "right", "healthy hours", "accused an hour", "size, rms",
         "intervals hold", "said to be over", "crashed", "no answer",

@@ -1,4 +1,4 @@
-"""Public data sets of real flights, by path: an index says which logs are healthy, and which rotor broke when in the others.
+"""Public data sets of real flights, by path: an index lists the healthy logs, and the faulty rotor and onset of the others.
 
 An index is a TOML file. The first entry whose pattern fits a file's path below the data set's folder decides; files that no entry fits
 are no part of it:

@@ -1,7 +1,7 @@
 """Scores one flight under one method: a row of the campaign's table, with the columns `COLUMNS`.
 
-Healthy time is what was judged before the onset, or the whole flight without a fault. What is found, right and a false alarm, counting.py
-says. Losses are compared EVALUATE_S after the onset (or the end of the ramp).
+Healthy time is the evaluated time before the onset, or of the whole flight without a fault. counting.py defines found, right and false
+alarm. Losses are compared EVALUATE_S after the onset (or the end of the ramp).
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ def _row(name: str, f, raised: Sequence[Alarm], bound, plan: Plan) -> dict[str, 
 
 
 def _compared(f) -> int:
-    """The tick at which losses are compared: EVALUATE_S after the fault is all there, or the last judged one before."""
+    """The tick at which losses are compared: EVALUATE_S after the fault is fully developed, or the last evaluated one before."""
     fault = f.scenario.faults[0]
     when = fault["onset_s"] + fault["ramp_s"] + EVALUATE_S
     usable = np.flatnonzero((f.ticks.mode == JUDGE) & ~f.ticks.upset & (f.ticks.time <= when))

@@ -151,7 +151,7 @@ class Folder:
 
 
 def _make(folder: Path) -> None:
-    """Make a folder where there is none. Raises ConfigError."""
+    """Create a folder if it does not exist. Raises ConfigError."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -1,8 +1,5 @@
 """Runs a campaign: parts go to processes or to a cluster one by one (`rotorwatch.base.many`), and each is written as soon as it is
-finished.
-
-Killing any of it at any moment loses at most the parts in the making; the same command goes on from there.
-"""
+finished. An interruption loses at most the parts in progress; the same command resumes the campaign."""
 
 from __future__ import annotations
 

@@ -210,7 +210,7 @@ def campaign(
     surveys = tools.gathered(
         _survey, sources, jobs, lambda s, text: report(0.05 * s, text), "healthy flights", **shared
     )
-    # Onsets are drawn here, in the order of the flights: who works on what, and how many do, changes nothing.
+    # Onsets are drawn here, in the order of the flights, so that the distribution of work changes nothing.
     parts: list[tuple] = []
     for source, survey in zip(sources, surveys, strict=True):
         plan = [

@@ -63,7 +63,7 @@ class Asking:
 
     @property
     def separation(self) -> np.ndarray:
-        """(k,) standard deviations between each candidate and the one that is hardest to tell from it."""
+        """(k,) standard deviations between each candidate and the nearest other one."""
         d = np.sqrt(self.design.information)
         return np.array([d[(self.design.pairs == k).any(axis=1)].min() for k in range(len(self.candidates))])
 

@@ -1,8 +1,8 @@
-"""Flights of any plant: the truth that its own f, h, Q and R describe, for trying a plant or a method before there is a log.
+"""Flights of any plant, simulated with its own f, h, Q and R, for trying a plant or a method without a log.
 
     x(k+1) = f(x(k), u(k), theta(k), dt) + w,   y(k) = h(x(k+1), u(k), theta(k)) + v,   w ~ N(0, Q(dt)),   v ~ N(0, diag R(u(k)))
 
-The plant is its own truth here: what a method does with a real vehicle, which no plant describes so well, is for campaigns to say.
+Truth and model are the same here; campaigns test methods on vehicles that no plant describes exactly.
 """
 
 from __future__ import annotations

@@ -56,9 +56,9 @@ def rest(n: int, kind) -> Memory:
 
 
 def control(known: Inversion, memory: Memory, miss, gyro, f, e, lift, cut, dt) -> tuple[Array, Memory]:
-    """Control (3,) in mixer units, and the memory but for the demand that follows. miss (3,): rate setpoints minus filtered rates; gyro
-    (3,): measured, all [rad/s]; f (n,): thrust shares that the rotors should have reached; e (n,): effectiveness; lift: below 1 while
-    the motors idle or spool up; cut [rad/s]: corner of the gyro's filter."""
+    """Control (3,) in mixer units, and the memory except for the demand that follows. miss (3,): rate setpoints minus filtered rates; gyro
+    (3,): measured, all [rad/s]; f (n,): thrust shares that the rotors should have reached; e (n,): effectiveness; lift: below 1 while the
+    motors idle or spool up; cut [rad/s]: corner of the gyro's filter."""
     jnp = load_jax().numpy
     corner = jnp.minimum(cut, 1.0 / dt)
     fade = jnp.exp(-corner * dt)

@@ -1,9 +1,9 @@
-"""The driver of the closed loop, the same for everything that flies: air, sensors, autopilot and body, tick by tick.
+"""The closed-loop simulation of any aircraft: air, sensors, autopilot and body, tick by tick.
 
-A tick is the autopilot's outer loop and the finest thing that is recorded; within it `steps` Runge-Kutta steps, each with
-its inner loop. What an `Aircraft` is made of - actuators, their faults, its autopilot - stands in its own file. One definition
-of a tick serves one flight and many side by side: a batch maps it with the flights as the last axis, so that every line is one
-operation on long vectors; `fly_each` steps it as machine code, flight by flight, where there is a C compiler.
+A tick is the period of the autopilot's outer loops and of the record; it has `steps` Runge-Kutta steps, each with the inner loops. An
+`Aircraft` - its actuators, their faults, its autopilot - is defined in a file of its own. One definition of a tick serves a single flight
+and many side by side: a batch maps it with the flights as the last axis, so that every line is an operation on long vectors; `fly_each`
+steps it as native code, flight by flight, where there is a C compiler.
 """
 
 from __future__ import annotations

@@ -186,7 +186,7 @@ def _bare(scenario: Scenario, craft: Vehicle) -> Bare:
 
 
 def _pilot(scenario: Scenario, known: Vehicle, bare: Bare, full_speed: float) -> control.Autopilot:
-    """An autopilot tuned for the vehicle without payload, with the thrust curve that it believes in. full_speed [rad/s] of the rotors."""
+    """An autopilot tuned for the vehicle without payload, with the thrust curve that it assumes. full_speed [rad/s] of the rotors."""
     a, mixer = scenario.airframe, known.mixer
     assert mixer is not None
     B_tau = np.stack([-bare.y, bare.x, bare.drag_ratio * bare.spin])
@@ -305,7 +305,7 @@ def _gap(x, y) -> float:
 
 
 def _loaded(mass, J, payload, at):
-    """Mass, inertia about the common centre and where that lies, of a vehicle with a point mass at `at`."""
+    """Mass, inertia about the common centre of mass and its position, of a vehicle with a point mass at `at`."""
     total = mass + payload
     shift = payload / total * at
 
@@ -316,7 +316,7 @@ def _loaded(mass, J, payload, at):
 
 
 def _up_and_down(scenario: Scenario) -> trajectories.Trajectory:
-    """From the ground, and back to it where the scenario says so."""
+    """Take-off, manoeuvre, and landing if the scenario has one."""
     w, landing = scenario.trajectory, faults.NEVER
     if w["land"]:
         landing = scenario.duration_s - w["altitude_m"] / trajectories.DESCENT - 5.0 - w["rest_s"]

@@ -116,7 +116,7 @@ class Reconfigured(Multirotor):
         return entry.weights @ entry.candidates if self.allocator.by == "posterior" else entry.mean
 
     def mixed(self, plan: Plan, now, t, body, gyro, turning, drives: Drives) -> tuple:
-        """The mixer's answer, the allocator's or the turning hover's, as the schedule says."""
+        """Demands of the mixer, the allocator or the turning hover, as scheduled."""
         jnp, pilot, throttle = load_jax().numpy, plan.pilot, now.target.throttle
         healthy, free = control.mix(pilot.mixer, turning, throttle)
         begun, one = plan.schedule.since[0] <= t, _entry_at(plan.schedule, t)

@@ -291,7 +291,7 @@ def _value(name: str, value: Any, field: Field) -> Any:
 
 
 def only_fields(table: Iterable[str], known: Collection[str], where: str = "", of: str = "") -> None:
-    """Raise ConfigError for the first key of a table that is none of its fields."""
+    """Raise ConfigError for the first key of a table that is not a known field."""
     for key in table:
         if key not in known:
             raise ConfigError(

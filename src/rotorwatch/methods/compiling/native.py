@@ -26,12 +26,12 @@ import numpy as np
 from rotorwatch.base.compiling import shipped, toolchain
 from rotorwatch.base.compiling.toolchain import Unavailable
 
-# Vector code of this processor; errno and signals of floating point are nobody's business here, NaN and signed zeros are.
+# Vector code of this processor; errno and floating-point signals are not used, but NaN and signed zeros are.
 FLAGS = ("-std=c99", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
 # With glibc this macro only declares that sin, cos, exp and their like come as vectors too, and gcc then calls those in loops.
 VECTORS = ("-D__FAST_MATH__", "-lmvec")
 QUICK = ("-O1", "-ftree-loop-vectorize")  # for large programs
-# Characters of source above which only what pays is optimised: the default diagnoser builds in 10 s instead of 50 s, and runs as fast.
+# Source characters above which only the worthwhile parts are optimised: the default diagnoser builds in 10 s, not 50, and runs as fast.
 BIG = 80_000
 _SEALED: set[Path] = set()
 ROWS = 512  # run in one go, between two words on progress
@@ -94,7 +94,7 @@ def build(header: str, source: str, name: str) -> Path:
         if result.returncode:
             message = (result.stderr.strip().splitlines() or ["nothing said"])[0]
             raise Unavailable(f"{cc} cannot build native code: {message}.")
-        # Whole or not at all, whoever else builds the same; between the two it is not sealed, and built again.
+        # Atomic, even if another process builds the same; between the two writes it is not sealed, and would be built again.
         part = goal.with_suffix(f".{os.getpid()}")
         for place, data in ((goal, compiled.read_bytes()), (seal, shipped.digest_of(compiled).encode())):
             part.write_bytes(data)

@@ -59,7 +59,7 @@ class _Along:
 
 
 class IMM:
-    """Interacting multiple model on any plant that can be differentiated; `Output.probability` says how probable each mode is."""
+    """Interacting multiple model on any plant that can be differentiated; `Output.probability` holds the probability of each mode."""
 
     name = "imm"
     not_kalman = "it assumes that one rotor at a time is weak, and weighs one filter for each by how well they predict"
@@ -141,7 +141,7 @@ def filtered(
     def one(d, s, P, walk):
         along = _Along(system, d)
         x, F, Phi = linearise.transition(along, s[:n], u, s[n:], dt)
-        A = jnp.concatenate([jnp.concatenate([F, Phi], axis=1), jnp.asarray(np.eye(n + 1)[n:])])
+        A = linearise.augmented(F, Phi)
         P = A @ P @ A.T
         P = P + jnp.zeros_like(P).at[:n, :n].set(Q).at[n, n].set(walk * dt)
         s = jnp.concatenate([x, s[n:]])

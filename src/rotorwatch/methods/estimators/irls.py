@@ -16,10 +16,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from rotorwatch.base import checks
-from rotorwatch.base.backend import jax, jnp, lax
+from rotorwatch.base.backend import jnp, lax
 from rotorwatch.core import Array, Estimate
 from rotorwatch.methods.maths import linearise, measured_regression
 
@@ -121,10 +119,8 @@ class IRLS:
             s = jnp.maximum(s, 1.0)
             weighted = flat * (self._weight(r / s) * seen / (s * s))[:, None]
             information = weighted.T @ flat + jnp.diag(1.0 / self.theta_var)
-            factor = jnp.linalg.cholesky(0.5 * (information + information.T)), True
-            theta = jax.scipy.linalg.cho_solve(factor, weighted.T @ target)
-            P = jax.scipy.linalg.cho_solve(factor, np.eye(n))
-        return theta, 0.5 * (P + P.T), s
+            theta, P = linearise.posterior(information, weighted.T @ target)
+        return theta, P, s
 
     def _weight(self, r):
         if self.weights == "huber":

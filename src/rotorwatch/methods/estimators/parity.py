@@ -85,7 +85,7 @@ class Parity:
         r, A = self._residual(push, Phis, Ds, ys)
         full = count == self.N
         information = A.T @ A + jnp.diag(1.0 / self.theta_var)
-        theta, theta_cov = self._solved(information, A.T @ r)
+        theta, theta_cov = linearise.posterior(information, A.T @ r)
         older = carry.theta_cov + self.walk**2 * dt * np.eye(len(none))
         theta, theta_cov = jnp.where(full, theta, carry.theta), jnp.where(full, theta_cov, older)
 
@@ -115,12 +115,6 @@ class Parity:
         target = jnp.concatenate([(y - forced[:, :, 0])[:, :, None], forced[:, :, 1:]], axis=2)
         both = self.V @ target.reshape(-1, n + 1)
         return both[:, 0], both[:, 1:]
-
-    def _solved(self, information, moment):
-        """Mean and symmetric covariance."""
-        factor = jnp.linalg.cholesky(0.5 * (information + information.T)), True
-        P = jax.scipy.linalg.cho_solve(factor, np.eye(len(moment)))
-        return jax.scipy.linalg.cho_solve(factor, moment), 0.5 * (P + P.T)
 
     def _design(self, u) -> None:
         """F, C at x0 and u, and V (N n_y - n_x, N n_y)."""

@@ -18,8 +18,6 @@ from __future__ import annotations
 
 from collections import namedtuple
 
-import numpy as np
-
 from rotorwatch.base import checks
 from rotorwatch.base.backend import jax, jnp
 from rotorwatch.core import Estimate
@@ -94,8 +92,7 @@ class SlidingMode:
         sd = jnp.sqrt(jnp.maximum(jnp.diagonal(left @ S @ left.T), TINY))
         remains, ds = self._twisted(sd, dt)
         K = jnp.concatenate([(1.0 - remains / sd)[:, None] * left, (ds / sd)[:, None] * left])
-        rest = np.eye(2 * n) - K @ jnp.concatenate([C, jnp.zeros_like(C)], axis=1)
-        P = symmetric(rest @ P @ rest.T + (K * R) @ K.T)
+        P = linearise.joseph(P, K, jnp.concatenate([C, jnp.zeros_like(C)], axis=1), R)
 
         gain = jnp.where(valid & (self.direct > 0), -jnp.expm1(-self.rate * dt), 0.0)
         w = carry.w + gain * jnp.where(valid, y - y_ - carry.w, 0.0)
@@ -106,16 +103,12 @@ class SlidingMode:
         noise = jnp.concatenate([jnp.diagonal(P)[n:], var])
         used = jnp.concatenate([self.driven, self.direct])
         weighted = G * (used / jnp.where(used > 0, noise, 1.0))[:, None]
-        information = symmetric(weighted.T @ G + jnp.diag(1.0 / self.theta_var))
-        factor = jnp.linalg.cholesky(information), True
-        theta = jax.scipy.linalg.cho_solve(factor, weighted.T @ jnp.concatenate([v, w]))
-        theta_cov = jax.scipy.linalg.cho_solve(factor, np.eye(len(none)))
+        information = weighted.T @ G + jnp.diag(1.0 / self.theta_var)
+        theta, theta_cov = linearise.posterior(information, weighted.T @ jnp.concatenate([v, w]))
 
         innovation = jnp.where(valid, y - y_ - self.direct * carry.w, 0.0)
         S = S + jnp.diag(self.direct * carry.var)
-        estimate = Estimate(
-            x, P[:n, :n], theta, symmetric(theta_cov), innovation, symmetric(S), linearise.status(valid)
-        )
+        estimate = Estimate(x, P[:n, :n], theta, theta_cov, innovation, symmetric(S), linearise.status(valid))
         return Carry(x, v, P, w, var, G), estimate
 
     def _twisted(self, e, dt):

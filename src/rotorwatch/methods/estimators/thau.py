@@ -85,13 +85,12 @@ class Thau:
         s = s.at[n:].add(jnp.where(valid.any(), -dt * self.leak * theta, 0.0))
 
         # The error of (x, theta) under these gains, whatever they are; that losses leak is left out.
-        A = jnp.concatenate([jnp.concatenate([F, Phi], axis=1), jnp.asarray(np.eye(n + k)[n:])])
+        A = linearise.augmented(F, Phi)
         H = jnp.concatenate([C, D], axis=1)
         P = A @ carry.P @ A.T
         P = P.at[:n, :n].add(system.Q(dt)).at[n:, n:].add(self.walk**2 * dt * np.eye(k))
         S = H @ P @ H.T + jnp.diag(R)
-        rest = np.eye(n + k) - K @ H
-        P = symmetric(rest @ P @ rest.T + (K * R) @ K.T)
+        P = linearise.joseph(P, K, H, R)
         return Carry(s, P), Estimate(s[:n], P[:n, :n], s[n:], P[n:, n:], e, symmetric(S), linearise.status(valid))
 
     def _design(self, u, bandwidth, direct_rate) -> None:

@@ -10,8 +10,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
 from rotorwatch.base.backend import jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.methods.maths import linearise, mit_rule, plant
@@ -62,8 +60,8 @@ class AugmentedEKF:
 
     def _predicted(self, P, F, Phi, dt, mit):
         """A P A' + noise, block by block: A = [F Phi; 0 I]."""
-        n_x, n = self.system.n_x, self.system.n_theta
-        A = jnp.concatenate([jnp.concatenate([F, Phi], axis=1), jnp.asarray(np.eye(n_x + n)[n_x:])])
+        n_x = self.system.n_x
+        A = linearise.augmented(F, Phi)
         P = A @ P @ A.T
         Q = jnp.zeros_like(P).at[:n_x, :n_x].set(self.system.Q(dt)).at[n_x:, n_x:].set(jnp.diag(self.theta_walk) * dt)
         return P + (mit_rule.scaled(Q, mit) if self.adaptation else Q)

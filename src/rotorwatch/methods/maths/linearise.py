@@ -14,6 +14,7 @@ import numpy as np
 from rotorwatch.base import checks
 from rotorwatch.base.backend import jax, jnp
 from rotorwatch.errors import ConfigError
+from rotorwatch.methods.maths.small import symmetric
 
 
 class Linear(namedtuple("Linear", "value by_x by_theta")):
@@ -40,6 +41,25 @@ def _linear(g, x, theta, part: str, system) -> Linear:
         name = getattr(system, "name", type(system).__name__)
         raise ConfigError(checks.untraceable(f"{part} of the plant {name}", why)) from why
     return Linear(value, slope[:, :n], slope[:, n:])
+
+
+def augmented(F, Phi):
+    """(n, n) transition [F Phi; 0 I] of states and constant losses."""
+    n_x, n_theta = Phi.shape
+    return jnp.concatenate([jnp.concatenate([F, Phi], axis=1), jnp.asarray(np.eye(n_x + n_theta)[n_x:])])
+
+
+def joseph(P, K, H, R):
+    """Covariance after an update with any gain K: (I - K H) P (I - K H)' + K diag(R) K', symmetric; R (m,) variances."""
+    rest = np.eye(P.shape[0]) - K @ H
+    return symmetric(rest @ P @ rest.T + (K * R) @ K.T)
+
+
+def posterior(information, moment):
+    """Mean and symmetric covariance of a Gaussian with this information matrix (n, n) and vector (n,)."""
+    factor = jnp.linalg.cholesky(symmetric(information)), True
+    P = jax.scipy.linalg.cho_solve(factor, np.eye(len(moment)))
+    return jax.scipy.linalg.cho_solve(factor, moment), symmetric(P)
 
 
 def rate(system, x, u, theta):

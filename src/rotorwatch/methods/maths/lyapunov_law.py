@@ -156,8 +156,6 @@ def advance(law: Law, state: State, u, y, valid, dt, walk) -> tuple[State, Any, 
     R = system.R(u)
     L = jnp.concatenate([L_x, L_theta]) * valid[None, :]
     S = H @ P @ H.T + jnp.diag(R)
-    keep = jnp.eye(n + k) - L @ H
-    P = keep @ P @ keep.T + (L * R) @ L.T
-    P = 0.5 * (P + P.T)
+    P = linearise.joseph(P, L, H, R)
     measured = x + at.C_left @ jnp.where(valid, y - at.y - at.C @ (x - at.x), 0.0)
     return State(x, theta, P, measured), e, 0.5 * (S + S.T), at

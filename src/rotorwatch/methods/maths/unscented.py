@@ -143,7 +143,7 @@ def loss_covariance(name: str, value: Any, n: int) -> Array:
 
 
 def no_limit(theta: Array) -> Array:
-    """theta as it is."""
+    """The limit that leaves theta unchanged."""
     return theta
 
 

@@ -2,7 +2,7 @@
 
 Each hop of the flight becomes a plant and a table (log_plant.py), the method runs over it with the threshold of methods/published/decide.py
 behind it, and its announcements are recorded as the default estimator's outputs are: engine/host/events.py and all after it
-do not know the difference. The losses there are the decision's; what the method itself says stays beside them (own.py). What the default
+do not know the difference. The losses there are the decision's; the method's raw output is kept beside them (own.py). What the default
 method does beyond - it tests every onset, competes losses against disturbances
 over whole windows, learns the noise on the way and refines a loss - a plain method does not, and `notes` says so.
 """

@@ -74,7 +74,7 @@ def each(scenes: Sequence[Scene], names: Sequence[str] = (), progress: Callable 
 
 
 def known(names: Sequence[str]) -> list[str]:
-    """The estimators of these names, all there are when empty. Raises ConfigError for an unknown one."""
+    """The estimators of these names, all of them when empty. Raises ConfigError for an unknown one."""
     for name in names:
         discovery.estimator(name)
     return list(names) or list(discovery.estimators())

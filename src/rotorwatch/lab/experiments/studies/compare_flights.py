@@ -152,7 +152,7 @@ def _scene(group: str, flight: Flight, vehicle: Vehicle, faults) -> Scene | None
 
 
 def injected(paths: Sequence[str | PathLike], losses: Sequence[float] = (0.2, 0.4), seed: int = 0) -> list[Scene]:
-    """Scenes of healthy logs: each as it is, and once for each loss put into a random rotor at a random time (`inject`)."""
+    """Scenes of healthy logs: each unchanged, and once for each loss put into a random rotor at a random time (`inject`)."""
     rng = np.random.default_rng(seed)
     scenes = []
     for path in paths:

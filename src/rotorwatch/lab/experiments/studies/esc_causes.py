@@ -2,8 +2,8 @@
 
     python -m rotorwatch.lab.experiments.studies.esc_causes --flights 240 --seed 1
 
-Frames, autopilots, wind, manoeuvres, onsets, rotors and strengths are drawn; a flight's cause is the fault's kind. An answer is what the
-diagnosis says of the faulty rotor: the cause of a loss that names it alone, the notice where there is no such loss, or nothing.
+Frames, autopilots, wind, manoeuvres, onsets, rotors and strengths are drawn; a flight's cause is the fault's kind. An answer is the cause
+of a loss that names the faulty rotor alone, else the notice on that rotor, or nothing.
 """
 
 from __future__ import annotations

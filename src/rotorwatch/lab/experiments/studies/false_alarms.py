@@ -99,7 +99,7 @@ def source(flight: Flight, vehicle: Vehicle) -> Source:
     for a in range(4):
         gains[a] = np.linalg.lstsq(np.column_stack([regressors[:, a], one]), y[:, a], rcond=None)[0][:3]
     e = y - (gains * regressors).sum(axis=2)
-    # The line from start to end: without it the ends meet, and a spectrum of finite length means what it says.
+    # The line from start to end is removed, so that the ends meet and the finite spectrum does not leak.
     edge = max(1, round(TREND_S / table.dt))
     slope = (e[-edge:].mean(axis=0) - e[:edge].mean(axis=0)) / (len(e) - edge)
     e = e - slope * (np.arange(len(e)) - 0.5 * (len(e) - 1))[:, None]
@@ -132,7 +132,7 @@ def _regressors(rate, rate_dot, load, side, n: int) -> np.ndarray:
 
 
 def _smooth(values: np.ndarray, window: int) -> np.ndarray:
-    """(T, k) moved through a raised cosine of `window` ticks; the end goes on with the beginning."""
+    """(T, k) smoothed by a raised cosine of `window` ticks; periodic at the ends."""
     shape = np.zeros(len(values))
     shape[np.arange(window) - window // 2] = np.hanning(window + 2)[1:-1]
     gain = np.fft.rfft(shape / shape.sum())
@@ -327,7 +327,8 @@ def _surrogates(
     flight_s: float,
     report: Callable[[float, str], None] | None = None,
 ) -> _Part:
-    """`hours` of surrogates of one flight; its number and the seed make the random numbers. tell: called with the finished share, name."""
+    """`hours` of surrogates of one flight; its number and the seed determine the random numbers. report: called with the finished share,
+    name."""
     i, path = numbered
     flight = path if isinstance(path, Flight) else logs.read(path)
     aerobatic.decline(flight, "surrogates are made of the noise of hover; leave it out.")

@@ -135,7 +135,7 @@ def _flown(
 
 @functools.cache
 def _program(holds: bool):
-    """Compiled. holds: where the vehicle should be is the place it began at, else `reference` (T, 4) says its angles and height."""
+    """Compiled. holds: the setpoint is the initial position, else `reference` (T, 4) gives angles and height."""
     jax = load_jax()
     jnp = jax.numpy
     dt = 1.0 / PLANT_HZ

@@ -41,7 +41,7 @@ NARROWER = 0.99  # by one percent at least
 
 
 class Run(NamedTuple):
-    """A filter, and whether it starts again if it is a Kalman filter (a set's form says so itself)."""
+    """A filter, and whether it restarts, for Kalman filters (for sets the form decides)."""
 
     estimator: Any
     restart: bool = True

@@ -39,7 +39,7 @@ KEEP = 20  # every how many-th step is kept for drawing
 
 
 def plant(literal: tuple[str, ...] = (), kind: type[RigidBody] = RigidBody) -> tuple[dict, RigidBody]:
-    """The airframe and the plant that the filters believe in, of that kind."""
+    """The airframe and the plant model of the filters, of that class."""
     airframe = airframes.paper("uaf-02e")
     if "arm" in literal:
         rotors = airframe["rotors"]

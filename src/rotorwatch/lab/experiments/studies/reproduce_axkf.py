@@ -285,7 +285,7 @@ def _wrong_starts(airframe, seeds) -> dict[str, dict[str, np.ndarray]]:
             return tools.stepped(build(system), u, y, lambda out: out.x[:3])
 
         run = jax.jit(jax.vmap(angles, in_axes=(0, 0, None)))
-        # By NumPy, whose maximum of no number is none: XLA's may be a number.
+        # NumPy's maximum of NaN is NaN; XLA's may be a number.
         errors[name] = {
             kind: np.abs(np.asarray(run(y, starts, variance)) - truth[:, :3]).max(axis=-1)
             for kind, variance in P0.items()

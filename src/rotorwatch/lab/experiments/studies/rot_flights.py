@@ -19,19 +19,19 @@ TONES, DEPTH = (0.7, 1.1, 1.3, 1.7, 1.9, 2.3), 0.5  # Hz of each motor's thrust,
 
 
 def clock() -> np.ndarray:
-    """(T,) s: when each step begins."""
+    """(T,) start time of each step [s]."""
     return np.arange(round(DURATION / DT)) * DT
 
 
 def thrusts(excited: bool = False) -> np.ndarray:
-    """(T, 6) N: constant as in the paper, or each motor with a tone of its own."""
+    """(T, 6) thrusts [N]: constant as in the paper, or with a separate tone on each motor."""
     t = clock()[:, None]
     tones = np.sin(2.0 * np.pi * np.array(TONES) * (t - ON))
     return np.where(t >= ON, THRUST, 0.0) * (1.0 + (DEPTH * tones if excited else np.zeros(6)))
 
 
 def losses() -> np.ndarray:
-    """(T, 6): of each motor."""
+    """(T, 6) loss of each motor."""
     theta = np.zeros((clock().size, 6))
     for onset, loss, motor in zip(ONSETS, LOSSES, MOTORS, strict=True):
         theta[clock() >= onset, motor] = loss

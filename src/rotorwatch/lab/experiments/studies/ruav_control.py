@@ -99,7 +99,7 @@ class Designs:
         return min(inward) < 0 or max(inward) * self.grid > loose - 1e-9
 
     def of(self, key: tuple) -> h_infinity.Synthesis | None:
-        """The controller for that rounded interval, or None where there is none."""
+        """The controller for that rounded interval, or None if none exists."""
         if key not in self.made:
             bounds = self.grid * np.array(key, float)
             try:

@@ -1,5 +1,5 @@
-"""The paper's flight test, flown again: hover on an H-infinity attitude loop that is designed, and designed again, for what a filter says
-of the actuators' coefficients; at step 21,500 two of them fail, at step 23,000 the pilot takes over.
+"""The paper's flight test, flown again: hover on an H-infinity attitude loop that is redesigned for a filter's bounds of the actuators'
+coefficients; at step 21,500 two of them fail, at step 23,000 the pilot takes over.
 
 Truth, noise and filters are those of `ruav_flight` and `ruav_filters`, the loops those of `ruav_control`. Attitude and place are measured
 with the accuracy that the paper prints, .1 degree and .1 m, and neither loops nor filters get anything better; nothing here reads an

@@ -83,7 +83,7 @@ def grid(file: dict, watch: Callable, gains: tuple[float, float], epsilon: float
 
 
 def unmodelled(known: Craft, u, y, gamma) -> tuple[np.ndarray, np.ndarray]:
-    """fault and xi (N, T, 4) [rad/s^2, m/s^2 down]: what rotors lack by the known model, and all else that it does not say. Means over a
+    """fault and xi (N, T, 4) [rad/s^2, m/s^2 down]: wrench deficit by the known model, and all other unmodelled accelerations. Means over a
     sample each, from the rates at its ends."""
     down = np.array([1.0, 1.0, 1.0, -1.0])
     DM = known.D[:, None] * known.M * down[:, None]
@@ -110,7 +110,7 @@ def _real(file: dict, kind: str, size: float) -> Craft:
 
 
 def _wind(speed: float) -> np.ndarray:
-    """(SAMPLES, 3) m/s."""
+    """(SAMPLES, 3) wind [m/s]."""
     t = DT * np.arange(SAMPLES)
     gusts = GUST * np.stack([np.sin(2 * np.pi * hz * t + k) for k, hz in enumerate(GUST_HZ)], axis=1)
     return speed * np.minimum(t / 2.0, 1.0)[:, None] * (np.array([1.0, 0.0, 0.0]) + gusts)

@@ -1,4 +1,4 @@
-"""Which values of a graph get storage, when each is written and last read, and who shares storage with whom.
+"""Storage plan of a graph: which values are stored, when each is written and last read, and which values share storage.
 
 Element-wise values that are read once per element are written inside their reader's loop and need none. The rest gets
 row-major storage; two values share it when one is last read before the other is written (interval packing, largest first).
@@ -120,7 +120,7 @@ class Plan:
                     self._read(x)
         elif op not in ("const", "param"):
             if not (op in ("dot", "concat") and node.index in self.into and times == 1 and not must):
-                self.stored.add(node.index)  # else written by the only one who reads it: a concatenation
+                self.stored.add(node.index)  # else written by its only reader, a concatenation
             if op == "concat":
                 self.into.update(x.index for x in node.args)
             for k, x in enumerate(node.args):

@@ -98,8 +98,8 @@ def emit_program(
     about: str = "",
     carry: Any = None,
 ) -> Program:
-    """The program of `step(parameters, carry, *inputs) -> (carry, out)` and `init(parameters) -> carry`; without init no NAME_init,
-    and `carry` is an example of one.
+    """The program of `step(parameters, carry, *inputs) -> (carry, out)` and `init(parameters) -> carry`; without init no NAME_init, and
+    `carry` is an example of one.
 
     parameters: a pytree of arrays (values do not matter), empty when everything is constant. notes: what the header says of a field.
     about: the header's first words. Raises Refused for what has no counterpart in C.

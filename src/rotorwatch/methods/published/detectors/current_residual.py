@@ -41,9 +41,9 @@ USUAL, PRIOR_SD = 1.5, 0.5  # standard deviations from which a sample counts les
 
 
 class _Rule(NamedTuple):
-    """model: a, b, c [A]; for less and for more current: flat part of the band [A] (inf: not checked) and the time it is left [s]; share:
-    of the expected current, added to both; tau_s: of the filter. fitted: to this flight; least: the command below which less current says
-    nothing, as it was not flown then."""
+    """model: a, b, c [A]; for less and for more current: flat part of the band [A] (inf: not checked) and the hold time [s]; share: of the
+    expected current, added to both; tau_s: of the filter. fitted: to this flight; least: command below which low current is ignored,
+    because such commands were not flown."""
 
     model: np.ndarray
     under: tuple[float, float]
