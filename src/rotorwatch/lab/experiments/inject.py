@@ -43,14 +43,12 @@ def inject(
     onset: float,
     response_s: float = RESPONSE_S,
 ) -> Flight:
-    """The flight as it would look had `rotors` (1-based) lost `loss` (0..1, one for all or one each) at `onset` s.
+    """The flight as it would look had `rotors` (1-based) lost `loss` (0..1, one for all or one each) at `onset`.
 
-    flight: a healthy one. vehicle: its airframe. rotors: 1-based. loss: 0 to 1, one for all or
-    one each. onset: s from the log's first record. response_s: time constant with which the motors follow [s].
-    Signals ``motors`` and ``control`` are rewritten after the onset, everything else stays. Where a command would
-    exceed its limit it is cut off there, and a warning of the flight says how often: this flight could not have flown
-    on like that. ``facts["injected"]`` holds what was done. Raises ConfigError for rotors, losses or times that the
-    flight does not have.
+    flight: a healthy one. vehicle: its airframe. onset: s from the log's first record. response_s: time constant with which the motors
+    follow [s]. Signals ``motors`` and ``control`` are rewritten after the onset, everything else stays. A command beyond its limit is cut
+    off there, and a warning of the flight gives the share: this flight could not have continued so. ``facts["injected"]`` holds what was
+    done. Raises ConfigError for rotors, losses or times that the flight does not have.
     """
     share = _losses(flight, vehicle, rotors, loss)
     motors = flight.signals["motors"]
@@ -180,7 +178,7 @@ def campaign(
     scheduler: str | None = None,
     keep: str | PathLike | None = None,
 ) -> dict[str, Any]:
-    """Inject every loss into every rotor of every healthy flight, `repeats` times each, and count what is found.
+    """Inject every loss into every rotor of every healthy flight, `repeats` times each, and count the detections.
 
     Onsets are drawn at random, from 3 s after judging begins to 12 s before the hop ends. The answer:
 
@@ -261,7 +259,7 @@ def _trials(part: tuple[Flight | str, list[tuple[int, float, float]]]) -> list[d
 
 
 def _flown(source: Flight | str) -> tuple[Flight, Vehicle, Any]:
-    """A flight, its vehicle, and when it was in the air; a log is read once for the parts that follow each other."""
+    """A flight, its vehicle, and when it was in the air; a log is read once for consecutive parts."""
     if isinstance(source, str):
         return _read(source)
     return source, airframes.identify(source), airborne(source)
@@ -274,12 +272,12 @@ def _read(path: str) -> tuple[Flight, Vehicle, Any]:
 
 
 def ready_s(vehicle: Vehicle) -> float:
-    """How long after a take-off judging begins [s]: shorter where healthy flights have taught the vehicle's dynamics."""
+    """Time from take-off until the evaluation begins [s]: shorter where the vehicle's dynamics are known from healthy flights."""
     return READY_KNOWN_S if vehicle.identified else READY_S
 
 
 def _judge(flight: Flight, vehicle: Vehicle) -> tuple[tuple[counting.Alarm, ...], float]:
-    """The alarms of `diagnose`; seconds judged."""
+    """The alarms of `diagnose`, and the seconds evaluated."""
     ready = prepare(flight, vehicle)
     if ready.table is None:
         return (), 0.0

@@ -79,7 +79,7 @@ class Asking:
         )
 
     def commands(self, rate_hz: float = 100.0) -> tuple[np.ndarray, np.ndarray]:
-        """(time (T,) [s], what is added to the commands (T, n)) of the whole excitation."""
+        """(time (T,) [s], excitation added to the commands (T, n)) over its whole length."""
         signal = self.design.signal
         time = np.arange(0.0, float(signal.length) + 0.5 / rate_hz, 1.0 / rate_hz)
         return time, np.stack([np.asarray(excitation.value_at(signal, t)) for t in time])
@@ -222,7 +222,7 @@ def _candidates(sets: Sequence[Sequence[int]], loss: float | Sequence[float], n:
 
 
 def _of_log(subject: Any, vehicle: Vehicle | None) -> tuple[str, np.ndarray, excitation_response.Question]:
-    """(name, B, what to ask) of a log whose answer is ambiguous. Raises ConfigError where it is not."""
+    """(name, B, question) of a log whose answer is ambiguous. Raises ConfigError if it is not."""
     flight = subject if isinstance(subject, Flight) else logs.read(subject)
     craft = vehicle or airframes.identify(flight)
     air = airborne(flight) if flight.has("motors") else ()

@@ -243,7 +243,7 @@ def _wind(airframe: Airframe, e, free_yaw: bool) -> float:
 
 
 def _trim(B, weight: float) -> np.ndarray:
-    """Hover commands (n,) as equal as can be."""
+    """Hover commands (n,), as equal as possible."""
     from scipy.optimize import lsq_linear
 
     wrench = np.zeros(len(B))

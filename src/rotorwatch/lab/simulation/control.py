@@ -1,7 +1,7 @@
-"""The autopilot: position, velocity, attitude and rate loops in cascade, and a mixer that saturates like a real one.
+"""The autopilot: position, velocity, attitude and rate loops in cascade, and a mixer with realistic saturation.
 
-Outer loops run once a tick, attitude and rate loops every step. Outputs are in the autopilot's own mixer units
-(roll, pitch, yaw, throttle), as logs hold them.
+Outer loops run once a tick, attitude and rate loops every step. Outputs are in the autopilot's own mixer units (roll, pitch, yaw,
+throttle), as in logs.
 """
 
 from __future__ import annotations

@@ -115,7 +115,7 @@ class Multirotor:
         return trajectories.table(plan.way, ticks, dt)._replace(stir=stir)
 
     def begin(self, plan: Plan, state: State, reference, blowing, turning, dt: float) -> tuple[Moment, Array]:
-        """Outer loops, and what the autopilot believes of its battery."""
+        """Outer loops, and the autopilot's estimate of its battery."""
         jnp = load_jax().numpy
         pilot = plan.pilot
         # Near the ground the air is slow: a logarithmic profile in short.

@@ -31,7 +31,7 @@ SPIN = (0.15, 0.95)  # ArduPilot's MOT_SPIN_MIN, MOT_SPIN_MAX
 
 
 def vehicle(scenario: Scenario) -> Vehicle:
-    """The airframe as its autopilot knows it: rotors in metres, mixer, believed thrust curve. Raises ConfigError."""
+    """The airframe in the autopilot's parameters: rotors in metres, mixer, assumed thrust curve. Raises ConfigError."""
     frame, a = scenario.airframe["frame"], scenario.airframe
     if scenario.helicopter:
         raise ConfigError(f"airframe.frame: {frame} is a helicopter; here only multirotors fly.")

@@ -1,9 +1,9 @@
-"""Each paper's hand tuning against what `tune` finds, on a flight that was not used for fitting.
+"""Each paper's hand tuning against the result of `tune`, on flights not used for fitting.
 
-For each paper's airframe, plant and covariances: two healthy flights with the noise that the paper's sensors have are fitted
-to; a third one, healthy, says how likely it is under either tuning, and a fourth one, in which the first actuator loses 0.3
-half-way, how well the losses are estimated. The filter is the augmented extended Kalman filter for all of them: covariances
-are what is compared, not methods. Truth: the same physics in finer steps (Runge-Kutta), flown by a feedback that knows nothing.
+For each paper's airframe, plant and covariances: the tuning is fitted to two healthy flights with the noise of the paper's sensors; a
+third one, healthy, gives the likelihood under either tuning, and a fourth one, in which the first actuator loses 0.3 half-way, the error
+of the losses. The filter is the augmented extended Kalman filter for all papers: covariances are compared, not methods. Truth: the same
+physics in finer steps (Runge-Kutta), under a feedback that does not know the loss.
 """
 
 from __future__ import annotations

@@ -34,10 +34,8 @@ SWEEPS = 15  # of coordinate descent, in the allocation
 
 
 class Flight(namedtuple("Flight", "t u y omega position effectiveness")):
-    """t (T,), u (T, n) commands, y (T, 4) noisy (omega, f_z), omega (T, 3), position (T, 3), effectiveness (T, n).
-
-    Row k: u is held over the step that ends at t, and the rest is as it is at its end.
-    """
+    """t (T,), u (T, n) commands, y (T, 4) noisy (omega, f_z), omega (T, 3), position (T, 3), effectiveness (T, n). Row k: u is held over
+    the step that ends at t; the others are values at its end."""
 
 
 def reference(t, eight):

@@ -1,4 +1,4 @@
-"""The flights on which the adaptive exogenous Kalman filter is tried: truth by Newton's and Euler's equations, RK4.
+"""Flights for the adaptive exogenous Kalman filter: truth by the Newton-Euler equations, RK4.
 
 Rot, Hasan and Manoonpong 2020, section 5: motors off for 1 s, then 0.01 N each, in balance; motor 1 loses 12.4 % at
 3.5 s and motor 3 loses 13.5 % at 5.5 s; 8 s in steps of 1 ms. The truth is written in body rates, not in the momenta of the plant

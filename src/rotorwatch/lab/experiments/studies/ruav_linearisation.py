@@ -1,4 +1,4 @@
-"""Feedback linearisation with the filter's coefficients: how the paper flies its hardware-in-the-loop tests (figures 4 and 5).
+"""Feedback linearisation with the filter's coefficients, as in the paper's hardware-in-the-loop tests (figures 4 and 5).
 
 The wanted accelerations nu of climb, roll, pitch and yaw are inverted through the model, one step of Newton's method from trim:
 
@@ -77,7 +77,7 @@ def numbers(flights) -> dict:
 
 
 def claims(numbers: dict) -> tuple[Claim, ...]:
-    """The paper's use of it."""
+    """The paper's claim about it."""
 
     def text(one):
         if one["velocity_after"] > LOST:

@@ -93,7 +93,7 @@ def unmodelled(known: Craft, u, y, gamma) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _real(file: dict, kind: str, size: float) -> Craft:
-    """The vehicle that is flown."""
+    """The simulated vehicle."""
     factor = 1.0 + size
     changes: dict[str, dict] = {
         "mass": {"mass": factor * file["mass"]},
@@ -129,7 +129,7 @@ def said(row: dict) -> str:
 
 
 def claims(grid_: dict) -> tuple[Claim, ...]:
-    """Bounded, and accurate, with a model that is wrong."""
+    """Claims: errors are bounded, and losses accurate, despite model errors."""
     rows = grid_["rows"]
     held = sum(row["held"] for row in rows)
     off = {kind: worst(grid_, kind) for kind in GRID}
