@@ -203,8 +203,8 @@ def _said(case: Case, out: program.TickOutput) -> tuple[Event, ...]:
     """Losses that `diagnose` reports; for a surrogate the estimator's announcements."""
     if case.ready is None:
         return events.read(out, case.ticks, case.B)
-    events_ = conclude(case.ready, Estimated(case.ticks, out)).end.events
-    return tuple(e for e in events_ if e.means.weakens)
+    reported = conclude(case.ready, Estimated(case.ticks, out)).end.events
+    return tuple(e for e in reported if e.means.weakens)
 
 
 def outcomes(case: Case, out: program.TickOutput) -> dict[str, Any]:
@@ -284,7 +284,7 @@ def run(
     parts += [(_surrogates, (str(p), hours / len(paths), s), selected) for p, s in zip(paths, seeds)]
     for kind, source in (("campaign", plan), ("sequences", sequences.Sequences())):
         numbers = tools.batches(flights // 2, len(source.cells), 4)
-        parts += [(_flown, (kind, source, batch_), selected) for batch_ in numbers]
+        parts += [(_flown, (kind, source, part), selected) for part in numbers]
     rows = tools.gathered(_part, parts, jobs, progress, "judging", scheduler, keep)
     if not rows:
         raise ConfigError("No flight could be judged: give more flights, or healthy logs of more than half a minute.")
@@ -300,14 +300,14 @@ def run(
     }
 
 
-def measures(outcomes_: Sequence[dict[str, Any]]) -> dict[str, float | None]:
+def measures(flights: Sequence[dict[str, Any]]) -> dict[str, float | None]:
     """right, wrong: shares of states (ambiguous with the truth is right); found: share of faults; delay_s: median; rms: error of losses;
     coverage: of their intervals; false_per_h: announcements of healthy rotors."""
-    states = [o for f in outcomes_ for o in f["states"]]
-    delays = [d for f in outcomes_ for d in f["delays"]]
+    states = [o for f in flights for o in f["states"]]
+    delays = [d for f in flights for d in f["delays"]]
     seen = [d for d in delays if d is not None]
-    errors, held = ([v for f in outcomes_ for v in f[key]] for key in ("errors", "held"))
-    hours = sum(f["hours"] for f in outcomes_)
+    errors, held = ([v for f in flights for v in f[key]] for key in ("errors", "held"))
+    hours = sum(f["hours"] for f in flights)
     return {
         "right": float(np.mean([o in ("right", "ambiguous") for o in states])) if states else None,
         "wrong": float(np.mean([o == "wrong" for o in states])) if states else None,
@@ -315,7 +315,7 @@ def measures(outcomes_: Sequence[dict[str, Any]]) -> dict[str, float | None]:
         "delay_s": float(np.median(seen)) if seen else None,
         "rms": float(np.sqrt(np.mean(np.square(errors)))) if errors else None,
         "coverage": float(np.mean(held)) if held else None,
-        "false_per_h": sum(f["false"] for f in outcomes_) / hours if hours else None,
+        "false_per_h": sum(f["false"] for f in flights) / hours if hours else None,
     }
 
 

@@ -94,16 +94,16 @@ def rows(
     bounds = _bounds(flown, B, size)
     published = [name for name in plan.estimators if name != "default"]
 
-    def row(label: str, f: Flown, estimated_: Estimated, statistic, bound) -> dict:
-        end = conclude(f.ready, estimated_).end
+    def row(label: str, f: Flown, estimate: Estimated, statistic, bound) -> dict:
+        end = conclude(f.ready, estimate).end
         raised = counting.alarms(end.events)
-        results = score.estimator(label, f, estimated_.out, statistic, raised, bound, plan, unasked(raised))
-        return results | (score.answer(end) if estimated_.own else {})
+        results = score.estimator(label, f, estimate.out, statistic, raised, bound, plan, unasked(raised))
+        return results | (score.answer(end) if estimate.own else {})
 
     if "default" in plan.estimators:
-        for f, bound, estimated_ in zip(flown, bounds, by_default(flown), strict=True):
-            statistic = np.where(estimated_.out.plausible, estimated_.out.statistic, score.NOTHING)
-            results.append(row("default", f, estimated_, statistic, bound))
+        for f, bound, estimate in zip(flown, bounds, by_default(flown), strict=True):
+            statistic = np.where(estimate.out.plausible, estimate.out.statistic, score.NOTHING)
+            results.append(row("default", f, estimate, statistic, bound))
     if published:
         tables = [f.ticks for f in flown]
         hops = methods.learn(tables, B, learned_states(flown, B))

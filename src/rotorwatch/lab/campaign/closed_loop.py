@@ -104,20 +104,20 @@ class Judge(NamedTuple):
 
     def __call__(self, plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
         filled = [*flights, *[flights[-1]] * (size - len(flights))]  # one program for all parts
-        rows_ = []
+        results = []
         for driver in self.drivers:
             for outcome in fly(plan, filled, driver, self.by)[: len(flights)]:
                 planned = plan.flight(outcome["flight"])
                 losses = [1.0 if f["kind"] == "complete loss" else f["strength"] for f in planned.faults]
                 end = outcome["onset_s"] if outcome["faulty"] else planned.duration_s
-                rows_.append(
+                results.append(
                     {
                         "method": driver, "frame": planned.airframe["frame"], "rotors": plan.rotors[outcome["flight"] % len(plan.cells)],
                         "broken": len(losses), "loss": max(losses, default=0.0), "wind_m_s": planned.wind["speed_m_s"],
                         "healthy_s": min(end, outcome["lost_s"] or end), **outcome,
                     }
                 )  # fmt: skip
-        return rows_
+        return results
 
 
 def run(
@@ -268,7 +268,7 @@ def _beliefs(
         return [None] * len(seen)
     B = flown[0].vehicle.effectiveness()
     if driver == "default":
-        outputs = [estimated_.out for estimated_ in batch.by_default(flown, whole=True)]
+        outputs = [estimate.out for estimate in batch.by_default(flown, whole=True)]
     else:
         tables = [f.ticks for f in flown]
         hops = methods.learn(tables, B, batch.learned_states(flown, B))

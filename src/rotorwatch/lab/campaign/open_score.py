@@ -72,13 +72,13 @@ def _candidates(answer: Diagnosis | Conclusion) -> set[int]:
 
 def judged(scenario: Scenario, answer: Diagnosis | Conclusion) -> dict[str, Any]:
     """The columns of `open_world` that depend on the answer: outcome, accused, and, where defined, delay_s, error, holds and ended."""
-    accused_, truth = accused(answer), {f["rotor"] for f in scenario.faults}
+    named, truth = accused(answer), {f["rotor"] for f in scenario.faults}
     onset = min((f["onset_s"] for f in scenario.faults), default=0.0)
     sure = _sure(answer)
     early = any(e.detected_s < onset - EARLY_S for e in sure)
     row: dict[str, Any] = {
-        "accused": "+".join(map(str, sorted(accused_))),
-        "outcome": _outcome(scenario, answer, accused_, truth, early),
+        "accused": "+".join(map(str, sorted(named))),
+        "outcome": _outcome(scenario, answer, named, truth, early),
     }
     rightful = [e for e in sure if set(e.rotors) & truth and e.detected_s >= onset - EARLY_S]
     if not rightful:
@@ -89,18 +89,16 @@ def judged(scenario: Scenario, answer: Diagnosis | Conclusion) -> dict[str, Any]
     return row | _size(losses(scenario), rightful)
 
 
-def _outcome(
-    scenario: Scenario, answer: Diagnosis | Conclusion, accused_: set[int], truth: set[int], early: bool
-) -> str:
+def _outcome(scenario: Scenario, answer: Diagnosis | Conclusion, named: set[int], truth: set[int], early: bool) -> str:
     doubt = answer.verdict == "ambiguous"
     if not truth:
-        return "accused" if accused_ or answer.verdict == "fault" else "doubt" if doubt else "clean"
+        return "accused" if named or answer.verdict == "fault" else "doubt" if doubt else "clean"
     if all(f["kind"] in NAMED_OR_NOT for f in scenario.faults):
-        return "wrong" if accused_ - truth else "right" if accused_ & truth else "doubt" if doubt else "clean"
-    if accused_:
-        if accused_ - truth:
-            return "extra" if accused_ & truth else "wrong"
-        return "extra" if early else "right" if accused_ >= truth else "partly"
+        return "wrong" if named - truth else "right" if named & truth else "doubt" if doubt else "clean"
+    if named:
+        if named - truth:
+            return "extra" if named & truth else "wrong"
+        return "extra" if early else "right" if named >= truth else "partly"
     return "among" if truth <= _candidates(answer) else "astray" if doubt else "missed"
 
 

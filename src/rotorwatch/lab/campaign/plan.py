@@ -421,19 +421,19 @@ def _check_draws(where: str, table: Mapping[str, Any]) -> None:
 
 def drawn(table: Mapping[str, Any], rng: np.random.Generator) -> dict[str, Any]:
     """The table with a value for every draw, in the order of the file."""
-    values_: dict[str, Any] = {}
+    drawn_table: dict[str, Any] = {}
     for key, value in table.items():
         if _is_draw(value):
             kind, values = next(iter(value.items()))
             if kind == "choice":
-                values_[key] = values[int(rng.integers(len(values)))]
+                drawn_table[key] = values[int(rng.integers(len(values)))]
             elif kind == "uniform":
-                values_[key] = float(rng.uniform(*values))
+                drawn_table[key] = float(rng.uniform(*values))
             else:
-                values_[key] = float(np.exp(rng.uniform(*np.log(values))))
+                drawn_table[key] = float(np.exp(rng.uniform(*np.log(values))))
         else:
-            values_[key] = drawn(value, rng) if isinstance(value, Mapping) else value
-    return values_
+            drawn_table[key] = drawn(value, rng) if isinstance(value, Mapping) else value
+    return drawn_table
 
 
 def _estimators(values: Any) -> tuple[str, ...]:

@@ -28,7 +28,7 @@ class Alarm(NamedTuple):
 
     def names(self, rotors: Iterable[int]) -> bool:
         """True if one of these rotors is in an explanation."""
-        return any(set(rotors_) & set(rotors) for rotors_ in self.sets)
+        return any(set(explanation) & set(rotors) for explanation in self.sets)
 
 
 class Count(NamedTuple):

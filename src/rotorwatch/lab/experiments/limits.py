@@ -151,8 +151,8 @@ def on_ticks(B, u, y, valid, flying, theta, rotor, onset, dt: float, batch: bool
         Q.append(_walks(learned, known.plant["left"][0], dt))
         R.append(learned[0])
         variances.append(learned)
-    information_ = _program()(decay, P0, *map(np.stack, (C, H, Q, R)), flying, valid, onset)
-    bound = Bound(np.asarray(information_), np.stack(variances))
+    bounds = _program()(decay, P0, *map(np.stack, (C, H, Q, R)), flying, valid, onset)
+    bound = Bound(np.asarray(bounds), np.stack(variances))
     return bound if batch else Bound(bound.information[0], bound.variances[0])
 
 

@@ -78,32 +78,34 @@ def left_inverse(C: Array) -> Array:
     return 2.0 * left - left @ (C @ left)
 
 
-def whitened(row_: Row, valid: Array) -> tuple[Array, Array]:
+def whitened(regression: Row, valid: Array) -> tuple[Array, Array]:
     """z (n_y,) and Omega (n_y, n_theta) with noise of the covariance I; rows that are not valid are 0."""
-    S = jnp.where(valid[:, None] & valid[None, :], row_.S, np.eye(len(valid)))
-    both = jnp.where(valid[:, None], jnp.concatenate([row_.Omega, row_.z[:, None]], axis=1), 0.0)
+    S = jnp.where(valid[:, None] & valid[None, :], regression.S, np.eye(len(valid)))
+    both = jnp.where(valid[:, None], jnp.concatenate([regression.Omega, regression.z[:, None]], axis=1), 0.0)
     white = jax.scipy.linalg.solve_triangular(jnp.linalg.cholesky(S), both, lower=True)
     return white[:, -1], white[:, :-1]
 
 
-def measured(row_: Row, y: Array, valid: Array, theta: Array) -> Known:
+def measured(regression: Row, y: Array, valid: Array, theta: Array) -> Known:
     """The state after the step, theta (n_theta,) being the losses as they are known now."""
-    moved = theta - row_.theta
-    left = left_inverse(row_.C)
+    moved = theta - regression.theta
+    left = left_inverse(regression.C)
     # Below this a coefficient is the rounding of TINY: the measurement is not needed for that state.
     needed = jnp.abs(left) > 1e-9 * jnp.abs(left).max()
     complete = (valid | ~needed).all(axis=1) & needed.any(axis=1)
     K = jnp.where(complete[:, None] & needed, left, 0.0)
-    rest = np.eye(len(row_.x)) - K @ row_.C
-    e = jnp.where(valid, y - row_.y - row_.Omega @ moved, 0.0)
-    x = row_.x + row_.Upsilon @ moved + K @ e
-    P = rest @ row_.P @ rest.T + (K * row_.R) @ K.T
-    return Known(x, symmetric(P), row_.Upsilon - K @ row_.Omega)
+    rest = np.eye(len(regression.x)) - K @ regression.C
+    e = jnp.where(valid, y - regression.y - regression.Omega @ moved, 0.0)
+    x = regression.x + regression.Upsilon @ moved + K @ e
+    P = rest @ regression.P @ rest.T + (K * regression.R) @ K.T
+    return Known(x, symmetric(P), regression.Upsilon - K @ regression.Omega)
 
 
-def estimate(row_: Row, after: Known, valid: Array, before_cov: Array, theta: Array, theta_cov: Array) -> Estimate:
+def estimate(
+    regression: Row, after: Known, valid: Array, before_cov: Array, theta: Array, theta_cov: Array
+) -> Estimate:
     """The posterior of a step; the innovation is against the losses before it, whose covariance was before_cov."""
-    e = jnp.where(valid, row_.z - row_.Omega @ row_.theta, 0.0)
-    S = symmetric(row_.S + row_.Omega @ before_cov @ row_.Omega.T)
+    e = jnp.where(valid, regression.z - regression.Omega @ regression.theta, 0.0)
+    S = symmetric(regression.S + regression.Omega @ before_cov @ regression.Omega.T)
     x_cov = symmetric(after.P + after.Upsilon @ theta_cov @ after.Upsilon.T)
     return Estimate(after.x, x_cov, theta, symmetric(theta_cov), e, S, linearise.status(valid))

@@ -191,9 +191,9 @@ def judge(
     hyp = list_hypotheses(B.shape[1])
     out, parts = blank(len(table.time), hyp), []
     for k, hop in enumerate(log_plant.hops(table, B, dynamics) if hops is None else hops, start=1):
-        itself_, decided = run_hop(name, hop, B, table.time, k, tuning, progress)
+        raw, decided = run_hop(name, hop, B, table.time, k, tuning, progress)
         record(out, decided, hop, hyp, B)
-        parts.append(itself_)
+        parts.append(raw)
     return out, joined(parts) if parts else None
 
 

@@ -107,11 +107,11 @@ def _trial(name: str, scene: Scene) -> dict:
     """Outcome of one flight."""
     table = scene.ticks
     if name == "default":
-        estimated_ = estimated(scene.ready)
+        estimate = estimated(scene.ready)
     else:
         out, _ = published.judge(name, table, scene.B, hops=scene.hops)
-        estimated_ = Estimated(table, out, own=False)
-    raised, out = counting.alarms(judge(scene.ready, estimated_).end.events), estimated_.out
+        estimate = Estimated(table, out, own=False)
+    raised, out = counting.alarms(judge(scene.ready, estimate).end.events), estimate.out
     judging = table.mode == JUDGE
     rotors = tuple(sorted(r for r, _, _ in scene.faults))
     onset = min((t for _, t, _ in scene.faults), default=np.inf)

@@ -323,10 +323,10 @@ def figures(result: Reproduction) -> dict[str, Any]:
         "scenario-2-matched": (2, [("q1", m) for m in range(4)]),
         "scenario-2": (2, [("q2", m) for m in range(4)]),
     }
-    for stem, (scenario, panels_) in drawings.items():
-        rows = len(panels_) // 2
+    for stem, (scenario, drawn_motors) in drawings.items():
+        rows = len(drawn_motors) // 2
         figure, axes = panels(rows, 2, (9, 3.2 if rows == 1 else 5.5), sharex=True, sharey=True)
-        for axis, (q, m) in zip(axes.flat, panels_, strict=True):
+        for axis, (q, m) in zip(axes.flat, drawn_motors, strict=True):
             axis.plot(t, series[f"truth_{scenario}"][:, m], color="black", lw=1.0, label="true")
             for name, colour in colours.items():
                 axis.plot(t, series[f"{name}/scenario_{scenario}/{q}"][:, m], color=colour, lw=1.0, label=name.upper())

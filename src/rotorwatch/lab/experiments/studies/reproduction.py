@@ -250,11 +250,11 @@ def kept(folder: Path, module: ModuleType, seeds: int | None, literal: Sequence[
         return None
     try:
         row = json.loads(path.read_text(encoding="utf-8"))
-        claims_ = tuple(Claim(**claim) for claim in row["claims"])
+        stored = tuple(Claim(**claim) for claim in row["claims"])
         result = Reproduction(
             row["paper"],
             row["title"],
-            claims_,
+            stored,
             row["figures"],
             tuple(row["literal"]),
             row["seeds"],

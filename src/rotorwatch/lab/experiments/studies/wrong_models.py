@@ -116,9 +116,9 @@ def _wind(speed: float) -> np.ndarray:
     return speed * np.minimum(t / 2.0, 1.0)[:, None] * (np.array([1.0, 0.0, 0.0]) + gusts)
 
 
-def worst(grid_: dict, kind: str, size: float | None = None) -> float:
+def worst(result: dict, kind: str, size: float | None = None) -> float:
     """The largest error of a loss, with 20 % of motor 3 lost or none, of one kind of error (of that size)."""
-    rows = [r for r in grid_["rows"] if r["wrong"] == kind and size in (None, r["size"])]
+    rows = [r for r in result["rows"] if r["wrong"] == kind and size in (None, r["size"])]
     return max(max(r["healthy"], r["weak"]) for r in rows)
 
 
@@ -128,13 +128,13 @@ def said(row: dict) -> str:
     return WORDS[row["wrong"]] + unit.get(row["wrong"], f" {100 * row['size']:+.0f} %")
 
 
-def claims(grid_: dict) -> tuple[Claim, ...]:
+def claims(result: dict) -> tuple[Claim, ...]:
     """Claims: errors are bounded, and losses accurate, despite model errors."""
-    rows = grid_["rows"]
+    rows = result["rows"]
     held = sum(row["held"] for row in rows)
-    off = {kind: worst(grid_, kind) for kind in GRID}
+    off = {kind: worst(result, kind) for kind in GRID}
     ten = {
-        kind: worst(grid_, kind, size)
+        kind: worst(result, kind, size)
         for kind, size in (("mass", 0.1), ("thrust", -0.1), ("one thrust", -0.1), ("wind", 5.0))
     }
     examples = {
@@ -149,31 +149,31 @@ def claims(grid_: dict) -> tuple[Claim, ...]:
     return reproduction.claims("intermediate", verdicts, held=held, of=len(rows), off=off, ten=ten, shown=examples)
 
 
-def table(grid_: dict) -> Table:
+def table(result: dict) -> Table:
     """A row for every case."""
     head = (
         "what is wrong", "largest error of a loss, healthy", "with 20 % of motor 3 lost", "within 0.02 after, s", "errors reached",
         "bound", "with the best epsilon", "held",
     )  # fmt: skip
     rows = []
-    for r in grid_["rows"]:
+    for r in result["rows"]:
         settled = "never" if r["settle_s"] is None else f"{r['settle_s']:.1f}"
         sizes = (f"{r[key]:.2g}" for key in ("error", "bound", "bound_best_epsilon"))
         rows.append((said(r), f"{r['healthy']:.3f}", f"{r['weak']:.3f}", settled, *sizes, "yes" if r["held"] else "no"))
     return Table("Wrong models: errors beside the bound of theorem 1", head, rows)
 
 
-def figure(grid_: dict):
+def figure(result: dict):
     """Errors of the losses by what is wrong, and all errors against the bound. Needs matplotlib."""
     drawn, ((left, right),) = panels(1, 2, (9, 3.6))
     for kind in ("mass", "thrust", "one thrust", "inertia", "drag factor"):
-        rows = [r for r in grid_["rows"] if r["wrong"] in (kind, "nothing") and abs(r["size"]) <= 0.5]
+        rows = [r for r in result["rows"] if r["wrong"] in (kind, "nothing") and abs(r["size"]) <= 0.5]
         rows.sort(key=lambda r: r["size"])
         left.plot([100 * r["size"] for r in rows], [r["weak"] for r in rows], "o-", ms=3, lw=1, label=WORDS[kind])
     left.set(xlabel="error of the model, %", ylabel="largest error of a loss", ylim=(0, 0.42))
     left.legend(fontsize="small", loc="upper center")
     for kind in GRID:
-        rows = [r for r in grid_["rows"] if r["wrong"] == kind]
+        rows = [r for r in result["rows"] if r["wrong"] == kind]
         right.loglog([max(r["bound"], 1e-3) for r in rows], [r["error"] for r in rows], "o", ms=4, label=WORDS[kind])
     ends = np.array([1e-2, 1e3])
     right.loglog(ends, ends, "k--", lw=1, label="bound")
