@@ -73,7 +73,7 @@ class Aircraft(Protocol):
         """Begin a tick of dt seconds: the moment, and the velocity loop's integral. blowing (3,) NED [m/s], turning (3,) [rad/s]."""
         ...
 
-    def step(self, plan, now: Moment, t, body: Body, gyro, loops: Loops, own, dt: float) -> tuple:
+    def step(self, plan, now: Moment, t, body: Body, gyro, loops: Loops, own, dt: float, /) -> tuple:
         """Runge-Kutta step of dt seconds from time t at measured rates gyro (3,): (body, loops, own, force (3,), values for `end`)."""
         ...
 
