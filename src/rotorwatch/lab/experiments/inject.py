@@ -48,7 +48,8 @@ def inject(
     flight: a healthy one. vehicle: its airframe. rotors: 1-based. loss: 0 to 1, one for all or one each. onset: s from the log's first
     record. response_s: time constant with which the motors follow [s]. Signals ``motors`` and ``control`` are rewritten after the onset,
     everything else stays. A command beyond its limit is cut off there, and a warning of the flight gives the share: this flight could not
-    have continued so. ``facts["injected"]`` holds what was done. Raises ConfigError for rotors, losses or times that the flight does not have.
+    have continued so. ``facts["injected"]`` holds what was done. Raises ConfigError for rotors, losses or times that the flight does not
+    have.
     """
     share = _losses(flight, vehicle, rotors, loss)
     motors = flight.signals["motors"]
