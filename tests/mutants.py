@@ -55,7 +55,7 @@ PARTS: dict[str, tuple[tuple[str, ...], float]] = {
         ),
         0.15,
     ),
-    "report": (("report/*.py",), 0.13),
+    "report": (("report/*.py", "report/sections/*.py"), 0.13),
     "estimators": (("rotorwatch_lab/estimators/*.py",), 0.15),
     "default": (("engine/host/*.py", "engine/estimator/*.py", "witnesses/*.py"), 0.17),
 }
@@ -96,6 +96,8 @@ NAMED: dict[str, tuple[str, ...]] = {
     "report/html.py": ("figures", "words"),
     "report/terminal.py": ("words",),
     "rotorwatch_lab/experiments/research_tables.py": ("cli_research",),
+    "report/sections/all_rotors.py": ("all_rotors",),
+    "report/sections/*.py": ("sections", "figures", "words"),
     "report/*.py": ("report",),
     "engine/front/losses.py": ("hypotheses", "announcement", "events"),
     "engine/estimator/known.py": ("limits",),

@@ -1,5 +1,10 @@
 """Ablation: every constant is in the table, one changed by parameter is the one changed in its file, and differences are paired."""
 
+import csv
+import re
+from importlib import import_module
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -14,6 +19,7 @@ from rotorwatch_lab.campaign import ablation
 from rotorwatch_lab.campaign.constants import TABLE
 
 DT = 0.1
+DOCS = Path(__file__).parents[1] / "docs"
 
 
 def hover(loss=0.0, count=160, n=4, onset=100) -> Ticks:
@@ -38,6 +44,19 @@ B = np.array([[-1, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1], [1, 1, 1, 1.0]])
 def test_the_table_names_every_constant_and_no_other():
     assert set(ablation.constants()) == set(TABLE)
     assert all(line.unit and line.meaning for line in TABLE.values())
+
+
+def test_documents_and_exceptions_name_constants_that_exist():
+    modules = {file: import_module(home) for file, home in ablation.DEFINITIONS.items()}
+    for key in ablation.NOT_CHOSEN:
+        file, _, name = key.partition(".")
+        assert hasattr(modules[file], name), key
+    with open(DOCS / "halved_and_doubled.csv", encoding="utf-8") as table:
+        measured = {row["constant"] for row in csv.DictReader(table)}
+    assert measured and measured <= set(TABLE)
+    text = (DOCS / "ablation.md").read_text(encoding="utf-8")
+    for file, name in re.findall(r"`(?:(\w+)\.)?([A-Z][A-Z0-9_]+)`", text):
+        assert any(hasattr(m, name) for m in ([modules[file]] if file else modules.values())), f"{file}.{name}"
 
 
 def test_variants_are_half_double_and_off():

@@ -118,6 +118,9 @@ def test_a_plug_in_is_one_file(copy):
     (folder / "rotorwatch" / "airframes" / "planted.py").write_text(
         "NAMES = {'planted': None}\ndef identify(flight): ...\n"
     )
+    (folder / "rotorwatch" / "report" / "sections" / "planted.py").write_text(
+        "name, title, order = 'planted', 'Planted', 400\ndef data(diagnosis): ...\n"
+    )
     done = run(
         sys.executable,
         "-c",

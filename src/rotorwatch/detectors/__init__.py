@@ -22,13 +22,13 @@ PARTS = ("name", "autopilot", "detect")
 def modules() -> tuple[Any, ...]:
     """The detectors found in this folder and those that other packages offer, by name; one that is broken is left out, with a
     PluginWarning."""
-    found: list[Any] = [importlib.import_module(f"{__name__}.{info.name}") for info in pkgutil.iter_modules(__path__)]
-    taken = {known.name for known in found}
+    rules: list[Any] = [importlib.import_module(f"{__name__}.{info.name}") for info in pkgutil.iter_modules(__path__)]
+    taken = {known.name for known in rules}
     others = discovery.others(
         "rotorwatch.detectors", PARTS, lambda rule: "its name is taken" if rule.name in taken else ""
     )
-    found += [rule for _, rule in others]
-    return tuple(sorted(found, key=lambda module: module.name))
+    rules += [rule for _, rule in others]
+    return tuple(sorted(rules, key=lambda module: module.name))
 
 
 def for_autopilot(autopilot: str) -> tuple[Any, ...]:
@@ -37,8 +37,8 @@ def for_autopilot(autopilot: str) -> tuple[Any, ...]:
 
 
 def detect(flight: Flight, vehicle: Vehicle, airborne: tuple[tuple[float, float], ...]) -> tuple[dict[str, Any], ...]:
-    """What the checks of the flight's own autopilot find, in time order. airborne: ((start, end), ...) in s."""
-    found = [
+    """Findings of the flight's own autopilot checks, in time order. airborne: ((start, end), ...) in s."""
+    findings = [
         finding for module in for_autopilot(flight.autopilot) for finding in module.detect(flight, vehicle, airborne)
     ]
-    return tuple(sorted(found, key=lambda finding: (finding["time_s"], finding["detector"])))
+    return tuple(sorted(findings, key=lambda finding: (finding["time_s"], finding["detector"])))

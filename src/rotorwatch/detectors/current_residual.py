@@ -32,11 +32,8 @@ name = "px4-current-residual"
 autopilot = "PX4"
 STEP_S, TAU_S, GAP_S = 0.1, 0.2, 0.3  # of the check; of its filter; after which that starts anew
 C2T, OFF, HOLD_S = 35.0, 10.0, 1.0  # defaults of MOTFAIL_C2T [A], of the band [A] and of MOTFAIL_TIME [s]
-FLAT, SHARE, FITTED_HOLD_S = (
-    5.0 / 75.0,
-    0.2,
-    0.4,
-)  # of the replay tool: of the current at full command, of the expected one
+# Band of the replay tool: shares of the current at full command and of the expected one; hold time.
+FLAT, SHARE, FITTED_HOLD_S = 5.0 / 75.0, 0.2, 0.4
 IDLE = 2.88 / 71.97  # of the replay tool: c of a
 LEARN_S, FEWEST, TURNS = 10.0, 40, 10  # of flight, and samples in it, that a fit needs; of its reweighting
 LOWEST = 0.05  # share of the commands of that flight below the lowest that count as flown
@@ -44,9 +41,9 @@ USUAL, PRIOR_SD = 1.5, 0.5  # standard deviations from which a sample counts les
 
 
 class _Rule(NamedTuple):
-    """model: a, b, c [A]; for less and for more current: flat part of the band [A] (inf: not checked) and the time it is left [s]; share:
-    of the expected current, added to both; tau_s: of the filter. fitted: to this flight; least: the command below which less current says
-    nothing, as it was not flown then."""
+    """model: a, b, c [A]; for less and for more current: flat part of the band [A] (inf: not checked) and the hold time [s]; share: of the
+    expected current, added to both; tau_s: of the filter. fitted: to this flight; least: command below which low current is ignored,
+    because such commands were not flown."""
 
     model: np.ndarray
     under: tuple[float, float]
@@ -66,14 +63,16 @@ def detect(flight: Flight, vehicle: Vehicle, airborne: allocation.Spans) -> tupl
         return ()
     esc, low, high = flight["esc"], vehicle.curve.u_min, vehicle.curve.u_max
     rotors = [k for k in range(1, flight["motors"].values.shape[1] + 1) if f"current{k}" in esc.columns]
-    kept = np.flatnonzero(allocation.within(esc.time, airborne))
-    kept = kept[np.diff(np.floor(esc.time[kept] / STEP_S), prepend=-1.0) > 0]  # the check's own rate
-    if not rotors or not kept.size:
+    airborne_rows = np.flatnonzero(allocation.within(esc.time, airborne))
+    airborne_rows = airborne_rows[
+        np.diff(np.floor(esc.time[airborne_rows] / STEP_S), prepend=-1.0) > 0
+    ]  # the check's own rate
+    if not rotors or not airborne_rows.size:
         return ()
-    columns, time = [esc.columns.index(f"current{k}") for k in rotors], esc.time[kept]
+    columns, time = [esc.columns.index(f"current{k}") for k in rotors], esc.time[airborne_rows]
     share = np.clip((flight["motors"].values - low) / (high - low), 0.0, 1.0)
     command = allocation.hold(flight["motors"].time, share, time)[:, [k - 1 for k in rotors]]
-    current, valid = esc.values[kept][:, columns], esc.valid[kept][:, columns]
+    current, valid = esc.values[airborne_rows][:, columns], esc.valid[airborne_rows][:, columns]
     valid &= np.isfinite(command) & np.isfinite(current)
     valid &= np.maximum.accumulate(np.where(valid, current, 0.0), axis=0) > 0.0
     early = valid & (time < time[0] + LEARN_S)[:, None]
@@ -82,31 +81,33 @@ def detect(flight: Flight, vehicle: Vehicle, airborne: allocation.Spans) -> tupl
         return ()
     expected = rule.expected(command)
     beyond = _filtered(time, np.where(valid, current - expected, 0.0), valid, rule.tau_s)
-    found: dict[int, dict[str, Any]] = {}
+    findings: dict[int, dict[str, Any]] = {}
     for (flat, hold_s), sign, word in ((rule.under, -1.0, "less"), (rule.over, 1.0, "more")):
         left = valid & (sign * beyond > flat + rule.share * expected) & ((sign > 0.0) | (command >= rule.least))
         for k, rotor in enumerate(rotors):
             at = _first(time, left[:, k], hold_s)
-            if at is None or (rotor in found and found[rotor]["time_s"] <= time[at]):
+            if at is None or (rotor in findings and findings[rotor]["time_s"] <= time[at]):
                 continue
             needs = f"than its command of {command[at, k]:.0%} needs ({expected[at, k]:.1f} A)"
             reason = f"ESC {rotor} drew {abs(beyond[at, k]):.1f} A {word} {needs}, for {hold_s:.1f} s"
             reason += "; model fitted to the first seconds of this flight" if rule.fitted else ""
-            found[rotor] = {"detector": name, "rotor": rotor, "time_s": float(time[at]), "reason": reason}
-    return tuple(sorted(found.values(), key=lambda one: one["time_s"]))
+            findings[rotor] = {"detector": name, "rotor": rotor, "time_s": float(time[at]), "reason": reason}
+    return tuple(sorted(findings.values(), key=lambda one: one["time_s"]))
 
 
 def _rule(parameters: Mapping[str, float], command: np.ndarray, current: np.ndarray) -> _Rule | None:
     """That of the autopilot where its check was on; otherwise one that fits these commands and currents (K,), None of too few."""
     if parameters.get("FD_ACT_EN") and any(key.startswith("MOTFAIL_") for key in parameters):
-        given = parameters.get
-        over = given("MOTFAIL_OVER", given("MOTFAIL_OFF", given("MOTFAIL_HIGH_OFF", OFF))) or np.inf
-        under = given("MOTFAIL_UNDER", given("MOTFAIL_OFF", given("MOTFAIL_LOW_OFF", OFF))) or over
-        hold = given("MOTFAIL_TIME", HOLD_S)
-        model = np.array([given("MOTFAIL_QUAD", 0.0), given("MOTFAIL_C2T", C2T), given("MOTFAIL_IDLE", 0.0)], float)
-        sides = (under, given("MOTFAIL_UND_TIME", hold)), (over, given("MOTFAIL_OVR_TIME", hold))
+        parameter = parameters.get
+        over = parameter("MOTFAIL_OVER", parameter("MOTFAIL_OFF", parameter("MOTFAIL_HIGH_OFF", OFF))) or np.inf
+        under = parameter("MOTFAIL_UNDER", parameter("MOTFAIL_OFF", parameter("MOTFAIL_LOW_OFF", OFF))) or over
+        hold = parameter("MOTFAIL_TIME", HOLD_S)
+        model = np.array(
+            [parameter("MOTFAIL_QUAD", 0.0), parameter("MOTFAIL_C2T", C2T), parameter("MOTFAIL_IDLE", 0.0)], float
+        )
+        sides = (under, parameter("MOTFAIL_UND_TIME", hold)), (over, parameter("MOTFAIL_OVR_TIME", hold))
         plain = {"MOTFAIL_LOW_OFF", "MOTFAIL_HIGH_OFF"} & parameters.keys()
-        return _Rule(model, *sides, given("MOTFAIL_REL", 0.0), 0.0 if plain else TAU_S)
+        return _Rule(model, *sides, parameter("MOTFAIL_REL", 0.0), 0.0 if plain else TAU_S)
     if command.size < FEWEST or not median(command) > 0.0 or not median(current) > 0.0:
         return None
     model = _fit(command, current)
@@ -133,11 +134,11 @@ def _filtered(time: np.ndarray, beyond: np.ndarray, valid: np.ndarray, tau_s: fl
     """(K, n) low-passed; from nothing after a gap, and as it was where a sample is not valid."""
     step = np.diff(time, prepend=time[:1])
     gap = max(GAP_S, 2.0 * float(median(step)))  # of logs that hold fewer reports than the check had
-    out, last = np.zeros_like(beyond), np.zeros(beyond.shape[1])
+    out, state = np.zeros_like(beyond), np.zeros(beyond.shape[1])
     for k, dt in enumerate(step):
         share = dt / (tau_s + dt) if tau_s + dt > 0.0 else 1.0
-        last = np.where(valid[k], last + share * (beyond[k] - last), last) if dt <= gap else 0.0 * last
-        out[k] = last
+        state = np.where(valid[k], state + share * (beyond[k] - state), state) if dt <= gap else 0.0 * state
+        out[k] = state
     return out
 
 

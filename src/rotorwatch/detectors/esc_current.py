@@ -31,7 +31,7 @@ def detect(flight: Flight, vehicle: Vehicle, airborne: allocation.Spans) -> tupl
     command = np.clip((flight["motors"].values - low) / (high - low), 0.0, 1.0)
     commanded = allocation.hold(flight["motors"].time, command, esc.time)
     inside = allocation.within(esc.time, airborne)
-    found = []
+    findings = []
     for rotor in range(1, command.shape[1] + 1):
         if f"current{rotor}" not in esc.columns:
             continue
@@ -45,6 +45,6 @@ def detect(flight: Flight, vehicle: Vehicle, airborne: allocation.Spans) -> tupl
             since = (esc.time[k] if since is None else since) if low_current[k] else None
             if since is not None and esc.time[k] - since >= patience:
                 reason = f"ESC {rotor} drew {current[k]:.1f} A at a command of {drive[k]:.0%}"
-                found.append({"detector": name, "rotor": rotor, "time_s": float(esc.time[k]), "reason": reason})
+                findings.append({"detector": name, "rotor": rotor, "time_s": float(esc.time[k]), "reason": reason})
                 break
-    return tuple(found)
+    return tuple(findings)

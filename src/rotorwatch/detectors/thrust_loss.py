@@ -29,14 +29,14 @@ TOP = 0.98  # share of full thrust from which an output counts as being at its l
 
 def detect(flight: Flight, vehicle: Vehicle, airborne: allocation.Spans) -> tuple[dict[str, Any], ...]:
     """Findings of the check (none where throttle, velocity or attitude are not logged) and the autopilot's messages."""
-    found = [
+    findings = [
         {"detector": "autopilot-message", "rotor": int(match.group(1)), "time_s": message.time, "reason": message.text}
         for message in flight.messages
         if (match := MESSAGE.search(message.text))
     ]
     if flight.has("motors", "throttle", "velocity", "attitude"):
-        found += _check(flight, vehicle, airborne)
-    return tuple(found)
+        findings += _check(flight, vehicle, airborne)
+    return tuple(findings)
 
 
 def _check(flight: Flight, vehicle: Vehicle, airborne: allocation.Spans) -> list[dict[str, Any]]:
@@ -54,7 +54,7 @@ def _check(flight: Flight, vehicle: Vehicle, airborne: allocation.Spans) -> list
     holds &= allocation.within(time, airborne)
     if not holds.any():
         return []
-    found, since, smooth = [], None, thrust[0].copy()
+    findings, since, smooth = [], None, thrust[0].copy()
     for k in range(len(time)):
         step = time[k] - time[max(k - 1, 0)]
         smooth += step / (FILTER_S + step) * (thrust[k] - smooth)
@@ -65,5 +65,5 @@ def _check(flight: Flight, vehicle: Vehicle, airborne: allocation.Spans) -> list
         if time[k] - since >= TRIGGER_S:
             rotor, since = int(np.argmax(smooth)) + 1, np.inf  # once for each spell
             reason = f"sinking for 1 s at throttle {throttle[k]:.2f} with output {rotor} highest"
-            found.append({"detector": name, "rotor": rotor, "time_s": float(time[k]), "reason": reason})
-    return found
+            findings.append({"detector": name, "rotor": rotor, "time_s": float(time[k]), "reason": reason})
+    return findings

@@ -48,9 +48,8 @@ def regression(X: np.ndarray, y: np.ndarray, rounds: int = 4) -> Fit:
 
     def solved(weighted: np.ndarray) -> np.ndarray:
         information = weighted.T @ X / np.outer(unit, unit)
-        information += np.diag(
-            1e-12 * information.diagonal() + (information.diagonal() == 0.0)
-        )  # columns of zeros, or alike
+        # For columns of zeros, or equal columns.
+        information += np.diag(1e-12 * information.diagonal() + (information.diagonal() == 0.0))
         return np.linalg.solve(information, y @ weighted / unit) / unit
 
     theta, scale = solved(X), np.float64(0.0)

@@ -1,4 +1,4 @@
-"""What each constant of the default method is worth: left out, halved and doubled, over a fixed set of flights.
+"""Ablation of the default method: every constant left out, halved and doubled, over a fixed set of flights.
 
 The set: simulated flights of a plan, flights in which several things happen (sequences.py), losses put into real healthy flights, and
 surrogates of those. Every variant judges the same flights as the method as it is, so that what counts is the difference: of n states,
@@ -47,33 +47,23 @@ from rotorwatch_lab.campaign.plan import Plan
 from rotorwatch_lab.experiments import inject, tools
 from rotorwatch_lab.experiments.studies import false_alarms
 
-# Names, counts and what follows from others: nothing to be chosen.
+# Names, counts and values that follow from others, which nobody chose; and thresholds of decisions that are not the estimator's.
 NOT_CHOSEN = {
-    *(f"plant.{name}" for name in ("PER_AXIS", "B1", "B2", "B3", "GAIN", "DAMPING", "SIDEWAYS", "CURVE")),
-    *(f"plant.{name}" for name in ("AIR", "SHARE", "THETA", "YAW_GAIN", "LOAD_GAIN", "ONE_ARM")),
-    *(f"noise.{name}" for name in ("WHITE", "FAST", "SLOW", "DRIFT", "LAGS", "LAG_COUNT", "ITERATIONS")),
-    *(f"bank.{name}" for name in ("GROUP", "GROUPS", "SHORT", "LONG", "SLOW_S", "YAW_ERROR", "DAMPING_ERROR", "FIRST_LOSS")),
-    *(f"hypotheses.{name}" for name in ("SINGLE", "PAIR", "RECOVERY", "ONE_THRUST", "DISTURBANCE", "DISTURBANCES", "DISTURBANCE_COUNT")),
-    "hypotheses.ALL_TORQUES", "hypotheses.NOTHING", "hypotheses.LEFT", "hypotheses.SERIES", "opposite.LEAST_ROTORS",
-    "plausibility.CANCELS", "decisions.FALSE_ALARM_PERIOD_S", "posterior.NEVER",
-    "posterior.OLD_S", "losses.WITHIN_95", "losses.CANCELS",
-}  # fmt: skip
-# Thresholds of decisions that are not the estimator's.
-OTHERS = (
-    "SURE",
-    "CERTAIN",
-    "LIKELY",
-    "SAME_S",
-    "FALSE_ALARM",
-    "FALSE_FAULT",
-    "FALSE_FAULT_OF_ANY",
-    "DAMAGED",
-    "MENTIONED",
-    "MATTERS",
-    "GRAVE",
-    "WORN",
-)
-NOT_CHOSEN |= {f"decisions.{name}" for name in OTHERS}
+    f"{file}.{name}"
+    for file, names in {
+        "plant": "PER_AXIS B1 B2 B3 GAIN DAMPING SIDEWAYS CURVE AIR SHARE THETA YAW_GAIN LOAD_GAIN ONE_ARM",
+        "noise": "WHITE FAST SLOW DRIFT LAGS LAG_COUNT ITERATIONS",
+        "bank": "GROUP GROUPS SHORT LONG SLOW_S YAW_ERROR DAMPING_ERROR FIRST_LOSS",
+        "hypotheses": "SINGLE PAIR RECOVERY ONE_THRUST DISTURBANCE DISTURBANCES DISTURBANCE_COUNT ALL_TORQUES NOTHING LEFT SERIES",
+        "opposite": "LEAST_ROTORS",
+        "plausibility": "CANCELS",
+        "posterior": "NEVER OLD_S",
+        "losses": "WITHIN_95 CANCELS",
+        "decisions": "FALSE_ALARM_PERIOD_S SURE CERTAIN LIKELY SAME_S FALSE_ALARM FALSE_FAULT FALSE_FAULT_OF_ANY DAMAGED MENTIONED "
+        "MATTERS GRAVE WORN",
+    }.items()
+    for name in names.split()
+}
 # Constants of `losses` that the estimator takes from there: where it does.
 TAKEN = {"PAIR_WEIGHT": "hypotheses", "YOUNG_S": "posterior"}
 WORDS = ("off", "half", "double")
@@ -82,8 +72,8 @@ FAULT = 0.05  # a change of loss that counts as one
 
 
 def constants() -> dict[str, Any]:
-    """ "file.NAME" -> value of every constant of the method that somebody chose."""
-    found = {}
+    """Chosen constants of the method: "file.NAME" -> value."""
+    chosen = {}
     for file, home in DEFINITIONS.items():
         module = import_module(home)
         for node in ast.parse(Path(str(module.__file__)).read_text(encoding="utf-8")).body:
@@ -94,12 +84,12 @@ def constants() -> dict[str, Any]:
                     key, value = f"{file}.{getattr(name, 'id', '')}", getattr(module, getattr(name, "id", ""), None)
                     number = isinstance(value, int | float | tuple) and not isinstance(value, bool)
                     if key.split(".")[1].isupper() and number and key not in NOT_CHOSEN and _numbers(value):
-                        found[key] = value
-    return dict(sorted(found.items()))
+                        chosen[key] = value
+    return dict(sorted(chosen.items()))
 
 
 def _has_number(node: ast.expr) -> bool:
-    """Whether somebody chose it: what is made of other constants alone follows from them."""
+    """True if the expression holds a number; an expression of other constants alone follows from them."""
     return any(isinstance(part, ast.Constant) and isinstance(part.value, int | float) for part in ast.walk(node))
 
 
@@ -112,27 +102,27 @@ def _scaled(value: Any, factor: float) -> Any:
 
 
 def variants(only: Sequence[str] = (), words: Sequence[str] = WORDS) -> dict[str, dict[str, Any]]:
-    """Name of a variant -> the constants it changes; "as it is" first. only: beginnings of names; words: which of WORDS. Raises
-    ConfigError when no name fits."""
+    """Name of a variant -> the constants it changes; "as it is" first. only: prefixes of names; words: a subset of WORDS. Raises
+    ConfigError if no name matches."""
     known = constants()
-    made: dict[str, dict[str, Any]] = {"as it is": {}}
+    changes: dict[str, dict[str, Any]] = {"as it is": {}}
     for name, value in known.items():
         if only and not any(name.startswith(o) for o in only):
             continue
         for word, factor in (("half", 0.5), ("double", 2.0)):
             if word in words:
-                made[f"{name} {word}"] = {name: _scaled(value, factor)}
+                changes[f"{name} {word}"] = {name: _scaled(value, factor)}
         off = TABLE[name].off
         if off is not None and "off" in words:
-            made[f"{name} off"] = {name: tuple(off for _ in value) if isinstance(value, tuple) else off}
-    if only and len(made) == 1:
+            changes[f"{name} off"] = {name: tuple(off for _ in value) if isinstance(value, tuple) else off}
+    if only and len(changes) == 1:
         raise ConfigError(f"No constant's name begins with {' or '.join(only)}; they are {', '.join(known)}.")
-    return made
+    return changes
 
 
 @contextmanager
 def changed(values: Mapping[str, Any]) -> Iterator[None]:
-    """The method with other constants, and those that follow from them, while this lasts."""
+    """Context in which the method has other constants, and those that follow from them."""
     others = {}
     for key, value in values.items():
         file, _, name = key.partition(".")
@@ -145,21 +135,21 @@ def changed(values: Mapping[str, Any]) -> Iterator[None]:
 
 
 def _read_only(key: str) -> bool:
-    """Whether a constant is read after the estimator alone."""
+    """True for constants that are read after the estimator alone."""
     file, _, name = key.partition(".")
     return key == "decisions.CREDIBLE" or (file == "losses" and name not in TAKEN)
 
 
 def judge(table: Ticks, B: np.ndarray, values: Mapping[str, Any]) -> program.TickOutput:
-    """The ticks of the method with other constants."""
+    """Ticks of the method with other constants."""
     with changed(values):
         return program.estimate(table, B)[1]
 
 
 @dataclass(frozen=True)
 class Case:
-    """One flight, ready to be judged. kind: which part of the set it is of. theta (T, n): true losses at its ticks; lost_s: when it
-    crashed, or None; ready: as `diagnose` has it before an estimator sees it, None of surrogates, which are no logs."""
+    """A flight, ready to be diagnosed. kind: its part of the set; theta (T, n): true losses at its ticks; lost_s: time of its crash, or
+    None; ready: input of `diagnose` before the estimator, None for surrogates, which are no logs."""
 
     kind: str
     ticks: Ticks
@@ -175,7 +165,7 @@ def _flown(kind: str, plan: Plan | sequences.Sequences, numbers: Sequence[int]) 
 
 
 def _injected(path: str, losses: Sequence[float], seed: int) -> list[Case]:
-    """A loss of each rotor and each size in one healthy flight, and the flight as it is."""
+    """A healthy flight unchanged, and with a loss of each rotor and each size."""
     flight = logs.read(path)
     vehicle, air, rng = airframes.identify(flight), airborne(flight), np.random.default_rng(seed)
     B, plain = vehicle.effectiveness(), prepare(flight, vehicle)
@@ -209,44 +199,44 @@ def _surrogates(path: str, hours: float, seed: int) -> list[Case]:
     return cases
 
 
-def _said(case: Case, kept: program.TickOutput) -> tuple[Event, ...]:
-    """The losses that `diagnose` says; of a surrogate what the estimator announces."""
+def _said(case: Case, out: program.TickOutput) -> tuple[Event, ...]:
+    """Losses that `diagnose` reports; for a surrogate the estimator's announcements."""
     if case.ready is None:
-        return events.read(kept, case.ticks, case.B)
-    said = conclude(case.ready, Estimated(case.ticks, kept)).end.events
-    return tuple(e for e in said if e.means.weakens)
+        return events.read(out, case.ticks, case.B)
+    reported = conclude(case.ready, Estimated(case.ticks, out)).end.events
+    return tuple(e for e in reported if e.means.weakens)
 
 
-def outcomes(case: Case, kept: program.TickOutput) -> dict[str, Any]:
-    """What became of one flight: states (see sequences.py); false: announcements of rotors none of which is weak; hours judged; delays
-    of faults, None where not found soon; errors of the losses of weak rotors in right states, and whether their intervals held them."""
+def outcomes(case: Case, out: program.TickOutput) -> dict[str, Any]:
+    """Outcome of one flight: states (see sequences.py); false: announcements of healthy rotors; hours evaluated; delays of faults, None
+    where not found soon; errors of the losses of weak rotors in right states, and whether their intervals held them."""
     table, theta = case.ticks, case.theta
-    found = _said(case, kept)
-    read_out: list[tuple[float, str]] = [(s.at, s.outcome) for s in sequences.states(case, found)]
+    announced = _said(case, out)
+    read_out: list[tuple[float, str]] = [(s.at, s.outcome) for s in sequences.states(case, announced)]
 
     def weak_at(t: float) -> set[int]:
         near = (table.time > t - SOON_S) & (table.time <= t + 1.0)
         return {int(i) + 1 for i in np.flatnonzero((theta[near] > sequences.WEAK).any(axis=0))}
 
-    false = sum(not (set(itertools.chain(e.rotors, *e.alternatives)) & weak_at(e.detected_s)) for e in found)
+    false = sum(not (set(itertools.chain(e.rotors, *e.alternatives)) & weak_at(e.detected_s)) for e in announced)
     delays = []
     rises = np.argwhere(np.diff(theta, axis=0) > FAULT)
     for k, rotor in rises:
         onset = float(table.time[k + 1])
         if table.mode[k + 1] != JUDGE or (case.lost_s is not None and case.lost_s < onset + 1.0):
             continue
-        times = [e.detected_s - onset for e in found if rotor + 1 in e.rotors and onset - 1.0 <= e.detected_s]
+        times = [e.detected_s - onset for e in announced if rotor + 1 in e.rotors and onset - 1.0 <= e.detected_s]
         delays.append(min((t for t in times if t <= SOON_S), default=None))
     errors, held = [], []
     for at, outcome in read_out:
         if outcome != "right":
             continue
         k = min(int(np.searchsorted(table.time, at)), len(theta) - 1)
-        for e in found:
+        for e in announced:
             if e.onset_s <= at and (e.end_s is None or e.end_s > at):
                 for rotor in e.rotors:
-                    truth, guess = float(theta[k, rotor - 1]), float(kept.theta[k, rotor - 1])
-                    sd = float(events.sd_of(kept.theta[k], kept.theta_sd[k], case.B)[rotor - 1])
+                    truth, guess = float(theta[k, rotor - 1]), float(out.theta[k, rotor - 1])
+                    sd = float(events.sd_of(out.theta[k], out.theta_sd[k], case.B)[rotor - 1])
                     errors.append(guess - truth)
                     held.append(abs(guess - truth) <= 1.96 * sd)
     hours = float((table.mode == JUDGE).sum() * table.dt / 3600.0)
@@ -255,7 +245,7 @@ def outcomes(case: Case, kept: program.TickOutput) -> dict[str, Any]:
 
 
 def _part(work: tuple) -> list[dict[str, list[dict]]]:
-    """Of every flight of one part of the set, what became of it under every variant."""
+    """Outcomes of one part of the set: for each flight, variant -> outcome."""
     make, parameters, selected = work
     cases = make(*parameters)
     rows: list[dict[str, Any]] = [{} for _ in cases]
@@ -263,9 +253,9 @@ def _part(work: tuple) -> list[dict[str, list[dict]]]:
     for name, values in selected.items():
         reading = all(_read_only(key) for key in values)  # the ticks stay as they are
         for row, case, same in zip(rows, cases, plain):
-            kept = same if reading else judge(case.ticks, case.B, values)
+            out = same if reading else judge(case.ticks, case.B, values)
             with changed(values):
-                row[name] = outcomes(case, kept)
+                row[name] = outcomes(case, out)
     return rows
 
 
@@ -282,7 +272,7 @@ def run(
     scheduler: str | None = None,
     keep: str | PathLike | None = None,
 ) -> dict[str, Any]:
-    """Judge the set under every variant: {"set", "variants": name -> measures, "differences": name -> from the method as it is}.
+    """Evaluate every variant on the set: {"set", "variants": name -> measures, "differences": name -> from the method as it is}.
 
     plan: simulated flights; as many of it as of sequences, `flights` in all. paths: healthy logs, for losses put into them and `hours` of
     surrogates. only, words: see `variants`. progress: called as progress(share, text). jobs, scheduler: as for
@@ -292,12 +282,9 @@ def run(
     seeds = range(len(paths))
     parts: list[tuple] = [(_injected, (str(p), tuple(losses), s), selected) for p, s in zip(paths, seeds)]
     parts += [(_surrogates, (str(p), hours / len(paths), s), selected) for p, s in zip(paths, seeds)]
-    series = sequences.Sequences()
-    for kind, source in (("campaign", plan), ("sequences", series)):
-        cells = len(source.cells)
-        for cell in range(cells):
-            numbers = range(cell, flights // 2, cells)
-            parts += [(_flown, (kind, source, numbers[k : k + 4]), selected) for k in range(0, len(numbers), 4)]
+    for kind, source in (("campaign", plan), ("sequences", sequences.Sequences())):
+        numbers = tools.batches(flights // 2, len(source.cells), 4)
+        parts += [(_flown, (kind, source, part), selected) for part in numbers]
     rows = tools.gathered(_part, parts, jobs, progress, "judging", scheduler, keep)
     if not rows:
         raise ConfigError("No flight could be judged: give more flights, or healthy logs of more than half a minute.")
@@ -313,14 +300,14 @@ def run(
     }
 
 
-def measures(found: Sequence[dict[str, Any]]) -> dict[str, float | None]:
+def measures(flights: Sequence[dict[str, Any]]) -> dict[str, float | None]:
     """right, wrong: shares of states (ambiguous with the truth is right); found: share of faults; delay_s: median; rms: error of losses;
-    coverage: of their intervals; false_per_h: announcements of rotors that are not weak."""
-    states = [o for f in found for o in f["states"]]
-    delays = [d for f in found for d in f["delays"]]
+    coverage: of their intervals; false_per_h: announcements of healthy rotors."""
+    states = [o for f in flights for o in f["states"]]
+    delays = [d for f in flights for d in f["delays"]]
     seen = [d for d in delays if d is not None]
-    errors, held = ([v for f in found for v in f[key]] for key in ("errors", "held"))
-    hours = sum(f["hours"] for f in found)
+    errors, held = ([v for f in flights for v in f[key]] for key in ("errors", "held"))
+    hours = sum(f["hours"] for f in flights)
     return {
         "right": float(np.mean([o in ("right", "ambiguous") for o in states])) if states else None,
         "wrong": float(np.mean([o == "wrong" for o in states])) if states else None,
@@ -328,7 +315,7 @@ def measures(found: Sequence[dict[str, Any]]) -> dict[str, float | None]:
         "delay_s": float(np.median(seen)) if seen else None,
         "rms": float(np.sqrt(np.mean(np.square(errors)))) if errors else None,
         "coverage": float(np.mean(held)) if held else None,
-        "false_per_h": sum(f["false"] for f in found) / hours if hours else None,
+        "false_per_h": sum(f["false"] for f in flights) / hours if hours else None,
     }
 
 

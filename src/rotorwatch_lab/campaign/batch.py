@@ -1,4 +1,4 @@
-"""One batch of a campaign: flights of one cell flown, logged, turned into ticks and judged, side by side where that is possible.
+"""A batch of a campaign: flights of one cell simulated, logged, turned into ticks and diagnosed, side by side where possible.
 
 The simulator's log, in memory, goes through `diagnose` (`prepare`, `estimated`, `judge`); only published methods run over all flights of a
 batch at once.
@@ -48,8 +48,8 @@ def where() -> str:
 
 @dataclass(frozen=True)
 class Flown:
-    """One flight on its way through the batch. ready: as `diagnose` has it before an estimator sees it; theta (T, n): true losses at its
-    ticks; lost_s: when it crashed, or None."""
+    """A flight in a batch. ready: input of `diagnose` before the estimator; theta (T, n): true losses at its ticks; lost_s: time of its
+    crash, or None."""
 
     number: int
     scenario: Scenario
@@ -64,7 +64,7 @@ class Flown:
 
     @property
     def vehicle(self) -> Vehicle:
-        """The vehicle that the log tells of."""
+        """The vehicle identified from the log."""
         return self.ready.vehicle
 
     @property
@@ -74,8 +74,8 @@ class Flown:
 
 
 def judge(plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
-    """Rows of results (score.py), one per flight and method. All flights must be of one cell; `size`: width that the batch is
-    filled up to, always the same, so that a flight's result does not depend on who it flew with."""
+    """Rows of results (score.py), one per flight and method. All flights must be of one cell; `size`: width that the batch is filled up to,
+    always the same, so that a flight's result does not depend on the other flights of its batch."""
     flown = fly(plan, flights, size)
     return rows(plan, flown, size) if flown else []
 
@@ -88,29 +88,29 @@ def rows(
     B = flown[0].vehicle.effectiveness()
     if any(not np.array_equal(f.vehicle.effectiveness(), B) for f in flown):
         raise ConfigError("flights of one batch must have the same geometry; name the frame by a choice.")
-    found = []
+    results = []
     bounds = _bounds(flown, B, size)
     published = [name for name in plan.estimators if name != "default"]
 
-    def row(label: str, f: Flown, done: Estimated, statistic, bound) -> dict:
-        end = conclude(f.ready, done).end
+    def row(label: str, f: Flown, estimate: Estimated, statistic, bound) -> dict:
+        end = conclude(f.ready, estimate).end
         raised = counting.alarms(end.events)
-        found = score.estimator(label, f, done.out, statistic, raised, bound, plan, unasked(raised))
-        return found | (score.answer(end) if done.default else {})
+        results = score.estimator(label, f, estimate.out, statistic, raised, bound, plan, unasked(raised))
+        return results | (score.answer(end) if estimate.default else {})
 
     if "default" in plan.estimators:
-        for f, bound, done in zip(flown, bounds, by_default(flown), strict=True):
-            statistic = np.where(done.out.plausible, done.out.statistic, score.NOTHING)
-            found.append(row("default", f, done, statistic, bound))
+        for f, bound, estimate in zip(flown, bounds, by_default(flown), strict=True):
+            statistic = np.where(estimate.out.plausible, estimate.out.statistic, score.NOTHING)
+            results.append(row("default", f, estimate, statistic, bound))
     if published:
         tables = [f.ticks for f in flown]
         hops = methods.learn(tables, B, learned_states(flown, B))
         for name in published:
             with _caught(name, failed):
-                judged = methods.judge(name, tables, hops, B, size, tuple(d.tuning for d in plan.decisions))
-                for decision, kept in zip(plan.decisions, judged, strict=True):
+                outputs = methods.judge(name, tables, hops, B, size, tuple(d.tuning for d in plan.decisions))
+                for decision, kept in zip(plan.decisions, outputs, strict=True):
                     label = decision.label(name)
-                    found += [
+                    results += [
                         row(label, f, Estimated(f.ticks, k, default=False, own_limit=decide.LIMIT), k.statistic, b)
                         for f, k, b in zip(flown, kept, bounds, strict=True)
                     ]
@@ -118,13 +118,13 @@ def rows(
     for name in plan.detectors:
         with _caught(name, failed):
             seen = [rules[name].detect(f.flight, f.vehicle, f.ready.air) for f in flown]
-            found += [score.rule(name, f, s, bound, plan) for f, s, bound in zip(flown, seen, bounds, strict=True)]
-    return found
+            results += [score.rule(name, f, s, bound, plan) for f, s, bound in zip(flown, seen, bounds, strict=True)]
+    return results
 
 
 @contextmanager
 def _caught(name: str, failed: Callable[[str, Exception], None] | None) -> Iterator[None]:
-    """What a method raises inside goes to `failed`, where there is one."""
+    """Passes exceptions of a method to `failed`, where given."""
     try:
         yield
     except Exception as why:
@@ -134,7 +134,7 @@ def _caught(name: str, failed: Callable[[str, Exception], None] | None) -> Itera
 
 
 class Flights(Protocol):
-    """What draws flights: a plan, or a study's own."""
+    """Source of flights: a plan, or a study's own."""
 
     def flight(self, k: int) -> Scenario:
         """The scenario of flight k."""
@@ -142,17 +142,21 @@ class Flights(Protocol):
 
 
 def fly(plan: Flights, flights: Sequence[int], size: int) -> list[Flown]:
-    """Simulate the flights and look at them as `diagnose` looks at a log. Flights that never take off are left out."""
+    """Simulate the flights and prepare them as `diagnose` prepares a log. Flights that never take off are left out."""
+    return [f for row in simulated(plan, flights, size) if (f := prepared(*row)) is not None]
+
+
+def simulated(plan: Flights, flights: Sequence[int], size: int) -> Iterator[tuple[int, Scenario, Any, Any]]:
+    """(number, scenario, plan, record) of each flight; size: width that the batch is filled up to."""
     scenarios = [plan.flight(k) for k in flights]
     plans = [_planned(k, scenario) for k, scenario in zip(flights, scenarios, strict=True)]
     first = scenarios[0]
     records = fly_each(MULTIROTOR, plans, first.duration_s, first.rate_hz, first.record_hz, logbook.needed, size)
-    found = [prepared(*row) for row in zip(flights, scenarios, plans, records, strict=True)]
-    return [f for f in found if f is not None]
+    return zip(flights, scenarios, plans, records, strict=True)
 
 
 def prepared(number: int, scenario: Scenario, plan: Any, record: Any) -> Flown | None:
-    """A simulated flight as `diagnose` looks at a log; None when it never took off."""
+    """A simulated flight as `diagnose` prepares a log; None if it never took off."""
     ready = prepare(logbook.flight(scenario, plan, record))
     if ready.table is None:
         return None
@@ -171,7 +175,7 @@ def _planned(number: int, scenario: Scenario) -> Any:
 
 
 def unasked(raised: Sequence[counting.Alarm]) -> list[float]:
-    """When what is no estimator's was raised [s]: outputs, losses of control, hindsight. They know no threshold."""
+    """Times [s] of alarms from sources other than an estimator: outputs, losses of control, hindsight. They have no threshold."""
     return [a.detected_s for a in raised if a.event is not None and a.event.source.name != events.ESTIMATOR.name]
 
 
@@ -188,12 +192,12 @@ def by_default(flown: Sequence[Flown], whole: bool = False) -> list[Estimated]:
 
 def learned_states(flown: Sequence[Flown], B: np.ndarray) -> list[tuple | None]:
     """State and noise variances of the default estimator after the learning time of each flight of one hop; None for others."""
-    found: list[tuple | None] = []
+    states: list[tuple | None] = []
     for f in flown:
         span, steps = methods.learning(f.ticks), program.steps(f.ticks.dt, B)
         steps.run(*_table(f.ticks, B, span or slice(0)))
-        found.append(None if span is None else (steps.learned.s, steps.learned.variances))
-    return found
+        states.append(None if span is None else (steps.learned.s, steps.learned.variances))
+    return states
 
 
 def _bounds(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[np.ndarray | None]:
@@ -208,10 +212,10 @@ def _bounds(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[np.ndarray
     )
     rotor = [c["rotor"] - 1 if c else 0 for c in clear]
     onset = [np.searchsorted(f.ticks.command_time + LAG_S, c["onset_s"]) if c else length for f, c in zip(flown, clear)]
-    more = size - len(flown)
-    theta = np.concatenate([theta, np.repeat(theta[-1:], more, axis=0)])
-    found = limits.on_ticks(
-        B, u[..., :-2], y, valid, u[..., -2] > GROUND, theta, np.array(rotor + rotor[-1:] * more),
-        np.array(onset + onset[-1:] * more), flown[0].ticks.dt, batch=True,
+    padding = size - len(flown)
+    theta = np.concatenate([theta, np.repeat(theta[-1:], padding, axis=0)])
+    bound = limits.on_ticks(
+        B, u[..., :-2], y, valid, u[..., -2] > GROUND, theta, np.array(rotor + rotor[-1:] * padding),
+        np.array(onset + onset[-1:] * padding), flown[0].ticks.dt, batch=True,
     )  # fmt: skip
-    return [found.information[k, : len(f.ticks.time)] if clear[k] else None for k, f in enumerate(flown)]
+    return [bound.information[k, : len(f.ticks.time)] if clear[k] else None for k, f in enumerate(flown)]

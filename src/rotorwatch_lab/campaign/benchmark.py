@@ -37,7 +37,7 @@ REPEATS = 7  # of the table that a step is timed over
 
 
 class Method(NamedTuple):
-    """What is tried. label: the name it was selected by, which rows of results use; kind: "estimator" or "detector"."""
+    """A method under test. label: the name it was selected by, used in rows of results; kind: "estimator" or "detector"."""
 
     label: str
     name: str
@@ -65,30 +65,30 @@ def selected_methods(names: Sequence[str]) -> list[Method]:
     if not names or list(names) == ["all"]:
         return known_methods()
     rules = {rule.name: rule for rule in detectors.modules()}
-    found: list[Method] = []
+    selected: list[Method] = []
     for name in dict.fromkeys(names):
         if name in rules:
-            found.append(_method(name, "detector", rules[name]))
+            selected.append(_method(name, "detector", rules[name]))
         elif ":" in name or name in discovery.names():
-            found.append(_method(name, "estimator", discovery.estimator(name)))
+            selected.append(_method(name, "estimator", discovery.estimator(name)))
         else:
             known = [*discovery.names(), *rules]
-            said = f"There is no method called {brief(name)}{meant(name, known)}"
-            raise ConfigError(f"{said}; known are {', '.join(known)}, and package.module:Class.")
-        twin = next((m for m in found[:-1] if m.name == found[-1].name), None)
+            unknown = f"There is no method called {brief(name)}{meant(name, known)}"
+            raise ConfigError(f"{unknown}; known are {', '.join(known)}, and package.module:Class.")
+        twin = next((m for m in selected[:-1] if m.name == selected[-1].name), None)
         if twin:
             raise ConfigError(
                 f"Two methods call themselves {twin.name} ({twin.label} and {name}): give one of them another name."
             )
-    return found
+    return selected
 
 
-def _method(label: str, kind: str, found: Any) -> Method:
-    return Method(label, found.name, kind, discovery.about(found), discovery.source(found))
+def _method(label: str, kind: str, implementation: Any) -> Method:
+    return Method(label, implementation.name, kind, discovery.about(implementation), discovery.source(implementation))
 
 
 def try_out(method: Method) -> str | None:
-    """A sentence that says why an estimator cannot be run on a vehicle's plant, or None: it is made and one step is traced."""
+    """The reason why an estimator cannot run on a vehicle's plant, as a sentence, or None: it is constructed and one step is traced."""
     if method.kind == "detector" or method.name == "default":
         return None
     jax = load_jax()
@@ -133,12 +133,12 @@ def run(
     progress: work.Progress | None = None,
     notify: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
-    """Try methods on a benchmark's flights and on public data; returns what is written to `out` (results_file.py says what it holds).
+    """Run methods on a benchmark's flights and on public data; returns the contents of `out` (format: results_file.py).
 
-    plan: a name of `shipped`, a file, or a Benchmark. methods: names, or package.module:Class; none: all that are installed, and those that
-    cannot be run are listed with the reason, while one that was named is an error. jobs: processes. data: (name, path) of
-    public data sets (public_data.py). progress(done, flights, flights a second). tell: hears of methods that fail on the way. Finished
-    parts are kept in `parts_of(out)`: the same call goes on where it was stopped. Raises ConfigError.
+    plan: a name of `shipped`, a file, or a Benchmark. methods: names, or package.module:Class; none: all installed ones, and those that
+    cannot run are listed with the reason, while a named one that cannot is an error. jobs: processes. data: (name, path) of public data
+    sets (public_data.py). progress(done, flights, flights a second). notify: receives messages on methods that fail during the run.
+    Finished parts are kept in `parts_of(out)`: the same call resumes an interrupted run. Raises ConfigError.
     """
     benchmark = plan if isinstance(plan, Benchmark) else read(plan)
     files.writable(out, "--out")
@@ -159,20 +159,20 @@ def run(
             notify(why)
     columns = summary.arrays(table)
     scenes = compare_flights.simulated(1, ())
-    found = []
+    entries = []
     for method in wanted:
         scored = None
         if method.label not in failed:
             scored = scores(summary.of_method(columns, method.label), benchmark) | {"us_per_step": cost(method, scenes)}
-        found.append(_entry(method, scored, failed.get(method.label)))
+        entries.append(_entry(method, scored, failed.get(method.label)))
     results = {
         "format": results_file.FORMAT, "format_version": results_file.VERSION, "rotorwatch": __version__,
         "plan": {
             "name": benchmark.plan.name, "version": benchmark.version, "sha256": benchmark.sha256, "flights": benchmark.flights,
             "false_alarms_h": benchmark.false_alarms_h, "within_s": benchmark.within_s, "text": benchmark.text,
         },
-        "machine": machine(), "methods": found,
-        "data": [_on_data(one, [m for m in running if m.label not in failed], benchmark, notify) for one in sets],
+        "machine": machine(), "methods": entries,
+        "data": [_on_data(data_set, [m for m in running if m.label not in failed], benchmark, notify) for data_set in sets],
     }  # fmt: skip
     results_file.write(results, out)
     return results
@@ -185,10 +185,13 @@ def parts_of(out: str | os.PathLike) -> Path:
 
 def _entered(benchmark: Benchmark, methods: Sequence[Method]) -> Plan:
     """The campaign's plan with these methods. Its text, by which the folder knows it, names them with their versions."""
-    who = "".join(f"\n# {m.label} {m.source.package} {m.source.version}" for m in methods)
+    versions = "".join(f"\n# {m.label} {m.source.package} {m.source.version}" for m in methods)
     names = {kind: tuple(m.label for m in methods if m.kind == kind) for kind in ("estimator", "detector")}
     return replace(
-        benchmark.plan, estimators=names["estimator"], detectors=names["detector"], text=benchmark.text + who + "\n"
+        benchmark.plan,
+        estimators=names["estimator"],
+        detectors=names["detector"],
+        text=benchmark.text + versions + "\n",
     )
 
 
@@ -230,14 +233,14 @@ class Judge:
 
 
 def scores(d: dict[str, np.ndarray], benchmark: Benchmark) -> dict[str, Any]:
-    """What a method is ranked by, from its rows: each {"value", "low", "high", "n"} with its 95 % interval, or None."""
-    own, fair = summary.measures(d), summary.at_rate(d, benchmark.false_alarms_h, benchmark.within_s)
+    """Scores of a method from its rows: each {"value", "low", "high", "n"} with its 95 % interval, or None."""
+    usual, at_rate = summary.measures(d), summary.at_rate(d, benchmark.false_alarms_h, benchmark.within_s)
     return {
-        "flights": own["flights"], "clear_faults": own["clear_faults"], "healthy_h": own["healthy_h"],
-        "threshold": fair["threshold"], "false_alarms_h": fair["false_alarms_h"], "detected": fair["detected"],
-        "delay_s": fair["delay_s"], "own_false_alarms_h": own["false_alarms_h"], "own_detected": own["detected"],
-        "own_delay_s": own["delay_s"], "right": own["right"], "loss_rmse": own["loss_rmse"], "coverage": own["coverage"],
-        "found_flights": fair["found"], "right_flights": summary.numbers(d, d["clear"].astype(bool) & (d["right"] == True)),  # noqa: E712
+        "flights": usual["flights"], "clear_faults": usual["clear_faults"], "healthy_h": usual["healthy_h"],
+        "threshold": at_rate["threshold"], "false_alarms_h": at_rate["false_alarms_h"], "detected": at_rate["detected"],
+        "delay_s": at_rate["delay_s"], "own_false_alarms_h": usual["false_alarms_h"], "own_detected": usual["detected"],
+        "own_delay_s": usual["delay_s"], "right": usual["right"], "loss_rmse": usual["loss_rmse"], "coverage": usual["coverage"],
+        "found_flights": at_rate["found"], "right_flights": summary.numbers(d, d["clear"].astype(bool) & (d["right"] == True)),  # noqa: E712
         "size_errors": summary.size_errors(d),
     }  # fmt: skip
 
@@ -255,9 +258,9 @@ def _entry(method: Method, scored: dict[str, Any] | None, failed: str | None) ->
 
 
 def _on_data(
-    one: public_data.DataSet, methods: Sequence[Method], benchmark: Benchmark, notify: Callable | None
+    data_set: public_data.DataSet, methods: Sequence[Method], benchmark: Benchmark, notify: Callable | None
 ) -> dict[str, Any]:
-    """The part of the results that is about one data set."""
+    """Results on one data set."""
     entered, reasons = _entered(benchmark, methods), {}
 
     def note(label: str, why: Exception) -> None:
@@ -265,20 +268,20 @@ def _on_data(
         if notify:
             notify(reasons[label])
 
-    rows, left_out = public_data.judge(one, entered, note)
+    rows, left_out = public_data.judge(data_set, entered, note)
     columns = {key: summary.column([row[key] for row in rows], kind) for key, (kind, _) in COLUMNS.items()}
-    found = []
+    entries = []
     for method in methods:
-        mine = summary.of_method(columns, method.label)
-        fine = method.label not in reasons and len(mine["method"])
-        found.append(_entry(method, scores(mine, benchmark) if fine else None, reasons.get(method.label)))
+        own_rows = summary.of_method(columns, method.label)
+        fine = method.label not in reasons and len(own_rows["method"])
+        entries.append(_entry(method, scores(own_rows, benchmark) if fine else None, reasons.get(method.label)))
     return {
-        "name": one.name, "index_sha256": digest(one.text), "logs": len(one.logs), "left_out": left_out,
-        "methods": found,
+        "name": data_set.name, "index_sha256": digest(data_set.text), "logs": len(data_set.logs), "left_out": left_out,
+        "methods": entries,
     }  # fmt: skip
 
 
 def machine() -> str:
-    """One line on what the cost was measured on."""
+    """Description of this machine in one line, for the measured computing times."""
     system = f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors"
     return f"{system}, Python {platform.python_version()}, JAX {load_jax().__version__}, {batch.where()}"

@@ -1,5 +1,5 @@
-"""A benchmark's plan: a campaign's plan with a table [benchmark] that says how many flights, and at which rate of false alarms methods
-are compared.
+"""A benchmark's plan: a campaign's plan with a table [benchmark], which sets the number of flights and the false-alarm rate at which
+methods are compared.
 
     [benchmark]
     version = 1                # another number when anything in the plan changes

@@ -1,12 +1,12 @@
-"""Does the vehicle stay up? Flights in which an estimator drives the allocation, against knowing the truth and against doing nothing.
+"""Closed-loop survival: flights in which an estimator drives the control allocation, compared with the truth and with no reaction.
 
     from rotorwatch_lab.campaign import closed_loop
     result = closed_loop.run("plans/survival.toml", ["nobody", "truth", "default"], "survival", flights=2000)
 
-What an estimator says at a time t depends on the log up to t only, and up to its first word a reconfigured flight is the flight as it would
-have been anyhow. So a flight is flown as it is, the estimator judges its log, its first belief is entered in the flight's schedule
-(simulation/reconfigured.py), the flight is flown again, and so on, belief by belief: what came before stays the same to the last bit,
-and the estimators are those of `rotorwatch diagnose`, not copies of them.
+An estimate at time t depends on the log up to t only, and until the first estimate a reconfigured flight equals the unreconfigured one. So
+a flight is flown without reaction, its log is estimated, the first belief is entered in the flight's schedule
+(lab/simulation/reconfigured.py), the flight is flown again, and so on, belief by belief: the part before stays the same to the last bit,
+and the estimators are those of `rotorwatch diagnose`.
 """
 
 from __future__ import annotations
@@ -61,9 +61,9 @@ def fly(
     by: str = "estimate",
     aircraft: Callable[[np.ndarray, str], reconfigured.Reconfigured] = reconfigured.Reconfigured,
 ) -> list[dict[str, Any]]:
-    """The flights with a driver: "nobody", "truth", or an estimator's name. All must be of one cell of a plan (one frame). by: what drives
-    the allocation, "estimate", "bounds" or "posterior". aircraft(B, by): what flies. Returns what became of each: those of COLUMNS that
-    say so. Raises ConfigError."""
+    """Fly the flights with a driver: "nobody", "truth", or an estimator's name. All must be of one cell of a plan (one frame). by: basis of
+    the allocation, "estimate", "bounds" or "posterior". aircraft(B, by): the simulated aircraft. Returns for each flight its columns of
+    COLUMNS. Raises ConfigError."""
     _explains(driver, by)
     scenarios = [flown.flight(k) for k in flights]
     for s in scenarios:
@@ -73,50 +73,50 @@ def fly(
     B = rows(prepare.vehicle(scenarios[0]))
     craft = aircraft(B, by)
     n, size = B.shape[1], len(plans)
-    made: list[list[reconfigured.Entry]] = [[] for _ in plans]
+    entries: list[list[reconfigured.Entry]] = [[] for _ in plans]
     if driver == TRUTH:
-        made = [_true(s, n) for s in scenarios]
-    first, records = scenarios[0], _flown(craft, scenarios[0], plans, made, size)
+        entries = [_true(s, n) for s in scenarios]
+    first, records = scenarios[0], _flown(craft, scenarios[0], plans, entries, size)
     able = [_able(*row) for row in zip(scenarios, plans, records, strict=True)]
     open_, turns = list(range(size)), ENTRIES if driver not in (NOBODY, TRUTH) else 0
     for _ in range(turns):
-        # A flight without a new belief stays as it is, and so does what the estimator says of it.
-        here = [[row[k] for k in open_] for row in (flights, scenarios, plans, records, made)]
-        new = [(k, found) for k, found in zip(open_, _beliefs(driver, *here, by, size), strict=True) if found]
+        # A flight without a new belief stays the same, and so do its estimates.
+        here = [[row[k] for k in open_] for row in (flights, scenarios, plans, records, entries)]
+        new = [(k, entry) for k, entry in zip(open_, _beliefs(driver, *here, by, size), strict=True) if entry]
         if not new:
             break
         open_ = [k for k, _ in new]
-        for k, found in new:
-            made[k].append(found)
-        again = _flown(craft, first, [plans[k] for k in open_], [made[k] for k in open_], size)
+        for k, entry in new:
+            entries[k].append(entry)
+        again = _flown(craft, first, [plans[k] for k in open_], [entries[k] for k in open_], size)
         for k, record in zip(open_, again, strict=True):
             records[k] = record
-    every = zip(flights, scenarios, plans, records, made, able, strict=True)
-    return [_outcome(*row) for row in every]
+    results = zip(flights, scenarios, plans, records, entries, able, strict=True)
+    return [_outcome(*row) for row in results]
 
 
 class Judge(NamedTuple):
-    """Makes rows of flights (`work.Judge`): one for each driver."""
+    """Makes rows of flights (`work.Judge`), one for each driver."""
 
     drivers: tuple[str, ...]
     by: str = "estimate"
 
     def __call__(self, plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
         filled = [*flights, *[flights[-1]] * (size - len(flights))]  # one program for all parts
-        found = []
+        results = []
         for driver in self.drivers:
             for outcome in fly(plan, filled, driver, self.by)[: len(flights)]:
                 planned = plan.flight(outcome["flight"])
                 losses = [1.0 if f["kind"] == "complete loss" else f["strength"] for f in planned.faults]
                 end = outcome["onset_s"] if outcome["faulty"] else planned.duration_s
-                found.append(
+                results.append(
                     {
                         "method": driver, "frame": planned.airframe["frame"], "rotors": plan.rotors[outcome["flight"] % len(plan.cells)],
                         "broken": len(losses), "loss": max(losses, default=0.0), "wind_m_s": planned.wind["speed_m_s"],
                         "healthy_s": min(end, outcome["lost_s"] or end), **outcome,
                     }
                 )  # fmt: skip
-        return found
+        return results
 
 
 def run(
@@ -131,7 +131,7 @@ def run(
 ) -> dict[str, Any]:
     """Fly a plan's flights with every driver: {"plan", "flights", "drivers": {driver: measures}}, also in out/summary.json.
 
-    Finished parts are kept in the folder `out`: the same call goes on where it was stopped. Measures (`measures`) have 95 % intervals.
+    Finished parts are kept in the folder `out`: the same call resumes an interrupted run. Measures (`measures`) have 95 % intervals.
     jobs, scheduler: as for `work.run`. Raises ConfigError.
     """
     planned = plan if isinstance(plan, Plan) else plans.read(plan)
@@ -161,11 +161,11 @@ def run(
 def measures(
     rows: Sequence[dict], truth: Mapping[int, float | None], nobody: Mapping[int, float | None]
 ) -> dict[str, Any]:
-    """Of one driver's rows; truth, nobody: when each flight was lost with those drivers (None: never). survived: share of faulty flights;
-    of_possible: share of those that knowing the truth saves, of_able: of those among them whose vehicle, healthy, keeps to its track;
-    lost_healthy: flights without a fault that were lost; false_h: flights in which it acted falsely, per healthy hour; lost_false: how many
-    of those were lost, and not (or later) with nobody, lost_false_able: of able vehicles; healthy_h; first_s, recovered_s, tilt_deg,
-    off_m: medians of faulty flights; by_frame, possible_by_frame: survived and of_possible, by frame."""
+    """Measures of one driver's rows; truth, nobody: when each flight was lost with those drivers (None: never). survived: share of faulty
+    flights; of_possible: share of those that knowing the truth saves, of_able: of those among them whose vehicle, healthy, keeps to its
+    track; lost_healthy: flights without a fault that were lost; false_h: flights in which it acted falsely, per healthy hour; lost_false:
+    how many of those were lost, and not (or later) with nobody, lost_false_able: of able vehicles; healthy_h; first_s, recovered_s,
+    tilt_deg, off_m: medians of faulty flights; by_frame, possible_by_frame: survived and of_possible, by frame."""
     faulty = [r for r in rows if r["faulty"]]
     healthy = [r for r in rows if not r["faulty"]]
     possible = [r for r in faulty if r["flight"] in truth and truth[r["flight"]] is None]
@@ -195,7 +195,7 @@ def measures(
 
 def markdown(result: dict[str, Any]) -> str:
     """The drivers side by side, and survival by frame."""
-    cell, found = tools.interval, result["drivers"]
+    cell, drivers = tools.interval, result["drivers"]
     lines = {
         "faulty, healthy flights": lambda m: f"{m['faulty']}, {m['healthy']}",
         "survived": lambda m: cell(m["survived"]),
@@ -211,32 +211,32 @@ def markdown(result: dict[str, Any]) -> str:
         "largest tilt, degrees": lambda m: cell(m["tilt_deg"], 2),
         "largest distance from the track, m": lambda m: cell(m["off_m"], 2),
     }
-    for f in sorted({f for m in found.values() for f in m["by_frame"]}):
+    for f in sorted({f for m in drivers.values() for f in m["by_frame"]}):
         lines[f"survived, {f}"] = lambda m, f=f: cell(m["by_frame"].get(f))
-    return tools.side_by_side(f"{result['plan']}, {result['flights']} flights", found, lines)
+    return tools.side_by_side(f"{result['plan']}, {result['flights']} flights", drivers, lines)
 
 
-def _flown(craft, first: Scenario, plans: list, made: list, size: int) -> list[Any]:
+def _flown(craft, first: Scenario, plans: list, entries: list, size: int) -> list[Any]:
     """The records of plans with these entries."""
     n = craft.allocator.B.shape[1]
-    ready = [p._replace(schedule=reconfigured.schedule(n, m, ENTRIES)) for p, m in zip(plans, made, strict=True)]
+    ready = [p._replace(schedule=reconfigured.schedule(n, m, ENTRIES)) for p, m in zip(plans, entries, strict=True)]
     return list(loop.fly_each(craft, ready, first.duration_s, first.rate_hz, first.record_hz, logbook.needed, size))
 
 
 def _true(scenario: Scenario, n: int) -> list[reconfigured.Entry]:
-    """Entries of somebody who knows every lasting loss, DELAY_S after it began."""
-    e, made = np.ones(n), []
+    """Entries of a driver that knows every lasting loss, DELAY_S after its onset."""
+    e, entries = np.ones(n), []
     for fault in sorted(scenario.faults, key=lambda f: f["onset_s"]):
         if fault["kind"] not in ("loss", "complete loss"):
             raise ConfigError(f"closed loop flights know losses and complete losses, not {fault['kind']}.")
         e = e.copy()
         e[fault["rotor"] - 1] = 0.0 if fault["kind"] == "complete loss" else 1.0 - fault["strength"]
-        made.append(_entry(scenario, fault["onset_s"] + DELAY_S, e, e, e))
-    return made
+        entries.append(_entry(scenario, fault["onset_s"] + DELAY_S, e, e, e))
+    return entries
 
 
 def _explains(driver: str, by: str) -> None:
-    """Refuse what has no explanations side by side."""
+    """Raise ConfigError for drivers without alternative explanations."""
     if by == "posterior" and driver not in (NOBODY, TRUTH, "default"):
         raise ConfigError(
             f"{driver} has one explanation at a time: with the allocation driven by a posterior name nobody, truth or default."
@@ -244,7 +244,7 @@ def _explains(driver: str, by: str) -> None:
 
 
 def _entry(scenario: Scenario, since: float, mean, lower, upper, candidates=None, weights=None) -> reconfigured.Entry:
-    """What is done from `since` on with that belief: allocation, or a turning hover where full control of hover is lost."""
+    """The schedule entry for that belief from `since` on: allocation, or a turning hover where full control of hover is lost."""
     bare = replace(scenario, airframe={**scenario.airframe, "payload_kg": 0.0})  # the autopilot knows of no payload
     frame = Airframe.of(prepare.plan(bare).craft)
     half = np.abs(frame.B).sum(axis=1) / 2.0
@@ -257,7 +257,7 @@ def _entry(scenario: Scenario, since: float, mean, lower, upper, candidates=None
 
 
 def _beliefs(
-    driver: str, flights, scenarios, plans, records, made, by: str, size: int
+    driver: str, flights, scenarios, plans, records, entries, by: str, size: int
 ) -> list[reconfigured.Entry | None]:
     """The next entry of each flight, or None."""
     seen = [batch.prepared(*row) for row in zip(flights, scenarios, plans, records, strict=True)]
@@ -267,28 +267,28 @@ def _beliefs(
         return [None] * len(seen)
     B = flown[0].vehicle.effectiveness()
     if driver == "default":
-        kept = [done.out for done in batch.by_default(flown, whole=True)]
+        outputs = [estimate.out for estimate in batch.by_default(flown, whole=True)]
     else:
         tables = [f.ticks for f in flown]
         hops = methods.learn(tables, B, batch.learned_states(flown, B))
-        kept = methods.judge(driver, tables, hops, B, size, ((),))[0]
-    found: list[reconfigured.Entry | None] = [None] * len(seen)
-    for k, f, out in zip(here, flown, kept, strict=True):
-        found[k] = _next(scenarios[k], f.ticks, out, made[k], by)
-    return found
+        outputs = methods.judge(driver, tables, hops, B, size, ((),))[0]
+    beliefs: list[reconfigured.Entry | None] = [None] * len(seen)
+    for k, f, out in zip(here, flown, outputs, strict=True):
+        beliefs[k] = _next(scenarios[k], f.ticks, out, entries[k], by)
+    return beliefs
 
 
 def _next(
-    scenario: Scenario, ticks, out: program.TickOutput, made: list[reconfigured.Entry], by: str
+    scenario: Scenario, ticks, out: program.TickOutput, entries: list[reconfigured.Entry], by: str
 ) -> reconfigured.Entry | None:
     """The first belief after the last entry that is far enough from it."""
-    if len(made) == ENTRIES:
+    if len(entries) == ENTRIES:
         return None
     weak = np.asarray(out.active[:, 0], bool)
     mean = np.where(weak, 1.0 - np.clip(out.theta, 0.0, 1.0), 1.0)
     apart = np.where(weak, 2.0 * out.theta_sd, 0.0)
     since = ticks.time + DELAY_S
-    before, last = (made[-1].mean, float(made[-1].since)) if made else (np.ones(weak.shape[1]), -np.inf)
+    before, last_s = (entries[-1].mean, float(entries[-1].since)) if entries else (np.ones(weak.shape[1]), -np.inf)
     # Allocation that leaves a rotor alone hides its loss: that it has recovered is believed when it is used again.
     idle = np.cumsum(ticks.thrust, axis=0)
     n = max(1, round(IDLE_S / ticks.dt))
@@ -298,12 +298,12 @@ def _next(
     expected, awaited = mean, before
     if by == "posterior":  # what counts is what the explanations expect together
         candidates, weights = np.where(out.active > 0, 1.0 - out.each, 1.0), np.asarray(out.share)
-        awaited = made[-1].weights @ made[-1].candidates if made else before
+        awaited = entries[-1].weights @ entries[-1].candidates if entries else before
         expected = np.einsum("tk,tkn->tn", weights, candidates)
         stays = idle & (expected > awaited)
         expected = np.where(stays, awaited, expected)
         candidates = np.where(stays[:, None], awaited, candidates)
-    due = (np.abs(expected - awaited).max(axis=1) > MOVED) & (since > last + REFRESH_S) & (ticks.mode > LEARN)
+    due = (np.abs(expected - awaited).max(axis=1) > MOVED) & (since > last_s + REFRESH_S) & (ticks.mode > LEARN)
     if not due.any():
         return None
     k = int(np.argmax(due))
@@ -319,25 +319,25 @@ def _setpoints():
 
 
 def _off(plan, record) -> np.ndarray:
-    """(T,) distance from where the vehicle should be [m]."""
+    """(T,) distance from the setpoint [m]."""
     return np.linalg.norm(
         record.p - np.asarray(_setpoints()(plan.way, len(record.time), float(record.time[0])).p), axis=1
     )
 
 
 def _flying(record) -> np.ndarray:
-    """(T,) whether it has left the ground."""
+    """(T,) True once it has left the ground."""
     return np.maximum.accumulate(-record.p[:, 2] > 1.0)
 
 
 def _able(scenario: Scenario, plan, record) -> bool:
-    """Of a flight without beliefs so far."""
+    """True if the vehicle, healthy, keeps to its track in a flight without schedule entries."""
     until = min((f["onset_s"] for f in scenario.faults), default=np.inf)
     return bool(_off(plan, record)[_flying(record) & (record.time < until)].max(initial=0.0) < ABLE_M)
 
 
-def _outcome(number: int, scenario: Scenario, plan, record, made: list[reconfigured.Entry], able: bool) -> dict:
-    """What became of a flight, see COLUMNS; first_s of healthy flights counts from the take-off."""
+def _outcome(number: int, scenario: Scenario, plan, record, entries: list[reconfigured.Entry], able: bool) -> dict:
+    """Outcome of a flight, see COLUMNS; first_s of healthy flights counts from the take-off."""
     faults = scenario.faults
     onset = min((f["onset_s"] for f in faults), default=float(plan.way.take_off))
     broken = {f["rotor"] - 1 for f in faults}
@@ -354,14 +354,14 @@ def _outcome(number: int, scenario: Scenario, plan, record, made: list[reconfigu
     if lost is None and (not astray.size or astray[-1] < len(time) - 1):
         recovered = float(time[astray[-1]] - onset) if astray.size else 0.0
     # What came too late, after the crash, was never acted on.
-    acted = [m for m in made if lost is None or m.since < lost]
-    who = set(np.flatnonzero(acted[0].mean < 1.0 - MOVED).tolist()) if acted else set()
+    acted = [m for m in entries if lost is None or m.since < lost]
+    accused = set(np.flatnonzero(acted[0].mean < 1.0 - MOVED).tolist()) if acted else set()
     first = float(acted[0].since) if acted else None
-    early = first is not None and (first < onset or not who & broken)
+    early = first is not None and (first < onset or not accused & broken)
     return {
         "flight": number, "faulty": bool(faults), "onset_s": onset, "able": able, "survived": lost is None, "lost_s": lost,
         "beliefs": len(acted), "first_s": None if first is None else first - onset,
-        "false": early if faults else first is not None, "right": bool(acted) and who == broken,
+        "false": early if faults else first is not None, "right": bool(acted) and accused == broken,
         "turning": any(m.turning > 0.5 for m in acted), "tilt_deg": float(tilt[late].max(initial=0.0)),
         "off_m": float(off[late].max(initial=0.0)), "recovered_s": recovered,
     }  # fmt: skip

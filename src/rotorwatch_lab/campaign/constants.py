@@ -1,4 +1,4 @@
-"""The constants of the default method: of each its unit, what it means, and the value that leaves its part out (constants.toml)."""
+"""Constants of the default method, from constants.toml: unit, meaning, and the value that disables its part."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rotorwatch.base import files
 
 
 class Constant(NamedTuple):
-    """One line of the table. off: None where leaving it out means nothing."""
+    """A constant. off: None where it cannot be left out."""
 
     unit: str
     meaning: str

@@ -1,11 +1,11 @@
-"""Does an excitation of the commands resolve ambiguous losses? Flights with such losses, without and with an excitation.
+"""Excitation study: flights with ambiguous losses, without and with an excitation of the commands.
 
     from rotorwatch_lab.campaign import excitation_flights
     result = excitation_flights.run(flights=120)
     print(excitation_flights.markdown(result))
 
-Every flight is flown and diagnosed as it is. Where the answer is `ambiguous` the log says which rotor sets to distinguish
-(`default.excitation_response.question`), the excitation is designed from that (`control.excitation`), and the flight is flown again with
+Every flight is flown and diagnosed without excitation. Where the answer is `ambiguous`, the rotor sets to distinguish follow from the log
+(`default.excitation_response.question`), the excitation is designed for them (`control.excitation`), and the flight is flown again with
 it: up to its start it is the same to the last bit. Healthy flights are excited as well.
 """
 
@@ -38,11 +38,8 @@ from rotorwatch_lab.simulation.excited import EXCITED
 from rotorwatch_lab.simulation.scenario import Scenario
 
 FRAMES = ("hexa-x", "hexa-plus", "octa-x", "octa-plus")
-ONSET_S, WAITS_S, ENDS_S = (
-    16.0,
-    1.0,
-    14.0,
-)  # onset of the loss; from the answer to the excitation; from the onset to the end
+ONSET_S, ENDS_S = 16.0, 14.0  # onset of the loss; from the onset to the end
+WAITS_S = 1.0  # from the answer to the excitation
 WITHIN_S = 3.0
 WIDTH = 16  # flights side by side
 WORST = 0.5  # loss that is assumed where nothing was announced
@@ -67,7 +64,7 @@ def draw(flight: int, frame: str, seed: int) -> Scenario:
     rng = np.random.default_rng([seed, flight])
     mass = float(np.exp(rng.uniform(np.log(0.8), np.log(8.0))))
     pairs = families(frame)
-    who = pairs[rng.integers(len(pairs))] if rng.uniform() >= HEALTHY else ()
+    weak = pairs[rng.integers(len(pairs))] if rng.uniform() >= HEALTHY else ()
     loss = round(float(rng.uniform(*(LOSSES if len(pairs) < 4 else LARGER))), 3)
     return scenario.from_table(
         {
@@ -80,7 +77,7 @@ def draw(flight: int, frame: str, seed: int) -> Scenario:
             "trajectory": {"altitude_m": 5.0, "land": False},
             "wind": {"speed_m_s": float(rng.uniform(0.0, WINDS_M_S)), "from_deg": float(rng.uniform(-180.0, 180.0))},
             "logging": {"profile": "fast"},
-            "faults": [{"kind": "loss", "rotor": r, "onset_s": ONSET_S, "strength": loss} for r in who],
+            "faults": [{"kind": "loss", "rotor": r, "onset_s": ONSET_S, "strength": loss} for r in weak],
         }
     )  # fmt: skip
 
@@ -94,7 +91,7 @@ def fly(scenarios: Sequence[Scenario], signals: Sequence[excitation.Signal]) -> 
 
 
 def judged(flight: Any, end_s: float = np.inf) -> tuple[Any, Any, Any, np.ndarray, tuple[Event, ...]]:
-    """(ticks, last carry, outputs, B, losses) of the default estimator up to end_s, before excitations are looked at."""
+    """(ticks, last carry, outputs, B, losses) of the default estimator up to end_s, before the excitation response is evaluated."""
     vehicle = airframes.identify(flight)
     air = airborne(flight)
     table, B = observe(flight, vehicle, air, READY_S), vehicle.effectiveness()
@@ -108,8 +105,8 @@ def judged(flight: Any, end_s: float = np.inf) -> tuple[Any, Any, Any, np.ndarra
 def designed(
     question: excitation_response.Question, limits: excitation.Limits | None, B: np.ndarray, exactly: bool = False
 ):
-    """The design that answers it soonest within WITHIN_S; where that is too short, or `exactly`, the most informative one of WITHIN_S.
-    None where the null space cannot distinguish the candidates."""
+    """The design that resolves the question soonest within WITHIN_S; where that is too short, or `exactly`, the most informative one of
+    WITHIN_S. None where the null space cannot distinguish the candidates."""
     give = (B, list(question.candidates.values()), question.hover, question.noise, question.gain, question.dt, limits)
     for way in ({"length_s": WITHIN_S},) if exactly else ({"longest_s": WITHIN_S}, {"length_s": WITHIN_S}):
         try:
@@ -126,9 +123,9 @@ def designed_unprompted(frame: str, carry, out, table, B: np.ndarray, limits: ex
     if not sets:
         alike = _alike(frame)
         first = next(one for one, _ in alike if len(one) == 2)
-        for who in (first, *(other for one, other in alike if one == first and len(other) == 2)):
-            own = tuple(k - 1 for k in who)
-            sets[own] = np.where(np.isin(np.arange(B.shape[1]), own), WORST, 0.0)
+        for pair in (first, *(other for one, other in alike if one == first and len(other) == 2)):
+            indices = tuple(k - 1 for k in pair)
+            sets[indices] = np.where(np.isin(np.arange(B.shape[1]), indices), WORST, 0.0)
     return designed(excitation_response.question(sets, carry, table, B), limits=limits, B=B, exactly=True)
 
 
@@ -155,46 +152,46 @@ def batch(frame: str, flights: Sequence[int], seed: int, limits: excitation.Limi
         unsure = [e for e in losses if e.alternatives]
         sure = [e for e in losses if not e.alternatives]
         answers.append("fault" if sure else "ambiguous" if unsure else "healthy")
-        made, start = None, ONSET_S + 4.0
+        design, start = None, ONSET_S + 4.0
         if not sure:
             if unsure:
                 start = max(e.detected_s for e in unsure) + WAITS_S
-                made = designed(
+                design = designed(
                     excitation_response.question(excitation_response.candidates(unsure[0], B), carry, table, B),
                     limits=limits,
                     B=B,
                 )
             else:
                 table, carry, out, B, _ = judged(flight, start)
-                made = designed_unprompted(frame, carry, out, table, B, limits)
-        designs.append(made)
-        signals.append(excitation.none(n) if made is None else made.signal._replace(start=np.array(start)))
+                design = designed_unprompted(frame, carry, out, table, B, limits)
+        designs.append(design)
+        signals.append(excitation.none(n) if design is None else design.signal._replace(start=np.array(start)))
     after = fly(scenarios, signals)
     rows = []
-    for k, s, old, (was, _), (record, flight), made in zip(
+    for k, s, old, (was, _), (record, flight), design in zip(
         flights, scenarios, answers, before, after, designs, strict=True
     ):
         broken = tuple(sorted(f["rotor"] for f in s.faults))
         new, named = old, ()
-        if made is not None:
+        if design is not None:
             answer = diagnose(flight)
             sure = [e for e in answer.events if e.means.lasting_fault and not e.alternatives]
             new, named = answer.verdict, tuple(sorted({r for e in sure for r in e.rotors}))
         row = {
             "flight": k, "frame": frame, "mass_kg": float(s.airframe["mass_kg"]), "wind_m_s": float(s.wind["speed_m_s"]),
             "broken": broken, "loss": float(s.faults[0]["strength"]) if broken else 0.0, "before": old, "after": new, "named": named,
-            "asked": made is not None, "right": new == ("fault" if broken else "healthy") and named == broken,
+            "asked": design is not None, "right": new == ("fault" if broken else "healthy") and named == broken,
             "wrong": bool(named) and named != broken,
             **dict.fromkeys(("length_s", "amplitude", "turned_deg", "information", "needed")),
         }  # fmt: skip
-        if made is not None:
-            size = np.abs(made.signal.first) + np.abs(made.signal.second)
+        if design is not None:
+            size = np.abs(design.signal.first) + np.abs(design.signal.second)
             row |= {
-                "length_s": float(made.signal.length),
+                "length_s": float(design.signal.length),
                 "amplitude": float(size.max()),
                 "turned_deg": attitude_change(was, record),
             }
-            row |= {"information": float(made.information.min()), "needed": made.needed}
+            row |= {"information": float(design.information.min()), "needed": design.needed}
         rows.append(row)
     return rows
 
@@ -209,26 +206,21 @@ def run(
     scheduler: str | None = None,
     keep: str | PathLike | None = None,
 ) -> dict[str, Any]:
-    """That many flights, frames in turn: {"flights", "seed", "measures" (`measures`), "by_frame", "rows"}. jobs, scheduler: as for
-    `many.run`. keep: a folder for what is finished, from which the same call goes on. Raises ConfigError."""
+    """Fly that many flights, frames in turn: {"flights", "seed", "measures" (`measures`), "by_frame", "rows"}. jobs, scheduler: as for
+    `many.run`. keep: a folder for finished parts, from which the same call resumes. Raises ConfigError."""
     unknown = [f for f in frames if f not in FRAMES]
     if unknown or not frames:
         raise ConfigError(f"frames must be some of {', '.join(FRAMES)}, not {', '.join(unknown) or 'none'}.")
     if flights < 1:
         raise ConfigError(f"flights must be at least 1, not {flights}.")
     parts = []
-    for k, frame in enumerate(frames):
-        mine = range(k, flights, len(frames))
-        for start in range(0, len(mine), WIDTH):
-            part = mine[start : start + WIDTH]
-            filled = [*part, *[part[-1]] * (WIDTH - len(part))] if len(mine) > WIDTH else list(part)
-            parts.append((frame, filled, len(part), seed, limits))
-
+    for part in tools.batches(flights, len(frames), WIDTH):
+        cell = part[0] % len(frames)
+        padding = WIDTH - len(part) if cell + len(frames) * WIDTH < flights else 0  # one program for all batches
+        parts.append((frames[cell], [*part, *[part[-1]] * padding], len(part), seed, limits))
     rows = tools.gathered(_part, parts, jobs, progress, "flying", scheduler, keep)
     each = {frame: measures([r for r in rows if r["frame"] == frame]) for frame in frames}
-    return {
-        "flights": flights, "seed": seed, "measures": measures(rows), "by_frame": each, "rows": rows,
-    }  # fmt: skip
+    return {"flights": flights, "seed": seed, "measures": measures(rows), "by_frame": each, "rows": rows}
 
 
 def _part(work: tuple[str, list[int], int, int, excitation.Limits | None]) -> list[dict]:

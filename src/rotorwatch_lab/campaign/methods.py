@@ -64,38 +64,37 @@ def _program(name: str, dt: float, decisions: Decisions):
     return jax.jit(jax.vmap(single, in_axes=(0, None, 0, 0, 0)))
 
 
-def run_hops(name: str, found: Sequence[LogPlant], B: np.ndarray, size: int, decisions: Decisions) -> list[tuple]:
+def run_hops(name: str, hops: Sequence[LogPlant], B: np.ndarray, size: int, decisions: Decisions) -> list[tuple]:
     """For each hop the `published.Seen` of each decision. Raises ConfigError for a method that the plant does not suit.
 
     size: width that the batch is filled up to, so that a hop's result does not depend on which it runs with.
     """
-    jax, dt = load_jax(), found[0].dt
-    build, parameters = published.builder(name, dt, (), decisions), [{"plant": hop.parameters, "B": B} for hop in found]
+    jax, dt = load_jax(), hops[0].dt
+    build, parameters = published.builder(name, dt, (), decisions), [{"plant": hop.parameters, "B": B} for hop in hops]
     example = build(parameters[0])  # with values: says what is wrong
     try:
         if engine() == "native":
             ran = [
-                run_built(build, p, h.u, h.y, h.valid, published.seen, backend="auto")
-                for h, p in zip(found, parameters)
+                run_built(build, p, h.u, h.y, h.valid, published.seen, backend="auto") for h, p in zip(hops, parameters)
             ]
             return [out for _, out in ran]
-        return _side_by_side(_program(name, dt, decisions), side_by_side(example.init(), size), found, B, size)
+        return _side_by_side(_program(name, dt, decisions), side_by_side(example.init(), size), hops, B, size)
     except (jax.errors.JAXTypeError, ConfigError):  # design work that needs values: compiled for each flight alone
-        return [run(build(p), h.u, h.y, h.valid, published.seen)[1] for h, p in zip(found, parameters, strict=True)]
+        return [run(build(p), h.u, h.y, h.valid, published.seen)[1] for h, p in zip(hops, parameters, strict=True)]
 
 
-def _side_by_side(program, step: int, found: Sequence[LogPlant], B: np.ndarray, size: int) -> list[tuple]:
-    """What a `_program` keeps of each hop, `step` of them at once."""
+def _side_by_side(program, step: int, hops: Sequence[LogPlant], B: np.ndarray, size: int) -> list[tuple]:
+    """Outputs of a `_program` for each hop, `step` hops at once."""
     tree, results = load_jax().tree, []
-    rows = stacked([(hop.u, hop.y, hop.valid) for hop in found], size)
-    plants = [hop.parameters for hop in found]
+    rows = stacked([(hop.u, hop.y, hop.valid) for hop in hops], size)
+    plants = [hop.parameters for hop in hops]
     plants += [plants[-1]] * (size - len(plants))
     plants = tree.map(lambda *leaves: np.stack([np.asarray(leaf, float) for leaf in leaves]), *plants)
-    for start in range(0, len(found), step):
+    for start in range(0, len(hops), step):
         part = slice(start, start + step)
         out = program(tree.map(lambda a, part=part: a[part], plants), B, *(a[part] for a in rows))
         out = tree.map(np.asarray, out)
-        lengths = [len(hop.u) for hop in found[part]]
+        lengths = [len(hop.u) for hop in hops[part]]
         results += [tree.map(lambda a, k=k, n=n: a[k, :n], out) for k, n in enumerate(lengths)]
     return results
 
@@ -108,25 +107,25 @@ def judge(
     size: int,
     decisions: Decisions,
 ) -> list[list[program.TickOutput]]:
-    """For each decision and each flight what `published.judge` leaves behind. hops: of each flight, by `learn`."""
+    """Output of `published.judge` for each decision and each flight. hops: of each flight, by `learn`."""
     hyp = list_hypotheses(B.shape[1])
-    kept = [[program.blank(len(table.time), hyp) for table in tables] for _ in decisions]
+    outputs = [[program.blank(len(table.time), hyp) for table in tables] for _ in decisions]
     for turn in range(max(map(len, hops), default=0)):
         here = [k for k, found in enumerate(hops) if len(found) > turn]
         for k, found in zip(here, run_hops(name, [hops[k][turn] for k in here], B, size, decisions), strict=True):
             for which, seen in enumerate(found):
-                published.record(kept[which][k], seen, hops[k][turn], hyp, B)
-    return kept
+                published.record(outputs[which][k], seen, hops[k][turn], hyp, B)
+    return outputs
 
 
 def learn(tables: Sequence[Ticks], B: np.ndarray, learned_states: Sequence[tuple | None]) -> list[tuple[LogPlant, ...]]:
-    """The hops of each flight as plants and tables. taught: state and noise variances of the default estimator at the end of the
-    learning time, for flights of one hop; None: worked out for the flight alone."""
-    found = []
-    for table, one in zip(tables, learned_states, strict=True):
-        known = None if one is None else {"x0": one[0][: 4 * PER_AXIS], "noise": one[1]}
-        found.append(log_plant.hops(table, B, known))
-    return found
+    """The hops of each flight as plants and tables. learned_states: state and noise variances of the default estimator at the end of the
+    learning time, for flights of one hop; None: computed for the flight alone."""
+    plants = []
+    for table, learned in zip(tables, learned_states, strict=True):
+        known = None if learned is None else {"x0": learned[0][: 4 * PER_AXIS], "noise": learned[1]}
+        plants.append(log_plant.hops(table, B, known))
+    return plants
 
 
 def learning(table: Ticks) -> slice | None:

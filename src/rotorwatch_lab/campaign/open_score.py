@@ -1,4 +1,4 @@
-"""What the answer of `diagnose` to one flight is worth: who is accused with certainty, and rightly?
+"""Scores the answer of `diagnose` to one flight: rotors accused with certainty, rightly or not.
 
 A rotor is accused by an event of one of ACCUSES that names it without alternatives, or by a verdict `fault` that rests on a comparison.
 
@@ -36,7 +36,7 @@ DOUBTS = ("doubt", "among", "astray")
 
 
 def group(scenario: Scenario) -> str:
-    """healthy, loss, or other."""
+    """Group of the scenario: healthy, loss, or other."""
     if not scenario.faults:
         return "healthy"
     return "loss" if all(f["kind"] in LOSSES for f in scenario.faults) else "other"
@@ -44,13 +44,13 @@ def group(scenario: Scenario) -> str:
 
 def losses(scenario: Scenario) -> dict[int, float]:
     """Rotor -> true loss at the end of the flight, of the faults whose size is one; rotors count from 1."""
-    found: dict[int, float] = {}
+    lost: dict[int, float] = {}
     for f in scenario.faults:
         if f["kind"] in ("loss", "chipped", "complete loss", "float"):
             grown = min(1.0, (scenario.duration_s - f["onset_s"]) / f["ramp_s"]) if f["ramp_s"] else 1.0
             size = f["strength"] if f["kind"] in ("loss", "chipped") else 1.0
-            found[f["rotor"]] = 1.0 - (1.0 - found.get(f["rotor"], 0.0)) * (1.0 - size * grown)
-    return found
+            lost[f["rotor"]] = 1.0 - (1.0 - lost.get(f["rotor"], 0.0)) * (1.0 - size * grown)
+    return lost
 
 
 def accused(answer: Diagnosis | Conclusion) -> set[int]:
@@ -71,41 +71,40 @@ def _candidates(answer: Diagnosis | Conclusion) -> set[int]:
 
 
 def judged(scenario: Scenario, answer: Diagnosis | Conclusion) -> dict[str, Any]:
-    """The columns of `open_world` that depend on the answer's content: outcome, accused, and what there is of delay_s, error, holds and
-    ended."""
-    who, truth = accused(answer), {f["rotor"] for f in scenario.faults}
+    """The columns of `open_world` that depend on the answer: outcome, accused, and, where defined, delay_s, error, holds and ended."""
+    named, truth = accused(answer), {f["rotor"] for f in scenario.faults}
     onset = min((f["onset_s"] for f in scenario.faults), default=0.0)
     sure = _sure(answer)
     early = any(e.detected_s < onset - EARLY_S for e in sure)
-    found: dict[str, Any] = {
-        "accused": "+".join(map(str, sorted(who))),
-        "outcome": _outcome(scenario, answer, who, truth, early),
+    row: dict[str, Any] = {
+        "accused": "+".join(map(str, sorted(named))),
+        "outcome": _outcome(scenario, answer, named, truth, early),
     }
-    own = [e for e in sure if set(e.rotors) & truth and e.detected_s >= onset - EARLY_S]
-    if not own:
-        return found
-    found["delay_s"] = max(min(e.detected_s for e in own) - onset, 0.0)
+    rightful = [e for e in sure if set(e.rotors) & truth and e.detected_s >= onset - EARLY_S]
+    if not rightful:
+        return row
+    row["delay_s"] = max(min(e.detected_s for e in rightful) - onset, 0.0)
     if all(f["end_s"] is None and f["period_s"] is None for f in scenario.faults):
-        found["ended"] = all(r.status == "healthy" for r in answer.rotors if r.rotor in truth)
-    return found | _size(losses(scenario), own)
+        row["ended"] = all(r.status == "healthy" for r in answer.rotors if r.rotor in truth)
+    return row | _size(losses(scenario), rightful)
 
 
-def _outcome(scenario: Scenario, answer: Diagnosis | Conclusion, who: set[int], truth: set[int], early: bool) -> str:
+def _outcome(scenario: Scenario, answer: Diagnosis | Conclusion, named: set[int], truth: set[int], early: bool) -> str:
     doubt = answer.verdict == "ambiguous"
     if not truth:
-        return "accused" if who or answer.verdict == "fault" else "doubt" if doubt else "clean"
+        return "accused" if named or answer.verdict == "fault" else "doubt" if doubt else "clean"
     if all(f["kind"] in NAMED_OR_NOT for f in scenario.faults):
-        return "wrong" if who - truth else "right" if who & truth else "doubt" if doubt else "clean"
-    if who:
-        if who - truth:
-            return "extra" if who & truth else "wrong"
-        return "extra" if early else "right" if who >= truth else "partly"
+        return "wrong" if named - truth else "right" if named & truth else "doubt" if doubt else "clean"
+    if named:
+        if named - truth:
+            return "extra" if named & truth else "wrong"
+        return "extra" if early else "right" if named >= truth else "partly"
     return "among" if truth <= _candidates(answer) else "astray" if doubt else "missed"
 
 
-def _size(true: Mapping[int, float], own: list[Event]) -> dict[str, Any]:
+def _size(true: Mapping[int, float], events: list[Event]) -> dict[str, Any]:
     """error and holds, of the last event that has a size of a broken rotor."""
-    for event in reversed(own):
+    for event in reversed(events):
         for k, rotor in enumerate(event.rotors):
             if event.kind == LOSS and rotor in true and k < len(event.loss):
                 low, high = event.interval[k]

@@ -1,5 +1,5 @@
-"""Campaigns judged by `diagnose` itself: each flight's log is written in memory as its autopilot writes it, read and answered, and the
-answers are counted by kind of flight (open_score.py says what each is worth).
+"""Campaigns scored on `diagnose` itself: each flight's log is written in memory in its autopilot's format, read and diagnosed, and the
+answers are counted by kind of flight (scores: open_score.py).
 
     from rotorwatch_lab.campaign import open_world, read
     plan = read("plans/open.toml")
@@ -23,14 +23,11 @@ from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.toolkit import Conclusion, diagnose, estimated, prepare
 from rotorwatch.toolkit import judge as conclude
-from rotorwatch_lab.campaign import open_score, work
+from rotorwatch_lab.campaign import batch, open_score, work
 from rotorwatch_lab.campaign.plan import Plan
 from rotorwatch_lab.campaign.score import read_columns
 from rotorwatch_lab.experiments import tools
 from rotorwatch_lab.simulation import logbook
-from rotorwatch_lab.simulation import plan as flight_plan
-from rotorwatch_lab.simulation.loop import fly_each
-from rotorwatch_lab.simulation.multirotor import MULTIROTOR
 from rotorwatch_lab.simulation.scenario import Scenario
 
 COLUMNS = read_columns("open_world")
@@ -42,21 +39,13 @@ SUFFIX = {autopilot: suffix for suffix, autopilot in logbook.SUFFIXES.items()}
 
 def judge(plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
     """A row of COLUMNS for each flight (`work.Judge`). All flights must be of one cell."""
-    scenarios = [plan.flight(k) for k in flights]
-    first, plans = scenarios[0], []
-    for k, scenario in zip(flights, scenarios, strict=True):
-        try:
-            plans.append(flight_plan(scenario))
-        except ConfigError as error:
-            raise ConfigError(f"flight {k}: {error}") from error
-    records = fly_each(MULTIROTOR, plans, first.duration_s, first.rate_hz, first.record_hz, logbook.needed, size)
-    found = []
-    for k, scenario, numbers, record in zip(flights, scenarios, plans, records, strict=True):
+    rows = []
+    for k, scenario, numbers, record in batch.simulated(plan, flights, size):
         log = logbook.log(scenario, numbers, record)
         kind = plan.kind(k)
         row = _row(scenario, record, log, f"flight-{k}{SUFFIX[scenario.autopilot]}")
-        found.append(row | {"flight": k, "kind": kind.name if kind else ""})
-    return found
+        rows.append(row | {"flight": k, "kind": kind.name if kind else ""})
+    return rows
 
 
 def _row(scenario: Scenario, record: Any, log: bytes, name: str) -> dict[str, Any]:
@@ -83,7 +72,7 @@ def _row(scenario: Scenario, record: Any, log: bytes, name: str) -> dict[str, An
 
 
 def _answer(flight: Flight) -> tuple[Diagnosis | Conclusion, list[float]]:
-    """What `diagnose` answers to a flight, and [first take-off, last landing] s; without what only pages about it show."""
+    """Answer of `diagnose` to a flight, without the parts that only pages show, and [first take-off, last landing] s."""
     ready = prepare(flight)
     if ready.table is None:
         answer = diagnose(flight)
@@ -99,7 +88,7 @@ def run(
     progress: work.Progress | None = None,
     scheduler: str | None = None,
 ) -> Any:
-    """As `work.run`, of a plan whose flights are judged by their logs: the table with COLUMNS. Raises ConfigError."""
+    """`work.run` for a plan whose flights are diagnosed from their logs: the table with COLUMNS. Raises ConfigError."""
     return work.run(plan, flights, folder, jobs, progress, judge, COLUMNS, scheduler)
 
 
@@ -115,14 +104,14 @@ def summarise(rows: Any, name: str = "") -> dict[str, Any]:
     order = list(GROUPS)
     kinds = sorted({(order.index(f["group"]), f["kind"]) for f in flights})
     parts += [(order[k], kind, [f for f in flights if f["kind"] == kind]) for k, kind in kinds]
-    lines = [{"name": label, "group": group, **measures(mine)} for group, label, mine in parts if mine]
+    lines = [{"name": label, "group": group, **measures(part)} for group, label, part in parts if part]
     return {"name": name, "flights": len(flights), "lines": lines}
 
 
 def measures(flights: Sequence[dict]) -> dict[str, Any]:
-    """Of some flights: counts, shares and rates with 95 % intervals; None where there is nothing to count. accused: a healthy rotor is,
-    with certainty; hours: of flights without a fault, accused_h: accusations in them an hour; ended: lasting faults said to be over;
-    unanswered: logs that are inconclusive or refused."""
+    """Counts, shares and rates of some flights with 95 % intervals; None where there is nothing to count. accused: a healthy rotor is
+    accused with certainty; hours: of flights without a fault, accused_h: accusations in them per hour; ended: lasting faults reported as
+    over; unanswered: logs that are inconclusive or refused."""
     healthy = [f for f in flights if f["group"] == "healthy"]
     hours = sum(f["airborne_s"] or 0.0 for f in healthy) / 3600.0
     errors = [f["error"] for f in flights if f["error"] is not None]

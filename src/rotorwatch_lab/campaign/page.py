@@ -1,4 +1,4 @@
-"""A campaign as one self-contained page: what the summary says, drawn. Bokeh's scripts are inside the file."""
+"""A campaign's summary as one self-contained HTML page with Bokeh figures."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ def write(summary: dict[str, Any], path: str | os.PathLike) -> None:
     methods = summary["methods"]
     pictures = {"all|roc": _roc(methods), "all|delays": _delays(methods)}
     pictures |= {f"all|{name}": _errors(name, m["loss_error"]) for name, m in methods.items()}
-    for name, found in methods.items():
-        for kind, groups in found["curves"].items():
-            if found["roc"] and len(groups) > 1:  # not of a method without a statistic, nor of the only group
+    for name, results in methods.items():
+        for kind, groups in results["curves"].items():
+            if results["roc"] and len(groups) > 1:  # not of a method without a statistic, nor of the only group
                 pictures |= {f"{kind}|{name}|{what}": _groups(name, what, groups) for what in GROUPED}
     pictures = {key: figure for key, figure in pictures.items() if figure is not None}
     script, divs = components(pictures) if pictures else ("", {})
@@ -64,20 +64,20 @@ def write(summary: dict[str, Any], path: str | os.PathLike) -> None:
             for kind, keys in grouped.items()
             if keys
         ),
-        *(_table(name, found) for name, found in methods.items()),
+        *(_table(name, results) for name, results in methods.items()),
         script,
         "</html>",
     ]
     Path(path).write_text("\n".join(parts), encoding="utf-8")
 
 
-def _table(name: str, found: dict) -> str:
+def _table(name: str, results: dict) -> str:
     head = "".join(f"<th>{escape(text)}</th>" for text in ("", *COLUMNS.values()))
     body = "".join(
         f"<tr><td>{escape(label)}</td>"
         + "".join(f"<td>{escape(str(m[k]) if k == 'flights' else cell(k, m[k]))}</td>" for k in COLUMNS)
         + "</tr>"
-        for label, m in lines_of(found)
+        for label, m in lines_of(results)
     )
     return f"<h2>{escape(name)}</h2><table><tr>{head}</tr>{body}</table>"
 
@@ -104,18 +104,18 @@ def _line(p: Any, x: list, points: list[dict], key: str, colour: str, label: str
 def _groups(name: str, what: str, groups: dict) -> Any:
     """A line per group of one method's flights; None where no group has a point."""
     title, x, y = GROUPED[what]
-    p, some = _figure(f"{name}: {title}", what), False
+    p, drawn = _figure(f"{name}: {title}", what), False
     for colour, (label, curves) in zip(itertools.cycle(COLOURS), groups.items()):
         points = [q if x in q else {**q, x: (q["low"] * q["high"]) ** 0.5} for q in curves[what]]
         pairs = [(q[x], q[y]) for q in points if q[x] > 0.0]
         if pairs:
-            some = True
+            drawn = True
             p.line(*zip(*pairs, strict=True), color=colour, line_width=2, legend_label=label)
             p.scatter(*zip(*pairs, strict=True), color=colour, size=4, legend_label=label)
-    if some:
+    if drawn:
         p.legend.click_policy = "hide"
         p.legend.location = "top_left" if what == "delay_curve" else "bottom_right"
-    return p if some else None
+    return p if drawn else None
 
 
 def _roc(methods: dict) -> Any:
@@ -127,30 +127,30 @@ def _roc(methods: dict) -> Any:
     for colour, (name, m) in zip(itertools.cycle(COLOURS), methods.items()):
         points = [q for q in m["roc"] if q["false_alarms_h"] and q["false_alarms_h"]["value"] > 0 and q["detected_2s"]]
         x = [q["false_alarms_h"]["value"] for q in points]
-        rate, found = m["overall"]["false_alarms_h"], m["overall"]["detected"]
+        rate, detected = m["overall"]["false_alarms_h"], m["overall"]["detected"]
         if points:
             _line(p, x, points, "detected_2s", colour, name)
             _line(p, x, points, "detected_10s", colour, name, "dashed")
             at = [(here, q["detected_2s"]["value"]) for here, q in zip(x, points) if q["threshold"] == 0.0]
             p.scatter([a for a, _ in at], [b for _, b in at], marker="x", size=14, color=colour, line_width=3)
-        elif rate and found:
+        elif rate and detected:
             alarms = rate["value"] if rate["n"] else rate["high"]
-            p.scatter([alarms], [found["value"]], marker="diamond", size=12, color=colour, legend_label=name)
+            p.scatter([alarms], [detected["value"]], marker="diamond", size=12, color=colour, legend_label=name)
     p.legend.location, p.legend.click_policy = "bottom_right", "hide"
     return p
 
 
 def _delays(methods: dict) -> Any:
     """Share detected within a time, and the best that is possible."""
-    p, some = _figure("Detected within a time; dashed: the bound", "delay_curve"), False
+    p, drawn = _figure("Detected within a time; dashed: the bound", "delay_curve"), False
     for colour, (name, m) in zip(itertools.cycle(COLOURS), methods.items()):
         points = [q for q in m["delay_curve"] if q["detected"]]
-        some |= bool(points)
+        drawn |= bool(points)
         x = [q["delay_s"] for q in points]
         _line(p, x, points, "detected", colour, name)
         _line(p, x, points, "bound", GREY, "bound", "dashed")
     p.legend.location, p.legend.click_policy = "top_left", "hide"
-    return p if some else None
+    return p if drawn else None
 
 
 def _errors(name: str, errors: list[dict]) -> Any:

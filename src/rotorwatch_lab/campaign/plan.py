@@ -1,4 +1,4 @@
-"""Plans: what a campaign flies, as a TOML file. A scenario whose fields may be drawn, and the faults that may happen.
+"""Plans: the flights of a campaign as a TOML file. A scenario whose fields may be drawn at random, and the possible faults.
 
     name = "small multirotors"
     seed = 1
@@ -76,7 +76,7 @@ DECISION = {"sigmas": (0.5, 100.0), "least": (0.0, 1.0), "persist_s": (0.0, 60.0
 
 
 class Cell(NamedTuple):
-    """What the flights of one compiled batch share: frame, autopilot, logging profile."""
+    """Properties shared by the flights of a compiled batch: frame, autopilot, logging profile."""
 
     frame: str
     autopilot: str
@@ -90,12 +90,12 @@ class Decision(NamedTuple):
     tuning: tuple[tuple[str, float], ...] = ()
 
     def label(self, estimator: str) -> str:
-        """What the pair is called in the results."""
+        """Name of the pair in the results."""
         return f"{estimator}/{self.name}" if self.name else estimator
 
 
 class Kind(NamedTuple):
-    """One kind of flights. scenario: the plan's, with what is this kind's own; fault: its template, or None."""
+    """A kind of flights. scenario: the plan's, with this kind's own fields; fault: its template, or None."""
 
     name: str
     share: float
@@ -130,16 +130,16 @@ class Plan:
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """Estimators (published ones with each decision), then detectors: what each flight is judged by."""
+        """Estimators (published ones with each decision), then detectors."""
         pairs = ([name] if name == "default" else [d.label(name) for d in self.decisions] for name in self.estimators)
         return (*itertools.chain.from_iterable(pairs), *self.detectors)
 
     def cell(self, flight: int) -> Cell:
-        """Which cell a flight belongs to."""
+        """The cell of a flight."""
         return self.cells[flight % len(self.cells)]
 
     def kind(self, k: int) -> Kind | None:
-        """Of which kind flight k is, drawn by share from (seed, k); None in a plan without kinds."""
+        """The kind of flight k, drawn by share from (seed, k); None in a plan without kinds."""
         if not self.kinds:
             return None
         rng = np.random.default_rng([self.seed, k, 1])
@@ -164,7 +164,7 @@ class Plan:
         )
 
     def _fault(self, rng: np.random.Generator) -> Mapping[str, Any] | None:
-        """One of `faults` by share, or None for a flight without."""
+        """A fault drawn from `faults` by share, or None for a flight without."""
         if not self.faults or rng.random() < self.healthy:
             return None
         return self.faults[_by_share([f["share"] for f in self.faults], rng)]
@@ -236,36 +236,36 @@ def from_table(table: Mapping[str, Any], text: str = "") -> Plan:
 
 
 def _by_share(shares: Sequence[float], rng: np.random.Generator) -> int:
-    """Which of some is drawn, each by its share of all."""
+    """Index drawn at random, each with its share of the total."""
     weights = np.array(shares)
     return int(rng.choice(len(weights), p=weights / weights.sum()))
 
 
 def _kinds(rows: Any, template: dict[str, Any], cells: tuple[Cell, ...]) -> tuple[Kind, ...]:
-    """The kinds of flights, each tried out at the ends of what it draws itself."""
+    """The kinds of flights, each checked at the ends of its own draws."""
     if not isinstance(rows, (list, tuple)) or not all(isinstance(row, Mapping) for row in rows):
         raise ConfigError("kinds must be [[kinds]] tables.")
-    found: list[Kind] = []
+    kinds: list[Kind] = []
     for k, row in enumerate(rows):
         where = f"kinds[{k + 1}]"
         only_fields(row, KIND, f"{where}.")
-        name, own, fault = row.get("name"), row.get("scenario", {}), row.get("fault")
-        if not isinstance(name, str) or not name or name in (kind.name for kind in found):
+        name, changes, fault = row.get("name"), row.get("scenario", {}), row.get("fault")
+        if not isinstance(name, str) or not name or name in (kind.name for kind in kinds):
             raise ConfigError(f"{where}.name must be a text that no other kind has, not {brief(name)}.")
-        if not all(isinstance(part, Mapping) for part in (own, {} if fault is None else fault)):
+        if not all(isinstance(part, Mapping) for part in (changes, {} if fault is None else fault)):
             raise ConfigError(f"{where}.scenario and {where}.fault must be tables.")
         share = number(f"{where}.share", row.get("share", 1.0), 1e-6, 1e6)
         for path in (*SET_BY_CELL, *((key,) for key in (*FIXED, "faults"))):
-            part = own if len(path) == 1 else own.get(path[0], {})
+            part = changes if len(path) == 1 else changes.get(path[0], {})
             if isinstance(part, Mapping) and path[-1] in part:
                 raise ConfigError(f"{where}.scenario.{'.'.join(path)} is the same for all kinds; leave it out here.")
-        _check_draws(f"{where}.scenario", own)
+        _check_draws(f"{where}.scenario", changes)
         if fault is not None:
             if "share" in fault:
                 raise ConfigError(f"{where}.fault.share: the kind has it.")
             fault = _fault(f"{where}.fault", fault)
-        kind = Kind(name, share, _merged(template, own), fault)
-        for end in _ends(own):
+        kind = Kind(name, share, _merged(template, changes), fault)
+        for end in _ends(changes):
             try:
                 for cell in cells:
                     _flyable(_built("scenario.", _merged(next(_ends(template)), end), cell, []))
@@ -274,14 +274,14 @@ def _kinds(rows: Any, template: dict[str, Any], cells: tuple[Cell, ...]) -> tupl
         for end in _ends({key: v for key, v in (fault or {}).items() if key not in FAULT}) if fault else ():
             first = next(_ends(kind.scenario))
             _built("", first, cells[0], [{**end, "rotor": 1}], f"{where}.fault")
-        found.append(kind)
-    return tuple(found)
+        kinds.append(kind)
+    return tuple(kinds)
 
 
-def _merged(table: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+def _merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """The table with the fields of `own` in their places; a draw is one value."""
     both = dict(table)
-    for key, value in own.items():
+    for key, value in changes.items():
         deeper = all(isinstance(v, Mapping) and not _is_draw(v) for v in (value, both.get(key)))
         both[key] = _merged(both[key], value) if deeper else value
     return both
@@ -313,16 +313,16 @@ def _cells(template: Mapping[str, Any]) -> tuple[Cell, ...]:
 def _decisions(rows: Any) -> tuple[Decision, ...]:
     if not isinstance(rows, (list, tuple)) or not all(isinstance(row, Mapping) for row in rows):
         raise ConfigError("decisions must be [[decisions]] tables.")
-    found = []
+    decisions = []
     for k, row in enumerate(rows):
         where = f"decisions[{k + 1}]"
         only_fields(row, ("name", *DECISION), f"{where}.")
         name = row.get("name")
-        if not isinstance(name, str) or not name or name in (d.name for d in found):
+        if not isinstance(name, str) or not name or name in (d.name for d in decisions):
             raise ConfigError(f"{where}.name must be a text that no other decision has, not {brief(name)}.")
         numbers = ((key, number(f"{where}.{key}", row[key], *ends)) for key, ends in DECISION.items() if key in row)
-        found.append(Decision(name, tuple(numbers)))
-    return tuple(found) or (Decision(),)
+        decisions.append(Decision(name, tuple(numbers)))
+    return tuple(decisions) or (Decision(),)
 
 
 def _fault(where: str, row: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -343,21 +343,21 @@ def _try_out(template, cells, faults) -> tuple[int, ...]:
     counts = []
     base = next(_ends(template))
     for cell in cells:
-        made = _built("scenario.", base, cell, [])
-        _flyable(made)
-        counts.append(len(prepare.vehicle(made).rotors))
+        built = _built("scenario.", base, cell, [])
+        _flyable(built)
+        counts.append(len(prepare.vehicle(built).rotors))
     for k, fault in enumerate(faults):
         for end in _ends({key: v for key, v in fault.items() if key not in FAULT}):
             _built("", base, cells[0], [{**end, "rotor": 1}], f"faults[{k + 1}]")
     return tuple(counts)
 
 
-def _flyable(made: Scenario) -> None:
+def _flyable(built: Scenario) -> None:
     """Raise ConfigError where no vehicle can fly the scenario, or no log can be written of it."""
     try:
-        prepare.plan(made)
-        if made.autopilot == "ardupilot":
-            prepare.frame_numbers(made.airframe["frame"])
+        prepare.plan(built)
+        if built.autopilot == "ardupilot":
+            prepare.frame_numbers(built.airframe["frame"])
     except ConfigError as error:
         raise ConfigError(f"scenario.{error}") from error
 
@@ -421,19 +421,19 @@ def _check_draws(where: str, table: Mapping[str, Any]) -> None:
 
 def drawn(table: Mapping[str, Any], rng: np.random.Generator) -> dict[str, Any]:
     """The table with a value for every draw, in the order of the file."""
-    found: dict[str, Any] = {}
+    drawn_table: dict[str, Any] = {}
     for key, value in table.items():
         if _is_draw(value):
             kind, values = next(iter(value.items()))
             if kind == "choice":
-                found[key] = values[int(rng.integers(len(values)))]
+                drawn_table[key] = values[int(rng.integers(len(values)))]
             elif kind == "uniform":
-                found[key] = float(rng.uniform(*values))
+                drawn_table[key] = float(rng.uniform(*values))
             else:
-                found[key] = float(np.exp(rng.uniform(*np.log(values))))
+                drawn_table[key] = float(np.exp(rng.uniform(*np.log(values))))
         else:
-            found[key] = drawn(value, rng) if isinstance(value, Mapping) else value
-    return found
+            drawn_table[key] = drawn(value, rng) if isinstance(value, Mapping) else value
+    return drawn_table
 
 
 def _estimators(values: Any) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Public data sets of real flights, by path: an index says which logs are healthy, and which rotor broke when in the others.
+"""Public data sets of real flights, by path: an index lists the healthy logs, and the faulty rotor and onset of the others.
 
 An index is a TOML file. The first entry whose pattern fits a file's path below the data set's folder decides; files that no entry fits
 are no part of it:
@@ -49,7 +49,7 @@ NOT_JUDGED = {
 
 @dataclass(frozen=True)
 class Entry:
-    """One [[logs]] of an index. rotors: none for healthy flights; onset_s; loss: None where nobody knows."""
+    """An entry [[logs]] of an index. rotors: none for healthy flights; onset_s; loss: None where unknown."""
 
     path: str
     rotors: tuple[int, ...] = ()
@@ -57,7 +57,7 @@ class Entry:
     loss: float | None = None
 
     def fits(self, path: str) -> bool:
-        """Whether a path below the data set's folder (with /) fits the pattern, with or without .xz or .gz."""
+        """True if a path below the data set's folder (with /) matches the pattern, with or without .xz or .gz."""
         bare = path.removesuffix(".xz").removesuffix(".gz")
         return any(re.fullmatch(_expression(self.path), text) for text in (path, bare))
 
@@ -83,24 +83,24 @@ def read(name: str, path: str | os.PathLike) -> DataSet:
     folder, key = Path(path), name.lower()
     if not folder.is_dir():
         raise ConfigError(f"--data {name}={path}: there is no such folder.")
-    own = folder / OWN
-    if not own.is_file() and key not in shipped():
+    own_index = folder / OWN
+    if not own_index.is_file() and key not in shipped():
         known = NOT_JUDGED.get(
             key, f"rotorwatch knows {', '.join(shipped())}; for others put an index, {OWN}, into the folder."
         )
         raise ConfigError(f"--data {name}={path}: {known} docs/benchmark.md says how.")
-    index = own if own.is_file() else shipped()[key]
+    index = own_index if own_index.is_file() else shipped()[key]
     table, text = files.toml(index, "index")
     entries = _entries(table, index)
-    found = []
-    for file in sorted(p for p in folder.rglob("*") if p.is_file() and p != own):
+    matched = []
+    for file in sorted(p for p in folder.rglob("*") if p.is_file() and p != own_index):
         inside = file.relative_to(folder).as_posix()
         entry = next((e for e in entries if e.fits(inside)), None)
         if entry is not None:
-            found.append((file, entry))
-    if not found:
+            matched.append((file, entry))
+    if not matched:
         raise ConfigError(f"--data {name}={path}: no file in it fits a pattern of {index}.")
-    return DataSet(name, folder, text, tuple(found))
+    return DataSet(name, folder, text, tuple(matched))
 
 
 def judge(
@@ -124,13 +124,13 @@ def judge(
             rows += batch.rows(plan, flights, size, failed)
         except (
             RotorwatchError
-        ) as why:  # what concerns these flights, whatever the method: commands too slow to learn from, say
+        ) as why:  # concerns these flights, whatever the method: commands too slow to learn from, say
             left_out += [[data.logs[f.number][0].relative_to(data.folder).as_posix(), str(why)] for f in flights]
     return rows, sorted(left_out)
 
 
 def _flown(number: int, path: Path, entry: Entry) -> Flown:
-    """One log, looked at as `diagnose` does. Raises RotorwatchError where it cannot be judged."""
+    """A log, prepared as by `diagnose`. Raises RotorwatchError where it cannot be diagnosed."""
     ready = prepare(logs.read(path))
     n, table = len(ready.vehicle.rotors), ready.table
     if entry.rotors and max(entry.rotors) > n:
@@ -145,14 +145,14 @@ def _flown(number: int, path: Path, entry: Entry) -> Flown:
 
 
 def _scenario(flight: Flight, entry: Entry) -> Scenario:
-    """What score.py asks of a scenario, as far as a log has it."""
+    """The part of a scenario that score.py needs, as far as a log has it."""
     lasting = {"ramp_s": 0.0, "period_s": None, "end_s": None}
     fault = {"kind": "loss", "onset_s": entry.onset_s, "strength": entry.loss, **lasting}
-    made = SimpleNamespace(
+    scenario = SimpleNamespace(
         airframe={"frame": "log"}, autopilot=flight.autopilot, logging={"profile": "log"}, trajectory={"kind": "log"},
         wind={"speed_m_s": None}, faults=tuple({**fault, "rotor": rotor} for rotor in entry.rotors),
     )  # fmt: skip
-    return cast(Scenario, made)
+    return cast(Scenario, scenario)
 
 
 def _entries(table: Mapping[str, Any], index: Path) -> tuple[Entry, ...]:

@@ -88,9 +88,9 @@ def _ordered(entries: list[dict], limit: float) -> dict[str, list[dict]]:
     rows = [{**e, "over": _over(e["scores"], limit)} for e in entries if e["scores"] is not None]
     rows.sort(key=_key)
     for k, row in enumerate(rows):
-        best, mine = rows[0]["scores"], row["scores"]
-        paired = _paired(best, mine)
-        alike = paired["detected"]["p"] >= SURE if paired else _overlap(best["detected"], mine["detected"])
+        best, scores = rows[0]["scores"], row["scores"]
+        paired = _paired(best, scores)
+        alike = paired["detected"]["p"] >= SURE if paired else _overlap(best["detected"], scores["detected"])
         row |= {"place": k + 1, "paired": paired, "like_first": alike and not row["over"]}
     return {"rows": rows, "failed": [e for e in entries if e["scores"] is None and e["failed"]]}
 
@@ -105,25 +105,26 @@ def _paired(first: dict[str, Any], other: dict[str, Any]) -> dict[str, dict] | N
     }
 
 
-def _overlap(best: dict[str, float] | None, mine: dict[str, float] | None) -> bool:
-    return bool(best and mine and mine["high"] >= best["low"])
+def _overlap(best: dict[str, float] | None, other: dict[str, float] | None) -> bool:
+    return bool(best and other and other["high"] >= best["low"])
 
 
 def _over(scores: dict[str, Any], limit: float) -> bool:
-    """Whether a rule that has no threshold to set gives more false alarms than the plan allows."""
+    """True if a rule without an adjustable threshold exceeds the plan's false-alarm rate."""
     rate = scores["false_alarms_h"]
     return scores["threshold"] is None and rate is not None and rate["value"] > limit
 
 
 def _key(row: dict[str, Any]) -> tuple:
-    found, delay = row["scores"]["detected"], row["scores"]["delay_s"]
+    detected, delay = row["scores"]["detected"], row["scores"]["delay_s"]
     return (
-        row["over"], found is None, -found["value"] if found else 0.0, delay["value"] if delay else float("inf"), row["name"], row["file"],
+        row["over"], detected is None, -detected["value"] if detected else 0.0, delay["value"] if delay else float("inf"),
+        row["name"], row["file"],
     )  # fmt: skip
 
 
 def cell(key: str, value: dict[str, float] | None) -> str:
-    """A score with its interval, as people read it."""
+    """A score with its interval, as text."""
     if value is None or key in SHARES:
         return interval(value)
     return interval(value, DIGITS.get(key, 0 if value["value"] >= 10 else 1))
@@ -153,10 +154,10 @@ def _rule(ranked: dict[str, Any]) -> str:
     )
 
 
-def _logs(one: dict[str, Any]) -> str:
-    """How many logs of a data set there are, and how many could not be judged."""
-    missing = f", {len(one['left_out'])} of them left out" if one["left_out"] else ""
-    return f"{one['logs']} {'log' if one['logs'] == 1 else 'logs'}{missing}"
+def _logs(data_set: dict[str, Any]) -> str:
+    """Number of logs of a data set, and of those that could not be diagnosed."""
+    missing = f", {len(data_set['left_out'])} of them left out" if data_set["left_out"] else ""
+    return f"{data_set['logs']} {'log' if data_set['logs'] == 1 else 'logs'}{missing}"
 
 
 def table(ranked: dict[str, Any]) -> Any:
@@ -168,18 +169,18 @@ def table(ranked: dict[str, Any]) -> Any:
 
     several = len(ranked["machines"]) > 1
 
-    def part(title: str, found: dict[str, Any]) -> list[Any]:
+    def part(title: str, ranked_: dict[str, Any]) -> list[Any]:
         heads = ["", "method", "from", *COLUMNS.values(), *(["file"] if several else [])]
         rows = []
-        for row in found["rows"]:
+        for row in ranked_["rows"]:
             cells = [mark(row), row["name"], _from(row), *(cell(key, row["scores"].get(key)) for key in COLUMNS)]
             rows.append([Text(c) for c in [*cells, *([row["file"]] if several else [])]])
         shown: list[Any] = [Fitted(title, heads, rows, right=range(3, 3 + len(COLUMNS)), wide=(2,))]
-        return shown + [Text(f"{entry['name']}: {entry['failed']}") for entry in found["failed"]]
+        return shown + [Text(f"{entry['name']}: {entry['failed']}") for entry in ranked_["failed"]]
 
     parts = [*part(_title(ranked), ranked), Text(_rule(ranked), style="dim")]
-    for one in ranked["data"]:
-        parts += [Text(""), *part(f"Data set {one['name']}: {_logs(one)}", one)]
+    for data_set in ranked["data"]:
+        parts += [Text(""), *part(f"Data set {data_set['name']}: {_logs(data_set)}", data_set)]
     return Group(*parts)
 
 
@@ -191,9 +192,9 @@ def write_page(ranked: dict[str, Any], path: str | os.PathLike) -> None:
         f"<h1>{title}</h1><p>{escape(_rule(ranked))}</p>",
         _html(ranked),
     ]
-    for one in ranked["data"]:
-        parts.append(f"<h2>Data set {escape(one['name'])}</h2><p>{_logs(one)}.</p>{_html(one)}")
-        rows = "".join(f"<li>{escape(log)}: {escape(why)}</li>" for log, why in one["left_out"])
+    for data_set in ranked["data"]:
+        parts.append(f"<h2>Data set {escape(data_set['name'])}</h2><p>{_logs(data_set)}.</p>{_html(data_set)}")
+        rows = "".join(f"<li>{escape(log)}: {escape(why)}</li>" for log, why in data_set["left_out"])
         parts.append(f"<details><summary>Left out</summary><ul>{rows}</ul></details>" if rows else "")
     where = "".join(f"<li>{escape(name)}: {escape(machine)}</li>" for name, machine in ranked["machines"].items())
     plan = ranked["plan"]
@@ -204,18 +205,18 @@ def write_page(ranked: dict[str, Any], path: str | os.PathLike) -> None:
         unfinished.write_text("\n".join(parts), encoding="utf-8")
 
 
-def _html(found: dict[str, Any]) -> str:
+def _html(ranked: dict[str, Any]) -> str:
     heads = ("", "method", "from", "", *COLUMNS.values(), "file")
     head = "".join(f'<th class="l">{h}</th>' if k in (0, 1, 2, 3) else f"<th>{h}</th>" for k, h in enumerate(heads))
     body = []
-    for row in found["rows"]:
+    for row in ranked["rows"]:
         name = f'<b title="{escape(row["path"])}">{escape(row["name"])}</b><br><small>{escape(row["about"])}</small>'
         cells = "".join(f"<td>{escape(cell(key, row['scores'].get(key)))}</td>" for key in COLUMNS)
         body.append(
             f'<tr><td>{mark(row)}</td><td class="l">{name}</td><td class="l">{escape(_from(row))}</td>'
             f'<td class="l">{_bar(row["scores"]["detected"])}</td>{cells}<td>{escape(row["file"])}</td></tr>'
         )
-    failed = "".join(f"<li>{escape(e['name'])}: {escape(e['failed'])}</li>" for e in found["failed"])
+    failed = "".join(f"<li>{escape(e['name'])}: {escape(e['failed'])}</li>" for e in ranked["failed"])
     return f"<table><tr>{head}</tr>{''.join(body)}</table>" + (f"<p>Not run:</p><ul>{failed}</ul>" if failed else "")
 
 

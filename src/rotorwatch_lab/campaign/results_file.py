@@ -89,13 +89,13 @@ def check(results: Any, where: str) -> None:
     _fields(results["plan"], PLAN, where, "plan.")
     _plan(results["plan"], where)
     _methods(results["methods"], where, "methods")
-    for k, one in enumerate(results["data"]):
-        _fields(one, DATA, where, f"data[{k + 1}].")
-        _methods(one["methods"], where, f"data[{k + 1}].methods")
+    for k, data_set in enumerate(results["data"]):
+        _fields(data_set, DATA, where, f"data[{k + 1}].")
+        _methods(data_set["methods"], where, f"data[{k + 1}].methods")
 
 
 def _plan(plan: dict[str, Any], where: str) -> None:
-    """The plan is what its hash says, and a shipped plan's name and version stand for that plan alone."""
+    """Check the plan against its hash, and the name and version of a shipped plan against that plan."""
     if benchmark_plan.digest(plan["text"]) != plan["sha256"]:
         raise ConfigError(f"{where}: its plan was edited after the run (plan.text does not belong to plan.sha256).")
     known = benchmark_plan.shipped().get(plan["name"])
@@ -108,9 +108,9 @@ def _plan(plan: dict[str, Any], where: str) -> None:
             )
 
 
-def _methods(found: list, where: str, path: str) -> None:
+def _methods(entries: list, where: str, path: str) -> None:
     names = set()
-    for k, method in enumerate(found):
+    for k, method in enumerate(entries):
         here = f"{path}[{k + 1}]."
         _fields(method, METHOD, where, here)
         if method["name"] in names:

@@ -1,7 +1,7 @@
-"""What became of one flight under one method: a row of the campaign's table. `COLUMNS` names and explains all of them.
+"""Scores one flight under one method: a row of the campaign's table, with the columns `COLUMNS`.
 
-Healthy time is what was judged before the onset, or the whole flight without a fault. What is found, right and a false alarm, counting.py
-says. Losses are compared EVALUATE_S after the onset (or the end of the ramp).
+Healthy time is the evaluated time before the onset, or of the whole flight without a fault. counting.py defines found, right and false
+alarm. Losses are compared EVALUATE_S after the onset (or the end of the ramp).
 """
 
 from __future__ import annotations
@@ -27,10 +27,8 @@ RISE_S = (
     *(k / 10 for k in range(1, 10)), *(k / 10 for k in range(10, 20, 2)), *(k / 2 for k in range(4, 10)), *map(float, range(5, 11)),
 )  # fmt: skip
 """Windows in which the largest statistic is kept: from these follows the delay at any threshold."""
-NOTHING, CERTAIN = (
-    -50.0,
-    50.0,
-)  # statistic where there is none, and of what is announced without one, whatever the threshold
+# Statistic where there is none, and of an announcement without one, whatever the threshold.
+NOTHING, CERTAIN = -50.0, 50.0
 
 
 def read_columns(table: str) -> dict[str, tuple[str, str]]:
@@ -57,25 +55,25 @@ def clear_fault(scenario: Scenario) -> Mapping[str, Any] | None:
 
 
 def estimator(
-    name: str, f, kept, statistic: np.ndarray, raised: Sequence[Alarm], bound, plan: Plan, certain: Sequence[float] = ()
+    name: str, f, out, statistic: np.ndarray, raised: Sequence[Alarm], bound, plan: Plan, certain: Sequence[float] = ()
 ) -> dict[str, Any]:
-    """The row of an estimator. f: batch.Flown. kept: program.TickOutput. statistic (T,): above 0 it announces. bound:
+    """The row of an estimator. f: batch.Flown. out: program.TickOutput. statistic (T,): above 0 it announces. bound:
     (T,) information of `limits`, or None. certain: when something was announced without the statistic [s]."""
     row = _row(name, f, raised, bound, plan)
     if row["fault"]:
         k, rotor = _compared(f), f.scenario.faults[0]["rotor"] - 1
-        loss = float(kept.theta[k, rotor])
-        sd = float(events.sd_of(kept.theta[k, rotor], kept.theta_sd[k, rotor], f.vehicle.effectiveness()))
+        loss = float(out.theta[k, rotor])
+        sd = float(events.sd_of(out.theta[k, rotor], out.theta_sd[k, rotor], f.vehicle.effectiveness()))
         row |= {"estimate": loss, "lower": max(0.0, loss - 1.96 * sd), "upper": min(1.0, loss + 1.96 * sd)}
     row |= _peaks(f, statistic, row["onset_s"], certain)
     return row
 
 
 def answer(end: Conclusion) -> dict[str, str]:
-    """The columns of what `diagnose` answers to the whole flight."""
+    """Columns of the answer of `diagnose` to the whole flight."""
     named = () if end.main is None else end.events[end.main].explanations
-    who = {state.rotor for state in end.rotors if state.status not in ("healthy", "unobservable")}.union(*named)
-    return {"answer": end.verdict, "accused": "+".join(map(str, sorted(who)))}
+    accused = {state.rotor for state in end.rotors if state.status not in ("healthy", "unobservable")}.union(*named)
+    return {"answer": end.verdict, "accused": "+".join(map(str, sorted(accused)))}
 
 
 def rule(name: str, f, findings: Sequence[Mapping[str, Any]], bound, plan: Plan) -> dict[str, Any]:
@@ -89,7 +87,7 @@ def rule(name: str, f, findings: Sequence[Mapping[str, Any]], bound, plan: Plan)
 def _row(name: str, f, raised: Sequence[Alarm], bound, plan: Plan) -> dict[str, Any]:
     """All columns, empty (None) where they do not apply."""
     s, ticks = f.scenario, f.ticks
-    judged, dt = ticks.mode == JUDGE, ticks.dt
+    judging, dt = ticks.mode == JUDGE, ticks.dt
     row: dict[str, Any] = dict.fromkeys(COLUMNS)
     onset = min((fault["onset_s"] for fault in s.faults), default=np.inf)
     before = ticks.time < onset
@@ -98,7 +96,7 @@ def _row(name: str, f, raised: Sequence[Alarm], bound, plan: Plan) -> dict[str, 
         "rotors": f.theta.shape[1], "trajectory": s.trajectory["kind"], "wind_m_s": s.wind["speed_m_s"],
         "induced_m_s": prepare.induced_velocity(s) if isinstance(s, Scenario) else None,
         "fault": s.faults[0]["kind"] if s.faults else "", "clear": clear_fault(s) is not None, "crashed_s": f.lost_s,
-        "judged_s": float(judged.sum() * dt), "healthy_s": float((judged & before).sum() * dt),
+        "judged_s": float(judging.sum() * dt), "healthy_s": float((judging & before).sum() * dt),
     }  # fmt: skip
     broken = tuple(sorted(fault["rotor"] for fault in s.faults))
     counted = counting.count(raised, broken, onset)
@@ -120,7 +118,7 @@ def _row(name: str, f, raised: Sequence[Alarm], bound, plan: Plan) -> dict[str, 
 
 
 def _compared(f) -> int:
-    """The tick at which losses are compared: EVALUATE_S after the fault is all there, or the last judged one before."""
+    """The tick at which losses are compared: EVALUATE_S after the fault is fully developed, or the last evaluated one before."""
     fault = f.scenario.faults[0]
     when = fault["onset_s"] + fault["ramp_s"] + EVALUATE_S
     usable = np.flatnonzero((f.ticks.mode == JUDGE) & ~f.ticks.upset & (f.ticks.time <= when))
@@ -141,7 +139,7 @@ def _peaks(f, statistic: np.ndarray, onset: float | None, certain: Sequence[floa
     def peak(where):
         return float(max(lasting[where].max(initial=NOTHING), NOTHING))
 
-    found = {"peak": peak(time < start - EARLY_S)}
+    peaks = {"peak": peak(time < start - EARLY_S)}
     if onset is not None:
-        found |= {f"peak_{s:g}s": peak((time >= start - EARLY_S) & (time <= start + s)) for s in RISE_S}
-    return found
+        peaks |= {f"peak_{s:g}s": peak((time >= start - EARLY_S) & (time <= start + s)) for s in RISE_S}
+    return peaks

@@ -1,4 +1,4 @@
-"""Flights in which more than one thing happens: how well the state of all rotors is known between one change and the next.
+"""Flights with several events: how well the state of all rotors is known between one change and the next.
 
 Second faults, recoveries, changes of size, intermittent faults, pairs at once, both rotors of a coaxial arm; 10 to 50 % each, in winds to
 6 m/s. Every stretch between two changes that lasts SETTLE_S is one state. It is read at its end from the events of the whole flight:
@@ -51,7 +51,7 @@ class Sequences:
         self.cells = tuple(Cell(frame, "ardupilot", profile) for frame in FRAMES for profile in ("default", "fast"))
 
     def kind(self, k: int) -> str:
-        """What happens in flight k."""
+        """Kind of flight k."""
         return KINDS[(k // len(self.cells)) % len(KINDS)]
 
     def flight(self, k: int) -> Scenario:
@@ -96,8 +96,8 @@ def _faults(kind: str, frame: str, rng: np.random.Generator) -> list[dict[str, A
 
 @dataclass(frozen=True)
 class State:
-    """One stretch between changes: its end `at` [s], the weak rotors (1-based), the sets named then (the first is the answer), and what
-    that is worth."""
+    """An interval between changes: its end `at` [s], the weak rotors (1-based), the sets named then (the first is the answer), and the
+    outcome."""
 
     at: float
     truth: tuple[int, ...]
@@ -105,16 +105,16 @@ class State:
     outcome: str
 
 
-def named_at(found: Iterable[Event], at: float) -> tuple[tuple[int, ...], ...]:
+def named_at(events: Iterable[Event], at: float) -> tuple[tuple[int, ...], ...]:
     """The sets of rotors that may be weak at a time, the answer first, from events: one of each event's explanations holds."""
-    here = [e for e in found if e.onset_s <= at and (e.end_s is None or e.end_s > at)]
+    here = [e for e in events if e.onset_s <= at and (e.end_s is None or e.end_s > at)]
     sets = [((tuple(e.rotors)), *e.alternatives) for e in here]
     merged = dict.fromkeys(tuple(sorted(set(itertools.chain(*one)))) for one in itertools.product(*sets))
     return tuple(merged)
 
 
 def outcome(truth: Sequence[int], named: Sequence[Sequence[int]]) -> str:
-    """One of OUTCOMES."""
+    """Outcome of an answer, one of OUTCOMES."""
     want, sets = set(truth), [set(s) for s in named]
     if len(sets) == 1 and sets[0] == want:
         return "right"
@@ -126,7 +126,7 @@ def outcome(truth: Sequence[int], named: Sequence[Sequence[int]]) -> str:
 
 
 class Truth(Protocol):
-    """A flight of which all is known: its ticks, true losses theta (T, n) at them, and when it crashed, or None."""
+    """A flight with known truth: its ticks, true losses theta (T, n) at them, and the time of its crash, or None."""
 
     @property
     def ticks(self) -> Ticks: ...
@@ -136,22 +136,22 @@ class Truth(Protocol):
     def lost_s(self) -> float | None: ...
 
 
-def states(f: Truth, found: Sequence[Event]) -> list[State]:
+def states(f: Truth, events: Sequence[Event]) -> list[State]:
     """All states of a flight, up to its crash."""
-    time, judged = f.ticks.time, f.ticks.mode == JUDGE
+    time, judging = f.ticks.time, f.ticks.mode == JUDGE
     weak = f.theta > WEAK
     steps = (weak[1:] != weak[:-1]) | (np.abs(np.diff(f.theta, axis=0)) > 0.02)
     edges = [0, *(np.flatnonzero(steps.any(axis=1)) + 1), len(time)]
     answers = []
     for a, b in itertools.pairwise(edges):
-        here = np.flatnonzero(judged[a:b] & ~f.ticks.upset[a:b]) + a
+        here = np.flatnonzero(judging[a:b] & ~f.ticks.upset[a:b]) + a
         if f.lost_s is not None:
             here = here[time[here] < f.lost_s - 1.0]
         if len(here) * f.ticks.dt < SETTLE_S:
             continue
         at = float(time[here[-1]]) - MARGIN_S
         truth = tuple(int(i) + 1 for i in np.flatnonzero(weak[here[-1]]))
-        named = named_at(found, at)
+        named = named_at(events, at)
         answers.append(State(at, truth, named, outcome(truth, named)))
     return answers
 
@@ -171,13 +171,7 @@ def run(
     """
     if flights < 1:
         raise ConfigError(f"flights must be at least 1, not {flights}.")
-    plan = Sequences(seed)
-    cells = len(plan.cells)
-    parts = [
-        (seed, range(start, min(start + cells * WIDTH, flights), cells))
-        for cell in range(cells)
-        for start in range(cell, flights, cells * WIDTH)
-    ]
+    parts = [(seed, numbers) for numbers in tools.batches(flights, len(Sequences(seed).cells), WIDTH)]
     rows = tools.gathered(_part, parts, jobs, progress, "flying", scheduler, keep)
     rows.sort(key=lambda row: (row["flight"], row["at"]))
     return {"flights": flights, "seed": seed, "table": table(rows), "states": rows}
@@ -209,8 +203,8 @@ def judged(plan: Sequences, flown: Sequence[batch.Flown]) -> list[dict[str, Any]
     if not flown:
         return []
     rows = []
-    for f, done in zip(flown, batch.by_default(flown)):
-        end = judge(f.ready, done).end
+    for f, estimated in zip(flown, batch.by_default(flown)):
+        end = judge(f.ready, estimated).end
         accusing = [e for e in end.events if e.means.weakens]
         induced = induced_velocity(f.scenario)
         for s in states(f, accusing):
@@ -229,8 +223,8 @@ def table(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     groups += [("frame", f, [r for r in rows if r["frame"] == f]) for f in FRAMES]
     speeds = by_speed(np.array([r["induced_m_s"] for r in rows]), INDUCED_EDGES)
     groups += [("induced", s, [r for r, here in zip(rows, speeds) if here == s]) for s in sorted(set(speeds))]
-    for by, name, mine in groups:
-        if mine:
-            shares = {o: tools.share([r["outcome"] == o for r in mine]) for o in OUTCOMES}
-            lines.append({"by": by, "name": name, "states": len(mine), **shares})
+    for by, name, part in groups:
+        if part:
+            shares = {o: tools.share([r["outcome"] == o for r in part]) for o in OUTCOMES}
+            lines.append({"by": by, "name": name, "states": len(part), **shares})
     return lines

@@ -1,4 +1,4 @@
-"""A campaign's folder: which flights are done, and the table of all of them.
+"""A campaign's folder: finished parts, and the table of all flights.
 
     DIR/plan.toml           the plan, as it was
     DIR/campaign.json       version, width of batches and what steps the default estimator: what results depend on
@@ -54,7 +54,7 @@ def parquet() -> Any:
 
 
 class Folder:
-    """One campaign's results. columns: name -> (kind, meaning) of its table."""
+    """Results of a campaign. columns: name -> (kind, meaning) of its table."""
 
     def __init__(self, path: str | os.PathLike, columns: Mapping[str, tuple[str, str]] = COLUMNS):
         self.path, self.columns = Path(path), columns
@@ -87,7 +87,7 @@ class Folder:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Nobody else works in the folder meanwhile; the lock goes with the process. Raises ConfigError."""
+        """Hold an exclusive lock on the folder; it is released when the process ends. Raises ConfigError."""
         _make(self.path)
         with open(self.path / ".lock", "w") as file:
             try:
@@ -101,13 +101,13 @@ class Folder:
             yield
 
     def missing(self, flights: int, cells: int, width: int) -> list[Work]:
-        """What has to be done still for flights 0..flights-1, cells in turn."""
+        """The work that remains for flights 0..flights-1, cells in turn."""
         done: dict[tuple[int, int], int] = {}
         for path in self.parts.iterdir():
             if path.name.startswith("."):
                 path.unlink(missing_ok=True)  # begun and never finished
-            elif found := PART.fullmatch(path.name):
-                cell, batch, _, last = map(int, found.groups())
+            elif match := PART.fullmatch(path.name):
+                cell, batch, _, last = map(int, match.groups())
                 done[cell, batch] = max(done.get((cell, batch), 0), last)
         work = []
         for batch in range(-(-flights // (cells * width))):
@@ -119,7 +119,7 @@ class Folder:
         return work
 
     def write(self, work: Work, rows: Sequence[dict]) -> None:
-        """Keep a finished part."""
+        """Store a finished part."""
         pa = parquet()
         schema = pa.schema([(name, getattr(pa, _TYPES[kind])()) for name, (kind, _) in self.columns.items()])
         table = pa.Table.from_pylist(list(rows), schema=schema)
@@ -135,11 +135,11 @@ class Folder:
         paths = sorted(path for path in self.parts.glob("*.parquet") if PART.fullmatch(path.name))
         if not paths:
             raise ConfigError(f"{self.path} holds no finished part of a campaign.")
-        whole = pa.concat_tables([_part(path) for path in paths])
-        whole = whole.sort_by([("flight", "ascending"), ("method", "ascending")])
+        table = pa.concat_tables([_part(path) for path in paths])
+        table = table.sort_by([("flight", "ascending"), ("method", "ascending")])
         if flights is not None:
-            whole = whole.filter(pa.compute.less(whole["flight"], flights))
-        return whole
+            table = table.filter(pa.compute.less(table["flight"], flights))
+        return table
 
     def finish(self, table: Any, summary: dict) -> None:
         """Write the whole table and its summary."""
@@ -151,7 +151,7 @@ class Folder:
 
 
 def _make(folder: Path) -> None:
-    """Make a folder where there is none. Raises ConfigError."""
+    """Create a folder if it does not exist. Raises ConfigError."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -159,7 +159,7 @@ def _make(folder: Path) -> None:
 
 
 def _known(about: Path) -> dict[str, Any]:
-    """What campaign.json says. Raises ConfigError."""
+    """The contents of campaign.json. Raises ConfigError."""
     try:
         known = json.loads(about.read_bytes())
         return {

@@ -1,4 +1,4 @@
-"""From a campaign's table to what it shows: rates and shares with 95 % intervals, ROC and delay curves, loss errors, the limits.
+"""Statistics of a campaign's table: rates and shares with 95 % intervals, ROC and delay curves, loss errors, bounds.
 
 Missed detections are counted apart and never enter a delay or an error.
 """
@@ -37,17 +37,17 @@ def summarise(rows: Any, name: str = "") -> dict[str, Any]:
     columns = arrays(rows)
     methods = {}
     for method in sorted(set(columns["method"])):
-        mine = of_method(columns, method)
-        labels = _labels(mine)
+        part = of_method(columns, method)
+        labels = _labels(part)
         methods[method] = {
-            "overall": measures(mine),
-            "groups": {kind: _groups(mine, labels[kind], measures) for kind in labels},
-            "roc": _roc(mine), "delay_curve": _delay_curve(mine), "loss_error": _loss_error(mine),
-            "curves": {kind: _groups(mine, labels[kind], _curves) for kind in DRAWN},
+            "overall": measures(part),
+            "groups": {kind: _groups(part, labels[kind], measures) for kind in labels},
+            "roc": _roc(part), "delay_curve": _delay_curve(part), "loss_error": _loss_error(part),
+            "curves": {kind: _groups(part, labels[kind], _curves) for kind in DRAWN},
         }  # fmt: skip
-    one = columns["method"] == columns["method"][0]
-    hours = float(columns["healthy_s"][one].sum() / 3600.0)
-    return {"name": name, "flights": int(one.sum()), "healthy_h": hours, "methods": methods}
+    first = columns["method"] == columns["method"][0]
+    hours = float(columns["healthy_s"][first].sum() / 3600.0)
+    return {"name": name, "flights": int(first.sum()), "healthy_h": hours, "methods": methods}
 
 
 def arrays(rows: Any) -> dict[str, np.ndarray]:
@@ -61,7 +61,7 @@ def of_method(columns: dict[str, np.ndarray], method: str) -> dict[str, np.ndarr
 
 
 def at_rate(d: dict[str, np.ndarray], false_alarms_h: float, within_s: float = 10.0) -> dict[str, Any]:
-    """What a method finds when its threshold is set on healthy time: {"threshold", "false_alarms_h", "detected", "delay_s", "found"}.
+    """Performance of a method whose threshold is set on healthy time: {"threshold", "false_alarms_h", "detected", "delay_s", "found"}.
 
     The threshold [nats above the one in use] is the lowest at which at most `false_alarms_h` an hour are left, the first of each
     flight; a method without a statistic keeps its own (threshold None). detected: share of clear faults within `within_s` (one of
@@ -94,9 +94,9 @@ def at_rate(d: dict[str, np.ndarray], false_alarms_h: float, within_s: float = 1
     rng, shares, medians = np.random.default_rng(len(clear)), [], []
     for _ in range(RESAMPLES):
         again = found_in(rng.integers(len(clear), size=len(clear)))[1]
-        some = again[np.isfinite(again)]
+        finite = again[np.isfinite(again)]
         shares += [float(np.mean(np.isfinite(again)))] if again.size else []
-        medians += [float(np.median(some))] if some.size else []
+        medians += [float(np.median(finite))] if finite.size else []
     found = np.isfinite(delays)
     detected, hits = share(found), delays[found]
     assert detected is not None
@@ -120,7 +120,7 @@ def numbers(d: dict[str, np.ndarray], which: np.ndarray) -> list[int]:
 
 
 def mcnemar(first: Sequence[int], other: Sequence[int]) -> dict[str, Any]:
-    """Whether two methods differ in what they find in the same flights: {"only_first", "only_this", "p"}.
+    """McNemar's test of two methods on the same flights: {"only_first", "only_this", "p"}.
 
     first, other: the numbers of the flights in which each succeeds. Flights in which both or neither do say nothing. p: two-sided and
     exact, of the binomial distribution with 1/2 (McNemar, Psychometrika 12 (1947) 153).
@@ -137,13 +137,13 @@ def _threshold(peaks: np.ndarray, allowed: float) -> float:
 
 
 def measures(d: dict[str, np.ndarray]) -> dict[str, Any]:
-    """One line: numbers, or {"value", "low", "high", "n"} for what has an interval; None where it is not defined."""
+    """Measures of some flights: numbers, or {"value", "low", "high", "n"} for what has an interval; None where it is not defined."""
     faulty, clear = d["fault"] != "", d["clear"].astype(bool)
     hours = float(d["healthy_s"].sum() / 3600.0)
-    found = clear & (d["detected"] == True)  # noqa: E712 - None where there is no fault
-    delays = d["delay_s"][found].astype(float)
+    detected = clear & (d["detected"] == True)  # noqa: E712 - None where there is no fault
+    delays = d["delay_s"][detected].astype(float)
     error, sd = _errors(d)
-    both = found & np.isfinite(d["bound_delay_s"])
+    both = detected & np.isfinite(d["bound_delay_s"])
     inside = _announced(d)
     covered = (d["lower"] <= d["loss"]) & (d["loss"] <= d["upper"])
     return {
@@ -162,7 +162,7 @@ def measures(d: dict[str, np.ndarray]) -> dict[str, Any]:
 
 
 def _told(d: dict[str, np.ndarray]) -> np.ndarray:
-    """Flights of a method that answers to the whole flight."""
+    """Flights of a method with an answer to the whole flight."""
     return np.array([answer is not None for answer in d["answer"]], bool)
 
 
@@ -204,7 +204,7 @@ def size_errors(d: dict[str, np.ndarray]) -> dict[str, float]:
 
 
 def closer(first: Mapping[str, float], other: Mapping[str, float]) -> dict[str, Any]:
-    """Whose losses are closer to the truth, in the flights in which both announced one: {"flights", "first", "this", "p"}.
+    """Paired comparison of two methods' loss errors in the flights in which both announced a loss: {"flights", "first", "this", "p"}.
 
     first, other: `size_errors` of the two. first, this: their RMS errors over these flights, None where there are none. p: two-sided sign
     test, exact, on which of the two is closer.
@@ -240,18 +240,18 @@ def _labels(d: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def by_speed(speeds: np.ndarray, edges: Sequence[float]) -> np.ndarray:
-    """The name of the stretch between two edges in which each speed [m/s] lies; "unknown" where it is NaN."""
+    """Label of the interval between edges that holds each speed [m/s]; "unknown" where it is NaN."""
     names = [f"{a:g} to {b:g} m/s" if np.isfinite(b) else f"over {a:g} m/s" for a, b in itertools.pairwise(edges)]
     return np.where(np.isnan(speeds), "unknown", np.array(names, object)[np.digitize(speeds, edges[1:-1])])
 
 
 def _groups(d: dict[str, np.ndarray], labels: np.ndarray, count: Callable) -> dict[str, dict]:
-    """What `count` makes of the flights of each label."""
+    """Result of `count` for the flights of each label."""
     return {str(g): count({k: v[labels == g] for k, v in d.items()}) for g in sorted(set(labels))}
 
 
 def _curves(d: dict[str, np.ndarray]) -> dict[str, list[dict]]:
-    """ROC, delays and errors of some flights, as numbers without intervals: what a picture with many lines can show."""
+    """ROC, delays and errors of some flights, as numbers without intervals, for figures with many lines."""
     hours, clear = float(d["healthy_s"].sum() / 3600.0), d["clear"].astype(bool)
     roc: list[dict] = []
     if np.isfinite(d["peak"]).any() and hours > 0.0 and clear.any():
@@ -321,9 +321,9 @@ def column(values: list, kind: str) -> np.ndarray:
     """A column of score.COLUMNS as NumPy: numbers as floats with NaN for what is missing, else objects."""
     if kind in ("double", "int64"):
         return np.array([np.nan if v is None else v for v in values], float)
-    found = np.empty(len(values), object)
-    found[:] = values
-    return found
+    objects = np.empty(len(values), object)
+    objects[:] = values
+    return objects
 
 
 MEASURES = {
@@ -338,29 +338,29 @@ ERRORS = {
 }  # fmt: skip
 
 
-def lines_of(found: dict[str, Any]) -> list[tuple[str, dict]]:
+def lines_of(results: dict[str, Any]) -> list[tuple[str, dict]]:
     """(label, measures) of a method: over all flights, then of each group."""
-    groups = ((kind, name, m) for kind, named in found["groups"].items() for name, m in named.items())
-    return [("all", found["overall"]), *((f"{kind}: {name}", m) for kind, name, m in groups)]
+    groups = ((kind, name, m) for kind, named in results["groups"].items() for name, m in named.items())
+    return [("all", results["overall"]), *((f"{kind}: {name}", m) for kind, name, m in groups)]
 
 
 def markdown(summary: dict[str, Any]) -> str:
     """The summary as Markdown tables."""
     parts = [f"{summary['flights']} flights, {summary['healthy_h']:.1f} healthy hours judged."]
-    for method, found in summary["methods"].items():
-        rows = ([label, m["flights"], *(cell(key, m[key]) for key in MEASURES)] for label, m in lines_of(found))
+    for method, results in summary["methods"].items():
+        rows = ([label, m["flights"], *(cell(key, m[key]) for key in MEASURES)] for label, m in lines_of(results))
         parts.append(f"\n### {method}\n\n{table(['', 'flights', *MEASURES.values()], rows)}")
-        if any(point["rmse"] for point in found["loss_error"]):
+        if any(point["rmse"] for point in results["loss_error"]):
             rows = (
                 [f"{p['low']:g} to {p['high']:g}", p["faults"], *(cell(k, p[k]) for k in ERRORS)]
-                for p in found["loss_error"]
+                for p in results["loss_error"]
             )
             parts.append("\n" + table([f"{method}: loss", "faults", *ERRORS.values()], rows))
     return "\n".join(parts) + "\n"
 
 
 def cell(key: str, value: Any) -> str:
-    """A measure with its interval as people read it."""
+    """A measure with its interval, as text."""
     if key in ("detected", "answered", "right", "named", "coverage"):
         return interval(value)
     return interval(value, 3 if key in ("loss_rmse", "bias", "rmse", "bound_rmse") else 2)

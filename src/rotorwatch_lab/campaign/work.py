@@ -1,8 +1,5 @@
-"""Getting a campaign done: parts handed to processes or to a cluster one by one (`rotorwatch.base.many`), each written down here as soon as
-it is finished.
-
-Killing any of it at any moment loses at most the parts in the making; the same command goes on from there.
-"""
+"""Runs a campaign: parts go to processes or to a cluster one by one (`rotorwatch.base.many`), and each is written as soon as it is
+finished. An interruption loses at most the parts in progress; the same command resumes the campaign."""
 
 from __future__ import annotations
 
@@ -63,7 +60,7 @@ def run(
 
 
 def _processes(jobs: int | None = None) -> int:
-    """How many processes: `jobs`, else one per processor; never more than one on an accelerator, whose memory one takes."""
+    """Number of processes: `jobs`, else one per processor; one on an accelerator, whose memory a single process takes."""
     from rotorwatch.base.backend import jax
 
     return (jobs or many.processors()) if jax().default_backend() == "cpu" else 1

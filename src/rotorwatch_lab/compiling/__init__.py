@@ -1,4 +1,4 @@
-"""A published method run over a table: by JAX, or as machine code of this computer. Knows no method, no plant and no log.
+"""Runs a published method over a table, by JAX or as native code. Independent of methods, plants and logs.
 
 run.py     steps an estimator over the rows, compiled once
 native.py  the same by a C library, built once and kept

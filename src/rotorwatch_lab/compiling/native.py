@@ -26,12 +26,12 @@ import numpy as np
 from rotorwatch.base.compiling import shipped, toolchain
 from rotorwatch.base.compiling.toolchain import Unavailable
 
-# Vector code of this processor; errno and signals of floating point are nobody's business here, NaN and signed zeros are.
+# Vector code of this processor; errno and floating-point signals are not used, but NaN and signed zeros are.
 FLAGS = ("-std=c99", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
 # With glibc this macro only declares that sin, cos, exp and their like come as vectors too, and gcc then calls those in loops.
 VECTORS = ("-D__FAST_MATH__", "-lmvec")
 QUICK = ("-O1", "-ftree-loop-vectorize")  # for large programs
-# Characters of source above which only what pays is optimised: the default diagnoser builds in 10 s instead of 50 s, and runs as fast.
+# Source characters above which only the worthwhile parts are optimised: the default diagnoser builds in 10 s, not 50, and runs as fast.
 BIG = 80_000
 _SEALED: set[Path] = set()
 ROWS = 512  # run in one go, between two words on progress
@@ -40,12 +40,12 @@ TYPES = {"f": np.float64, "i": np.int32, "l": np.int64, "b": np.bool_}
 
 
 class Unmakeable(Unavailable):
-    """None came with the package, and JAX is not there to make any; the sentence says what to do."""
+    """No library came with the package and JAX is not installed to build one; the message says what to do."""
 
 
 class Layout(NamedTuple):
-    """What is needed to call a library without the program it was made of: structs as lists of (name, kind, shape), and what the
-    carry and the outputs look like (`described`)."""
+    """The calling interface of a library, without the program it was built from: structs as lists of (name, kind, shape), and the structure
+    of carry and outputs (`described`)."""
 
     name: str
     parameters: list
@@ -58,7 +58,7 @@ class Layout(NamedTuple):
 
 @contextmanager
 def _alone(goal: Path) -> Iterator[None]:
-    """No other process makes that file of the cache meanwhile; the lock goes with the process."""
+    """Hold an exclusive lock on that file of the cache, across processes; the lock is released when the process ends."""
     with open(goal.with_suffix(".lock"), "w") as file:
         try:
             import fcntl
@@ -86,25 +86,25 @@ def build(header: str, source: str, name: str) -> Path:
         toolchain.building(name)
         for suffix, text in ((".h", header), (".c", source)):
             (Path(scratch) / f"{name}{suffix}").write_text(text, encoding="utf-8")
-        made = Path(scratch) / "made.so"
+        compiled = Path(scratch) / "made.so"
         for extra in (vectors, ()):
-            command = [cc, *flags, *extra[:1], "-o", str(made), str(Path(scratch) / f"{name}.c"), *extra[1:], "-lm"]
-            done = subprocess.run(command, capture_output=True, text=True, check=False)
-            if not done.returncode or not extra:
+            command = [cc, *flags, *extra[:1], "-o", str(compiled), str(Path(scratch) / f"{name}.c"), *extra[1:], "-lm"]
+            result = subprocess.run(command, capture_output=True, text=True, check=False)
+            if not result.returncode or not extra:
                 break
-        if done.returncode:
-            message = (done.stderr.strip().splitlines() or ["nothing said"])[0]
+        if result.returncode:
+            message = (result.stderr.strip().splitlines() or ["nothing said"])[0]
             raise Unavailable(f"{cc} cannot build native code: {message}.")
-        # Whole or not at all, whoever else builds the same; between the two it is not sealed, and built again.
+        # Atomic, even if another process builds the same; between the two writes it is not sealed, and would be built again.
         part = goal.with_suffix(f".{os.getpid()}")
-        for place, data in ((goal, made.read_bytes()), (seal, shipped.digest_of(made).encode())):
+        for place, data in ((goal, compiled.read_bytes()), (seal, shipped.digest_of(compiled).encode())):
             part.write_bytes(data)
             os.replace(part, place)
     return goal
 
 
 def _sealed(library: Path) -> bool:
-    """Whether a library of the cache is there, whole, as it was built; found out once of each, as what is loaded stays loaded."""
+    """True if the cache holds the complete library as it was built; checked once per library, since a loaded one stays loaded."""
     if library not in _SEALED:
         recorded_digest = shipped.digest_of(library)
         try:
@@ -182,7 +182,7 @@ class Library:
 
 
 class Live:
-    """One estimator stepped as measurements come: everything is allocated beforehand. Not for two threads at once."""
+    """Steps one estimator as measurements arrive, without allocation. Not thread-safe."""
 
     def __init__(self, estimator):
         """estimator: any that can be exported. Raises Unavailable, or c99.lower.Refused."""
@@ -199,7 +199,7 @@ class Live:
         self._estimate = rebuilt(layout.out_like, views)
 
     def step(self, u, y, valid) -> Any:
-        """What the estimator's own `step` returns beside the carry; its arrays are overwritten by the next step."""
+        """The output of the estimator's `step`, without the carry; its arrays are overwritten by the next step."""
         self.u[:], self.y[:], self.valid[:] = u, y, valid
         self._library.step(*self._pointers)
         return self._estimate
@@ -304,7 +304,7 @@ def _named(function: Callable) -> str | None:
 
 
 class _Example:
-    """Parameters that stand for all of their names, shapes and types: equal where those are."""
+    """Parameters that represent all others with the same names, shapes and types."""
 
     def __init__(self, values: Any):
         self.values, self._shapes = values, json.dumps([described(values), _shapes(values)])
@@ -322,7 +322,7 @@ def _shapes(parameters) -> list[tuple[tuple[int, ...], str]]:
 
 @functools.lru_cache(maxsize=32)
 def _nameless(build_estimator: Callable, select: Callable, example: _Example, sizes: tuple[int, int]):
-    """The library of functions that are known in this process only, or why it cannot be C: traced once, whatever the parameters' values."""
+    """The library of functions known in this process only, or the reason why they cannot become C: traced once for all parameter values."""
     from rotorwatch_lab.compiling.c99.lower import Refused
 
     try:

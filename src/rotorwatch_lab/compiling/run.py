@@ -29,8 +29,8 @@ def chosen(backend: str | None, usual: str) -> str:
 
 
 def engine() -> str:
-    """What steps many of them: "native" code, one by one, on a processor with a C compiler; else "jax", side by side.
-    $ROTORWATCH_BACKEND=jax says so, too. Results of the two differ in their last digits."""
+    """The default backend for many flights: "native" C code on a processor with a C compiler, one flight after the other; else, or with
+    $ROTORWATCH_BACKEND=jax, "jax", side by side. Results of the two differ in their last digits."""
     if load_jax().default_backend() != "cpu" or chosen(None, "auto") == "jax":
         return "jax"
     try:

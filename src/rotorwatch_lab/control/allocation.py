@@ -25,6 +25,7 @@ Each is solved exactly: `box`, and for candidates, whose rows are too many for i
 
 from __future__ import annotations
 
+from collections import namedtuple
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,15 +47,9 @@ GRANTED = 1e-3  # of a channel's authority: a smaller error is none
 OK, HELD = 0, 1
 
 
-class Belief(NamedTuple):
-    """What is known of each rotor's effectiveness, all in [0, 1]. mean, lower, upper (n,); candidates (k, n) with weights (k,), which
-    need not add up to 1. `believed` fills in what is not given."""
-
-    mean: Array
-    lower: Array
-    upper: Array
-    candidates: Array
-    weights: Array
+class Belief(namedtuple("Belief", "mean lower upper candidates weights")):
+    """Belief about each rotor's effectiveness, all in [0, 1]. mean, lower, upper (n,); candidates (k, n) with weights (k,), not necessarily
+    of sum 1. `believed` fills in defaults."""
 
 
 class Held(NamedTuple):
@@ -63,18 +58,11 @@ class Held(NamedTuple):
     u: Array
 
 
-class Allocation(NamedTuple):
+class Allocation(namedtuple("Allocation", "u wrench error worst granted status")):
     """u (n,): commands, shares of full thrust. wrench (4,): what they should give, by the mean effectiveness, in the units of B.
     error (4,): demand minus that. worst (4,): the largest |error| of each channel, whatever lies between lower and upper. granted (4,):
     1.0 where the error is nothing, else 0.0 (integrators stop). status: 0, or 1 where demand or belief were no numbers and the last
     commands stay."""
-
-    u: Array
-    wrench: Array
-    error: Array
-    worst: Array
-    granted: Array
-    status: Array
 
 
 def effectiveness(x, y, spin, thrust_max, drag_ratio) -> np.ndarray:
@@ -159,9 +147,11 @@ class Allocator:
         wrench = self.B @ (mean * u)
         error = demand - wrench
         # Linear in each effectiveness: the ends are where a channel is furthest off.
-        more, less = (upper - mean) * u, (mean - lower) * u
+        surplus, deficit = (upper - mean) * u, (mean - lower) * u
         up, down = np.maximum(self.B, 0.0), np.maximum(-self.B, 0.0)
-        worst = jnp.maximum(jnp.abs(error - up @ more - down @ less), jnp.abs(error + up @ less + down @ more))
+        worst = jnp.maximum(
+            jnp.abs(error - up @ surplus - down @ deficit), jnp.abs(error + up @ deficit + down @ surplus)
+        )
         granted = (jnp.abs(error) <= GRANTED * self.size) & usable
         status = jnp.where(usable, OK, HELD).astype(jnp.int32)
         return Held(u), Allocation(u, wrench, error, worst, granted.astype(float), status), turns
@@ -178,7 +168,7 @@ class Allocator:
         return box.unbounded(A, b, jnp.zeros(self.n), jnp.full(self.n, self.eps))
 
     def _wish(self, A, b):
-        """u0."""
+        """The reference command u0."""
         return jnp.clip(self._free(A, b), 0.0, 1.0)
 
     def _between(self, b, candidates, weights, mean):

@@ -106,7 +106,7 @@ def _factor(G):
 
 
 def _solve_small(factor, right):
-    """(I + G)^-1 right, with what `_factor` says of G."""
+    """(I + G)^-1 right, from the factor of `_factor`."""
     L, scale = factor
     m, x = len(scale), []
     for i in range(m):

@@ -23,6 +23,7 @@ problem of auxiliary signals (Campbell and Nikoukhah, Auxiliary Signal Design fo
 
 from __future__ import annotations
 
+from collections import namedtuple
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -50,20 +51,14 @@ STEP_S = 0.005
 SIGNS = np.array([[1.0, 1.0], [1.0, -1.0]])
 
 
-class Signal(NamedTuple):
+class Signal(namedtuple("Signal", "first second period start length")):
     """An excitation. first, second (n,): commands, shares of full thrust, of the wave with `period` [s] and of the one with two thirds of
     it; start, length [s]."""
 
-    first: Array
-    second: Array
-    period: Array
-    start: Array
-    length: Array
-
 
 class Limits(NamedTuple):
-    """What an excitation may do. tilt [rad]: the largest turn of the vehicle under any candidate; amplitude: the largest change of a
-    command, share of full thrust; least, most: the commands' limits."""
+    """Limits of an excitation. tilt [rad]: largest turn of the vehicle under any candidate; amplitude: largest change of a command, share
+    of full thrust; least, most: command limits."""
 
     tilt: float = float(np.radians(1.0))
     amplitude: float = 0.2
@@ -72,9 +67,9 @@ class Limits(NamedTuple):
 
 
 class Design(NamedTuple):
-    """signal: the excitation, from 0 s on. information (m,): of each pair of candidates at its end; pairs (m, 2): their places; course
-    (T,): the smallest information up to each tick; needed: what it takes. tilt (k,) [rad]: largest turn under each candidate; heave (k,)
-    [m]: largest change of height. bound: what keeps it from being larger, "attitude", "commands" or "amplitude"."""
+    """An excitation and its expected effect. signal: from 0 s on. information (m,): at its end, for each pair of candidates pairs (m, 2);
+    course (T,): smallest information up to each tick; needed: information required. tilt (k,) [rad], heave (k,) [m]: largest turn and
+    change of height under each candidate. bound: active limit, "attitude", "commands" or "amplitude"."""
 
     signal: Signal
     information: np.ndarray
@@ -189,17 +184,17 @@ def design(
     turned = np.stack([B[:3] @ (theta[:, None] * N) / unit / gain[:, None] for theta in thetas])  # rad/s^2 per share
     ticks = max(2, round(longest / dt))
     whiten = _whitener(noise, ticks, dt)
-    found: list[Design] = []
+    designs: list[Design] = []
     for period in PERIODS:
         if period < TICKS * FASTER * dt or 2.0 * period > longest:
             continue
         reach = _turn(period)
         typical = min(longest, max(2.0, 2.0 * period))
         D = _directions(seen, _kernel(whiten, period, typical, dt, lag, ticks), turned / limits.tilt, reach, N, room)
-        made = _whole(N @ D, period, longest, length_s, dt, lag, whiten, seen, D, enough)
-        if made is None:
+        candidate = _whole(N @ D, period, longest, length_s, dt, lag, whiten, seen, D, enough)
+        if candidate is None:
             continue
-        signal, found_information = made
+        signal, found_information = candidate
         tilt = np.stack([np.linalg.norm(turned @ D @ (reach * signs), axis=1) for signs in SIGNS]).max(axis=0)
         lift = G0 / n / unit * (thetas * B[3]) @ N @ D
         heave = np.abs(lift) @ reach
@@ -207,14 +202,14 @@ def design(
         bound = "attitude" if tilt.max() > 0.98 * limits.tilt else "commands"
         bound = "amplitude" if bound == "commands" and amplitude.max() > 0.98 * limits.amplitude else bound
         course = found_information.min(axis=1)
-        found.append(Design(signal, found_information[-1], pairs, course, enough, tilt, heave, bound))
-    if not found:
+        designs.append(Design(signal, found_information[-1], pairs, course, enough, tilt, heave, bound))
+    if not designs:
         raise ConfigError(f"An excitation takes at least {2.0 * max(TICKS * dt, PERIODS[0]):.1f} s; allow more time.")
     if length_s is not None:
-        return max(found, key=lambda d: d.information.min())
-    done = [d for d in found if d.information.min() >= enough]
-    if not done:
-        best = max(found, key=lambda d: d.information.min())
+        return max(designs, key=lambda d: d.information.min())
+    sufficient = [d for d in designs if d.information.min() >= enough]
+    if not sufficient:
+        best = max(designs, key=lambda d: d.information.min())
         least = float(best.information.min())
         factor = np.sqrt(enough / max(least, 1e-12))
         what = {
@@ -226,7 +221,7 @@ def design(
             f"Within {what} {longest:.3g} s do not tell these candidates apart: the information is {least:.3g} of {enough:.0f}, and an "
             f"excitation {factor:.2g} times as large would do."
         )
-    return min(done, key=lambda d: (float(d.signal.length), -d.information.min()))
+    return min(sufficient, key=lambda d: (float(d.signal.length), -d.information.min()))
 
 
 def _why_blind(thetas, N, pair) -> str:
@@ -236,10 +231,10 @@ def _why_blind(thetas, N, pair) -> str:
         return f"The candidates {one} and {other} have the same losses: there is nothing to tell apart."
     still = [k for k in differing if np.linalg.norm(N[k]) < 1e-6]
     if still:
-        who = ", ".join(str(k + 1) for k in still)
+        rotors = ", ".join(str(k + 1) for k in still)
         return (
-            f"The null space cannot tell {one} from {other}: no command that leaves the vehicle unmoved uses rotor {who}, whose thrust or "
-            "moment no others can make up for."
+            f"The null space cannot tell {one} from {other}: no command that leaves the vehicle unmoved uses rotor {rotors}, whose thrust "
+            "or moment no others can make up for."
         )
     return (
         f"The null space cannot tell {one} from {other}: their losses differ in a thrust and moment only, which hover shows, and answer "
@@ -358,6 +353,6 @@ def _whole(directions, period, longest, length_s, dt, lag, whiten, seen, D, enou
             high = middle
         else:
             low = middle + 1
-    made = information_by(lengths[low])
+    information = information_by(lengths[low])
     signal = Signal(directions[:, 0], directions[:, 1], np.array(period), np.array(0.0), np.array(float(lengths[low])))
-    return signal, made
+    return signal, information

@@ -75,7 +75,7 @@ def moments(airframe: Airframe, e, u, omega, numpy: Any = np):
 
 
 def _some(airframe: Airframe, rotors) -> Airframe:
-    """The airframe with only these rotors."""
+    """The airframe reduced to these rotors."""
     return airframe._replace(**{name: getattr(airframe, name)[rotors] for name in ("x", "y", "spin", "thrust_max")})
 
 
@@ -122,26 +122,26 @@ def relaxed_hover(airframe: Airframe, effectiveness) -> Hover | None:
     lost_moment = lost_moment / max(float(np.linalg.norm(lost_moment)), 1e-9)
     # The yaw moment of the rotors that are left turns it.
     way = float(np.sign(np.sum(airframe.spin[alive])) or 1.0)
-    best, found, same = np.inf, None, 0
+    best, best_z, same = np.inf, None, 0
     for rate in STARTS:
         for side in (0.3, -0.3) if rate else (0.0,):
             if same:  # found twice
                 break
             start = np.r_[np.full(k, level), np.r_[side * lost_moment, way] * rate / RATE_UNIT]
-            done = minimize(
+            result = minimize(
                 lambda z: tuple(np.asarray(part) for part in cost(z)), start, jac=True, method="SLSQP", bounds=limits,
                 constraints=constraint, options={"maxiter": ITERATIONS, "ftol": 1e-12},
             )  # fmt: skip
-            omega = done.x[-3:] * RATE_UNIT
-            balanced = np.abs(constraint["fun"](done.x)).max() < BALANCED and np.linalg.norm(omega) <= RATE_MOST
-            same += balanced and abs(done.fun - best) < 1e-6
-            if balanced and done.fun < best - 1e-9:
+            omega = result.x[-3:] * RATE_UNIT
+            balanced = np.abs(constraint["fun"](result.x)).max() < BALANCED and np.linalg.norm(omega) <= RATE_MOST
+            same += balanced and abs(result.fun - best) < 1e-6
+            if balanced and result.fun < best - 1e-9:
                 u, length = np.zeros(len(e)), float(np.linalg.norm(omega))
-                u[alive] = done.x[:-3]
+                u[alive] = result.x[:-3]
                 turns = length > 10.0 * REST
                 down = omega / length * (1.0 if omega[2] >= 0 else -1.0) if turns else np.array([0.0, 0.0, 1.0])
-                best, found = done.fun, Hover(u, omega, down, e)
-    return found
+                best, best_z = result.fun, Hover(u, omega, down, e)
+    return best_z
 
 
 class Gains(NamedTuple):

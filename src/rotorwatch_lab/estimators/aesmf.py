@@ -65,9 +65,8 @@ def gradient(cutting: Cutting, mu: float):
     Phi, H, e, P, R, amplify = cutting
     S = product(product(H, P), H.T)
     rho = ellipsoid.batch_share(S, R)
-    columns = jnp.concatenate(
-        [H, product(H, Phi)], axis=1
-    )  # noise of this step, and of the one before as the source counts it
+    # Noise of this step, and of the one before as the source counts it.
+    columns = jnp.concatenate([H, product(H, Phi)], axis=1)
     W = S / (1 - rho) + R / rho
     solved = solve(symmetric(W), jnp.concatenate([columns, e[:, None]], axis=1))
     delta = 1.0 - e @ solved[:, -1]

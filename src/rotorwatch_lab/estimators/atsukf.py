@@ -11,6 +11,7 @@ way twice speak of a loss that moves, not of noise; and losses kept in [0, 1]. d
 
 from __future__ import annotations
 
+from collections import namedtuple
 from typing import NamedTuple
 
 from rotorwatch.base import checks
@@ -19,18 +20,11 @@ from rotorwatch.core import Array, Estimate
 from rotorwatch_lab.maths import two_stage, unscented
 
 
-class Window(NamedTuple):
+class Window(namedtuple("Window", "rows leaving total lap next full")):
     """Sums over the last M rows, kept by adding what comes and taking away what leaves. rows (M, 2 n_y + 1): squared
     innovations, whether valid, and product with the innovations before. leaving: the row that is overwritten next, read in
     advance, so that compiled code need not copy the rows. total: sum of all rows. lap: of those since row 0 was
     last written; it becomes the total once a lap, so that rounding does not pile up. next: row to write. full: bool."""
-
-    rows: Array
-    leaving: Array
-    total: Array
-    lap: Array
-    next: Array
-    full: Array
 
 
 class Carry(NamedTuple):
@@ -52,9 +46,10 @@ class ATSUKF(unscented.Unscented):
         self, system, dt, *, theta_walk=1e-3, theta_var=1e-2, window_s=1.5, threshold=1.0, whiteness=None, clip=False,
         alpha=0.1, beta=2.0, kappa=0.0,
     ):  # fmt: skip
-        """As `unscented.Unscented`. window_s: length of the window [s], the paper's M = 150 steps of 10 ms; two steps of dt at least.
-        threshold: how many times the predicted size counts as too large (the paper's K). whiteness: widen only when the innovations'
-        lag-1 correlation in the window exceeds this (0.2 is a good value; None: no gate, as in the paper). Raises ConfigError."""
+        """Arguments of `unscented.Unscented`, and: window_s: length of the window [s], the paper's M = 150 steps of 10 ms; two steps of dt
+        at least. threshold: ratio to the predicted size that counts as too large (the paper's K). whiteness: widen only when the
+        innovations' lag-1 correlation in the window exceeds this (0.2 is a good value; None: no gate, as in the paper). Raises ConfigError.
+        """
         shared = {"theta_walk": theta_walk, "theta_var": theta_var, "clip": clip}
         super().__init__(system, dt, alpha=alpha, beta=beta, kappa=kappa, **shared)
         self.M = max(2, round(checks.positive("window_s", window_s) / dt))
@@ -70,7 +65,7 @@ class ATSUKF(unscented.Unscented):
         return Carry(two_stage.initial(self.system, self.theta_var), window, jnp.zeros(n_y), jnp.ones(()))
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
-        """One time step; arguments as in `core.Estimator`."""
+        """Predict over dt with input u (n_u,), then update with y (n_y,) where valid."""
         dt = self.dt if dt is None else dt
         Q_theta = dt * self.theta_walk
         p = two_stage.predict(self.system, self.weights, carry.state, Q_theta, u, y, valid, dt)
@@ -98,7 +93,7 @@ class ATSUKF(unscented.Unscented):
         )
 
     def _factor(self, p: two_stage.Prediction, window: Window, Q_theta: Array, valid: Array) -> Array:
-        """delta, 1 when nothing calls for more."""
+        """The factor delta on Q_theta; 1 when the innovations do not call for more."""
         n_y = self.system.n_y
         squares, count = window.total[:n_y], window.total[n_y : 2 * n_y]
         seen = jnp.where(valid, squares / jnp.maximum(count - 1.0, 1.0), 0.0).sum()
@@ -109,9 +104,8 @@ class ATSUKF(unscented.Unscented):
         noise, known = trace(jnp.diagonal(p.P_yy)), trace(((p.H @ p.P_theta_before) * p.H).sum(axis=1))
         walk = trace(((p.H @ Q_theta) * p.H).sum(axis=1))
         expected = noise + known + walk
-        observable = (
-            walk > 1e-15 * expected
-        )  # else no loss shows in the innovations: before the first coupling, or with motors off
+        # Else no loss shows in the innovations: before the first coupling, or with motors off.
+        observable = walk > 1e-15 * expected
         wide = (p.e @ p.e > self.threshold * expected) & window.full & observable
         if self.whiteness is not None:
             wide = wide & (window.total[-1] > self.whiteness * squares.sum())

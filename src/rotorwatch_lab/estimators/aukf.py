@@ -31,8 +31,8 @@ class AUKF(unscented.Unscented):
     def __init__(
         self, system, dt, *, theta_walk=1e-3, theta_var=1e-2, eta=0.5, window_s=1.0, alpha=1.0, beta=2.0, kappa=0.0
     ):
-        """As `unscented.Unscented`, the losses' walk before adaptation. eta: rate of adaptation [1/s]; window_s: measured time over
-        which innovations are averaged [s]. Raises ConfigError."""
+        """Arguments of `unscented.Unscented`, and: eta: rate of adaptation [1/s]; window_s: measured time over which innovations are
+        averaged [s]. Raises ConfigError."""
         super().__init__(system, dt, theta_walk=theta_walk, theta_var=theta_var, alpha=alpha, beta=beta, kappa=kappa)
         self.adaptation = mit_rule.adaptation(eta, window_s, dt)
 
@@ -42,7 +42,7 @@ class AUKF(unscented.Unscented):
         return Carry(z, P, mit_rule.init(P.shape[0], self.system.n_y, self.adaptation))
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
-        """One time step; arguments as in `core.Estimator`."""
+        """Predict over dt with input u (n_u,), then update with y (n_y,) where valid."""
         system, dt = self.system, self.dt if dt is None else dt
         noise = mit_rule.scaled(jax.scipy.linalg.block_diag(system.Q(dt), dt * self.theta_walk), carry.mit)
         z, P, out, middle = unscented.joint_step(system, self.weights, carry.z, carry.P, noise, u, y, valid, dt)

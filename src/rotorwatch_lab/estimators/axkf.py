@@ -1,4 +1,4 @@
-"""Adaptive exogenous Kalman filter: an observer says where to linearise, Zhang's filter estimates state and losses there.
+"""Adaptive exogenous Kalman filter: Zhang's filter, linearised about the state of a separate observer.
 
     1. z+ = f(z, u, theta) + L (y(k) - h(z, u, theta))                             the observer, with the measurement of step k
     2. x- = f(z, u, theta) + F (x - z),   F, Phi at (z, theta)                     the filter, linearised at z

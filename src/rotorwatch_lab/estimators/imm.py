@@ -18,6 +18,7 @@ Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, sect
 
 from __future__ import annotations
 
+from collections import namedtuple
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,12 +29,8 @@ from rotorwatch.core import Array, Estimate
 from rotorwatch_lab.maths import linearise, plant
 
 
-class Bank(NamedTuple):
+class Bank(namedtuple("Bank", "s P probability")):
     """s (M, n_x + 1) and P (M, n_x + 1, n_x + 1): state and loss of each mode. probability (M,): of each mode."""
-
-    s: Array
-    P: Array
-    probability: Array
 
 
 class Output(NamedTuple):
@@ -44,14 +41,8 @@ class Output(NamedTuple):
     loss: Array
 
 
-class Updated(NamedTuple):
-    """One mode after a step: s, P as in Bank; e (n_y,) and S (n_y, n_y): innovation and its covariance; fit: log Lambda."""
-
-    s: Array
-    P: Array
-    e: Array
-    S: Array
-    fit: Array
+class Updated(namedtuple("Updated", "s P e S fit")):
+    """Posterior of one mode: s, P as in Bank; e (n_y,) and S (n_y, n_y): innovation and its covariance; fit: log Lambda."""
 
 
 class _Along:
@@ -68,7 +59,7 @@ class _Along:
 
 
 class IMM:
-    """Interacting multiple model on any plant that can be differentiated; `Output.probability` says how probable each mode is."""
+    """Interacting multiple model on any plant that can be differentiated; `Output.probability` holds the probability of each mode."""
 
     name = "imm"
     not_kalman = "it assumes that one rotor at a time is weak, and weighs one filter for each by how well they predict"
@@ -117,16 +108,16 @@ class IMM:
         n, modes = self.system.n_x, len(self.directions)
         predicted = carry.probability @ p
         weight = (p * carry.probability[:, None] / predicted).T  # row i: of the modes j that mode i comes from
-        own = np.eye(modes)
+        same_mode = np.eye(modes)
 
-        def enter(w, own, theta_var):
-            keep = jnp.concatenate([jnp.ones((modes, n)), own[:, None]], axis=1)
+        def enter(w, same_mode, theta_var):
+            keep = jnp.concatenate([jnp.ones((modes, n)), same_mode[:, None]], axis=1)
             fresh = jnp.zeros((n + 1, n + 1)).at[n, n].set(theta_var)
-            P = keep[:, :, None] * carry.P * keep[:, None, :] + (1.0 - own)[:, None, None] * fresh
+            P = keep[:, :, None] * carry.P * keep[:, None, :] + (1.0 - same_mode)[:, None, None] * fresh
             return moments(w, keep * carry.s, P)
 
         fresh = jnp.where(self.faulty, self.theta_var, 0.0)
-        s, P = jax.vmap(enter)(weight, jnp.asarray(own), fresh)
+        s, P = jax.vmap(enter)(weight, jnp.asarray(same_mode), fresh)
         return s, P, predicted
 
 
@@ -143,14 +134,14 @@ def directions(system: Any, common: bool) -> np.ndarray:
 def filtered(
     system: Any, d: Array, s: Array, P: Array, walk: Array, u: Array, y: Array, valid: Array, dt: Array
 ) -> Updated:
-    """One step of every mode's filter from s (M, n_x + 1) and P. d (M, n_theta); walk: variance that a loss gains per second."""
+    """Predict and update every mode's filter from s (M, n_x + 1) and P. d (M, n_theta); walk: variance that a loss gains per second."""
     n = system.n_x
     Q, R = system.Q(dt), system.R(u)
 
     def one(d, s, P, walk):
         along = _Along(system, d)
         x, F, Phi = linearise.transition(along, s[:n], u, s[n:], dt)
-        A = jnp.concatenate([jnp.concatenate([F, Phi], axis=1), jnp.asarray(np.eye(n + 1)[n:])])
+        A = linearise.augmented(F, Phi)
         P = A @ P @ A.T
         P = P + jnp.zeros_like(P).at[:n, :n].set(Q).at[n, n].set(walk * dt)
         s = jnp.concatenate([x, s[n:]])

@@ -13,6 +13,7 @@ quadcopter, Sensors 20 (2020) 4917, eqs. (11)-(14), (30)-(38). What it prints an
 
 from __future__ import annotations
 
+from collections import namedtuple
 from typing import NamedTuple
 
 import numpy as np
@@ -31,11 +32,8 @@ ALLOCATIONS = ("auto", "least_squares", "sparse", "temporal")
 SEEN = 1e-9  # share of the largest derivative below which a loss does nothing to a channel
 
 
-class Filter(NamedTuple):
+class Filter(namedtuple("Filter", "value lag")):
     """Regressors value (n_x + n_y, n_theta) as the faults are filtered, and lag: the filter's other state."""
-
-    value: Array
-    lag: Array
 
 
 class Carry(NamedTuple):
@@ -213,7 +211,7 @@ class Intermediate:
         return seen, K_x, K_f, jnp.concatenate([states, known[n_x:] | (self.feels & valid)])
 
     def _look(self) -> None:
-        """Which channels losses act on, how states follow from measurements, and gains where they do not."""
+        """Find the channels that losses act on, how states follow from measurements, and the gains where they do not."""
         system = self.system
         x0, u, theta = jnp.asarray(system.x0, float), jnp.ones(system.n_u), jnp.zeros(system.n_theta)
 
@@ -302,11 +300,11 @@ def _block(V, k1, k2, dt, q, drift):
 
 
 def _acts(derivative):
-    """Rows in which any loss does something."""
+    """True for rows in which any loss has an effect."""
     size = abs(derivative).max(axis=1)
     return size > SEEN * size.max()
 
 
 def _known(array):
-    """As NumPy where it has values, else the tracer."""
+    """A NumPy array where concrete, else the tracer."""
     return np.asarray(array) if checks.concrete(array) else array

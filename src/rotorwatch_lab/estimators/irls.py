@@ -16,10 +16,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from rotorwatch.base import checks
-from rotorwatch.base.backend import jax, jnp, lax
+from rotorwatch.base.backend import jnp, lax
 from rotorwatch.core import Array, Estimate
 from rotorwatch_lab.maths import linearise, measured_regression
 
@@ -90,10 +88,10 @@ class IRLS:
         )
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
-        """One step of dt with input u (n_u,) over it and y (n_y,) at its end where valid."""
+        """Predict over dt with input u (n_u,), then add y (n_y,), where valid, to the window and fit it again."""
         dt = self.dt if dt is None else dt
-        found = measured_regression.row(self.system, carry.known, u, y, valid, carry.theta, dt)
-        z, Omega = measured_regression.whitened(found, valid)
+        row = measured_regression.row(self.system, carry.known, u, y, valid, carry.theta, dt)
+        z, Omega = measured_regression.whitened(row, valid)
 
         def pushed(window, new):
             put = lax.dynamic_update_index_in_dim(window, new, carry.next, 0)
@@ -106,8 +104,8 @@ class IRLS:
         )
         following = carry.next + valid.any().astype(jnp.int32)
         following = jnp.where(following == self.rows, 0, following).astype(jnp.int32)
-        known = measured_regression.measured(found, y, valid, theta)
-        out = measured_regression.estimate(found, known, valid, carry.P, theta, P)
+        known = measured_regression.measured(row, y, valid, theta)
+        out = measured_regression.estimate(row, known, valid, carry.P, theta, P)
         return Carry(known, *window, following, theta, P, s), out
 
     def _fitted(self, z, Omega, seen, theta, s):
@@ -121,10 +119,8 @@ class IRLS:
             s = jnp.maximum(s, 1.0)
             weighted = flat * (self._weight(r / s) * seen / (s * s))[:, None]
             information = weighted.T @ flat + jnp.diag(1.0 / self.theta_var)
-            factor = jnp.linalg.cholesky(0.5 * (information + information.T)), True
-            theta = jax.scipy.linalg.cho_solve(factor, weighted.T @ target)
-            P = jax.scipy.linalg.cho_solve(factor, np.eye(n))
-        return theta, 0.5 * (P + P.T), s
+            theta, P = linearise.posterior(information, weighted.T @ target)
+        return theta, P, s
 
     def _weight(self, r):
         if self.weights == "huber":

@@ -20,6 +20,6 @@ class Lyapunov(Adaptation):
         return start(self.system, self.theta_sd)
 
     def step(self, carry: State, u, y, valid, dt=None) -> tuple[State, Estimate]:
-        """One step of dt seconds (None: the constructor's) with input u over it and y at its end."""
+        """Advance by dt seconds (None: the constructor's dt) with input u held over the step and y at its end."""
         state, e, S, _ = advance(self.law, carry, u, y, valid, self.dt if dt is None else dt, self.walk)
         return state, estimate(state, e, S, valid)

@@ -1,4 +1,4 @@
-"""The moving-horizon-Lyapunov estimator: the Lyapunov law with a pull towards what a window of recent blocks says.
+"""Moving-horizon Lyapunov estimator: the Lyapunov law with a pull towards the estimate of a window of recent blocks.
 
 Niermeyer, Pak and Lohmann 2017, section 3 and abstract. Blocks of 50 ms sum up what the losses did to the states and to
 the outputs that only they move: z = Phi theta + noise; a window of them gives A = sum Phi' W Phi, b = sum Phi' W z. Added to
@@ -13,6 +13,7 @@ The proximal pull adds at most -kappa |theta* - theta_hat|^2_{Gamma^-1} to dV/dt
 from __future__ import annotations
 
 import math
+from collections import namedtuple
 from dataclasses import KW_ONLY, dataclass
 from typing import Any, NamedTuple
 
@@ -28,18 +29,9 @@ PULLS = ("gradient", "proximal")
 SURPRISED = 2  # blocks in a row that empty the window
 
 
-class Block(NamedTuple):
-    """What has been summed since the block began. elapsed [s]; predicted (n_x,): the states had nothing been lost;
-    slope (n_x, n_theta); whole (n_x,): measured at both ends; direct (n_y,), direct_slope (n_y, n_theta), count (n_y,); noise (n_x,)."""
-
-    elapsed: Any
-    predicted: Any
-    slope: Any
-    whole: Any
-    direct: Any
-    direct_slope: Any
-    count: Any
-    noise: Any
+class Block(namedtuple("Block", "elapsed predicted slope whole direct direct_slope count noise")):
+    """Sums over the current block. elapsed [s]; predicted (n_x,): states predicted without losses; slope (n_x, n_theta); whole (n_x,):
+    measured at both ends; direct (n_y,), direct_slope (n_y, n_theta), count (n_y,); noise (n_x,)."""
 
 
 class Carry(NamedTuple):
@@ -59,11 +51,12 @@ class Carry(NamedTuple):
 
 @dataclass(eq=False, repr=False)
 class MHLyapunov(Adaptation):
-    """The Lyapunov law and a moving horizon: almost as cheap, and it learns what single samples do not show.
+    """The Lyapunov law with a moving horizon: almost as cheap, and it uses information that single samples do not show.
 
     pull: "gradient" or "proximal". flush: empty the window after two blocks whose chi^2 is above `surprise`. block_s, window_s: lengths
     [s]. gradient_rate: k_g [1/s]. proximal_rate: kappa [1/s]. anchor_sd: how far theta* may stray from the estimate, sqrt(Gamma / r).
-    The other keywords are those of `Lyapunov`. Raises ConfigError for plants with unmeasured states."""
+    The other keywords are those of `Lyapunov`. Raises ConfigError for plants with unmeasured states.
+    """
 
     _: KW_ONLY
     pull: str = "proximal"
@@ -111,7 +104,7 @@ class MHLyapunov(Adaptation):
         )
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
-        """One step of dt seconds (None: the constructor's) with input u over it and y at its end."""
+        """Advance by dt seconds (None: the constructor's dt) with input u held over the step and y at its end."""
         dt = self.dt if dt is None else dt
         before, n = carry.state, self.system.n_x
         state, e, S, at = advance(self.law, before, u, y, valid, dt, self.walk)
@@ -126,12 +119,12 @@ class MHLyapunov(Adaptation):
 
         block, seen = self.gather(carry.block, before, at, u, y, valid, dt)
         carry = carry._replace(state=state, block=block)
-        done = block.elapsed >= max(self.block_s, self.dt) - 0.5 * dt
-        carry = jax.lax.cond(done, lambda c: self.close(c, u, seen, at.C_left), lambda c: c, carry)
+        complete = block.elapsed >= max(self.block_s, self.dt) - 0.5 * dt
+        carry = jax.lax.cond(complete, lambda c: self.close(c, u, seen, at.C_left), lambda c: c, carry)
         return carry, estimate(state, e, S, valid)
 
     def gather(self, block: Block, before: State, at, u, y, valid, dt) -> tuple[Block, Any]:
-        """The block with one step more, and which states (n_x,) are measured at its end."""
+        """The block extended by one step, and which states (n_x,) are measured at its end."""
         needed = jnp.abs(at.C_left) > TINY
         seen = jnp.all(~needed | valid[None, :], axis=1).astype(float)
         direct = jnp.where(valid & at.direct, 1.0, 0.0)
@@ -151,7 +144,7 @@ class MHLyapunov(Adaptation):
         return added, seen
 
     def close(self, carry: Carry, u, seen, C_left) -> Carry:
-        """The block joins the window; what the window asks for is worked out anew."""
+        """Move the block into the window and recompute the window's pull."""
         theta, block = carry.state.theta, carry.block
         A_new, b_new, chi2 = self.summary(block, carry.state.measured, u, seen, C_left, theta)
         surprises = jnp.where(chi2 > self.surprise, carry.surprises + 1, 0).astype(jnp.int32)
@@ -171,9 +164,8 @@ class MHLyapunov(Adaptation):
         gyro = jnp.sum(C_left**2 * R[None, :], axis=1)  # variance of a measured state
         w_x = block.whole * seen / (2.0 * gyro + block.noise)
         w_y = jnp.where(block.count > 0, average / R, 0.0)
-        if (
-            self.pull == "gradient"
-        ):  # a step that serves all directions needs A well conditioned more than it needs W right
+        # A step that serves all directions needs A well conditioned more than it needs W right.
+        if self.pull == "gradient":
             w_x = block.whole * seen * self.law.M / self.block_s**2
             w_y = jnp.where(block.count > 0, 1.0, 0.0) / jnp.maximum(jnp.sum(Dn**2, axis=1), TINY)
         W = jnp.concatenate([w_x, w_y])

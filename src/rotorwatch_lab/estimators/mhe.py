@@ -13,6 +13,7 @@ Source: the estimator that Niermeyer, Pak and Lohmann 2017 compare with; Rao, Ra
 
 from __future__ import annotations
 
+from collections import namedtuple
 from typing import Any, NamedTuple
 
 from rotorwatch.base import checks
@@ -25,13 +26,8 @@ FLOOR = 1e-9  # process noise of states that have none, as a share of P0 in a se
 REST = 1e-4  # share of the walk's variance that a rotor at rest keeps, for the same reason
 
 
-class Samples(NamedTuple):
+class Samples(namedtuple("Samples", "u y valid dt")):
     """Rows of one interval, (m, ...), or of all of them, (M, m, ...): input, measurement (0 where invalid), validity, dt."""
-
-    u: Any
-    y: Any
-    valid: Any
-    dt: Any
 
 
 class Carry(NamedTuple):
@@ -51,19 +47,9 @@ class Carry(NamedTuple):
     prior_P: Any
 
 
-class Interval(NamedTuple):
-    """One interval linearised: F(s_{k-1}) and A; residuals e, Jacobian E and 1/R of the inner samples; r, C, and 1/R of the
-    last; Q^-1."""
-
-    F: Any
-    A: Any
-    e: Any
-    E: Any
-    e_weight: Any
-    r: Any
-    C: Any
-    r_weight: Any
-    Q_inverse: Any
+class Interval(namedtuple("Interval", "F A e E e_weight r C r_weight Q_inverse")):
+    """Linearisation of an interval: F(s_{k-1}) and A; residuals e, Jacobian E and 1/R of the inner samples; r, C, and 1/R of the last;
+    Q^-1."""
 
 
 class MHE:
@@ -122,7 +108,7 @@ class MHE:
         return Carry(s, P, samples(m), zero, samples(M, m), zero, nodes, jnp.zeros((M + 1, n)), s, P)
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
-        """One step of dt seconds (None: the constructor's) with input u over it and y at its end."""
+        """Advance by dt seconds (None: the constructor's dt) with input u held over the step and y at its end."""
         dt = jnp.asarray(self.dt if dt is None else dt, float)
         y = jnp.where(valid, y, 0.0)
         s, A = linearise.once(lambda s: self.move(s, u, dt), carry.s)
@@ -198,8 +184,8 @@ class MHE:
         scale = jnp.diagonal(D, axis1=1, axis2=2)
 
         def bound(free, fixed):
-            own = (1.0 - free)[:, :, None] * scale[:, :, None] * jnp.eye(self.n)
-            masked = free[:, :, None] * D * free[:, None, :] + own
+            held = (1.0 - free)[:, :, None] * scale[:, :, None] * jnp.eye(self.n)
+            masked = free[:, :, None] * D * free[:, None, :] + held
             right = free * (g - banded(D, below, fixed)) + scale * fixed
             return masked, free[1:, :, None] * below * free[:-1, None, :], right
 
@@ -215,8 +201,7 @@ class MHE:
         return jnp.clip(nodes + move, self.low, self.high), force
 
     def leave(self, carry: Carry):
-        """Prior mean and covariance one node later: an extended Kalman filter's step through the oldest interval, linearised at
-        the smoothed nodes."""
+        """Arrival cost one node later: an extended Kalman filter step through the oldest interval, linearised at the smoothed nodes."""
         window = jax.tree.map(lambda a: a[0], carry.window)
         part = self.interval(carry.nodes[0], carry.nodes[1], window)
         inner = part.e_weight > 0
@@ -237,7 +222,7 @@ class MHE:
     # The plant, with s = (x, theta)
 
     def interval(self, before, after, samples: Samples) -> Interval:
-        """One interval between its two nodes, linearised at both."""
+        """An interval, linearised at both of its nodes."""
         (F, inner), (A, E) = linearise.once(lambda s: self.through(s, samples), before)
         u = samples.u[-1]
         y_last, C = linearise.once(lambda s: self.predict(s, u), after)

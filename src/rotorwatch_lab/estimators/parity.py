@@ -13,6 +13,7 @@ Source: Chow and Willsky, Analytical redundancy and the design of robust failure
 
 from __future__ import annotations
 
+from collections import namedtuple
 from typing import NamedTuple
 
 import numpy as np
@@ -24,19 +25,9 @@ from rotorwatch.errors import ConfigError
 from rotorwatch_lab.maths import bounded, linearise, plant
 
 
-class Carry(NamedTuple):
+class Carry(namedtuple("Carry", "x P push Phi D y count theta theta_cov")):
     """x (n_x,), P (n_x, n_x): a Kalman filter of the state, losses given. push (N, n_x), Phi (N, n_x, n_theta), D (N, n_y, n_theta), y
     (N, n_y): the window, oldest first; count (int32): whole steps in a row, at most N. theta, theta_cov: the losses."""
-
-    x: Array
-    P: Array
-    push: Array
-    Phi: Array
-    D: Array
-    y: Array
-    count: Array
-    theta: Array
-    theta_cov: Array
 
 
 class Output(NamedTuple):
@@ -78,7 +69,7 @@ class Parity:
         )
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Output]:
-        """One step of dt with input u (n_u,) over it and y (n_y,) at its end where valid."""
+        """Advance by dt with input u (n_u,) held over the step and y (n_y,) at its end where valid."""
         system, x0 = self.system, jnp.asarray(self.system.x0, float)
         regular = jnp.array(True) if dt is None else jnp.abs(dt - self.dt) < 1e-6 * self.dt
         dt = self.dt if dt is None else dt
@@ -89,12 +80,12 @@ class Parity:
         fresh = move.value - x0, move.by_theta, look.by_theta, jnp.where(valid, y - look.value, 0.0)
         before = carry.push, carry.Phi, carry.D, carry.y
         push, Phis, Ds, ys = (jnp.concatenate([old[1:], new[None]]) for old, new in zip(before, fresh, strict=True))
-        whole = valid.all() & regular
-        count = jnp.where(whole, jnp.minimum(carry.count + 1, self.N), 0).astype(jnp.int32)
+        regular_step = valid.all() & regular
+        count = jnp.where(regular_step, jnp.minimum(carry.count + 1, self.N), 0).astype(jnp.int32)
         r, A = self._residual(push, Phis, Ds, ys)
         full = count == self.N
         information = A.T @ A + jnp.diag(1.0 / self.theta_var)
-        theta, theta_cov = self._solved(information, A.T @ r)
+        theta, theta_cov = linearise.posterior(information, A.T @ r)
         older = carry.theta_cov + self.walk**2 * dt * np.eye(len(none))
         theta, theta_cov = jnp.where(full, theta, carry.theta), jnp.where(full, theta_cov, older)
 
@@ -125,26 +116,20 @@ class Parity:
         both = self.V @ target.reshape(-1, n + 1)
         return both[:, 0], both[:, 1:]
 
-    def _solved(self, information, moment):
-        """Mean and symmetric covariance."""
-        factor = jnp.linalg.cholesky(0.5 * (information + information.T)), True
-        P = jax.scipy.linalg.cho_solve(factor, np.eye(len(moment)))
-        return jax.scipy.linalg.cho_solve(factor, moment), 0.5 * (P + P.T)
-
     def _design(self, u) -> None:
         """F, C at x0 and u, and V (N n_y - n_x, N n_y)."""
         system, N, dt = self.system, self.N, self.dt
         x0, none = jnp.asarray(system.x0, float), jnp.zeros(system.n_theta)
         u = jnp.asarray(u, float)
-        found = (
+        design = (
             linearise.transition(system, x0, u, none, dt).by_x,
             linearise.measurement(system, x0, u, none).by_x,
             system.Q(dt),
             system.R(u),
         )
-        values = checks.concrete(found)
+        values = checks.concrete(design)
         xp = np if values else jnp  # with a plant's values by NumPy; where they are a program's parameters, inside it
-        F, C, Q, R = (xp.asarray(part) for part in found)
+        F, C, Q, R = (xp.asarray(part) for part in design)
         n_x, n_y = system.n_x, system.n_y
         powers = [xp.eye(n_x)]
         for _ in range(N):

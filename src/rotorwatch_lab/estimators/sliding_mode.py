@@ -16,13 +16,11 @@ and Efimov, The implicit discretization of the supertwisting sliding-mode contro
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-import numpy as np
+from collections import namedtuple
 
 from rotorwatch.base import checks
 from rotorwatch.base.backend import jax, jnp
-from rotorwatch.core import Array, Estimate
+from rotorwatch.core import Estimate
 from rotorwatch_lab.maths import bounded, linearise, measured_regression
 from rotorwatch_lab.maths.small import symmetric
 
@@ -30,16 +28,9 @@ ACTS = 1e-9  # of the largest effect: what is smaller is none
 TINY = 1e-12
 
 
-class Carry(NamedTuple):
+class Carry(namedtuple("Carry", "x v P w var G")):
     """x, v (n_x,): state and injection; P (2 n_x, 2 n_x): covariance of their errors. w (n_y,), var (n_y,): what the direct outputs
     lack, filtered, and its variance. G (n_x + n_y, n_theta): what losses do to v and w, as last measured."""
-
-    x: Array
-    v: Array
-    P: Array
-    w: Array
-    var: Array
-    G: Array
 
 
 class SlidingMode:
@@ -91,8 +82,8 @@ class SlidingMode:
 
         # Only states all of whose measurements are there.
         needed = jnp.abs(left) > ACTS * jnp.abs(left).max()
-        whole = (valid | ~needed).all(axis=1) & needed.any(axis=1)
-        left = jnp.where(whole[:, None] & needed, left, 0.0)
+        measured = (valid | ~needed).all(axis=1) & needed.any(axis=1)
+        left = jnp.where(measured[:, None] & needed, left, 0.0)
         e = left @ jnp.where(valid, y - y_, 0.0)
         remains, ds = self._twisted(e, dt)
         x, v = x + e - remains, carry.v + ds
@@ -101,32 +92,27 @@ class SlidingMode:
         sd = jnp.sqrt(jnp.maximum(jnp.diagonal(left @ S @ left.T), TINY))
         remains, ds = self._twisted(sd, dt)
         K = jnp.concatenate([(1.0 - remains / sd)[:, None] * left, (ds / sd)[:, None] * left])
-        rest = np.eye(2 * n) - K @ jnp.concatenate([C, jnp.zeros_like(C)], axis=1)
-        P = symmetric(rest @ P @ rest.T + (K * R) @ K.T)
+        P = linearise.joseph(P, K, jnp.concatenate([C, jnp.zeros_like(C)], axis=1), R)
 
         gain = jnp.where(valid & (self.direct > 0), -jnp.expm1(-self.rate * dt), 0.0)
         w = carry.w + gain * jnp.where(valid, y - y_ - carry.w, 0.0)
         var = (1.0 - gain) ** 2 * (carry.var + self.walk**2 * dt * (self.D0**2).sum(axis=1)) + gain**2 * R
-        G = jnp.where(whole[:, None], Phi / dt * self.driven[:, None], carry.G[:n])
+        G = jnp.where(measured[:, None], Phi / dt * self.driven[:, None], carry.G[:n])
         G = jnp.concatenate([G, carry.G[n:] + gain[:, None] * (D - carry.G[n:])])
 
         noise = jnp.concatenate([jnp.diagonal(P)[n:], var])
         used = jnp.concatenate([self.driven, self.direct])
         weighted = G * (used / jnp.where(used > 0, noise, 1.0))[:, None]
-        information = symmetric(weighted.T @ G + jnp.diag(1.0 / self.theta_var))
-        factor = jnp.linalg.cholesky(information), True
-        theta = jax.scipy.linalg.cho_solve(factor, weighted.T @ jnp.concatenate([v, w]))
-        theta_cov = jax.scipy.linalg.cho_solve(factor, np.eye(len(none)))
+        information = weighted.T @ G + jnp.diag(1.0 / self.theta_var)
+        theta, theta_cov = linearise.posterior(information, weighted.T @ jnp.concatenate([v, w]))
 
         innovation = jnp.where(valid, y - y_ - self.direct * carry.w, 0.0)
         S = S + jnp.diag(self.direct * carry.var)
-        estimate = Estimate(
-            x, P[:n, :n], theta, symmetric(theta_cov), innovation, symmetric(S), linearise.status(valid)
-        )
+        estimate = Estimate(x, P[:n, :n], theta, theta_cov, innovation, symmetric(S), linearise.status(valid))
         return Carry(x, v, P, w, var, G), estimate
 
     def _twisted(self, e, dt):
-        """What remains of the errors e (n_x,) after a step, and the step of v: the implicit super-twisting law, or plain rates."""
+        """Errors (n_x,) that remain after a step from e (n_x,), and the increment of v: implicit super-twisting law, or plain rates."""
         hold = dt * dt * self.k2
         inside = jnp.where(hold > 0, e / jnp.where(hold > 0, hold, 1.0), 0.0)
         root = 0.5 * (jnp.sqrt((dt * self.k1) ** 2 + 4.0 * jnp.maximum(jnp.abs(e) - hold, 0.0)) - dt * self.k1)

@@ -15,13 +15,13 @@ Susilo and Al Younes, Robust fault diagnosis for quadrotor UAVs using adaptive T
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 
 from rotorwatch.base import checks
 from rotorwatch.base.backend import jax, jnp
-from rotorwatch.core import Array, Estimate
+from rotorwatch.core import Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch_lab.maths import bounded, linearise, measured_regression, plant
 from rotorwatch_lab.maths.small import symmetric
@@ -30,11 +30,8 @@ DOUBLINGS = 14  # of the Lyapunov series: 2^14 terms
 TINY = 1e-12
 
 
-class Carry(NamedTuple):
+class Carry(namedtuple("Carry", "s P")):
     """s = [x; theta] (n_x + n_theta,), and the covariance P of its error."""
-
-    s: Array
-    P: Array
 
 
 class Thau:
@@ -88,13 +85,12 @@ class Thau:
         s = s.at[n:].add(jnp.where(valid.any(), -dt * self.leak * theta, 0.0))
 
         # The error of (x, theta) under these gains, whatever they are; that losses leak is left out.
-        A = jnp.concatenate([jnp.concatenate([F, Phi], axis=1), jnp.asarray(np.eye(n + k)[n:])])
+        A = linearise.augmented(F, Phi)
         H = jnp.concatenate([C, D], axis=1)
         P = A @ carry.P @ A.T
         P = P.at[:n, :n].add(system.Q(dt)).at[n:, n:].add(self.walk**2 * dt * np.eye(k))
         S = H @ P @ H.T + jnp.diag(R)
-        rest = np.eye(n + k) - K @ H
-        P = symmetric(rest @ P @ rest.T + (K * R) @ K.T)
+        P = linearise.joseph(P, K, H, R)
         return Carry(s, P), Estimate(s[:n], P[:n, :n], s[n:], P[n:, n:], e, symmetric(S), linearise.status(valid))
 
     def _design(self, u, bandwidth, direct_rate) -> None:
@@ -124,6 +120,5 @@ class Thau:
         self.gamma = bandwidth**2 / jnp.maximum(jnp.max(jnp.sum((G.T @ P) * G.T, axis=1)), TINY)
         self.weight = P @ measured_regression.left_inverse(C) * (1.0 - self.direct)
         self.k_f = direct_rate / jnp.maximum(jnp.sum((D * self.direct[:, None]) ** 2), TINY)
-        self.lipschitz = (
-            jnp.exp(self.rate * self.dt) - 1.0
-        ) / self.dt  # V falls while the rest is slower than this [1/s]
+        # V falls while the rest is slower than this [1/s].
+        self.lipschitz = (jnp.exp(self.rate * self.dt) - 1.0) / self.dt

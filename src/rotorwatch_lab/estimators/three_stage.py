@@ -20,6 +20,7 @@ Control 14 (1969) 359-367; Chen and Hsieh, Optimal multistage Kalman estimators,
 
 from __future__ import annotations
 
+from collections import namedtuple
 from typing import NamedTuple
 
 import numpy as np
@@ -31,19 +32,9 @@ from rotorwatch_lab.maths import bounded, linearise, plant, unscented
 from rotorwatch_lab.maths.small import symmetric
 
 
-class Carry(NamedTuple):
+class Carry(namedtuple("Carry", "x d theta P_x P_d P_theta V12 V13 V23")):
     """x, d (n_x,), theta (n_theta,): fused estimates. P_x, P_d, P_theta: covariances of the stages. V12 (n_x, n_x), V13 and V23
     (n_x, n_theta): how the state follows the disturbance and the losses, and the disturbance the losses."""
-
-    x: Array
-    d: Array
-    theta: Array
-    P_x: Array
-    P_d: Array
-    P_theta: Array
-    V12: Array
-    V13: Array
-    V23: Array
 
 
 class Output(NamedTuple):

@@ -19,7 +19,7 @@ class TSUKF(unscented.Unscented):
         return two_stage.initial(self.system, self.theta_var)
 
     def step(self, carry: two_stage.State, u, y, valid, dt=None) -> tuple[two_stage.State, Estimate]:
-        """One time step; arguments as in `core.Estimator`."""
+        """Predict over dt with input u (n_u,), then update with y (n_y,) where valid."""
         dt = self.dt if dt is None else dt
         Q_theta = dt * self.theta_walk
         p = two_stage.predict(self.system, self.weights, carry, Q_theta, u, y, valid, dt)

@@ -8,18 +8,15 @@ Source: Julier and Uhlmann, Proc. IEEE 92 (2004); the yardstick of the two-stage
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections import namedtuple
 
 from rotorwatch.base.backend import jax
-from rotorwatch.core import Array, Estimate
+from rotorwatch.core import Estimate
 from rotorwatch_lab.maths import plant, unscented
 
 
-class Carry(NamedTuple):
+class Carry(namedtuple("Carry", "z P")):
     """z (n_x + n_theta,): states, then losses. P: its covariance."""
-
-    z: Array
-    P: Array
 
 
 class UKF(unscented.Unscented):
@@ -32,7 +29,7 @@ class UKF(unscented.Unscented):
         return Carry(*plant.start(self.system, self.theta_var))
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
-        """One time step; arguments as in `core.Estimator`."""
+        """Predict over dt with input u (n_u,), then update with y (n_y,) where valid."""
         dt = self.dt if dt is None else dt
         noise = jax.scipy.linalg.block_diag(self.system.Q(dt), dt * self.theta_walk)
         z, P, out, _ = unscented.joint_step(self.system, self.weights, *carry, noise, u, y, valid, dt, self.limit)

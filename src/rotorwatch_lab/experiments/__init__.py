@@ -1,4 +1,4 @@
-"""How good rotorwatch's answers are: known faults in, answers counted. campaign/ does it on simulated flights.
+"""Accuracy of rotorwatch's diagnoses: known faults in, answers counted. campaign/ does the same on simulated flights.
 
 tools.py            shares and rates with intervals, tables, parts done in processes
 counting.py         what is found, right, late, and a false alarm: one definition

@@ -1,4 +1,4 @@
-"""What is found, right, late, and a false alarm: one definition for every figure that is published.
+"""Definitions of found, named, right, delay and false alarm, for every published figure.
 
 An alarm is an event that accuses rotors. One that was raised before the fault, or in a flight without any, is a false alarm. After the
 onset an alarm is the fault's when a broken rotor is among its explanations, else it is wrong. The fault is
@@ -19,19 +19,20 @@ EARLY_S = 0.3  # an alarm so long before the onset is still the fault's: ticks a
 
 
 class Alarm(NamedTuple):
-    """detected_s: when it was raised. sets: of rotors that explain it, from 1, the likeliest first. event: None for a rule without."""
+    """An alarm. detected_s: time at which it was raised. sets: rotor sets that explain it, from 1, the likeliest first. event: None for a
+    rule without."""
 
     detected_s: float
     sets: tuple[tuple[int, ...], ...]
     event: Event | None = None
 
     def names(self, rotors: Iterable[int]) -> bool:
-        """Whether one of these rotors is in an explanation."""
-        return any(set(who) & set(rotors) for who in self.sets)
+        """True if one of these rotors is in an explanation."""
+        return any(set(explanation) & set(rotors) for explanation in self.sets)
 
 
 class Count(NamedTuple):
-    """Alarms of one flight: false ones, before the fault; wrong ones, after it; own, which are the fault's. named, right: see above."""
+    """Alarms of one flight: false, before the fault; wrong, after it; own, those of the fault. named, right: see the module."""
 
     false: tuple[Alarm, ...]
     wrong: tuple[Alarm, ...]
@@ -42,7 +43,7 @@ class Count(NamedTuple):
 
     @property
     def found(self) -> bool:
-        """Whether an alarm is the fault's."""
+        """True if an alarm belongs to the fault."""
         return bool(self.own)
 
 

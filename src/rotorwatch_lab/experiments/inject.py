@@ -1,4 +1,4 @@
-"""Losses put into healthy flights: real noise with a known fault, and what the default diagnoser finds of it.
+"""Losses injected into healthy flights: real noise with a known fault, diagnosed by the default method.
 
 A rotor that loses the share l of its thrust is commanded more until the vehicle moves as before. Rotor thrusts f, mixer
 M and effectiveness B give the commands f + d that the rate controller ends up with: the same wrench, through the mixer,
@@ -40,14 +40,13 @@ def inject(
     onset: float,
     response_s: float = RESPONSE_S,
 ) -> Flight:
-    """The flight as it would look had `rotors` (1-based) lost `loss` (0..1, one for all or one each) at `onset` s.
+    """The flight as it would look had `rotors` lost `loss` at `onset`.
 
-    flight: a healthy one. vehicle: its airframe. rotors: 1-based. loss: 0 to 1, one for all or
-    one each. onset: s from the log's first record. response_s: time constant with which the motors follow [s].
-    Signals ``motors`` and ``control`` are rewritten after the onset, everything else stays. Where a command would
-    exceed its limit it is cut off there, and a warning of the flight says how often: this flight could not have flown
-    on like that. ``facts["injected"]`` holds what was done. Raises ConfigError for rotors, losses or times that the
-    flight does not have.
+    flight: a healthy one. vehicle: its airframe. rotors: 1-based. loss: 0 to 1, one for all or one each. onset: s from the log's first
+    record. response_s: time constant with which the motors follow [s]. Signals ``motors`` and ``control`` are rewritten after the onset,
+    everything else stays. A command beyond its limit is cut off there, and a warning of the flight gives the share: this flight could not
+    have continued so. ``facts["injected"]`` holds what was done. Raises ConfigError for rotors, losses or times that the flight does not
+    have.
     """
     share = _losses(flight, vehicle, rotors, loss)
     motors = flight.signals["motors"]
@@ -80,13 +79,13 @@ def inject(
             f"The injected loss drives rotor {k + 1} to its limit in {limited[k]:.1%} of the commands after "
             f"{onset:.1f} s: the vehicle could not have flown as it did."
         )
-    done = {
+    injection = {
         "rotors": [int(k) + 1 for k in np.flatnonzero(share)],
         "loss": [float(v) for v in share[share > 0]],
         "onset_s": float(onset),
         "at_limit": [float(v) for v in limited],
     }
-    return replace(flight, signals=signals, warnings=tuple(warnings), facts={**flight.facts, "injected": done})
+    return replace(flight, signals=signals, warnings=tuple(warnings), facts={**flight.facts, "injected": injection})
 
 
 def _losses(flight: Flight, vehicle: Vehicle, rotors, loss) -> np.ndarray:
@@ -96,28 +95,28 @@ def _losses(flight: Flight, vehicle: Vehicle, rotors, loss) -> np.ndarray:
         raise ConfigError(
             f"the flight has commands of {flight.rotor_count} rotors, the vehicle {n}: nothing to put a loss into."
         )
-    who, much = np.atleast_1d(rotors), np.atleast_1d(np.asarray(loss, float))
+    faulty, much = np.atleast_1d(rotors), np.atleast_1d(np.asarray(loss, float))
     if (
-        who.dtype.kind not in "iu"
-        or not who.size
-        or len(set(who.tolist())) != who.size
-        or who.min() < 1
-        or who.max() > n
+        faulty.dtype.kind not in "iu"
+        or not faulty.size
+        or len(set(faulty.tolist())) != faulty.size
+        or faulty.min() < 1
+        or faulty.max() > n
     ):
         raise ConfigError(f"rotors {rotors}: give different rotor numbers from 1 to {n}.")
-    if much.ndim != 1 or much.size not in (1, who.size):
-        raise ConfigError(f"{much.size} losses for {who.size} rotors: give one for all, or one each.")
+    if much.ndim != 1 or much.size not in (1, faulty.size):
+        raise ConfigError(f"{much.size} losses for {faulty.size} rotors: give one for all, or one each.")
     if not np.all((much > 0) & (much < 1)):
         raise ConfigError(
             f"loss {loss}: give shares above 0 and below 1; no vehicle flies as before with a dead rotor."
         )
     share = np.zeros(n)
-    share[who - 1] = much
+    share[faulty - 1] = much
     return share
 
 
 def _answer(vehicle: Vehicle, share: np.ndarray) -> np.ndarray:
-    """(n, n): extra thrust d per thrust f with which the controller makes up for losses `share` (n,)."""
+    """(n, n): extra thrust d per thrust f with which the controller compensates for losses `share` (n,)."""
     B = vehicle.effectiveness()
     M = vehicle.mixer if vehicle.mixer is not None else np.linalg.pinv(B)
     return M @ np.linalg.pinv(B @ np.diag(1.0 - share) @ M) @ B @ np.diag(share)
@@ -147,17 +146,17 @@ def _control(flight: Flight, vehicle: Vehicle, raised: Callable, onset: float) -
     weights = np.concatenate([vehicle.mixer.T, np.zeros((1, len(vehicle.rotors)))])[None]
     if len(check.time):
         weights = check.gain[:, None, None] * weights  # the mixer with the gain it was seen to have
-    last = np.clip(np.searchsorted(check.known, control.time, side="right") - 1, 0, len(weights) - 1)
+    newest = np.clip(np.searchsorted(check.known, control.time, side="right") - 1, 0, len(weights) - 1)
     values = control.values.copy()
-    own, believed = vehicle.curve.expo, allocation.mixer_curve(vehicle).expo
+    commanded, believed = vehicle.curve.expo, allocation.mixer_curve(vehicle).expo
     later = np.flatnonzero((control.time > onset) & control.whole)
     for part in np.array_split(later, len(later) // 8192 + 1):  # weights of all rows: much memory
         if not part.size:
             continue
-        W = weights[last[part], :4]
+        W = weights[newest[part], :4]
         demand = np.einsum("tc,tcr->tr", values[part], W)
-        thrust = _thrust(own, allocation.drive(believed, np.clip(demand, 0.0, None)))
-        wanted = _thrust(believed, allocation.drive(own, raised(thrust, control.time[part])))
+        thrust = _thrust(commanded, allocation.drive(believed, np.clip(demand, 0.0, None)))
+        wanted = _thrust(believed, allocation.drive(commanded, raised(thrust, control.time[part])))
         more = np.where(demand > 0, wanted - demand, 0.0)
         values[part] += np.einsum("tr,trc->tc", more, np.linalg.pinv(W))
     return replace(control, values=values)
@@ -177,7 +176,7 @@ def campaign(
     scheduler: str | None = None,
     keep: str | PathLike | None = None,
 ) -> dict[str, Any]:
-    """Inject every loss into every rotor of every healthy flight, `repeats` times each, and count what is found.
+    """Inject every loss into every rotor of every healthy flight, `repeats` times each, and count the detections.
 
     Onsets are drawn at random, from 3 s after judging begins to 12 s before the hop ends. The answer:
 
@@ -207,7 +206,7 @@ def campaign(
     surveys = tools.gathered(
         _survey, sources, jobs, lambda s, text: report(0.05 * s, text), "healthy flights", **shared
     )
-    # Onsets are drawn here, in the order of the flights: who works on what, and how many do, changes nothing.
+    # Onsets are drawn here, in the order of the flights, so that the distribution of work changes nothing.
     parts: list[tuple] = []
     for source, survey in zip(sources, surveys, strict=True):
         plan = [
@@ -240,25 +239,25 @@ class _Survey(NamedTuple):
 
 def _survey(source: Flight | str) -> list[_Survey]:
     flight, vehicle, air = _flown(source)
-    found, judged_s = _judge(flight, vehicle)
+    alarms, judged_s = _judge(flight, vehicle)
     room = [(start + ready_s(vehicle) + AFTER_READY_S, end - BEFORE_END_S) for start, end in air]
-    return [_Survey(len(vehicle.rotors), [(a, b) for a, b in room if b > a], judged_s, len(found))]
+    return [_Survey(len(vehicle.rotors), [(a, b) for a, b in room if b > a], judged_s, len(alarms))]
 
 
 def _trials(part: tuple[Flight | str, list[tuple[int, float, float]]]) -> list[dict]:
-    """What became of injections (rotor, loss, onset) into one flight."""
+    """Outcomes of injections (rotor, loss, onset) into one flight."""
     flight, vehicle, _ = _flown(part[0])
     trials = []
     for rotor, loss, onset in part[1]:
         faulty = inject(flight, vehicle, rotor, loss, onset)
-        found = _outcome(_judge(faulty, vehicle)[0], rotor, loss, onset)
+        outcome = _outcome(_judge(faulty, vehicle)[0], rotor, loss, onset)
         limit = max(faulty.facts["injected"]["at_limit"])
-        trials.append({"flight": flight.name, "rotor": rotor, "loss": loss, **found, "at_limit": limit})
+        trials.append({"flight": flight.name, "rotor": rotor, "loss": loss, **outcome, "at_limit": limit})
     return trials
 
 
 def _flown(source: Flight | str) -> tuple[Flight, Vehicle, Any]:
-    """A flight, its vehicle, and when it was in the air; a log is read once for the parts that follow each other."""
+    """A flight, its vehicle, and when it was in the air; a log is read once for consecutive parts."""
     if isinstance(source, str):
         return _read(source)
     return source, airframes.identify(source), airborne(source)
@@ -271,18 +270,18 @@ def _read(path: str) -> tuple[Flight, Vehicle, Any]:
 
 
 def ready_s(vehicle: Vehicle) -> float:
-    """How long after a take-off judging begins [s]: shorter where healthy flights have taught the vehicle's dynamics."""
+    """Time from take-off until the evaluation begins [s]: shorter where the vehicle's dynamics are known from healthy flights."""
     return READY_KNOWN_S if vehicle.identified else READY_S
 
 
 def _judge(flight: Flight, vehicle: Vehicle) -> tuple[tuple[counting.Alarm, ...], float]:
-    """The alarms of `diagnose`; seconds judged."""
+    """The alarms of `diagnose`, and the seconds evaluated."""
     ready = prepare(flight, vehicle)
     if ready.table is None:
         return (), 0.0
-    done = estimated(ready)
-    judged_s = float((done.table.mode == JUDGE).sum() * done.table.dt)
-    return counting.alarms(judge(ready, done).end.events), judged_s
+    estimate = estimated(ready)
+    judged_s = float((estimate.table.mode == JUDGE).sum() * estimate.table.dt)
+    return counting.alarms(judge(ready, estimate).end.events), judged_s
 
 
 def draw(room: list[tuple[float, float]], rng: np.random.Generator) -> float:
@@ -293,7 +292,7 @@ def draw(room: list[tuple[float, float]], rng: np.random.Generator) -> float:
 
 
 def _outcome(raised: Sequence[counting.Alarm], rotor: int, loss: float, onset: float) -> dict:
-    """What became of one injection."""
+    """Outcome of one injection."""
     counted = counting.count(raised, (rotor,), onset)
     result: dict[str, Any] = {
         "onset_s": onset,
@@ -321,20 +320,20 @@ def _outcome(raised: Sequence[counting.Alarm], rotor: int, loss: float, onset: f
 
 
 def _row(loss: float, trials: list[dict]) -> dict:
-    """One line of the table: all injections of one size."""
-    found = [t for t in trials if t["detected"]]
-    right = [t for t in found if t["right"]]
+    """Row of the table: all injections of one size."""
+    detected = [t for t in trials if t["detected"]]
+    right = [t for t in detected if t["right"]]
     sized = [t for t in right if "loss_2s" in t]
-    delays = [t["delay_s"] for t in found]
+    delays = [t["delay_s"] for t in detected]
     error = np.array([t["loss_2s"] - loss for t in sized])
     return {
         "loss": loss,
         "injections": len(trials),
-        "detected": len(found) / len(trials),
-        "right": len(right) / len(found) if found else None,
-        "ambiguous_with_truth": sum(t["ambiguous_with_truth"] for t in found) / len(found) if found else None,
-        "median_delay_s": float(np.median(delays)) if found else None,
-        "p90_delay_s": float(np.quantile(delays, 0.9)) if found else None,
+        "detected": len(detected) / len(trials),
+        "right": len(right) / len(detected) if detected else None,
+        "ambiguous_with_truth": sum(t["ambiguous_with_truth"] for t in detected) / len(detected) if detected else None,
+        "median_delay_s": float(np.median(delays)) if detected else None,
+        "p90_delay_s": float(np.quantile(delays, 0.9)) if detected else None,
         "loss_rms": float(np.sqrt(np.mean(error**2))) if sized else None,
         "loss_bias": float(error.mean()) if sized else None,
         "coverage": float(np.mean([t["covered"] for t in sized])) if sized else None,

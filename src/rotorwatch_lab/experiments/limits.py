@@ -1,4 +1,4 @@
-"""The best that any diagnoser could do: a bound on the error of a loss, and one on the delay of its detection.
+"""Performance limits of any diagnoser: a bound on the error of a loss, and one on the delay of its detection.
 
 Both follow from one number: how much the data up to a time tell about a jump of one actuator's loss at a known time,
 
@@ -20,7 +20,7 @@ from __future__ import annotations
 import functools
 from collections import namedtuple
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -101,18 +101,16 @@ def delay(time: Array, information: Array, theta: float, onset: float, false_ala
     """
     kl = 0.5 * theta * theta * np.asarray(information, float)
     since = np.asarray(time, float) - onset
-    some = (since > 0.0) & (kl > 0.0)
-    if not some.any():
+    usable = (since > 0.0) & (kl > 0.0)
+    if not usable.any():
         return float("inf")
-    enough = kl[some] >= cusum(kl[some] / since[some], false_alarm_period)[1]
-    return float(since[some][np.argmax(enough)]) if enough.any() else float("inf")
+    enough = kl[usable] >= cusum(kl[usable] / since[usable], false_alarm_period)[1]
+    return float(since[usable][np.argmax(enough)]) if enough.any() else float("inf")
 
 
-class Bound(NamedTuple):
-    """Of one flight on its ticks: information (T,) on the loss, and the noise variances (4, 4) it holds for (engine/estimator/noise.py)."""
-
-    information: Array
-    variances: Array
+class Bound(namedtuple("Bound", "information variances")):
+    """Bound of one flight on its ticks: information (T,) on the loss, and the noise variances (4, 4) it holds for
+    (engine/estimator/noise.py)."""
 
 
 @functools.lru_cache(maxsize=4)
@@ -131,8 +129,8 @@ def _program():
 
 
 def on_ticks(B, u, y, valid, flying, theta, rotor, onset, dt: float, batch: bool = False) -> Bound:
-    """The bound for a diagnoser that sees these ticks: plant and noise model are the default estimator's (engine/estimator/plant.py),
-    its noise that of the whole flight with the true losses taken out, the rotor and the onset known.
+    """The bound for a diagnoser that has these ticks: plant and noise model are the default estimator's (engine/estimator/plant.py), its
+    noise that of the whole flight with the true losses taken out, the rotor and the onset known.
 
     B (4, n), u (T, n + 13), y (T, 4), valid (T, 4), flying (T,) bool; theta (T, n) true losses; rotor (0-based), onset (first tick with
     the loss): integers. batch: all but B have a first axis of flights. Arrays of NumPy.
@@ -151,9 +149,9 @@ def on_ticks(B, u, y, valid, flying, theta, rotor, onset, dt: float, batch: bool
         Q.append(_walks(learned, known.plant["left"][0], dt))
         R.append(learned[0])
         variances.append(learned)
-    found = _program()(decay, P0, *map(np.stack, (C, H, Q, R)), flying, valid, onset)
-    told = Bound(np.asarray(found), np.stack(variances))
-    return told if batch else Bound(told.information[0], told.variances[0])
+    bounds = _program()(decay, P0, *map(np.stack, (C, H, Q, R)), flying, valid, onset)
+    bound = Bound(np.asarray(bounds), np.stack(variances))
+    return bound if batch else Bound(bound.information[0], bound.variances[0])
 
 
 def _walks(variances: np.ndarray, left: np.ndarray, dt: float) -> np.ndarray:

@@ -37,10 +37,10 @@ def reproduction(result: Reproduction) -> RenderableType:
         parts.append(forms)
     parts.append(rows)
     for table in tables(result.paper, result.figures):
-        more = listing(table.title, *table.head)
+        extra = listing(table.title, *table.head)
         for row in table.rows:
-            more.add_row(*row)
-        parts += [Text(), more]
+            extra.add_row(*row)
+        parts += [Text(), extra]
     return Group(*parts)
 
 
@@ -60,7 +60,7 @@ def observability(result) -> RenderableType:
 
 
 def survival(result) -> RenderableType:
-    """What is left after the loss of one and of two rotors, cases that are alike in one row; result as from `rotorwatch.survive`."""
+    """Remaining control after the loss of one and of two rotors, equal cases in one row; result as from `rotorwatch.survive`."""
     names = ("rotors", "loss", "then", "T / W", "roll", "pitch", "yaw", "wind", "turns")
     rows = listing("", *names, right=range(3, 9))
     for column in rows.columns[1:]:
@@ -69,24 +69,24 @@ def survival(result) -> RenderableType:
     for case in (result.healthy, *result.cases):
         loss = report.percent(case.loss, 0) if case.rotors else "-"
         moments = [_or_dash(x, ".2g") for x in (case.roll, case.pitch, case.yaw)]
-        last = (_or_dash(case.wind, ".0f"), _or_dash(case.rate, ".1f"))
+        wind_and_turn = (_or_dash(case.wind, ".0f"), _or_dash(case.rate, ".1f"))
         # The number of rotors keeps singles and pairs apart.
-        shown = (str(len(case.rotors)), loss, case.verdict, f"{case.lift:.2f}", *moments, *last)
-        alike.setdefault(shown, []).append("+".join(map(str, case.rotors)) or "none")
-    for shown, sets in alike.items():
-        rows.add_row(", ".join(sets), *shown[1:])
+        cells = (str(len(case.rotors)), loss, case.verdict, f"{case.lift:.2f}", *moments, *wind_and_turn)
+        alike.setdefault(cells, []).append("+".join(map(str, case.rotors)) or "none")
+    for cells, sets in alike.items():
+        rows.add_row(", ".join(sets), *cells[1:])
     units = "T / W: largest thrust over weight. Moments left at hover [N m], wind that can be held [m/s], turning there [rad/s]."
     notes = [Text(sentence, style="dim") for sentence in (units, *result.assumptions)]
     return Group(Text(result.name, style="bold"), rows, Text(result.summary), *notes)
 
 
 def excitation(result) -> RenderableType:
-    """The candidates, what the excitation does to each and how far apart it brings them; result as from `rotorwatch.ask`."""
+    """Candidates, effect of the excitation on each, and their separation; result as from `rotorwatch.ask`."""
     rows = listing("", "weak rotors", "loss", "turns it by", "lifts it by", "apart from the next", right=(1, 2, 3, 4))
     turn, lift = np.degrees(result.design.tilt), 1e3 * result.design.heave
-    for k, who in enumerate(result.candidates):
-        loss = ", ".join(report.percent(result.losses[k][r - 1], 0) for r in who) or "-"
-        name = "+".join(map(str, who)) or "none"
+    for k, rotors in enumerate(result.candidates):
+        loss = ", ".join(report.percent(result.losses[k][r - 1], 0) for r in rotors) or "-"
+        name = "+".join(map(str, rotors)) or "none"
         rows.add_row(name, loss, f"{turn[k]:.2f} deg", f"{lift[k]:.1f} mm", f"{result.separation[k]:.1f} sd")
     each = ", ".join(f"{k + 1}: {report.percent(a, 1)}" for k, a in enumerate(result.amplitude))
     notes = (f"Largest change of each command, of full thrust: {each}.", *result.assumptions)

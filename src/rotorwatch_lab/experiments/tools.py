@@ -1,4 +1,4 @@
-"""What experiments and campaigns share: parts done wherever that is, shares and rates with 95 % intervals, and tables.
+"""Shared by experiments and campaigns: distribution of parts, shares and rates with 95 % intervals, and tables.
 
 Rates have exact Poisson intervals (Garwood 1936), shares Wilson's (1927), medians and errors those of a seeded bootstrap.
 """
@@ -36,9 +36,15 @@ def gathered(
     return [row for rows in many.ordered(part, parts, jobs, scheduler, finished, keep) for row in rows]
 
 
+def batches(flights: int, cells: int, width: int) -> list[range]:
+    """Numbers of the flights of each batch: flight k is of cell k % cells, a batch holds at most `width` flights of one cell."""
+    of_cells = (range(cell, flights, cells) for cell in range(cells))
+    return [numbers[k : k + width] for numbers in of_cells for k in range(0, len(numbers), width)]
+
+
 def stepped(estimator: Any, u: Any, y: Any, select: Callable[[Any], Any], valid: Any = None) -> Any:
-    """What `select` keeps of each step's output over rows u (T, n_u), y (T, n_y), valid (T, n_y) (None: all are): for compiled programs,
-    and to be mapped over flights or tunings."""
+    """Outputs of each step, reduced by `select`, over rows u (T, n_u), y (T, n_y), valid (T, n_y) (None: all valid). For compiled programs;
+    can be mapped over flights or tunings."""
     jax = load_jax()
     valid = jax.numpy.ones(y.shape, bool) if valid is None else valid
 
@@ -50,7 +56,7 @@ def stepped(estimator: Any, u: Any, y: Any, select: Callable[[Any], Any], valid:
 
 
 def losses(out: Any) -> Any:
-    """Of an estimate: theta (n_theta,). For `stepped`."""
+    """theta (n_theta,) of an estimate. For `stepped`."""
     return out.theta
 
 
@@ -66,7 +72,7 @@ def rate(count: int, hours: float) -> dict[str, float] | None:
 
 
 def share(flags: Sequence[Any] | np.ndarray) -> dict[str, float] | None:
-    """Share of what is true, with Wilson's interval."""
+    """Share of true flags, with Wilson's interval."""
     n = len(flags)
     if n == 0:
         return None
@@ -90,7 +96,7 @@ def boot(values: Any, statistic: Callable) -> dict[str, float] | None:
 
 
 def interval(value: Mapping[str, float] | None, digits: int | None = None) -> str:
-    """A measure with its interval as people read it: in percent, or with so many digits."""
+    """A measure with its interval, as text: in percent, or with so many digits."""
     if value is None:
         return "-"
     middle, low, high = (value[k] * (100.0 if digits is None else 1.0) for k in ("value", "low", "high"))

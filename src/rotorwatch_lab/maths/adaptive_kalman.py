@@ -20,13 +20,14 @@ forgetting and resetting: Salgado, Goodwin and Middleton, Int. J. Control 47, 19
 
 from __future__ import annotations
 
+from collections import namedtuple
 from typing import NamedTuple
 
 import numpy as np
 
 from rotorwatch.base import checks
 from rotorwatch.base.backend import jnp
-from rotorwatch.core import Array, Estimate
+from rotorwatch.core import Estimate
 from rotorwatch_lab.maths import linearise, plant
 from rotorwatch_lab.maths.small import definite_solve, symmetric
 
@@ -35,14 +36,8 @@ MEMORY_S = -1e-3 / float(np.log(0.995))
 ROUNDING = 2e-15  # of the largest variance
 
 
-class State(NamedTuple):
+class State(namedtuple("State", "x P theta S Upsilon")):
     """x (n,) and P (n, n): state, and its covariance were theta known. theta (p,), its covariance S. Upsilon (n, p)."""
-
-    x: Array
-    P: Array
-    theta: Array
-    S: Array
-    Upsilon: Array
 
 
 class Memory(NamedTuple):
@@ -53,7 +48,7 @@ class Memory(NamedTuple):
 
 
 class Zhang:
-    """What the methods of this recursion share. Not a method by itself: a method sets `name`, and says where it linearises."""
+    """Base of the methods that use this recursion. A method sets `name` and chooses the point of linearisation."""
 
     name = ""
     not_kalman = (
@@ -101,7 +96,7 @@ def forget(S, memory: Memory, dt):
 def step(
     state: State, x, f: linearise.Linear, e, h: linearise.Linear, Q, R, valid, memory: Memory, dt
 ) -> tuple[State, Estimate]:
-    """One step of dt seconds from the prediction x (n,) at the old theta, and e (m,): y minus what it predicts.
+    """Update from the prediction x (n,) at the old theta, dt seconds later, with e (m,): y minus its prediction.
 
     f, h: the step, with F (n, n) and Phi (n, p), and the measurement, with C (m, n) and D (m, p). R (m,): variances. The equations
     above, one measurement after the other, because R is diagonal: nothing is inverted.

@@ -1,4 +1,4 @@
-"""One step of the augmented extended Kalman filter, with process noise that is fixed or adapts: what the methods ekf and aekf share.
+"""Augmented extended Kalman filter with fixed or adaptive process noise: base of ekf and aekf.
 
     s = [x; theta],   theta(k+1) = theta(k) + walk,   s- = [f(x, u, theta); theta],   A = [F Phi; 0 I],   H = [C D]
     P- = A P A' + q^1/2 blkdiag(Q, theta_walk dt) q^1/2,   K = P- H' (H P- H' + R)^-1,   s = s- + K (y - h(s-)),   P = (I - K H) P-
@@ -9,8 +9,6 @@ q is 1, or follows the innovations by the MIT rule (`mit_rule`). Source: Jazwins
 from __future__ import annotations
 
 from typing import NamedTuple
-
-import numpy as np
 
 from rotorwatch.base.backend import jnp
 from rotorwatch.core import Array, Estimate
@@ -26,7 +24,7 @@ class Carry(NamedTuple):
 
 
 class AugmentedEKF:
-    """Not a method by itself: a method sets `name` and `not_kalman`, and says whether Q adapts."""
+    """Base class. A method sets `name` and `not_kalman`, and chooses whether Q adapts."""
 
     def __init__(self, system, dt: float, *, theta_walk, theta_var, adaptation: mit_rule.Adaptation | None = None):
         """dt: s. theta_walk: variance that a loss gains per second [1/s]; theta_var: variance of the losses at the start;
@@ -62,8 +60,8 @@ class AugmentedEKF:
 
     def _predicted(self, P, F, Phi, dt, mit):
         """A P A' + noise, block by block: A = [F Phi; 0 I]."""
-        n_x, n = self.system.n_x, self.system.n_theta
-        A = jnp.concatenate([jnp.concatenate([F, Phi], axis=1), jnp.asarray(np.eye(n_x + n)[n_x:])])
+        n_x = self.system.n_x
+        A = linearise.augmented(F, Phi)
         P = A @ P @ A.T
         Q = jnp.zeros_like(P).at[:n_x, :n_x].set(self.system.Q(dt)).at[n_x:, n_x:].set(jnp.diag(self.theta_walk) * dt)
         return P + (mit_rule.scaled(Q, mit) if self.adaptation else Q)

@@ -1,4 +1,4 @@
-"""Losses within bounds and losses at rest: which bounds a theta has, quadratic programs over a box, and whose loss shows at all."""
+"""Bounds of theta, quadratic programs over a box, and losses that are unobservable while a rotor idles."""
 
 from __future__ import annotations
 

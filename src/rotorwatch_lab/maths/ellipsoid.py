@@ -7,7 +7,7 @@ Process Control 18, 2008 (the same on factors U D U').
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections import namedtuple
 
 from rotorwatch.base.backend import jax, jnp, lax
 from rotorwatch.core import Array
@@ -16,12 +16,8 @@ from rotorwatch_lab.maths.small import blocks, product, solve, symmetric
 TINY = 1e-300
 
 
-class Cut(NamedTuple):
+class Cut(namedtuple("Cut", "a P health")):
     """An ellipsoid after a measurement. health: how far from empty, 1 where the innovation is 0, 0 or less when empty."""
-
-    a: Array
-    P: Array
-    health: Array
 
 
 def around_box(half, rule: str = "trace"):
@@ -62,7 +58,7 @@ def minkowski(P, Q, weights: Array = 1.0):
 
 
 def largest_eigenvalue(A, squarings: int = 7):
-    """Of a symmetric positive semidefinite matrix, from below: Rayleigh's quotient after 2^squarings power steps.
+    """Largest eigenvalue of a symmetric positive semidefinite matrix, from below: Rayleigh's quotient after 2^squarings power steps.
 
     Only products, so it can stand in a compiled step; good to 1 % when the second largest is 0.97 of it or less, and
     never below the mean eigenvalue by more than rounding.
@@ -123,8 +119,8 @@ def _volume_weight(n: int, g, r, e):
     A = (n - 1) * g**2
     B = g * ((2 * n - 1) * r - g + e**2)
     C = r * (n * (r - e**2) - g)
-    found = (-B + jnp.sqrt(jnp.maximum(B**2 - 4 * A * C, 0.0))) / jnp.maximum(2 * A, TINY)
-    return jnp.where(C < 0, found, 0.0)
+    weight = (-B + jnp.sqrt(jnp.maximum(B**2 - 4 * A * C, 0.0))) / jnp.maximum(2 * A, TINY)
+    return jnp.where(C < 0, weight, 0.0)
 
 
 def _trace_weight(tau, kappa, g, r, e):

@@ -1,4 +1,4 @@
-"""Which rotors' losses make up a missing wrench: f = Phi theta with more rotors than channels.
+"""Allocates a missing wrench to rotor losses: f = Phi theta with more rotors than channels.
 
 f (c,): what the actuators did not deliver, channel by channel; Phi (c, n): what a full loss of each rotor does; W (c,):
 weight of each channel, 1 / noise variance, 0 where it is not measured. Up to four rotors Phi can be inverted, and weighting the
@@ -13,35 +13,27 @@ Each is a pure rule: init() -> state, and rule(state, Phi, f, W, dt) -> (state, 
 
 from __future__ import annotations
 
+from collections import namedtuple
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from rotorwatch.base import checks
 from rotorwatch.base.backend import jax, jnp, lax
-from rotorwatch.core import Array
 from rotorwatch_lab.maths.small import definite_solve
 
 CHANNELS = 4  # roll, pitch, yaw, thrust: the axes on which rotors differ
 RIDGE = 1e-12  # of the largest information: directions with less count as unobservable
 
 
-class Answer(NamedTuple):
+class Answer(namedtuple("Answer", "theta M spread count")):
     """theta (n,); M (n, c): how noise in f gets into it; spread (n, n): covariance of what f leaves open, PSD; count
     (int32): how many explanations are as good, 1 when there is no other."""
 
-    theta: Array
-    M: Array
-    spread: Array
-    count: Array
 
-
-class Window(NamedTuple):
-    """What the temporal rule has seen: information G (n, n) and z (n,); both forget."""
-
-    G: Array
-    z: Array
+class Window(namedtuple("Window", "G z")):
+    """Accumulated data of the temporal rule: information G (n, n) and vector z (n,), with forgetting."""
 
 
 class LeastSquares:
@@ -94,9 +86,8 @@ class Sparse:
         self.index = np.array([[s[k] if k < len(s) else 0 for s in sets] for k in range(width)])
         rotor = np.arange(n) < losses
         self.atoms = np.column_stack([np.eye(n), rotor.astype(float)])  # theta = atoms a
-        self.places = np.swapaxes(
-            self.atoms.T[self.index] * self.filled[:, :, None], 1, 2
-        )  # (width, n, sets): theta = sum of places a
+        # (width, n, sets): theta = sum of places a
+        self.places = np.swapaxes(self.atoms.T[self.index] * self.filled[:, :, None], 1, 2)
         self.low = np.append(np.where(rotor, 0.0, -np.inf), 0.0)
         self.high = np.append(np.where(rotor, 1.0, np.inf), 1.0)
 
@@ -128,20 +119,21 @@ class Sparse:
         """theta (n, sets) of every set within bounds, and its score (sets,). G, z: information about the atoms."""
         i, filled = self.index, self.filled
         width = len(i)
-        own = 1e-10 * jnp.diagonal(G) + _ridge(G)
+        ridge = 1e-10 * jnp.diagonal(G) + _ridge(G)
         A = {(j, k): jnp.where(filled[j] & filled[k], G[i[j], i[k]], 0.0) for j in range(width) for k in range(j)}
-        A |= {(k, k): jnp.where(filled[k], (jnp.diagonal(G) + own)[i[k]], 1.0) for k in range(width)}  # empty places: 1
+        A |= {
+            (k, k): jnp.where(filled[k], (jnp.diagonal(G) + ridge)[i[k]], 1.0) for k in range(width)
+        }  # empty places: 1
         a = _solve(A, [jnp.where(filled[k], z[i[k]], 0.0) for k in range(width)])
         theta = sum(jnp.clip(a[k], self.low[i[k]], self.high[i[k]]) * self.places[k] for k in range(width))
-        theta = jnp.clip(
-            theta, self.low[: self.n, None], self.high[: self.n, None]
-        )  # what is scored is what is answered
+        # Clipped before the score, so that the score is that of the answer.
+        theta = jnp.clip(theta, self.low[: self.n, None], self.high[: self.n, None])
         residual = power + (theta * (G[: self.n, : self.n] @ theta - 2.0 * z[: self.n, None])).sum(axis=0)
         return theta, residual + self.price * self.size
 
 
 class Temporal:
-    """One constant theta for everything lately seen: least squares over filtered regressors, rotors bounded to [0, 1].
+    """A single constant theta for all recent data: least squares over filtered regressors, rotors bounded to [0, 1].
 
     G <- l G + (dt / correlation_s) Phi' W Phi,  z <- l z + (dt / correlation_s) Phi' W f,  l = exp(-dt / memory_s). Where f departs
     from Phi theta by more than `limit` (chi-squared), theta has changed: what was seen is forgotten.
@@ -189,7 +181,7 @@ class Temporal:
 
 
 def _ridge(G):
-    """Just enough to make G invertible."""
+    """The smallest diagonal that makes G invertible."""
     return RIDGE * jnp.max(jnp.diagonal(G)) + 1e-30
 
 

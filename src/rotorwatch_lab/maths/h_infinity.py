@@ -94,14 +94,14 @@ def bounded_real(A, E, C, F=None) -> float:
     A, E, C, F = _system(A, E, C, F)
     n, n_w, n_z = len(A), E.shape[1], len(C)
     P, g = cp.Variable((n, n), symmetric=True), cp.Variable()
-    whole = cp.bmat(
+    lemma = cp.bmat(
         [
             [A.T @ P + P @ A, P @ E, C.T],
             [E.T @ P, -g * np.eye(n_w), F.T],
             [C, F, -g * np.eye(n_z)],
         ]
     )
-    if not matrix_inequality.solved(cp.Problem(cp.Minimize(g), [whole << 0, P >> 0])) or g.value is None:
+    if not matrix_inequality.solved(cp.Problem(cp.Minimize(g), [lemma << 0, P >> 0])) or g.value is None:
         raise ConfigError(
             "The solver finds no level of the bounded real lemma; is the system stable, and are its states well scaled?"
         )
@@ -249,14 +249,14 @@ def _gains(omega, A, E, C, F) -> np.ndarray:
 def _peak(A, E, C, F, low, high) -> float:
     from scipy.optimize import minimize_scalar
 
-    found = minimize_scalar(
+    peak = minimize_scalar(
         lambda w: -_gains([w], A, E, C, F)[0], bounds=(low, high), method="bounded", options={"xatol": 1e-9 * high}
     )
-    return float(-found.fun)
+    return float(-peak.fun)
 
 
 def _crosses(A, E, C, F, g) -> bool:
-    """Whether the Hamiltonian matrix of the level g has an eigenvalue on the imaginary axis."""
+    """True if the Hamiltonian matrix of the level g has an eigenvalue on the imaginary axis."""
     R = g**2 * np.eye(E.shape[1]) - F.T @ F
     inverse = np.linalg.inv(R)
     left = A + E @ inverse @ F.T @ C

@@ -127,8 +127,8 @@ def table_1(A, C, E, N, mu, epsilon, solver: str = "CLARABEL") -> tuple[float, S
     grid = np.linspace(np.log(0.1), np.log(10.0 + 3.0 / np.sqrt(mu)), 12)
     k = int(np.clip(np.argmin([size(log) for log in grid]), 1, len(grid) - 2))
     within = (grid[k - 1], grid[k + 1])
-    found: Any = minimize_scalar(size, bounds=within, method="bounded", options={"xatol": 1e-3})
-    best = float(found.x)
+    optimum: Any = minimize_scalar(size, bounds=within, method="bounded", options={"xatol": 1e-3})
+    best = float(optimum.x)
     return float(least + np.exp(best)), solved(best)
 
 

@@ -9,7 +9,7 @@ several times, but never narrower, up to rounding: bounds are not rounded outwar
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 import numpy as np
 
@@ -17,11 +17,8 @@ from rotorwatch.base.backend import jax, jnp
 from rotorwatch.errors import ConfigError
 
 
-class Interval(NamedTuple):
+class Interval(namedtuple("Interval", "lo hi")):
     """All arrays between lo and hi, element by element."""
-
-    lo: Any
-    hi: Any
 
 
 def evaluate(function, *arguments):

@@ -1,4 +1,4 @@
-"""First-order models of a plant, and the measurement update of a Gaussian: what linearised estimators share.
+"""First-order models of a plant, and the measurement update of a Gaussian, for linearised estimators.
 
     x(k+1) = f + F dx + Phi dtheta,    y = h + C dx + D dtheta
 
@@ -7,22 +7,18 @@ D is the direct feedthrough of a loss to a measurement (an accelerometer feels t
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 
 from rotorwatch.base import checks
 from rotorwatch.base.backend import jax, jnp
-from rotorwatch.core import Array
 from rotorwatch.errors import ConfigError
+from rotorwatch_lab.maths.small import symmetric
 
 
-class Linear(NamedTuple):
+class Linear(namedtuple("Linear", "value by_x by_theta")):
     """value (m,) at the point; by_x (m, n_x) and by_theta (m, n_theta): its derivatives there."""
-
-    value: Array
-    by_x: Array
-    by_theta: Array
 
 
 def transition(system, x, u, theta, dt) -> Linear:
@@ -36,7 +32,7 @@ def measurement(system, x, u, theta) -> Linear:
 
 
 def _linear(g, x, theta, part: str, system) -> Linear:
-    """One pass of forward differentiation in all directions. Raises ConfigError for a plant that calls NumPy on what has no value yet."""
+    """Forward derivatives in all directions, in one pass. Raises ConfigError for a plant that calls NumPy on traced values."""
     n = x.shape[0]
 
     try:
@@ -45,6 +41,25 @@ def _linear(g, x, theta, part: str, system) -> Linear:
         name = getattr(system, "name", type(system).__name__)
         raise ConfigError(checks.untraceable(f"{part} of the plant {name}", why)) from why
     return Linear(value, slope[:, :n], slope[:, n:])
+
+
+def augmented(F, Phi):
+    """(n, n) transition [F Phi; 0 I] of states and constant losses."""
+    n_x, n_theta = Phi.shape
+    return jnp.concatenate([jnp.concatenate([F, Phi], axis=1), jnp.asarray(np.eye(n_x + n_theta)[n_x:])])
+
+
+def joseph(P, K, H, R):
+    """Covariance after an update with any gain K: (I - K H) P (I - K H)' + K diag(R) K', symmetric; R (m,) variances."""
+    rest = np.eye(P.shape[0]) - K @ H
+    return symmetric(rest @ P @ rest.T + (K * R) @ K.T)
+
+
+def posterior(information, moment):
+    """Mean and symmetric covariance of a Gaussian with this information matrix (n, n) and vector (n,)."""
+    factor = jnp.linalg.cholesky(symmetric(information)), True
+    P = jax.scipy.linalg.cho_solve(factor, np.eye(len(moment)))
+    return jax.scipy.linalg.cho_solve(factor, moment), symmetric(P)
 
 
 def rate(system, x, u, theta):

@@ -13,8 +13,9 @@ M is diagonal and evens out the axes: at the nominal input each answers to theta
 
 from __future__ import annotations
 
+from collections import namedtuple
 from dataclasses import KW_ONLY, dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -27,27 +28,19 @@ from rotorwatch_lab.maths import bounded, linearise, plant
 TINY = 1e-12
 
 
-class Terms(NamedTuple):
+class Terms(namedtuple("Terms", "x A G y C D C_left direct")):
     """The plant at one point: x- (n_x,), A = df/dx, G = df/dtheta per second, C = dh/dx, D = dh/dtheta, y- and C's left inverse."""
-
-    x: Any
-    A: Any
-    G: Any
-    y: Any
-    C: Any
-    D: Any
-    C_left: Any
-    direct: Any
 
 
 @dataclass(eq=False, repr=False)
 class Adaptation:
-    """What the methods of this law share. Not a method by itself: a method sets `name` and `not_kalman`.
+    """Base of the methods that use this law. A method sets `name` and `not_kalman`.
 
     rate: state correction k_w [1/s]. bandwidth: of the adaptation, sqrt of Gamma [rad/s]. direct_rate: speed at which outputs that only
     theta moves (the accelerometer) adapt it [1/s]. bounds: least and largest loss. hold: share of u_nominal below which a
     rotor's loss rests. u_nominal (n_u,): input the gains are evened out for (default: hover). theta_sd: of a loss at the
-    start; walk: of a loss in a second; both for the covariance only. Raises ConfigError for plants with unmeasured states."""
+    start; walk: of a loss in a second; both for the covariance only. Raises ConfigError for plants with unmeasured states.
+    """
 
     system: Any
     dt: Any
@@ -128,13 +121,8 @@ def estimate(state: State, e, S, valid) -> Estimate:
     return Estimate(state.x, state.P[:n, :n], state.theta, state.P[n:, n:], e, S, linearise.status(valid))
 
 
-class State(NamedTuple):
+class State(namedtuple("State", "x theta P measured")):
     """x, theta: the estimate. P: covariance of both. measured (n_x,): the state as last measured, predicted where it was not."""
-
-    x: Any
-    theta: Any
-    P: Any
-    measured: Any
 
 
 def start(system, theta_sd, x0=None) -> State:
@@ -146,7 +134,7 @@ def start(system, theta_sd, x0=None) -> State:
 
 
 def advance(law: Law, state: State, u, y, valid, dt, walk) -> tuple[State, Any, Any, Terms]:
-    """One step of the law: (state, innovation (n_y,), its covariance, the plant's terms).
+    """Advance the law by one step: (state, innovation (n_y,), its covariance, the plant's terms).
 
     P is the covariance of this observer's own error, F P F' + Q and then (I - L C) P (I - L C)' + L R L' with the law's gains
     L: what a fixed-gain observer knows. walk: random walk of theta [1 per square root of s].
@@ -168,8 +156,6 @@ def advance(law: Law, state: State, u, y, valid, dt, walk) -> tuple[State, Any, 
     R = system.R(u)
     L = jnp.concatenate([L_x, L_theta]) * valid[None, :]
     S = H @ P @ H.T + jnp.diag(R)
-    keep = jnp.eye(n + k) - L @ H
-    P = keep @ P @ keep.T + (L * R) @ L.T
-    P = 0.5 * (P + P.T)
+    P = linearise.joseph(P, L, H, R)
     measured = x + at.C_left @ jnp.where(valid, y - at.y - at.C @ (x - at.x), 0.0)
     return State(x, theta, P, measured), e, 0.5 * (S + S.T), at

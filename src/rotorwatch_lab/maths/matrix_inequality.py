@@ -1,4 +1,4 @@
-"""Linear matrix inequalities are solved by a library (CVXPY with CLARABEL, in the extra `research`); this calls it."""
+"""Linear matrix inequalities, solved by CVXPY with CLARABEL (extra `research`)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def library() -> Any:
 
 
 def solved(problem: Any) -> bool:
-    """Whether the solver found an answer; how accurate it is the caller judges by eigenvalues. Raises ConfigError without CVXPY."""
+    """Solve the problem; True if the solver found an answer. The caller verifies it by eigenvalues. Raises ConfigError without CVXPY."""
     cp = library()
     try:
         with warnings.catch_warnings():  # "may be inaccurate": what comes back is checked by its eigenvalues

@@ -17,7 +17,8 @@ System Identification, 2006, chapter 5.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections import namedtuple
+from typing import Any
 
 import numpy as np
 
@@ -31,29 +32,14 @@ from rotorwatch_lab.maths.small import symmetric
 TINY = 1e-12
 
 
-class Known(NamedTuple):
+class Known(namedtuple("Known", "x P Upsilon")):
     """x (n_x,), P (n_x, n_x): the state as last measured, and its covariance were theta known. Upsilon (n_x, n_theta): how x follows
     theta, 0 but for what was not measured."""
 
-    x: Array
-    P: Array
-    Upsilon: Array
 
-
-class Row(NamedTuple):
+class Row(namedtuple("Row", "theta z Omega S x P Upsilon y C R")):
     """A step's regression about `theta`: z (n_y,), Omega (n_y, n_theta), S (n_y, n_y); the state predicted, x (n_x,), P and Upsilon; y
     (n_y,) and C (n_y, n_x): the measurement predicted; R (n_y,)."""
-
-    theta: Array
-    z: Array
-    Omega: Array
-    S: Array
-    x: Array
-    P: Array
-    Upsilon: Array
-    y: Array
-    C: Array
-    R: Array
 
 
 def check(method: str, system: Any, dt: Any) -> Any:
@@ -92,32 +78,34 @@ def left_inverse(C: Array) -> Array:
     return 2.0 * left - left @ (C @ left)
 
 
-def whitened(found: Row, valid: Array) -> tuple[Array, Array]:
+def whitened(regression: Row, valid: Array) -> tuple[Array, Array]:
     """z (n_y,) and Omega (n_y, n_theta) with noise of the covariance I; rows that are not valid are 0."""
-    S = jnp.where(valid[:, None] & valid[None, :], found.S, np.eye(len(valid)))
-    both = jnp.where(valid[:, None], jnp.concatenate([found.Omega, found.z[:, None]], axis=1), 0.0)
+    S = jnp.where(valid[:, None] & valid[None, :], regression.S, np.eye(len(valid)))
+    both = jnp.where(valid[:, None], jnp.concatenate([regression.Omega, regression.z[:, None]], axis=1), 0.0)
     white = jax.scipy.linalg.solve_triangular(jnp.linalg.cholesky(S), both, lower=True)
     return white[:, -1], white[:, :-1]
 
 
-def measured(found: Row, y: Array, valid: Array, theta: Array) -> Known:
+def measured(regression: Row, y: Array, valid: Array, theta: Array) -> Known:
     """The state after the step, theta (n_theta,) being the losses as they are known now."""
-    moved = theta - found.theta
-    left = left_inverse(found.C)
+    moved = theta - regression.theta
+    left = left_inverse(regression.C)
     # Below this a coefficient is the rounding of TINY: the measurement is not needed for that state.
     needed = jnp.abs(left) > 1e-9 * jnp.abs(left).max()
-    whole = (valid | ~needed).all(axis=1) & needed.any(axis=1)
-    K = jnp.where(whole[:, None] & needed, left, 0.0)
-    rest = np.eye(len(found.x)) - K @ found.C
-    e = jnp.where(valid, y - found.y - found.Omega @ moved, 0.0)
-    x = found.x + found.Upsilon @ moved + K @ e
-    P = rest @ found.P @ rest.T + (K * found.R) @ K.T
-    return Known(x, symmetric(P), found.Upsilon - K @ found.Omega)
+    complete = (valid | ~needed).all(axis=1) & needed.any(axis=1)
+    K = jnp.where(complete[:, None] & needed, left, 0.0)
+    rest = np.eye(len(regression.x)) - K @ regression.C
+    e = jnp.where(valid, y - regression.y - regression.Omega @ moved, 0.0)
+    x = regression.x + regression.Upsilon @ moved + K @ e
+    P = rest @ regression.P @ rest.T + (K * regression.R) @ K.T
+    return Known(x, symmetric(P), regression.Upsilon - K @ regression.Omega)
 
 
-def estimate(found: Row, after: Known, valid: Array, before_cov: Array, theta: Array, theta_cov: Array) -> Estimate:
-    """What is known after the step; the innovation is against the losses before it, whose covariance was before_cov."""
-    e = jnp.where(valid, found.z - found.Omega @ found.theta, 0.0)
-    S = symmetric(found.S + found.Omega @ before_cov @ found.Omega.T)
+def estimate(
+    regression: Row, after: Known, valid: Array, before_cov: Array, theta: Array, theta_cov: Array
+) -> Estimate:
+    """The posterior of a step; the innovation is against the losses before it, whose covariance was before_cov."""
+    e = jnp.where(valid, regression.z - regression.Omega @ regression.theta, 0.0)
+    S = symmetric(regression.S + regression.Omega @ before_cov @ regression.Omega.T)
     x_cov = symmetric(after.P + after.Upsilon @ theta_cov @ after.Upsilon.T)
     return Estimate(after.x, x_cov, theta, symmetric(theta_cov), e, S, linearise.status(valid))

@@ -1,4 +1,4 @@
-"""Process noise that adapts to the innovations by the MIT rule: what the adaptive EKF and UKF share.
+"""Process noise that adapts to the innovations by the MIT rule, for the adaptive EKF and UKF.
 
 Gradient descent on V = tr(dS^2), dS = mean of the last e e' minus S, the covariance the filter expects:
 
@@ -13,6 +13,7 @@ innovations: noise with a mean, or coloured, is not covered.
 
 from __future__ import annotations
 
+from collections import namedtuple
 from typing import NamedTuple
 
 from rotorwatch.base import checks
@@ -29,13 +30,9 @@ class Adaptation(NamedTuple):
     window: int
 
 
-class MitState(NamedTuple):
+class MitState(namedtuple("MitState", "log_q e seen")):
     """log_q (n,): logarithms of the factors on Q's diagonal; e, seen (window, n_y): innovations of the last steps in
     which anything was measured, and which were (1) or not (0)."""
-
-    log_q: Array
-    e: Array
-    seen: Array
 
 
 def adaptation(eta: float, window_s: float, dt: float) -> Adaptation:
@@ -60,14 +57,14 @@ def scaled(Q: Array, state: MitState) -> Array:
 
 def adapt(state: MitState, H: Array, S: Array, e: Array, valid: Array, dt, adaptation: Adaptation) -> MitState:
     """After a step with innovation e (n_y,), its expected covariance S, and H (n_y, n) = dy/dz."""
-    some, now = valid.any(), jnp.where(valid, 1.0, 0.0)
-    e_all = jnp.where(some, jnp.concatenate([state.e[1:], jnp.where(valid, e, 0.0)[None]]), state.e)
-    seen = jnp.where(some, jnp.concatenate([state.seen[1:], now[None]]), state.seen)
+    measured, now = valid.any(), jnp.where(valid, 1.0, 0.0)
+    e_all = jnp.where(measured, jnp.concatenate([state.e[1:], jnp.where(valid, e, 0.0)[None]]), state.e)
+    seen = jnp.where(measured, jnp.concatenate([state.seen[1:], now[None]]), state.seen)
     count = seen.T @ seen
     dS = jnp.where(count > 0, e_all.T @ e_all / jnp.maximum(count, 1.0) - S, 0.0)
     wanted = (H * (dS @ H)).sum(0)
     expected = (H * (S @ H)).sum(0)
     rate = jnp.where(expected > 0, wanted / jnp.where(expected > 0, expected, 1.0), 0.0)
-    full = some & seen[0].any()  # not from the first few alone
+    full = measured & seen[0].any()  # not from the first few alone
     step = jnp.clip(2 * adaptation.eta * dt * rate, -LARGEST_STEP, LARGEST_STEP) * full
     return MitState(jnp.clip(state.log_q + step, jnp.log(SMALLEST), jnp.log(LARGEST)), e_all, seen)

@@ -155,7 +155,7 @@ def lipschitz(D, eta: float = 0.0) -> Lipschitz:
 
 
 def is_vacuous(constants: Lipschitz) -> bool:
-    """Whether no function but a constant one has such constants: df'df - eta dx'df <= beta |dx|^2 with beta < -eta^2 / 4."""
+    """True if only constant functions have such constants: df'df - eta dx'df <= beta |dx|^2 with beta < -eta^2 / 4."""
     return constants.beta < -0.25 * constants.eta**2
 
 

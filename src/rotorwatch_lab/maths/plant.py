@@ -45,7 +45,7 @@ def start(system: Any, theta_cov: Any) -> tuple[Any, Any]:
 
 
 class Rotors:
-    """What plants of n rotors share: as many inputs as losses, their names, and B_tau of an airframe file."""
+    """Base of plants with n rotors: as many inputs as losses, their names, and B_tau of an airframe file."""
 
     def name_rotors(self, n: int, command: str = "thrust", unit: str = "1") -> None:
         """Set n_u, n_theta and the names of inputs and losses. JAX computes in float64 from here on: before the plant is traced."""

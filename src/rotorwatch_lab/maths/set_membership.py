@@ -1,4 +1,4 @@
-"""The extended set-membership filter on the augmented state z = (x, theta): what ESMF and AESMF are made of.
+"""Extended set-membership filter on the augmented state z = (x, theta): base of ESMF and AESMF.
 
 Noise is unknown but bounded: w in E(0, Q) and v in E(0, R) at each step. The filter keeps an ellipsoid E(z, P) that holds the
 true state as long as these bounds are true:
@@ -17,14 +17,15 @@ the prior of theta. Scholte and Campbell 2003; Zhou, Han and Liu 2008.
 
 from __future__ import annotations
 
+from collections import namedtuple
 from dataclasses import KW_ONLY, dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from rotorwatch.base import checks
 from rotorwatch.base.backend import jax, jnp, lax
-from rotorwatch.core import Array, Estimate
+from rotorwatch.core import Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch_lab.maths import ellipsoid, interval, linearise, plant, taylor
 from rotorwatch_lab.maths.small import blocks, product, symmetric
@@ -40,49 +41,25 @@ SHARP = 1.0  # weight of each of the two measurements that keep the small set sm
 TRIED = (1.0, 0.003), (10.0, 0.003), (10.0, SHARP)
 
 
-class Carry(NamedTuple):
+class Carry(namedtuple("Carry", "z shape q restarts health near near_shape")):
     """z (n,) centre; shape (n, n): P, or its factors U and D in one matrix; q (n,): factors on Q's diagonal; restarts: how
     often the set was empty; health: distance from empty of the last step, 1 at best, 0 or less when it was. near (n,),
     near_shape (n, n): a set of x and a set of theta, both small, that hold the truth too: where remainders are bounded."""
 
-    z: Array
-    shape: Array
-    q: Array
-    restarts: Array
-    health: Array
-    near: Array
-    near_shape: Array
+
+class Cutting(namedtuple("Cutting", "Phi H e P R amplify")):
+    """Inputs of a rule that adapts Q. Phi (n, n); H (n_y, n), rows 0 where not valid; e (n_y,); P (n, n) before the cut; R (n_y, n_y);
+    amplify: gain from one unit on Q's diagonal to P."""
 
 
-class Cutting(NamedTuple):
-    """What a rule that adapts Q looks at. Phi (n, n); H (n_y, n), rows 0 where not valid; e (n_y,); P (n, n) before the cut;
-    R (n_y, n_y); amplify: how much of one unit on Q's diagonal arrives in P."""
-
-    Phi: Array
-    H: Array
-    e: Array
-    P: Array
-    R: Array
-    amplify: Array
-
-
-class Ahead(NamedTuple):
+class Ahead(namedtuple("Ahead", "z G moved noise half b Phi amplify")):
     """A predicted set before its sum: centre z; moved = G G', what the step makes of the last set; noise (+) remainder; half
     (n_x,): the remainder's; b: the sum's share of least trace. Phi, amplify: as in `Cutting`."""
-
-    z: Array
-    G: Array
-    moved: Array
-    noise: Array
-    half: Array
-    b: Array
-    Phi: Array
-    amplify: Array
 
 
 @dataclass(eq=False, repr=False)
 class SetMembership:
-    """See the module. Not a method by itself: a method sets `name` and `not_kalman`, and `adapt` if Q learns.
+    """Base class; see the module. A method sets `name` and `not_kalman`, and overrides `adapt` if Q learns.
 
     dt: s. bound: noise bounds and the start's half-widths in standard deviations of the plant's Q, R and P0, wider where
     several numbers share one bound, so that all are left as rarely; or given
@@ -92,7 +69,8 @@ class SetMembership:
     errors; batch, the source's way of that; scalar, where each error is bounded alone; or ud, the same on factors. cut: how
     much a measurement weighs (`ellipsoid.strip_cut`; default trace, source for batch and ud). remainder: taylor, interval, or none,
     which neglects it and guarantees nothing; remainder_box: `ellipsoid.around_box`. weights (n_x + n_theta,): in traces.
-    restart: start again when the set is empty. Raises ConfigError."""
+    restart: start again when the set is empty. Raises ConfigError.
+    """
 
     system: Any
     dt: float
@@ -162,9 +140,9 @@ class SetMembership:
         return Carry(z, self.prior, np.ones(self.n), none, np.ones(()), z, self.near_prior)
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
-        """One step. Estimate.x_cov and theta_cov are blocks of the ellipsoid's shape P: the bound of a component is its
-        estimate plus and minus the square root of its diagonal element. innovation_cov: shape of an ellipsoid around all
-        innovations the bounds allow."""
+        """Predict over dt with input u, then cut by y where valid. Estimate.x_cov and theta_cov are blocks of the ellipsoid's shape P: the
+        bound of a component is its estimate plus and minus the square root of its diagonal element. innovation_cov: shape of an ellipsoid
+        around all innovations the bounds allow."""
         n_x, step = self.n_x, self.dt if dt is None else dt
         valid = jnp.asarray(valid, bool)
         ahead = self._predict(carry, u, step)
@@ -232,7 +210,7 @@ class SetMembership:
             return jnp.concatenate([x, system.h(x, u, point[n_x:])])
 
         def about(state, first):
-            """One round; the first bounds the remainder over all of S, for want of better."""
+            """A Gauss-Newton round; the first round bounds the remainder over all of S."""
             point, allowed, best = state
             value, J = linearise.once(both, point)
             H = J[n_x:]
@@ -288,7 +266,7 @@ class SetMembership:
         return z, ellipsoid.factored(P) if self.form == "ud" else P, near, near_shape
 
     def adapt(self, q, cutting: Cutting, health, dt):
-        """New factors on Q's diagonal: the same. Methods that learn Q say more."""
+        """New factors on Q's diagonal: unchanged here; methods that learn Q override this."""
         return q
 
     @property
@@ -318,7 +296,7 @@ class SetMembership:
         return jnp.diag((jnp.asarray(self.theta_drift) * dt) ** 2)
 
     def _radius(self, m: int) -> float:
-        """Of an ellipsoid that m Gaussian numbers leave about as rarely as one leaves `bound` standard deviations."""
+        """Radius of an ellipsoid that m Gaussian numbers leave about as rarely as one number leaves `bound` standard deviations."""
         return self.bound + m**0.5 - 1.0
 
     def _error_bound(self, u, form):
@@ -384,10 +362,9 @@ class SetMembership:
         return H, e, left * bound**2 + right * ellipsoid.around_box(half)
 
     def _least(self, ahead: Ahead, H, e, limit, valid):
-        """(cut, near): the smaller of two joint cuts, each of which holds all that is possible; and x as a cut that trusts the
-        measurement has it. Small share and weight leave theta as it was, while little is learned; large ones pay where much
-        is. health: also whether every row alone is possible, which no share enters.
-        """
+        """(cut, near): the smaller of two joint cuts, both of which hold every possible state; and x as a cut that trusts the measurement
+        gives it. Small share and weight leave theta as it was while little is learned; large ones pay where much is. health: includes
+        whether every row alone is possible, which no share enters."""
         H, R = jnp.where(valid[:, None], H, 0.0), jnp.diag(limit)
         share, weight = np.array(TRIED).T
         left, right = (part[:, None, None] for part in ellipsoid.parts(share * ahead.b / (1 + (share - 1) * ahead.b)))
@@ -440,17 +417,17 @@ class SetMembership:
     def _box_remainder(self, function, z, reach):
         """(mid, half) of the linearisation's remainder over the box around the ellipsoid, as the source bounds it."""
         low, high = jnp.maximum(z - reach, self.low), jnp.minimum(z + reach, self.high)
-        found = interval.second_order_remainder(function, z, low, high)
-        half = _capped(0.5 * (found.hi - found.lo))
-        return jnp.where(half < UNBOUNDED, 0.5 * (found.lo + found.hi), 0.0), half
+        remainder = interval.second_order_remainder(function, z, low, high)
+        half = _capped(0.5 * (remainder.hi - remainder.lo))
+        return jnp.where(half < UNBOUNDED, 0.5 * (remainder.lo + remainder.hi), 0.0), half
 
     def _cut(self, z, shape, H, e, limit, valid):
         """The predicted set cut by all valid measurements."""
         if self.form == "batch":
             cut, _, _ = ellipsoid.batch_cut(z, shape, jnp.where(valid[:, None], H, 0.0), e, jnp.diag(limit))
-            some = valid.any() & (cut.health > 0)
+            usable = valid.any() & (cut.health > 0)
             return ellipsoid.Cut(
-                jnp.where(some, cut.a, z), jnp.where(some, cut.P, shape), jnp.where(valid.any(), cut.health, 1.0)
+                jnp.where(usable, cut.a, z), jnp.where(usable, cut.P, shape), jnp.where(valid.any(), cut.health, 1.0)
             )
 
         if self.form == "ud":
@@ -485,7 +462,7 @@ class SetMembership:
         return lax.cond(valid.any() & leaves, narrowed, lambda: cut)
 
     def _rows(self, cut, z, shape, H, e, limit, valid):
-        """One valid measurement after the other; e: measured minus predicted at z."""
+        """Cut by one valid measurement after the other; e: measured minus predicted at z."""
 
         def row(state, measurement):
             a, P, health = state

@@ -15,21 +15,15 @@ ellipsoids for boxes.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 from rotorwatch.base.backend import jax, jnp
 from rotorwatch_lab.maths import interval
 from rotorwatch_lab.maths.interval import Interval
 
 
-class Model(NamedTuple):
+class Model(namedtuple("Model", "c g e lo hi")):
     """c, e, lo, hi: (*shape,); g: (k, *shape), the slope in k directions; (2 k, *shape) with what `_Rules` measures it by."""
-
-    c: Any
-    g: Any
-    e: Any
-    lo: Any
-    hi: Any
 
 
 def expand(function, a, slope, metric=None, lo=None, hi=None) -> tuple:
@@ -48,11 +42,11 @@ def expand(function, a, slope, metric=None, lo=None, hi=None) -> tuple:
         a + reach if hi is None else jnp.minimum(a + reach, hi),
     ]
     start = Model(a, both, jnp.zeros(a.shape), *ends)
-    found = interval.walk(closed.jaxpr, closed.consts, [start], rules.apply, (Model, Interval))[0]
-    if not isinstance(found, Model):
-        found = jnp.asarray(found)
-        return found, jnp.zeros((found.shape[0], k)), jnp.zeros(found.shape)
-    return found.c, found.g[:k].T, found.e
+    model = interval.walk(closed.jaxpr, closed.consts, [start], rules.apply, (Model, Interval))[0]
+    if not isinstance(model, Model):
+        model = jnp.asarray(model)
+        return model, jnp.zeros((model.shape[0], k)), jnp.zeros(model.shape)
+    return model.c, model.g[:k].T, model.e
 
 
 class _Rules:

@@ -1,4 +1,4 @@
-"""Two-stage unscented Kalman filter: a filter of the state that believes in no fault, one of the losses, and what couples them.
+"""Two-stage unscented Kalman filter: a bias-free filter of the state, a filter of the losses, and their coupling.
 
     prediction  F_x = D L^-1 (D: the points' mean slope times L, L L' = P_free)       r = F_x beta + df/dtheta
                 P_theta- = P_theta + Q_theta        beta- = r P_theta (P_theta-)^-1
@@ -17,6 +17,7 @@ the augmented Kalman filter, split in two.
 
 from __future__ import annotations
 
+from collections import namedtuple
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -26,21 +27,15 @@ from rotorwatch_lab.maths import linearise, unscented
 from rotorwatch_lab.maths.small import symmetric
 
 
-class State(NamedTuple):
-    """x (n_x,): fused estimate. P_free (n_x, n_x): covariance of the filter that believes in no fault. beta (n_x, n_theta):
-    how the state's error follows the losses' error. theta (n_theta,), P_theta (n_theta, n_theta)."""
-
-    x: Array
-    P_free: Array
-    beta: Array
-    theta: Array
-    P_theta: Array
+class State(namedtuple("State", "x P_free beta theta P_theta")):
+    """Fused estimate x (n_x,). P_free (n_x, n_x): covariance of the bias-free filter. beta (n_x, n_theta): sensitivity of the state's error
+    to the losses' error. theta (n_theta,), P_theta (n_theta, n_theta)."""
 
 
 class Prediction(NamedTuple):
-    """What is known before the measurement. x, P_free (by its root L), beta, theta: as in State. P_theta_before: without
-    Q_theta. seen: the measurement of the points. e (n_y,): innovation, 0 where invalid. R (n_y,), P_yy (n_y, n_y): noise, and
-    innovation covariance of the filter that believes in no fault. H (n_y, n_theta): how the innovation follows the losses."""
+    """Prior before the measurement. x, P_free (by its root L), beta, theta: as in State. P_theta_before: without Q_theta. seen: the
+    measurement of the points. e (n_y,): innovation, 0 where invalid. R (n_y,), P_yy (n_y, n_y): noise and innovation covariance of the
+    bias-free filter. H (n_y, n_theta): sensitivity of the innovation to the losses."""
 
     x: Array
     L: Array
@@ -69,7 +64,7 @@ def initial(system: Any, P_theta: Array) -> State:
 def predict(
     system: Any, w: unscented.Weights, s: State, Q_theta: Array, u: Array, y: Array, valid: Array, dt: Array
 ) -> Prediction:
-    """One step ahead, and the measurement expected there. Q_theta (n_theta, n_theta): growth of P_theta in this step."""
+    """Predict one step ahead, and the measurement expected there. Q_theta (n_theta, n_theta): growth of P_theta in this step."""
     L = unscented.root(s.P_free)
     moved = unscented.transform(lambda x: system.f(x, u, s.theta, dt), s.x, L, w)
     r = _through(moved, L, s.beta) + jax.jacfwd(lambda theta: system.f(s.x, u, theta, dt))(s.theta)

@@ -16,6 +16,7 @@ Julier and Uhlmann, Unscented filtering and nonlinear estimation, Proc. IEEE 92 
 from __future__ import annotations
 
 import math
+from collections import namedtuple
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -42,13 +43,9 @@ class Weights(NamedTuple):
     bend: float
 
 
-class Transformed(NamedTuple):
+class Transformed(namedtuple("Transformed", "mean slope curvature")):
     """A function of a Gaussian. mean (m,). slope D (m, n): its mean derivative times L. curvature (m, m): what its covariance
     has beyond D D'; 0 where the function is linear."""
-
-    mean: Array
-    slope: Array
-    curvature: Array
 
     @property
     def cov(self) -> Array:
@@ -110,7 +107,7 @@ def corrected(L: Array, y: Transformed, K: Array, R: Array) -> Array:
 
 
 def joint_step(system, w: Weights, z, P, noise, u, y, valid, dt, limit: Callable = lambda theta: theta):
-    """One step of a filter of states and losses together: (z, P, Estimate, predicted z).
+    """Predict and update a filter of states and losses together: (z, P, Estimate, predicted z).
 
         z- = sum w (f(chi), chi_theta),   P- = P_f + noise;   points drawn again from (z-, P-):  y-, P_yy, P_zy
         S = P_yy + R,   K = P_zy S^-1;   z = z- + K (y - y-),   P = P- - K S K'
@@ -146,7 +143,7 @@ def loss_covariance(name: str, value: Any, n: int) -> Array:
 
 
 def no_limit(theta: Array) -> Array:
-    """theta as it is."""
+    """The limit that leaves theta unchanged."""
     return theta
 
 
@@ -160,8 +157,8 @@ def to_unit(n: int) -> Callable:
 
 
 class Unscented:
-    """What the unscented filters share. Not a method by itself: a method sets `name` and `not_kalman`, and `joint` to False where points
-    are drawn for the states only, not for the losses."""
+    """Base of the unscented filters. A method sets `name` and `not_kalman`, and `joint` to False where points are drawn for the states
+    only."""
 
     name = not_kalman = called = ""
     joint = True

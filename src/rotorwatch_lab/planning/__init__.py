@@ -1,1 +1,1 @@
-"""Before a flight: which losses the vehicle would survive (survive), and what to fly to learn which rotors are weak (ask)."""
+"""Preflight analysis: losses that the vehicle would survive (survive), and excitations that show which rotors are weak (ask)."""

@@ -1,4 +1,4 @@
-"""Asking a vehicle which of several sets of rotors is weak: how much, how long, what it moves, and what can be told apart.
+"""Designs an excitation that tells which of several sets of rotors is weak: amplitude, length, motion and separation.
 
     asked = rw.ask("ardupilot-hexa-x", [(1, 2), (3, 4), (5, 6), ()], loss=0.3)
     print(asked.summary)
@@ -37,8 +37,8 @@ HOVER = 0.45  # share of full thrust: twice the weight and a little more
 
 @dataclass(frozen=True)
 class Asking:
-    """An excitation of a vehicle, and what it is for. name; rotors: how many; candidates: sets of weak rotors (1-based; (): none), losses
-    (k, n) of each; B (4, n); hover (n,): commands; dt [s]; design: the excitation; assumptions: sentences on what was not known."""
+    """An excitation of a vehicle and its purpose. name; rotors: how many; candidates: sets of weak rotors (1-based; (): none), losses (k,
+    n) of each; B (4, n); hover (n,): commands; dt [s]; design: the excitation; assumptions: sentences on unknown quantities."""
 
     name: str
     rotors: int
@@ -57,13 +57,13 @@ class Asking:
 
     @property
     def separation(self) -> np.ndarray:
-        """(k,) standard deviations between each candidate and the one that is hardest to tell from it."""
+        """(k,) standard deviations between each candidate and the nearest other one."""
         d = np.sqrt(self.design.information)
         return np.array([d[(self.design.pairs == k).any(axis=1)].min() for k in range(len(self.candidates))])
 
     @property
     def summary(self) -> str:
-        """One sentence."""
+        """Summary in one sentence."""
         signal, enough = self.design.signal, self.design.information.min() >= self.design.needed
         what = "tells these candidates apart" if enough else "does not yet tell these candidates apart for sure"
         return (
@@ -73,7 +73,7 @@ class Asking:
         )
 
     def commands(self, rate_hz: float = 100.0) -> tuple[np.ndarray, np.ndarray]:
-        """(time (T,) [s], what is added to the commands (T, n)) of the whole excitation."""
+        """(time (T,) [s], excitation added to the commands (T, n)) over its whole length."""
         signal = self.design.signal
         time = np.arange(0.0, float(signal.length) + 0.5 / rate_hz, 1.0 / rate_hz)
         return time, np.stack([np.asarray(excitation.value_at(signal, t)) for t in time])
@@ -95,12 +95,12 @@ class Asking:
         }  # fmt: skip
 
     def to_json(self) -> str:
-        """The same as JSON text."""
+        """JSON text of `to_dict`."""
         return json.dumps(self.to_dict(), indent=1, allow_nan=False)
 
     def figure(self, path: str | os.PathLike | None = None):
-        """What is added to each command, the thrust with which each candidate answers, and how the information grows; written to `path`
-        (SVG, PNG, PDF) when given. Raises ConfigError without matplotlib."""
+        """Change of each command, thrust response of each candidate, and growth of the information; written to `path` (SVG, PNG, PDF) when
+        given. Raises ConfigError without matplotlib."""
         Figure = optional.library("matplotlib.figure", "A figure").Figure
         picture = Figure(figsize=(11, 3.4), layout="constrained")
         left, middle, right = picture.subplots(1, 3)
@@ -109,9 +109,9 @@ class Asking:
             left.plot(time, 100.0 * added[:, k], lw=1, label=str(k + 1))
         left.set(title="Added to the commands", xlabel="time [s]", ylabel="% of full thrust")
         left.legend(frameon=False, fontsize="small", ncols=2, title="rotor")
-        for who, theta in zip(self.candidates, self.losses, strict=True):
+        for rotors, theta in zip(self.candidates, self.losses, strict=True):
             answer = -added @ (self.B[3] * theta) / self.hover.mean()
-            middle.plot(time, answer, lw=1, label=label(who))
+            middle.plot(time, answer, lw=1, label=label(rotors))
         middle.set(title="Answer of each candidate", xlabel="time [s]", ylabel="thrust [hover thrusts of a rotor]")
         middle.legend(frameon=False, fontsize="small")
         course = self.design.course
@@ -124,9 +124,9 @@ class Asking:
         return picture
 
 
-def label(who: Sequence[int]) -> str:
-    """(1, 4) -> '1+4', () -> 'none'."""
-    return "+".join(map(str, who)) or "none"
+def label(rotors: Sequence[int]) -> str:
+    """Rotor set as text: (1, 4) -> '1+4', () -> 'none'."""
+    return "+".join(map(str, rotors)) or "none"
 
 
 def ask(
@@ -180,9 +180,9 @@ def ask(
         )
     about = question.hover, question.noise, question.gain, question.dt
     design = excitation.design(B, list(hypotheses.values()), *about, limits, longest_s=within_s)
-    who = tuple(tuple(k + 1 for k in c) for c in hypotheses)
+    rotor_sets = tuple(tuple(k + 1 for k in c) for c in hypotheses)
     return Asking(
-        name, B.shape[1], who, np.stack(list(hypotheses.values())), B, question.hover, question.dt, design, notes
+        name, B.shape[1], rotor_sets, np.stack(list(hypotheses.values())), B, question.hover, question.dt, design, notes
     )
 
 
@@ -206,17 +206,17 @@ def _candidates(sets: Sequence[Sequence[int]], loss: float | Sequence[float], n:
         raise ConfigError(f"loss: give one number, or one for each of the {len(sets)} candidates, not {len(each)}.")
     if not all(0.0 < x <= 1.0 for x in each):
         raise ConfigError("loss: give numbers above 0 and up to 1.")
-    found = {}
-    for who, size in zip(sets, each, strict=True):
-        own = tuple(sorted(int(k) - 1 for k in who))
-        if len(set(own)) != len(own) or not all(0 <= k < n for k in own):
-            raise ConfigError(f"The candidate {label(who)} is no set of rotors from 1 to {n}.")
-        found[own] = np.where(np.isin(np.arange(n), own), size, 0.0)
-    return found
+    losses = {}
+    for rotors, size in zip(sets, each, strict=True):
+        indices = tuple(sorted(int(k) - 1 for k in rotors))
+        if len(set(indices)) != len(indices) or not all(0 <= k < n for k in indices):
+            raise ConfigError(f"The candidate {label(rotors)} is no set of rotors from 1 to {n}.")
+        losses[indices] = np.where(np.isin(np.arange(n), indices), size, 0.0)
+    return losses
 
 
 def _of_log(subject: Any, vehicle: Vehicle | None) -> tuple[str, np.ndarray, excitation_response.Question]:
-    """(name, B, what to ask) of a log whose answer is ambiguous. Raises ConfigError where it is not."""
+    """(name, B, question) of a log whose answer is ambiguous. Raises ConfigError if it is not."""
     flight = subject if isinstance(subject, Flight) else logs.read(subject)
     craft = vehicle or airframes.identify(flight)
     air = airborne(flight) if flight.has("motors") else ()

@@ -1,4 +1,4 @@
-"""What a vehicle survives: for every loss of one and of two rotors, can it still hover, with what control, how strongly and in what wind?
+"""Survivability of a vehicle: for every loss of one and of two rotors, can it still hover, with what control authority and in what wind?
 
     survival = rw.survive("ardupilot-hexa-x", mass_kg=2.0, thrust_to_weight=2.2, arm_m=0.3)
     print(survival.summary)
@@ -45,10 +45,10 @@ COLOURS = {FULL: "tab:green", NO_YAW: "gold", SPINNING: "tab:orange", NO: "tab:r
 
 @dataclass(frozen=True)
 class Case:
-    """One set of losses. rotors: those weak or dead (1-based), loss: how much of their thrust. lift: the largest thrust over weight.
-    roll, pitch, yaw [N m]: the largest moment at hover to both sides, the others zero; None where there is none. depth: how far hover is
-    from the nearest limit, as a share of the channels' authority. wind [m/s] that it can hold from any side, None where it spins or
-    falls. rate [rad/s], tilt [rad]: of the turning motion that stays (`control.spinning`), where yaw is given up or it only spins."""
+    """A set of losses. rotors: those weak or dead (1-based), loss: share of their thrust. lift: the largest thrust over weight. roll,
+    pitch, yaw [N m]: the largest moment at hover to both sides, the others zero; None where there is none. depth: distance of hover from
+    the nearest limit, as a share of the channels' authority. wind [m/s] that it can hold from any side, None where it spins or falls. rate
+    [rad/s], tilt [rad]: of the steady turning motion (`control.spinning`), where yaw is given up or it only spins."""
 
     rotors: tuple[int, ...]
     loss: float
@@ -77,22 +77,22 @@ class Survival:
     airframe: Airframe
 
     def count(self, rotors: int, loss: float) -> dict[str, int]:
-        """How many cases of that many rotors and that loss end how."""
-        some = [c.verdict for c in self.cases if len(c.rotors) == rotors and c.loss == loss]
-        return {verdict: some.count(verdict) for verdict in VERDICTS}
+        """Number of cases with each verdict, of that many rotors and that loss."""
+        verdicts = [c.verdict for c in self.cases if len(c.rotors) == rotors and c.loss == loss]
+        return {verdict: verdicts.count(verdict) for verdict in VERDICTS}
 
     @property
     def summary(self) -> str:
-        """What it comes down to: a sentence for each size of loss."""
+        """Summary: a sentence for each size of loss."""
         sentences = []
         for loss in self.losses:
             what = "Total loss" if loss == 1.0 else f"A loss of {loss:.0%}"
             parts = []
             for rotors, word in ((1, "one rotor"), (2, "two rotors")):
-                found = {verdict: count for verdict, count in self.count(rotors, loss).items() if count}
-                total = sum(found.values())
+                counts = {verdict: count for verdict, count in self.count(rotors, loss).items() if count}
+                total = sum(counts.values())
                 if total:
-                    ends = ", ".join(f"{verdict} in {count} of {total}" for verdict, count in found.items())
+                    ends = ", ".join(f"{verdict} in {count} of {total}" for verdict, count in counts.items())
                     parts.append(f"of {word}: {ends}")
             sentences.append(f"{what} {'; '.join(parts)}.")
         return " ".join(sentences)
@@ -112,7 +112,7 @@ class Survival:
         }
 
     def to_json(self) -> str:
-        """The same as JSON text."""
+        """JSON text of `to_dict`."""
         return json.dumps(self.to_dict(), indent=1, allow_nan=False)
 
     def figure(self, path: str | os.PathLike | None = None):
@@ -163,7 +163,7 @@ def survive(
     arm_m: float | None = None,
     progress: Any = None,
 ) -> Survival:
-    """What a vehicle survives.
+    """Losses that a vehicle survives.
 
     vehicle: a `Vehicle`, a vehicle file, or the name of an airframe or of a paper's airframe. loss: sizes of losses, above 0 to 1;
     two weak rotors lose the same. mass_kg, thrust_to_weight (full thrust over weight), arm_m (centre to the outermost rotor): instead
@@ -197,17 +197,17 @@ def _plain(case: Case) -> dict:
 
 
 def _case(airframe: Airframe, rotors: tuple[int, ...], loss: float, servo: bool) -> Case:
-    """One row. servo: yaw does not come from the rotors."""
+    """Row of one set of losses. servo: yaw does not come from the rotors."""
     e = np.ones(len(airframe.x))
     e[[k - 1 for k in rotors]] = 1.0 - loss
     B, weight = airframe.B * e, airframe.mass * G0
     size = np.abs(airframe.B).sum(axis=1) / 2.0
-    whole, tilting = (attainable.margins(B, weight, size, free_yaw=free) for free in (False, True))
-    verdict, found, hover = NO, tilting, None
+    upright, tilting = (attainable.margins(B, weight, size, free_yaw=free) for free in (False, True))
+    verdict, margins, hover = NO, tilting, None
     if servo:
         verdict = FULL if tilting.depth > LEAST else NO
-    elif whole.depth > LEAST:
-        verdict, found = FULL, whole
+    elif upright.depth > LEAST:
+        verdict, margins = FULL, upright
     elif tilting.depth > LEAST:
         verdict = NO_YAW
     if verdict in (NO, NO_YAW) and not servo:
@@ -216,10 +216,12 @@ def _case(airframe: Airframe, rotors: tuple[int, ...], loss: float, servo: bool)
             verdict = SPINNING if spinning.design(airframe, hover) is not None else NO
         hover = None if verdict == NO else hover
     held = verdict in (FULL, NO_YAW)
-    roll, pitch, yaw = (float(x) if held and np.isfinite(x) else None for x in (found.roll, found.pitch, found.yaw))
+    roll, pitch, yaw = (
+        float(x) if held and np.isfinite(x) else None for x in (margins.roll, margins.pitch, margins.yaw)
+    )
     wind = _wind(airframe, e, verdict == NO_YAW or servo) if held else None
     turning = (hover.rate, hover.tilt) if hover else (None, None)
-    lift, depth = float(found.lift), float(found.depth)
+    lift, depth = float(margins.lift), float(margins.depth)
     return Case(rotors, loss if rotors else 0.0, verdict, lift, roll, pitch, yaw, depth, wind, *turning)
 
 
@@ -241,7 +243,7 @@ def _wind(airframe: Airframe, e, free_yaw: bool) -> float:
 
 
 def _trim(B, weight: float) -> np.ndarray:
-    """Hover commands (n,) as equal as can be."""
+    """Hover commands (n,), as equal as possible."""
     from scipy.optimize import lsq_linear
 
     wrench = np.zeros(len(B))

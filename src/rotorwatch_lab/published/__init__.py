@@ -1,8 +1,8 @@
-"""Published methods on real flights, judged like the default one.
+"""Published methods on real flights, evaluated like the default method.
 
 log_plant.py        a flight's ticks as a plant and its table
 published.py        a method of the literature over them, with the decisions that all methods share
-own.py              what a method itself says, step by step
+own.py              the raw output of a method, step by step
 helicopter_log.py   the same for a helicopter's log
 paper_log.py        a method on the plant of its own paper
 decide.py           when an estimate means a fault

@@ -21,11 +21,8 @@ from rotorwatch.core import Decision
 from rotorwatch.toolkit import LOSS_WIDTH, NOTHING, SMALL_WIDTH, TOTAL_SHARE, list_hypotheses
 from rotorwatch.toolkit import NO_LOSS as NONE
 
-LEVEL_S, SCATTER_S, WARM_UP_S = (
-    20.0,
-    30.0,
-    4.0,
-)  # s: forgetting of level and scatter; no decision so long after the start
+LEVEL_S, SCATTER_S = 20.0, 30.0  # s: memory of level and scatter
+WARM_UP_S = 4.0  # no decision for so long after the start
 FLOOR = 0.01  # hover thrusts: no method is steadier than that
 COMMON_SD = 0.02  # per rotor: battery and air move all of them
 CLIP = 9.0  # a square counts at most this many times its mean: a fault must not look like scatter
@@ -59,13 +56,13 @@ class Threshold:
         self.hyp = list_hypotheses(np.shape(B)[1])
 
     def init(self) -> Carry:
-        """Nothing seen yet."""
+        """The state before any estimate."""
         return Carry(
             np.zeros(4), np.full(4, 0.1**2), np.float64(0.0), np.float64(0.0), np.int32(0), np.int32(-1), np.int32(0)
         )
 
     def step(self, carry: Carry, estimate, dt) -> tuple[Carry, Decision]:
-        """One time step of dt s."""
+        """Advance by dt seconds."""
         import jax.numpy as jnp
 
         hyp, B = self.hyp, jnp.asarray(self.B)

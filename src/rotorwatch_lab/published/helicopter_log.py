@@ -1,4 +1,4 @@
-"""A helicopter's log as the table of its plant, any estimator over it, and which actuator does not follow its command.
+"""A helicopter's log as the table of its plant, any estimator over it, and the actuators that do not follow their commands.
 
     U = (1 - loss) u + bias          deviation = U - u = bias - loss u
 
@@ -33,10 +33,8 @@ VELOCITY_SD, RATE_SD = 0.03, 0.0015  # of one sample: a navigation filter's velo
 PROCESS_SD = (4e-3, 4e-3)  # what gusts and the plant's simplifications add in 0.02 s [m/s, rad/s]
 LEAST, MARGIN, LASTING_S = 0.04, 1.5, 0.5
 FILTER_SD = 2.0  # standard deviations that a filter's estimate may be off by; of a set, its half-width
-LEARN_S = (
-    2.0,
-    6.0,
-)  # what deviates meanwhile is steady wind and trim: it is taken out, and nothing is named before the end
+# Deviations in this time are steady wind and trim: they are removed, and no actuator is named before its end.
+LEARN_S = (2.0, 6.0)
 KALMAN: dict[str, Any] = {
     # A fault is a jump of theta; a random walk follows it in about a second.
     "theta_walk": np.repeat([4e-3, 1e-3], ACTUATORS), "theta_var": np.repeat([1e-3, 4e-4], ACTUATORS),
@@ -62,7 +60,7 @@ START_REACH = np.repeat([0.05, 0.02], ACTUATORS)  # of losses and displacements:
 
 
 class Table(NamedTuple):
-    """What an estimator steps over: time (T,); u (T, 6): commands, roll, pitch; y (T, 6): body velocities and rates; valid; dt [s]."""
+    """Input of an estimator: time (T,); u (T, 6): commands, roll, pitch; y (T, 6): body velocities and rates; valid; dt [s]."""
 
     time: np.ndarray
     u: np.ndarray
@@ -73,8 +71,8 @@ class Table(NamedTuple):
 
 @dataclass(frozen=True)
 class Estimated:
-    """theta and off (T, 8): losses, then displacements, and what they may be off by (95 %, or the half-width of a set); deviation,
-    deviation_off (T, 4); found (4,): when each actuator was named [s], NaN if never. itself: the method's series."""
+    """theta and off (T, 8): losses, then displacements, and their uncertainty (95 %, or the half-width of a set); deviation, deviation_off
+    (T, 4); found (4,): when each actuator was named [s], NaN if never. itself: the method's own series."""
 
     table: Table
     theta: np.ndarray
@@ -122,11 +120,11 @@ def _followed(command: np.ndarray, dt: float, lag_s: float) -> np.ndarray:
     """Mean position over each step of sound actuators driven by `command` (T, 4), held over the step: first-order lag, exact."""
     fade = np.exp(-dt / lag_s)
     share = lag_s / dt * (1.0 - fade)
-    at, found = command[0], np.empty_like(command)
+    at, positions = command[0], np.empty_like(command)
     for k, driven in enumerate(command):
-        found[k] = driven + (at - driven) * share
+        positions[k] = driven + (at - driven) * share
         at = driven + (at - driven) * fade
-    return found
+    return positions
 
 
 def _nearest(times: np.ndarray, at: np.ndarray) -> np.ndarray:
@@ -141,8 +139,7 @@ def _to_body(q: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def helicopter(airframe: str) -> dict[str, Any]:
-    """What is known of a helicopter: of one that a paper describes, by its name, or of an airframe file (TOML, as those of the papers).
-    Raises ConfigError."""
+    """Data of a helicopter: one described by a paper, by name, or an airframe file (TOML, in the papers' format). Raises ConfigError."""
     if airframe.endswith(".toml") or "/" in airframe:
         return files.toml(airframe, "airframe file")[0]
     if airframe not in airframes.papers() or "main" not in airframes.paper(airframe):
@@ -187,7 +184,7 @@ def healthy_start(estimator: Any) -> Any:
 
 
 def notes(estimator: Any) -> tuple[str, ...]:
-    """What the figures rest on, and what they neglect."""
+    """Basis and neglected effects of the estimates."""
     if not isinstance(estimator, SetMembership):
         return (AIR, "process and measurement noise are tuned for these logs, not learned from this one", TRIM)
     neglected = (
@@ -221,15 +218,15 @@ def estimate(flight: Flight, airframe: str, name: Any, lag_s: float = LAG_S, pro
     return Estimated(table, theta, off, deviation, deviation_off, _named(table, deviation, deviation_off), series)
 
 
-def summary(found: Estimated) -> dict[str, dict[str, float | None]]:
+def summary(estimated: Estimated) -> dict[str, dict[str, float | None]]:
     """Actuator -> its estimates at the end of the flight, as numbers that JSON takes."""
-    last = {
-        "loss": found.theta[-1, :ACTUATORS], "loss_off": found.off[-1, :ACTUATORS], "bias": found.theta[-1, ACTUATORS:],
-        "bias_off": found.off[-1, ACTUATORS:], "deviation": found.deviation[-1], "deviation_off": found.deviation_off[-1],
+    final = {
+        "loss": estimated.theta[-1, :ACTUATORS], "loss_off": estimated.off[-1, :ACTUATORS], "bias": estimated.theta[-1, ACTUATORS:],
+        "bias_off": estimated.off[-1, ACTUATORS:], "deviation": estimated.deviation[-1], "deviation_off": estimated.deviation_off[-1],
     }  # fmt: skip
     return {
-        name: {"found_s": None if np.isnan(found.found[k]) else float(found.found[k])}
-        | {key: float(values[k]) for key, values in last.items()}
+        name: {"found_s": None if np.isnan(estimated.found[k]) else float(estimated.found[k])}
+        | {key: float(values[k]) for key, values in final.items()}
         for k, name in enumerate(NAMES)
     }
 
@@ -245,9 +242,9 @@ def _deviation(theta: np.ndarray, cov: np.ndarray, u: np.ndarray) -> tuple[np.nd
 def _named(table: Table, deviation: np.ndarray, off: np.ndarray) -> np.ndarray:
     """(4,) when each actuator had deviated for LASTING_S."""
     far = (np.abs(deviation) > np.maximum(LEAST, MARGIN * off)) & (table.time > table.time[0] + LEARN_S[1])[:, None]
-    width, found = max(1, round(LASTING_S / table.dt)), np.full(ACTUATORS, np.nan)
+    width, named = max(1, round(LASTING_S / table.dt)), np.full(ACTUATORS, np.nan)
     for k in range(ACTUATORS):
         run_length = np.convolve(far[:, k], np.ones(width, int))[: len(far)]
         if (run_length >= width).any():
-            found[k] = table.time[np.argmax(run_length >= width)]
-    return found
+            named[k] = table.time[np.argmax(run_length >= width)]
+    return named

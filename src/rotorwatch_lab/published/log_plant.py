@@ -1,4 +1,4 @@
-"""From a log's ticks to a plant and its table: what every published method needs to run on a real flight.
+"""From a log's ticks to a plant and its table, the input of every published method on a real flight.
 
 The default diagnoser's balance  B T (1 - theta) = G m + c r + b  (engine/estimator/plant.py; G motion gains, c damping, b biases)
 is the rotational dynamics of systems/rate_dynamics.py in hover thrusts of one rotor:
@@ -31,7 +31,7 @@ LEAST_ACCEL_SD = 0.1  # m/s^2
 
 @dataclass(frozen=True)
 class LogPlant:
-    """One hop of a flight as the table of a plant. parameters: arrays that `system` makes the RateDynamics of.
+    """A hop of a flight as the table of a plant. parameters: arrays that `system` makes the RateDynamics of.
 
     u (T, n) thrusts in hover thrusts of one rotor; y (T, 4) = (p, q, r [rad/s], f_z [m/s^2]); valid (T, 4); dt [s].
     rows (T,): which ticks they are.
@@ -61,15 +61,15 @@ def plant(parameters) -> RateDynamics:
 
 
 def hops(table: Ticks, B: np.ndarray, dynamics: dict | None = None) -> tuple[LogPlant, ...]:
-    """One plant and table for each hop of a flight, from the end of its learning time on; none without such a hop.
+    """Plant and table of each hop of a flight, from the end of its learning time on; empty without such a hop.
 
     B (4, n): geometry. dynamics: learned from healthy flights (`default.learning.learn`); None: the hop's own first part,
     which is taken as healthy, teaches gains and noise. Trims are always the hop's own. Causal: a row uses nothing later than
     its tick. Raises ConfigError when the commands are too slow for the default estimator, which is the teacher.
     """
     starts = [*np.flatnonzero(table.restart), len(table.time)]
-    found = (_hop(table, B, dynamics, a, b) for a, b in itertools.pairwise(starts))
-    return tuple(hop for hop in found if hop is not None)
+    candidates = (_hop(table, B, dynamics, a, b) for a, b in itertools.pairwise(starts))
+    return tuple(hop for hop in candidates if hop is not None)
 
 
 def _hop(table: Ticks, B: np.ndarray, dynamics: dict | None, start: int, stop: int) -> LogPlant | None:

@@ -1,4 +1,4 @@
-"""Which losses can be distinguished at all: exact observability of states and losses, and how well a flight of some seconds shows them.
+"""Observability of states and losses: which losses can be distinguished at all, and how precisely a flight of some seconds shows them.
 
 Locally observable is what the output's time derivatives determine (Birk and Zeitz 1992; Niermeyer, Pak and Lohmann 2017, eq. 4):
 
@@ -42,8 +42,8 @@ POINTS = 48  # along it
 
 @dataclass(frozen=True)
 class Case:
-    """One way of flying. rank: of Q_obs, the least on the way. singular_values (n,): relative to the largest, at that point.
-    sd (n_theta,): of each loss after SPAN_S, from nothing known. along (T, n): singular values over time."""
+    """Observability in one flight condition. rank: of Q_obs, the least along the path. singular_values (n,): relative to the largest, at
+    that point. sd (n_theta,): of each loss after SPAN_S, from nothing known. along (T, n): singular values over time."""
 
     name: str
     rank: int
@@ -53,7 +53,7 @@ class Case:
 
     @property
     def worst_sd(self) -> float:
-        """The least known loss."""
+        """Standard deviation of the least known loss."""
         return float(self.sd.max())
 
 
@@ -81,7 +81,7 @@ class Observability:
 
     @property
     def summary(self) -> str:
-        """What it comes down to, in a sentence or two."""
+        """The result in a sentence or two."""
         hover, moving = self.cases
         if hover.rank == self.unknowns:
             return "Hover alone shows every loss."
@@ -112,7 +112,7 @@ class Observability:
         }
 
     def to_json(self) -> str:
-        """The same as JSON text."""
+        """JSON text of `to_dict`."""
         return json.dumps(self.to_dict(), indent=1, allow_nan=False)
 
     def figure(self, path: str | os.PathLike | None = None):
@@ -163,10 +163,10 @@ def observability(subject: Vehicle | str | Any, x=None, u=None, progress=None) -
         path_x, path_u = figure_eight(system)
     else:
         names, (path_x, path_u) = ("rest", "inputs swinging"), shake(x0, u0)
-    every = len(path_x) // POINTS
+    stride = len(path_x) // POINTS
     still = np.concatenate([u0[None], np.zeros((orders, u0.size))])
-    xs = np.concatenate([x0[None], path_x[::every]])
-    us = np.concatenate([still[None], derivatives(path_u, orders)[::every]])
+    xs = np.concatenate([x0[None], path_x[::stride]])
+    us = np.concatenate([still[None], derivatives(path_u, orders)[::stride]])
     matrices = lie_matrices(system, xs, us, np.zeros(system.n_theta), orders)
     if progress:
         progress(0.7)
@@ -267,7 +267,8 @@ def taylor_outputs(system, x, u, theta, orders: int):
 
 
 def lie_outputs(system, x, u, theta, orders: int):
-    """The same by definition: L^{k+1} h = dL^k h / dx f + dL^k h / dt, forward derivatives nested. Slow beyond order five."""
+    """The derivatives of `taylor_outputs` by definition: L^{k+1} h = dL^k h / dx f + dL^k h / dt, forward derivatives nested. Slow beyond
+    order five."""
     jax = load_jax()
     jnp = jax.numpy
     factorial = np.cumprod(np.concatenate([[1.0], np.arange(1.0, orders + 1)]))

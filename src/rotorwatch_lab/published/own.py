@@ -1,4 +1,4 @@
-"""What a published method itself says at each step, and the same of a flight as series."""
+"""The raw output of a published method at each step, and as series over a flight."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Own(namedtuple("Own", "theta theta_cov x x_var innovation innovation_var s
 
 
 def own(out: Any) -> Own:
-    """Of a method's output: an `Estimate`, or a named tuple that holds one."""
+    """The raw estimate in a method's output: an `Estimate`, or a named tuple that holds one."""
     import jax.numpy as jnp
 
     e = getattr(out, "estimate", out)
@@ -25,14 +25,14 @@ def own(out: Any) -> Own:
 
 
 def says(estimator: Any) -> str:
-    """What stands in the covariances of that estimator: those of an interval, or the shape of a set."""
+    """Describes the covariances of that estimator: interval, or shape of a set."""
     from rotorwatch_lab.maths.set_membership import SetMembership
 
     return SET if isinstance(estimator, SetMembership) else INTERVAL
 
 
 def series(
-    name: str, estimator: Any, found: Own, time: np.ndarray, hop: int, dt: float, notes: Sequence[str] = ()
+    name: str, estimator: Any, outputs: Own, time: np.ndarray, hop: int, dt: float, notes: Sequence[str] = ()
 ) -> MethodSeries:
     """The stacked outputs of an estimator as series. time (T,): ends of the steps [s]; hop: which flight of the log, from 1."""
     system = estimator.system
@@ -45,9 +45,9 @@ def series(
 
     return MethodSeries(
         method=name, plant=str(getattr(system, "name", "own plant")), says=says(estimator), time=np.asarray(time),
-        hop=np.full(len(time), hop), theta=np.asarray(found.theta), theta_cov=np.asarray(found.theta_cov),
-        x=np.asarray(found.x), x_var=np.asarray(found.x_var), innovation=np.asarray(found.innovation),
-        innovation_var=np.asarray(found.innovation_var), status=np.asarray(found.status),
+        hop=np.full(len(time), hop), theta=np.asarray(outputs.theta), theta_cov=np.asarray(outputs.theta_cov),
+        x=np.asarray(outputs.x), x_var=np.asarray(outputs.x_var), innovation=np.asarray(outputs.innovation),
+        innovation_var=np.asarray(outputs.innovation_var), status=np.asarray(outputs.status),
         theta_names=plant.theta_names(system),
         x_names=named("x_names", system.n_x), x_units=units("x_units", system.n_x),
         y_names=named("y_names", system.n_y), y_units=units("y_units", system.n_y), dt=dt, notes=tuple(notes),

@@ -34,11 +34,8 @@ from rotorwatch_lab.systems.rate_dynamics import RateDynamics
 from rotorwatch_lab.systems.rigid_body import RigidBody
 
 FIELDS = ("mass_kg", "arm_m", "inertia_kg_m2", "drag_ratio_m")
-ANGLE_SD, POSITION_SD, CLIMB_SD = (
-    0.005,
-    0.05,
-    0.05,
-)  # of a navigation filter's attitude [rad], position [m] and climb [m/s]
+# Of a navigation filter's attitude [rad], position [m] and climb [m/s].
+ANGLE_SD, POSITION_SD, CLIMB_SD = 0.005, 0.05, 0.05
 FORCE_SD = 0.3  # m/s^2 per root of Hz: what gusts do to a vehicle's velocity
 PAPER = "of the paper"
 FRESH_S = 0.15  # a sample is used at ticks for so long
@@ -68,24 +65,24 @@ class Seen(NamedTuple):
 
 
 def numbers(vehicle: Vehicle) -> Numbers:
-    """Of a vehicle whose file has FIELDS under [extra]. Raises ConfigError that names what is missing or wrong."""
-    given: Mapping[str, Any] = vehicle.extra or {}
-    if missing := [name for name in FIELDS if name not in given]:
+    """Physical parameters of a vehicle whose file has FIELDS under [extra]. Raises ConfigError that names what is missing or wrong."""
+    extra: Mapping[str, Any] = vehicle.extra or {}
+    if missing := [name for name in FIELDS if name not in extra]:
         raise ConfigError(
             f"A paper's plant needs {', '.join(missing)}: put {'it' if len(missing) == 1 else 'them'} into the vehicle file under [extra], "
             "and give that with --vehicle."
         )
     for name in ("mass_kg", "arm_m", "drag_ratio_m"):
-        checks.positive(name, given[name])
+        checks.positive(name, extra[name])
     J = np.asarray(
-        checks.positive("inertia_kg_m2", checks.shape("inertia_kg_m2", np.asarray(given["inertia_kg_m2"], float), 3))
+        checks.positive("inertia_kg_m2", checks.shape("inertia_kg_m2", np.asarray(extra["inertia_kg_m2"], float), 3))
     )
-    n, m = len(vehicle.rotors), float(given["mass_kg"])
+    n, m = len(vehicle.rotors), float(extra["mass_kg"])
     place = np.array([(r.x, r.y) for r in vehicle.rotors])
-    x, y = (place * float(given["arm_m"]) / np.hypot(*place.T).max()).T
+    x, y = (place * float(extra["arm_m"]) / np.hypot(*place.T).max()).T
     share = np.array([r.share for r in vehicle.rotors])
     thrust = m * G0 / n * share / share.mean()
-    levers = np.stack([-y, x, float(given["drag_ratio_m"]) * np.array([r.spin for r in vehicle.rotors])])
+    levers = np.stack([-y, x, float(extra["drag_ratio_m"]) * np.array([r.spin for r in vehicle.rotors])])
     return Numbers(m, J, levers * thrust, thrust)
 
 
@@ -115,8 +112,8 @@ def estimate(
         # Mean rates lag half a tick behind; what is sampled at a tick's end moved with that tick's commands.
         thrust = hop.u if fill is _rates else table.thrust[hop.rows]
         u = thrust + _trim(known, table.thrust[_learning(table, hop)].mean(axis=0))
-        _, found = run(estimator, u, np.where(valid, y, 0.0), valid, own.own, progress, backend=chosen(None, "jax"))
-        series = own.series(title, estimator, found, time, k, hop.dt, NOTES)
+        _, outputs = run(estimator, u, np.where(valid, y, 0.0), valid, own.own, progress, backend=chosen(None, "jax"))
+        series = own.series(title, estimator, outputs, time, k, hop.dt, NOTES)
         parts.append(replace(series, plant=f"{series.plant} ({PAPER})"))
     return joined(parts)
 

@@ -1,8 +1,8 @@
-"""A published method on a real flight: from ticks to outputs in the form of the default diagnoser's, so that all else is shared.
+"""A published method on a real flight, with outputs in the form of the default diagnoser's, so that all later stages are shared.
 
 Each hop of the flight becomes a plant and a table (log_plant.py), the method runs over it with the threshold of published/decide.py
 behind it, and its announcements are recorded as the default estimator's outputs are: engine/host/events.py and all after it
-do not know the difference. The losses there are the decision's; what the method itself says stays beside them (own.py). What the default
+do not know the difference. The losses there are the decision's; the method's raw output is kept beside them (own.py). What the default
 method does beyond - it tests every onset, competes losses against disturbances
 over whole windows, learns the noise on the way and refines a loss - a plain method does not, and `notes` says so.
 """
@@ -33,7 +33,7 @@ MODEL_SD = 0.004  # of a loss: rotors are not equal
 
 
 class Tuning(NamedTuple):
-    """What `rotorwatch tune` finds: factors on the plant's noise, and the method's own keywords.
+    """Result of `rotorwatch tune`: factors on the plant's noise, and the method's own keywords.
 
     q (n_x,), r (n_y,): factors on the variances of process and measurement noise. keywords: such as theta_walk.
     """
@@ -82,7 +82,7 @@ def method(name: Any, system, dt: float, tuning: Tuning | None = None):
 
 
 class Output(namedtuple("Output", "estimate decision level scatter")):
-    """One step: the method's estimate, the threshold's decision, and the level and scatter (4,) it is held against."""
+    """Output of a step: the method's estimate, the threshold's decision, and the level and scatter (4,) it is compared with."""
 
 
 class Watched:
@@ -93,20 +93,20 @@ class Watched:
         self.system = estimator.system
 
     def init(self):
-        """Carries of all."""
+        """Initial carries of the method and all thresholds."""
         return self.estimator.init(), tuple(threshold.init() for threshold in self.thresholds)
 
     def step(self, carry, u, y, valid):
-        """One time step: an `Output` per threshold."""
+        """Advance by one step: an `Output` per threshold."""
         first, out = self.estimator.step(carry[0], u, y, valid)
         estimate = getattr(out, "estimate", out)
-        found = [t.step(c, estimate, self.dt) for t, c in zip(self.thresholds, carry[1], strict=True)]
-        outputs = tuple(Output(estimate, decision, c.level, c.scatter) for c, decision in found)
-        return (first, tuple(c for c, _ in found)), outputs
+        results = [t.step(c, estimate, self.dt) for t, c in zip(self.thresholds, carry[1], strict=True)]
+        outputs = tuple(Output(estimate, decision, c.level, c.scatter) for c, decision in results)
+        return (first, tuple(c for c, _ in results)), outputs
 
 
 class Seen(namedtuple("Seen", "theta innovation innovation_var log_odds statistic alarm onset best level scatter")):
-    """What an answer needs of a step: theta (n,), innovation and its variances (n_y,), and the decision."""
+    """The part of a step that a diagnosis needs: theta (n,), innovation and its variances (n_y,), and the decision."""
 
 
 def seen(outputs: Sequence[Output]) -> tuple[Seen, ...]:
@@ -124,7 +124,7 @@ def seen(outputs: Sequence[Output]) -> tuple[Seen, ...]:
 
 
 def both(outputs: Sequence[Output]) -> tuple[Own, Seen]:
-    """What the method itself says at a step, and what the first threshold makes of it."""
+    """The method's raw output at a step, and the decision of the first threshold."""
     return own.own(outputs[0]), seen(outputs[:1])[0]
 
 
@@ -151,25 +151,21 @@ def builder(name: Any, dt: float, keywords: tuple = (), decisions: Decisions = (
 def run_hop(
     name: Any, hop: LogPlant, B: np.ndarray, time: np.ndarray, number: int, tuning: Tuning | None = None, progress=None
 ) -> tuple[MethodSeries, Seen]:
-    """The method over one hop, the flight's `number`-th, of ticks at `time`: what it itself says, and what the threshold makes of it.
-    Native code where there is a compiler: XLA takes four times as long to build it."""
+    """Run the method over one hop, the flight's `number`-th, of ticks at `time`: raw output, and the threshold's decisions. Native code
+    where there is a compiler: XLA takes four times as long to build it."""
     tuning = tuning or Tuning()
     parameters: dict[str, Any] = {"plant": hop.parameters, "B": B}
     parameters |= {k: np.asarray(v) for k, v in (("q", tuning.q), ("r", tuning.r)) if v is not None}
     build, backend = builder(name, hop.dt, tuple(sorted(tuning.keywords.items()))), chosen(None, "auto")
-    made, rows = (
-        build(parameters),
-        (hop.u, hop.y, hop.valid),
-    )  # with values: a wrong configuration raises here
+    estimator, rows = build(parameters), (hop.u, hop.y, hop.valid)  # with values: a wrong configuration raises here
     try:
-        found = run_built(build, parameters, *rows, both, progress, made.init(), backend)[1]
-    except (
-        load_jax().errors.JAXTypeError,
-        ConfigError,
-    ):  # design work that needs values: compiled for this flight alone
-        found = run(made, *rows, both, progress, backend=backend)[1]
-    series = own.series(discovery.title(name), made.estimator, found[0], time[hop.rows], number, hop.dt, PLANT_NOTES)
-    return series, found[1]
+        outputs = run_built(build, parameters, *rows, both, progress, estimator.init(), backend)[1]
+    except (load_jax().errors.JAXTypeError, ConfigError):  # its design needs values: compiled for this flight alone
+        outputs = run(estimator, *rows, both, progress, backend=backend)[1]
+    series = own.series(
+        discovery.title(name), estimator.estimator, outputs[0], time[hop.rows], number, hop.dt, PLANT_NOTES
+    )
+    return series, outputs[1]
 
 
 def judge(
@@ -181,8 +177,8 @@ def judge(
     progress=None,
     hops: Sequence[LogPlant] | None = None,
 ) -> tuple[TickOutput, MethodSeries | None]:
-    """The outputs of a published method on every tick of a flight, in the default estimator's form, and what the method itself says on the
-    judged ticks; None where no part of the flight was judged.
+    """Outputs of a published method on every tick of a flight, in the default estimator's form, and its raw output on the judged ticks;
+    None where no part of the flight was judged.
 
     hops: of `log_plant.hops`, when they are known already. Ticks outside the judged hops hold zeros. biases: the missing
     wrench besides that of the losses shown. log_odds: of `list_hypotheses(n)`. Raises ConfigError for an unknown method and slow logs.
@@ -191,9 +187,9 @@ def judge(
     hyp = list_hypotheses(B.shape[1])
     out, parts = program.blank(len(table.time), hyp), []
     for k, hop in enumerate(log_plant.hops(table, B, dynamics) if hops is None else hops, start=1):
-        found, decided = run_hop(name, hop, B, table.time, k, tuning, progress)
+        raw, decided = run_hop(name, hop, B, table.time, k, tuning, progress)
         record(out, decided, hop, hyp, B)
-        parts.append(found)
+        parts.append(raw)
     return out, joined(parts) if parts else None
 
 
@@ -209,7 +205,7 @@ def estimation(
 def itself(
     name: Any, table: Ticks, B: np.ndarray, hops: Sequence[LogPlant], tuning: Tuning | None = None, progress=None
 ) -> MethodSeries:
-    """What the method itself says on the judged ticks of a flight with such hops, of at least one; nothing is decided."""
+    """Raw output of the method on the judged ticks of a flight with at least one such hop, without decisions."""
     return joined([run_hop(name, hop, B, table.time, k, tuning, progress)[0] for k, hop in enumerate(hops, start=1)])
 
 
@@ -239,11 +235,11 @@ def record(out: TickOutput, seen: Seen, hop: LogPlant, hyp: Hypotheses, B: np.nd
     away = seen.theta[:, :n] @ B.T - seen.level
     weight = 1.0 / (seen.scatter + np.array([0, 0, 0, (n * decide.COMMON_SD) ** 2]))
     announced, active, best, onset = _follow(seen, hyp, dt)
-    shown, sd = _losses(_trailing_mean(away, max(1, round(SHOWN_S / dt)), announced), weight, active, B)
+    losses, sd = _losses(_trailing_mean(away, max(1, round(SHOWN_S / dt)), announced), weight, active, B)
     to_wrench = np.concatenate([np.diag(hop.parameters["J"])[:3] / dt, [hop.parameters["m"]]])
     to_wrench[2] *= 1.0 / np.abs(hop.parameters["B_tau"][2]).max()
-    own = np.einsum("ai,ta,ai->ti", B, weight, B)
-    out.theta[rows], out.theta_sd[rows] = shown, sd
+    weighted = np.einsum("ai,ta,ai->ti", B, weight, B)
+    out.theta[rows], out.theta_sd[rows] = losses, sd
     out.innovation[rows], out.innovation_var[rows] = seen.innovation * to_wrench, seen.innovation_var * to_wrench**2
     out.log_odds[rows], out.statistic[rows], out.best[rows], out.onset[rows] = (
         seen.log_odds,
@@ -256,8 +252,8 @@ def record(out: TickOutput, seen: Seen, hop: LogPlant, hyp: Hypotheses, B: np.nd
     out.onsets[rows], out.active[rows], out.share[rows] = _explanations(
         announced, active, onset, out.probability[rows], hyp
     )
-    out.detectable[rows] = np.maximum(decide.SIGMAS / np.sqrt(own), decide.LEAST) / 1.96
-    out.biases[rows] = (hop.u * (seen.theta[:, :n] - shown)) @ B.T
+    out.detectable[rows] = np.maximum(decide.SIGMAS / np.sqrt(weighted), decide.LEAST) / 1.96
+    out.biases[rows] = (hop.u * (seen.theta[:, :n] - losses)) @ B.T
 
 
 def _follow(seen: Seen, hyp: Hypotheses, dt: float):
@@ -271,25 +267,25 @@ def _follow(seen: Seen, hyp: Hypotheses, dt: float):
     best, onset = seen.best.astype(int).copy(), seen.onset.copy()
     over = decide.LIMIT * decide.FADE
     current: frozenset[int] = frozenset()
-    mine: np.ndarray = np.zeros(0, int)
+    same_set: np.ndarray = np.zeros(0, int)
     quiet = 0
     for k in range(T):
         if current:
-            own = seen.log_odds[k, mine].max()
-            quiet = quiet + 1 if own < over else 0
+            best_of_set = seen.log_odds[k, same_set].max()
+            quiet = quiet + 1 if best_of_set < over else 0
             if quiet * dt >= decide.OVER_S:
-                announced[k], best[k], onset[k] = True, mine[0], quiet
+                announced[k], best[k], onset[k] = True, same_set[0], quiet
                 current, quiet = frozenset(), 0
-        who = frozenset(hyp.rotors[seen.best[k]])
-        if seen.alarm[k] and who != current and not announced[k]:
+        rotors = frozenset(hyp.rotors[seen.best[k]])
+        if seen.alarm[k] and rotors != current and not announced[k]:
             if (
                 not current
-                or who > current
-                or seen.log_odds[k, seen.best[k]] > seen.log_odds[k, mine].max() + OTHER_NATS
+                or rotors > current
+                or seen.log_odds[k, seen.best[k]] > seen.log_odds[k, same_set].max() + OTHER_NATS
             ):
-                announced[k], current, quiet = True, who, 0
+                announced[k], current, quiet = True, rotors, 0
         if announced[k]:
-            mine = np.array([h for h, s in enumerate(hyp.rotors) if hyp.fault[h] and frozenset(s) == current], int)
+            same_set = np.array([h for h, s in enumerate(hyp.rotors) if hyp.fault[h] and frozenset(s) == current], int)
         active[k, sorted(current)] = True
     return announced, active, best, onset
 
@@ -307,8 +303,8 @@ def _explanations(announced, active, onset, probability, hyp: Hypotheses):
             found = rotor_sets(hyp, probability[k])
             share[k:stop, 0] = found.get(named, 0.0)
             others = [item for item in found.items() if item[0] != named]
-            for place, (who, p) in enumerate(others[: PLACES - 1], start=1):
-                sets[k:stop, place, list(who)] = True
+            for place, (rotors, p) in enumerate(others[: PLACES - 1], start=1):
+                sets[k:stop, place, list(rotors)] = True
                 share[k:stop, place] = p
     return since, sets, share
 
@@ -324,13 +320,13 @@ def _trailing_mean(values: np.ndarray, width: int, restart: np.ndarray) -> np.nd
 
 def _losses(away: np.ndarray, weight: np.ndarray, active: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Losses (T, n) of the announced rotors by weighted least squares on the missing wrench, 0..1, and their sd."""
-    shown, sd = np.zeros(active.shape), np.zeros(active.shape)
+    losses, sd = np.zeros(active.shape), np.zeros(active.shape)
     for pattern in np.unique(active[active.any(axis=1)], axis=0):
         rows, M = np.flatnonzero((active == pattern).all(axis=1)), B[:, pattern]
         information = np.einsum("ai,ta,aj->tij", M, weight[rows], M) + 1e-9 * np.eye(M.shape[1])
         moment = np.einsum("ai,ta->ti", M, weight[rows] * away[rows])
         covariance = np.linalg.inv(information)
         where = np.ix_(rows, np.flatnonzero(pattern))
-        shown[where] = np.clip(np.einsum("tij,tj->ti", covariance, moment), 0.0, 1.0)
+        losses[where] = np.clip(np.einsum("tij,tj->ti", covariance, moment), 0.0, 1.0)
         sd[where] = np.sqrt(np.einsum("tii->ti", covariance) + MODEL_SD**2)
-    return shown, sd
+    return losses, sd

@@ -31,7 +31,7 @@ __all__ = ["SUFFIXES", "Plan", "Record", "Scenario", "Simulated", "plan", "simul
 
 @dataclass(frozen=True)
 class Simulated:
-    """One simulated flight: its scenario, its numbers, and the record of everything."""
+    """A simulated flight: its scenario, its numbers, and the record of everything."""
 
     scenario: Scenario
     plan: Any

@@ -1,8 +1,8 @@
-"""Flights of any plant: the truth that its own f, h, Q and R describe, for trying a plant or a method before there is a log.
+"""Flights of any plant, simulated with its own f, h, Q and R, for trying a plant or a method without a log.
 
     x(k+1) = f(x(k), u(k), theta(k), dt) + w,   y(k) = h(x(k+1), u(k), theta(k)) + v,   w ~ N(0, Q(dt)),   v ~ N(0, diag R(u(k)))
 
-The plant is its own truth here: what a method does with a real vehicle, which no plant describes so well, is for campaigns to say.
+Truth and model are the same here; campaigns test methods on vehicles that no plant describes exactly.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from rotorwatch.errors import ConfigError
 
 
 class Simulation(NamedTuple):
-    """What `simulate_system` returns, a row per step: t (T,) s at the end of the step; u (T, n_u); y (T, n_y), measured at the end of the
+    """Result of `simulate_system`, a row per step: t (T,) s at the end of the step; u (T, n_u); y (T, n_y), measured at the end of the
     step; x (T, n_x), the state then; theta (T, n_theta); dt (T,) s."""
 
     t: np.ndarray
@@ -86,8 +86,8 @@ def simulate_system(
         first = system.h(start, jnp.zeros(system.n_u), rows[2][0])
         return jax.lax.scan(step, (start, first), rows)[1]
 
-    found = jax.jit(whole)(start, (end - seconds, inputs, losses, seconds, w, v))
-    inputs, x, y = (np.asarray(a) for a in found)
+    results = jax.jit(whole)(start, (end - seconds, inputs, losses, seconds, w, v))
+    inputs, x, y = (np.asarray(a) for a in results)
     if not np.isfinite(x).all():
         when = end[np.argmin(np.isfinite(x).all(axis=1))]
         raise ConfigError(
@@ -99,10 +99,10 @@ def simulate_system(
 
 def _rows(name: str, value: Any, T: int, n: int) -> np.ndarray:
     """(T, n) of one number, (n,) or (T, n)."""
-    found = np.asarray(value, float)
-    if found.shape not in ((), (n,), (T, n)):
-        raise ConfigError(f"{name} must be one number or have the shape ({n},) or ({T}, {n}), not {found.shape}.")
-    return np.broadcast_to(checks.finite(name, found), (T, n)).copy()
+    array = np.asarray(value, float)
+    if array.shape not in ((), (n,), (T, n)):
+        raise ConfigError(f"{name} must be one number or have the shape ({n},) or ({T}, {n}), not {array.shape}.")
+    return np.broadcast_to(checks.finite(name, array), (T, n)).copy()
 
 
 def _root(Q):

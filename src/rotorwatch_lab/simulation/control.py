@@ -1,12 +1,13 @@
-"""The autopilot: position, velocity, attitude and rate loops in cascade, and a mixer that saturates like a real one.
+"""The autopilot: position, velocity, attitude and rate loops in cascade, and a mixer with realistic saturation.
 
-Outer loops run once a tick, attitude and rate loops every step. Outputs are in the autopilot's own mixer units
-(roll, pitch, yaw, throttle), as logs hold them.
+Outer loops run once a tick, attitude and rate loops every step. Outputs are in the autopilot's own mixer units (roll, pitch, yaw,
+throttle), as in logs.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections import namedtuple
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,14 @@ BEST = 0.5  # throttle around which the mixer makes room for roll and pitch
 WIND_UP = 0.35  # limit of the rate integrators, mixer units
 
 
-class Autopilot(NamedTuple):
+class Autopilot(
+    namedtuple(
+        "Autopilot",
+        "mixer hover position velocity velocity_i attitude rate_p rate_i rate_d speed_most climb_most tilt_most turn_most gyro_cut expo "
+        "compensates inversion",
+        defaults=[()],
+    )
+):
     """mixer (n, 4); hover: throttle that carries the nominal vehicle; gains of the loops, outer to inner.
 
     position [1/s], velocity [1/s], velocity_i [1/s^2], attitude (3,) [1/s], rate_p (3,) [mixer units per rad/s], rate_i, rate_d;
@@ -30,39 +38,13 @@ class Autopilot(NamedTuple):
     instead of the rate loop's gains where it says so.
     """
 
-    mixer: Array
-    hover: Array
-    position: Array
-    velocity: Array
-    velocity_i: Array
-    attitude: Array
-    rate_p: Array
-    rate_i: Array
-    rate_d: Array
-    speed_most: Array
-    climb_most: Array
-    tilt_most: Array
-    turn_most: Array
-    gyro_cut: Array
-    expo: Array
-    compensates: Array
-    inversion: Any = ()
 
-
-class Target(NamedTuple):
+class Target(namedtuple("Target", "q yaw_rate throttle")):
     """Setpoints of the outer loops for the inner ones: attitude q (4,), yaw rate [rad/s] and throttle."""
 
-    q: Array
-    yaw_rate: Array
-    throttle: Array
 
-
-class Loops(NamedTuple):
+class Loops(namedtuple("Loops", "rate_integral gyro free")):
     """rate_integral (3,); gyro (3,) filtered [rad/s]; free: 0 while the mixer is at its limits."""
-
-    rate_integral: Array
-    gyro: Array
-    free: Array
 
 
 def tune(mixer, B_tau, J, thrust_max, hover, lag, gyro_hz=40.0, tilt_deg=40.0, expo=0.65, compensates=1.0) -> Autopilot:

@@ -57,7 +57,7 @@ def thrust_share(expo, drive):
 
 
 class Sums(namedtuple("Sums", "push flow h h_dot side")):
-    """What the rotors amount to: all that forces and torques need of their speeds w (n,) and strengths.
+    """Sums over the rotors: all that forces and torques need of their speeds w (n,) and strengths.
 
     push (4,): sums of T_max w^2 (1 - theta) times 1, x, y, spin. flow (6,): sums of w times 1, x, y, x^2, x y, y^2. h, h_dot: angular
     momentum of the rotors about the frame's z and its change. side (3,): force along x and y and torque about z of mounts that lean.

@@ -1,4 +1,4 @@
-"""What ESCs report of a flight: speed, current, voltage and temperature, late, rounded and each with its own current sensor's error.
+"""ESC telemetry of a flight: speed, current, voltage and temperature, delayed, rounded and each with its own current sensor's error.
 
 Resolutions are those of the KISS/BLHeli telemetry frame: 100 electrical revolutions per minute, 0.01 A, 0.01 V, 1 degC. Its current
 sensors are cheap: each is off by some percent, always the same, and noisy.

@@ -14,9 +14,9 @@ from rotorwatch_lab.simulation.multirotor import Drives, Multirotor, Plan
 class Excited(Multirotor):
     """The `loop.Aircraft` of every frame whose plan has an excitation in its schedule; one that never begins changes nothing."""
 
-    def mixed(self, plan: Plan, now, t, body, gyro, turning, own: Drives) -> tuple:
+    def mixed(self, plan: Plan, now, t, body, gyro, turning, drives: Drives) -> tuple:
         """The mixer's demands with the excitation at time t added to them."""
-        demand, free = super().mixed(plan, now, t, body, gyro, turning, own)
+        demand, free = super().mixed(plan, now, t, body, gyro, turning, drives)
         return load_jax().numpy.clip(demand + excitation.value_at(plan.schedule, t), 0.0, 1.0), free
 
 

@@ -1,4 +1,4 @@
-"""What breaks: faults of single rotors, as numbers that a compiled program can be given.
+"""Faults of single rotors, as numbers for a compiled program.
 
 A fault is active from its onset to its end, wholly or in periods (`period`, `duty`), and grows over `ramp` seconds:
 
@@ -55,7 +55,7 @@ class Faults(
 
 
 def none(rotors: int) -> Faults:
-    """No fault: every row starts never."""
+    """No fault: no row ever starts."""
     zero = np.zeros(MOST)
     never = dict.fromkeys(("onset", "end", "period"), zero + NEVER)
     rest = never | {"rotor": np.zeros((MOST, rotors)), "duty": zero + 1.0, "level": zero + HELD, "ceiling": zero + 1.0}
@@ -63,7 +63,7 @@ def none(rotors: int) -> Faults:
 
 
 def strength(faults: Faults, t):
-    """(F,) how far each fault has come at time t: 0 absent, 1 all there."""
+    """(F,) severity of each fault at time t: 0 absent, 1 fully developed."""
     jnp = load_jax().numpy
     since = t - faults.onset
     there = (since >= 0.0) & (t < faults.end) & (jnp.mod(since, faults.period) < faults.duty * faults.period)

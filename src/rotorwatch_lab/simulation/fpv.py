@@ -35,8 +35,8 @@ MIX = np.sign(betaflight.build("quad-x", ThrustCurve(0.0, 1.0, EXPO)).effectiven
 
 @dataclass(frozen=True)
 class Moment:
-    """What goes wrong in flight `flight`: rotor (from 0), start [s], lasting [s]; loss: None of a desync, else of its thrust, by a damaged
-    propeller, or by a motor that turns slower."""
+    """A fault in flight `flight`: rotor (from 0), start [s], lasting [s]; loss: None for a desync, else share of thrust lost, by a damaged
+    propeller or by a motor that turns slower."""
 
     flight: int
     rotor: int
@@ -148,7 +148,7 @@ def _pilot(rng: np.random.Generator, count: int, steps: int) -> tuple[np.ndarray
 
 
 def _logged(time, u, gyro, wanted, n, throttle, rng, rpm: bool) -> Flight:
-    """One flight as it is logged."""
+    """A flight as logged."""
     signals = {
         "motors": Signal(time, u, ("r1", "r2", "r3", "r4"), "1", "body", "motor[0] .."),
         "gyro": Signal(time, gyro, ("x", "y", "z"), "rad/s", "FRD", "gyroUnfilt"),
@@ -158,9 +158,9 @@ def _logged(time, u, gyro, wanted, n, throttle, rng, rpm: bool) -> Flight:
     }
     if rpm:
         speed = np.abs(FULL_SPEED * n + rng.normal(0.0, 8.0, n.shape))
-        made = esc_columns.build(time, {"speed": speed}, range(1, 5), "eRPM[0] ..", [])
-        assert made is not None
-        signals["esc"] = made
+        telemetry = esc_columns.build(time, {"speed": speed}, range(1, 5), "eRPM[0] ..", [])
+        assert telemetry is not None
+        signals["esc"] = telemetry
     facts = {"motor_low": IDLE, "motor_high": 1.0, "mixer": MIX.T.tolist()}
     return Flight(
         "simulated", "Betaflight", signals, float(time[-1]), firmware="simulated FPV flight", facts=facts, name="fpv"

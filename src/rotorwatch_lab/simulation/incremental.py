@@ -31,8 +31,8 @@ Array = Any
 
 
 class Inversion(namedtuple("Inversion", "used turns steer bandwidth lead lag")):
-    """What it knows of the vehicle. used: 0 or 1; turns (3, n): angular acceleration [rad/s^2] by each rotor's full thrust; steer (3, 3):
-    control in mixer units that gives an angular acceleration; bandwidth (3,) [1/s] of the rates; lead [s]: see above; lag [s]."""
+    """Model of the vehicle used by INDI. used: 0 or 1; turns (3, n): angular acceleration [rad/s^2] by each rotor's full thrust; steer (3,
+    3): control in mixer units that gives an angular acceleration; bandwidth (3,) [1/s] of the rates; lead [s]: see the module; lag [s]."""
 
 
 class Memory(namedtuple("Memory", "demand fast slow first second")):
@@ -56,9 +56,9 @@ def rest(n: int, kind) -> Memory:
 
 
 def control(known: Inversion, memory: Memory, miss, gyro, f, e, lift, cut, dt) -> tuple[Array, Memory]:
-    """Control (3,) in mixer units, and the memory but for the demand that follows. miss (3,): rate setpoints minus filtered rates; gyro
-    (3,): measured, all [rad/s]; f (n,): thrust shares that the rotors should have reached; e (n,): effectiveness; lift: below 1 while
-    the motors idle or spool up; cut [rad/s]: corner of the gyro's filter."""
+    """Control (3,) in mixer units, and the memory except for the demand that follows. miss (3,): rate setpoints minus filtered rates; gyro
+    (3,): measured, all [rad/s]; f (n,): thrust shares that the rotors should have reached; e (n,): effectiveness; lift: below 1 while the
+    motors idle or spool up; cut [rad/s]: corner of the gyro's filter."""
     jnp = load_jax().numpy
     corner = jnp.minimum(cut, 1.0 / dt)
     fade = jnp.exp(-corner * dt)

@@ -1,4 +1,4 @@
-"""From what happened to what an autopilot would have logged of it: a `Flight`, with the sensors' errors and at its rates.
+"""From a simulated record to the log an autopilot would have written: a `Flight`, with sensor errors and at logging rates.
 
 Nothing of the truth gets in: losses, true speeds and the wind stay outside. `write_truth` is where they go.
 """
@@ -31,12 +31,12 @@ MAV_TYPE = {4: 2, 6: 13, 8: 14, 12: 29, 10: 35}
 
 
 def needed(record: Any) -> Any:
-    """What a log and the truth need of a record: much less memory than all of it."""
+    """The parts of a record that log and truth need: much less memory than all of it."""
     return record._replace(omega=(), rates_setpoint=(), wind=())
 
 
 def flight(scenario: Scenario, plan: Plan, record: Record) -> Flight:
-    """The flight as its log tells it. record: of `loop.fly` of a multirotor, recorded `scenario.record_hz` times a second."""
+    """The flight as logged. record: of `loop.fly` of a multirotor, recorded `scenario.record_hz` times a second."""
     craft = vehicle(scenario)
     record = _estimated(scenario, record)
     log = _Log(scenario, plan, record)
@@ -139,17 +139,17 @@ def _belief(scenario: Scenario, record: Record) -> np.ndarray:
 
 def _messages(plan: Plan, armed: float, disarmed: float, end: float, ardupilot: bool) -> tuple[Message, ...]:
     mode = Message(0.0, "mode", "GUIDED" if ardupilot else "Offboard", 4.0 if ardupilot else 14.0)
-    found = [mode, Message(0.0, "landed", "landed", 1.0), Message(armed, "armed", "armed", 1.0)]
-    found.append(Message(float(plan.way.take_off) + 1.0, "landed", "in the air", 0.0))
+    messages = [mode, Message(0.0, "landed", "landed", 1.0), Message(armed, "armed", "armed", 1.0)]
+    messages.append(Message(float(plan.way.take_off) + 1.0, "landed", "in the air", 0.0))
     if disarmed < end:
-        found += [Message(disarmed - 0.1, "landed", "landed", 1.0), Message(disarmed, "armed", "disarmed", 0.0)]
-    return tuple(found)
+        messages += [Message(disarmed - 0.1, "landed", "landed", 1.0), Message(disarmed, "armed", "disarmed", 0.0)]
+    return tuple(messages)
 
 
 def _ardupilot_parameters(scenario: Scenario, craft: Vehicle, plan: Plan) -> dict[str, float]:
     number, kind = frame_numbers(scenario.airframe["frame"])
     compensated = a_compensates(scenario)
-    found = {
+    parameters = {
         "FRAME_CLASS": number,
         "FRAME_TYPE": kind,
         "AHRS_EKF_TYPE": 3,
@@ -169,13 +169,13 @@ def _ardupilot_parameters(scenario: Scenario, craft: Vehicle, plan: Plan) -> dic
         "SCHED_LOOP_RATE": round(scenario.rate_hz),
     }
     motors = (*range(33, 41), *range(82, 86)) if len(craft.rotors) > 3 else (33, 34, 36)  # a tricopter has no motor 3
-    found |= {f"SERVO{k + 1}_FUNCTION": motors[k] for k in range(len(craft.rotors))}
-    return {k: float(v) for k, v in found.items()}
+    parameters |= {f"SERVO{k + 1}_FUNCTION": motors[k] for k in range(len(craft.rotors))}
+    return {k: float(v) for k, v in parameters.items()}
 
 
 def _px4_parameters(scenario: Scenario, craft: Vehicle, plan: Plan) -> dict[str, float]:
     n = len(craft.rotors)
-    found = {
+    parameters = {
         "CA_AIRFRAME": 0,
         "CA_ROTOR_COUNT": n,
         "MAV_TYPE": MAV_TYPE.get(n, 2),
@@ -186,17 +186,17 @@ def _px4_parameters(scenario: Scenario, craft: Vehicle, plan: Plan) -> dict[str,
         "IMU_ACCEL_CUTOFF": scenario.sensors["accel_filter_hz"],
     }
     for k, r in enumerate(craft.rotors):
-        found |= {
+        parameters |= {
             f"CA_ROTOR{k}_PX": r.x,
             f"CA_ROTOR{k}_PY": r.y,
             f"CA_ROTOR{k}_KM": 0.05 * r.spin,
             f"CA_ROTOR{k}_CT": 6.5,
         }
-    return {k: float(v) for k, v in found.items()}
+    return {k: float(v) for k, v in parameters.items()}
 
 
 def log(scenario: Scenario, plan: Plan, record: Record) -> bytes:
-    """What the autopilot's log file holds."""
+    """Contents of the autopilot's log file."""
     from rotorwatch_lab.simulation.write_dataflash import dataflash
     from rotorwatch_lab.simulation.write_ulog import ulog
 

@@ -1,4 +1,4 @@
-"""What the simulated autopilots log (logged.toml): signals, their rates, and the definitions of messages; and records in order of time."""
+"""Messages logged by the simulated autopilots (logged.toml): signals, rates and definitions; and records in order of time."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ def in_order(tables: Sequence[tuple[np.ndarray, np.ndarray]], single: Sequence[t
     begins = np.empty(len(order), int)
     ends = np.cumsum(sizes[order])
     begins[order] = ends - sizes[order]
-    whole, done = bytearray(int(ends[-1])), 0
+    whole, written = bytearray(int(ends[-1])), 0
     for _, records in parts:
         kind = np.dtype(f"V{records.dtype.itemsize}")
         # Places that overlap, one for each byte that a record may begin at.
         places = np.ndarray(len(whole) - kind.itemsize + 1, kind, buffer=whole, strides=(1,))
-        places[begins[done : done + len(records)]] = records.view(kind)
-        done += len(records)
+        places[begins[written : written + len(records)]] = records.view(kind)
+        written += len(records)
     return whole

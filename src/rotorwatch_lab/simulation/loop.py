@@ -1,9 +1,9 @@
-"""The driver of the closed loop, the same for everything that flies: air, sensors, autopilot and body, tick by tick.
+"""The closed-loop simulation of any aircraft: air, sensors, autopilot and body, tick by tick.
 
-A tick is the autopilot's outer loop and the finest thing that is recorded; within it `steps` Runge-Kutta steps, each with
-its inner loop. What an `Aircraft` is made of - actuators, their faults, its autopilot - stands in its own file. One definition
-of a tick serves one flight and many side by side: a batch maps it with the flights as the last axis, so that every line is one
-operation on long vectors; `fly_each` steps it as machine code, flight by flight, where there is a C compiler.
+A tick is the period of the autopilot's outer loops and of the record; it has `steps` Runge-Kutta steps, each with the inner loops. An
+`Aircraft` - its actuators, their faults, its autopilot - is defined in a file of its own. One definition of a tick serves a single flight
+and many side by side: a batch maps it with the flights as the last axis, so that every line is an operation on long vectors; `fly_each`
+steps it as native code, flight by flight, where there is a C compiler.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ Array = Any
 
 
 class State(NamedTuple):
-    """Everything that goes on from tick to tick. accel (3,): filtered specific force [m/s^2]; integral (3,): of the velocity loop;
-    flies: 0 after a crash; own: the aircraft's actuators and whatever else only it has."""
+    """State carried from tick to tick. accel (3,): filtered specific force [m/s^2]; integral (3,): of the velocity loop; flies: 0 after a
+    crash; own: the aircraft's actuators and other state of its own."""
 
     body: Body
     accel: Array
@@ -40,7 +40,7 @@ class State(NamedTuple):
 
 
 class Moment(NamedTuple):
-    """What holds during one tick. target: of the autopilot's outer loops; more: the aircraft's own."""
+    """Values held during one tick. target: of the autopilot's outer loops; more: the aircraft's own."""
 
     target: Target
     air: Air
@@ -48,7 +48,8 @@ class Moment(NamedTuple):
 
 
 class Aircraft(Protocol):
-    """What flies: hashable, because a program is compiled for each. Plans are pytrees of numbers with wind, faults, sensors and seed.
+    """Interface of a simulated aircraft: hashable, because a program is compiled for each. Plans are pytrees of numbers with wind, faults,
+    sensors and seed.
 
     noise_kind: what standard normal numbers are drawn as. Thousands of multirotors at once draw single precision, half the memory.
     """
@@ -57,7 +58,7 @@ class Aircraft(Protocol):
 
     @property
     def made(self) -> tuple | None:
-        """What an equal one is made of, numbers, strings and lists: native code is kept under it; None where it cannot be native code."""
+        """Key of the aircraft (numbers, strings and lists), under which native code is cached; None where it cannot be native code."""
         ...
 
     def start(self, plan) -> tuple[Body, Array, Any]:
@@ -69,15 +70,15 @@ class Aircraft(Protocol):
         ...
 
     def begin(self, plan, state: State, reference: Reference, blowing, turning, dt: float) -> tuple[Moment, Array]:
-        """A tick of dt seconds begins: the moment, and the velocity loop's integral. blowing (3,) NED [m/s], turning (3,) [rad/s]."""
+        """Begin a tick of dt seconds: the moment, and the velocity loop's integral. blowing (3,) NED [m/s], turning (3,) [rad/s]."""
         ...
 
-    def step(self, plan, now: Moment, t, body: Body, gyro, loops: Loops, own, dt: float) -> tuple:
-        """A Runge-Kutta step of dt seconds from time t at measured rates gyro (3,): (body, loops, own, force (3,), what to remember)."""
+    def step(self, plan, now: Moment, t, body: Body, gyro, loops: Loops, own, dt: float, /) -> tuple:
+        """Runge-Kutta step of dt seconds from time t at measured rates gyro (3,): (body, loops, own, force (3,), values for `end`)."""
         ...
 
     def end(self, plan, now: Moment, before: State, after: State, seen: dict[str, Array], last, dt: float) -> tuple:
-        """A tick of dt seconds ends: (state, record). seen: what every record holds; last: what the tick's last step remembered."""
+        """End a tick of dt seconds: (state, record). seen: what every record holds; last: values returned by the tick's last step."""
         ...
 
 
@@ -93,7 +94,7 @@ def start(aircraft: Aircraft, plan) -> State:
 def tick(
     aircraft: Aircraft, plan, state: State, t, reference: Reference, noise, dt: float, steps: int
 ) -> tuple[State, Any]:
-    """One tick of `steps` steps of dt seconds from time t: the next state and the record.
+    """Advance by one tick of `steps` steps of dt seconds from time t: the next state and the record.
 
     reference: setpoints now. noise: wind.NOISES + 3 steps standard normal numbers.
     """
@@ -171,8 +172,8 @@ def fly(
     record_hz: float = 100.0,
     select: Callable = everything,
 ) -> Any:
-    """One flight of `duration` seconds: the stacked records (T, ...) as NumPy arrays, or what `select` keeps of each. Raises ConfigError
-    for wrong rates."""
+    """Fly for `duration` seconds: the stacked records (T, ...) as NumPy arrays, reduced by `select` where given. Raises ConfigError for
+    wrong rates."""
     run = program(aircraft, *grid(duration, rate_hz, record_hz), False, select)
     return load_jax().tree.map(np.asarray, run(plan))
 

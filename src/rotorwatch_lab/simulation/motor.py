@@ -1,4 +1,4 @@
-"""What a rotor's motor draws, and how it slows under a load that its command does not know: an electrical model in shares.
+"""Motor current, and loss of speed under a load that the command does not account for: an electrical model in shares.
 
 A motor of resistance R, back-emf constant K and no-load torque Q_0 behind an ESC that gives it the share d of the supply voltage V obeys
 

@@ -1,4 +1,4 @@
-"""A multirotor in the closed loop: rotors and their faults, battery, mixer, and what the autopilot believes of them."""
+"""A multirotor in the closed loop: rotors and their faults, battery, mixer, and the autopilot's model of them."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Battery(namedtuple("Battery", "full empty charge resistance current")):
 
 
 class Plan(NamedTuple):
-    """One flight as numbers: everything that a compiled program needs. seed: integer; schedule: of `reconfigured`, else nothing."""
+    """Numbers of one flight for a compiled program. seed: integer; schedule: of `reconfigured`, else nothing."""
 
     craft: dynamics.Craft
     pilot: control.Autopilot
@@ -51,8 +51,8 @@ class Plan(NamedTuple):
 
 
 class Drives(NamedTuple):
-    """What turns the n rotors. w (n,): speeds as shares of full, phase (n,): turns; drawn: charge used [A s]; sag: battery voltage as a
-    share of full, believed: what the autopilot knows of it; held (n,): last sound commands; f (n,): thrust shares that the rotors should
+    """State of the n rotors' drives. w (n,): speeds as shares of full, phase (n,): turns; drawn: charge used [A s]; sag: battery voltage as
+    a share of full, believed: the autopilot's estimate of it; held (n,): last sound commands; f (n,): thrust shares that the rotors should
     have reached; memory: of `incremental`."""
 
     w: Array
@@ -65,14 +65,9 @@ class Drives(NamedTuple):
     memory: incremental.Memory
 
 
-class Supply(NamedTuple):
-    """What the autopilot reckons with during a tick. lift: 0 while the motors idle; compensated: what it divides commands by;
-    lift_max: share of full thrust that it believes it has left; stir (n,): `outside.stirred`, which it does not know."""
-
-    lift: Array
-    compensated: Array
-    lift_max: Array
-    stir: Array
+class Supply(namedtuple("Supply", "lift compensated lift_max stir")):
+    """The autopilot's assumptions during a tick. lift: 0 while the motors idle; compensated: divisor of commands; lift_max: share of full
+    thrust that it believes it has left; stir (n,): `outside.stirred`, unknown to it."""
 
 
 class Record(
@@ -82,7 +77,7 @@ class Record(
         "drawn believed lift_max wind flies",
     )
 ):
-    """What there is to know after each tick; n rotors. Logs hold some of it, with noise; the truth file the rest.
+    """Record of one tick; n rotors. Logs hold some of it, with noise; the truth file the rest.
 
     time [s]; p [m], v [m/s] (3,) NED, q (4,) body to world, omega (3,) [rad/s]; rates (3,): filtered gyro [rad/s]; accel (3,): filtered
     specific force [m/s^2]; demand (n,): thrust setpoint of each rotor, command (n,): drive share that gives it; control (4,): roll, pitch,
@@ -120,7 +115,7 @@ class Multirotor:
         return trajectories.table(plan.way, ticks, dt)._replace(stir=stir)
 
     def begin(self, plan: Plan, state: State, reference, blowing, turning, dt: float) -> tuple[Moment, Array]:
-        """Outer loops, and what the autopilot believes of its battery."""
+        """Outer loops, and the autopilot's estimate of its battery."""
         jnp = load_jax().numpy
         pilot = plan.pilot
         # Near the ground the air is slow: a logarithmic profile in short.
@@ -132,7 +127,9 @@ class Multirotor:
         supply = Supply(lift, compensated, dynamics.thrust_share(pilot.expo, compensated), reference.stir)
         return Moment(target, air, supply), integral
 
-    def step(self, plan: Plan, now: Moment, t, body: Body, gyro, loops: control.Loops, own: Drives, dt: float) -> tuple:
+    def step(
+        self, plan: Plan, now: Moment, t, body: Body, gyro, loops: control.Loops, drives: Drives, dt: float
+    ) -> tuple:
         """Inner loops, mixer, faults, rotors and body."""
         jnp = load_jax().numpy
         pilot, s = plan.pilot, faults.strength(plan.faults, t)
@@ -142,18 +139,18 @@ class Multirotor:
         turning, wanted, loops = control.inner(pilot, target, body.q, gyro, loops, lift, dt)
         known, e = pilot.inversion, self.effectiveness(plan, t)
         miss, cut = wanted - loops.gyro, pilot.gyro_cut
-        change, memory = incremental.control(known, own.memory, miss, gyro, own.f, e, lift, cut, dt)
+        change, memory = incremental.control(known, drives.memory, miss, gyro, drives.f, e, lift, cut, dt)
         turning = jnp.where(known.used > 0.5, change, turning)
-        demand, free = self.mixed(plan, now, t, body, gyro, turning, own)
-        reached = demand + (own.f - demand) * jnp.exp(-dt / craft.lag)
-        own = own._replace(f=reached, memory=memory._replace(demand=demand))
+        demand, free = self.mixed(plan, now, t, body, gyro, turning, drives)
+        reached = demand + (drives.f - demand) * jnp.exp(-dt / craft.lag)
+        drives = drives._replace(f=reached, memory=memory._replace(demand=demand))
         command = jnp.minimum(control.drive(pilot.expo, lift_max * demand) / compensated, 1.0) * jnp.where(
             lift > 0, 1.0, 0.0
         )
-        driven, undriven, held = faults.act(plan.faults, s, command, own.held)
+        driven, undriven, held = faults.act(plan.faults, s, command, drives.held)
         theta = faults.loss(plan.faults, s)  # of the propellers
         driven = outside.rounded(plan.outside, driven)
-        commanded = jnp.sqrt(dynamics.thrust_share(craft.expo, driven * own.sag))
+        commanded = jnp.sqrt(dynamics.thrust_share(craft.expo, driven * drives.sag))
         friction = faults.summed(plan.faults, plan.faults.friction * s)
         remaining = 1.0 - faults.weak(plan.faults, s)
         # Without friction the speed is the commanded one, to the last bit.
@@ -161,53 +158,53 @@ class Multirotor:
         share = jnp.minimum(share, jnp.sqrt(faults.ceiling(plan.faults, s)))
         slower = faults.summed(plan.faults, plan.faults.slower * s)
         lag = craft.lag * (1.0 + (faults.SPIN_DOWN - 1.0) * undriven + slower)
-        body, w, force = self.moved(plan._replace(craft=craft), body, own.w, share, lag, now.air, theta, dt)
-        phase = own.phase + 0.5 * (own.w + w) * plan.sensors.full_turns * dt
+        body, w, force = self.moved(plan._replace(craft=craft), body, drives.w, share, lag, now.air, theta, dt)
+        phase = drives.phase + 0.5 * (drives.w + w) * plan.sensors.full_turns * dt
         phase = phase - jnp.floor(phase)
         controls = jnp.concatenate([turning, target.throttle[None]])
         lost = 1.0 - (1.0 - theta) * jnp.where(commanded > 0.0, (share / jnp.maximum(commanded, 1e-9)) ** 2, remaining)
         lost = jnp.where(share < commanded, lost, theta)
         last = (demand, command, controls, wanted, lost, s, theta, friction, 1.0 - undriven)
-        return body, loops._replace(free=free), own._replace(w=w, phase=phase, held=held), force, last
+        return body, loops._replace(free=free), drives._replace(w=w, phase=phase, held=held), force, last
 
     def aimed(self, plan: Plan, now: Moment, t, body: Body) -> control.Target:
-        """What the inner loops aim at from here."""
+        """Target of the inner loops."""
         return now.target
 
     def effectiveness(self, plan: Plan, t):
-        """What the autopilot believes is left of each rotor (n,)."""
+        """Effectiveness (n,) of each rotor as assumed by the autopilot."""
         return 1.0 + 0.0 * plan.craft.x
 
-    def mixed(self, plan: Plan, now: Moment, t, body: Body, gyro, turning, own: Any) -> tuple:
+    def mixed(self, plan: Plan, now: Moment, t, body: Body, gyro, turning, drives: Any) -> tuple:
         """Thrust demands (n,) of control `turning` (3,), and whether all of it was granted (1 or 0)."""
         return control.mix(plan.pilot.mixer, turning, now.target.throttle)
 
     def moved(self, plan: Plan, body: Body, w, share, lag, air: Air, theta, dt: float) -> tuple:
-        """Body, rotor speeds (n,) and mean specific force (3,) after a step of dt: `dynamics.step`. Another model of the vehicle's motion
-        takes its place here."""
+        """Body, rotor speeds (n,) and mean specific force (3,) after a step of dt: `dynamics.step`. Overridden by other models of the
+        motion."""
         return dynamics.step(plan.craft, body, w, share, lag, air, theta, dt)
 
     def end(self, plan: Plan, now: Moment, before: State, after: State, seen, last, dt: float) -> tuple[State, Record]:
-        """The battery, and whether the vehicle lies on the ground."""
+        """End of a tick: the battery, and whether the vehicle lies on the ground."""
         jnp = load_jax().numpy
-        battery, own, body = plan.battery, after.own, after.body
+        battery, drives, body = plan.battery, after.own, after.body
         demand, command, controls, wanted, theta, s, propeller, friction, driven = last
-        work = jnp.sum(own.w * own.w * own.w) / own.w.shape[0]
-        at_rest = battery.full - (battery.full - battery.empty) * jnp.minimum(own.drawn / battery.charge, 1.2)
+        work = jnp.sum(drives.w * drives.w * drives.w) / drives.w.shape[0]
+        at_rest = battery.full - (battery.full - battery.empty) * jnp.minimum(drives.drawn / battery.charge, 1.2)
         amps = battery.current * work * battery.full / jnp.maximum(at_rest, 1.0)
         volts = jnp.maximum(at_rest - amps * battery.resistance, 0.3 * battery.full)
         sag = volts / battery.full
-        believed = sag + (own.believed - sag) * math.exp(-TURN * BELIEF_HZ * dt)
+        believed = sag + (drives.believed - sag) * math.exp(-TURN * BELIEF_HZ * dt)
         R22 = 1.0 - 2.0 * (body.q[1] ** 2 + body.q[2] ** 2)
         flies = jnp.where((body.p[2] > 0.0) & (R22 < CRASH_COS), 0.0, before.flies)
-        drawn = motor.current(battery.current / own.w.shape[0], own.w, propeller, friction, sag, driven)
-        own = own._replace(drawn=own.drawn + amps * dt, sag=sag, believed=believed)
+        drawn = motor.current(battery.current / drives.w.shape[0], drives.w, propeller, friction, sag, driven)
+        drives = drives._replace(drawn=drives.drawn + amps * dt, sag=sag, believed=believed)
         record = Record(
             **seen, **body._asdict(), demand=demand, command=command, control=controls, rates_setpoint=wanted, q_setpoint=now.target.q,
-            w=own.w, phase=own.phase, shake=(plan.sensors.shake + faults.imbalance(plan.faults, s)) * own.w * own.w, theta=theta,
-            volts=volts, amps=amps, drawn=drawn, believed=believed, lift_max=now.more.lift_max, flies=flies,
+            w=drives.w, phase=drives.phase, shake=(plan.sensors.shake + faults.imbalance(plan.faults, s)) * drives.w * drives.w,
+            theta=theta, volts=volts, amps=amps, drawn=drawn, believed=believed, lift_max=now.more.lift_max, flies=flies,
         )  # fmt: skip
-        return after._replace(flies=flies, own=own), record
+        return after._replace(flies=flies, own=drives), record
 
 
 MULTIROTOR = Multirotor()

@@ -1,6 +1,6 @@
-"""What befalls a vehicle besides its rotors' faults: a push that lasts, air that it has stirred, a payload that drops, outputs in steps.
+"""External influences besides rotor faults: a lasting push, rotor wake, a dropped payload, quantised outputs.
 
-None of it is known to the autopilot, and none of it is in a log but for what it does. `now` gives the vehicle as it is in one step.
+The autopilot knows none of them, and logs show only their effects. `now` gives the vehicle with all influences at one step.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""From a scenario to numbers: the vehicle, its autopilot's gains, its air, sensors and faults, ready to be flown."""
+"""From a scenario to numbers: vehicle, autopilot gains, air, sensors and faults, ready for simulation."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ SPIN = (0.15, 0.95)  # ArduPilot's MOT_SPIN_MIN, MOT_SPIN_MAX
 
 
 def vehicle(scenario: Scenario) -> Vehicle:
-    """The airframe as its autopilot knows it: rotors in metres, mixer, believed thrust curve. Raises ConfigError."""
+    """The airframe in the autopilot's parameters: rotors in metres, mixer, assumed thrust curve. Raises ConfigError."""
     frame, a = scenario.airframe["frame"], scenario.airframe
     if scenario.helicopter:
         raise ConfigError(f"airframe.frame: {frame} is a helicopter; here only multirotors fly.")
     believed = a["expo"] if a["believed_expo"] is None else a["believed_expo"]
     known = _paper(frame)
     if known is not None:
-        found, arm = _rotors(known), 1.0
+        geometry, arm = _rotors(known), 1.0
     else:
-        found = _geometry(scenario.autopilot, frame)
-        arm = a["arm_m"] / max(np.hypot(r.x, r.y) for r in found)
-    shares = (a["lower_rotor"] if r.lower else 1.0 for r in found)
-    rotors = tuple(Rotor(r.x * arm, r.y * arm, r.spin, share, r.lower) for r, share in zip(found, shares))
+        geometry = _geometry(scenario.autopilot, frame)
+        arm = a["arm_m"] / max(np.hypot(r.x, r.y) for r in geometry)
+    shares = (a["lower_rotor"] if r.lower else 1.0 for r in geometry)
+    rotors = tuple(Rotor(r.x * arm, r.y * arm, r.spin, share, r.lower) for r, share in zip(geometry, shares))
     for k, fault in enumerate(scenario.faults):
         if fault["rotor"] > len(rotors):
             raise ConfigError(
@@ -88,9 +88,8 @@ def _geometry(autopilot: str, frame: str) -> tuple[Rotor, ...]:
         if name in px4.FRAMES:
             return px4.place(name)
     rotors = _built(frame).rotors  # PX4 takes any geometry, by its CA_ROTOR parameters
-    if frame != "tri" and any(
-        r.spin == 0 for r in rotors
-    ):  # the servo of a tricopter is not simulated, its yaw is free
+    # The servo of a tricopter is not simulated; its yaw is free.
+    if frame != "tri" and any(r.spin == 0 for r in rotors):
         raise ConfigError(f"airframe.frame: the rotors of {frame} are tilted, which is not simulated.")
     return rotors
 
@@ -156,7 +155,7 @@ def craft(scenario: Scenario, known: Vehicle | None = None) -> dynamics.Craft:
 
 
 def induced_velocity(scenario: Scenario) -> float:
-    """Of the air through the rotors in hover [m/s], each carrying the same weight: sqrt(T / (2 rho A)), momentum theory (Leishman,
+    """Induced velocity of the rotors in hover [m/s], each carrying the same weight: sqrt(T / (2 rho A)), momentum theory (Leishman,
     Principles of Helicopter Aerodynamics, 2006, section 2.2). Raises ConfigError."""
     return float(_induced(_bare(scenario, vehicle(scenario))))
 
@@ -166,12 +165,12 @@ def _induced(bare: Bare) -> np.floating:
 
 
 def _full_speed(scenario: Scenario, bare: Bare) -> float:
-    """rad/s."""
+    """Full rotor speed [rad/s]."""
     return scenario.airframe["rotor_speed_rad_s"] or TIP_SPEED / bare.radius
 
 
 def _bare(scenario: Scenario, craft: Vehicle) -> Bare:
-    """What a paper says of its airframe, else what the scenario asks for or what is usual."""
+    """Bare vehicle from the paper's airframe data, else from the scenario or typical values."""
     a, known = scenario.airframe, _paper(scenario.airframe["frame"])
     x, y, spin, share = (np.array([getattr(r, k) for r in craft.rotors], float) for k in ("x", "y", "spin", "share"))
     arm = float(np.hypot(x, y).max())
@@ -187,7 +186,7 @@ def _bare(scenario: Scenario, craft: Vehicle) -> Bare:
 
 
 def _pilot(scenario: Scenario, known: Vehicle, bare: Bare, full_speed: float) -> control.Autopilot:
-    """An autopilot tuned for the vehicle without payload, with the thrust curve that it believes in. full_speed [rad/s] of the rotors."""
+    """An autopilot tuned for the vehicle without payload, with the thrust curve that it assumes. full_speed [rad/s] of the rotors."""
     a, mixer = scenario.airframe, known.mixer
     assert mixer is not None
     B_tau = np.stack([-bare.y, bare.x, bare.drag_ratio * bare.spin])
@@ -208,13 +207,13 @@ def _pilot(scenario: Scenario, known: Vehicle, bare: Bare, full_speed: float) ->
 
 
 def _rotor_inertia(scenario: Scenario, bare: Bare) -> float:
-    """kg m^2 of one rotor about its axis."""
+    """Inertia of one rotor about its axis [kg m^2]."""
     inertia = scenario.airframe["rotor_inertia_kg_m2"]
     return 0.015 * bare.mass / len(bare.x) * (2.0 * bare.radius) ** 2 / 12.0 if inertia is None else inertia
 
 
 def _outside(scenario: Scenario, bare: Bare, full_speed: float) -> outside.Outside:
-    """What befalls the vehicle. full_speed [rad/s] of the rotors. Raises ConfigError."""
+    """External influences of the scenario. full_speed [rad/s] of the rotors. Raises ConfigError."""
     a, w, drops = scenario.airframe, scenario.outside, scenario.airframe["payload_drops_s"]
     to, empty = np.radians(w["push_to_deg"]), replace(scenario, airframe={**a, "payload_kg": 0.0})
     return outside.Outside(
@@ -281,7 +280,7 @@ def _craft(scenario: Scenario, bare: Bare, full_speed: float) -> dynamics.Craft:
 
 
 def a_compensates(scenario: Scenario) -> bool:
-    """Whether the autopilot divides battery sag out of its commands: an ArduPilot may, PX4 does not."""
+    """True if the autopilot divides battery sag out of its commands: an ArduPilot may, PX4 does not."""
     return scenario.autopilot == "ardupilot" and bool(scenario.battery["compensated"])
 
 
@@ -306,7 +305,7 @@ def _gap(x, y) -> float:
 
 
 def _loaded(mass, J, payload, at):
-    """Mass, inertia about the common centre and where that lies, of a vehicle with a point mass at `at`."""
+    """Mass, inertia about the common centre of mass and its position, of a vehicle with a point mass at `at`."""
     total = mass + payload
     shift = payload / total * at
 
@@ -317,7 +316,7 @@ def _loaded(mass, J, payload, at):
 
 
 def _up_and_down(scenario: Scenario) -> trajectories.Trajectory:
-    """From the ground, and back to it where the scenario says so."""
+    """Take-off, manoeuvre, and landing if the scenario has one."""
     w, landing = scenario.trajectory, faults.NEVER
     if w["land"]:
         landing = scenario.duration_s - w["altitude_m"] / trajectories.DESCENT - 5.0 - w["rest_s"]
@@ -345,9 +344,9 @@ def way(scenario: Scenario, altitude: float, take_off: float, landing: float) ->
 def air(scenario: Scenario, arm: float) -> wind.Wind:
     """The scenario's wind, for a vehicle of that half span [m]."""
     w, flown = scenario.wind, scenario.trajectory
-    own = flown["speed_m_s"] if flown["kind"] in MOVING else 0.0
+    airspeed = flown["speed_m_s"] if flown["kind"] in MOVING else 0.0
     speed = w["speed_m_s"]
-    return wind.dryden(speed, w["from_deg"], w["turbulence"], flown["altitude_m"], np.hypot(speed, own), 2.0 * arm)
+    return wind.dryden(speed, w["from_deg"], w["turbulence"], flown["altitude_m"], np.hypot(speed, airspeed), 2.0 * arm)
 
 
 def _battery(scenario: Scenario, thrust: float, hover: float) -> Battery:

@@ -1,4 +1,4 @@
-"""A multirotor whose commands follow what is believed of its rotors, instead of the autopilot's fixed mixer.
+"""A multirotor whose commands follow a belief about its rotors, instead of the autopilot's fixed mixer.
 
 What is believed, and from when on, is a `Schedule` of a few entries; `closed_loop` writes it from an estimator's output. Up to the first
 entry the vehicle flies as any other. From then on
@@ -27,8 +27,8 @@ MOST_TILT = 0.25  # rad: how far from upright a turning vehicle tilts at most
 
 
 class Entry(NamedTuple):
-    """What is believed from `since` [s] on. mean, lower, upper (n,): effectiveness of each rotor; candidates (PLACES, n) with weights
-    (PLACES,): what it may be, and how likely that is; turning: 0 or 1; hover and gains: of `spinning`, zeros where they are not used."""
+    """Belief from `since` [s] on. mean, lower, upper (n,): effectiveness of each rotor; candidates (PLACES, n) with weights (PLACES,):
+    possible values and their probabilities; turning: 0 or 1; hover and gains: of `spinning`, zeros where unused."""
 
     since: Array
     mean: Array
@@ -94,9 +94,8 @@ class Reconfigured(Multirotor):
         a time: where yaw is given up its error must not turn into roll and pitch (reduced attitude)."""
         jnp, target = load_jax().numpy, now.target
         here, there = rotation.axes(body.q), rotation.axes(target.q)
-        a, b = (
-            jnp.stack([R[0][2], R[1][2], R[2][2]]) for R in (here, there)
-        )  # body z in the world: now, and its setpoint
+        # Body z in the world: now, and its setpoint.
+        a, b = (jnp.stack([R[0][2], R[1][2], R[2][2]]) for R in (here, there))
         cross = jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
         dot = (a * b).sum(axis=0)
         half = jnp.concatenate([jnp.maximum(1.0 + dot, 1e-3)[None], cross])
@@ -108,7 +107,7 @@ class Reconfigured(Multirotor):
         return target._replace(q=jnp.where(begun, q, target.q))
 
     def effectiveness(self, plan: Plan, t):
-        """What the entry that holds expects."""
+        """Effectiveness expected by the active entry."""
         jnp = load_jax().numpy
         return jnp.where(plan.schedule.since[0] <= t, self._expected(_entry_at(plan.schedule, t)), 1.0)
 
@@ -116,8 +115,8 @@ class Reconfigured(Multirotor):
         """(n,) the mean, or that of the candidates."""
         return entry.weights @ entry.candidates if self.allocator.by == "posterior" else entry.mean
 
-    def mixed(self, plan: Plan, now, t, body, gyro, turning, own: Drives) -> tuple:
-        """The mixer's answer, the allocator's or the turning hover's, as the schedule says."""
+    def mixed(self, plan: Plan, now, t, body, gyro, turning, drives: Drives) -> tuple:
+        """Demands of the mixer, the allocator or the turning hover, as scheduled."""
         jnp, pilot, throttle = load_jax().numpy, plan.pilot, now.target.throttle
         healthy, free = control.mix(pilot.mixer, turning, throttle)
         begun, one = plan.schedule.since[0] <= t, _entry_at(plan.schedule, t)
@@ -137,7 +136,7 @@ class Reconfigured(Multirotor):
         apart = down - level
         apart = apart * jnp.minimum(1.0, MOST_TILT / jnp.maximum(jnp.sqrt((apart * apart).sum()), 1e-6))
         lift = throttle / pilot.hover / jnp.maximum(one.hover.down[2], 0.3)
-        spun = spinning.feedback(one.hover, one.gains, own.f, gyro, level + apart, jnp.clip(lift, 0.5, 1.5))
+        spun = spinning.feedback(one.hover, one.gains, drives.f, gyro, level + apart, jnp.clip(lift, 0.5, 1.5))
 
         turns = one.turning > 0.5
         ours = jnp.where(turns, spun, allocated.u)

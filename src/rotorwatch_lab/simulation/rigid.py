@@ -1,4 +1,4 @@
-"""What every vehicle here is: a rigid body in moving air, carried from step to step by one Runge-Kutta rule.
+"""Base of all simulated vehicles: a rigid body in moving air, integrated by one Runge-Kutta rule.
 
 NED world, FRD body, SI; positions are the centre of mass.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import namedtuple
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch_lab.simulation import rotation
@@ -19,12 +19,8 @@ class Body(namedtuple("Body", "p v q omega")):
     """p [m], v [m/s] (3,) NED; q (4,) body to world; omega (3,) body [rad/s]."""
 
 
-class Air(NamedTuple):
-    """What surrounds the vehicle in one step: wind (3,) NED [m/s], turning (3,) gust rates in body axes [rad/s]; ground 0 or 1."""
-
-    wind: Array
-    turning: Array
-    ground: Array
+class Air(namedtuple("Air", "wind turning ground")):
+    """The air around the vehicle in one step: wind (3,) NED [m/s], turning (3,) gust rates in body axes [rad/s]; ground 0 or 1."""
 
 
 def runge_kutta(derivative: Callable, body: Body, nodes: Any, dt: float) -> tuple[Body, Array]:

@@ -1,6 +1,6 @@
-"""Unit quaternions (Hamilton, scalar first, body to world), written out by components: no matrices, nothing but products.
+"""Unit quaternions (Hamilton, scalar first, body to world), written by components for vectorised simulation.
 
-Written for one flight and mapped over many with the batch as the last axis, where every line is one long vector operation.
+Written for one flight and mapped over many with the batch as the last axis, where every line is an operation on long vectors.
 """
 
 from __future__ import annotations

@@ -142,7 +142,7 @@ class Scenario:
 
     @property
     def helicopter(self) -> bool:
-        """Whether the frame is a helicopter's."""
+        """True if the frame is a helicopter's."""
         return is_helicopter(self.airframe["frame"])
 
     def with_autopilot(self, autopilot: str) -> Scenario:
@@ -150,7 +150,7 @@ class Scenario:
         return replace(self, autopilot=autopilot)
 
     def with_seed(self, seed: int) -> Scenario:
-        """The same scenario in other weather."""
+        """The same scenario with other wind and noise."""
         return replace(self, seed=seed)
 
 
@@ -164,7 +164,7 @@ def read(path: str | os.PathLike) -> Scenario:
 
 
 def is_helicopter(frame: Any) -> bool:
-    """Whether a frame's name is that of a helicopter that a paper describes."""
+    """True if a frame's name is that of a helicopter described by a paper."""
     return isinstance(frame, str) and frame in airframes.papers() and "main" in airframes.paper(frame)
 
 
@@ -193,7 +193,7 @@ def from_table(table: Mapping[str, Any]) -> Scenario:
 
 
 def _times(duration: float, way: Mapping[str, Any]) -> None:
-    """Refuse a flight too short for its own way up and down."""
+    """Raise ConfigError for a flight too short for its take-off and landing."""
     least = way["take_off_s"] + way["altitude_m"] / trajectories.CLIMB + 7.0 + way["spool_s"]
     least += (way["altitude_m"] / trajectories.DESCENT + 6.0 + way["rest_s"]) if way["land"] else 0.0
     least += way["size_m"] / trajectories.LEVEL if way["land"] and way["kind"] in ("climb", "aggressive") else 0.0
@@ -204,7 +204,7 @@ def _times(duration: float, way: Mapping[str, Any]) -> None:
 
 
 def _helicopter(table: Mapping[str, Any], duration: float, way: Mapping[str, Any]) -> None:
-    """Refuse what a helicopter does not have."""
+    """Raise ConfigError for fields that a helicopter does not have."""
     for part, known in HELICOPTER_FIELDS.items():
         values = table.get(part, {}) if part else [key for key in table if key in FIELDS[""]]
         for key in values:
@@ -220,7 +220,7 @@ def _helicopter(table: Mapping[str, Any], duration: float, way: Mapping[str, Any
 
 
 def _fault(where: str, row: Any, duration: float, helicopter: bool) -> Mapping[str, Any]:
-    """One row of `faults`, with all of FAULT_FIELDS; of a helicopter, `rotor` is the actuator's place."""
+    """A row of `faults`, with all of FAULT_FIELDS; of a helicopter, `rotor` is the actuator's place."""
     if not isinstance(row, Mapping):
         raise ConfigError(f"{where} must be a [[faults]] table.")
     fault = _table(f"{where}.", row, FAULT_FIELDS)
@@ -266,7 +266,7 @@ def _table(where: str, values: Mapping[str, Any], fields: Mapping[str, Field]) -
 
 
 def _value(name: str, value: Any, field: Field) -> Any:
-    """One value in the kind of its field. Raises ConfigError."""
+    """A value converted to its field's type. Raises ConfigError."""
     if field.choices:
         if value not in field.choices:
             raise ConfigError(
@@ -291,7 +291,7 @@ def _value(name: str, value: Any, field: Field) -> Any:
 
 
 def only_fields(table: Iterable[str], known: Collection[str], where: str = "", of: str = "") -> None:
-    """Raise ConfigError for the first key of a table that is none of its fields."""
+    """Raise ConfigError for the first key of a table that is not a known field."""
     for key in table:
         if key not in known:
             raise ConfigError(
@@ -311,7 +311,7 @@ def plain(key: str) -> str:
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value of a TOML file is a finite number (an integer of hundreds of digits is none)."""
+    """True if a value of a TOML file is a finite number (an integer of hundreds of digits is none)."""
     try:
         return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
     except OverflowError:
@@ -329,7 +329,7 @@ def number(name: str, value: Any, low: float, high: float) -> float:
 
 def whole(name: str, value: Any, low: float, high: float) -> int:
     """The value as an int when it is a whole number in [low, high]. Raises ConfigError."""
-    found = number(name, value, low, high)
-    if found != int(found):
+    converted = number(name, value, low, high)
+    if converted != int(converted):
         raise ConfigError(f"{name} must be a whole number, not {brief(value)}.")
-    return int(found)
+    return int(converted)

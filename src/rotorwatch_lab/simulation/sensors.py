@@ -1,4 +1,4 @@
-"""What sensors make of a flight: noise inside the control loop, and what is added to the record when it is logged."""
+"""Sensor errors: noise inside the control loop, and errors added to the record when it is logged."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class Sensors(
 
 
 def jumped(record: Any, at: float, tilt: float, yaw: float, speed: float, rng) -> Any:
-    """The record as an estimator tells it that jumps at time `at` [s] and finds back in seconds: tilt, yaw [rad], speed [m/s] (and as many
-    metres), tilt and speed in directions that rng draws."""
+    """The record as estimated by an estimator that jumps at time `at` [s] and recovers in seconds: tilt, yaw [rad], speed [m/s] (and as
+    many metres), tilt and speed in directions that rng draws."""
     since = record.time - at
     size = np.where(since >= 0.0, np.exp(-np.maximum(since, 0.0) / RESET_S), 0.0)[:, None]
     about, to = rng.uniform(0.0, 2.0 * np.pi, 2)

@@ -38,7 +38,7 @@ def smooth(s):
 
 
 def touch_down(way: Trajectory):
-    """When the vehicle should stand on the ground again [s]."""
+    """Time of touchdown [s]."""
     return way.landing + way.altitude / DESCENT + 2.0 + way.rest
 
 

@@ -1,4 +1,4 @@
-"""What only the simulator knows of a flight, in files of its own: STEM.truth.json and STEM.truth.csv. No log holds any of it."""
+"""Ground truth of a simulated flight, in separate files STEM.truth.json and STEM.truth.csv. No log holds any of it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ HZ = 50.0
 def write(
     scenario: Scenario, record: Any, stem: Path, about: Mapping[str, Any], series: Mapping[str, np.ndarray]
 ) -> tuple[Path, Path]:
-    """Write what was broken, when, and HZ times a second the motion; times count from the log's start. Returns both paths.
+    """Write faults and their times, and the motion at HZ; times count from the log's start. Returns both paths.
 
     record: with time, flies, p, v, q, omega and wind (T, ..). about, series: what the aircraft adds; keys of series are the columns'
     names with spaces between, its values (T, columns).

@@ -30,7 +30,7 @@ def write_dataflash(flight: Flight, path: str | os.PathLike) -> None:
 
 
 def dataflash(flight: Flight) -> bytes:
-    """What `write_dataflash` writes. Raises ConfigError as it does."""
+    """Bytes of the log that `write_dataflash` writes. Raises ConfigError as it does."""
     if not flight.autopilot.lower().startswith("ardu"):
         raise ConfigError(f"a DataFlash log is ArduPilot's; this flight is of {flight.autopilot}: write a ULog.")
     records = [_packed(*message, flight.start_us) for message in _tables(flight)]
@@ -77,7 +77,7 @@ def _tables(flight: Flight):
 
 
 def _escs(esc: Signal):
-    """One ESC message after the other: the instance is the servo output's number from 0. The charge is the current's integral [mAh]."""
+    """ESC messages, one instance after the other, numbered as the servo outputs from 0. The charge is the current's integral [mAh]."""
     n = len(esc.columns) // len(esc_columns.QUANTITIES)
     step = np.diff(esc.time, prepend=esc.time[:1])
     none = np.zeros(len(esc))
@@ -128,15 +128,15 @@ def _record(name: str, *values) -> bytes:
 
 
 def _events(flight: Flight) -> list[tuple[int, bytes]]:
-    found = []
+    events = []
     for m in flight.messages:
         stamp = flight.start_us + round(m.time * 1e6)
         if m.kind == "armed":
-            found.append((stamp, _record("ARM", stamp, int(m.value), 0, 0, 0)))
+            events.append((stamp, _record("ARM", stamp, int(m.value), 0, 0, 0)))
         if (m.kind, m.value) in EVENTS:
-            found.append((stamp, _record("EV", stamp, EVENTS[m.kind, m.value])))
+            events.append((stamp, _record("EV", stamp, EVENTS[m.kind, m.value])))
         elif m.kind == "mode":
-            found.append((stamp, _record("MODE", stamp, int(m.value), int(m.value), 0)))
+            events.append((stamp, _record("MODE", stamp, int(m.value), int(m.value), 0)))
         elif m.kind == "text":
-            found.append((stamp, _record("MSG", stamp, m.text.encode()[:64])))
-    return found
+            events.append((stamp, _record("MSG", stamp, m.text.encode()[:64])))
+    return events

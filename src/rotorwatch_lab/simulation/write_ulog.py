@@ -34,7 +34,7 @@ def write_ulog(flight: Flight, path: str | os.PathLike) -> None:
 
 
 def ulog(flight: Flight) -> bytes:
-    """What `write_ulog` writes. Raises ConfigError as it does."""
+    """Bytes of the log that `write_ulog` writes. Raises ConfigError as it does."""
     if flight.autopilot.lower() != "px4":
         raise ConfigError(f"a ULog is PX4's; this flight is of {flight.autopilot}: write a DataFlash log.")
     tables = {name: rows for name, rows in _tables(flight) if len(rows)}

@@ -23,10 +23,8 @@ START = {
     "and": {"b": "true"},
     "or": {"b": "false"},
 }
-LEAST, MOST = (
-    2.0**-149,
-    float(np.finfo(np.float32).max),
-)  # of single precision; beyond, constants may not be written out for it
+# Limits of single precision, beyond which constants cannot be written out for it.
+LEAST, MOST = 2.0**-149, float(np.finfo(np.float32).max)
 COMBINE = {"sum": "add", "prod": "mul", "max": "max", "min": "min", "and": "and", "or": "or"}
 
 
@@ -83,7 +81,7 @@ class Emitter:
         return Leaf(self.where(x), offset, steps)
 
     def where(self, x: Node) -> Place:
-        """Where a stored value is; notes what has to be declared."""
+        """The place of a stored value; records the variables to be declared."""
         while x.op == "alias" or (x.op == "param" and x.data[0] == "alias"):
             x = x.args[0] if x.op == "alias" else x.data[1]
         if x.op == "const":
@@ -134,7 +132,7 @@ class Emitter:
         self.depth -= len(keep)
 
     def _write(self, shape, groups: list[list[int]], target: Leaf, tree, assign: str = "="):
-        """Loops that write the tree's elements to the target's."""
+        """Emit loops that write the tree's elements to the target's."""
         self._nest(
             list(shape),
             groups,
@@ -170,7 +168,7 @@ class Emitter:
         self._join(node, self.where(node), 0, strides(node.shape))
 
     def _join(self, node: Node, place: Place, at: int, steps: tuple[int, ...]):
-        """The pieces written one after the other from `at`; products and concatenations that nobody else reads, where they belong."""
+        """Write the pieces one after the other from `at`; products and concatenations with no other reader directly in place."""
         for piece in node.args:
             if piece.op == "dot" and piece.index not in self.plan.stored:
                 self._multiply(piece, self._pointer(place, at), steps)
@@ -194,7 +192,7 @@ class Emitter:
         self._assign(node, tree)
 
     def _assign(self, node: Node, tree):
-        """One value, given as a tree over its own indices."""
+        """Store one value, given as a tree over its own indices."""
         if self.plan.local(node):
             self.line(f"const {TYPES[node.kind]} t{node.index} = {self.text(tree, [])};")
             return

@@ -35,7 +35,7 @@ class Region:
         self.depth: int = 0 if parent is None else parent.depth + 1
 
     def within(self, other: Region) -> bool:
-        """Whether this is `other` or inside it."""
+        """True if this region is `other` or nested inside it."""
         here: Region | None = self
         while here is not None and here is not other:
             here = here.parent
@@ -43,7 +43,7 @@ class Region:
 
 
 class Node:
-    """One value. kind: f, i, l or b (operations.TYPES); data: what the operation needs besides its arguments."""
+    """A value of the graph. kind: f, i, l or b (operations.TYPES); data: parameters of the operation besides its arguments."""
 
     __slots__ = ("args", "data", "index", "kind", "op", "region", "shape", "source")
 
@@ -71,7 +71,7 @@ def axes_of(count: int, width: int, step: Callable[[int, int], Any], start: Call
 
 
 def identity(shape: tuple[int, ...]) -> tuple[Axis, ...]:
-    """Every element where it is."""
+    """Axes of the view that leaves every element in place."""
     return axes_of(len(shape), len(shape), lambda i, j: i == j)
 
 
@@ -86,7 +86,7 @@ def composed(outer: tuple[Axis, ...], inner: tuple[Axis, ...], width: int) -> tu
 
 
 def strides(shape: tuple[int, ...]) -> tuple[int, ...]:
-    """Of a row-major array, in elements."""
+    """Strides of a row-major array, in elements."""
     return tuple(math.prod(shape[k + 1 :]) for k in range(len(shape)))
 
 
@@ -98,7 +98,7 @@ def flat(axes: tuple[Axis, ...], root_shape: tuple[int, ...], width: int) -> tup
 
 
 class Graph:
-    """Makes nodes; equal ones are made once."""
+    """Builds nodes; equal nodes are shared."""
 
     def __init__(self):
         self.nodes: list[Node] = []
@@ -109,7 +109,7 @@ class Graph:
         self.patterns: dict[int, np.ndarray] = {}  # of zeros.py
 
     def make(self, op, args, shape, kind, data=None, key=None, region=None) -> Node:
-        """A node; the equal one that is there already, unless key is False. key: what stands for data in the comparison."""
+        """A node, or the equal one that exists already unless key is False. key: replaces data in the comparison."""
         shape = tuple(int(n) for n in shape)
         if region is None:
             region = max((a.region for a in args), key=lambda r: r.depth, default=self.top)
@@ -157,7 +157,7 @@ class Graph:
         return self.make(name, args, shape, kind)
 
     def _simplified(self, name, args, kind) -> Node | None:
-        """Operations that change nothing, as they come from derivatives and masks."""
+        """Removes operations without effect, as derivatives and masks produce them."""
         if name == "copy" or name == f"to_{args[0].kind}":
             return args[0]
         if name in ("mul", "add") and kind in "fil":
@@ -186,7 +186,7 @@ class Graph:
         return None
 
     def _divided(self, x: Node, by: Node) -> Node | None:
-        """x / by as XLA does it, with one division for all elements: by a constant, or by what is the same for all."""
+        """x / by as XLA computes it, with a single division where the divisor is constant or the same for all elements."""
         one, known = self.const(np.float64(1.0)), value(by)
         if values(x) is not None:
             return None
@@ -253,7 +253,7 @@ class Graph:
         return self.view(x, shape, axes_of(len(order), len(order), lambda i, j: order[j] == i))
 
     def symmetric(self, x: Node) -> bool:
-        """Whether x is surely its own transpose, to the last bit: A + A', and what is made of such values element by element."""
+        """True if x provably equals its own transpose to the last bit: A + A', and element-wise functions of such values."""
         if len(x.shape) != 2 or x.shape[0] != x.shape[1]:
             return False
         known = value(x)
@@ -264,16 +264,16 @@ class Graph:
         if x.index not in self._symmetric:
             one, other = x.args[0], x.args[-1]
             if x.op in ("add", "mul") and other.op == "view" and other == self._turned(one):
-                found = True
+                symmetric = True
             elif (
                 x.op == "select"
                 and (mask := value(one)) is not None
                 and not (mask & ~np.eye(len(mask), dtype=bool)).any()
             ):
-                found = self.symmetric(x.args[1])  # only the diagonal comes from elsewhere
+                symmetric = self.symmetric(x.args[1])  # only the diagonal comes from elsewhere
             else:
-                found = all(self.symmetric(a) for a in x.args)
-            self._symmetric[x.index] = found
+                symmetric = all(self.symmetric(a) for a in x.args)
+            self._symmetric[x.index] = symmetric
         return self._symmetric[x.index]
 
     def reversed(self, x: Node, dimensions) -> Node:
@@ -329,12 +329,12 @@ class Graph:
 
 
 def _tall(shape) -> bool:
-    """Whether a table is best kept column by column: a value for each of a batch, and each value's are read together."""
+    """True if a table is best stored column by column: one value for each member of a batch, whose values are read together."""
     return len(shape) == 2 and shape[0] >= MANY > shape[1]
 
 
 def _order(x: Node) -> tuple[int, ...] | None:
-    """Axes of x from the slowest to the fastest in storage; None when x does not mind: a constant, or the same along an axis."""
+    """Axes of x from slowest to fastest in storage; None where the order does not matter: a constant, or equal along an axis."""
     long = [j for j, n in enumerate(x.shape) if n > 1]
     if len(long) < 2 or value(x) is not None:
         return None
@@ -346,7 +346,7 @@ def _order(x: Node) -> tuple[int, ...] | None:
 
 
 def _common_order(nodes) -> tuple[int, ...] | None:
-    """The order in which all of them lie, when it is not the natural one."""
+    """The storage order shared by all nodes, if it is not row-major."""
     orders = {order for order in map(_order, nodes) if order is not None}
     order = orders.pop() if len(orders) == 1 else ()
     return None if order == tuple(range(len(order))) else order
@@ -357,26 +357,27 @@ def _inverse(order: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _joined(graph: Graph, parts: list[Node], dimension: int) -> list[Node]:
-    """Neighbouring slices of one value put together again."""
+    """Merge neighbouring slices of one value."""
     out: list[Node] = []
     for part in parts:
-        last = out[-1] if out else None
-        if last is not None and last.op == part.op == "view" and last.args == part.args:
-            n = last.shape[dimension]
+        previous = out[-1] if out else None
+        if previous is not None and previous.op == part.op == "view" and previous.args == part.args:
+            n = previous.shape[dimension]
             follows = all(
-                a.steps == b.steps and b.start - a.start == n * a.steps[dimension] for a, b in zip(last.data, part.data)
+                a.steps == b.steps and b.start - a.start == n * a.steps[dimension]
+                for a, b in zip(previous.data, part.data)
             )
-            if follows and any(a.steps[dimension] for a in last.data):
+            if follows and any(a.steps[dimension] for a in previous.data):
                 size = n + part.shape[dimension]
-                shape = tuple(size if k == dimension else m for k, m in enumerate(last.shape))
-                out[-1] = graph.view(last.args[0], shape, last.data)
+                shape = tuple(size if k == dimension else m for k, m in enumerate(previous.shape))
+                out[-1] = graph.view(previous.args[0], shape, previous.data)
                 continue
         out.append(part)
     return out
 
 
 def value(x: Node) -> np.ndarray | None:
-    """The constant x is, or None."""
+    """The value of a constant node, else None."""
     if x.op == "const":
         return x.data
     if x.op == "view" and x.args[0].op == "const" and x.size <= MOST_FOLDED:
@@ -385,20 +386,20 @@ def value(x: Node) -> np.ndarray | None:
 
 
 def values(*nodes: Node) -> list[np.ndarray] | None:
-    """The constants that nodes are, or None when one of them is none."""
+    """The values of constant nodes, or None if one of them is not constant."""
     known = [v for v in map(value, nodes) if v is not None]
     return known if len(known) == len(nodes) else None
 
 
 def uniform(x: Node):
-    """The number a constant is everywhere, or None."""
+    """The number that all elements of a constant equal, or None."""
     if x.op == "view":
         x = x.args[0]
     return x.data.reshape(-1)[0].item() if x.op == "const" and x.size == 1 else None
 
 
 def taken(a: np.ndarray, shape, axes) -> np.ndarray:
-    """NumPy's reading of a view."""
+    """The elements that a view selects, by NumPy."""
     offset, steps = flat(axes, a.shape, len(shape))
     index = np.full(shape, offset)
     for j, (n, m) in enumerate(zip(shape, steps)):

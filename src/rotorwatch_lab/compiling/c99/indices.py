@@ -11,7 +11,7 @@ from rotorwatch_lab.compiling.c99.graph import Axis, Graph, Node, strides
 
 
 def filling(kind: str, params):
-    """What a gather puts where the index is outside."""
+    """The fill value of a gather for indices out of bounds."""
     fill_value = params.get("fill_value")
     if fill_value is not None:
         return fill_value
@@ -115,8 +115,8 @@ def affine(table: np.ndarray, shape) -> tuple[Axis, ...] | None:
         return None
     axes = []
     for along in np.unravel_index(table, shape):
-        found = regular(np.asarray(along))
-        if found is None:
+        view = regular(np.asarray(along))
+        if view is None:
             return None
-        axes.append(Axis(*found))
+        axes.append(Axis(*view))
     return tuple(axes)

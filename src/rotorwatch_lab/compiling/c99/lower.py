@@ -105,9 +105,9 @@ def _equation(graph: Graph, name: str, x: list[Node], params, outvars):
         return lower(graph, *_inner(params), x)
     if name in SAME:
         return list(x)
-    made = SPECIAL.get(name)
-    if made is not None:
-        return made(graph, x, params, outvars)
+    special = SPECIAL.get(name)
+    if special is not None:
+        return special(graph, x, params, outvars)
     name = RENAMED.get(name, name)
     if name in ELEMENTWISE and (x[0].kind in ELEMENTWISE[name].c):
         return graph.elementwise(name, *x, kind="b" if name in COMPARISONS else x[0].kind)
@@ -126,9 +126,9 @@ def _as(graph: Graph, x: Node, dtype) -> Node:
 
 def _add(graph, x, params, outvars):
     for one, other in (x, x[::-1]):
-        made = zeros.added(graph, one, other)
-        if made is not None:
-            return made
+        total = zeros.added(graph, one, other)
+        if total is not None:
+            return total
     return graph.elementwise("add", *x, kind=x[0].kind)
 
 
@@ -372,9 +372,9 @@ def _triangular_solve(graph, x, params, outvars):
 
 def _platform_index(graph, x, params, outvars):
     platforms = params["platforms"]
-    mine = [k for k, p in enumerate(platforms) if p is not None and "cpu" in p]
+    usable = [k for k, p in enumerate(platforms) if p is not None and "cpu" in p]
     default = [k for k, p in enumerate(platforms) if p is None]
-    return graph.const(np.asarray((mine + default)[0], np.int32))
+    return graph.const(np.asarray((usable + default)[0], np.int32))
 
 
 def _cond(graph, x, params, outvars):
@@ -425,7 +425,7 @@ def _scan(graph, x, params, outvars):
 
 
 def _inside(graph, a: Node, region: Region) -> Node:
-    """What a branch calls a value from outside."""
+    """The parameter that stands for an outside value within a branch."""
     if value(a) is not None:
         return a
     if a.op == "view":
@@ -435,12 +435,12 @@ def _inside(graph, a: Node, region: Region) -> Node:
 
 
 def _first(graph, a: Node) -> Node:
-    """A turn's share of what is the same in every turn."""
+    """The slice for a single iteration of a value that is the same in every iteration."""
     return graph.broadcast(graph.const(np.asarray(uniform(a), NUMPY[a.kind])), a.shape[1:], ())
 
 
 def _held_state(graph, new: Node, old: Node, region: Region) -> Node:
-    """The new carry as a value of its own, so that no turn reads a carry that is half written."""
+    """The new carry as a separate value, so that no iteration reads a half-written carry."""
     root = new.args[0] if new.op in ("view", "alias") else new
     if new is old or new.op == "const" or root.op != "param":
         return new
@@ -452,8 +452,8 @@ def _deepest(nodes) -> Region:
 
 
 def _free(outputs, regions) -> tuple[Node, ...]:
-    """What the insides of the regions use from outside."""
-    found, seen, todo = [], set(), list(outputs)
+    """Outside values that the regions use."""
+    outside, seen, todo = [], set(), list(outputs)
     while todo:
         node = todo.pop()
         if node.index in seen:
@@ -464,8 +464,8 @@ def _free(outputs, regions) -> tuple[Node, ...]:
             if node.op == "param" and node.data[0] in ("alias", "slice"):
                 todo.append(node.data[1])
         else:
-            found.append(node)
-    return tuple(found)
+            outside.append(node)
+    return tuple(outside)
 
 
 SPECIAL = {

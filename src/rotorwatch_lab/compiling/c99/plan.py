@@ -1,4 +1,4 @@
-"""Which values of a graph get storage, when each is written and last read, and who shares storage with whom.
+"""Storage plan of a graph: which values are stored, when each is written and last read, and which values share storage.
 
 Element-wise values that are read once per element are written inside their reader's loop and need none. The rest gets
 row-major storage; two values share it when one is last read before the other is written (interval packing, largest first).
@@ -47,8 +47,8 @@ def live(outputs: list[Node]) -> list[Node]:
 
 
 class Plan:
-    """What emit.py needs to know. outputs: nodes to be written somewhere at the end; targets[k]: where output k goes, whether that
-    is an input as well (its parameter's node, else None)."""
+    """Storage plan of a graph, for emit.py. outputs: nodes to be written at the end; targets[k]: the destination of output k and, if that
+    is also an input, its parameter's node (else None)."""
 
     def __init__(self, outputs: list[Node], targets: list[tuple[Place, Node | None]]):
         self.nodes = live(outputs)
@@ -87,7 +87,7 @@ class Plan:
             self.must.add(x.index)
 
     def _readers(self, node: Node):
-        """What this node asks of its arguments."""
+        """Record how this node reads its arguments."""
         op, times = node.op, self.times.get(node.index, 0.0)
         must = node.index in self.must
         if op == "view":
@@ -120,7 +120,7 @@ class Plan:
                     self._read(x)
         elif op not in ("const", "param"):
             if not (op in ("dot", "concat") and node.index in self.into and times == 1 and not must):
-                self.stored.add(node.index)  # else written by the only one who reads it: a concatenation
+                self.stored.add(node.index)  # else written by its only reader, a concatenation
             if op == "concat":
                 self.into.update(x.index for x in node.args)
             for k, x in enumerate(node.args):
@@ -128,14 +128,14 @@ class Plan:
 
     @staticmethod
     def _needs_storage(node: Node, k: int) -> bool:
-        """Whether argument k is read in another order than element by element."""
+        """True if argument k is read in another order than element by element."""
         op = node.op
         if op == "scatter":
             return k == 1 and regular(node.data[0]) is None
         return op in ("dot", "take") or (op in ("pick", "trisolve") and k == 0)
 
     def local(self, node: Node) -> bool:
-        """Whether the value is a variable of the C function: one element that nobody wants to point at."""
+        """True if the value is a scalar C variable: one element whose address is never taken."""
         return node.shape == () and node.index not in self.must and node.op in (*ELEMENTWISE, "reduce", "dot", "pick")
 
     # When.
@@ -231,9 +231,9 @@ class Plan:
             wanted.setdefault(node.kind, []).append((node.size, begin, self.last.get(node.index, begin + 1), node))
         for node in self.nodes:  # a loop's carry is its result; one that nobody reads needs storage all the same
             if isinstance(node.data, Loop):
-                mine = {r.data for r in self.results.get(node.index, [])}
+                results = {r.data for r in self.results.get(node.index, [])}
                 for k, p in enumerate(node.data.carry):
-                    if k not in mine:
+                    if k not in results:
                         wanted.setdefault(p.kind, []).append((p.size, self.start[node.index], self.end[node.index], p))
         self.sizes = {kind: self._packed(kind, blocks) for kind, blocks in wanted.items()}
         for node in self.nodes:
@@ -246,7 +246,7 @@ class Plan:
                 self.place[node.index] = self.of(node.args[0])
 
     def _placed_in_output(self, node: Node, begin: int) -> bool:
-        """Whether the value can be computed where it has to go in the end: nobody reads there what was before."""
+        """Compute the value directly in its output, if nobody reads the previous content from then on."""
         if node.region is not self.top:
             return False
         for out, (place, also_input) in zip(self.outputs, self.targets):
@@ -258,7 +258,7 @@ class Plan:
         return False
 
     def _in_place(self, node: Node, place: Place, also_input: Node | None) -> None:
-        """What `node` is made of element by element, and nobody reads later, is computed where `node` goes, too; and what that is made of.
+        """Compute in the place of `node` the values it is made of element by element that nobody reads later, recursively.
 
         An element is read before the same one is written. A step that changes a large matrix a little, several times, needs no second one.
         """
@@ -271,7 +271,7 @@ class Plan:
             self.place[node.index] = place
 
     def _may_go(self, x: Node, reader: Node, also_input: Node | None) -> bool:
-        """Whether x can be where its reader is: nobody then reads what is there before x is written."""
+        """True if x can share the place of its reader: nobody reads the previous content before x is written."""
         if (
             x.index not in self.stored
             or x.op == "result"
@@ -290,16 +290,16 @@ class Plan:
         return self._free(x, self.start[x.index], also_input)
 
     def _free(self, node: Node, begin: int, also_input: Node | None) -> bool:
-        """Whether nobody reads an input any more when `node` is written there, but `node` itself, element by element."""
+        """True if, once `node` is written over an input, only `node` itself still reads it, element by element."""
         if also_input is None:
             return True
-        last = self.last.get(also_input.index, 0)
-        if last < begin:
+        last_read = self.last.get(also_input.index, 0)
+        if last_read < begin:
             return True
         if node.size < LARGE:
             return False
-        own = node.op in ELEMENTWISE and last == self.end.get(node.index)
-        return own and any(x is also_input for x in self._same_elements(node))
+        reads_itself = node.op in ELEMENTWISE and last_read == self.end.get(node.index)
+        return reads_itself and any(x is also_input for x in self._same_elements(node))
 
     def _same_elements(self, node: Node) -> list[Node]:
         """Stored values, and parameters, of which element i is all that element i of an element-wise node reads."""
@@ -318,16 +318,16 @@ class Plan:
 
     def _packed(self, kind: str, blocks) -> int:
         """First fit, largest first. Returns the number of elements."""
-        done: list[tuple[int, int, int, int]] = []
+        placed: list[tuple[int, int, int, int]] = []
         most = 0
         for size, begin, end, node in sorted(blocks, key=lambda b: (-b[0], b[1])):
             room = -(-max(size, 1) // ALIGNMENT) * ALIGNMENT if size > 1 else 1
             at = 0
-            for a, b, _, _ in sorted(d for d in done if not (d[3] < begin or end < d[2])):
+            for a, b, _, _ in sorted(d for d in placed if not (d[3] < begin or end < d[2])):
                 if at + room <= a:
                     break
                 at = max(at, b)
-            done.append((at, at + room, begin, end))
+            placed.append((at, at + room, begin, end))
             most = max(most, at + room)
             self.place[node.index] = Place(WORKSPACE[kind], at)
         return most

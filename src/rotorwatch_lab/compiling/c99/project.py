@@ -33,7 +33,7 @@ HEADER = Template(Path(__file__).with_name("header.h.in").read_text("utf-8"))
 
 
 class Field(NamedTuple):
-    """One array of a struct, or an argument. note: unit and meaning, for the header."""
+    """An array of a struct, or an argument. note: unit and meaning, for the header."""
 
     name: str
     kind: str
@@ -72,15 +72,15 @@ class Program:
 
 def fields(tree: Any, notes: dict[str, str] | None = None) -> tuple[Field, ...]:
     """The leaves of a pytree of arrays, named after where they are in it; reserved words and twins get a tail."""
-    found: list[Field] = []
+    leaves: list[Field] = []
     for path, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]:
         name = "_".join(_key(part) for part in path) or "value"
         name = name if name[0].isalpha() else f"_{name}"
-        while name in {f.name for f in found} or name in RESERVED:
+        while name in {f.name for f in leaves} or name in RESERVED:
             name += "_"
         shape, dtype = np.shape(leaf), np.asarray(leaf).dtype if not hasattr(leaf, "dtype") else leaf.dtype
-        found.append(Field(name, kind(dtype), shape, (notes or {}).get(name, "")))
-    return tuple(found)
+        leaves.append(Field(name, kind(dtype), shape, (notes or {}).get(name, "")))
+    return tuple(leaves)
 
 
 def _key(part) -> str:
@@ -98,8 +98,8 @@ def emit_program(
     about: str = "",
     carry: Any = None,
 ) -> Program:
-    """The program of `step(parameters, carry, *inputs) -> (carry, out)` and `init(parameters) -> carry`; without init no NAME_init,
-    and `carry` is an example of one.
+    """The program of `step(parameters, carry, *inputs) -> (carry, out)` and `init(parameters) -> carry`; without init no NAME_init, and
+    `carry` is an example of one.
 
     parameters: a pytree of arrays (values do not matter), empty when everything is constant. notes: what the header says of a field.
     about: the header's first words. Raises Refused for what has no counterpart in C.
@@ -122,7 +122,7 @@ def emit_program(
 
 
 class _C(NamedTuple):
-    """One function's statements, what it needs beside them, and the workspace it uses."""
+    """Statements of one function, the tables and kernels it needs, and its workspace."""
 
     lines: list[str]
     tables: list[str]
@@ -135,9 +135,11 @@ def _function(traced, structs, inputs: tuple[Field, ...], out: tuple[Field, ...]
     """traced: of (parameters, state, *inputs) -> (state, out), or, without out, of (parameters) -> state."""
     graph = Graph()
     args: list[Node] = []
-    own = [("parameters->", structs["parameters"])] + ([("state->", structs["state"])] if out is not None else [])
+    arguments_of = [("parameters->", structs["parameters"])] + (
+        [("state->", structs["state"])] if out is not None else []
+    )
     states: list[Node | None] = []
-    for prefix, group in [*own, ("", inputs)]:
+    for prefix, group in [*arguments_of, ("", inputs)]:
         for f in group:
             node = _input(graph, f, prefix)
             args.append(node)
@@ -195,7 +197,7 @@ def _table(node: Node) -> str:
 
 
 def _short(value: float) -> bool:
-    """Whether an initialiser may hold the number as it is, in single precision too, without a warning."""
+    """True if an initialiser can hold the number literally, in single precision too, without a warning."""
     with np.errstate(over="ignore"):
         return float(np.float32(value)) == value
 
@@ -261,10 +263,10 @@ def _member(f: Field) -> str:
 
 
 def _signature(head: str, arguments_: str, tail: str) -> list[str]:
-    """One line, or arguments wrapped below."""
-    one = f"{head}({arguments_}){tail}"
-    if len(one) <= WIDTH:
-        return [one]
+    """The signature on one line, or with its arguments wrapped below."""
+    line = f"{head}({arguments_}){tail}"
+    if len(line) <= WIDTH:
+        return [line]
     lines = _wrapped(arguments_.split(", "))
     return [f"{head}(", *lines[:-1], f"{lines[-1]}){tail}"]
 

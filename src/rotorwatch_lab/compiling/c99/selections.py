@@ -63,14 +63,14 @@ def _turned(matrix):
 
 
 def _multiplied(graph: Graph, a: Node, b: Node) -> Node:
-    made = product(graph, a, b)
-    if made is not None:
-        return made
+    result = product(graph, a, b)
+    if result is not None:
+        return result
     return graph.make("dot", (a, b), (*a.shape[:-1], *b.shape[1:]), a.kind, (0, 1))
 
 
 def _blocks(graph: Graph, x: Node, axis: int) -> tuple[Node, ...]:
-    """What x is stacked of along an axis: a concatenation or its transpose."""
+    """The parts of which x is stacked along an axis: a concatenation or its transpose."""
     if x.op == "concat" and x.data == axis:
         return x.args
     if x.op == "view" and x.args[0].op == "concat" and x.args[0].data == 1 - axis and len(x.args[0].shape) == 2:

@@ -34,7 +34,7 @@ def pattern(graph: Graph, x: Node) -> np.ndarray:
 
 
 def _seen_through(x: Node) -> tuple[Node, ...]:
-    """The arguments whose patterns tell x's."""
+    """The arguments that determine the pattern of x."""
     if max([x.size, *(a.size for a in x.args)]) > MOST:
         return ()
     matrices = x.op == "dot" and x.data in ((0, 1), (1, 1)) and all(len(a.shape) <= 2 + x.data[0] for a in x.args)
@@ -66,10 +66,10 @@ def _pattern(x: Node, args: list[np.ndarray]) -> np.ndarray:
         which = value(x.args[0])
         return args[1] | args[2] if which is None else np.where(which, args[2], args[1])
     if x.op == "scatter":
-        found = args[0].reshape(-1).copy()
+        nonzero = args[0].reshape(-1).copy()
         at, new = x.data[0].reshape(-1), args[1].reshape(-1)
-        found[at] = new if x.data[1] == "set" else found[at] | new
-        return found.reshape(x.shape)
+        nonzero[at] = new if x.data[1] == "set" else nonzero[at] | new
+        return nonzero.reshape(x.shape)
     return np.any(args, axis=0).reshape(x.shape)
 
 
@@ -163,7 +163,7 @@ def product(graph: Graph, a: Node, b: Node, batch: int = 0) -> Node | None:
 
 
 def in_rows(x: Node) -> bool:
-    """Whether neighbours along the last axis are neighbours in storage."""
+    """True if neighbours along the last axis are contiguous in storage."""
     if x.op != "view":
         return True
     return bool(x.data) and x.data[-1].steps[-1] == 1 and all(axis.steps[-1] == 0 for axis in x.data[:-1])

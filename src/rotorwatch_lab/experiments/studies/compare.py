@@ -1,4 +1,4 @@
-"""One table: every estimator on the same flights, the default method among them.
+"""Comparison of all estimators on the same flights, the default method among them.
 
 Each flight becomes ticks once. The default method judges them on its own plant, a published one as `published.judge` runs it;
 events are read the same way from both. Per estimator and group of flights:
@@ -34,7 +34,8 @@ COLUMNS = ("flights", "faults", "loss_rmse", "delay_s", "right", "named", "false
 
 
 class Compared(NamedTuple):
-    """One estimator on all flights. rows: group of flights -> measures; us_per_step; why: it could not run, a sentence, else empty."""
+    """Results of one estimator on all flights. rows: group of flights -> measures; us_per_step; why: reason why it could not run, a
+    sentence, else empty."""
 
     name: str
     rows: dict[str, dict[str, Any]]
@@ -67,59 +68,59 @@ def each(scenes: Sequence[Scene], names: Sequence[str] = (), progress: Callable 
         except ConfigError as why:
             yield Compared(name, {}, float("nan"), str(why))
             continue
-        yield Compared(name, {group: _row(found) for group, found in trials.items()}, speed)
+        yield Compared(name, {group: _row(group_trials) for group, group_trials in trials.items()}, speed)
 
 
 def known(names: Sequence[str]) -> list[str]:
-    """The estimators of these names, all there are when empty. Raises ConfigError for an unknown one."""
+    """The estimators of these names, all of them when empty. Raises ConfigError for an unknown one."""
     for name in names:
         discovery.estimator(name)
     return list(names) or list(discovery.estimators())
 
 
-def gathered(scenes: Sequence[Scene], found: Sequence[Compared]) -> dict[str, Any]:
-    """What `compare` returns, of these estimators."""
+def gathered(scenes: Sequence[Scene], compared: Sequence[Compared]) -> dict[str, Any]:
+    """Result of `compare` for these estimators."""
     groups: dict[str, dict] = {s.group: {} for s in scenes}
-    for one in found:
-        for group, row in one.rows.items():
-            groups[group][one.name] = row
+    for result in compared:
+        for group, row in result.rows.items():
+            groups[group][result.name] = row
     return {
-        "groups": groups, "us_per_step": {one.name: one.us_per_step for one in found if not one.why},
-        "failed": {one.name: one.why for one in found if one.why},
+        "groups": groups, "us_per_step": {result.name: result.us_per_step for result in compared if not result.why},
+        "failed": {result.name: result.why for result in compared if result.why},
     }  # fmt: skip
 
 
-def line(one: Compared) -> str:
-    """An estimator's measures in a line, for who waits for the others."""
-    if one.why:
-        return f"{one.name}: {one.why}"
+def line(result: Compared) -> str:
+    """An estimator's measures in a line, for progress output."""
+    if result.why:
+        return f"{result.name}: {result.why}"
     parts = []
-    for group, row in one.rows.items():
+    for group, row in result.rows.items():
         measures = ((words, cell(key, row[key])) for key, words in SHORT.items() if row[key] is not None)
         parts.append(f"{group}: {', '.join(f'{words} {value}' for words, value in measures)}")
-    return f"{one.name}: {'; '.join(parts)}"
+    return f"{result.name}: {'; '.join(parts)}"
 
 
 def _trial(name: str, scene: Scene) -> dict:
-    """What became of one flight."""
+    """Outcome of one flight."""
     table = scene.ticks
     if name == "default":
-        done = estimated(scene.ready)
+        estimate = estimated(scene.ready)
     else:
         out, _ = published.judge(name, table, scene.B, hops=scene.hops)
-        done = Estimated(table, out, default=False, own_limit=decide.LIMIT)
-    raised, out = counting.alarms(judge(scene.ready, done).end.events), done.out
-    judged = table.mode == JUDGE
+        estimate = Estimated(table, out, default=False, own_limit=decide.LIMIT)
+    raised, out = counting.alarms(judge(scene.ready, estimate).end.events), estimate.out
+    judging = table.mode == JUDGE
     rotors = tuple(sorted(r for r, _, _ in scene.faults))
     onset = min((t for _, t, _ in scene.faults), default=np.inf)
     counted = counting.count(raised, rotors, onset)
     trial: dict[str, Any] = {
-        "judged_s": float(judged.sum() * table.dt), "fault": bool(scene.faults),
+        "judged_s": float(judging.sum() * table.dt), "fault": bool(scene.faults),
         "false_alarms": len(counted.false) + len(counted.wrong),
     }  # fmt: skip
     if not scene.faults:
         return trial
-    late = judged & (table.time > onset + SETTLED_S) & ~table.upset
+    late = judging & (table.time > onset + SETTLED_S) & ~table.upset
     error = np.concatenate([out.theta[late, r - 1] - loss for r, _, loss in scene.faults])
     trial["square"] = float(np.mean(error**2)) if error.size else None
     if counted.found:
@@ -131,7 +132,7 @@ def _trial(name: str, scene: Scene) -> dict:
 
 
 def _row(trials: list[dict]) -> dict:
-    """One line of the table: all flights of one group."""
+    """Row of the table: all flights of one group."""
     faulty = [t for t in trials if t["fault"]]
     delays = [t["delay_s"] for t in faulty if "delay_s" in t]
     squares = [t["square"] for t in faulty if t["square"] is not None]
@@ -162,7 +163,8 @@ def microseconds(name: str, scenes: Sequence[Scene]) -> float:
 
 
 def timings(name: str, scenes: Sequence[Scene], repeats: int) -> list[float]:
-    """The same, every one of so many repeats; NaN for a published method where no scene has a hop to be judged."""
+    """Time of one step as in `microseconds` [us], for each of so many repeats; NaN for a published method where no scene has a hop to
+    evaluate."""
     scene = min(scenes, key=lambda s: s.B.shape[1])
     if name == "default":
         table, B = scene.ticks, scene.B
@@ -194,7 +196,7 @@ def _timed(go: Callable, repeats: int) -> list[float]:
 
 
 def cell(key: str, value: Any) -> str:
-    """A measure as people read it."""
+    """A measure as text."""
     if value is None:
         return "-"
     if key in ("flights", "faults", "false_alarms"):

@@ -37,8 +37,8 @@ TURN_SD, TURN_S = 0.12, 2.5  # rad: how the pilot tilts
 
 @dataclass(frozen=True)
 class Scene:
-    """One flight to judge. group: which line of the table. ready: as `diagnose` has it before an estimator sees it. faults: (rotor,
-    onset s, loss), 1-based; none when it is healthy."""
+    """A flight to evaluate. group: row of the table. ready: input of `diagnose` before the estimator. faults: (rotor, onset s, loss),
+    1-based; none when it is healthy."""
 
     group: str
     name: str
@@ -63,7 +63,7 @@ class Scene:
 
 def simulated(seeds: int = 2, losses: Sequence[float] = (0.2, 0.4), progress: Callable | None = None) -> list[Scene]:
     """Scenes of every airframe: for each seed a healthy flight, and one for each loss of a random rotor at a random time."""
-    found = []
+    scenes = []
     for k, frame in enumerate(AIRFRAMES):
         vehicle = airframes.named(frame)
         rng = np.random.default_rng(7 + k)
@@ -73,10 +73,10 @@ def simulated(seeds: int = 2, losses: Sequence[float] = (0.2, 0.4), progress: Ca
         flights = simulate(vehicle, [loss for _, loss in plan], rotors, onsets, rng)
         for flight, (_, loss), rotor, onset in zip(flights, plan, rotors, onsets):
             faults = ((int(rotor) + 1, float(onset), loss),) if loss else ()
-            found.append(_scene(f"simulated {frame.removeprefix('ardupilot-')}", flight, vehicle, faults))
+            scenes.append(_scene(f"simulated {frame.removeprefix('ardupilot-')}", flight, vehicle, faults))
         if progress:
             progress((k + 1) / len(AIRFRAMES), "simulating")
-    return [s for s in found if s is not None]
+    return [s for s in scenes if s is not None]
 
 
 def simulate(vehicle: Vehicle, losses, rotors, onsets, rng: np.random.Generator) -> list[Flight]:
@@ -120,7 +120,7 @@ def simulate(vehicle: Vehicle, losses, rotors, onsets, rng: np.random.Generator)
 
 
 def _flight(vehicle: Vehicle, command, gyro, f_z, angle) -> Flight:
-    """The log of one simulated flight: outputs and attitude at 50 Hz, inertial sensors at 100 Hz, after a second on the ground."""
+    """Log of one simulated flight: outputs and attitude at 50 Hz, inertial sensors at 100 Hz, after a second on the ground."""
     time = LANDED_S + STEP * np.arange(len(command))
     curve = vehicle.curve
     drive = allocation.drive(curve.expo, HOVER * command)
@@ -148,24 +148,24 @@ def _scene(group: str, flight: Flight, vehicle: Vehicle, faults) -> Scene | None
 
 
 def injected(paths: Sequence[str | PathLike], losses: Sequence[float] = (0.2, 0.4), seed: int = 0) -> list[Scene]:
-    """Scenes of healthy logs: each as it is, and once for each loss put into a random rotor at a random time (`inject`)."""
+    """Scenes of healthy logs: each unchanged, and once for each loss put into a random rotor at a random time (`inject`)."""
     rng = np.random.default_rng(seed)
-    found = []
+    scenes = []
     for path in paths:
         flight = _read(path)
         vehicle, air = airframes.identify(flight), airborne(flight)
         group = f"losses put into {flight.autopilot or 'other'} logs"
-        found.append(_scene(group, flight, vehicle, ()))
+        scenes.append(_scene(group, flight, vehicle, ()))
         room = [(a + READY_S + 6.0, b - 8.0) for a, b in air if b - a > READY_S + 15.0]
         for loss in losses if room else ():
             onset = float(rng.uniform(*room[0]))
             rotor = int(rng.integers(1, len(vehicle.rotors) + 1))
-            found.append(_scene(group, inject(flight, vehicle, rotor, loss, onset), vehicle, ((rotor, onset, loss),)))
-    return [s for s in found if s is not None]
+            scenes.append(_scene(group, inject(flight, vehicle, rotor, loss, onset), vehicle, ((rotor, onset, loss),)))
+    return [s for s in scenes if s is not None]
 
 
 def with_truth(paths: Sequence[str | PathLike], truth: str | PathLike) -> list[Scene]:
-    """Scenes of logs whose faults a CSV file tells: columns path, faulty_rotors (1+2), thrust_loss, start_s; log names decide.
+    """Scenes of logs with a CSV table of faults: columns path, faulty_rotors (1+2), thrust_loss, start_s; matched by log name.
 
     Left out: logs that the file does not list, losses it does not know, and (column faults) those that change on the way.
     Raises ConfigError for other files.
@@ -181,7 +181,7 @@ def with_truth(paths: Sequence[str | PathLike], truth: str | PathLike) -> list[S
     known = {_stem(row["path"]): row for row in rows if row["path"]}
     if not any(_stem(str(path)) in known for path in paths):
         raise ConfigError(f"{truth} names none of the logs given; its column path holds their names.")
-    found = []
+    scenes = []
     for path in paths:
         row = known.get(_stem(str(path)))
         segments = (row.get("faults") or "").count(";") if row else 0
@@ -195,8 +195,8 @@ def with_truth(paths: Sequence[str | PathLike], truth: str | PathLike) -> list[S
             raise ConfigError(
                 f"{truth}: the line of {row['path']} does not give rotors (as in 1+2), start and loss as numbers."
             ) from None
-        found.append(_scene("logs with known faults", flight, airframes.identify(flight), faults))
-    return [s for s in found if s is not None]
+        scenes.append(_scene("logs with known faults", flight, airframes.identify(flight), faults))
+    return [s for s in scenes if s is not None]
 
 
 def _read(path: str | PathLike) -> Flight:

@@ -1,4 +1,4 @@
-"""Theorem 1 of the intermediate observer's paper beside what the observer does: is its bound held, and how wide is it?
+"""Theorem 1 of the intermediate observer's paper, compared with simulated errors: whether its bound holds, and how wide it is.
 
     V = e_x' e_x + mu e_tau' e_tau,   dV/dt <= -sigma |e|^2 + eta,   e = (e_x, e_tau),   e_tau = e_f - alpha E' e_x
     eta = epsilon (1 + mu alpha) theta_1^2 + mu epsilon theta_2^2,   sigma = lambda_min(-Sigma)
@@ -22,7 +22,7 @@ ROUNDING = 1e-3  # what sampled observers differ from continuous ones, against t
 
 
 def truth(vehicle: Craft, u, y, gamma) -> tuple[np.ndarray, np.ndarray]:
-    """What the observer does not know, (N, T, 4) each: fault f [rad/s^2, m/s^2 down] and disturbance xi. u (N, T, 4) counts, y (N, T, 8)
+    """Signals unknown to the observer, (N, T, 4) each: fault f [rad/s^2, m/s^2 down] and disturbance xi. u (N, T, 4) counts, y (N, T, 8)
     measurements without noise, gamma (N, T, 4) losses."""
     DM = vehicle.D[:, None] * vehicle.M
     down = np.array([1.0, 1.0, 1.0, -1.0])

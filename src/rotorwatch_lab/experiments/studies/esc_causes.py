@@ -1,9 +1,9 @@
-"""How often ESC telemetry names the right cause: simulated flights of known faults, diagnosed as any log.
+"""Accuracy of causes named from ESC telemetry: simulated flights of known faults, diagnosed like any log.
 
     python -m rotorwatch_lab.experiments.studies.esc_causes --flights 240 --seed 1
 
-Frames, autopilots, wind, manoeuvres, onsets, rotors and strengths are drawn; a flight's cause is the fault's kind. An answer is what the
-diagnosis says of the faulty rotor: the cause of a loss that names it alone, the notice where there is no such loss, or nothing.
+Frames, autopilots, wind, manoeuvres, onsets, rotors and strengths are drawn; a flight's cause is the fault's kind. An answer is the cause
+of a loss that names the faulty rotor alone, else the notice on that rotor, or nothing.
 """
 
 from __future__ import annotations
@@ -61,20 +61,20 @@ def flights(count: int, seed: int) -> Iterator[tuple[str, int | None, scenario.S
         yield cause, rotor, scenario.from_table(table)
 
 
-def answer(found: Diagnosis, rotor: int | None) -> str:
-    """What the diagnosis says of the faulty rotor (of any where None), as one of ANSWERS."""
-    losses = [e for e in found.events if e.means.weakens]
-    own = [e for e in losses if rotor is None or rotor in e.suspects]
-    named = [e for e in own if "cause" in e.extra and (rotor is None or e.rotors == (rotor,))]
+def answer(diagnosis: Diagnosis, rotor: int | None) -> str:
+    """The diagnosis of the faulty rotor (of any where None), as one of ANSWERS."""
+    losses = [e for e in diagnosis.events if e.means.weakens]
+    suspected = [e for e in losses if rotor is None or rotor in e.suspects]
+    named = [e for e in suspected if "cause" in e.extra and (rotor is None or e.rotors == (rotor,))]
     if named:
         return CAUSES[named[0].extra["cause"]]
-    if own:
+    if suspected:
         return "ambiguous"
-    notices = {e.kind for e in found.events if rotor is None or rotor in e.rotors}
+    notices = {e.kind for e in diagnosis.events if rotor is None or rotor in e.rotors}
     for notice, word in NOTICES.items():
         if notice in notices:
             return word
-    return "other rotor" if losses or any(e.kind in NOTICES for e in found.events) else "nothing"
+    return "other rotor" if losses or any(e.kind in NOTICES for e in diagnosis.events) else "nothing"
 
 
 def confusion(count: int, seed: int, progress: Callable = lambda share: None) -> dict[str, Counter]:

@@ -1,4 +1,4 @@
-"""Does thrust from speed squared serve the default method better than thrust from the command? Both views of the same simulated flights.
+"""Thrust from speed squared against thrust from the command, for the default method: both views of the same simulated flights.
 
     python -m rotorwatch_lab.experiments.studies.esc_thrust --repeats 3
 
@@ -52,7 +52,7 @@ def judged(flight: Flight, view: str) -> tuple[Event, ...]:
 
 
 def flown(kind: str | None, strength: float, wind: float, expo: float, autopilot: str, frame: str, seed: int) -> Flight:
-    """One simulated flight with ESC telemetry; expo: of the curve that the autopilot believes in (true: 0.65)."""
+    """A simulated flight with ESC telemetry; expo: of the curve that the autopilot assumes (true: 0.65)."""
     fault = {"kind": kind, "rotor": ROTOR, "onset_s": ONSET_S, "strength": strength}
     table = {
         "duration_s": 70.0,
@@ -68,8 +68,8 @@ def flown(kind: str | None, strength: float, wind: float, expo: float, autopilot
 
 
 def rows(repeats: int, cases: Sequence[tuple[str | None, float]] = CASES) -> list[dict]:
-    """One row a case, wind, curve and view, over both autopilots, quad and hexa and `repeats` seeds."""
-    found = []
+    """A row for each case, wind, curve and view, over both autopilots, quad and hexa and `repeats` seeds."""
+    table = []
     for (kind, strength), wind, expo in itertools.product(cases, (0.0, 5.0), (0.65, 0.2)):
         cells = {view: [] for view in VIEWS}
         for autopilot, frame, seed in itertools.product(
@@ -82,7 +82,7 @@ def rows(repeats: int, cases: Sequence[tuple[str | None, float]] = CASES) -> lis
             right = [next((e for e in answer if e.rotors == (ROTOR,)), None) for answer in answers]
             hits = [e for e in right if e is not None and kind]
             error = np.array([e.loss[0] - strength for e in hits])
-            found.append(
+            table.append(
                 {
                     "fault": kind or "healthy",
                     "strength": strength,
@@ -99,7 +99,7 @@ def rows(repeats: int, cases: Sequence[tuple[str | None, float]] = CASES) -> lis
                     else None,
                 }
             )
-    return found
+    return table
 
 
 def markdown(table: Sequence[dict]) -> str:

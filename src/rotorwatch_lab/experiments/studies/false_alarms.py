@@ -1,4 +1,4 @@
-"""How often the default diagnoser raises a false alarm on real noise: surrogate flights made from healthy ones.
+"""False-alarm rate of the default diagnoser on real noise: surrogate flights made from healthy ones.
 
 A healthy flight is split, axis by axis, into what its motion explains and what is left over, y = G m + c r + e (plant:
 `systems.wrench_balance`). Residuals e and motion (r, dr/dt, load) then become a new flight with the same statistics:
@@ -86,7 +86,7 @@ class Source:
 
 
 def source(flight: Flight, vehicle: Vehicle) -> Source:
-    """Split a healthy flight into motion and residuals; ConfigError when it has no 20 s that can be judged."""
+    """Split a healthy flight into motion and residuals. Raises ConfigError if less than 20 s of it can be evaluated."""
     air = airborne(flight)
     table = observe(flight, vehicle, air, ready_s(vehicle))
     part = _longest(table, air) if table is not None else slice(0, 0)
@@ -107,7 +107,7 @@ def source(flight: Flight, vehicle: Vehicle) -> Source:
     for a in range(4):
         gains[a] = np.linalg.lstsq(np.column_stack([regressors[:, a], one]), y[:, a], rcond=None)[0][:3]
     e = y - (gains * regressors).sum(axis=2)
-    # The line from start to end: without it the ends meet, and a spectrum of finite length means what it says.
+    # The line from start to end is removed, so that the ends meet and the finite spectrum does not leak.
     edge = max(1, round(TREND_S / table.dt))
     slope = (e[-edge:].mean(axis=0) - e[:edge].mean(axis=0)) / (len(e) - edge)
     e = e - slope * (np.arange(len(e)) - 0.5 * (len(e) - 1))[:, None]
@@ -140,7 +140,7 @@ def _regressors(rate, rate_dot, load, side, n: int) -> np.ndarray:
 
 
 def _smooth(values: np.ndarray, window: int) -> np.ndarray:
-    """(T, k) moved through a raised cosine of `window` ticks; the end goes on with the beginning."""
+    """(T, k) smoothed by a raised cosine of `window` ticks; periodic at the ends."""
     shape = np.zeros(len(values))
     shape[np.arange(window) - window // 2] = np.hanning(window + 2)[1:-1]
     gain = np.fft.rfft(shape / shape.sum())
@@ -178,34 +178,34 @@ def phases(values: np.ndarray, rng: np.random.Generator, iterations: int = ITERA
     count = len(values)
     wanted = np.fft.rfft(values, axis=0)
     ranked = np.sort(values, axis=0)
-    own = np.exp(-1j * np.angle(wanted))
+    spectrum_phase = np.exp(-1j * np.angle(wanted))
     turn = np.exp(1j * rng.uniform(0.0, 2.0 * np.pi, (len(wanted), 1)))
-    made = values
+    channels = values
     for k in range(max(1, iterations)):
         if k:
-            together = (np.fft.rfft(made, axis=0) * own).sum(axis=1, keepdims=True)
+            together = (np.fft.rfft(channels, axis=0) * spectrum_phase).sum(axis=1, keepdims=True)
             size = np.abs(together)
             turn = np.where(size > 0, together / np.where(size > 0, size, 1.0), 1.0)
         turn[0] = 1.0
         if count % 2 == 0:  # the highest frequency is real
             turn[-1] = np.where(turn[-1].real < 0, -1.0, 1.0)
-        made = np.fft.irfft(wanted * turn, count, axis=0)
-        made = np.take_along_axis(ranked, np.argsort(np.argsort(made, axis=0), axis=0), axis=0)
-    return made
+        channels = np.fft.irfft(wanted * turn, count, axis=0)
+        channels = np.take_along_axis(ranked, np.argsort(np.argsort(channels, axis=0), axis=0), axis=0)
+    return channels
 
 
 def surrogate(source: Source, rng: np.random.Generator, flight_s: float = FLIGHT_S) -> Ticks:
-    """One surrogate flight of about `flight_s`: learning as after a take-off, then judged to its end."""
+    """A surrogate flight of about `flight_s`: learning as after a take-off, then evaluated to its end."""
     dt, n = source.table.dt, source.table.thrust.shape[1]
     # Whole chunks of the compiled program: no tick is computed in vain.
     count = CHUNK * max(1, round(flight_s / dt / CHUNK))
     join = max(2, round(JOIN_S / dt))
     channels = _piece(source, rng)
     while len(channels) < count:  # independent pieces, faded into each other at constant power
-        more = _piece(source, rng)
+        piece = _piece(source, rng)
         angle = 0.5 * np.pi * (np.arange(join) + 0.5)[:, None] / join
-        mixed = np.cos(angle) * channels[-join:] + np.sin(angle) * more[:join]
-        channels = np.concatenate([channels[:-join], mixed, more[join:]])
+        mixed = np.cos(angle) * channels[-join:] + np.sin(angle) * piece[:join]
+        channels = np.concatenate([channels[:-join], mixed, piece[join:]])
     channels = channels[:count]
     e, rate, rate_dot, load, side = np.split(channels + source.level, [4, 7, 10, 11], axis=1)
     # The trend goes to and fro: continued, it would leave the range that it had in flight.
@@ -240,8 +240,8 @@ def surrogate(source: Source, rng: np.random.Generator, flight_s: float = FLIGHT
 def _piece(source: Source, rng: np.random.Generator) -> np.ndarray:
     """Surrogate channels as long as the source; they are periodic, so channels and activity may start anywhere."""
     count, k = source.slow.shape
-    made = phases(np.concatenate([source.slow, source.fast], axis=1), rng)
-    return made[:, :k] + np.roll(source.activity, rng.integers(count))[:, None] * made[:, k:]
+    channels = phases(np.concatenate([source.slow, source.fast], axis=1), rng)
+    return channels[:, :k] + np.roll(source.activity, rng.integers(count))[:, None] * channels[:, k:]
 
 
 def mirrored(table: Ticks, vehicle: Vehicle, signs) -> Ticks:
@@ -284,7 +284,7 @@ def false_alarms(
         raise ConfigError("Give at least one healthy flight to make surrogates from.")
     if not (np.isfinite(hours) and hours > 0):
         raise ConfigError(f"hours {hours:g}: give how many flight hours to simulate, above 0.")
-    one = functools.partial(_surrogates, hours=hours / len(paths), seed=seed, flight_s=flight_s)
+    surrogates_of = functools.partial(_surrogates, hours=hours / len(paths), seed=seed, flight_s=flight_s)
     sources = [path if isinstance(path, Flight) else str(path) for path in paths]
     several = jobs != 1 or scheduler is not None or keep is not None
 
@@ -297,9 +297,9 @@ def false_alarms(
             progress((i + share) / len(paths), name)
 
     if not several:  # in this process the progress within a flight can be reported
-        parts = [one((i, source), report=functools.partial(report, i)) for i, source in enumerate(sources)]
+        parts = [surrogates_of((i, source), report=functools.partial(report, i)) for i, source in enumerate(sources)]
     else:
-        parts = list(many.ordered(one, list(enumerate(sources)), jobs, scheduler, finished, keep))
+        parts = list(many.ordered(surrogates_of, list(enumerate(sources)), jobs, scheduler, finished, keep))
     firsts = {
         shift: (sum(p.firsts[shift][0] for p in parts), sum(p.firsts[shift][1] for p in parts)) for shift in SHIFTS
     }
@@ -319,7 +319,7 @@ def false_alarms(
 
 
 class _Part(NamedTuple):
-    """What surrogates of one healthy flight come to, and the flight itself. firsts: shift -> (first alarms, hours up to them)."""
+    """Result of surrogates of one healthy flight, and of the flight itself. firsts: shift -> (first alarms, hours up to them)."""
 
     row: dict[str, Any]
     flown: dict[str, Any]
@@ -335,7 +335,8 @@ def _surrogates(
     flight_s: float,
     report: Callable[[float, str], None] | None = None,
 ) -> _Part:
-    """`hours` of surrogates of one flight; its number and the seed make the random numbers. tell: called with the finished share, name."""
+    """`hours` of surrogates of one flight; its number and the seed determine the random numbers. report: called with the finished share,
+    name."""
     i, path = numbered
     flight = path if isinstance(path, Flight) else logs.read(path)
     aerobatic.decline(flight, "surrogates are made of the noise of hover; leave it out.")
@@ -372,7 +373,7 @@ def _surrogates(
 
 
 def describe(result: dict[str, Any]) -> str:
-    """What `false_alarms` found, as text of at most 80 columns."""
+    """The result of `false_alarms` as text of at most 80 columns."""
 
     def line(name, count, hours, r):
         return f"{name[:30]:<30} {hours:7.2f} h {count:6d}   {r['rate']:7.2f}   {r['low']:7.2f} to {r['high']:.2f}"
@@ -406,9 +407,9 @@ def _hours(table: Ticks) -> float:
 
 def _rate(count: int, hours: float) -> dict:
     """Events per hour and the exact 95 % interval of a Poisson rate (Garwood, Biometrika 28, 1936)."""
-    found = tools.rate(count, max(hours, 1e-12))
-    assert found is not None
-    return {"rate": found["value"], "low": found["low"], "high": found["high"]}
+    interval = tools.rate(count, max(hours, 1e-12))
+    assert interval is not None
+    return {"rate": interval["value"], "low": interval["low"], "high": interval["high"]}
 
 
 def _line(name: str, what: str, e) -> dict:
@@ -424,10 +425,10 @@ def _line(name: str, what: str, e) -> dict:
 
 def _first_alarms(table: Ticks, vehicle: Vehicle, out) -> dict[float, float | None]:
     """Seconds of judged flight up to the first alarm, None without one, for each of SHIFTS."""
-    judged = np.cumsum(table.mode == JUDGE) * table.dt
+    judged_s = np.cumsum(table.mode == JUDGE) * table.dt
 
     def first(flag) -> float | None:
-        return float(judged[np.argmax(flag)]) if flag.any() else None
+        return float(judged_s[np.argmax(flag)]) if flag.any() else None
 
     result = {}
     for shift in SHIFTS:

@@ -1,9 +1,9 @@
-"""Each paper's hand tuning against what `tune` finds, on a flight that was not used for fitting.
+"""Each paper's hand tuning against the result of `tune`, on flights not used for fitting.
 
-For each paper's airframe, plant and covariances: two healthy flights with the noise that the paper's sensors have are fitted
-to; a third one, healthy, says how likely it is under either tuning, and a fourth one, in which the first actuator loses 0.3
-half-way, how well the losses are estimated. The filter is the augmented extended Kalman filter for all of them: covariances
-are what is compared, not methods. Truth: the same physics in finer steps (Runge-Kutta), flown by a feedback that knows nothing.
+For each paper's airframe, plant and covariances: the tuning is fitted to two healthy flights with the noise of the paper's sensors; a
+third one, healthy, gives the likelihood under either tuning, and a fourth one, in which the first actuator loses 0.3 half-way, the error
+of the losses. The filter is the augmented extended Kalman filter for all papers: covariances are compared, not methods. Truth: the same
+physics in finer steps (Runge-Kutta), under a feedback that does not know the loss.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def atsukf() -> Paper:
 
 
 def lyapunov_mhe() -> Paper:
-    """Niermeyer 2017: gyro 0.01 rad/s, accelerometer 0.3 m/s^2; no covariance is printed: the plant's own are the hand's."""
+    """Niermeyer 2017: gyro 0.01 rad/s, accelerometer 0.3 m/s^2; no covariance is printed: the plant's own count as hand-tuned."""
     from rotorwatch_lab.systems.rate_dynamics import RateDynamics
 
     plant = RateDynamics.of(airframes.paper("niermeyer-hexa"))
@@ -149,7 +149,7 @@ def study(names: Sequence[str] = (), rounds: int = tune.ROUNDS, progress: Callab
     for name in names:
         if name not in PAPERS:
             raise ConfigError(f"There is no paper called {name!r}{meant(name, PAPERS)}; known are {', '.join(PAPERS)}.")
-    found = []
+    rows = []
     for k, name in enumerate(names or PAPERS):
         paper = PAPERS[name]()
         fit = tune.fit(METHOD, [fly(paper, 0)[0], fly(paper, 1)[0]], paper.keywords, rounds)
@@ -159,17 +159,17 @@ def study(names: Sequence[str] = (), rounds: int = tune.ROUNDS, progress: Callab
         for how, tuning in (("hand", hand), ("tuned", fit.tuning)):
             row[f"{how}_log_likelihood"] = tune.log_likelihood(METHOD, healthy, tuning)
             row[f"{how}_rmse"] = _rmse(faulty, truth, tuning)
-        found.append(
+        rows.append(
             row | {"q": fit.tuning.q.tolist(), "r": fit.tuning.r.tolist(), "keywords": dict(fit.tuning.keywords)}
         )
         if progress:
             progress((k + 1) / len(names or PAPERS), name)
-    return found
+    return rows
 
 
 def _rmse(table: Table, truth: np.ndarray, tuning: published.Tuning) -> float:
-    """Of all losses, once the filter has settled. Where a plant has biases as well, which of the two it was shows only while the
-    command moves: there it is the actuators' outputs that are compared."""
+    """RMSE of all losses, once the filter has settled. A plant with biases cannot tell losses from biases while the command is constant:
+    there the actuators' outputs are compared."""
     estimator = published.method(METHOD, table.system, table.dt, tuning)
     _, theta = run(estimator, table.u, table.y, table.valid, select=tools.losses)
     error = theta - truth

@@ -37,6 +37,7 @@ KP, KD, KI = (
 )
 POSITION, VELOCITY, VELOCITY_I = 1.0, 1.0, 0.5  # 1/s, 1/s, 1/s^2
 TILT = np.radians(20.0)
+DOWN = np.array([1, 1, 1, -1] * 2)  # from the paper's frame, z up, to NED
 SD = np.array([2e-3, 2e-3, 2e-3, 0.02, 0.01, 0.01, 0.01, 0.05])  # rad, m, rad/s, m/s
 
 
@@ -59,7 +60,7 @@ class Craft:
 
 
 def craft(file: dict) -> Craft:
-    """Of an airframe file: eq. (3), for any number of rotors."""
+    """The craft of an airframe file: eq. (3), for any number of rotors."""
     x, y, spin = (np.array(file["rotors"][k], float) for k in ("x", "y", "spin"))
     thrust = file["thrust_max"] / file["counts_max"]
     M = thrust * np.stack([-y, x, file["drag_ratio"] * spin, np.ones(x.size)])
@@ -90,9 +91,7 @@ def fly(vehicle: Craft, gamma, reference, noise):
     u, x = _flown(False, vehicle, gamma, reference, noise, np.ones(len(gamma)))
     # The controller saw sample k's end with the noise of the first row of sample k + 1: the observer sees the same.
     ends = np.concatenate([noise[:, PER_SAMPLE::PER_SAMPLE], noise[:, :1]], axis=1)
-    return u, (x[..., :8] + ends) * np.array(
-        [1, 1, 1, -1] * 2
-    )  # z up -> down: the border between the paper's frame and ours
+    return u, (x[..., :8] + ends) * DOWN
 
 
 def hold(vehicle: Craft, gamma: np.ndarray, stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -117,7 +116,7 @@ def uncertain(vehicle: Craft, real: Sequence[Craft], gamma, wind, drag, lever: f
     N, T = gamma.shape[:2]
     still = np.zeros((N, T, 4)), np.zeros((N, PER_SAMPLE * T, 8))
     u, x = _flown(True, vehicle, gamma, *still, np.ones(N), real, (wind, drag, np.full(N, lever)))
-    return u, x[..., :8] * np.array([1, 1, 1, -1] * 2)
+    return u, x[..., :8] * DOWN
 
 
 def _flown(
@@ -130,13 +129,13 @@ def _flown(
     air = (np.zeros((N, T, 3)), np.zeros(N), np.zeros(N)) if air is None else air
     known = vehicle.M, vehicle.D, vehicle.gravity, vehicle.counts_max
     rows = noise.reshape(N, T, PER_SAMPLE, 8)
-    found = _program(holds)(known, flown, air, gamma, reference, rows, stiffness)
-    return np.asarray(found[0]), np.asarray(found[1])
+    results = _program(holds)(known, flown, air, gamma, reference, rows, stiffness)
+    return np.asarray(results[0]), np.asarray(results[1])
 
 
 @functools.cache
 def _program(holds: bool):
-    """Compiled. holds: where the vehicle should be is the place it began at, else `reference` (T, 4) says its angles and height."""
+    """Compiled. holds: the setpoint is the initial position, else `reference` (T, 4) gives angles and height."""
     jax = load_jax()
     jnp = jax.numpy
     dt = 1.0 / PLANT_HZ
@@ -145,9 +144,8 @@ def _program(holds: bool):
         phi, theta, psi, p, q, r = x[0], x[1], x[2], x[4], x[5], x[6]
         I_1, I_2, I_3 = 1.0 / D[:3]
         turn = jnp.stack([(I_2 - I_3) * q * r - momentum * q, (I_3 - I_1) * p * r + momentum * p, (I_1 - I_2) * p * q])
-        blown = (
-            lever / D[3] * jnp.stack([-push[1], push[0], 0.0 * push[2]])
-        )  # a lean towards x is +theta, towards y -phi
+        # A lean towards x is +theta, towards y -phi.
+        blown = lever / D[3] * jnp.stack([-push[1], push[0], 0.0 * push[2]])
         lift = D[3] * U[3]
         east = lift * (jnp.cos(phi) * jnp.sin(theta) * jnp.cos(psi) + jnp.sin(phi) * jnp.sin(psi)) + push[0]
         north = lift * (jnp.cos(phi) * jnp.sin(theta) * jnp.sin(psi) - jnp.sin(phi) * jnp.cos(psi)) + push[1]

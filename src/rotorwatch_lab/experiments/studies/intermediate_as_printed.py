@@ -38,9 +38,9 @@ def observe(vehicle: Craft, L, alpha: float, u, y) -> tuple[np.ndarray, np.ndarr
     enters = np.block([[E, L], [-S @ E, np.zeros((4, 8))]])  # of the commanded accelerations, and of y
     step = expm(DT * np.block([[turns, enters], [np.zeros((12, 24))]]))
     keep, push = step[:12, :12], step[:12, 12:]
-    given = np.hstack([u @ DM.T + [0.0, 0.0, 0.0, vehicle.gravity], (y + np.concatenate([y[:1], y[:-1]])) / 2.0])
+    driven = np.hstack([u @ DM.T + [0.0, 0.0, 0.0, vehicle.gravity], (y + np.concatenate([y[:1], y[:-1]])) / 2.0])
     z, fault = np.concatenate([y[0], -S @ y[0]]), np.empty((len(u), 4))
-    for k, row in enumerate(given):
+    for k, row in enumerate(driven):
         z = keep @ z + push @ row
         fault[k] = z[8:] + S @ z[:8]
     return fault, -np.linalg.solve(DM, fault.T).T / u
@@ -50,10 +50,10 @@ def assumptions() -> dict:
     """Assumption 4 for the measurements of the paper, and for fewer of them."""
     A, C, E = design.double_integrators()
     cases = {"all eight": C, "angles and height": C[:4], "rates alone": C[4:], "angles alone": C[:3]}
-    found = {name: design.rank_test(A, some, E) for name, some in cases.items()}
+    tests = {name: design.rank_test(A, some, E) for name, some in cases.items()}
     return {
         name: {"holds": r.holds, "at": "everywhere" if r.everywhere else [float(z.real) for z in r.zeros]}
-        for name, r in found.items()
+        for name, r in tests.items()
     }
 
 
@@ -72,7 +72,7 @@ def matching(alpha: float, epsilon: float) -> dict:
     }  # fmt: skip
 
 
-def procedure(vehicle: Craft, u, y, epsilons: dict[str, float], settle: Callable, own: list[tuple]) -> dict:
+def procedure(vehicle: Craft, u, y, epsilons: dict[str, float], settle: Callable, ours: list[tuple]) -> dict:
     """Table 1: for every small mu alpha and L, and how the observer does with them; then this project's (alpha, lp, lv) in `own`.
 
     settle(losses (T, 4)) -> seconds. u, y: one flight. epsilons: name -> epsilon."""
@@ -82,18 +82,18 @@ def procedure(vehicle: Craft, u, y, epsilons: dict[str, float], settle: Callable
         for mu in MUS:
             row: dict = {"epsilon": epsilon, "reading": name, "mu": mu}
             try:
-                alpha, found = design.table_1(A, C, E, E, mu, epsilon)
+                alpha, synthesis = design.table_1(A, C, E, E, mu, epsilon)
             except ConfigError as error:
                 if "CVXPY" in str(error):
                     raise
                 rows.append({**row, "feasible": False})
                 continue
-            gain = [float(found.L[i, j]) for i, j in ((0, 0), (0, 4), (4, 0), (4, 4))]
-            seconds = settle(observe(vehicle, found.L, alpha, u, y)[1])
+            gain = [float(synthesis.L[i, j]) for i, j in ((0, 0), (0, 4), (4, 0), (4, 4))]
+            seconds = settle(observe(vehicle, synthesis.L, alpha, u, y)[1])
             rows.append(
-                {**row, "feasible": True, "alpha": alpha, "L": gain, "largest": found.largest, "settle_s": seconds}
+                {**row, "feasible": True, "alpha": alpha, "L": gain, "largest": synthesis.largest, "settle_s": seconds}
             )
-    for alpha, lp, lv in own:
+    for alpha, lp, lv in ours:
         L = np.diag([lp] * 4 + [lv] * 4)
         mu = 1.0 / alpha**2
         largest = float(np.linalg.eigvalsh(design.sigma(A, C, E, E, L, alpha, max(epsilons.values()), mu)).max())
@@ -162,7 +162,7 @@ def claims(f: dict) -> tuple[Claim, ...]:
 
 
 def _seconds(value: float | None) -> str:
-    """As text; what never settles is NaN in a run and None in a kept result."""
+    """Seconds as text; a run that never settles is NaN, and None in a kept result."""
     return "never" if value is None or np.isnan(value) else f"{value:.2f}"
 
 
@@ -170,12 +170,12 @@ def tables(f: Mapping[str, Any]) -> list[Table]:
     """The procedure of table 1, and what xi is made of."""
     solved = []
     for r in f["table_1"]["rows"]:
-        found = (
+        cells = (
             [f"{r['alpha']:.3g}", " ".join(f"{v:.3g}" for v in r["L"]), _seconds(r["settle_s"])]
             if r["feasible"]
             else ["-", "none", "-"]
         )
-        solved.append([r["reading"], f"{r['epsilon']:g}", f"{r['mu']:g}", *found])
+        solved.append([r["reading"], f"{r['epsilon']:g}", f"{r['mu']:g}", *cells])
     head = ("epsilon", "its value", "mu", "alpha", "L: angle, rate from angle, rate", "within 0.02 after, s")
     parts = [
         [name.replace("_", " "), *(f"{row[k]:.1e}" for k in ("body", "rotors", "tilt"))]

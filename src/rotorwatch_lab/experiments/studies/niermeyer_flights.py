@@ -34,10 +34,8 @@ SWEEPS = 15  # of coordinate descent, in the allocation
 
 
 class Flight(namedtuple("Flight", "t u y omega position effectiveness")):
-    """t (T,), u (T, n) commands, y (T, 4) noisy (omega, f_z), omega (T, 3), position (T, 3), effectiveness (T, n).
-
-    Row k: u is held over the step that ends at t, and the rest is as it is at its end.
-    """
+    """t (T,), u (T, n) commands, y (T, 4) noisy (omega, f_z), omega (T, 3), position (T, 3), effectiveness (T, n). Row k: u is held over
+    the step that ends at t; the others are values at its end."""
 
 
 def reference(t, eight):
@@ -74,7 +72,7 @@ def allocate(B, v, weight):
 
 
 def fly(airframe, loss, eight, seed_noise, disturbance):
-    """One flight. airframe: the tables of an airframe file as arrays; loss (n,); eight 0 or 1; seed_noise (T, 4) standard normal;
+    """Simulate a flight. airframe: the tables of an airframe file as arrays; loss (n,); eight 0 or 1; seed_noise (T, 4) standard normal;
     disturbance (T, 3) torque [N m] held over each step. Returns a `Flight`. Pure: vmap over loss, noise and so on."""
     jax = load_jax()
     jnp = jax.numpy

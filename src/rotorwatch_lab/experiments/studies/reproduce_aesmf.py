@@ -41,7 +41,7 @@ NARROWER = 0.99  # by one percent at least
 
 
 class Run(NamedTuple):
-    """A filter, and whether it starts again if it is a Kalman filter (a set's form says so itself)."""
+    """A filter, and whether it restarts, for Kalman filters (for sets the form decides)."""
 
     estimator: Any
     restart: bool = True
@@ -52,11 +52,11 @@ def runs(literal: tuple[str, ...] = ()) -> dict[str, Run]:
     system, chosen = ruav_flight.plant(stops=False), ruav_filters.form_of(literal)
     again = "no_restart" if "no_restart" in literal else "restart"
     main = filters(system, literal)
-    found = {name: Run(estimator, again == "restart") for name, estimator in main.items()}
+    all_runs = {name: Run(estimator, again == "restart") for name, estimator in main.items()}
     for form in FORMS:
-        made = main if form == chosen else filters(system, literal, form)
-        found |= {f"{name}/{form}": Run(made[name], again == "restart") for name in SETS}
-    return found | {f"{name}/{how}": Run(main[name], how == "restart") for name in KALMAN for how in RESTARTS}
+        estimators = main if form == chosen else filters(system, literal, form)
+        all_runs |= {f"{name}/{form}": Run(estimators[name], again == "restart") for name in SETS}
+    return all_runs | {f"{name}/{how}": Run(main[name], how == "restart") for name in KALMAN for how in RESTARTS}
 
 
 def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=silent) -> Reproduction:
@@ -66,16 +66,16 @@ def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=silent
     """
     checks.between("seeds", seeds, 1, 1000)
     flights = ruav_flight.fly(ruav_flight.plant(), seeds)
-    made = runs(literal)
-    judged, programs = {}, {}
-    for k, (name, one) in enumerate(made.items()):
-        if one not in judged:
-            progress(0.5 * k / len(made), f"simulation of figure 5, {name}")
+    all_runs = runs(literal)
+    statistics, programs = {}, {}
+    for k, (name, one) in enumerate(all_runs.items()):
+        if one not in statistics:
+            progress(0.5 * k / len(all_runs), f"simulation of figure 5, {name}")
             programs[one] = _program(one)
-            judged[one] = _judged(programs[one], flights)
-    results = {name: judged[one][0] for name, one in made.items()}
-    series = {name: judged[one][1] for name, one in made.items()} | {"truth": flights.theta[0]}
-    cost = _microseconds({name: programs[made[name]] for name in TIMED}, flights, progress)
+            statistics[one] = _judged(programs[one], flights)
+    results = {name: statistics[one][0] for name, one in all_runs.items()}
+    series = {name: statistics[one][1] for name, one in all_runs.items()} | {"truth": flights.theta[0]}
+    cost = _microseconds({name: programs[all_runs[name]] for name in TIMED}, flights, progress)
     progress(0.52, "worst noise on small systems")
     escapes = adversarial_escapes(seeds=40)  # the same number below, and the programs are the same
     progress(0.58, "wrong filters on small systems")
@@ -182,7 +182,7 @@ def _claims(f) -> tuple[tuple[Claim, ...], dict[str, dict[str, Verdict]]]:
         for name in KALMAN
         for how, label in RESTARTS.items()
     }
-    kept = {label: how for label, how in (("as printed", "printed"), ("own form", "own"))}
+    timed = {label: how for label, how in (("as printed", "printed"), ("own form", "own"))}
     cheapest = max(cost[f"{name}/no_restart"] for name in KALMAN)
     by_form = {
         "cover": sets(
@@ -198,10 +198,10 @@ def _claims(f) -> tuple[tuple[Claim, ...], dict[str, dict[str, Verdict]]]:
         ),
         "centre": sets(lambda e, g, _: graded(e["off_centre"] > 1.5 * g["off_centre"])),
         "cheapest": {
-            label: graded(cheapest < min(cost[f"{name}/{form}"] for name in SETS)) for label, form in kept.items()
+            label: graded(cheapest < min(cost[f"{name}/{form}"] for name in SETS)) for label, form in timed.items()
         },
         "best_cost": {
-            label: "refuted" if cost[f"aesmf/{form}"] > cheapest else graded(True) for label, form in kept.items()
+            label: "refuted" if cost[f"aesmf/{form}"] > cheapest else graded(True) for label, form in timed.items()
         },
     }
     verdicts = {name: reproduction.across(one) for name, one in by_form.items()}
@@ -235,7 +235,7 @@ def _tells(one: dict) -> bool:
 
 
 def _tightest(esmf: dict, gd: dict) -> Verdict:
-    """Whether GD-ESMF covers and its bounds are narrower than ESMF's, before the fault and after it."""
+    """True if GD-ESMF covers the truth and its bounds are narrower than ESMF's, before the fault and after it."""
     sharper = gd["half_width_healthy"] < NARROWER * esmf["half_width_healthy"]
     after = gd["half_width"] < NARROWER * esmf["half_width"]
     return graded(_covers(gd) and sharper and after, _covers(gd) and (sharper or after))
@@ -262,14 +262,14 @@ def figures(result: Reproduction) -> dict:
     }
 
 
-def _bounds(series, shown: dict[str, str], wide: bool = False) -> Any:
+def _bounds(series, colours: dict[str, str], wide: bool = False) -> Any:
     """Bounds of the coefficients of roll and tail by these runs, in their colours. wide: beyond 1 the scale is logarithmic."""
     figure, axes = panels(2, 2, (9, 6), sharex=True)
     truth = series["truth"][::5]
     seconds = DT * np.arange(0, len(series["truth"]), 5)
     titles = {1: "tail: loss", 3: "roll: loss", 5: "tail: displacement", 7: "roll: displacement"}
     for axis, (i, title) in zip(axes.flat, titles.items(), strict=True):
-        for name, colour in shown.items():
+        for name, colour in colours.items():
             one, (filter_, _, form) = series[name], name.partition("/")
             label = ", ".join([LABELS[filter_], *([(FORM_LABELS | RESTARTS)[form]] if form else [])])
             ruav_flight_test.edges(axis, seconds, one["theta"][::5, i], one["half"][::5, i], colour, label)

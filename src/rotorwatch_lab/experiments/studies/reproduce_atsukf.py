@@ -39,7 +39,7 @@ KEEP = 20  # every how many-th step is kept for drawing
 
 
 def plant(literal: tuple[str, ...] = (), kind: type[RigidBody] = RigidBody) -> tuple[dict, RigidBody]:
-    """The airframe and the plant that the filters believe in, of that kind."""
+    """The airframe and the plant model of the filters, of that class."""
     airframe = airframes.paper("uaf-02e")
     if "arm" in literal:
         rotors = airframe["rotors"]
@@ -82,26 +82,26 @@ def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=silent
     cases = {(f"scenario_{s}", q): lanes(s, q) for s in (1, 2) for q in WALKS}
     loud = {("loud", q): lanes(1, q, variance=LOUD, count=few) for q in WALKS}
     gated = {("gated", "q2"): lanes(1, "q2", GATE), ("loud_gated", "q2"): lanes(1, "q2", GATE, LOUD, few)}
-    found = _split(False, system, cases | loud)
+    theta_of = _split(False, system, cases | loud)
     progress(0.45)
-    found |= _split(True, system, cases | loud | gated)
+    theta_of |= _split(True, system, cases | loud | gated)
     progress(0.8)
 
     rmse, delay = {}, {}
     for s in (1, 2):
-        of = {f"{f}_{q}": found[f, f"scenario_{s}", q] for q in WALKS for f in ("tsukf", "atsukf")}
+        of = {f"{f}_{q}": theta_of[f, f"scenario_{s}", q] for q in WALKS for f in ("tsukf", "atsukf")}
         rmse[f"scenario_{s}"] = {name: error(theta, truth[s]) for name, theta in of.items()}
         delay[f"scenario_{s}"] = {name: half_delay(theta) for name, theta in of.items()}
-    noise = {f"{f}_{q}": error(found[f, "loud", q], truth[1]) for q in WALKS for f in ("tsukf", "atsukf")}
-    noise["atsukf_q2_gated"] = error(found["atsukf", "loud_gated", "q2"], truth[1])
+    noise = {f"{f}_{q}": error(theta_of[f, "loud", q], truth[1]) for q in WALKS for f in ("tsukf", "atsukf")}
+    noise["atsukf_q2_gated"] = error(theta_of["atsukf", "loud_gated", "q2"], truth[1])
     figures = {
         "rmse": rmse,
         "half_delay_s": delay,
         "tsukf_vs_augmented_linear": against_kalman(),
         **against_augmented(system, *flights[1]),
-        "matched_four_apart": apart(found["tsukf", "scenario_2", "q1"], found["atsukf", "scenario_2", "q1"]),
-        "settled_loss_tsukf_q2": float(found["tsukf", "scenario_1", "q2"][:, 6500:8000, 0].mean()),
-        "rmse_gated_q2": error(found["atsukf", "gated", "q2"], truth[1]),
+        "matched_four_apart": apart(theta_of["tsukf", "scenario_2", "q1"], theta_of["atsukf", "scenario_2", "q1"]),
+        "settled_loss_tsukf_q2": float(theta_of["tsukf", "scenario_1", "q2"][:, 6500:8000, 0].mean()),
+        "rmse_gated_q2": error(theta_of["atsukf", "gated", "q2"], truth[1]),
         "rmse_loud": noise,
         "attitude_alone": attitude_alone(system, airframe, flights, truth),
     }
@@ -111,7 +111,7 @@ def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=silent
     progress(1.0)
     series = {"t": np.arange(0, len(truth[1]), KEEP) * DT}
     series |= {f"truth_{s}": truth[s][::KEEP] for s in (1, 2)}
-    series |= {"/".join(key): theta[0, ::KEEP] for key, theta in found.items()}
+    series |= {"/".join(key): theta[0, ::KEEP] for key, theta in theta_of.items()}
     return Reproduction(PAPER, TITLE, claims(figures), figures, literal, seeds, series)
 
 
@@ -140,14 +140,14 @@ def attitude_alone(system: RigidBody, airframe: dict, flights: dict, truth: dict
     what torques of hovering rotors cannot show: losses in the kernel of B_tau diag(u)."""
     rows = slice(*(round(t / DT) for t in (60.0, 75.0)))
     lanes = [(flights[s][0], measure(flights[s][1], NOISE, 0), WALKS["q1"], OPEN) for s in (1, 2)]
-    found = estimates(system, True, lanes, (False,) * 3 + (True,) * 3)[:, rows].mean(axis=1)
+    means = estimates(system, True, lanes, (False,) * 3 + (True,) * 3)[:, rows].mean(axis=1)
     x, y, spin = (np.array(airframe["rotors"][k], float) for k in ("x", "y", "spin"))
-    shown = np.stack([-y, x, airframe["drag_ratio"] * spin]) * flights[1][0][round(20.0 / DT)]
-    hidden = np.linalg.svd(shown)[2][3]
+    torques = np.stack([-y, x, airframe["drag_ratio"] * spin]) * flights[1][0][round(20.0 / DT)]
+    hidden = np.linalg.svd(torques)[2][3]
     return {
-        **{f"scenario_{s}": {"true": truth[s][rows][0], "found": found[s - 1]} for s in (1, 2)},
+        **{f"scenario_{s}": {"true": truth[s][rows][0], "found": means[s - 1]} for s in (1, 2)},
         "hidden": hidden * np.sign(hidden[0]),
-        "off": float(max(np.abs(found[s - 1] - truth[s][rows][0]).max() for s in (1, 2))),
+        "off": float(max(np.abs(means[s - 1] - truth[s][rows][0]).max() for s in (1, 2))),
     }
 
 
@@ -225,27 +225,27 @@ def against_kalman() -> float:
 
 
 def against_augmented(system: RigidBody, u, pose) -> dict:
-    """Largest difference of the two-stage filter's losses from the augmented UKF's in one flight (Q1), and how long a step takes of
-    either and of the adaptive one: as exported C where a compiler is there (JAX copies the adaptive filter's window in every step), one
-    after the other, over and over, by the processor's clock, the shortest of each."""
+    """Largest difference of the two-stage filter's losses from the augmented UKF's in one flight (Q1), and the time of a step of either and
+    of the adaptive one: as exported C where a compiler is available (JAX copies the adaptive filter's window in every step), in turns,
+    processor time, the shortest of each."""
     y = measure(pose, NOISE, 0)
     tuned = {m.name: m(system, DT, theta_walk=WALKS["q1"] / DT, theta_var=P0_THETA) for m in (TSUKF, ATSUKF, UKF)}
-    found: dict[str, np.ndarray] = {}
+    losses_of: dict[str, np.ndarray] = {}
     seconds: dict[str, list[float]] = {name: [] for name in tuned}
     for estimator in tuned.values():
         run(estimator, u[:1], y[:1], select=tools.losses, backend="auto")  # compiled apart from the clock
     for _ in range(ROUNDS):
         for name, estimator in tuned.items():
             start = time.process_time()
-            found[name] = run(estimator, u, y, select=tools.losses, backend="auto")[1]
+            losses_of[name] = run(estimator, u, y, select=tools.losses, backend="auto")[1]
             seconds[name].append(time.process_time() - start)
     least = {name: 1e6 * min(taken) / len(u) for name, taken in seconds.items()}
-    apart = float(np.abs(found["tsukf"] - found["ukf"]).max())
+    apart = float(np.abs(losses_of["tsukf"] - losses_of["ukf"]).max())
     return {"tsukf_vs_augmented_quad": apart, "microseconds_per_step": least, "timed_as": engine()}
 
 
 def as_printed(system: RigidBody, u, pose, truth, reading: str) -> dict:
-    """What one printed slip does in one flight: largest difference of losses from the filter as built, and RMSE."""
+    """Effect of one printed slip in one flight: largest difference of losses from the filter as built, and RMSE."""
     jax = load_jax()
     y, out = measure(pose, NOISE, 0), {}
     walks = np.array(list(WALKS.values()))
@@ -301,15 +301,15 @@ def claims(f: dict) -> tuple[Claim, ...]:
         cheaper=100 * (1.0 - cost["tsukf"] / cost["ukf"]),
         dearer=100 * (cost["atsukf"] / cost["tsukf"] - 1.0),
     )
-    return out + tuple(_slip(name, found) for name, found in f.get("literal", {}).items())
+    return out + tuple(_slip(name, row) for name, row in f.get("literal", {}).items())
 
 
-def _slip(name: str, found: dict) -> Claim:
-    """What a reading as printed does."""
+def _slip(name: str, row: dict) -> Claim:
+    """The claim about a reading as printed."""
     measured, why = "diverges", "The sensitivities are off by a factor of the spread."
-    if np.isfinite(found["difference_q1"] + found["difference_q2"]):
-        measured = f"losses differ by up to {found['difference_q1']:.2g} (Q1) and {found['difference_q2']:.2g} (Q2)"
-        why = f"RMSE of motor 1 {found['rmse_q1']:.3f} (Q1), {found['rmse_q2']:.3f} (Q2)."
+    if np.isfinite(row["difference_q1"] + row["difference_q2"]):
+        measured = f"losses differ by up to {row['difference_q1']:.2g} (Q1) and {row['difference_q2']:.2g} (Q2)"
+        why = f"RMSE of motor 1 {row['rmse_q1']:.3f} (Q1), {row['rmse_q2']:.3f} (Q2)."
     return Claim(f"Literal reading: {name}", LITERAL[name], measured, "not reproduced", why)
 
 
@@ -323,10 +323,10 @@ def figures(result: Reproduction) -> dict[str, Any]:
         "scenario-2-matched": (2, [("q1", m) for m in range(4)]),
         "scenario-2": (2, [("q2", m) for m in range(4)]),
     }
-    for stem, (scenario, shown) in drawings.items():
-        rows = len(shown) // 2
+    for stem, (scenario, drawn_motors) in drawings.items():
+        rows = len(drawn_motors) // 2
         figure, axes = panels(rows, 2, (9, 3.2 if rows == 1 else 5.5), sharex=True, sharey=True)
-        for axis, (q, m) in zip(axes.flat, shown, strict=True):
+        for axis, (q, m) in zip(axes.flat, drawn_motors, strict=True):
             axis.plot(t, series[f"truth_{scenario}"][:, m], color="black", lw=1.0, label="true")
             for name, colour in colours.items():
                 axis.plot(t, series[f"{name}/scenario_{scenario}/{q}"][:, m], color=colour, lw=1.0, label=name.upper())

@@ -1,4 +1,4 @@
-"""Rot, Hasan and Manoonpong 2020: an adaptive exogenous Kalman filter on a hovering hexarotor of which two motors weaken.
+"""Rot, Hasan and Manoonpong 2020: an adaptive exogenous Kalman filter on a hovering hexarotor, two of whose motors weaken.
 
 Noise-free flights with the paper's tuning, as in the paper; then what happens with noise, with other tunings, and with wrong
 starts, for which the observer stage is there.
@@ -60,7 +60,7 @@ class AsPrinted(AXKF):
         self.literal = literal
 
     def step(self, carry: Carry, u, y, valid, dt=None):
-        """One step; only for plants with y = C x."""
+        """Predict and update as printed; only for plants with y = C x."""
         import jax.numpy as jnp
 
         if not {"innovation", "two_predictions"} & set(self.literal):
@@ -153,8 +153,8 @@ def excitation(evidence) -> tuple[float, float]:
 def settling(theta, truth, onset: float) -> float:
     """s from the onset until theta (T,) stays within BAND of the loss for good; inf when it does not."""
     off = np.flatnonzero(np.abs(theta - truth[-1]) > BAND * truth[-1])
-    last = off.max(initial=-1)
-    return float((last + 2) * DT - onset) if last + 1 < len(theta) else np.inf
+    last_outside = off.max(initial=-1)
+    return float((last_outside + 2) * DT - onset) if last_outside + 1 < len(theta) else np.inf
 
 
 def _six(airframe, literal, flight, excited, figures) -> History:
@@ -165,18 +165,18 @@ def _six(airframe, literal, flight, excited, figures) -> History:
         (flight[0], flight[1][:, :3], LAMBDA, start, S_BOUND),
         (excited[0], excited[1][:, :3], LAMBDA, start, S_BOUND),
     ]
-    found = histories(PortHamiltonianAttitude.of(airframe), literal, lanes)
-    P = found.PC[0, round(ONSETS[0] / DT) - 1]  # level flight, long after the start: P C' = K R
+    history = histories(PortHamiltonianAttitude.of(airframe), literal, lanes)
+    P = history.PC[0, round(ONSETS[0] / DT) - 1]  # level flight, long after the start: P C' = K R
     R = airframe["measurement_var"]
     K = P / R
     figures["sigma11"] = np.linalg.inv(np.eye(3) - K[:3])[0, 0] * R
     figures["k11"], figures["k41"] = K[0, 0], K[3, 0]
-    figures["six_theta_final"], figures["six_theta_bounded_final"], figures["six_theta_excited_final"] = found.theta[
+    figures["six_theta_final"], figures["six_theta_bounded_final"], figures["six_theta_excited_final"] = history.theta[
         :, -1
     ]
-    figures["s11_final"], figures["s11_bounded_final"] = found.S[:2, -1, 0]
-    figures["excitation_six"], figures["excitation_tones"] = (excitation(found.evidence[lane]) for lane in (1, 2))
-    return found
+    figures["s11_final"], figures["s11_bounded_final"] = history.S[:2, -1, 0]
+    figures["excitation_six"], figures["excitation_tones"] = (excitation(history.evidence[lane]) for lane in (1, 2))
+    return history
 
 
 def _two(airframe, literal, u, truth, seeds, figures) -> History:
@@ -188,23 +188,23 @@ def _two(airframe, literal, u, truth, seeds, figures) -> History:
     lanes += [(u, y, forgetting, start, np.inf) for forgetting in (0.99, 0.998)]
     lanes += [(u, y + QUIET * one, LAMBDA, start, np.inf) for one in noise]
     lanes += [(u, y + PRINTED_SD * one, LAMBDA, start, np.inf) for one in noise[:LOUD_SEEDS]]
-    found = histories(PortHamiltonianAttitude.of(airframe, suspects=MOTORS), literal, lanes)
+    history = histories(PortHamiltonianAttitude.of(airframe, suspects=MOTORS), literal, lanes)
     loss = flights.losses()[:, list(MOTORS)]
-    settled = [[settling(lane[:, k], loss[:, k], ONSETS[k]) for k in range(2)] for lane in found.theta[[0, 2, 3]]]
-    figures["motors_1_3_final"], figures["motors_1_3_settle_s"] = found.theta[0, -1], settled[0]
+    settled = [[settling(lane[:, k], loss[:, k], ONSETS[k]) for k in range(2)] for lane in history.theta[[0, 2, 3]]]
+    figures["motors_1_3_final"], figures["motors_1_3_settle_s"] = history.theta[0, -1], settled[0]
     figures["settle_s_lambda_099"], figures["settle_s_lambda_0998"] = settled[1:]
     for name, lane in (("", 0), ("_without_fault_term", 1)):
-        figures[f"p_error{name}"] = np.abs(found.x[lane, -1, 3:] - truth[-1, 3:])
-        figures[f"observer_p_error{name}"] = np.abs(found.z[lane, -1, 3:] - truth[-1, 3:])
+        figures[f"p_error{name}"] = np.abs(history.x[lane, -1, 3:] - truth[-1, 3:])
+        figures[f"observer_p_error{name}"] = np.abs(history.z[lane, -1, 3:] - truth[-1, 3:])
         late = slice(-round(1.0 / DT), None)  # angles of the last second, largest error of each
-        figures[f"angle_error{name}"] = np.abs(found.x[lane, late, :3] - truth[late, :3]).max(axis=0)
-        figures[f"observer_angle_error{name}"] = np.abs(found.z[lane, late, :3] - truth[late, :3]).max(axis=0)
-    figures["angle_final"], figures["excitation_two"] = truth[-1, :3], excitation(found.evidence[0])
-    last = found.theta[4:, -round(1.0 / DT) :]  # over seeds and the last second
-    quiet, loud = last[:seeds], last[seeds:]
+        figures[f"angle_error{name}"] = np.abs(history.x[lane, late, :3] - truth[late, :3]).max(axis=0)
+        figures[f"observer_angle_error{name}"] = np.abs(history.z[lane, late, :3] - truth[late, :3]).max(axis=0)
+    figures["angle_final"], figures["excitation_two"] = truth[-1, :3], excitation(history.evidence[0])
+    late_theta = history.theta[4:, -round(1.0 / DT) :]  # over seeds and the last second
+    quiet, loud = late_theta[:seeds], late_theta[seeds:]
     figures["noise_4e5_mean"], figures["noise_4e5_std"] = quiet.mean(axis=(0, 1)), quiet.std(axis=(0, 1))
     figures["noise_printed_R_std"] = loud.std(axis=(0, 1))
-    return found
+    return history
 
 
 def _virtual(airframe, plant, u, truth, figures) -> None:
@@ -215,10 +215,10 @@ def _virtual(airframe, plant, u, truth, figures) -> None:
     noise = {k: airframe[k] for k in ("process_var", "measurement_var")}
     for faults in ("multiplicative", "additive"):
         system = PortHamiltonianAttitude(plant.J, faults=faults, **noise)
-        found = histories(system, (), [lane]).theta[0, -1]
-        figures[f"virtual_{faults}_final"] = found
+        final = histories(system, (), [lane]).theta[0, -1]
+        figures[f"virtual_{faults}_final"] = final
         if faults == "additive":
-            figures["virtual_additive_error"] = float(np.abs(found - missing).max())
+            figures["virtual_additive_error"] = float(np.abs(final - missing).max())
 
 
 def _theorem(plant, figures) -> None:
@@ -285,7 +285,7 @@ def _wrong_starts(airframe, seeds) -> dict[str, dict[str, np.ndarray]]:
             return tools.stepped(build(system), u, y, lambda out: out.x[:3])
 
         run = jax.jit(jax.vmap(angles, in_axes=(0, 0, None)))
-        # By NumPy, whose maximum of no number is none: XLA's may be a number.
+        # NumPy's maximum of NaN is NaN; XLA's may be a number.
         errors[name] = {
             kind: np.abs(np.asarray(run(y, starts, variance)) - truth[:, :3]).max(axis=-1)
             for kind, variance in P0.items()
@@ -318,7 +318,7 @@ def _claims(f: dict[str, Any]) -> tuple[Claim, ...]:
         (np.asarray(f[k]) < STEADY * np.array(LOSSES)).all() for k in ("noise_4e5_std", "noise_printed_R_std")
     )
     share = np.abs(f["virtual_multiplicative_final"]).max()
-    seen, found = share > 0.5 * min(LOSSES), f["virtual_additive_error"] < TORQUE_ERROR
+    seen, recovered = share > 0.5 * min(LOSSES), f["virtual_additive_error"] < TORQUE_ERROR
     verdicts = {
         "motion": graded(p[0] > 0 > p[1] and p[2] > 0),
         "six": graded(abs(six[0] - LOSSES[0]) < 0.01 and abs(six[2] - LOSSES[1]) < 0.01),
@@ -332,7 +332,7 @@ def _claims(f: dict[str, Any]) -> tuple[Claim, ...]:
         "angles": graded(max(off) < FOLLOWS * angle, min(off) < FOLLOWS * angle),
         "excitation": graded(excited["six"], excited["two"]),
         "bounded": graded(f["s11_final"] < S_BOUND),
-        "torques": graded(seen and found, seen or found),
+        "torques": graded(seen and recovered, seen or recovered),
         "divergence": graded(lost["axkf"] == 0 < lost["adaptive_ekf"] and honest["adaptive_ekf"] > 0, True),
     }
     settle = [_seconds(f[key]) for key in ("motors_1_3_settle_s", "settle_s_lambda_099", "settle_s_lambda_0998")]

@@ -130,8 +130,8 @@ def _watch(system, u, y, alpha, nu, **options) -> SimpleNamespace:
 
         return jax.lax.scan(step, estimator.init(), (u, y, valid))[1]
 
-    found = jax.jit(jax.vmap(one))(*(np.broadcast_to(v, len(u)).astype(float) for v in (alpha, nu)), u, y)
-    return SimpleNamespace(**dict(zip(("theta", "fault", "ambiguity", "x"), map(np.asarray, found), strict=True)))
+    outputs = jax.jit(jax.vmap(one))(*(np.broadcast_to(v, len(u)).astype(float) for v in (alpha, nu)), u, y)
+    return SimpleNamespace(**dict(zip(("theta", "fault", "ambiguity", "x"), map(np.asarray, outputs), strict=True)))
 
 
 def _watch_all(file: dict, flights, moving) -> tuple[dict, tuple, np.ndarray]:
@@ -190,7 +190,7 @@ def _settling_s(theta, true, onset: int) -> float:
 
 
 def _inequality(epsilon: float) -> dict:
-    """Whether the matrix inequality has a solution for the printed epsilon (its inverse where read the other way)."""
+    """Feasibility of the matrix inequality for the printed epsilon (its inverse where read the other way)."""
     A, C, E = design.double_integrators()
 
     def solve(epsilon):
@@ -201,20 +201,20 @@ def _inequality(epsilon: float) -> dict:
                 raise
             return None
 
-    found = solve(epsilon)
+    synthesis = solve(epsilon)
     values = np.linalg.eigvalsh(design.sigma(A, C, E, E, np.diag([10.0] * 4 + [20.0] * 4), 1.0, epsilon, 1.0))
     return {
         "lmi_paper_feasible": solve(PRINTED_EPSILON) is not None,
         "lmi_epsilon": epsilon,
-        "lmi_feasible": found is not None,
-        "lmi_max_eig": found.largest if found else None,
+        "lmi_feasible": synthesis is not None,
+        "lmi_max_eig": synthesis.largest if synthesis else None,
         "lmi_max_eig_10_20": float(values.max()),
-        "lmi_gain": [float(found.L[0, 0]), float(found.L[4, 4])] if found else None,
+        "lmi_gain": [float(synthesis.L[0, 0]), float(synthesis.L[4, 4])] if synthesis else None,
     }
 
 
 def _balance(flights, runs) -> dict:
-    """What the yaw gain changes between scenarios 1 and 2, which are the same flight: means, and noise on the yaw fault."""
+    """Effect of the yaw gain between scenarios 1 and 2, which are the same flight: means, and noise on the yaw fault."""
     one, two = (flights.rows[f"scenario_{k}"] for k in (1, 2))
     theta, yaw = runs[1.0].theta[:, -LAST:], runs[1.0].fault[:, -LAST:, 6]
     change = np.abs(theta[one].mean(axis=(0, 1)) - theta[two].mean(axis=(0, 1))).max()
@@ -226,25 +226,25 @@ def _balance(flights, runs) -> dict:
 
 
 def _true_fault(file: dict, flights, k) -> np.ndarray:
-    """(T, 4) what the rotors of flight k lack, as the observer's fault has it: yaw times the gain."""
+    """(T, 4) true wrench deficit of flight k, in the units of the observer's fault: yaw times the gain."""
     fault = error_bound.truth(hover_flights.craft(file), flights.u[k], flights.y[k], flights.gamma[k])[0]
     return fault * np.array([1.0, 1.0, flights.nu[k], 1.0])
 
 
 def _channels(file: dict, flights, runs) -> dict:
-    """Of every scenario and channel: the fault at the end as injected and as estimated, without the gain; mean and scatter with noise."""
+    """For every scenario and channel: the fault at the end as injected and as estimated, without the gain; mean and scatter with noise."""
     out = {}
     for name in SCENARIOS:
         clean, noisy = flights.rows[name][0], flights.rows[name][1:]
         divide = np.array([1.0, 1.0, flights.nu[clean], 1.0])
         true = (_true_fault(file, flights, clean) / divide)[-LAST:].mean(axis=0)
-        found = runs[1.0].fault[..., 4:] / divide
-        seen = found[noisy] if len(noisy) else found[[clean]]
+        faults = runs[1.0].fault[..., 4:] / divide
+        seen = faults[noisy] if len(noisy) else faults[[clean]]
         out[name] = {
             "true": true,
             "found": seen[:, -LAST:].mean(axis=(0, 1)),
             "sd": seen[:, -LAST:].std(axis=(0, 1)),
-            "found_without_noise": found[clean, -LAST:].mean(axis=0),
+            "found_without_noise": faults[clean, -LAST:].mean(axis=0),
         }
     return out
 
@@ -258,31 +258,31 @@ def _bound(file: dict, u, y, gamma, run) -> tuple[dict, dict]:
         jumps = [a for a in ONSETS if np.any(gamma[k, a] != gamma[k, a - 1])]
         starts = tuple(a + 1 for a in jumps)
         rows[name] = (y[k] - run.x[k], fault[k] - run.fault[k, :, 4:], fault[k], xi[k], starts)
-    found = error_bound.compare(rows, 1.0, GAINS, EPSILON)
-    return found, {name: row.pop("series") for name, row in found["flights"].items()}
+    bounds = error_bound.compare(rows, 1.0, GAINS, EPSILON)
+    return bounds, {name: row.pop("series") for name, row in bounds["flights"].items()}
 
 
 def _as_printed(file: dict, flights, moving) -> dict:
     """The rank test, the procedure of table 1 on the flight of scenario 3 without noise, and the parts of xi."""
-    vehicle, one = hover_flights.craft(file), flights.rows["scenario_3"][0]
-    gamma = flights.gamma[one]
+    vehicle, clean = hover_flights.craft(file), flights.rows["scenario_3"][0]
+    gamma = flights.gamma[clean]
 
     def settle(theta):
         return max(_settling_s(theta, gamma, k) for k in ONSETS)
 
     readings = {"as printed": PRINTED_EPSILON, "its inverse": EPSILON}
-    own = [(alpha, *GAINS) for alpha in ALPHAS]
+    ours = [(alpha, *GAINS) for alpha in ALPHAS]
     named = {name: tuple(getattr(flights, k)[flights.rows[name][0]] for k in ("u", "y", "gamma")) for name in SCENARIOS}
     return {
         "assumption_4": printed.assumptions(),
         "matching": printed.matching(1.0, EPSILON),
-        "table_1": printed.procedure(vehicle, flights.u[one], flights.y[one], readings, settle, own),
+        "table_1": printed.procedure(vehicle, flights.u[clean], flights.y[clean], readings, settle, ours),
         "xi": printed.parts_of_xi(vehicle, named | {"climbing": tuple(a[0] for a in moving)}),
     }
 
 
 def _long(file: dict, rng) -> tuple[dict, dict]:
-    """Of every scenario with its faults at the printed times: final losses, and series."""
+    """For every scenario with its faults at the printed times: final losses, and series."""
     vehicle = hover_flights.craft(file)
     u, y, gamma = printed.long_flights(vehicle, SCENARIOS, rng)
     nu = np.array([gain for _, gain in SCENARIOS.values()])
@@ -418,7 +418,7 @@ def _claims(f: dict) -> tuple[Claim, ...]:
         f"{name}: pseudo-inverse {_list(r['least_squares'])}, fewest rotors {_list(r['sparse'])}, memory {_list(r['temporal'])}"
         for name, r in rules.items()
     )
-    found = reproduction.claims(
+    main = reproduction.claims(
         PAPER, verdicts, f=f, worst=worst, rings=rings,
         settle=[f["scenario_2"]["settle_s"][f"alpha_{a:g}"] for a in ALPHAS],
         three=_list(f["scenario_3"]["final"], ", "), four=_list(f["scenario_4"]["final"], ", "),
@@ -426,7 +426,7 @@ def _claims(f: dict) -> tuple[Claim, ...]:
     )  # fmt: skip
     position = f["position"]
     return (
-        *found,
+        *main,
         *printed.claims(f),
         *wrong_models.claims(f["uncertain"]),
         _bound_claim(f["bound"]),
@@ -436,14 +436,14 @@ def _claims(f: dict) -> tuple[Claim, ...]:
     )
 
 
-def _bound_claim(found: dict) -> Claim:
-    """Theorem 1: is the bound held at every sample of every flight, and how much wider is it than the errors?"""
-    flights, climbing = found["flights"], found["flights"]["climbing"]
+def _bound_claim(bound: dict) -> Claim:
+    """Theorem 1: whether the bound holds at every sample of every flight, and its ratio to the errors."""
+    flights, climbing = bound["flights"], bound["flights"]["climbing"]
     held = [name for name, row in flights.items() if row["held"]]
     within = climbing["error"] <= climbing["bound"]
     verdicts = {"theorem": graded(len(held) == len(flights) and within, within)}
     best = climbing["bound_best_epsilon"] / climbing["error"]
-    values = {"f": {"bound": found}, "held": len(held), "of": len(flights), "climbing": climbing, "best": best}
+    values = {"f": {"bound": bound}, "held": len(held), "of": len(flights), "climbing": climbing, "best": best}
     return reproduction.claims(PAPER, verdicts, **values)[0]
 
 
@@ -463,7 +463,7 @@ def _channel_claim(channels: dict) -> Claim:
 
 
 def _off_claims(position: dict) -> tuple[Claim, ...]:
-    """Figures 3, 7, 11, 15: how far the vehicle leaves its place. The controller's gains are not printed."""
+    """Figures 3, 7, 11, 15: distance of the vehicle from its place. The controller's gains are not printed."""
     verdicts, texts = {}, {}
     for name, wanted in DEVIATION.items():
         off = np.array(position[name]["off_m"])[:, :, :2]
@@ -484,7 +484,7 @@ def _off_claims(position: dict) -> tuple[Claim, ...]:
 
 
 def _met(off, wanted, axis: int) -> bool:
-    """Whether deviations off (spans, 2) are near all those of an axis that the paper names."""
+    """True if deviations off (spans, 2) are near all those of an axis that the paper names."""
     pairs = [(o[axis], w[axis]) for o, w in zip(off, wanted, strict=True) if w[axis] is not None]
     return all(abs(o / w - 1.0) < ALIKE for o, w in pairs)
 
@@ -493,8 +493,8 @@ def _pwm_claim(position: dict) -> Claim:
     """Figures 4, 8, 12, 16: counts are alike before, and rise on the motors that are weak and no other."""
     right, rows = [], []
     for name in ("scenario_2", "scenario_3", "scenario_4"):
-        found, before = position[name], np.array(position[name]["counts_before"])
-        after, losses = np.array(found["counts_after"])[-1], np.array(SCENARIOS[name][0][-1])
+        row, before = position[name], np.array(position[name]["counts_before"])
+        after, losses = np.array(row["counts_after"])[-1], np.array(SCENARIOS[name][0][-1])
         rise = after / before.mean() - 1.0
         weak = losses > 0
         even = np.ptp(before) < 0.01 * before.mean()
@@ -563,8 +563,8 @@ def _position_figure(series):
 def _bound_figure(series):
     """Size of the errors, and the bound of theorem 1, of three flights."""
     figure, (row,) = panels(1, 3, (9, 3), sharey=True)
-    shown = {"scenario_3": "scenario 3", "scenario_4": "scenario 4", "climbing": "climbing at 0.4 Hz"}
-    for axes, (name, title) in zip(row, shown.items(), strict=True):
+    titles = {"scenario_3": "scenario 3", "scenario_4": "scenario 4", "climbing": "climbing at 0.4 Hz"}
+    for axes, (name, title) in zip(row, titles.items(), strict=True):
         size, limit = series["bound"][name]
         axes.semilogy(series["time"][::5], np.maximum(size[::5], 1e-6), lw=1, label="error")
         axes.semilogy(series["time"][::5], np.maximum(limit[::5], 1e-6), "k--", lw=1, label="bound")

@@ -51,7 +51,7 @@ class AtEstimate(Lyapunov):
     """Eq. (6) as printed: the plant, its gyroscopic term included, is taken at the observer's state, not at the measured one."""
 
     def step(self, carry: State, u, y, valid, dt=None) -> tuple[State, Estimate]:
-        """As `Lyapunov`."""
+        """Predict and update as in `Lyapunov`."""
         return super().step(carry._replace(measured=carry.x), u, y, valid, dt)
 
 
@@ -123,11 +123,11 @@ def observable(system: RateDynamics, scaled: bool = True, orders: int | None = N
 
     orders: of derivatives; None: n - 1, as the paper has it."""
     omega, u = observability.figure_eight(system)
-    every, n = 10, system.n_x + system.n_theta
+    stride, n = 10, system.n_x + system.n_theta
     orders = n - 1 if orders is None else orders
     hover = np.concatenate([observability.hover_thrusts(system)[None], np.zeros((orders, system.n_u))])
-    xs = np.concatenate([np.zeros((1, 3)), omega[::every]])
-    us = np.concatenate([hover[None], observability.derivatives(u, orders)[::every]])
+    xs = np.concatenate([np.zeros((1, 3)), omega[::stride]])
+    us = np.concatenate([hover[None], observability.derivatives(u, orders)[::stride]])
     values = np.linalg.svd(
         observability.lie_matrices(system, xs, us, np.zeros(system.n_theta), orders, scaled), compute_uv=False
     )
@@ -237,7 +237,7 @@ def mhe_vs_nlp(system: RateDynamics, flown: flights.Flight) -> float:
     window, n = jax.tree.map(np.asarray, carry.window), thorough.n
 
     def residuals(flat):
-        """Written anew from the definition of the problem: noises of unit variance."""
+        """Residuals of unit variance, derived independently from the definition of the problem."""
         s = flat.reshape(-1, n)
 
         def interval(before, after, samples):
@@ -260,8 +260,8 @@ def mhe_vs_nlp(system: RateDynamics, flown: flights.Flight) -> float:
     other = np.tile(np.asarray(carry.prior), thorough.intervals + 1).reshape(-1, n)
     other[:, 3:] = np.clip(other[:, 3:], TIGHT[0] / 2, 0.9)
     tight = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-13, "max_nfev": 200}
-    found = least_squares(value, other.ravel(), jacobian, (low, high), x_scale="jac", **tight)
-    return float(np.abs(found.x - np.asarray(nodes).ravel()).max())
+    optimum = least_squares(value, other.ravel(), jacobian, (low, high), x_scale="jac", **tight)
+    return float(np.abs(optimum.x - np.asarray(nodes).ravel()).max())
 
 
 def claims(n: dict) -> tuple[Claim, ...]:
@@ -271,7 +271,7 @@ def claims(n: dict) -> tuple[Claim, ...]:
         {e: np.mean([list(n[key][f][e].values()) for f in FAULTS]) for e in ESTIMATORS}
         for key in ("rmse", "rmse_disturbed")
     )
-    moving, moving_disturbed = (min(found["proximal"], found["proximal_flush"]) for found in (mean, disturbed))
+    moving, moving_disturbed = (min(main["proximal"], main["proximal_flush"]) for main in (mean, disturbed))
     count = {key: sum(v[key] for v in n["moving_horizon"].values()) for key in ("better", "worse", "cases")}
     better, worse, cases = count.values()
     capped = np.mean([list(v.values()) for v in n["rmse_capped"].values()])
@@ -284,15 +284,15 @@ def claims(n: dict) -> tuple[Claim, ...]:
         "easy": graded(cost["mhe"] > 3 * cost["proximal_flush"], True),
         "above_one": graded(mean["proximal_flush"] <= capped, True),
     }
-    found = reproduction.claims(
+    main = reproduction.claims(
         PAPER, verdicts, n=n, mean=mean, disturbed=disturbed, moving=moving, moving_disturbed=moving_disturbed,
         **count, cost=cost, solves=4 * cost["mhe"], capped=capped,
     )  # fmt: skip
-    return found + tuple(_read(name, row) for name, row in n.get("literal", {}).items())
+    return main + tuple(_read(name, row) for name, row in n.get("literal", {}).items())
 
 
 def _read(name: str, row: dict) -> Claim:
-    """What eq. (6), read literally, changes."""
+    """The claim about eq. (6), read literally."""
     return Claim(
         f"Literal reading: {name}",
         LITERAL[name],

@@ -1,4 +1,4 @@
-"""What every `reproduce_<paper>` study returns: the paper's claims beside what comes out here, and the numbers behind them.
+"""Results of the `reproduce_<paper>` studies: the paper's claims, the results obtained here, and the numbers behind them.
 
 A study is a module `studies/reproduce_<paper>.py` with
 
@@ -36,8 +36,8 @@ Verdict = Literal["holds", "partly", "not reproduced", "refuted"]
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim: what it says, what the paper reports, what came out here, the verdict and why. Short sentences. only_if: under which
-    condition it holds, for the verdict "partly"."""
+    """A claim: its text, the paper's result, the result here, the verdict and its reason. Short sentences. only_if: condition under which
+    it holds, for the verdict "partly"."""
 
     claim: str
     paper: str
@@ -82,7 +82,7 @@ class Reproduction:
         }
 
     def to_json(self) -> str:
-        """The same as JSON text."""
+        """JSON text of `to_dict`."""
         return json.dumps(self.to_dict(), indent=1, allow_nan=False)
 
 
@@ -102,17 +102,17 @@ def methods(paper: str) -> tuple[str, ...]:
 
 
 def claimed(paper: str) -> tuple[str, ...]:
-    """What the paper claims, in the order of its study; {names} are filled in by a run."""
+    """The paper's claims, in the order of its study; {names} are filled in by a run."""
     return tuple(row["claim"] for row in _words(paper)["claims"].values())
 
 
 def claimed_as(paper: str, key: str) -> str:
-    """What one claim says, by its key."""
+    """Text of the claim with that key."""
     return _words(paper)["claims"][key]["claim"]
 
 
 def note(paper: str) -> str:
-    """What a reader must know before the claims: what is judged, or not run. Empty where nothing is."""
+    """Prerequisites for reading the claims: what was evaluated, or not run. Empty where there is nothing."""
     return _words(paper).get("note", "")
 
 
@@ -149,10 +149,10 @@ def graded(holds: Any, partly: Any = False) -> Verdict:
 def across(verdicts: Mapping[str, Verdict]) -> Verdict:
     """The verdict on a claim that was judged for several forms of a method: theirs where they agree; else it holds in part, or not at all
     where it does for none."""
-    found = set(verdicts.values())
-    if len(found) == 1:
-        return found.pop()
-    return "partly" if found & {"holds", "partly"} else "not reproduced"
+    distinct = set(verdicts.values())
+    if len(distinct) == 1:
+        return distinct.pop()
+    return "partly" if distinct & {"holds", "partly"} else "not reproduced"
 
 
 def by_form(forms: Mapping[str, Mapping[str, Verdict]]) -> list[tuple[list[str], list[list[str]]]]:
@@ -182,8 +182,8 @@ def studies() -> dict[str, ModuleType]:
     """Paper name -> its study module, in the order of names."""
     package = importlib.import_module("rotorwatch_lab.experiments.studies")
     names = [info.name for info in pkgutil.iter_modules(package.__path__) if info.name.startswith("reproduce_")]
-    found = [importlib.import_module(f"{package.__name__}.{name}") for name in names]
-    return {module.PAPER: module for module in sorted(found, key=lambda module: module.PAPER)}
+    modules = [importlib.import_module(f"{package.__name__}.{name}") for name in names]
+    return {module.PAPER: module for module in sorted(modules, key=lambda module: module.PAPER)}
 
 
 def study(paper: str) -> ModuleType:
@@ -250,11 +250,11 @@ def kept(folder: Path, module: ModuleType, seeds: int | None, literal: Sequence[
         return None
     try:
         row = json.loads(path.read_text(encoding="utf-8"))
-        found = tuple(Claim(**claim) for claim in row["claims"])
+        stored = tuple(Claim(**claim) for claim in row["claims"])
         result = Reproduction(
             row["paper"],
             row["title"],
-            found,
+            stored,
             row["figures"],
             tuple(row["literal"]),
             row["seeds"],
@@ -271,7 +271,7 @@ def _file_name(paper: str, literal: Sequence[str]) -> str:
 
 
 def silent(share: float, text: str = "") -> None:
-    """Progress that nobody watches."""
+    """Progress callback that does nothing."""
 
 
 def check_libraries(module: ModuleType) -> None:

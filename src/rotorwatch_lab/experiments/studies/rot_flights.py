@@ -1,4 +1,4 @@
-"""The flights on which the adaptive exogenous Kalman filter is tried: truth by Newton's and Euler's equations, RK4.
+"""Flights for the adaptive exogenous Kalman filter: truth by the Newton-Euler equations, RK4.
 
 Rot, Hasan and Manoonpong 2020, section 5: motors off for 1 s, then 0.01 N each, in balance; motor 1 loses 12.4 % at
 3.5 s and motor 3 loses 13.5 % at 5.5 s; 8 s in steps of 1 ms. The truth is written in body rates, not in the momenta of the plant
@@ -19,19 +19,19 @@ TONES, DEPTH = (0.7, 1.1, 1.3, 1.7, 1.9, 2.3), 0.5  # Hz of each motor's thrust,
 
 
 def clock() -> np.ndarray:
-    """(T,) s: when each step begins."""
+    """(T,) start time of each step [s]."""
     return np.arange(round(DURATION / DT)) * DT
 
 
 def thrusts(excited: bool = False) -> np.ndarray:
-    """(T, 6) N: constant as in the paper, or each motor with a tone of its own."""
+    """(T, 6) thrusts [N]: constant as in the paper, or with a separate tone on each motor."""
     t = clock()[:, None]
     tones = np.sin(2.0 * np.pi * np.array(TONES) * (t - ON))
     return np.where(t >= ON, THRUST, 0.0) * (1.0 + (DEPTH * tones if excited else np.zeros(6)))
 
 
 def losses() -> np.ndarray:
-    """(T, 6): of each motor."""
+    """(T, 6) loss of each motor."""
     theta = np.zeros((clock().size, 6))
     for onset, loss, motor in zip(ONSETS, LOSSES, MOTORS, strict=True):
         theta[clock() >= onset, motor] = loss

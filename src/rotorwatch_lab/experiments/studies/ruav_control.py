@@ -91,7 +91,7 @@ class Designs:
         return tuple(int(k) for k in (*low, *high))
 
     def is_due(self, wanted: tuple, made_for: tuple, loose: float) -> bool:
-        """Whether an interval (of `key`) is not within that which a controller was made for, or one side could be `loose` tighter."""
+        """True if the interval (of `key`) is not within the one a controller was designed for, or one side could be tighter by `loose`."""
         inward = [
             *(w - m for w, m in zip(wanted[:3], made_for[:3])),
             *(m - w for w, m in zip(wanted[3:], made_for[3:])),
@@ -99,7 +99,7 @@ class Designs:
         return min(inward) < 0 or max(inward) * self.grid > loose - 1e-9
 
     def of(self, key: tuple) -> h_infinity.Synthesis | None:
-        """The controller for that rounded interval, or None where there is none."""
+        """The controller for that rounded interval, or None if none exists."""
         if key not in self.made:
             bounds = self.grid * np.array(key, float)
             try:

@@ -95,7 +95,7 @@ def filters(system, literal=(), form: str | None = None) -> dict[str, Any]:
 
 
 def is_kalman(estimator) -> bool:
-    """Whether its covariance is one, and not the shape of a set."""
+    """True if the estimator has a covariance, False if it has the shape of a set."""
     return isinstance(estimator, EKF | AEKF | AUKF)
 
 
@@ -111,7 +111,7 @@ def start(estimator):
 
 
 def step(estimator, state, u, y, restart: Any = True):
-    """One step of one filter: ((carry, restarts), z (14,), P (14, 14) whose ellipsoid or three deviations are the bounds).
+    """Advance one filter: ((carry, restarts), z (14,), P (14, 14) whose ellipsoid or three deviations are the bounds).
 
     restart: whether a Kalman filter starts its coefficients again, as uncertain as the prior, after an innovation outside all that
     three deviations allow. Sets do so by themselves, once they are empty.

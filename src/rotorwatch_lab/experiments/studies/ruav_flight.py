@@ -48,8 +48,8 @@ def in_ball(rng, *shape) -> np.ndarray:
 
 
 def weather(seed: int, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What pushes the helicopter (steps, 6) and what measurements err by (steps, 6), within their ellipsoids, and the dither's waves
-    (steps, 4) of size 1."""
+    """Disturbances of the helicopter (steps, 6) and measurement errors (steps, 6), within their ellipsoids, and the dither's waves (steps,
+    4) of size 1."""
     rng = np.random.default_rng(seed)
     mean = rng.standard_normal(6)
     mean *= MEAN_SHARE / np.linalg.norm(mean)
@@ -60,8 +60,8 @@ def weather(seed: int, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def sensed(seed: int, steps: int) -> np.ndarray:
-    """(steps, 6) what measured attitude [rad] and place [m] err by: each within its ACCURACY, anew at each step. A stream of its own: the
-    draws of `weather` stay."""
+    """(steps, 6) errors of measured attitude [rad] and position [m]: each within its ACCURACY, independent from step to step. A separate
+    random stream: the draws of `weather` are unaffected."""
     return np.random.default_rng([seed, 1]).uniform(-1, 1, (steps, 6)) * ACCURACY
 
 
@@ -96,8 +96,8 @@ def closed_loop(system: Helicopter, push, error, extra, fault_step: int = -1) ->
 
 
 class Truth(namedtuple("Truth", "x attitude place theta w")):
-    """Where a helicopter is that also moves in place: x (6,) velocities and rates, attitude (3,) roll, pitch, heading, place (3,) north,
-    east, down [m], theta (8,), w (6,): what pushes it."""
+    """State of a helicopter that also moves in space: x (6,) velocities and rates, attitude (3,) roll, pitch, heading, place (3,) north,
+    east, down [m], theta (8,), w (6,): disturbance."""
 
     @classmethod
     def hover(cls) -> Truth:

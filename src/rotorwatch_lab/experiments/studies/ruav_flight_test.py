@@ -1,5 +1,5 @@
-"""The paper's flight test, flown again: hover on an H-infinity attitude loop that is designed, and designed again, for what a filter says
-of the actuators' coefficients; at step 21,500 two of them fail, at step 23,000 the pilot takes over.
+"""The paper's flight test, flown again: hover on an H-infinity attitude loop that is redesigned for a filter's bounds of the actuators'
+coefficients; at step 21,500 two of them fail, at step 23,000 the pilot takes over.
 
 Truth, noise and filters are those of `ruav_flight` and `ruav_filters`, the loops those of `ruav_control`. Attitude and place are measured
 with the accuracy that the paper prints, .1 degree and .1 m, and neither loops nor filters get anything better; nothing here reads an
@@ -37,7 +37,7 @@ LOST = 20.0  # rad/s or m/s: what flies no more
 
 @dataclass(frozen=True)
 class Setting:
-    """What the paper leaves open. fault (8,): what is added to losses and displacements; dither: factor on DITHER; restart: of a Kalman
+    """Choices that the paper leaves open. fault (8,): added to losses and displacements; dither: factor on DITHER; restart: of a Kalman
     filter; eta: its rate of adaptation [1/s]; floor: of GD-ESMF's Q; sensors: factor on the errors of attitude and place; seed: of the
     noise; begin: first step flown."""
 
@@ -83,7 +83,7 @@ def fly(name: str, setting: Setting, designs: Designs, form: str = "own", litera
     if synthesis is None:
         raise RuntimeError("the healthy helicopter has no controller")
     trim = system.trim
-    parts, made, excluded = [], 0, 0
+    parts, designed, excluded = [], 0, 0
     for k in range(0, len(rows[0]), REDESIGN):
         state, part = chunk(state, tuple(row[k : k + REDESIGN] for row in rows), synthesis.K, trim, lift, *fault)
         parts.append(part)
@@ -93,14 +93,14 @@ def fly(name: str, setting: Setting, designs: Designs, form: str = "own", litera
         low, high = (np.clip(middle[1:4] + sign * half[1:4], 0.0, 1.0) for sign in (-1, 1))
         wanted = designs.key(low, high)
         if designs.is_due(wanted, key, LOOSE):
-            found = designs.of(wanted)
-            excluded += found is None
-            if found is not None:
-                state = _bumpless(state, synthesis.K, found.K)
-                made, synthesis, key = made + 1, found, wanted
+            design = designs.of(wanted)
+            excluded += design is None
+            if design is not None:
+                state = _bumpless(state, synthesis.K, design.K)
+                designed, synthesis, key = designed + 1, design, wanted
         trim = ruav_control.trim_command(system.trim, middle[:4], half[:4], middle[4:])
     tables = (np.concatenate([np.asarray(part[i]) for part in parts]) for i in range(7))
-    return Flown._make([*tables, made, excluded, synthesis, key, int(state[-1][1]), setting.begin])
+    return Flown._make([*tables, designed, excluded, synthesis, key, int(state[-1][1]), setting.begin])
 
 
 def _bumpless(state, old, new):
@@ -112,7 +112,7 @@ def _bumpless(state, old, new):
 
 
 def judged(flown: Flown) -> dict:
-    """What the claims look at: largest rates before the fault, in the first seconds after it and from then on [rad/s], whether it is
+    """Numbers that the claims use: largest rates before the fault, in the first seconds after it and from then on [rad/s], whether it is
     stable, and the share of steps at which the bounds hold the true coefficients."""
     at, late = FAULT_STEP - flown.begin, FAULT_STEP - flown.begin + round(SETTLE_S / DT)
     rates, well = np.abs(flown.x[:, 3:]), np.isfinite(flown.x).all() and np.abs(flown.x).max() < LOST
@@ -185,12 +185,12 @@ def _with(estimator, eta, floor):
     """The filter with this rate of an AEKF's adaptation, or this floor of GD-ESMF."""
     from copy import copy
 
-    one = copy(estimator)
-    if hasattr(one, "adaptation"):
-        one.adaptation = one.adaptation and one.adaptation._replace(eta=eta)
-    elif hasattr(one, "floor"):
-        one.floor = floor
-    return one
+    changed = copy(estimator)
+    if hasattr(changed, "adaptation"):
+        changed.adaptation = changed.adaptation and changed.adaptation._replace(eta=eta)
+    elif hasattr(changed, "floor"):
+        changed.floor = floor
+    return changed
 
 
 ROLL_ONLY, TAIL_ONLY = (tuple(ruav_flight.FAULT * np.tile(mask, 2)) for mask in ((0, 0, 0, 1), (0, 1, 0, 0)))
@@ -313,7 +313,7 @@ def claims(numbers: dict, chosen: str = "own") -> tuple[tuple[Claim, ...], dict]
         "kalman_crashes": graded(crashes and not stable["aekf"] and all(unstable.values()), crashes),
         "one_controller": graded(apart < 1e-4 and decay > 0),
     }
-    found = reproduction.claims(
+    main = reproduction.claims(
         "aesmf", verdicts, seen=seen, made=made, apart=apart, decay=decay, looks=(PILOT - BEGIN) // REDESIGN,
         before=_rates(before), before_aekf=_rates(seen["aekf"]["rates_before"]),
         after_esmf=_rates(numbers["rates_after_esmf"]), after_aekf=_rates(numbers["rates_after_aekf"]),
@@ -326,7 +326,7 @@ def claims(numbers: dict, chosen: str = "own") -> tuple[tuple[Claim, ...], dict]
         calm=", ".join(stable["aesmf"]) or "no variation", rough=", ".join(lost["aesmf"]) or "none",
         wild=", ".join(lost["aekf"]) or "no variation", steady=", ".join(stable["aekf"]) or "no variation",
     )  # fmt: skip
-    return found, {"quiet": quiet, "sets_fly": sets, "kalman_crashes": kalman}
+    return main, {"quiet": quiet, "sets_fly": sets, "kalman_crashes": kalman}
 
 
 def _kalman(numbers: dict) -> dict:

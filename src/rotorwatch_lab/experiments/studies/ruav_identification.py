@@ -109,12 +109,12 @@ def _truth(system, u, y):
     over the records' mean commands and states, and each command's column is that of the record in which it was swept."""
     jax = load_jax()
     slopes = jax.jit(jax.jacfwd(system.derivative, (0, 1)))
-    found = [
+    linearised = [
         slopes(x, np.concatenate([U, ATTITUDE]), np.zeros(8))
         for x, U in zip(y.mean(axis=1), u.mean(axis=1), strict=True)
     ]
-    A = np.mean([np.asarray(by_x) for by_x, _ in found], axis=0)
-    return A, np.stack([np.asarray(by_u)[:, k] for k, (_, by_u) in enumerate(found)], axis=1)
+    A = np.mean([np.asarray(by_x) for by_x, _ in linearised], axis=0)
+    return A, np.stack([np.asarray(by_u)[:, k] for k, (_, by_u) in enumerate(linearised)], axis=1)
 
 
 def _free():
@@ -135,7 +135,7 @@ def _equation_error(d, H, used, states, inputs) -> np.ndarray:
     """First values: d H = A H + B + gravity, each row by least squares over the frequencies at which its output is coherent."""
     attitude = np.stack([H[:, 3] + ATTITUDE[1] * H[:, 5], H[:, 4] - ATTITUDE[0] * H[:, 5]], axis=1) / d[:, None, None]
     target = d[:, None, None] * H - _gravity() @ attitude
-    found = np.zeros(len(states[0]) + len(inputs[0]))
+    parameters = np.zeros(len(states[0]) + len(inputs[0]))
     for axis in range(6):
         of_x, of_u = np.flatnonzero(states[0] == axis), np.flatnonzero(inputs[0] == axis)
         rows = used[:, axis]
@@ -146,8 +146,8 @@ def _equation_error(d, H, used, states, inputs) -> np.ndarray:
         answer = np.linalg.lstsq(
             np.concatenate([np.real(table), np.imag(table)]), np.concatenate([np.real(b), np.imag(b)]), rcond=None
         )[0]
-        found[np.concatenate([of_x, len(states[0]) + of_u])] = answer
-    return found
+        parameters[np.concatenate([of_x, len(states[0]) + of_u])] = answer
+    return parameters
 
 
 def _responses(u, y, r):
@@ -189,38 +189,39 @@ def _records(system, seed: int):
     error = in_ball(rng, 4, steps, 6) * MEASUREMENT
 
     flights = ruav_flight.closed_loop(system, push, error, r)
-    y = (
-        np.concatenate([np.zeros((4, 1, 6)), flights.x[:, :-1]], axis=1) + error
-    )  # what a command meets, not what it leads to
+    # The state that a command meets, not the one it leads to.
+    y = np.concatenate([np.zeros((4, 1, 6)), flights.x[:, :-1]], axis=1) + error
     return flights.u[:, WINDOW:], y[:, WINDOW:], r[:, WINDOW:]
 
 
-def numbers(found: Identified) -> dict:
-    """What the claim says, and every parameter with its interval."""
-    ahead = {name: fit(*predicted(found, which)) for name, which in (("model", "value"), ("simulator", "truth"))}
-    held = np.abs(found.value - found.truth) <= SURE * found.deviation
-    size = np.abs(found.truth)
+def numbers(identified: Identified) -> dict:
+    """Numbers of the claim, and every parameter with its interval."""
+    ahead = {name: fit(*predicted(identified, which)) for name, which in (("model", "value"), ("simulator", "truth"))}
+    held = np.abs(identified.value - identified.truth) <= SURE * identified.deviation
+    size = np.abs(identified.truth)
     main = size > 0.3
     return {
         "parameters": {
             name: {"value": v, "half_interval": SURE * s, "truth": t}
-            for name, v, s, t in zip(found.names, found.value, found.deviation, found.truth, strict=True)
+            for name, v, s, t in zip(
+                identified.names, identified.value, identified.deviation, identified.truth, strict=True
+            )
         },
         "intervals_hold": float(held.mean()),
         "held": int(held.sum()),
         "of": len(held),
-        "largest_in_deviations": float((np.abs(found.value - found.truth) / found.deviation).max()),
-        "median_error": float(np.median(np.abs(found.value - found.truth)[main] / size[main])),
-        "coherent": float(found.used.mean()),
+        "largest_in_deviations": float((np.abs(identified.value - identified.truth) / identified.deviation).max()),
+        "median_error": float(np.median(np.abs(identified.value - identified.truth)[main] / size[main])),
+        "coherent": float(identified.used.mean()),
         "accuracy": {name: dict(zip(STATES, fits, strict=True)) for name, fits in ahead.items()},
     }
 
 
-def predicted(found: Identified, which: str = "value", seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
+def predicted(identified: Identified, which: str = "value", seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """(measured, predicted), both (4, windows, AHEAD_S / DT, 6): new records with one command swept in each. which: of the parameters,
     value or truth. The constant part of the disturbance is the mean of each record."""
     states, inputs, _ = _free()
-    A, B = _matrices(getattr(found, which), states, inputs)
+    A, B = _matrices(getattr(identified, which), states, inputs)
     u, y, _ = _records(ruav_flight.plant(), seed)
     push = u @ np.concatenate([B, _gravity()], axis=1).T
     push += ((y[:, 1:] - y[:, :-1]) / DT - y[:, :-1] @ A.T - push[:, :-1]).mean(axis=1, keepdims=True)
@@ -239,20 +240,20 @@ def fit(measured: np.ndarray, model: np.ndarray) -> np.ndarray:
     return 1.0 - rest[spread.argmax(0), np.arange(6)] / spread.max(0)
 
 
-def figure(found: Identified):
+def figure(identified: Identified):
     """The model's accuracy (figure 3): frequency responses, and rates of a new record as the model has them from its commands."""
     states, inputs, _ = _free()
-    A, B = _matrices(found.value, states, inputs)
-    model = response(A, B, (np.exp(1j * found.omega * DT) - 1.0) / DT)
+    A, B = _matrices(identified.value, states, inputs)
+    model = response(A, B, (np.exp(1j * identified.omega * DT) - 1.0) / DT)
     drawn, axes = panels(2, 4, (12, 6))
-    measured, ahead = predicted(found)
+    measured, ahead = predicted(identified)
     seconds = DT * np.arange(10 * measured.shape[2])
     for top, below, (name, state, command) in zip(
         *axes, (("w", 2, 0), ("r", 5, 1), ("q", 4, 2), ("p", 3, 3)), strict=True
     ):
-        used = found.used[:, state]
-        top.loglog(found.omega[used], np.abs(found.H[used, state, command]), "C0.", ms=3, label="measured")
-        top.loglog(found.omega, np.abs(model[:, state, command]), "C1", lw=1.0, label="model")
+        used = identified.used[:, state]
+        top.loglog(identified.omega[used], np.abs(identified.H[used, state, command]), "C0.", ms=3, label="measured")
+        top.loglog(identified.omega, np.abs(model[:, state, command]), "C1", lw=1.0, label="model")
         top.set(title=f"{name} by {INPUTS[command]}", xlabel="rad/s")
         below.plot(seconds, measured[command, :10, :, state].ravel(), "C0", lw=0.8, label="measured")
         below.plot(seconds, ahead[command, :10, :, state].ravel(), "C1", lw=0.8, label=f"model, {AHEAD_S:g} s ahead")
@@ -266,7 +267,7 @@ def claims(numbers: dict) -> tuple[Claim, ...]:
     """The paper's claim about its model."""
     hold, error = numbers["intervals_hold"], numbers["median_error"]
     verdict = graded(hold >= 0.9 and error < 0.05, hold >= 0.7)
-    model, own = (numbers["accuracy"][name] for name in ("model", "simulator"))
+    model, simulator = (numbers["accuracy"][name] for name in ("model", "simulator"))
     percents = {"median_percent": 100 * error, "coherent_percent": 100 * numbers["coherent"]}
-    percents |= {"least_percent": 100 * min(model.values()), "simulator_percent": 100 * min(own.values())}
+    percents |= {"least_percent": 100 * min(model.values()), "simulator_percent": 100 * min(simulator.values())}
     return reproduction.claims("aesmf", {"identified": verdict}, **numbers, **percents)

@@ -1,4 +1,4 @@
-"""Feedback linearisation with the filter's coefficients: how the paper flies its hardware-in-the-loop tests (figures 4 and 5).
+"""Feedback linearisation with the filter's coefficients, as in the paper's hardware-in-the-loop tests (figures 4 and 5).
 
 The wanted accelerations nu of climb, roll, pitch and yaw are inverted through the model, one step of Newton's method from trim:
 
@@ -63,21 +63,21 @@ def flight(estimator=None, seed: int = 0):
 
 def numbers(flights) -> dict:
     """Largest rates [rad/s] before the fault and from SETTLE_S after it, with the filter's coefficients and without."""
-    found = {}
+    largest = {}
     for name, x in zip(("with_coefficients", "without"), flights, strict=True):
         rates = np.abs(x[:, 3:])
         after = rates[FAULT_STEP + round(SETTLE_S / DT) :].max(axis=0)
-        found[name] = {
+        largest[name] = {
             "rates_before": rates[100:FAULT_STEP].max(axis=0),
             "rates_after": after,
             "velocity_after": np.abs(x[FAULT_STEP + round(SETTLE_S / DT) :, :3]).max(),
             "stable": bool(after.max() < STABLE),
         }
-    return found
+    return largest
 
 
 def claims(numbers: dict) -> tuple[Claim, ...]:
-    """The paper's use of it."""
+    """The paper's claim about it."""
 
     def text(one):
         if one["velocity_after"] > LOST:

@@ -1,4 +1,4 @@
-"""The classical fourth-order rule of Runge and Kutta, by which the studies' truth moves."""
+"""The classical fourth-order Runge-Kutta rule, by which the studies' truth is integrated."""
 
 from __future__ import annotations
 

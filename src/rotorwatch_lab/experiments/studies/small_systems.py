@@ -1,4 +1,4 @@
-"""Small plants with the nastiest noise that bounds allow: does a set-membership filter's set ever lose the truth?
+"""Small plants with worst-case bounded noise: does a set-membership filter's set ever lose the truth?
 
 At each step the noise lies on the bound's surface and pushes the truth away from the set's centre as the ellipsoid measures it,
 w = Q p / sqrt(p'Qp) with p = P^-1 (z - a); measurement errors lie on their bound, away from the truth or at random. theta stays,
@@ -98,7 +98,7 @@ def escapes(system, seeds: int, process=1.0, drift=(0.0, 0.0), **changes) -> int
 
 @functools.cache
 def _program(kind, changes):
-    """Of (first, noise, drive, process, drift, allowed): (seeds, STEPS) whether the truth is outside; one for a plant and a mode."""
+    """Compiled (first, noise, drive, process, drift, allowed) -> (seeds, STEPS) True where the truth is outside; one per plant and mode."""
     jax = load_jax()
     jnp, lax = jax.numpy, jax.lax
     system = kind()
@@ -139,7 +139,7 @@ def _program(kind, changes):
 
 
 def adversarial_escapes(seeds: int) -> int:
-    """Of all rigorous modes together, on both plants: the guarantee says 0."""
+    """Escapes of all rigorous modes together, on both plants: 0 is guaranteed."""
     return sum(
         escapes(system, seeds, drift=drift, **mode)
         for system in (VanDerPol(), Pendulum())
@@ -149,7 +149,7 @@ def adversarial_escapes(seeds: int) -> int:
 
 
 def mutation_escapes(seeds: int) -> dict[str, int]:
-    """Of deliberately wrong filters: each must lose the truth, or the gate proves nothing."""
+    """Escapes of deliberately wrong filters: each must lose the truth, or the check proves nothing."""
     return {
         name: sum(escapes(system, seeds, **change) for system in (VanDerPol(), Pendulum()))
         for name, change in MUTATIONS.items()

@@ -62,7 +62,7 @@ class AsPrinted:
         )
 
     def step(self, carry: Carry, u, y) -> tuple[Carry, Array]:
-        """One time step with input u (n_u,) and measurement y (n_y,); returns the carry and gamma (n_theta,)."""
+        """Predict and update with input u (n_u,) and measurement y (n_y,); returns the carry and gamma (n_theta,)."""
         import jax
         from jax import numpy as jnp
 

@@ -1,4 +1,4 @@
-"""The hovering UAF-02E whose motors weaken: truth and closed loop, made without anything that the estimators use.
+"""The hovering UAF-02E with weakening motors: truth and closed loop, independent of the estimators' code.
 
 The rigid body turns by quaternion and is integrated by Runge-Kutta's fourth-order rule at a quarter of the control step; the
 controller, which the paper leaves open, is a cascade of PID loops on the true state that keeps the vehicle 1 m above ground.

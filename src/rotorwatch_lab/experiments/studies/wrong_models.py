@@ -1,4 +1,4 @@
-"""The intermediate observer whose model is wrong: mass, inertia, thrust and drag factors, wind; errors beside the bound of theorem 1.
+"""The intermediate observer with model errors: mass, inertia, thrust and drag factors, wind; errors compared with the bound of theorem 1.
 
 Each vehicle holds its place for 35 s and loses 20 % of motor 3 after 15 s; controller and observer take it for the printed one. What
 the model does not say is the paper's disturbance xi, so the theorem holds for it with a larger theta_1:
@@ -58,14 +58,13 @@ def grid(file: dict, watch: Callable, gains: tuple[float, float], epsilon: float
     gamma = np.zeros((len(cases), SAMPLES, 4))
     gamma[:, ONSET:] = LOSS
     wind = np.stack([_wind(5.0 if kind == "all" else size * (kind == "wind")) for kind, size in cases])
-    air = np.array(
-        [DRAG * (kind in ("wind", "all")) for kind, _ in cases]
-    )  # still air would be a disturbance of its own
+    # Drag in still air would be a disturbance of its own.
+    air = np.array([DRAG * (kind in ("wind", "all")) for kind, _ in cases])
     u, y = hover_flights.uncertain(known, [_real(file, *case) for case in cases], gamma, wind, air, LEVER)
-    theta, found, x = watch(u, y)
+    theta, faults, x = watch(u, y)
     fault, xi = unmodelled(known, u, y, gamma)
     flights = {
-        str(k): (y[k] - x[k], fault[k] - found[k, :, 4:], fault[k], xi[k], (1, ONSET + 1)) for k in range(len(u))
+        str(k): (y[k] - x[k], fault[k] - faults[k, :, 4:], fault[k], xi[k], (1, ONSET + 1)) for k in range(len(u))
     }
     bounds = error_bound.compare(flights, 1.0, gains, epsilon)["flights"]
     off = np.abs(theta - gamma).max(axis=2)
@@ -84,7 +83,7 @@ def grid(file: dict, watch: Callable, gains: tuple[float, float], epsilon: float
 
 
 def unmodelled(known: Craft, u, y, gamma) -> tuple[np.ndarray, np.ndarray]:
-    """fault and xi (N, T, 4) [rad/s^2, m/s^2 down]: what rotors lack by the known model, and all else that it does not say. Means over a
+    """fault and xi (N, T, 4) [rad/s^2, m/s^2 down]: wrench deficit by the known model, and all other unmodelled accelerations. Means over a
     sample each, from the rates at its ends."""
     down = np.array([1.0, 1.0, 1.0, -1.0])
     DM = known.D[:, None] * known.M * down[:, None]
@@ -94,51 +93,51 @@ def unmodelled(known: Craft, u, y, gamma) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _real(file: dict, kind: str, size: float) -> Craft:
-    """The vehicle that is flown."""
-    more = 1.0 + size
+    """The simulated vehicle."""
+    factor = 1.0 + size
     changes: dict[str, dict] = {
-        "mass": {"mass": more * file["mass"]},
-        "inertia": {"inertia": [more * v for v in file["inertia"]]},
-        "thrust": {"thrust_max": more * file["thrust_max"], "drag_ratio": file["drag_ratio"] / more},
-        "drag factor": {"drag_ratio": more * file["drag_ratio"]},
+        "mass": {"mass": factor * file["mass"]},
+        "inertia": {"inertia": [factor * v for v in file["inertia"]]},
+        "thrust": {"thrust_max": factor * file["thrust_max"], "drag_ratio": file["drag_ratio"] / factor},
+        "drag factor": {"drag_ratio": factor * file["drag_ratio"]},
         "all": {
             "mass": 1.05 * file["mass"], "inertia": [1.2 * v for v in file["inertia"]],
             "thrust_max": 0.95 * file["thrust_max"], "drag_ratio": file["drag_ratio"] / 0.95,
         },
     }  # fmt: skip
-    one = craft({**file, **changes.get(kind, {})})
-    return replace(one, M=one.M * np.array([1.0, more, 1.0, 1.0])) if kind == "one thrust" else one
+    vehicle = craft({**file, **changes.get(kind, {})})
+    return replace(vehicle, M=vehicle.M * np.array([1.0, factor, 1.0, 1.0])) if kind == "one thrust" else vehicle
 
 
 def _wind(speed: float) -> np.ndarray:
-    """(SAMPLES, 3) m/s."""
+    """(SAMPLES, 3) wind [m/s]."""
     t = DT * np.arange(SAMPLES)
     gusts = GUST * np.stack([np.sin(2 * np.pi * hz * t + k) for k, hz in enumerate(GUST_HZ)], axis=1)
     return speed * np.minimum(t / 2.0, 1.0)[:, None] * (np.array([1.0, 0.0, 0.0]) + gusts)
 
 
-def worst(found: dict, kind: str, size: float | None = None) -> float:
+def worst(result: dict, kind: str, size: float | None = None) -> float:
     """The largest error of a loss, with 20 % of motor 3 lost or none, of one kind of error (of that size)."""
-    rows = [r for r in found["rows"] if r["wrong"] == kind and size in (None, r["size"])]
+    rows = [r for r in result["rows"] if r["wrong"] == kind and size in (None, r["size"])]
     return max(max(r["healthy"], r["weak"]) for r in rows)
 
 
 def said(row: dict) -> str:
-    """What is wrong in a row of the grid, in words."""
+    """Description of the model error in a row of the grid."""
     unit = {"wind": f" {row['size']:g} m/s", "nothing": "", "all": ""}
     return WORDS[row["wrong"]] + unit.get(row["wrong"], f" {100 * row['size']:+.0f} %")
 
 
-def claims(found: dict) -> tuple[Claim, ...]:
-    """Bounded, and accurate, with a model that is wrong."""
-    rows = found["rows"]
+def claims(result: dict) -> tuple[Claim, ...]:
+    """Claims: errors are bounded, and losses accurate, despite model errors."""
+    rows = result["rows"]
     held = sum(row["held"] for row in rows)
-    off = {kind: worst(found, kind) for kind in GRID}
+    off = {kind: worst(result, kind) for kind in GRID}
     ten = {
-        kind: worst(found, kind, size)
+        kind: worst(result, kind, size)
         for kind, size in (("mass", 0.1), ("thrust", -0.1), ("one thrust", -0.1), ("wind", 5.0))
     }
-    shown = {
+    examples = {
         kind: next(r for r in rows if (r["wrong"], r["size"]) == (kind, size))
         for kind, size in (("mass", 0.1), ("wind", 5.0))
     }
@@ -147,10 +146,10 @@ def claims(found: dict) -> tuple[Claim, ...]:
         "uncertain_bounded": graded(held == len(rows)),
         "uncertain_losses": graded(max(off.values()) < BAND, harmless),
     }
-    return reproduction.claims("intermediate", verdicts, held=held, of=len(rows), off=off, ten=ten, shown=shown)
+    return reproduction.claims("intermediate", verdicts, held=held, of=len(rows), off=off, ten=ten, shown=examples)
 
 
-def table(found: dict) -> Table:
+def table(result: dict) -> Table:
     """A row for every case."""
     head = (
         "what is wrong",
@@ -161,26 +160,26 @@ def table(found: dict) -> Table:
         "with the best epsilon",
     )
     rows = []
-    for r in found["rows"]:
+    for r in result["rows"]:
         settled = "never" if r["settle_s"] is None else f"{r['settle_s']:.1f}"
         sizes = (f"{r[key]:.2g}" for key in ("error", "bound", "bound_best_epsilon"))
         rows.append((said(r), f"{max(r['healthy'], r['weak']):.3f}", settled, *sizes))
-    held = sum(bool(r["held"]) for r in found["rows"])
+    held = sum(bool(r["held"]) for r in result["rows"])
     title = "Wrong models, healthy and with 20 % of motor 3 lost: errors beside the bound of theorem 1, held in"
     return Table(f"{title} {held} of {len(rows)}", head, rows)
 
 
-def figure(found: dict):
+def figure(result: dict):
     """Errors of the losses by what is wrong, and all errors against the bound. Needs matplotlib."""
     drawn, ((left, right),) = panels(1, 2, (9, 3.6))
     for kind in ("mass", "thrust", "one thrust", "inertia", "drag factor"):
-        rows = [r for r in found["rows"] if r["wrong"] in (kind, "nothing") and abs(r["size"]) <= 0.5]
+        rows = [r for r in result["rows"] if r["wrong"] in (kind, "nothing") and abs(r["size"]) <= 0.5]
         rows.sort(key=lambda r: r["size"])
         left.plot([100 * r["size"] for r in rows], [r["weak"] for r in rows], "o-", ms=3, lw=1, label=WORDS[kind])
     left.set(xlabel="error of the model, %", ylabel="largest error of a loss", ylim=(0, 0.42))
     left.legend(fontsize="small", loc="upper center")
     for kind in GRID:
-        rows = [r for r in found["rows"] if r["wrong"] == kind]
+        rows = [r for r in result["rows"] if r["wrong"] == kind]
         right.loglog([max(r["bound"], 1e-3) for r in rows], [r["error"] for r in rows], "o", ms=4, label=WORDS[kind])
     ends = np.array([1e-2, 1e3])
     right.loglog(ends, ends, "k--", lw=1, label="bound")

@@ -31,7 +31,7 @@ ACTUATORS = 4
 
 
 class Plan(NamedTuple):
-    """One flight as numbers. mass [kg], payload included; lag [s]; altitude [m]; faults: rotors stand for the four actuators."""
+    """Numbers of one flight. mass [kg], payload included; lag [s]; altitude [m]; faults: rotors stand for the four actuators."""
 
     mass: Array
     lag: Array
@@ -44,11 +44,8 @@ class Plan(NamedTuple):
     seed: Array
 
 
-class Actuators(NamedTuple):
+class Actuators(namedtuple("Actuators", "U held")):
     """U (4,): where they are; held (4,): where they were when they jammed; both in [0, 1]."""
-
-    U: Array
-    held: Array
 
 
 class Record(namedtuple("Record", "time p v q omega rates accel command actuators theta wind flies")):
@@ -118,19 +115,21 @@ class HelicopterAircraft:
         target, integral = control.outer(plan.pilot, reference, state.body, state.integral, dt)
         return Moment(target, Air(blowing, turning, 0.0 * reference.yaw)), integral
 
-    def step(self, plan: Plan, now: Moment, t, body: Body, gyro, loops: Loops, own: Actuators, dt: float) -> tuple:
+    def step(
+        self, plan: Plan, now: Moment, t, body: Body, gyro, loops: Loops, actuators: Actuators, dt: float
+    ) -> tuple:
         """Inner loops and allocation, faults, actuators and body."""
         jnp = load_jax().numpy
         system = dynamics.plant(airframes.paper(self.frame), plan.mass)
         command, loops = control.inner(plan.pilot, now.target, body.q, gyro, loops, dt)
-        theta = theta_of(plan.faults, faults.strength(plan.faults, t), own.held)
+        theta = theta_of(plan.faults, faults.strength(plan.faults, t), actuators.held)
         driven = system.outputs(command, theta)
-        body, U, force = dynamics.step(system, body, own.U, driven, plan.lag, now.air, dt)
-        held = jnp.where(theta[:ACTUATORS] >= 1.0, own.held, U)
+        body, U, force = dynamics.step(system, body, actuators.U, driven, plan.lag, now.air, dt)
+        held = jnp.where(theta[:ACTUATORS] >= 1.0, actuators.held, U)
         return body, loops, Actuators(U, held), force, (command, theta)
 
     def end(self, plan: Plan, now: Moment, before: State, after: State, seen, last, dt: float) -> tuple[State, Record]:
-        """Whether it met the ground: there it stays."""
+        """End of a tick: detects ground contact; from then on the helicopter stays there."""
         jax = load_jax()
         jnp = jax.numpy
         flies = jnp.where(after.body.p[2] >= 0.0, 0.0, before.flies)

@@ -1,7 +1,7 @@
 """The helicopter's autopilot: the multirotor's cascade of loops (`simulation.control`), and an allocation to four actuators.
 
-Position, velocity, attitude and rate loops reference for a specific force along the mast and three angular accelerations; the
-linearised plant in trim says which collective, tail and cyclic commands give them:
+Position, velocity, attitude and rate loops demand a specific force along the mast and three angular accelerations; the plant, linearised
+in trim, gives the collective, tail and cyclic commands:
 
     U = U_trim + M^-1 (f_z - f_z,trim, dp/dt, dq/dt, dr/dt),      M = d(f_z, dp/dt, dq/dt, dr/dt) / dU
 

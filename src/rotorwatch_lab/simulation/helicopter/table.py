@@ -39,15 +39,15 @@ def columns(scenario: Scenario, plan: Plan, record: Record) -> dict[str, np.ndar
     # The main rotor turns with one speed: its imbalance is felt once per turn.
     angle = 2.0 * np.pi * float(sensed.full_turns) * record.time[:, None]
     shaking = sensors.vibration(np.full(angle.shape, float(sensed.shake)), angle)
-    found = {"time_s": record.time[rows]}
-    found |= {f"motor_{k + 1}": record.command[rows, k] for k in range(ACTUATORS)}
+    table = {"time_s": record.time[rows]}
+    table |= {f"motor_{k + 1}": record.command[rows, k] for k in range(ACTUATORS)}
     for name, values, sd in sensors.readings(sensed, record, shaking, rng):
         logged = values[rows]
         if sd is not None:
             logged = logged + float(sd) * rng.standard_normal(logged.shape)
         column, axes = COLUMNS[name]
-        found |= {column.format(axis): logged[:, k] for k, axis in enumerate(axes)}
-    return found
+        table |= {column.format(axis): logged[:, k] for k, axis in enumerate(axes)}
+    return table
 
 
 def flight(scenario: Scenario, plan: Plan, record: Record) -> Flight:
@@ -57,14 +57,14 @@ def flight(scenario: Scenario, plan: Plan, record: Record) -> Flight:
 
 def write(scenario: Scenario, plan: Plan, record: Record, path: Path) -> None:
     """Write the table as .csv or .parquet. Raises ConfigError for other endings."""
-    found = columns(scenario, plan, record)
+    table = columns(scenario, plan, record)
     if path.suffix.lower() == ".parquet":
         parquet = optional.library("pyarrow.parquet", "Parquet")
         import pyarrow
 
-        parquet.write_table(pyarrow.table(found), path)
+        parquet.write_table(pyarrow.table(table), path)
     elif path.suffix.lower() == ".csv":
-        truth.write_csv(path, list(found), np.column_stack(list(found.values())))
+        truth.write_csv(path, list(table), np.column_stack(list(table.values())))
     else:
         raise ConfigError(
             f"{path.name}: a helicopter's flight is a .csv or .parquet table; an autopilot's log would hold servo pulses behind a "
@@ -75,6 +75,6 @@ def write(scenario: Scenario, plan: Plan, record: Record, path: Path) -> None:
 def write_truth(scenario: Scenario, plan: Plan, record: Record, stem: Path) -> tuple[Path, Path]:
     """Write what only the simulator knows, as STEM.truth.json and STEM.truth.csv; returns both paths."""
     theta = [f"{what}_{name}" for what in ("loss", "bias") for name in NAMES]
-    last = {name: round(float(v), 6) for name, v in zip(theta, record.theta[-1], strict=True)}
+    final = {name: round(float(v), 6) for name, v in zip(theta, record.theta[-1], strict=True)}
     series = {" ".join(f"actuator_{name}" for name in NAMES): record.actuators, " ".join(theta): record.theta}
-    return truth.write(scenario, record, stem, {"last_theta": last, "mass_kg": float(plan.mass)}, series)
+    return truth.write(scenario, record, stem, {"last_theta": final, "mass_kg": float(plan.mass)}, series)
