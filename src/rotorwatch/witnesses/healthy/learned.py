@@ -1,4 +1,4 @@
-"""What healthy flights of one build say of it, as its description carries it: how each hovered, and what the default estimator learned."""
+"""Data of a build from its healthy flights, as its description carries them: the hover of each, and the default estimator's parameters."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 
 def learned(kept: Sequence[Candidate], dynamics: Callable | None = None) -> Vehicle:
-    """The vehicle of flights that `baselines.healthy` has let pass; as `calibrate` returns it."""
+    """The vehicle of flights that `baselines.healthy` has accepted; as `calibrate` returns it."""
     reference = kept[0].vehicle
     identified = _identified(kept)
-    known = (dynamics or learn)([one.table for one in kept if one.table is not None], reference.effectiveness())
-    if known:
-        identified["dynamics"] = dict(known)
+    dynamics_ = (dynamics or learn)([one.table for one in kept if one.table is not None], reference.effectiveness())
+    if dynamics_:
+        identified["dynamics"] = dict(dynamics_)
     names = ", ".join(one.name for one in kept)
     source = f"{reference.source}; calibrated on {names}" if reference.source else f"calibrated on {names}"
     assumptions = (*reference.assumptions, *_assumptions(kept))
@@ -33,7 +33,7 @@ def learned(kept: Sequence[Candidate], dynamics: Callable | None = None) -> Vehi
 def _identified(kept: Sequence[Candidate]) -> dict:
     """Everything but the dynamics; plain floats and lists."""
     tables = [one.features for one in kept]
-    found: dict = {
+    identified: dict = {
         "flights": len(kept),
         "airborne_s": float(sum(end - start for one in kept for start, end in one.air)),
         "steady_s": float(sum(t.seconds for t in tables)),
@@ -41,31 +41,31 @@ def _identified(kept: Sequence[Candidate]) -> dict:
     usable = [t for t in tables if t.usable]
     if usable:
         share = np.average([t.share for t in usable], axis=0, weights=[t.seconds for t in usable])
-        found["hover"] = float(share.mean())
-        found["thrust_offset"] = [float(v) for v in share / share.mean() - 1.0]
-    found["whole_flight"] = [t.to_dict() for t in tables]
-    return found
+        identified["hover"] = float(share.mean())
+        identified["thrust_offset"] = [float(v) for v in share / share.mean() - 1.0]
+    identified["whole_flight"] = [t.to_dict() for t in tables]
+    return identified
 
 
 def _assumptions(kept: Sequence[Candidate]) -> list[str]:
-    """Sentences on what calibration takes for granted."""
+    """Sentences on the assumptions of a calibration."""
     count, tables = len(kept), [one.features for one in kept]
     which = f"The {count} calibration flights were" if count > 1 else "The calibration flight was"
-    said = [
+    sentences = [
         f"{which} healthy and of the same build, payload and battery type.",
         "The hover command is the mean of these flights, at their battery voltages.",
     ]
-    said += [
+    sentences += [
         f"{one.name} does not hover: of it only the airframe is used."
         for one in kept
         if aerobatic.applies(one.flight, one.table)
     ]
     short = (t.name or "A calibration flight" for t in tables if not t.usable)
-    said += [f"{name} has too little steady hover to be compared with." for name in short]
+    sentences += [f"{name} has too little steady hover to be compared with." for name in short]
     if sum(t.usable for t in tables) < whole_flight.MANY_FLIGHTS:
-        said.append(
+        sentences.append(
             "With few calibration flights the spread between healthy flights is mostly assumed: "
             f"{100 * whole_flight.CENTRE_SD:.1f} % of an arm length for the centre of mass, "
             f"{100 * whole_flight.THRUST_SD:.0f} % for the thrust that all rotors need together."
         )
-    return said
+    return sentences
