@@ -1,7 +1,5 @@
-"""The story of a loss of control in the order of time: the last good moment, the initiating event, the loss of control, how it ended, and
-what else is to be told, as what the autopilot itself reported. It is of the first loss of control of a flight; a flight without one has no
-story.
-"""
+"""The sequence of a loss of control in order of time: the last normal state, the initiating event, the loss of control, its end, and other
+notices, such as the autopilot's reports. It describes the first loss of control of a flight; a flight without one has no story."""
 
 from __future__ import annotations
 
@@ -11,9 +9,9 @@ from rotorwatch.answer.wording import candidates, rotors, said, seconds, sentenc
 from rotorwatch.flight.diagnosis import Event, StoryLine
 from rotorwatch.flight.kinds import LOST, Span, Weight
 
-FIRST_S = 3.0  # after lift-off: the vehicle never flew well, and the last good moment is that it stood
-SOON_S = 0.1  # a tick of slow logs: moments closer than this count as one
-# Causes that clear the rotors: {who} are all of them, {when} is until when they were seen to work.
+FIRST_S = 3.0  # after lift-off: the vehicle never flew normally, and its last normal state is on the ground
+SOON_S = 0.1  # a tick of slow logs: closer times count as one
+# Causes that clear the rotors: {who}: all of them; {when}: until when they were seen to work.
 FOLLOWED = "{who} followed their commands until {when}"
 CLEARED = {
     "disarmed": f"{FOLLOWED}, when the motors were disarmed in the air.",
@@ -67,7 +65,7 @@ def _told_beside(event: Event) -> bool:
 
 
 def initiating_event(events: Sequence[Event], main: int | None) -> Event | None:
-    """The event with which it began: the main one when it came before control was lost, else the first that lasted until then."""
+    """The event that started the sequence: the main one when it came before control was lost, else the first that lasted until then."""
     lost = next((e for e in events if e.kind == LOST), None)
     if lost is None:
         return None
@@ -79,7 +77,7 @@ def initiating_event(events: Sequence[Event], main: int | None) -> Event | None:
 
 
 def _may_begin(event: Event) -> bool:
-    """A motor that lost step for a moment came back."""
+    """Whether an event may start it: a momentary desync is over."""
     return event.means.accuses and event.means.span is not Span.SPELLS
 
 
@@ -89,7 +87,7 @@ def _initiating_sentence(event: Event, lost: Event, places: Sequence[str]) -> st
 
 
 def _no_rotor(lost: Event, n: int, places: Sequence[str]) -> str:
-    """The sentence on the rotors where no event accuses one."""
+    """The sentence on the rotors where no event names one."""
     if lost.alternatives:
         return f"At {seconds(lost.onset_s)} {' or '.join(rotors(a, places) for a in lost.alternatives)} may have failed, or something else."
     if lost.rotors:
@@ -111,7 +109,7 @@ def _lost(lost: Event, when: float, first: Event | None, n: int) -> str:
     named = frozenset() if first is None else first.suspects
     other = not named & lost.suspects
     if first is not None and lost.extra.get("cause") in CLEARED and other:
-        text += f" {_cleared(lost, n)}"  # what had begun before is not why
+        text += f" {_cleared(lost, n)}"  # an earlier event is not the cause
     return text
 
 

@@ -38,8 +38,7 @@ def sagged(flight: Flight, moment: float) -> bool | None:
 
 def unexplained(flight: Flight, moment: float, start: float, end: float) -> np.ndarray | None:
     """Voltage deficit [V] of each sample between `start` and `end` s, beyond its current and the limit SAG, by a fit to the flight before
-    `moment`
-    s; None where no current is logged.
+    `moment` s; None where no current is logged.
 
     The fit is E + D t - R I: a controller that compensates a dead rotor draws twice the current, and the voltage sags by that."""
     battery = flight["battery"]
@@ -67,8 +66,7 @@ def unexplained(flight: Flight, moment: float, start: float, end: float) -> np.n
 
 def collapse(flight: Flight, air: Spans) -> tuple[float, float, float] | None:
     """(onset [s], lowest voltage, usual voltage [V]) of the first unexplained voltage drop in the flights `air` that lasted LASTS_S or to
-    the
-    flight's end; None where there was none, or it is unknown."""
+    the flight's end; None where there was none, or it is unknown."""
     for start, end in air if flight.has("battery") else ():
         battery = flight["battery"].between(start, end)
         ok = battery.valid[:, 0]

@@ -73,12 +73,10 @@ def find(
     table: Ticks, B: np.ndarray, dynamics=None
 ) -> tuple[tuple[ExcitationEvidence, ...], ExcitationEvidence | None, tuple[Event, ...]]:
     """The excitations of a flight, in order; `trim` before the first of them; and the losses known by then. table: its ticks; B (4, n);
-    dynamics:
-    learned from the vehicle's healthy flights.
+    dynamics: learned from the vehicle's healthy flights.
 
     Gains and noise are those of the default estimator when the first excitation began: from the response of weak rotors it would learn
-    wrong
-    gains."""
+    wrong gains."""
     N = excitation.null_space(B)
     full = table.thrust * table.hover[:, None]
     usable = (table.mode == JUDGE) & table.valid[:, 3] & (full < AT_LIMIT).all(axis=1) & (full > 0.0).all(axis=1)
@@ -103,8 +101,7 @@ def find(
 
 def trim(carry, out, table: Ticks, B: np.ndarray) -> ExcitationEvidence | None:
     """Change of the trim wrench since the flight was first judged, as information on losses that began since then; its uncertainty is that
-    of the
-    wrench after a loss, and of this flight's random disturbances. None where nothing was judged."""
+    of the wrench after a loss, and of this flight's random disturbances. None where nothing was judged."""
     lacking, sd = shift(carry, out, table)
     if lacking is None:
         return None
@@ -171,8 +168,7 @@ def _spans(table: Ticks, responses: np.ndarray) -> list[tuple[int, int]]:
 
 class _Model(NamedTuple):
     """left (T,): e; more (T, n): factor on q of the thrust that the lower rotors of coaxial arms add, per unit of their uncertain share,
-    whose
-    standard deviation is sd; noise."""
+    whose standard deviation is sd; noise."""
 
     left: np.ndarray
     more: np.ndarray
@@ -282,8 +278,7 @@ def shares(
     before: ExcitationEvidence | None = None,
 ) -> dict[tuple[int, ...], float]:
     """Probability of each set of weak rotors (0-based; (): none): the named ones, with the losses (n,) that hover gives them, all single
-    rotors and
-    all pairs. before: the trim, which a loss since then has changed and an older one has not."""
+    rotors and all pairs. before: the trim, which a loss since then has changed and an older one has not."""
     logs: dict[tuple[int, ...], float] = {(): 0.0}
     for who in (*combinations(range(n), 1), *combinations(range(n), 2)):
         old = evidence(responses, who, prior(who, n))[0]
@@ -302,8 +297,7 @@ def shares(
 
 def candidates(event: Event, B: np.ndarray) -> dict[tuple[int, ...], np.ndarray]:
     """The sets of rotors (0-based) that may explain an event, each with the losses (n,) that explain the deficit of thrust and moment in
-    hover, by
-    non-negative least squares. B (4, n)."""
+    hover, by non-negative least squares. B (4, n)."""
     n = B.shape[1]
     lacking = B[:, [r - 1 for r in event.rotors]] @ np.array(event.loss)
     found = {}
@@ -320,8 +314,7 @@ def candidates(event: Event, B: np.ndarray) -> dict[tuple[int, ...], np.ndarray]
 
 class Question(NamedTuple):
     """Input to the design of an excitation, from a log. candidates: sets of rotors (0-based; (): none) and their losses (n,); hover (n,):
-    commands,
-    shares of full thrust; noise and gain (3,) as in `excitation.design`; dt [s] of a tick."""
+    commands, shares of full thrust; noise and gain (3,) as in `excitation.design`; dt [s] of a tick."""
 
     candidates: dict[tuple[int, ...], np.ndarray]
     hover: np.ndarray
@@ -332,8 +325,7 @@ class Question(NamedTuple):
 
 def question(sets: dict[tuple[int, ...], np.ndarray], carry, table: Ticks, B: np.ndarray) -> Question:
     """The sets of rotors (`candidates` or `suspects`, or none) that an excitation has to distinguish. carry: of the default estimator after
-    the
-    ticks of `table`."""
+    the ticks of `table`."""
     flying = table.mode == JUDGE
     late = flying & (table.time > table.time[flying][-1] - HOVER_S)
     hover = (table.thrust * table.hover[:, None])[late].mean(axis=0)
@@ -349,8 +341,7 @@ def resolve(
 
     Ambiguous events are resolved where an excitation after them shows which rotors it was, and so are those announced during an excitation
     (weak rotors respond to it by apparent jumps of others); losses that only an excitation shows are added. Without an excitation the
-    events
-    are unchanged. table, B, dynamics: as for `find`."""
+    events are unchanged. table, B, dynamics: as for `find`."""
     responses, before, known = find(table, B, dynamics)
     if not responses:
         return tuple(events), ()
@@ -394,8 +385,7 @@ def _unseen(
     responses: Sequence[ExcitationEvidence], before: ExcitationEvidence | None, B: np.ndarray
 ) -> tuple[Event | None, str]:
     """The loss that only the excitations show, from since the flight was judged (the trim `before` has then changed as well) or from
-    before;
-    otherwise None and, where that is certain, the sentence that there is none."""
+    before; otherwise None and, where that is certain, the sentence that there is none."""
     n = B.shape[1]
     posterior = shares(responses, {}, n, before)
     best, share = next(iter(posterior.items()))

@@ -2,14 +2,12 @@
 
 The estimator learns a vehicle's trim, gains and noise in the blind time and so takes a rotor that fails there as normal. After the flight
 gains and noise are known. The same estimator then runs again over the first seconds of each hop, judging from the end of the first second
-in
-the air on, with the biases open as for any multirotor. Nothing else differs: a loss announced there is a regular event.
+in the air on, with the biases open as for any multirotor. Nothing else differs: a loss announced there is a regular event.
 
 Four conditions are physics. Damage by a knock looks like any loss, and the motion after it is the knock's: the second pass ends there, and
 where the vehicle is upset. A loss lasts: one that ends before the second pass does was a gust, or the end of ground effect. A hop that
-hovers
-at less than half of the command of another is on the ground. And while the rotors give clearly less thrust than carries the vehicle later,
-the ground carries the rest, and takes torques as well: the second pass begins when they carry all of it.
+hovers at less than half of the command of another is on the ground. And while the rotors give clearly less thrust than carries the vehicle
+later, the ground carries the rest, and takes torques as well: the second pass begins when they carry all of it.
 """
 
 from __future__ import annotations
@@ -51,8 +49,7 @@ def learned(carry, B: np.ndarray) -> dict:
 
 def beginnings(ticks: Ticks) -> Ticks | None:
     """The first ticks of each hop once it is clear of the ground, all judged: its blind time and LOOK_S more, up to a knock or an upset;
-    None
-    without any. A hop without ticks after its blind time is left out: nothing shows that an event in it lasted."""
+    None without any. A hop without ticks after its blind time is left out: nothing shows that an event in it lasted."""
     stops = ticks.upset if ticks.contact is None else ticks.upset | ticks.contact
     keep, restart = np.zeros(len(ticks.time), bool), np.zeros(len(ticks.time), bool)
     for flying, blind in _hops(ticks):

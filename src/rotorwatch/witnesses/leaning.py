@@ -1,9 +1,8 @@
 """Contact with an obstacle: a lasting force in the rotor plane, and a lasting torque, that neither air nor a rotor causes.
 
 A knock begins within a tick; an obstacle that a vehicle is flown against, a tether or a hand may take seconds. Air pushes a hovering
-vehicle,
-too, but without a torque of more than two rotors' thrust; a lost rotor causes a smaller torque and no lateral force. Medians over `LASTS_S`
-are compared with those of `BEFORE_S` before, at rest over ground.
+vehicle, too, but without a torque of more than two rotors' thrust; a lost rotor causes a smaller torque and no lateral force. Medians over
+`LASTS_S` are compared with those of `BEFORE_S` before, at rest over ground.
 """
 
 from __future__ import annotations

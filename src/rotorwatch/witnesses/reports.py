@@ -1,6 +1,5 @@
 """Reports of the autopilot in flight: failsafes and results of its own checks; measured quantities beyond limits; and a log that ends in
-the
-air.
+the air.
 
 Each trouble is one claim, at its first report. It implicates no rotor and clears none: it is reported beside the events of the rotors, in
 order of time, and where control was lost those before it compete as causes (answer/falls.py). The texts and numbers are those of ArduPilot
@@ -42,8 +41,7 @@ INNOVATIONS = 1.0
 
 class Trouble(NamedTuple):
     """name: in `extra.trouble`. words: a clause that follows "the autopilot". says: pattern of its reports. late_s: time after a flight
-    within
-    which a report still belongs to it."""
+    within which a report still belongs to it."""
 
     name: str
     words: str

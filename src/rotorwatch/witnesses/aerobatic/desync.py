@@ -6,8 +6,8 @@ nothing from s to e, the innovation is
     z = - theta answer * (drive_i inside [s, e)) / scale + noise,      theta about 1, noise Student's t
 
 in all channels at once: its direction must be the rotor's, its size the command's, its shape the command's shape. A matched filter over
-(rotor, start, length) finds candidates; each gets its exact log likelihood ratio, with theta marginalized by its prior and the roughness
-of the air at that time estimated from the axes. With noise as modelled, exp of that ratio has mean 1 in a healthy flight, so a threshold of
+(rotor, start, length) finds candidates; each gets its exact log likelihood ratio, with theta marginalized by its prior and the roughness of
+the air at that time estimated from the axes. With noise as modelled, exp of that ratio has mean 1 in a healthy flight, so a threshold of
 log(windows in ten hours x rotors x lengths) is exceeded at most once in ten hours (bounds of Markov and Boole).
 
 A knock pushes in any direction: a separate size for each axis must not explain much more. A dead or weak motor is no desync: the rotor must
@@ -54,8 +54,7 @@ APART_S = 0.06  # closer ones are merged
 
 class Desync(NamedTuple):
     """A desync of rotor `rotor` (from 0), from start to end [s]. ratio: log likelihood ratio, above the threshold; size: share of the
-    command;
-    commanded: time for which the motor was commanded above idle [s]; others: rotors that explain it as well."""
+    command; commanded: time for which the motor was commanded above idle [s]; others: rotors that explain it as well."""
 
     rotor: int
     start: float
@@ -225,8 +224,7 @@ def _refined(
     """The most likely start and length near these, in windows; (0, 0) where no refinement can reach `least`.
 
     First the start, then the end, over half the length and over all of `lengths`: a falling speed makes the likelihood a narrow ridge, and
-    its
-    peak may be a part of a desync, or more than it. Then both by ever smaller steps."""
+    its peak may be a part of a desync, or more than it. Then both by ever smaller steps."""
 
     @functools.cache  # steps come by the same places again
     def value(s: int, n: int) -> float:

@@ -5,9 +5,8 @@ Windows become blocks of BLOCK_S: residual torque z (3,), thrust T (n,). A loss 
     z_a = trim_a + slope_a (sum T - mean) + B_ai T_i theta [k >= j] + noise_a
 
 Noise: as wide on each axis as the flight's own blocks scatter, with correlation ALIKE from block to block. The alternatives are steps of
-the
-trim in any direction, as air and payload cause. Each onset of each rotor has its marginal likelihood ratio; their sum is compared with the
-Shiryaev-Roberts threshold (engine/estimator/announcement.py), and must be CLEAR above that of the steps.
+the trim in any direction, as air and payload cause. Each onset of each rotor has its marginal likelihood ratio; their sum is compared with
+the Shiryaev-Roberts threshold (engine/estimator/announcement.py), and must be CLEAR above that of the steps.
 """
 
 from __future__ import annotations
@@ -87,8 +86,7 @@ class Weak(NamedTuple):
 
 class Look(NamedTuple):
     """Result of the blocks up to the last: statistic (above 0: announced); rotor, onset (block) of the most likely loss; share (n,) of each
-    rotor;
-    loss, sd (n,) of the rotors known to be weak; most (n,): upper bound of each rotor's loss."""
+    rotor; loss, sd (n,) of the rotors known to be weak; most (n,): upper bound of each rotor's loss."""
 
     statistic: float
     rotor: int
@@ -106,8 +104,7 @@ def flown_by_rates(flight: Flight) -> bool:
 
 def applies(flight: Flight, table: Ticks | None) -> bool:
     """Whether a flight of these ticks does not hover: its rotors hardly ever carry its weight, or it tumbles, and its log is fast enough to
-    show
-    its rotation. Without any motion in the log, the firmware decides."""
+    show its rotation. Without any motion in the log, the firmware decides."""
     if not flight.has("gyro") or table is None:
         return flown_by_rates(flight)
     fast = min(flight[name].rate_hz for name in ("motors", "gyro")) >= LEAST_HZ
@@ -121,8 +118,7 @@ def applies(flight: Flight, table: Ticks | None) -> bool:
 
 def decline(flight: Flight, why: str, vehicle: Vehicle | None = None) -> None:
     """Raise ConfigError where a method made for hover is applied to a flight that does not. why: end of the sentence; vehicle: as given,
-    None: as
-    the log names it."""
+    None: as the log names it."""
     if (
         flown_by_rates(flight)
         or min((flight[n].rate_hz for n in ("motors", "gyro") if flight.has(n)), default=0.0) >= LEAST_HZ
@@ -229,8 +225,7 @@ def _ratio(moment: np.ndarray, information: np.ndarray, sd: float) -> tuple[np.n
 
 def estimate(flight: Flight, vehicle: Vehicle, air: Spans, table: Ticks) -> tuple[Ticks, TickOutput]:
     """The ticks `table` as used here, and the outputs at them, in the default estimator's form. Where the flight is too short, or its
-    motion does
-    not respond to its outputs, no tick is judged."""
+    motion does not respond to its outputs, no tick is judged."""
     B = vehicle.effectiveness()
     out, seen = blank(len(table.time), list_hypotheses(B.shape[1])), respond(flight, vehicle, air)
     out.statistic[:], out.detectable[:] = NOTHING, 1.0 / WITHIN_95

@@ -32,8 +32,8 @@ class Response(NamedTuple):
     """K windows of 20 ms.
 
     time (K,) s, of their ends; thrust (K, n): share of full thrust, lagged; missing (K, 3): residual roll, pitch and yaw torque [full
-    thrusts
-    of a rotor on the longest arm], with trim; rate (K, 3) rad/s; flies (K,) bool. lag_s: of the motors; gain, damping, coupling (3,)."""
+    thrusts of a rotor on the longest arm], with trim; rate (K, 3) rad/s; flies (K,) bool. lag_s: of the motors; gain, damping, coupling
+    (3,)."""
 
     time: np.ndarray
     thrust: np.ndarray

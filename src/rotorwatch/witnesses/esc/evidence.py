@@ -41,8 +41,7 @@ def loss(
     source: Source = Source.ESC_STANDS,
 ) -> Event:
     """A loss of effectiveness that an ESC alone shows. size: most likely, least and largest loss; shares: probability of each cause, in the
-    order
-    of `ratios.PRIOR`; parts: as for `entry`; sentence: the evidence, to follow "says that"."""
+    order of `ratios.PRIOR`; parts: as for `entry`; sentence: the evidence, to follow "says that"."""
     causes = dict(zip(ratios.PRIOR, shares, strict=True))
     cause = max(causes, key=lambda name: causes[name])
     reason = f"the ESC of {rotors([rotor])} says that {sentence}so the cause is the {CAUSES[cause]}"

@@ -7,8 +7,8 @@ W^2, power with W^3; M. Drela, First-Order DC Electric Motor Model, MIT 2007). W
     log W_k^2 = a_k + b log f_k + c,        log I_k = alpha_k + beta log W_k + gamma
 
 with f_k the commanded share of full thrust; a_k, alpha_k are the rotor's own; b and beta are common to all (1 and about 3 when the
-autopilot's thrust curve is right); c and gamma are common to all at that moment (battery, air density): the median over the other
-rotors. From that, for a time after an onset,
+autopilot's thrust curve is right); c and gamma are common to all at that moment (battery, air density): the median over the other rotors.
+From that, for a time after an onset,
 
     S = W_k^2 / commanded    1: the rotor turns as commanded     commanded: exp(a_k + b log f_k + c)
     D = (I_k - expected) / I_healthy      0: the current fits the speed                expected: exp(alpha_k + beta log W_k + gamma)
@@ -54,8 +54,7 @@ STANDS = 0.05
 
 class Law(NamedTuple):
     """log y_k = own_k + power x_k + common, fitted to healthy bins. own (n,); power, power_sd; known (n,) bool: rotors with a fit; scatter
-    (n,):
-    standard deviation of a bin about it; memory (n,): correlation of neighbouring bins."""
+    (n,): standard deviation of a bin about it; memory (n,): correlation of neighbouring bins."""
 
     own: np.ndarray
     power: float
@@ -130,8 +129,7 @@ def _noise(law: Law, k: int, *counts: int) -> float:
 @dataclass(frozen=True, eq=False, repr=False)
 class Measured:
     """A rotor's telemetry in a time after an onset. speed_ratio: S and its sd; current_change: D and its sd, None without currents; load:
-    E;
-    count: bins; volts: V by which its supply fell relative to the others', None where not measured."""
+    E; count: bins; volts: V by which its supply fell relative to the others', None where not measured."""
 
     speed_ratio: tuple[float, float]
     current_change: tuple[float, float] | None
@@ -201,8 +199,8 @@ def measure(
 ) -> Measured | None:
     """Telemetry of rotor k (from 0) in the bins `after`, relative to those `before` (T,) bool; None where there are too few of either.
 
-    laws: of speed and of current, fitted to `before`; bins: `telemetry.Binned`; healthy (T, n): rotors used for the common part;
-    swings: whether the vehicle tumbles in `after`."""
+    laws: of speed and of current, fitted to `before`; bins: `telemetry.Binned`; healthy (T, n): rotors used for the common part; swings:
+    whether the vehicle tumbles in `after`."""
     speed, current = laws
     y, x = log_power(bins), np.log(bins.thrust)
     known = bins.known

@@ -1,8 +1,7 @@
 """Rotors that stop though they are commanded to turn, or turn without load, until the vehicle is down: by ESC telemetry alone.
 
 A quadrotor without one rotor tumbles within half a second, and the motion of a tumbling vehicle is no evidence. Its ESC needs two reports.
-A
-dead motor reports speed 0. A motor without its propeller turns but draws almost no current: current over the speed's power for the
+A dead motor reports speed 0. A motor without its propeller turns but draws almost no current: current over the speed's power for the
 propeller's load falls to a fraction.
 
 Where the vehicle flies on upright with a rotor reported as stopped, and no loss was found, the telemetry is wrong.

@@ -140,8 +140,7 @@ def frozen(time, what: Quantity, commanded: np.ndarray, power: float, inside) ->
     """(m, n) bool: samples in a stretch in which a value stays the same to the last bit though the command asks for a change.
 
     time (m,); commanded (m, n): share of full thrust; power: exponent of the quantity's dependence on thrust. A stretch is at least
-    FROZEN_S
-    and FROZEN_SAMPLES long. A value of 0 is a stopped rotor."""
+    FROZEN_S and FROZEN_SAMPLES long. A value of 0 is a stopped rotor."""
     still = np.zeros(what.valid.shape, bool)
     for k in range(what.valid.shape[1]):
         at = np.flatnonzero(what.valid[:, k] & inside)

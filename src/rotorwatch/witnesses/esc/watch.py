@@ -4,10 +4,9 @@ A bearing draws more current long before it costs thrust. A propeller without it
 that mask its loss of thrust.
 
 The residual of the laws of ratios.py is averaged, rotor by rotor, over blocks of BLOCK_S. A change at block j is the difference of the
-means
-after and before it, in units of its standard deviation, which comes from the changes between successive blocks (a step is in one of them
-only, and does not move their median). It counts when it is large, lasts, is SIGMAS times its noise, and stands out of the changes of the
-other rotors at that time: fast flight loads front and rear differently, and that is no motor fault.
+means after and before it, in units of its standard deviation, which comes from the changes between successive blocks (a step is in one of
+them only, and does not move their median). It counts when it is large, lasts, is SIGMAS times its noise, and stands out of the changes of
+the other rotors at that time: fast flight loads front and rear differently, and that is no motor fault.
 
 Only changes count. Offsets at take-off stay: current sensors of ESCs differ by more than bearings do.
 """
@@ -40,8 +39,7 @@ def examine(bins: Binned, usable: np.ndarray) -> tuple[tuple[Event, ...], list[s
     """(events of kind SLOW, HIGH, LOW and, where much is lost, LOSS; warnings).
 
     usable (T, n) bool: bins of regular flight without any loss by commands and motion. A large fall of speed should have shown there: where
-    the
-    current falls with it, two sensors agree, and it is a loss that was missed; otherwise the speed is not believed."""
+    the current falls with it, two sensors agree, and it is a loss that was missed; otherwise the speed is not believed."""
     out, warnings, wrong = [], [], set()
     y, x = ratios.log_power(bins), np.log(bins.thrust)
     turning = bins.known & (bins.power > 0.0)

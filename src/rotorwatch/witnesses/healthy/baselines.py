@@ -5,9 +5,11 @@ A flight is rejected, with a sentence that names it and the reason, when
 * it shows no flight, or is the very flight under test, or a copy of one already accepted;
 * the default diagnosis, without a baseline, finds something in it;
 * it is of another frame, or logged in other units or at another rate;
-* it cannot be of the same aircraft: its thrust curve has another slope at the hover command (SLOPE), or it hovers at another share of full
+* it cannot be of the same aircraft: its thrust curve has another slope at the hover command (SLOPE), or it hovers at another share of
+full
   thrust (HOVER), or a command turns it faster or slower by a factor (GAIN) that the uncertainty of both cannot explain;
-* it hovers unlike the others (`whole_flight.rarity`): of three or more, the worst is left out while it is rarer than FALSE_ALARM shared by
+* it hovers unlike the others (`whole_flight.rarity`): of three or more, the worst is left out while it is rarer than FALSE_ALARM shared
+by
   all of them. Of two that differ nothing shows which is wrong: that is an error.
 
 The reference for "the same" is the flight under test; without one, the flight that agrees with most others.
@@ -145,8 +147,7 @@ def healthy(
 
     diagnose: the default diagnosis, which must find nothing in them. vehicle: the airframe of all of them; None: as each log says. of: the
     flight under test. progress: called with the finished share, 0..1. Raises ConfigError without a flight, LogError for a file that cannot
-    be
-    read, and VehicleError when no flight is left or two that are left contradict one another."""
+    be read, and VehicleError when no flight is left or two that are left contradict one another."""
     given = several(flights)
     tell = progress or (lambda share: None)
     found = [f if isinstance(f, Candidate) else Candidate(_read(f), vehicle) for f in given]

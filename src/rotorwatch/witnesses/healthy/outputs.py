@@ -188,9 +188,8 @@ def unequal(flight: Flight, vehicle: Vehicle, air: Spans, hover: Hover) -> list[
 
 def _one(w: np.ndarray, B: np.ndarray) -> tuple[int, int | None, float] | None:
     """(rotor, opposite, loss): the rotor, from 0, that alone explains the balance w (3,) of a vehicle of effectiveness B (4, n); the
-    opposite one,
-    if any, that explains it with the contrary sign; and the share of thrust that the rotor lacks, negative for an excess. None without
-    such."""
+    opposite one, if any, that explains it with the contrary sign; and the share of thrust that the rotor lacks, negative for an excess.
+    None without such."""
     size = np.einsum("k,kn,n->n", w, B[:3], 1.0 / (B[:3] ** 2).sum(axis=0))
     left = np.abs(w[:, None] - size * B[:3]).max(axis=0)
     best = int(np.argmin(left / np.maximum(np.abs(size), 1e-9)))

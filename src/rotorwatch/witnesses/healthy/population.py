@@ -12,12 +12,11 @@ maximum likelihood of one mean w for each vehicle: scales 0.040 and 0.10, 6 degr
     rotor i weak     w ~ t(B_i e / (n + e)), e = theta / (1 - a theta), theta uniform between 0 and MOST
     centre of mass   w ~ t((x, y, 0)), x and y normal with SHIFT_SD
 
-a is the diagonal of B+ B (B+: pseudoinverse, with the row of thrust): the mixer compensates B_i e with all rotors, f = 1 + (B+ B)_i e,
-and rotor i lacks e = theta f_i. Of a quadrotor a is 1.
+a is the diagonal of B+ B (B+: pseudoinverse, with the row of thrust): the mixer compensates B_i e with all rotors, f = 1 + (B+ B)_i e, and
+rotor i lacks e = theta f_i. Of a quadrotor a is 1.
 
 A weak rotor asks for as much yaw as its column says, a shifted centre for none. The yaw trim of healthy vehicles reaches that of a loss of
-a
-third, so yaw discriminates large losses alone: smaller ones are `ambiguous`, or undetected within the bound of a healthy answer.
+a third, so yaw discriminates large losses alone: smaller ones are `ambiguous`, or undetected within the bound of a healthy answer.
 """
 
 from __future__ import annotations
@@ -40,8 +39,7 @@ MOST = 0.9
 
 def judge(flight: Flight, vehicle: Vehicle, air: Sequence[tuple[float, float]], until: float = np.inf) -> dict | None:
     """Evidence of damage present at take-off, from the steady part of the flight before `until` [s]; None where that is too short or where
-    a rotor
-    was at its limit.
+    a rotor was at its limit.
 
     -> verdict healthy, ambiguous or fault; reason; rotors (1-based, named); loss (n,), interval (n, 2), of a healthy flight with 0 and the
     largest undetected loss of each rotor; causes as in WholeFlight."""

@@ -4,11 +4,11 @@ The innovations e of a well-tuned filter are white with the covariance S that it
 
     L = -1/2 sum_k ( e' S^-1 e + log det S + n log 2 pi )
 
-is a function of the tuning, and JAX differentiates it through every step (Abbeel et al., Discriminative training of Kalman
-filters, RSS 2005, compare such criteria). Fitted: a factor on each state's process noise and on each measurement's variance,
-and how fast losses may change: their random walk, or the memory of a method that has none. Healthy data alone would fit losses that never
-change; so every flight counts once more with an inserted loss: an actuator with less effect is commanded more, u / (1 - loss), while the
-motion stays as measured.
+is a function of the tuning, and JAX differentiates it through every step (Abbeel et al., Discriminative training of Kalman filters, RSS
+2005, compare such criteria). Fitted: a factor on each state's process noise and on each measurement's variance, and how fast losses may
+change: their random walk, or the memory of a method that has none. Healthy data alone would fit losses that never change; so every flight
+counts once more with an inserted loss: an actuator with less effect is commanded more, u / (1 - loss), while the motion stays as
+measured.
 
 Works for every estimator that outputs innovation and innovation_cov.
 """
@@ -60,8 +60,7 @@ class Table:
 @dataclass(frozen=True)
 class Fit:
     """Result of a fit. before, after: log-likelihood of one measured row, on the flights fitted to; held_out: the data kept back from the
-    fit,
-    held_out_before and held_out_after: the same on that, healthy rows only. notes: doubts about the tuning, a sentence each."""
+    fit, held_out_before and held_out_after: the same on that, healthy rows only. notes: doubts about the tuning, a sentence each."""
 
     estimator: str
     plant: str
@@ -157,11 +156,9 @@ def tune(
 ) -> Fit:
     """`fit` the named estimator to healthy logs of one build, and check it on data that was not fitted.
 
-    logs: healthy flights of one build, or their files. estimator: the name of a published method. rounds: of the fit at most.
-    progress: called with the finished share. Logs that are not healthy or not of one build are rejected (`baselines.healthy`). Of two
-    flights
-    and more the last is kept back for the check, of a single long one its last quarter. Fit.notes state what was rejected, which factors
-    ended
+    logs: healthy flights of one build, or their files. estimator: the name of a published method. rounds: of the fit at most. progress:
+    called with the finished share. Logs that are not healthy or not of one build are rejected (`baselines.healthy`). Of two flights and
+    more the last is kept back for the check, of a single long one its last quarter. Fit.notes state what was rejected, which factors ended
     at their bounds, and whether the held-out data became less likely. Raises LogError, VehicleError or ConfigError with one sentence."""
     if estimator == "default":
         raise ConfigError("The default estimator learns its noise in flight; tune a published one, such as ekf.")

@@ -77,12 +77,11 @@ SHIFT_SD = 0.08  # of the centre of mass, arm lengths
 class Features(NamedTuple):
     """The hover of one flight. n rotors; axes roll, pitch, yaw; w as in the module docstring.
 
-    share (n,): mean share of full thrust. wrench (3,), force (2,): mean w; mean lateral specific force x, y in g.
-    slope, slope_sd (2,): of w on the force, roll on y and pitch on x, from this flight alone.
+    share (n,): mean share of full thrust. wrench (3,), force (2,): mean w; mean lateral specific force x, y in g. slope, slope_sd (2,): of
+    w on the force, roll on y and pitch on x, from this flight alone.
     covariance (3, 3): of the mean w, without the slope's part. change (3,), change_covariance (3, 3): the same for second half minus first
-    half.
-    limited (n,): share of the time at the limit. seconds: of steady flight; blocks: equivalent number of independent ones, 0 when too few.
-    voltage: mean of the battery, V, 0 when not logged."""
+    half. limited (n,): share of the time at the limit. seconds: of steady flight; blocks: equivalent number of independent ones, 0 when too
+    few. voltage: mean of the battery, V, 0 when not logged."""
 
     name: str
     share: tuple[float, ...]
@@ -136,12 +135,10 @@ class WholeFlight(NamedTuple):
     loss (n,), interval (n, 2): per rotor, 95 %. Verdict healthy: loss includes the probability that nothing is wrong, and the interval
     reaches to the largest undetected loss; otherwise both assume that rotors are the cause.
     causes: explanations of the difference, most probable first; empty when there is none. p_value: share of healthy flights that would
-    differ at
-    least so much if they spread as the model assumes; never below FALSE_FAULT, the smallest share that a verdict is based on: neither the
-    assumption nor a handful of flights can support less.
+    differ at least so much if they spread as the model assumes; never below FALSE_FAULT, the smallest share that a verdict is based on:
+    neither the assumption nor a handful of flights can support less.
     shift, shift_sd (3,): of w against the baseline. common: log ratio of the mean command, which battery, payload and air density change
-    too.
-    flights: number of baseline flights used."""
+    too. flights: number of baseline flights used."""
 
     verdict: str
     reason: str
@@ -381,8 +378,7 @@ def judge(flight: Features, baseline: Sequence[Features], vehicle: Vehicle) -> W
 
 def rarity(flight: Features, others: Sequence[Features]) -> float:
     """Share of healthy flights of the build that would differ from the others at least so much, under the model alone: without a lower
-    bound, so
-    it ranks flights but is no probability to quote. All flights must be `usable`."""
+    bound, so it ranks flights but is no probability to quote. All flights must be `usable`."""
     return _p_values(*_difference(flight, others), flight, others)[2]
 
 

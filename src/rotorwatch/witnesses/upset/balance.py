@@ -4,16 +4,15 @@ For each axis a of roll, pitch and yaw, in the body frame,
 
     w_a + b_a = J_a (dr_a/dt + g_a) + D_a r_a + e,        w = B T
 
-w: torque of the rotors' thrusts T (n,) (hover thrust of one rotor = 1); r: rates; g: gyroscopic terms of a flat body, (q r, -p r, 0) k;
-J, D, b: inertia, damping and offset, with priors on their signs and sizes that hold for any multirotor: inertia is never negative, so that
+w: torque of the rotors' thrusts T (n,) (hover thrust of one rotor = 1); r: rates; g: gyroscopic terms of a flat body, (q r, -p r, 0) k; J,
+D, b: inertia, damping and offset, with priors on their signs and sizes that hold for any multirotor: inertia is never negative, so that
 motion against the torque contradicts the commands, however wrong the gains may be. For the thrust
 
     sum T - m load = e
 
 with the load factor and the number of hover thrusts m that carry the vehicle. It holds while tumbling as well as in hover, unlike the
 small-angle hover physics of `default`. The noise e is model error: thrust is off by a share, a rotor near its limit gives less (never
-zero),
-slowly logged commands are snapshots. A share of all ticks carries no information (a blow, a damaged sample).
+zero), slowly logged commands are snapshots. A share of all ticks carries no information (a blow, a damaged sample).
 """
 
 from __future__ import annotations
@@ -51,8 +50,8 @@ FALLS = 14.0  # m/s: the air carries up to about the whole weight of a vehicle t
 
 class Window(NamedTuple):
     """K ticks: time (K,); thrust (K, n) commanded, in hover thrusts; full (float): a rotor's largest thrust; rate, rate_dot (K, 3); load
-    (K,);
-    torque_ok (K, 3), load_ok (K,) bool; before, after (K, n): commands of the adjacent ticks; onset: when control began to be lost [s]."""
+    (K,); torque_ok (K, 3), load_ok (K,) bool; before, after (K, n): commands of the adjacent ticks; onset: when control began to be lost
+    [s]."""
 
     time: np.ndarray
     thrust: np.ndarray

@@ -33,10 +33,8 @@ CHUNK = 256  # hypotheses fitted at once
 
 class Explanation(NamedTuple):
     """An explanation, summed over sizes and onsets. kind: healthy, rotor, common, outside, order or yaw; rotors (0-based); log: of its
-    evidence
-    with its prior; onset: most probable [s]; size: mean loss, low, high: its 95 % interval; residual (K, 4) of the best; gives: the
-    constant
-    thrust of the rotor, in hover thrusts, where that is the most likely, else 0."""
+    evidence with its prior; onset: most probable [s]; size: mean loss, low, high: its 95 % interval; residual (K, 4) of the best; gives:
+    the constant thrust of the rotor, in hover thrusts, where that is the most likely, else 0."""
 
     kind: str
     rotors: tuple[int, ...]
@@ -55,8 +53,7 @@ def explain(
     """All explanations, the most probable first, and their probabilities.
 
     B (4, n); onsets: indices of the ticks of possible onsets; orders: whether outputs may go to the wrong motors (at the first take-off:
-    later
-    it would have shown); sagged: whether the battery's voltage collapsed, None where that is unknown."""
+    later it would have shown); sagged: whether the battery's voltage collapsed, None where that is unknown."""
     n, K = B.shape[1], window.time.size
     T = delivered(window)
     healthy = T @ B.T

@@ -53,8 +53,8 @@ TRIM = 0.1  # arm lengths: healthy vehicles are commanded less of roll and pitch
 
 class Judged(NamedTuple):
     """A loss of control with its cause. explanations with their probabilities, () where the log shows too little; window; onset [s];
-    evidence:
-    sentences; commanded: time up to which the log holds commands of each rotor, infinite where up to the onset, None where never [s]."""
+    evidence: sentences; commanded: time up to which the log holds commands of each rotor, infinite where up to the onset, None where never
+    [s]."""
 
     left: LossOfControl
     cause: str

@@ -1,8 +1,7 @@
 """Loss of control: attitude or rates deviate from the commanded ones and do not return; or the vehicle falls without thrust.
 
 Commanded ("wanted") is the autopilot's target: the direction of thrust (attitude_wanted), which aerobatics turn as well, or, without it,
-the
-rates (rates_wanted). Where a log has neither, only an inverted vehicle counts as out of control.
+the rates (rates_wanted). Where a log has neither, only an inverted vehicle counts as out of control.
 """
 
 from __future__ import annotations
@@ -56,9 +55,9 @@ FAST_M_S, STAYS_M_S = 2.0, 0.3  # down before a blow, in any direction after it:
 
 class LossOfControl(NamedTuple):
     """onset: when the vehicle began to deviate from its target; lost: when that was certain; end: when control came back, else None;
-    impact: the
-    first blow after that, of the ground or of its own spin, else None; ground: when it hit the ground, None where unknown [all s]. what: in
-    words. falls: outputs went to idle in the air. landed: it had landed before, so that the ground pushed it as well as its rotors."""
+    impact: the first blow after that, of the ground or of its own spin, else None; ground: when it hit the ground, None where unknown [all
+    s]. what: in words. falls: outputs went to idle in the air. landed: it had landed before, so that the ground pushed it as well as its
+    rotors."""
 
     onset: float
     lost: float
@@ -126,9 +125,8 @@ def attitude_error(flight: Flight, progress: Progress = None) -> tuple[np.ndarra
 
 def _angle(wanted: Signal, time: np.ndarray, q: np.ndarray, progress: Progress = None) -> np.ndarray:
     """(m,) degrees between the direction of thrust, of attitudes (m, 4), and the nearest target of the last ANSWERS_S, as a vehicle follows
-    with
-    delay. NaN without a fresh target. A vehicle on its way to another heading leans as commanded in its own frame, while that target points
-    elsewhere in the world: there the nearer of the two directions counts."""
+    with delay. NaN without a fresh target. A vehicle on its way to another heading leans as commanded in its own frame, while that target
+    points elsewhere in the world: there the nearer of the two directions counts."""
     at, asked = known(wanted)
     # The check for a turn takes longest, and only reduces the angle: done only where that may matter.
     angle = _blockwise(lambda when, own: _nearest(at, asked, when, own), time, q, progress=portion(progress, 0.0, 0.5))
@@ -261,8 +259,8 @@ def _flies_again(flight: Flight, back: float | None, start: float) -> bool:
 
 def stops(flight: Flight, blow: float, start: float) -> bool:
     """Whether a blow was an impact on the ground, of a vehicle that took off at `start`: its record ends there; or it lies still soon
-    after; or it
-    does not fall on, and lies still, stays below the height of take-off, or was hit harder than anything in the air does [all s]."""
+    after; or it does not fall on, and lies still, stays below the height of take-off, or was hit harder than anything in the air does [all
+    s]."""
     turning = flight.angular_rate()
     last = turning.time[-1] if turning is not None and len(turning) else flight.duration
     if last - blow < CUT_S:
@@ -292,8 +290,7 @@ def load(flight: Flight, at: float) -> float:
 
 def _spreads(time: np.ndarray, rates: np.ndarray) -> np.ndarray:
     """(k,) rad/s, for each window of RESTS_S: spread of the angular rates (n, 3) in it, independent of the gyro's bias; infinite where they
-    exceed
-    any bias."""
+    exceed any bias."""
     edges = np.arange(time[0], time[-1] - RESTS_S, 0.5 * RESTS_S) if time.size else np.zeros(0)
     parts = [rates[slice(*np.searchsorted(time, (a, a + RESTS_S)))] for a in edges]
     known = [len(x) > 2 and np.abs(x).max() < BIAS_RAD_S for x in parts]
@@ -495,8 +492,7 @@ def _shares(flight: Flight, motors: Signal) -> np.ndarray:
 
 def hit(flight: Flight, start: float, end: float, spins: bool = False) -> float | None:
     """First time after `start` [s] with a force that no rotor makes; None where there is none, or no accelerometer. spins: subtract the
-    part of
-    the vehicle's own spin."""
+    part of the vehicle's own spin."""
     if not flight.has("accel"):
         return None
     part = flight["accel"].between(start, end)
@@ -516,8 +512,7 @@ def hit(flight: Flight, start: float, end: float, spins: bool = False) -> float 
 
 def until_impact(flight: Flight, air, left: tuple[LossOfControl, ...]) -> tuple[tuple[float, float], ...]:
     """The intervals `air` ((start, end), ...) s, each cut where the vehicle fell to the ground, or tumbles or spins on out of control for
-    `GONE_S`:
-    outputs and motion after that are no evidence on its rotors."""
+    `GONE_S`: outputs and motion after that are no evidence on its rotors."""
     cut = []
     for start, end in air:
         ends = [

@@ -33,8 +33,7 @@ GIVES = 0.5  # largest remaining share of thrust of such a rotor
 
 def find(flight: Flight, vehicle: Vehicle, air: Spans, struck: Sequence[float] = ()) -> tuple[Event, ...]:
     """The losses of rotors at full command while the vehicle turned against them, at most one a flight. struck: times of blows to the
-    vehicle [s];
-    rotation just after them is their effect."""
+    vehicle [s]; rotation just after them is their effect."""
     turning = flight.angular_rate()
     if turning is None or not flight.has("motors"):
         return ()
