@@ -1,6 +1,6 @@
-"""Checks of what a user configures: each raises ConfigError with one sentence that names the argument and says what it must be.
+"""Checks of user settings: each raises ConfigError with one sentence that names the argument and the requirement.
 
-Inside a compiled program arrays have no values yet; there only shapes can be checked, and only they are.
+Inside a compiled program arrays have no values yet; there only shapes are checked.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def covariance(name: str, P: Any, n: int, definite: bool = False) -> Any:
 
 
 def has(system: Any, method: str, *parts: str, why: str = "") -> None:
-    """Raise ConfigError, with the reason, where the plant lacks one of these parts: the method is not defined for it then."""
+    """Raise ConfigError, with the reason, where the plant lacks one of the parts that the method requires."""
     missing = [part for part in parts if not hasattr(system, part)]
     if missing:
         kind = plant_name(system)
@@ -146,7 +146,7 @@ def _traced(name: str, function: Any, arguments: tuple[tuple[int, ...], ...]) ->
 
 
 def untraceable(name: str, why: BaseException) -> str:
-    """One sentence for JAX's error about a value that has none yet: NumPy, float(), bool() or `if` on it. Names the line."""
+    """A sentence for JAX's error about a value that has none yet: NumPy, float(), bool() or `if` on it. Names the line."""
     return (
         f"{name} asks for the number behind a value that is known only at run time{_where(why)}: use jax.numpy instead of numpy or "
         "math there, and jnp.where instead of `if`."
@@ -154,7 +154,7 @@ def untraceable(name: str, why: BaseException) -> str:
 
 
 def _where(why: BaseException) -> str:
-    """The innermost line outside of the libraries, as " (file, line)"."""
+    """The innermost line outside the libraries, as " (file, line)"."""
     frames = traceback.extract_tb(why.__traceback__)
     own = [f for f in frames if "site-packages" not in f.filename and "/rotorwatch/" not in f.filename]
     inside = own or [f for f in frames if "/rotorwatch/" in f.filename and not f.filename.endswith("checks.py")]

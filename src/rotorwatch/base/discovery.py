@@ -1,7 +1,7 @@
-"""What plug-ins there are: in a room of this package, whose modules nothing lists by hand; in other installed packages, which name theirs
-as entry points; and by `package.module:Class`, wherever a name is asked for.
+"""Plug-in discovery: in folders of this package, whose modules nothing lists by hand; in other installed packages, by entry points; and by
+`package.module:Class` wherever a name is accepted.
 
-Names that start with an underscore, and classes that a module merely imports, do not count. A package hands in an estimator, a plant, a
+Names that start with an underscore, and classes that a module merely imports, do not count. A package offers an estimator, a plant, a
 detector, a log format or an airframe by three lines of its pyproject.toml (docs/your-own-method.md, docs/plug-ins.md):
 
     [project.entry-points."rotorwatch.estimators"]
@@ -39,7 +39,7 @@ GROUPS = {
     "rotorwatch.logs": "log format",
     "rotorwatch.airframes": "airframe",
 }
-# Rooms of ours that are not called as their group.
+# Folders whose name differs from their group's.
 ROOMS = {
     "rotorwatch.systems": "rotorwatch.methods.maths.systems",
     "rotorwatch.estimators": "rotorwatch.methods.estimators",
@@ -47,7 +47,7 @@ ROOMS = {
 
 
 class Source(NamedTuple):
-    """Where a method comes from: the package and its version, and the class as `module:Class`."""
+    """Origin of a method: the package and its version, and the class as `module:Class`."""
 
     package: str
     version: str
@@ -56,15 +56,13 @@ class Source(NamedTuple):
 
 def estimators() -> dict[str, type]:
     """Name -> class of every estimator (`core.Estimator`: name, init, step) in `rotorwatch.methods.estimators`, the default one, and those
-    that
-    other packages offer as entry points `rotorwatch.estimators`; one that is broken is left out, with a PluginWarning."""
+    that other packages offer as entry points `rotorwatch.estimators`; broken ones are left out, with a PluginWarning."""
     return _with_offered("rotorwatch.estimators")
 
 
 def systems() -> dict[str, type]:
     """Name -> class of every plant (`core.System`: name, f, h) in `rotorwatch.methods.maths.systems`, the default estimator's, and those
-    that other
-    packages offer as entry points `rotorwatch.systems`."""
+    that other packages offer as entry points `rotorwatch.systems`."""
     return _with_offered("rotorwatch.systems")
 
 
@@ -120,12 +118,12 @@ def _keywords(instance: Any) -> dict[str, Any]:
 
 
 def names() -> list[str]:
-    """Names of all estimators, those of other packages included, which are not loaded for that."""
+    """Names of all estimators, including those of other packages, which are not loaded."""
     return sorted({*_own("rotorwatch.estimators"), *offered("rotorwatch.estimators")})
 
 
 def source(found: Any) -> Source:
-    """Where a class or a module comes from. A package that is not installed has no version."""
+    """Origin of a class or a module. A package that is not installed has no version."""
     module = getattr(found, "__module__", None) or found.__name__
     path = f"{module}:{found.__qualname__}" if inspect.isclass(found) else module
     top = module.partition(".")[0]
@@ -144,7 +142,7 @@ def source(found: Any) -> Source:
 
 @functools.cache
 def _distributions(top: str, _path: tuple[str, ...]) -> list[str]:
-    """Names of the installed packages that bring a module of that name; all that is installed is read for it, which takes a second."""
+    """Names of the installed packages that contain a module of that name; reading all installed packages takes a second."""
     from importlib import metadata
 
     return metadata.packages_distributions().get(top, [])
@@ -172,7 +170,7 @@ def _named(group: str, name: str) -> type:
 
 
 def _with_offered(group: str) -> dict[str, type]:
-    """Our own and those of other packages; ours stay what they are."""
+    """Built-in classes and those of other packages; built-in names take precedence."""
     found = _own(group)
     for name, entry in offered(group).items():
         kind = GROUPS[group]
@@ -190,7 +188,7 @@ def _with_offered(group: str) -> dict[str, type]:
 
 
 def _own(group: str) -> dict[str, type]:
-    """Classes defined in the modules of a room, or of the default method, that have all the parts, by their `name`, in order of names."""
+    """Classes defined in the modules of a folder, or of the default method, that have all the parts, by their `name`, in order of names."""
     found: dict[str, type] = {}
     for module in (module for room in (ROOMS.get(group, group), "rotorwatch.engine.host") for module in modules(room)):
         members: list[tuple[str, Any]] = inspect.getmembers(module, inspect.isclass)
@@ -205,8 +203,7 @@ def _own(group: str) -> dict[str, type]:
 
 
 def modules(package: str) -> Iterator[ModuleType]:
-    """Every module of a package, those of its sub-packages included, in the order of their names; not those with an
-    underscore in front."""
+    """Every module of a package and its sub-packages, in order of names, except those with a leading underscore."""
     yield from map(importlib.import_module, _names(package))
 
 
@@ -233,12 +230,12 @@ def member(package: str, name: str):
 
 
 def offered(group: str) -> dict[str, metadata.EntryPoint]:
-    """Name -> entry point of what other installed packages offer in a group of GROUPS; nothing is loaded."""
+    """Name -> entry point that other installed packages offer in a group of GROUPS; nothing is loaded."""
     return dict(_offered(group, _folders()))
 
 
 def _folders() -> tuple[tuple[str, int], ...]:
-    """The places where packages are found, with the time of their last change: an installed package changes it."""
+    """Folders in which packages are found, with the time of their last change: installing a package changes it."""
     found = []
     for folder in sys.path:
         try:
@@ -262,8 +259,8 @@ def _offered(group: str, folders: tuple[tuple[str, int], ...]) -> dict[str, meta
 
 @functools.cache
 def _mentioned(folders: tuple[tuple[str, int], ...]) -> bool:
-    """Whether any installed package may offer something: one names a group of ours in its entry points. Where packages are not found in
-    folders alone, the answer is yes."""
+    """Whether any installed package may offer something: its entry points name a group of GROUPS. True where packages are not found in
+    folders alone."""
     finders = (finder for finder in sys.meta_path if finder is not importlib.machinery.PathFinder)
     if any(hasattr(finder, "find_distributions") for finder in finders):
         return True
@@ -286,8 +283,8 @@ def _mentioned(folders: tuple[tuple[str, int], ...]) -> bool:
 def others(
     group: str, parts: tuple[str, ...], refuse: Callable[[Any], str] = lambda found: ""
 ) -> Iterator[tuple[metadata.EntryPoint, Any]]:
-    """Every plug-in of a group of GROUPS that other packages offer, loaded, with its entry point; one that is broken is left out, with a
-    PluginWarning that names its package. refuse: says why one is not used ("its name is taken"), "" for one that is."""
+    """Every plug-in of a group of GROUPS that other packages offer, loaded, with its entry point; broken ones are left out, with a
+    PluginWarning that names the package. refuse: returns the reason not to use one ("its name is taken"), or ""."""
     for entry in offered(group).values():
         try:
             found = load(entry, parts)
@@ -326,8 +323,8 @@ def load(entry: metadata.EntryPoint, parts: tuple[str, ...]) -> Any:
 
 
 def imported(text: str, parts: tuple[str, ...], kind: str) -> Any:
-    """What `package.module:Class` names. Raises ConfigError, one sentence, for another form, a module that cannot be imported, or a class
-    that lacks one of `parts`. kind: what it is to be, for the sentence."""
+    """The object that `package.module:Class` names. Raises ConfigError, one sentence, for another form, a module that cannot be imported,
+    or a class that lacks one of `parts`. kind: its expected kind, for the sentence."""
     module, _, label = text.partition(":")
     if not all(part.isidentifier() for part in (*module.split("."), *label.split("."))):
         raise ConfigError(f"{text!r} names no {kind}: write package.module:Class.")

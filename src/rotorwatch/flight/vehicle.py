@@ -1,4 +1,4 @@
-"""What is known of an airframe: where its rotors are, how commands become thrust, and what was identified from flights."""
+"""An airframe: the place of its rotors, the conversion of commands to thrust, and parameters identified from flights."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Rotor:
-    """One rotor.
+    """A rotor.
 
-    x: forward; y: to the right [both in arm lengths, or m]; spin: +1 counter-clockwise seen from above, -1 clockwise; share: thrust
-    it gives compared with the vehicle's other rotors at the same command; lower: it works in the wash of a rotor above it.
+    x: forward; y: to the right [both in arm lengths, or m]; spin: +1 counter-clockwise seen from above, -1 clockwise; share: its thrust
+    relative to the vehicle's other rotors at the same command; lower: it works in the wash of a rotor above it.
 
-    A counter-clockwise propeller turns the body clockwise: positive yaw torque in FRD.
-    """
+    A counter-clockwise propeller turns the body clockwise: positive yaw torque in FRD."""
 
     x: float
     y: float
@@ -49,7 +48,7 @@ def lower_of_pairs(rotors: tuple[Rotor, ...], depth: Sequence[float] | np.ndarra
 
 
 def note_on_coaxial(rotors: tuple[Rotor, ...]) -> tuple[str, ...]:
-    """What `coaxial` has assumed, as a sentence, if anything."""
+    """The assumption of `coaxial`, as a sentence, if any."""
     lower = [str(k + 1) for k, r in enumerate(rotors) if r.lower]
     if not lower:
         return ()
@@ -75,8 +74,8 @@ class ThrustCurve:
 
     @property
     def believed(self) -> tuple[float, float]:
-        """expo, and the standard deviation of what it is: one that is assumed may be any from 0 to 1; one that a log says is taken as it
-        is, and what it may be wrong by counts in the interval of a loss (engine/front/losses.py)."""
+        """expo and its standard deviation: an assumed one may be any from 0 to 1; a logged one is taken as it is, and its error counts in
+        the interval of a loss (engine/front/losses.py)."""
         return self.expo, 0.0 if self.known else 0.35
 
     def __call__(self, u: np.ndarray, battery: np.ndarray | float = 1.0) -> np.ndarray:

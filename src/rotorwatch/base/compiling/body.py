@@ -63,7 +63,7 @@ BUILTIN = (
 @dataclass(frozen=True)
 class Type:
     """base: real, time, each, int, flag, which (a comparison of `each`), byte, lit, ilit, none, or a Struct; dims: of an array, in C, the
-    first empty where it is not known."""
+    first empty where unknown."""
 
     base: Any
     dims: tuple[str, ...] = ()
@@ -139,8 +139,8 @@ def number(value: Any, base: str) -> str:
 
 
 def exact(value: float) -> str:
-    """A finite number in double precision, also where the compiler is told that constants are of single precision: a whole number over a
-    power of ten is rounded once, as the number itself would be."""
+    """A finite number in double precision, also where the compiler treats constants as single precision: an integer over a power of ten is
+    rounded once, as the number itself would be."""
     with np.errstate(over="ignore"):
         if float(np.float32(value)) == value:
             return f"(rw_time){value!r}"
@@ -153,7 +153,7 @@ def exact(value: float) -> str:
 
 
 def settled(text: str, time: bool) -> str:
-    """Numbers whose precision was open until they met others, in double precision or as they stand."""
+    """The text with numbers of open precision in double precision, or as they are."""
     return re.sub(f"{OPEN}(.*?){CLOSE}", lambda m: exact(float(m[1])) if time else m[1], text)
 
 
