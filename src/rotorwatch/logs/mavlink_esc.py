@@ -1,11 +1,12 @@
-"""ESC telemetry in MAVLink: which message is which rotor's, and in which units.
+"""ESC telemetry in MAVLink: the rotor of each message, and its units.
 
     ESC_STATUS             index, rpm[4] (negative: backwards), voltage[4] V, current[4] A          PX4
     ESC_INFO               index, temperature[4] 0.01 degC (32767: none), count                     PX4, slower
     ESC_TELEMETRY_1_TO_4   rpm[4], voltage[4] 0.01 V, current[4] 0.01 A, temperature[4] degC        ArduPilot, to 29_TO_32
 
 `index` is the number of a message's first ESC, from 0. ArduPilot numbers ESCs as it numbers servo outputs, PX4 as its drivers do, in the
-order of the motors. https://mavlink.io/en/messages/common.html#ESC_STATUS, https://mavlink.io/en/messages/ardupilotmega.html#ESC_TELEMETRY_1_TO_4
+order of the motors. https://mavlink.io/en/messages/common.html#ESC_STATUS,
+https://mavlink.io/en/messages/ardupilotmega.html#ESC_TELEMETRY_1_TO_4
 """
 
 from __future__ import annotations
@@ -67,8 +68,8 @@ def _status(get: Callable) -> dict:
 
 def _measured(table, k: int, unit: float = 1.0) -> dict[str, np.ndarray]:
     """Speed, current and voltage of the k-th ESC of a message. unit: of current and voltage [A, V]."""
-    found = {quantity: unit * series.floats(table[quantity][:, k]) for quantity in ("current", "voltage")}
-    return {"speed": table["rpm"][:, k] * esc_columns.RPM, **found}
+    measured = {quantity: unit * series.floats(table[quantity][:, k]) for quantity in ("current", "voltage")}
+    return {"speed": table["rpm"][:, k] * esc_columns.RPM, **measured}
 
 
 def _telemetry(get: Callable) -> dict:

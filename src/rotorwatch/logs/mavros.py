@@ -139,16 +139,16 @@ class _Log:
 
     def signal(self, kind: str, name: str, read: Callable, source: str = "") -> Signal | None:
         """The Signal `kind` of a topic; None without it. read(columns): values, or (values, valid)."""
-        found = self.get(name)
-        if found is None:
+        sample = self.get(name)
+        if sample is None:
             return None
-        made = read(found[1])
-        values, valid = made if isinstance(made, tuple) else (made, None)
-        return series.signal(kind, found[0], values, source or name, self.notes, valid)
+        values = read(sample[1])
+        values, valid = values if isinstance(values, tuple) else (values, None)
+        return series.signal(kind, sample[0], values, source or name, self.notes, valid)
 
 
 def _time(columns, received) -> np.ndarray:
-    """(m,) s on ROS's clock: the header's, where it has none by the time of receipt."""
+    """(m,) s on ROS's clock: the header's, else the time of receipt."""
     stamp = columns["header.stamp.sec"].astype(np.float64) + 1e-9 * columns["header.stamp.nanosec"].astype(np.float64)
     known = stamp > 0
     received = received * 1e-9
@@ -209,7 +209,7 @@ def _signals(log: _Log, parameters, autopilot: str) -> tuple[dict, dict]:
 def _in_body(field: str) -> Callable:
     def read(table):
         values = _vector(table, field) * _FLU
-        return values, values.any(axis=1)  # all 0: not known
+        return values, values.any(axis=1)  # all 0: unknown
 
     return read
 
@@ -219,7 +219,7 @@ def _ned(field: str) -> Callable:
 
 
 def _odometry(table) -> tuple[np.ndarray, np.ndarray]:
-    """(velocity (n, 3) in north, east, down, valid): the odometry's is the body's."""
+    """(velocity (n, 3) in north, east, down, valid), from the odometry's body velocity."""
     q, fine = _quaternion(table, "pose.pose.orientation")
     return _rotated(q, _vector(table, "twist.twist.linear") * _FLU), fine
 
@@ -288,7 +288,7 @@ def _gps(log: _Log, name: str) -> Signal | None:
 
 
 def _battery(table) -> tuple[np.ndarray, np.ndarray]:
-    values = series.stacked(table, ["voltage", "current"]) * [1.0, -1.0]  # a current that flows out is negative there
+    values = series.stacked(table, ["voltage", "current"]) * [1.0, -1.0]  # a discharge current is negative there
     return values, series.voltage_and_current(values)
 
 
@@ -303,7 +303,7 @@ def _esc(log: _Log, count: int) -> Signal | None:
 
 
 def _parameters(log: _Log) -> dict[str, float]:
-    """Parameters of param/event, but for the simulator's: SIM_* would reveal a fault."""
+    """Parameters of param/event without the simulator's: SIM_* would disclose a fault."""
     found, out = log.get("param/event"), {}
     if found is None:
         return out
@@ -319,7 +319,7 @@ def _parameters(log: _Log) -> dict[str, float]:
 
 
 def _autopilot(log: _Log, parameters) -> str:
-    """ArduPilot or PX4, by the names of parameters or of flight modes; "" where neither says."""
+    """ArduPilot or PX4, by the names of parameters or of flight modes; "" where unknown."""
     if "CA_ROTOR_COUNT" in parameters or "SYS_AUTOSTART" in parameters:
         return "PX4"
     if "FRAME_CLASS" in parameters or "SERVO1_FUNCTION" in parameters:

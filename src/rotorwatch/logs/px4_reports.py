@@ -1,7 +1,7 @@
-"""What PX4 itself reports in its topics: failsafe flags, its failure detector, warnings of its batteries, why it disarmed; and what its own
-limits are compared with. Texts of `Message`s are ours; `witnesses/reports.py` says what they mean.
+"""PX4's reports in its topics: failsafe flags, failure detector, battery warnings, reasons of disarming; and quantities for its limits. The
+texts of `Message`s are ours; `witnesses/reports.py` interprets them.
 
-Flags count where they rise: one that is up when the log begins tells of nothing that happened in flight.
+Flags count where they rise: one that is up when the log begins shows no event in flight.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rotorwatch.logs.px4_topics import Topics
 
 TOPICS = ("failsafe_flags", "failure_detector_status", "vehicle_imu_status", "estimator_status")
-EVENTS = "event"  # decoded by what the log itself says of its numbers
+EVENTS = "event"  # decoded by the log's own definitions
 FLAGS = {
     **{f"{what}_invalid": f"{what.replace('_', ' ')} invalid" for what in ("angular_velocity", "attitude")},
     **{f"{what}_invalid": f"{what.replace('_', ' ')} invalid" for what in ("local_position", "local_velocity", "global_position")},
@@ -86,25 +86,25 @@ def _told(topics: Topics) -> Iterator[tuple[float, str, str, float]]:
 def limited(topics: Topics) -> dict[str, Signal | None]:
     """The signals that are compared with the autopilot's limits: of the first IMU and the first estimator."""
     axes = [f"accel_clipping[{k}]" for k in range(3)]
-    found: dict[str, Signal | None] = {}
+    signals: dict[str, Signal | None] = {}
     imu = topics.table("vehicle_imu_status", "accel_vibration_metric", *axes)
     if imu is not None and imu[0].size:
         time, table = imu
         level, counts = series.stacked(table, ["accel_vibration_metric"]), series.stacked(table, axes)
-        found["vibration"] = series.signal("vibration", time, level, "vehicle_imu_status", [])
-        found["clipping"] = series.signal("clipping", time, counts.sum(axis=1), "vehicle_imu_status", [])
+        signals["vibration"] = series.signal("vibration", time, level, "vehicle_imu_status", [])
+        signals["clipping"] = series.signal("clipping", time, counts.sum(axis=1), "vehicle_imu_status", [])
     ratios = topics.table("estimator_status", "vel_test_ratio", "pos_test_ratio", "hgt_test_ratio")
     if ratios is not None and ratios[0].size:
         time, table = ratios
         heading = "hdg_test_ratio" if "hdg_test_ratio" in table else "mag_test_ratio"
         values = series.stacked(table, ["vel_test_ratio", "pos_test_ratio", "hgt_test_ratio", heading])
-        found["innovations"] = series.signal("innovations", time, values, "estimator_status", [])
-    return found
+        signals["innovations"] = series.signal("innovations", time, values, "estimator_status", [])
+    return signals
 
 
 def events(log: Any, start_us: int) -> list[Message]:
-    """Warnings and errors of the topic `event` of a pyulog ULog, in the words of definitions that the log carries; none without them."""
-    with contextlib.suppress(Exception):  # damaged definitions say nothing; an old pyulog has no parser
+    """Warnings and errors of the topic `event` of a pyulog ULog, decoded by the definitions in the log; none without them."""
+    with contextlib.suppress(Exception):  # definitions may be damaged; an old pyulog has no parser
         from pyulog.libevents_parse.parser import Parser
 
         packed = b"".join(log.msg_info_multiple_dict["metadata_events"][0])

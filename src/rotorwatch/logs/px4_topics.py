@@ -1,7 +1,7 @@
-"""PX4's topics -> signals, whatever file they came from (ULog, ulog2csv tables).
+"""PX4's topics -> signals, from any file format (ULog, ulog2csv tables).
 
-Topics are {(name, instance): {field: (n,) array}} with fields named as PX4 flattens them ("control[0]") and `timestamp`
-in us. Message definitions: https://docs.px4.io/main/en/msg_docs/
+Topics are {(name, instance): {field: (n,) array}} with fields named as PX4 flattens them ("control[0]") and `timestamp` in us. Message
+definitions: https://docs.px4.io/main/en/msg_docs/
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ _ARMED = 2  # vehicle_status.arming_state
 
 
 class Topics:
-    """Read access to one log's topics. start_us: time stamp that is second 0; notes: sentences on what was damaged."""
+    """Read access to one log's topics. start_us: time stamp that is second 0; notes: sentences on damage."""
 
     def __init__(self, tables, start_us: int):
         self.tables, self.start_us, self.notes = tables, start_us, []
@@ -105,7 +105,7 @@ def signals(topics: Topics, parameters) -> tuple[dict, dict]:
         "rates", "vehicle_attitude", ["rollspeed", "pitchspeed", "yawspeed"]
     )
     battery = _battery(topics)
-    found = {
+    signals_ = {
         "control": _control(topics),
         "gyro": series.fastest(rates, topics.signal("gyro", "sensor_combined", numbered("gyro_rad", 3))),
         "rates": rates,
@@ -128,19 +128,19 @@ def signals(topics: Topics, parameters) -> tuple[dict, dict]:
         **px4_reports.limited(topics),
     }
     motors, facts = _motors(topics, parameters)
-    found["motors"] = motors
+    signals_["motors"] = motors
     facts |= _kind(topics)
-    if found["control"] is not None:
-        thrust = found["control"]
+    if signals_["control"] is not None:
+        thrust = signals_["control"]
         valid = None if thrust.valid is None else thrust.valid[:, 3:]
-        found["throttle"] = series.signal(
+        signals_["throttle"] = series.signal(
             "throttle", thrust.time, thrust.values[:, 3:], thrust.source, topics.notes, valid
         )
-    return {k: v for k, v in found.items() if v is not None}, facts | {"utc_start": _utc_start(topics)}
+    return {k: v for k, v in signals_.items() if v is not None}, facts | {"utc_start": _utc_start(topics)}
 
 
 def rotor_count(parameters) -> int:
-    """Number of rotors by parameter (CA_ROTOR_COUNT, else MAV_TYPE); 0 when neither says."""
+    """Number of rotors by parameter (CA_ROTOR_COUNT, else MAV_TYPE); 0 when unknown."""
     count = int(parameters.get("CA_ROTOR_COUNT", 0))
     return count if 0 < count <= 12 else MAV_TYPES.get(int(parameters.get("MAV_TYPE", 0)), ("", 0))[1]
 
@@ -192,7 +192,7 @@ def _motors(topics: Topics, parameters):
 
 
 def _mixed(topics: Topics, parameters):
-    """Outputs that a quad's mixer made of the rate controller's output, where the log holds that alone."""
+    """Outputs computed from the rate controller's output by a quad's mixer, where the log holds that alone."""
     found = topics.table("actuator_controls_0", *numbered("control", 4))
     values = None if found is None else px4_outputs.mixed(series.stacked(found[1], numbered("control", 4)), parameters)
     if found is None or values is None:
@@ -243,7 +243,7 @@ def _attitude(topics: Topics, kind, name, field):
 
 
 def _utc_start(topics: Topics) -> str | None:
-    """UTC of second 0, as the GPS says."""
+    """UTC of second 0, by the GPS."""
     for name in ("vehicle_gps_position", "sensor_gps"):
         found = topics.table(name, "time_utc_usec")
         if found is not None:
@@ -290,7 +290,7 @@ def custom_mode(number: int) -> str:
 
 
 def messages(topics: Topics) -> list[Message]:
-    """State changes: landed, armed, flight mode; and what the autopilot itself reports."""
+    """State changes: landed, armed, flight mode; and the autopilot's own reports."""
     out = px4_reports.messages(topics)
     found = topics.table("vehicle_land_detected", "landed", early=True)
     if found is not None:

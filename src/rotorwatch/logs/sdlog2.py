@@ -67,7 +67,7 @@ def read(data, name: str, progress=None) -> Flight:
 
 
 class _Tables:
-    """Read access to one log's messages. notes: sentences on what was damaged."""
+    """Read access to one log's messages. notes: sentences on damage."""
 
     def __init__(self, log, clock):
         self.log, self.clock = log, clock
@@ -94,7 +94,7 @@ class _Tables:
 def _signals(tables: _Tables, parameters) -> tuple[dict, dict]:
     rates = tables.signal("rates", "ATT", "RollRate", "PitchRate", "YawRate")
     motors, facts = _motors(tables, parameters)
-    found = {
+    signals = {
         "motors": motors,
         "control": tables.signal("control", "ATTC", "Roll", "Pitch", "Yaw", "Thrust"),
         "throttle": tables.signal("throttle", "ATTC", "Thrust"),
@@ -106,7 +106,7 @@ def _signals(tables: _Tables, parameters) -> tuple[dict, dict]:
         "position": tables.signal("position", "LPOS", "X", "Y", "Z"),
         "battery": tables.signal("battery", "BATT", "V", "C", valid=series.voltage_and_current),
     }
-    return {k: v for k, v in found.items() if v is not None}, facts
+    return {k: v for k, v in signals.items() if v is not None}, facts
 
 
 def _motors(tables: _Tables, parameters):

@@ -18,7 +18,7 @@ ENDINGS = (".ulg",)
 
 _MAGIC = b"ULog\x01\x12\x35"
 _BUFFER = 1 << 18  # bytes
-_CIRCLES = 1000  # times that a parser may go back to where it has been
+_CIRCLES = 1000  # times that a parser may return to an earlier position
 _ENOUGH = 20  # samples of a topic that is logged all the time
 _BEGINS_WITHIN_US = 30e6  # some topic after the header
 _MOST_FIELDS = 20_000  # flattened; PX4's largest message has about 400
@@ -77,7 +77,7 @@ def _board(log) -> dict:
 
 
 def _pyulog(ulog, file, **options):
-    """(log, damaged): pyulog with its prints caught and its stumbles turned into a LogError."""
+    """(log, damaged): pyulog with its prints suppressed and its exceptions turned into a LogError."""
     printed = io.StringIO()
     try:
         with contextlib.redirect_stdout(printed):
@@ -89,7 +89,7 @@ def _pyulog(ulog, file, **options):
 
 
 def _whole(ulog, data, progress):
-    """(log, damaged, cut): all topics of interest. Of a sound log pyulog reads what is no data, and `ulog_data` that."""
+    """(log, damaged, cut): all topics of interest. Of an intact log pyulog reads all but the data, and `ulog_data` that."""
     topics = [*px4_topics.TOPICS, px4_reports.EVENTS]
     found = ulog_data.messages(data, topics)
     if found is not None:
@@ -105,7 +105,7 @@ def _whole(ulog, data, progress):
 
 
 def _check_definitions(formats: Mapping[str, Sequence[tuple[str, int, str]]]) -> None:
-    """Refuse message definitions that nest endlessly or flatten to absurd sizes: only damage makes such. formats: name -> (type, count,
+    """Refuse message definitions that are recursive or flatten to absurd sizes: only damage causes that. formats: name -> (type, count,
     name) of each field."""
     sizes: dict[str, int] = {}
 
@@ -126,10 +126,9 @@ def _check_definitions(formats: Mapping[str, Sequence[tuple[str, int, str]]]) ->
 
 
 def _start(log, tables) -> tuple[int, list[str]]:
-    """(us of second 0, warnings): the header's time stamp, or the earliest data where the header's cannot be right.
+    """(us of second 0, warnings): the header's time stamp, or the earliest data where the header's is impossible.
 
-    Data begins within a second of the header; topics that are logged when they change may begin before or after it.
-    """
+    Data begins within a second of the header; topics that are logged when they change may begin before or after it."""
     start, first = int(log.start_timestamp), []
     for table in tables.values():
         stamp = np.asarray(table.get("timestamp", ()), np.float64)
@@ -141,7 +140,7 @@ def _start(log, tables) -> tuple[int, list[str]]:
 
 
 def _is_parameter(name, value) -> bool:
-    """Numbers only, and nothing of the simulator's: SIM_* parameters can give a fault away."""
+    """Numbers only, and none of the simulator's: SIM_* parameters can disclose a fault."""
     return isinstance(value, (int, float)) and math.isfinite(value) and not name.startswith("SIM_")
 
 
@@ -172,12 +171,10 @@ def _log_messages(log, start) -> list[Message]:
 
 
 class _File:
-    """A read-only file over bytes that need not be copied, and that ends for good when a parser runs in circles.
+    """A read-only file over bytes without a copy, which ends for good when a parser runs in circles.
 
-    Where the parser meets damage it goes back to one byte after the place where it was. One that goes back to where it has been before,
-    again and again, is lost, as is one that seeks more often than one time in eight bytes. Then this file stays at its end. cut: a read
-    got less than it requested.
-    """
+    At damage the parser goes back to one byte after its last position. A parser that repeatedly goes back to a position, or that seeks more
+    often than once in eight bytes, is stuck. Then this file stays at its end. cut: a read got less than it requested."""
 
     def __init__(self, data, progress=None):
         self._size = len(data)

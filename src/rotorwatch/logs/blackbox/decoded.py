@@ -1,7 +1,7 @@
 """Tables that blackbox_decode made of Blackbox logs: a line for each main frame, names and units in the first one.
 
-They do not hold the header. So the gyro is taken as deg/s where no unit is named, as Betaflight logs it; outputs as DShot's numbers or as
-pulses by their size; and the accelerometer is used where the table gives it in g or m/s^2 (--unit-acceleration).
+They lack the header. So the gyro is taken as deg/s where no unit is named, as Betaflight logs it; outputs as DShot values or as pulses by
+their size; and the accelerometer is used where the table gives it in g or m/s^2 (--unit-acceleration).
 """
 
 from __future__ import annotations

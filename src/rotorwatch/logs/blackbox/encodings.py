@@ -1,7 +1,7 @@
-"""How numbers are written in a Blackbox log, as a definition (`compiling.structs`): each function reads fields from bytes.
+"""Encoding of numbers in Blackbox logs, as a definition (`compiling.structs`): each function decodes fields from bytes.
 
-All take the bytes, where to read, and where to write; all return where to read on. Numbers have 32 bits; unsigned ones from 2^31 on are
-negative here, which `header` puts right. Sources: blackbox_encoding.c of Betaflight for what is written, docs/development/Blackbox of
+All take the bytes, the read position and the write position, and return the next read position. Numbers have 32 bits; unsigned ones from
+2^31 on are negative here, which `header` corrects. Sources: blackbox_encoding.c of Betaflight for the encoder, docs/development/Blackbox of
 Cleanflight for the rest.
 """
 

@@ -1,10 +1,10 @@
-"""Frames of a Blackbox log, as a definition (`compiling.structs`): bytes in, rows of whole numbers out.
+"""Frames of a Blackbox log, as a definition (`compiling.structs`): bytes in, rows of integers out.
 
-A session's header lists for each kind of frame its fields, their encodings and their predictors. I frames stand
-alone; P frames hold the difference to a prediction from the frames before. S: slow-changing states, G: GPS, H: its home, E: events.
+A session's header lists for each kind of frame its fields, their encodings and their predictors. I frames stand alone; P frames hold the
+difference to a prediction from the frames before. S: slow-changing states, G: GPS, H: its home, E: events.
 
-Only its fields show where a frame ends, and there is no checksum. So a frame counts if another begins where it
-ends, or the log ends there. After one that does not, or garbage, P frames are worth nothing until the next I frame.
+A frame has neither a length nor a checksum. So a frame is valid if another begins where it ends, or the log ends there. After an invalid
+one, or garbage, P frames are unusable until the next I frame.
 """
 
 from __future__ import annotations
