@@ -62,23 +62,23 @@ def messages(log, clock) -> tuple[Message, ...]:
     """Texts, errors, events, modes and arming, in time order.
 
     'armed' and 'landed' have value 1 or 0; 'mode' and 'event' their number; 'error' that of the reporting subsystem."""
-    messages_ = [Message(t, "text", text) for t, text in _rows(log, clock, "MSG", "Message") if "SIM_" not in text]
+    entries = [Message(t, "text", text) for t, text in _rows(log, clock, "MSG", "Message") if "SIM_" not in text]
     for time, source, code in _rows(log, clock, "ERR", "Subsys", "ECode"):
         if np.isfinite([source, code]).all():
             name = ERRORS.get(int(source), f"part {int(source)}")
             over = code == 0 and source != CORE
-            messages_.append(
+            entries.append(
                 Message(time, "error", f"{name}: {'resolved' if over else f'error {int(code)}'}", float(source))
             )
     number = "ModeNum" if "ModeNum" in log.columns("MODE") else "Mode"
     for time, mode in _rows(log, clock, "MODE", number):
         if np.isfinite(mode):
-            messages_.append(Message(time, "mode", MODES.get(int(mode), f"mode {int(mode)}"), float(mode)))
+            entries.append(Message(time, "mode", MODES.get(int(mode), f"mode {int(mode)}"), float(mode)))
     arming = [(time, float(state != 0)) for time, state in _rows(log, clock, "ARM", "ArmState")]
     armings = len(arming)
     for time, state, method in _rows(log, clock, "ARM", "ArmState", "Method"):
         if state == 0 and np.isfinite(method) and int(method) in METHODS:
-            messages_.append(Message(time, "event", f"disarmed: {METHODS[int(method)]}", float(method)))
+            entries.append(Message(time, "event", f"disarmed: {METHODS[int(method)]}", float(method)))
     for time, event in _rows(log, clock, "EV", "Id"):
         if not np.isfinite(event):
             continue
@@ -87,13 +87,13 @@ def messages(log, clock) -> tuple[Message, ...]:
             if not any(s == state and abs(t - time) < SAME_EVENT_S for t, s in arming[:armings]):
                 arming.append((time, state))
         elif event in (LANDED, NOT_LANDED):
-            messages_.append(
+            entries.append(
                 Message(time, "landed", "landed" if event == LANDED else "in the air", float(event == LANDED))
             )
         else:
-            messages_.append(Message(time, "event", EVENTS.get(int(event), f"event {int(event)}"), float(event)))
-    messages_ += [Message(t, "armed", "armed" if state else "disarmed", state) for t, state in arming]
-    return tuple(sorted(messages_, key=lambda m: m.time))
+            entries.append(Message(time, "event", EVENTS.get(int(event), f"event {int(event)}"), float(event)))
+    entries += [Message(t, "armed", "armed" if state else "disarmed", state) for t, state in arming]
+    return tuple(sorted(entries, key=lambda m: m.time))
 
 
 def _rows(log, clock, name, *columns) -> Iterator[tuple[Any, ...]]:

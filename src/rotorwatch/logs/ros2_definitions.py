@@ -17,11 +17,11 @@ import numpy as np
 def _definitions() -> dict[str, list[str]]:
     """Type, as `package/Type` -> its definition in each of its forms, with those of the types inside it."""
     outer, _, inside = Path(__file__).with_suffix(".msg").read_text("utf-8").partition("INSIDE OTHERS")
-    forms_: dict[str, list[str]] = {}
+    by_kind: dict[str, list[str]] = {}
     for part in outer.split("\nMSG: ")[1:]:
         kind, _, fields = part.partition("\n")
-        forms_.setdefault(kind, []).append(fields + inside.replace("\nMSG: ", "\n=\nMSG: "))
-    return forms_
+        by_kind.setdefault(kind, []).append(fields + inside.replace("\nMSG: ", "\n=\nMSG: "))
+    return by_kind
 
 
 def forms(kind: str) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Access control: the token, the host that is named, where a request comes from, and what a browser may do with the answers."""
+"""Access control: token, host and origin of a request, and security headers of the answers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from rotorwatch.errors import ConfigError
 from rotorwatch.serve.connections import LET_IN
 
-# The page runs its own files and nothing else: nothing inline, nothing of another host, in nobody's frame.
+# The page runs its own files alone: nothing inline, nothing of another host, in no frame.
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; form-action 'self'; "
     "base-uri 'none'; frame-ancestors 'none'"
@@ -25,7 +25,7 @@ POLICY = (
 ALWAYS = {"X-Content-Type-Options": "nosniff", "X-Frame-Options": "DENY"} | dict.fromkeys(
     ("Referrer-Policy", "Cross-Origin-Resource-Policy", "Cross-Origin-Opener-Policy"), "same-origin"
 )
-LEAST = 16  # letters of a token: nobody guesses one of them over a network
+LEAST = 16  # letters of a token, too many to guess over a network
 MOST_FORM, FORM_S = 4096, 10.0  # bytes of the login form; s for sending it
 NEEDED, WRONG = (
     f"{what}: give the one that rotorwatch was started with." for what in ("A token is needed", "This token is wrong")
@@ -44,7 +44,7 @@ def loopback(host: str) -> bool:
 
 
 def checked(host: str, token: str) -> str:
-    """The token, if it will do for a server on that host. Raises ConfigError."""
+    """The token, if it is sufficient for a server on that host. Raises ConfigError."""
     if token and (len(token) < LEAST or not token.isascii() or not token.isprintable()):
         raise ConfigError(
             f"--token: give at least {LEAST} plain letters and digits, for instance what `openssl rand -hex 16` prints."
@@ -58,7 +58,7 @@ def checked(host: str, token: str) -> str:
 
 
 class Guard:
-    """Around the whole application. host: that it listens on; token: empty where none is required."""
+    """Middleware around the whole application. host: that it listens on; token: empty where none is required."""
 
     def __init__(self, app: ASGIApp, host: str, token: str):
         self._app, self._token = app, token
@@ -83,7 +83,7 @@ class Guard:
         await (answer or self._app)(scope, receive, guarded)
 
     async def _refusal(self, request: Request) -> Response | None:
-        """What is answered instead, or None for a request that may pass."""
+        """The answer to a refused request, or None for one with access."""
         headers = request.headers
         if len(headers.getlist("host")) != 1 or not self._known(headers["host"]):
             why = "This address is not this server's; open it by the name or the address it was started with."
@@ -99,13 +99,14 @@ class Guard:
             return None
         token = request.query_params.get("token")
         if token is not None and self._same(token):
-            if request.method != "GET":  # a program's; a browser gets a cookie
+            if request.method != "GET":  # of a program; a browser gets a cookie
                 return None
             return self._let_in(request)
         return refused(request, 401, WRONG if token is not None or "authorization" in headers else NEEDED)
 
     def _known(self, host: str) -> bool:
-        """An address, or a name of this computer. Any other name has been turned towards us by somebody else's name server."""
+        """Whether the host is an address, or a name of this computer. Any other name points here by a foreign name server (DNS
+        rebinding)."""
         try:
             name = urlsplit(f"//{host}").hostname or ""
             urlsplit(f"//{host}").port  # noqa: B018 - raises for what is no port
@@ -142,7 +143,7 @@ class Guard:
         return self._let_in(request)
 
     def _let_in(self, request: Request) -> Response:
-        """Back to what was asked for. Browsers keep what stands behind a #, which no server sees."""
+        """Redirect to the requested page. Browsers keep the part behind a #, which no server sees."""
         rest = urlencode([(k, v) for k, v in request.query_params.multi_items() if k != "token"])
         path = "/" if request.url.path == "/login" else request.url.path + (f"?{rest}" if rest else "")
         answer = RedirectResponse("/" + path.lstrip("/\\"), 303)
@@ -163,7 +164,7 @@ async def _form(request: Request) -> bytes:
 
 
 def _cookie(request: Request) -> str:
-    """Browsers give cookies to all ports of a host."""
+    """Name of the cookie, by port, as browsers send cookies to all ports of a host."""
     return f"rotorwatch-{request.url.port or 80}"
 
 
@@ -174,7 +175,7 @@ def from_here(headers: Headers) -> bool:
         return False
     try:
         return origin is None or urlsplit(origin).netloc.lower() == headers.get("host", "").lower()
-    except ValueError:  # no address at all
+    except ValueError:  # not an address
         return False
 
 

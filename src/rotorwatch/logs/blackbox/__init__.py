@@ -111,11 +111,11 @@ def _flight(session: decoder.Session, name: str, number: int, notes: list[str]) 
         "event": len(session.events),
     }
     facts = {"session": number, "log_messages": {key: value for key, value in counts.items() if value}}
-    read_ = flight.assembled(
+    flown = flight.assembled(
         columns, FORMAT, name, facts=facts, signals=_gps(session, first, notes), messages=_messages(session, first),
         start_us=int(first),
     )  # fmt: skip
-    return replace(read_, warnings=tuple(notes))
+    return replace(flown, warnings=tuple(notes))
 
 
 def _damage(session: decoder.Session) -> list[str]:
