@@ -49,46 +49,46 @@ from rotorwatch.commands.tools import (
 )
 from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, RotorwatchError, WorkerWarning, lacking
 
-ERROR, STOPPED, BROKEN_PIPE = 2, 128, 141  # stopped: and the number of the signal
-ENDING = "SIGTERM", "SIGHUP"  # signals that end a command as Ctrl-C does: with what it began put away
+ERROR, STOPPED, BROKEN_PIPE = 2, 128, 141  # stopped: plus the number of the signal
+ENDING = "SIGTERM", "SIGHUP"  # signals that end a command as Ctrl-C does, with clean-up
 SAMPLES = Path(__file__).parents[1] / "samples"
 
 
 def main(argv: list[str] | None = None) -> None:
     """Entry point of the `rotorwatch` command; always leaves by SystemExit."""
-    # Nearly all that a command makes lasts until its end, and is not looked through for cycles again and again, nor when it ends. Matrices
-    # are small: threads of numerical libraries would only have to be started.
+    # Nearly all objects of a command live until its end, so cyclic garbage collection is of no use. Matrices
+    # are small: threads of numerical libraries only cost their start.
     gc.set_threshold(100_000, 20, 50)
     atexit.register(gc.freeze)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if "_ROTORWATCH_COMPLETE" in os.environ:  # set by the shell's completion function
         cli.main(prog_name="rotorwatch")
     if not os.environ.get("ROTORWATCH_DEBUG"):
-        warnings.simplefilter("ignore")  # those of numerical libraries; a flight's are part of the answer
+        warnings.simplefilter("ignore")  # of numerical libraries; a flight's are part of the answer
         for kind in (BackendWarning, PluginWarning):
             warnings.filterwarnings("once", category=kind)
         warnings.filterwarnings("always", category=WorkerWarning)
         warnings.showwarning = lambda message, *where, **more: say(str(message))
     for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:  # closed by the shell (>&-): nobody wants it
+        if getattr(sys, name) is None:  # closed by the shell (>&-)
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
         stream = getattr(sys, name)
-        if isinstance(stream, io.TextIOWrapper):  # a sign that the terminal does not know must not end the answer
+        if isinstance(stream, io.TextIOWrapper):  # a character that the terminal lacks must not end the answer
             stream.reconfigure(errors="backslashreplace")
     for name in ENDING:
         number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) == signal.SIG_DFL:  # nohup has it ignored
+        if number is not None and signal.getsignal(number) == signal.SIG_DFL:  # nohup ignores it
             with contextlib.suppress(ValueError):  # not the main thread
                 signal.signal(number, _stop)
     try:
         code = _run(sys.argv[1:] if argv is None else list(argv))
-    except OSError as why:  # nor can the error be printed
+    except OSError as why:  # the error cannot be printed either
         code = BROKEN_PIPE if isinstance(why, BrokenPipeError) else ERROR
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
         except OSError:
-            # What could not be written is tried again when the interpreter ends, which then complains and ends with 120.
+            # The interpreter would retry unwritten output when it ends, and then end with 120.
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
     sys.exit(code)
 
@@ -105,7 +105,7 @@ def _run(argv: list[str]) -> int:
             code = leave.exit_code
         sys.stdout.flush()
         return code
-    except BrokenPipeError:  # the reader (head, less) has seen enough
+    except BrokenPipeError:  # the reader (head, less) has closed
         return BROKEN_PIPE
     except (KeyboardInterrupt, click.Abort) as why:
         say("interrupted")
@@ -154,7 +154,7 @@ def explain(why: Exception) -> str:
 
 
 class Commands(UserDict):
-    """Commands by their names. Those of other files are imported when they are asked for: each process runs one."""
+    """Commands by their names, imported on demand: each process runs one."""
 
     def __getitem__(self, name: str) -> click.Command:
         command = super().__getitem__(name)
@@ -264,13 +264,13 @@ def _diagnose(request: several.Request) -> int:
     from rotorwatch.diagnose_many import timed
     from rotorwatch.witnesses.healthy.baselines import Candidate
 
-    known = vehicle_of(request.vehicle)
+    vehicle = vehicle_of(request.vehicle)
     with progress(request.quiet) as report:
-        healthy = tuple(Candidate(_read(path, report), known) for path in request.baselines)
+        healthy = tuple(Candidate(_read(path, report), vehicle) for path in request.baselines)
     with progress(request.quiet) as report:
         result = timed(
             lambda: _read(request.logs[0], portion(report, 0.0, READ)),
-            known,
+            vehicle,
             healthy,
             request.estimator,
             request.tuned,
@@ -300,7 +300,7 @@ def _diagnose(request: several.Request) -> int:
 
 
 def _check_markdown(request: several.Request) -> None:
-    """Raises ConfigError for --markdown and --identify beside what they do not go with."""
+    """Raises ConfigError for --markdown and --identify with incompatible options."""
     if request.identify and not request.markdown:
         raise ConfigError("--identify says what --markdown may tell; give both.")
     if request.to_stdout and (request.as_json or (request.jsonl and not request.out)):
@@ -315,9 +315,7 @@ def _post_paths(logs: Sequence[Any], out: Path | None) -> tuple[list[Path], Path
     from rotorwatch.report.markdown import ENDINGS
 
     each = "{name}" in str(out) or out.is_dir()
-    if (
-        not out.is_dir() and out.suffix.lower() not in ENDINGS
-    ):  # as a log that stands behind the option would be overwritten
+    if not out.is_dir() and out.suffix.lower() not in ENDINGS:  # a log after the option would be overwritten
         raise ConfigError(f"--markdown {out}: give a name that ends in .md; --markdown - writes to standard output.")
     if each:
         return report_paths(logs, out, "--markdown", ".md"), None
@@ -325,7 +323,7 @@ def _post_paths(logs: Sequence[Any], out: Path | None) -> tuple[list[Path], Path
 
 
 def report_paths(logs: Sequence[Any], out: Path | None, option: str = "--report", ending: str = ".html") -> list[Path]:
-    """Where each log's page goes: OUT, OUT/NAME.html in a folder, or OUT with {name} filled in; never one twice."""
+    """Path of each log's page: OUT, OUT/NAME.html in a folder, or OUT with {name} filled in; never the same twice."""
     from rotorwatch.base import files
 
     if out is None:
@@ -444,7 +442,7 @@ def inject(logs, losses, repeats, seed, jobs, scheduler, keep, as_json, quiet) -
 
 
 def _by_loss(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """A campaign's table turned over: a line for each measure, a column for each loss."""
+    """A campaign's table transposed: a line for each measure, a column for each loss."""
     from rotorwatch.report import percent, seconds, words
 
     counts = {"loss", "injections", "false_alarms", "at_limit"}

@@ -1,4 +1,4 @@
-"""The command that makes C of an estimator or of the control allocation."""
+"""The command that exports an estimator or the control allocation as C."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ JSON = flag("--json as_json", "Print JSON (docs/fleet.md).")
 
 
 def _store(make: bool) -> Callable:
-    """The option --store of a command, which gets the store it names as `store`; make: whether one that is not there is made."""
+    """The option --store of a command, which passes the named store as `store`; make: whether a missing one is created."""
     text = "SQLite file or postgresql://USER@HOST/DATABASE; default: a file in your data folder."
     add_option = option("--store url", text, envvar="ROTORWATCH_STORE", metavar="FILE|URL")
 
@@ -108,11 +108,11 @@ def add(store, logs, aircraft, vehicle, follow, jobs, scheduler, quiet) -> None:
 
 def _say_refused(names: list[str]) -> None:
     if names:
-        shown = ", ".join(names[:REFUSED_SHOWN]) + (
+        listed = ", ".join(names[:REFUSED_SHOWN]) + (
             f" and {len(names) - REFUSED_SHOWN} more" if names[REFUSED_SHOWN:] else ""
         )
         say(
-            f"{len(names)} could not be judged before, and not tried again as unchanged: {shown}; give one by itself to see why."
+            f"{len(names)} could not be judged before, and not tried again as unchanged: {listed}; give one by itself to see why."
         )
 
 
@@ -230,7 +230,7 @@ def service(store, aircraft, what, rotor, at, after, quiet) -> None:
 
 
 def unknown(hash: str) -> NoReturn:
-    """Raises ConfigError for the hash of no flight."""
+    """Raises ConfigError for a hash without a flight."""
     raise ConfigError(
         f"{label(hash)}: the store holds no flight, or several, with such a hash; `rotorwatch fleet list --flights`."
     )

@@ -1,4 +1,4 @@
-"""The commands of a fleet that list, compare and delete its flights; a list of flights is one of aircraft by default."""
+"""The commands of a fleet that list, compare and delete its flights; the list is one of aircraft by default."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def list_(store, flights, sort, limit, offset, as_json, quiet, **filters) -> Non
         rows.append((a["name"], a["state"], str(a["flights"]), day(a["last"]), last.get("verdict", "-"), new, headline))
     head = ("aircraft", "state", "flights", "last flight", "verdict", "new", "how it stands")
     table(f"{len(found)} aircraft", head, rows, right=(2,))
-    with suppress(StoreError):  # a store that may only be read
+    with suppress(StoreError):  # the store may be read-only
         store.look()
     if nobody and not quiet:
         say(f"{nobody} flights name no aircraft: add such logs with --aircraft NAME.")
@@ -125,7 +125,7 @@ def delete(store, flights, yes, quiet) -> None:
     """
     from rotorwatch.fleet import assess
 
-    store.reports.settle()  # a deletion that was killed is finished first
+    store.reports.settle()  # finish interrupted deletions first
     found = {row["hash"]: row for row in (store.flight(one) or unknown(one) for one in flights)}
     if not yes:
         if not sys.stdin.isatty():

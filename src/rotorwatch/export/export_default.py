@@ -1,6 +1,6 @@
-"""The default estimator as a C99 project: header, source, example and CMakeLists, made of its definition (engine/estimator/).
+"""The default estimator as a C99 project: header, source, example and CMakeLists, from its definition (engine/estimator/).
 
-A tick in, what its `Result` says out; `export_diagnoser` has what makes ticks of samples and events of results.
+Its input is a tick, its output a `Result`; `export_diagnoser` adds ticks from samples and events from results.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def _inputs(n: int) -> str:
 
 
 def _own(text: str, name: str) -> str:
-    """The same with names of its own: several of these, and a diagnoser, may stand in one firmware."""
+    """The text with prefixed names, so that several of these, and a diagnoser, can be in one firmware."""
     text = re.sub(r"\brw_(?!real\b|time\b)", f"{name}_", text)
     return re.sub(r"\bRW_(?!LASTS\b)", f"{name.upper()}_", text)
 
@@ -135,7 +135,7 @@ int main(void)
 
 
 def _bytes(kind: type[structs.Struct], values: dict[str, Any]) -> int:
-    """Size of a struct where the sizes have these values, without gaps."""
+    """Size of a struct with these values of the sizes, without gaps."""
     usual = {size: values[name] for name, size in vars(sizes).items() if name.isupper() and name in values}
     total = 0
     for name, field in kind.declared():

@@ -1,4 +1,4 @@
-"""What stands around exported C: how it is built by CMake, and a program that calls the diagnoser."""
+"""CMake files for exported C, and an example program for the diagnoser."""
 
 from __future__ import annotations
 
