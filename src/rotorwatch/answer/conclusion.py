@@ -120,12 +120,12 @@ def _shows_more(seen: Evidence, main: int | None, verdict: str) -> str:
 
 
 def _bounded(seen: Evidence) -> bool:
-    """Whether the flight shows no fault, and bounds the loss of each rotor."""
+    """True if the flight shows no fault, and bounds the loss of each rotor."""
     return seen.hidden is not None and seen.lost is None and not seen.missing
 
 
 def _crashed(lost: Event) -> bool:
-    """Whether control was lost for good by a known cause that is no rotor."""
+    """True if control was lost for good by a known cause that is no rotor."""
     known = lost.kind == LOST and lost.extra.get("cause") in NOT_A_ROTOR and not lost.alternatives
     return known and lost.end_s in (None, lost.extra.get("impact_s"))
 
@@ -177,7 +177,7 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
 
 
 def _anybody(seen: Evidence, event: Event) -> bool:
-    """Whether any single rotor may explain an event, which then does not indicate which one."""
+    """True if any single rotor may explain an event, which then does not indicate which one."""
     alone = {rotors_[0] for rotors_ in (event.rotors, *event.alternatives) if len(rotors_) == 1}
     return len(alone) == seen.n
 
@@ -236,7 +236,7 @@ def _open(seen: Evidence) -> str:
 
 
 def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
-    """One or two short sentences for a pilot."""
+    """The headline for a pilot: one or two short sentences."""
     event = None if main is None else seen.events[main]
     if event is not None and not event.means.accuses:
         first = said(event.means.headline, event, seen.places, until=_until(seen, event, " until"), again="")
@@ -483,7 +483,7 @@ def _other_faults(seen: Evidence) -> list[Event]:
 
 
 def _stopped(seen: Evidence, event: Event) -> str:
-    """Whether a motor that lost step stopped for good, in words."""
+    """Outcome of a motor that lost step, in words: it stopped for good, or recovered."""
     after = (e for e in seen.losses if e.rotors == event.rotors and not e.alternatives and e.onset_s >= event.onset_s)
     last = next((e for e in after if e.end_s is None and e.loss and e.loss[0] > TOTAL_LOSS), None)
     return "" if last is None else f", and gave nothing any more from {seconds(last.onset_s)} on"
@@ -507,5 +507,5 @@ def _worked(seen: Evidence, rotor: int) -> str:
 
 
 def _landed(seen: Evidence, end_s: float | None) -> bool:
-    """Whether an event ended with a landing, before another take-off: its continuation was not judged."""
+    """True if an event ended with a landing, before another take-off: its continuation was not judged."""
     return end_s is not None and any(abs(end_s - down) < LANDED_S for _, down in seen.hops[:-1])

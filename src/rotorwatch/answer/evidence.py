@@ -50,7 +50,7 @@ class Evidence(NamedTuple):
 
     @property
     def patchy(self) -> bool:
-        """Whether too much of the flight, beyond the blind time after each take-off, was not judged to call it healthy."""
+        """True if too much of the flight, beyond the blind time after each take-off, was not judged to call it healthy."""
         return self.flown_s - self.blind_s * len(self.hops) - self.judged_s > UNJUDGED_SHARE * self.judged_s
 
     @property
@@ -76,7 +76,7 @@ class Evidence(NamedTuple):
 
     @property
     def vague(self) -> bool:
-        """Whether a significant loss could have remained undetected."""
+        """True if a significant loss could have remained undetected."""
         return self.unseen > self.matters
 
     @property
@@ -111,7 +111,7 @@ class Evidence(NamedTuple):
 
     @property
     def whole(self) -> bool:
-        """Whether it was compared with healthy flights."""
+        """True if it was compared with healthy flights."""
         return any(c.source is Source.FLIGHTS for c in self.claims)
 
     @property

@@ -88,7 +88,7 @@ def joined(known: Iterable[Event], claims: Iterable[Event]) -> tuple[Event, ...]
 
 
 def explained(claim: Event, known: Iterable[Event]) -> bool:
-    """Whether a known event explains a claim, which is then dropped."""
+    """True if a known event explains a claim, which is then dropped."""
     rule = _EXPLAINS.get(claim.source)
     return rule is not None and any(rule(claim, other) for other in known)
 

@@ -77,7 +77,7 @@ def initiating_event(events: Sequence[Event], main: int | None) -> Event | None:
 
 
 def _may_begin(event: Event) -> bool:
-    """Whether an event may start it: a momentary desync is over."""
+    """True if an event may start it: a momentary desync is over."""
     return event.means.accuses and event.means.span is not Span.SPELLS
 
 

@@ -34,7 +34,7 @@ class Growth(NamedTuple):
 
     @property
     def certain(self) -> bool:
-        """Whether it is certainly a single rotor's."""
+        """True if it is certainly a single rotor's."""
         return len(self.rotors) == 1 and self.odds > CLEAR
 
 

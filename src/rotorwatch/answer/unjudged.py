@@ -1,4 +1,4 @@
-"""Why a flight could not be judged, or shows too little, with the numbers, and what would show more."""
+"""Reasons why a flight could not be judged, or shows too little, with the numbers, and advice on what would show more."""
 
 from __future__ import annotations
 
@@ -71,8 +71,9 @@ def shaken(flight: Flight, air: Spans) -> Unjudged | None:
 def find(
     air: Spans, table: Ticks, judged_s: float, needed_s: float, hovers: bool, enough_s: float, steps: bool
 ) -> Unjudged:  # fmt: skip
-    """Why only judged_s s of a flight were judged, or a significant loss could have remained undetected. needed_s: of continuous flight,
-    for enough_s judged; hovers: it is judged by the balance of hover, not by its angular motion; steps: steps of its trim mask a loss."""
+    """The reason why only judged_s s of a flight were judged, or a significant loss could have remained undetected. needed_s: of continuous
+    flight, for enough_s judged; hovers: it is judged by the balance of hover, not by its angular motion; steps: steps of its trim mask a
+    loss."""
     return (
         _shown_little(table, judged_s, hovers, steps)
         if judged_s >= enough_s
@@ -81,7 +82,7 @@ def find(
 
 
 def patchy(air: Spans, table: Ticks, hovers: bool) -> Unjudged:
-    """Why much of a flight was not judged, though the rest shows enough."""
+    """The reason why much of a flight was not judged, though the rest shows enough."""
     if table.contacts:
         when = [seconds(c.time) for c in table.contacts]
         times = listed(when) if len(when) <= NAMED else f"{when[0]} and {len(when) - 1} times more"

@@ -188,7 +188,7 @@ class Unseen:
         return (residual_evidence.claim(rotors, since, end_s, interval, source=Source.STEPS),)
 
     def _disturbed(self, when: np.ndarray, found: Sequence[Event]) -> np.ndarray:
-        """Whether the evidence at these times [s] is due to a knock among the events, or to a push."""
+        """True if the evidence at these times [s] is due to a knock among the events, or to a push."""
         pushed = np.zeros(np.shape(when), bool)
         for start in self._pushes:
             pushed |= (when > start - PUSH_S) & (when <= start)

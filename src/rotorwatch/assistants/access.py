@@ -53,7 +53,7 @@ class Access:
 
 
 def _own(host: str) -> bool:
-    """Whether a Host header names this computer alone: any other name points here by a foreign name server (DNS rebinding)."""
+    """True if a Host header names this computer alone: any other name points here by a foreign name server (DNS rebinding)."""
     try:
         parts = urlsplit(f"//{host}")
         return parts.username is None and security.loopback(parts.hostname or "") and (parts.port or 1) > 0

@@ -21,7 +21,7 @@ SHORT = ("kind", "rotors", "alternatives", "onset_s", "detected_s", "end_s", "lo
 
 
 def cut(text: str, most: int = SENTENCE) -> str:
-    """One of our sentences, cut to that length."""
+    """A sentence of rotorwatch's own, cut to that length."""
     return text if len(text) <= most else one_line(text, most)
 
 

@@ -75,7 +75,7 @@ class Server(MCPServer):
 
 
 def _wrong_parameters(tool: str, why: ValidationError) -> str:
-    """One sentence, without the values."""
+    """The error in one sentence, without the values."""
     sentences = []
     for error in why.errors(include_url=False, include_input=False, include_context=False)[:3]:
         where = next((str(part) for part in error["loc"]), "")
@@ -84,7 +84,7 @@ def _wrong_parameters(tool: str, why: ValidationError) -> str:
 
 
 def _own_error(why: BaseException) -> str:
-    """One sentence; details go to standard error."""
+    """The error in one sentence; details go to standard error."""
     if os.environ.get("ROTORWATCH_DEBUG"):
         import traceback
 

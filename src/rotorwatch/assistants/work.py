@@ -43,7 +43,7 @@ class Question:
 
 @dataclass(frozen=True)
 class Failed:
-    """Why there is no answer: one of our sentences and, for an error in a file, its reader's words, which may quote it."""
+    """A failure: one of our sentences and, for an error in a file, its reader's words, which may quote it."""
 
     sentence: str
     reader: str = ""

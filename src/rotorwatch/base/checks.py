@@ -162,5 +162,5 @@ def _where(why: BaseException) -> str:
 
 
 def concrete(value: Any) -> bool:
-    """Whether the value is known now: not a tracer inside a compiled program."""
+    """True if the value is known now: not a tracer inside a compiled program."""
     return "jax" not in sys.modules or not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value))

@@ -259,7 +259,7 @@ def _offered(group: str, folders: tuple[tuple[str, int], ...]) -> dict[str, meta
 
 @functools.cache
 def _mentioned(folders: tuple[tuple[str, int], ...]) -> bool:
-    """Whether any installed package may offer something: its entry points name a group of GROUPS. True where packages are not found in
+    """True if any installed package may offer something: its entry points name a group of GROUPS. True where packages are not found in
     folders alone."""
     finders = (finder for finder in sys.meta_path if finder is not importlib.machinery.PathFinder)
     if any(hasattr(finder, "find_distributions") for finder in finders):

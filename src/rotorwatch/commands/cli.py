@@ -134,7 +134,7 @@ def _stop(number: int, frame: Any) -> None:
 
 
 def explain(why: Exception) -> str:
-    """One sentence for any exception: its own if it was raised on purpose, else a request to report it."""
+    """A sentence for any exception: its own if it was raised on purpose, else a request to report it."""
     if os.environ.get("ROTORWATCH_DEBUG"):
         import traceback
 

@@ -134,7 +134,7 @@ def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
 
 
 def _drawable(quiet: bool) -> bool:
-    """Whether pictures can be drawn; prints why not."""
+    """True if pictures can be drawn; prints why not."""
     try:
         optional.library("matplotlib.figure", "The picture of a post")
     except ConfigError as why:

@@ -253,7 +253,7 @@ def show(table: Callable[[Any], Any]) -> None:
 
 
 def live() -> bool:
-    """Whether a bar can move on standard error: a terminal with cursor control."""
+    """True if a bar can move on standard error: a terminal with cursor control."""
     dumb = os.environ.get("TERM", "").lower() in ("dumb", "unknown")
     return sys.stderr is not None and sys.stderr.isatty() and not dumb
 

@@ -85,7 +85,7 @@ def watch(
             background.run(type(outlet).__name__.lower(), outlet.take, alert)
 
     def nobody_reads() -> bool:
-        """Whether the reader of standard output (head) has closed, and the results go nowhere else."""
+        """True if the reader of standard output (head) has closed, and the results go nowhere else."""
         return bool(unread) and isinstance(unread[0], BrokenPipeError) and not outlets and record is None
 
     try:
@@ -140,7 +140,7 @@ def _outlets(webhook: str | None, metrics: str | None, tell_ground: bool, listen
 
 
 def _screen() -> bool:
-    """Whether standard output can show a live table."""
+    """True if standard output can show a live table."""
     dumb = os.environ.get("TERM", "").lower() in ("dumb", "unknown", "")
     return sys.stdout is not None and sys.stdout.isatty() and not dumb
 

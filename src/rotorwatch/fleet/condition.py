@@ -1,4 +1,4 @@
-"""Whether an aircraft may fly, by its rotors over all flights and by the verdicts of its flights."""
+"""Fitness of an aircraft to fly, by its rotors over all flights and by the verdicts of its flights."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ BAD = ("crashed", "fault")
 
 
 def of(verdicts: Sequence[str], fell: Sequence[bool], rotors: Iterable[str]) -> str:
-    """One of STATES. verdicts, fell: of the flights since the last service, in order, and whether control was lost in them; rotors: the
-    states of its rotors. An undecided verdict clears no fault; a rotor or a last flight that was not judged is not healthy."""
+    """The state, from STATES. verdicts, fell: of the flights since the last service, in order, and whether control was lost in them;
+    rotors: the states of its rotors. An undecided verdict clears no fault; a rotor or a last flight that was not judged is not healthy."""
     rotors = list(rotors)
     bad = [verdict in BAD or lost for verdict, lost in zip(verdicts, fell, strict=True)]
     decided = [k for k, verdict in enumerate(verdicts) if bad[k] or verdict != "inconclusive"]

@@ -49,7 +49,7 @@ class Reports:
                     self._settle(self.folder / name)
 
     def _settle(self, aside: Path) -> None:
-        """Where store or disk fail, all stays for the next time."""
+        """Finish one deletion; where store or disk fail, all stays for the next time."""
         page = self.path(aside.stem)
         with suppress(StoreError, OSError):
             if not self._known(aside.stem):

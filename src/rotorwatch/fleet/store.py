@@ -273,12 +273,12 @@ class Store:
         return rows[0] | {k: json.loads(rows[0][k]) for k in ("diagnosis", "trim")} if len(rows) == 1 else None
 
     def has(self, hash: str) -> bool:
-        """Whether a log with these bytes is in the store."""
+        """True if a log with these bytes is in the store."""
         with self._database.reading() as db:
             return bool(db.value("SELECT hash FROM flights WHERE hash = :hash", hash=hash))
 
     def refused(self, hash: str, given: str) -> str:
-        """Why a file with these bytes could not be judged with the same settings (`refuse`); empty where unknown."""
+        """The reason why a file with these bytes could not be judged with the same settings (`refuse`); empty where unknown."""
         with self._database.reading() as db:
             return (
                 db.value("SELECT why FROM refused WHERE hash = :hash AND given = :given", hash=hash, given=given) or ""

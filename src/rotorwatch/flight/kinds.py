@@ -90,26 +90,26 @@ class Kind(NamedTuple):
 
     @property
     def accuses(self) -> bool:
-        """Whether it indicates a fault of a rotor, its motor or its output."""
+        """True if it indicates a fault of a rotor, its motor or its output."""
         return self.weight is Weight.FAULT
 
     @property
     def wrong(self) -> bool:
-        """Whether something is wrong with the flight: shown first, and in the colour of a fault."""
+        """True if something is wrong with the flight: shown first, and in the colour of a fault."""
         return self.weight in (Weight.FAULT, Weight.UPSET)
 
     @property
     def lasts(self) -> bool:
-        """Whether it lasts until it ends."""
+        """True if it lasts until it ends."""
         return self.span is Span.LASTS
 
     @property
     def lasting_fault(self) -> bool:
-        """Whether its rotors do not follow their commands from its onset to its end."""
+        """True if its rotors do not follow their commands from its onset to its end."""
         return self.accuses and self.lasts
 
     def ongoing(self, end_s: float | None) -> bool:
-        """Whether an event that ended at `end_s` s (None: it lasts) is still wrong."""
+        """True if an event that ended at `end_s` s (None: it lasts) is still wrong."""
         return self.wrong and (self.span is Span.STAYS or (self.lasts and end_s is None))
 
 

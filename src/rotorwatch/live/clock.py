@@ -62,7 +62,7 @@ class Clock:
         self._last, self._lead, self._others = stamp, stamp - 1e6 * arrival, 0
 
     def _agreed(self, stamp: float, arrival: float) -> bool:
-        """Whether enough successive stamps, this one the last, follow each other."""
+        """True if enough successive stamps, this one the last, follow each other."""
         if self._others:
             before, came = self._other[1]
             if abs(stamp - before - 1e6 * (arrival - came)) > TOGETHER_US:

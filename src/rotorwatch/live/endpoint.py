@@ -18,7 +18,7 @@ KINDS = "udp:PORT, udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DE
 
 
 def is_endpoint(text: str) -> bool:
-    """Whether a text names an endpoint, not a file."""
+    """True if a text names an endpoint, not a file."""
     return text.split(":", 1)[0].lower() in ("udp", "udpin", "udpout", "tcp", "serial") and ":" in text
 
 

@@ -117,7 +117,7 @@ def _over(event: dict) -> bool:
 
 
 def worth_sending(reported: tuple | None, alert: dict) -> bool:
-    """Whether an alert is worth a text: it is new, or the loss has moved by STEP since it was sent, or a stuck rotor's thrust by GIVES."""
+    """True if an alert is worth a text: it is new, or the loss has moved by STEP since it was sent, or a stuck rotor's thrust by GIVES."""
     if "texts" in alert.get("event", ()):
         return False  # the autopilot itself has informed the ground stations
     new = gist(alert)

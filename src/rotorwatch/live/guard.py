@@ -17,7 +17,7 @@ from rotorwatch.errors import RotorwatchError
 
 
 def trouble(why: BaseException) -> str:
-    """One sentence for an error; its traceback, too, on standard error under $ROTORWATCH_DEBUG."""
+    """A sentence for an error; its traceback, too, on standard error under $ROTORWATCH_DEBUG."""
     if os.environ.get("ROTORWATCH_DEBUG") and sys.stderr is not None:
         with suppress(Exception):
             traceback.print_exception(type(why), why, why.__traceback__)

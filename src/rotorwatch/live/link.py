@@ -1,4 +1,4 @@
-"""One endpoint: its frames sorted by vehicle, recorded, and turned into samples; and the requests to each vehicle."""
+"""A link: the frames of an endpoint sorted by vehicle, recorded, and turned into samples; and the requests to each vehicle."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def _missing(what: str, asked: bool) -> str:
 
 
 class LinkedVehicle:
-    """One vehicle on a link. watched: processes its samples."""
+    """A vehicle on a link. watched: processes its samples."""
 
     def __init__(self, watched: Watched, key: tuple[int, int], autopilot: str, kind: int, link: Link, peer: Any):
         self.watched, self._key, self._link = watched, key, link
@@ -107,7 +107,7 @@ class LinkedVehicle:
         return False
 
     def _fails(self, now: float) -> str:
-        """Why the followed address does not allow judging; empty where it does."""
+        """The reason why the followed address does not allow judging; empty where it does."""
         routes = self.routes
         if self._mixed:
             return "two seem to send there"
@@ -141,7 +141,7 @@ class LinkedVehicle:
             self._anew()
 
     def counted(self, sequence: int) -> bool:
-        """Whether a frame with this running number is new."""
+        """True if a frame with this running number is new."""
         health, route = self.watched.health, self.routes.followed
         step = 1 if route.sequence is None else (sequence - route.sequence) % 256
         route.senders.count(sequence)
@@ -154,7 +154,7 @@ class LinkedVehicle:
         return True
 
     def _one_sender(self) -> bool:
-        """Whether all frames are of one sender: a mixture of two senders cannot be judged."""
+        """True if all frames are of one sender: a mixture of two senders cannot be judged."""
         several = self.routes.followed.senders.several
         if several and not self._mixed:
             self.watched.say(f"{TWO_SENDERS}; nothing is judged until only one is left", "error")
@@ -382,7 +382,7 @@ class LinkedVehicle:
 
     @property
     def empty(self) -> bool:
-        """Whether it has sent nothing that could be judged."""
+        """True if it has sent nothing that could be judged."""
         return self.watched.session is None or self.watched.session.vehicle is None
 
 
@@ -460,7 +460,7 @@ class Link:
         return True
 
     def _nobody(self) -> str:
-        """Why no vehicle is watched."""
+        """The reason why no vehicle is watched."""
         if self.damaged and not self.frames:
             slow = "is the speed right, and " if self.endpoint.slow else ""
             return f"{self.endpoint.name}: bytes come, but none of them are MAVLink; {slow}is it MAVLink that is sent here?"

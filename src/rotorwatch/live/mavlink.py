@@ -1,4 +1,4 @@
-"""One vehicle's MAVLink messages as they arrive -> samples of its signals, by the definitions of `logs.tlog`."""
+"""MAVLink messages of a vehicle as they arrive -> samples of its signals, by the definitions of `logs.tlog`."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def decoded(identity: int, frame: bytes) -> dict[str, Any] | None:
 
 
 class Messages:
-    """One vehicle's messages since the last `take`; parameters are kept. See `tlog.Messages`."""
+    """Messages of a vehicle since the last `take`; parameters are kept. See `tlog.Messages`."""
 
     def __init__(self, autopilot: str, vehicle: int):
         self.autopilot, self.vehicle, self.notes = autopilot, vehicle, []
@@ -125,15 +125,15 @@ class Messages:
 
     @property
     def pending(self) -> bool:
-        """Whether there are messages since the last `take`."""
+        """True if there are messages since the last `take`."""
         return bool(self._rows)
 
     def heard(self, *names: str) -> bool:
-        """Whether any of these messages has been received."""
+        """True if any of these messages has been received."""
         return any(name in self._seen for name in names)
 
     def reached(self, time: float) -> bool:
-        """Whether all inputs of a tick are there up to `time` s; missing ones are waited for up to WAIT_S."""
+        """True if all inputs of a tick are there up to `time` s; missing ones are waited for up to WAIT_S."""
         now = self.clock.now
         if now < time:
             return False
@@ -276,7 +276,7 @@ class Messages:
         return len(self._counts.get(source, ()))
 
     def _new(self, message: Message) -> bool:
-        """Whether a message is new: states are sent repeatedly."""
+        """True if a message is new: states are sent repeatedly."""
         if message.kind in ("text", "error"):
             return True
         part = message.text.partition(" ")[0] if message.kind == "health" else ""
@@ -292,7 +292,7 @@ def facts(messages: Messages, parameters: Mapping[str, float], outputs: tlog.Out
 
 
 def known(parameters: Mapping[str, float], autopilot: str) -> bool:
-    """Whether these parameters determine the airframe."""
+    """True if these parameters determine the airframe."""
     if autopilot == "ArduPilot":
         return bool({"FRAME_CLASS", "FRAME"} & parameters.keys()) and "MOT_SPIN_MIN" in parameters
     return bool({"CA_ROTOR_COUNT", "SYS_AUTOSTART", "MAV_TYPE"} & parameters.keys())

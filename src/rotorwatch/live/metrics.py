@@ -91,7 +91,7 @@ class Metrics:
         self._thread.join(2.0)
 
     def describe(self) -> list[Any]:
-        """Nothing is collected at registration."""
+        """An empty list: registration collects nothing."""
         return []
 
     def collect(self) -> Iterator[Any]:

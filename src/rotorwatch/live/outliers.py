@@ -20,7 +20,7 @@ RANGE = {"us": 1000.0}
 
 
 class Outliers:
-    """One vehicle's outputs, as they arrive. left_out: number of samples that were."""
+    """Outputs of a vehicle, as they arrive. left_out: number of samples that were."""
 
     def __init__(self):
         self._before: tuple[float, np.ndarray] | None = None  # (time s, outputs) of the last sample that passed

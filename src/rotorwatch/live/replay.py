@@ -63,6 +63,6 @@ class Replay:
         return [(self.watched, "")]
 
     def leave(self) -> None:
-        """Nothing to restore."""
+        """No state to restore."""
         if self._before <= self._end:
             self.watched.finish()

@@ -55,7 +55,7 @@ class Route:
         return now - self.heard > SILENT_S
 
     def carries(self, now: float) -> bool:
-        """Whether it sends what judging needs."""
+        """True if it sends what judging needs."""
         return all(count >= LEAST and now - last <= SILENT_S for last, count in self._came.values())
 
     def __str__(self) -> str:
@@ -87,7 +87,7 @@ class Routes:
         return True
 
     def used(self, now: float) -> bool:
-        """Whether recent samples of all inputs were usable."""
+        """True if recent samples of all inputs were usable."""
         return all(now - max(self.usable.get(need, -SILENT_S), self.since) <= SILENT_S for need in NEEDS)
 
     def doubt(self, now: float) -> None:

@@ -128,7 +128,7 @@ class Webhook:
         return LONGEST_S if self._ends is None else max(self._ends - time.monotonic(), 0.0)
 
     def _post(self, body: bytes) -> str:
-        """Why it could not be sent, for a retry; empty when it was, or was refused for good."""
+        """The reason why it could not be sent, for a retry; empty when it was, or was refused for good."""
         headers = {"Content-Type": "application/json", "User-Agent": "rotorwatch"}
         try:
             request = urllib.request.Request(self._url, body, headers, method="POST")

@@ -227,7 +227,7 @@ class _Database:
         return sqlite3.SQLITE_OK if fine else sqlite3.SQLITE_DENY
 
     def _stops(self) -> Iterator[bool]:
-        """Whether to stop, for SQLite's progress handler. SQLite swallows exceptions raised here; signals raise where this waits, inside
+        """True to stop, for SQLite's progress handler. SQLite swallows exceptions raised here; signals raise where this waits, inside
         the try."""
         while True:
             try:
@@ -252,7 +252,7 @@ class _Database:
             raise
 
     def there(self, table: str) -> bool:
-        """Whether this is a table whose columns are all stored, not computed."""
+        """True if this is a table whose columns are all stored, not computed."""
         try:
             columns = list(self.rows(f"PRAGMA table_xinfo({table})"))
             kind = list(self.rows(f"SELECT type FROM sqlite_master WHERE name = '{table}' AND rootpage > 0"))

@@ -99,7 +99,7 @@ def _check(types: Mapping[str, list[Field]], kind: str) -> None:
 
 
 def _long(field: Field) -> bool:
-    """Whether this array of numbers is skipped."""
+    """True if this array of numbers is skipped."""
     return field.kind in PRIMITIVES and (field.count or 0) > ELEMENTS
 
 

@@ -174,7 +174,7 @@ class _Signals:
         return time, values, numbers.codes
 
     def instance(self, message: str, columns):
-        """As `table`, for sensor instance 0, or for the one with most records where 0 is missing."""
+        """`table` for sensor instance 0, or for the one with most records where 0 is missing."""
         column = next((c for c in INSTANCE_COLUMNS if c in self.log.columns(message)), None)
         if column is None:
             return self.table(message, columns)
@@ -313,7 +313,7 @@ class _Signals:
         return float(median(ours[fast])) > 10.0 * float(median(theirs[fast]))
 
     def _control_is_raw(self, time: np.ndarray, control: np.ndarray) -> bool:
-        """Whether controller outputs are in units of RAW_TORQUE for full output, or of 1, by the differences of the motors that they
+        """True if controller outputs are in units of RAW_TORQUE for full output, or of 1, by the differences of the motors that they
         cause.
 
         A mixer turns an output of 1 into about half of the motors' range, depending on the frame and the thrust curve: the two answers are

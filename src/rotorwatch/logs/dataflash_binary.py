@@ -391,7 +391,7 @@ class BinaryLog:
         return times
 
     def spans(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Of every record: first byte, byte after the last, bytes of its time stamp (0: none), is it a definition (FMT)?"""
+        """First byte, byte after the last, bytes of the time stamp (0: none), and whether it is a definition (FMT), of every record."""
         length, stamp = np.zeros(self.record_count, np.int64), np.zeros(self.record_count, np.int64)
         definition = np.zeros(self.record_count, bool)
         for type_, fmt, records in self._versions():

@@ -1,4 +1,4 @@
-"""One clock for all records of a DataFlash log: damaged time stamps rejected, backward jumps removed.
+"""A common clock for all records of a DataFlash log: damaged time stamps rejected, backward jumps removed.
 
 Records of different types are logged slightly out of order, so small steps back are normal; large ones are not.
 
@@ -67,7 +67,7 @@ class SteadyClock(NamedTuple):
     warnings: tuple[str, ...] = ()
 
     def of(self, records: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As of `Clock`."""
+        """The same as `Clock.of`."""
         us = self.stamps(records)
         if (rows := np.flatnonzero(np.isnan(us))).size:
             begins = (

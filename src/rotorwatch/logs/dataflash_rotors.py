@@ -130,7 +130,7 @@ def left_out(parameters: Mapping[str, float], outputs: Mapping[int, int], pwm: M
 
 
 def _of_one_mixer(columns: np.ndarray) -> bool:
-    """Whether the last of the outputs (n, k) is a combination of the others, of similar size."""
+    """True if the last of the outputs (n, k) is a combination of the others, of similar size."""
     sizes = columns.std(axis=0)
     if sizes[-1] < 0.5 * sizes[:-1].min():
         return False
@@ -140,7 +140,7 @@ def _of_one_mixer(columns: np.ndarray) -> bool:
 
 
 def follow(time: np.ndarray, pulses: np.ndarray, stamps: np.ndarray, throttle: np.ndarray) -> bool:
-    """Whether these outputs, pulses (n, k) at `time`, rise and fall with the throttle at `stamps`. True where the throttle does not."""
+    """True if these outputs, pulses (n, k) at `time`, rise and fall with the throttle at `stamps`. True where the throttle does not."""
     mean = np.nanmean(np.where(pulses > 500, pulses, np.nan), axis=1)
     commanded = np.interp(time, stamps, throttle)
     fine = np.isfinite(mean) & np.isfinite(commanded)
@@ -150,7 +150,7 @@ def follow(time: np.ndarray, pulses: np.ndarray, stamps: np.ndarray, throttle: n
 
 
 def _one_bit_off(function: int, rotor: int) -> bool:
-    """Whether a logged SERVOn_FUNCTION is one wrong bit of a float32 away from that of the rotor."""
+    """True if a logged SERVOn_FUNCTION is one wrong bit of a float32 away from that of the rotor."""
     meant = next(f for f, k in SERVO_MOTORS.items() if k == rotor)
     a, b = np.array([function, meant], np.float32).view(np.uint32).tolist()
     return (a ^ b).bit_count() == 1

@@ -76,7 +76,7 @@ def place(topic: str, kind: str) -> tuple[str, str] | None:
 
 
 def has_outputs(found: Mapping[str, Table]) -> bool:
-    """Whether servo outputs are among these topics."""
+    """True if servo outputs are among these topics."""
     return any((at := place(name, kind)) and at[1] == _OUTPUTS for name, (kind, *_) in found.items())
 
 
@@ -110,7 +110,7 @@ def flight(found: Mapping[str, Table], notes: list[str], form: str) -> Flight:
 
 
 class _Log:
-    """One vehicle's topics: `get(name)` -> (time s, columns). start: s on ROS's clock that is second 0."""
+    """The topics of a vehicle: `get(name)` -> (time s, columns). start: s on ROS's clock that is second 0."""
 
     def __init__(self, found: Mapping[str, Table], notes: list[str]):
         self.notes = notes
@@ -262,7 +262,7 @@ def _motors(log: _Log, parameters, autopilot: str) -> tuple[Signal | None, dict]
 
 
 def _moves(column: np.ndarray) -> bool:
-    """Whether an output takes many values, as rotors' do: servos and spare outputs step between a few."""
+    """True if an output takes many values, as rotors' do: servos and spare outputs step between a few."""
     fine = column[np.isfinite(column) & (column > 500) & (column < 2600)]
     return np.unique(fine).size >= px4_outputs.LEAST_VALUES
 

@@ -130,7 +130,7 @@ def _rows(values: np.ndarray) -> np.ndarray:
 
 
 def _group(kind, ways, time, table, notes):
-    """One signal from whichever way its columns were given; a LogError names those missing from an incomplete set."""
+    """A signal from the columns in any of its forms; a LogError names those missing from an incomplete set."""
     for names, scale in ways:
         if all(n in table for n in names):
             values = np.stack([table[n] for n in names], axis=1) * scale

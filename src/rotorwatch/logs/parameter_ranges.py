@@ -50,7 +50,7 @@ def checked(parameters: Mapping[str, float]) -> tuple[dict[str, float], list[str
 
 
 def possible(name: str, value: float) -> bool:
-    """Whether a parameter can have this value; True for names without a known range."""
+    """True if a parameter can have this value; True for names without a known range."""
     limits = _range(name)
     if limits is None:
         return True

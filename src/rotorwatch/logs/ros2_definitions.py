@@ -30,7 +30,7 @@ def forms(kind: str) -> tuple[str, ...]:
 
 
 def fits(kind: str, columns: Mapping[str, np.ndarray]) -> bool:
-    """Whether these values can be those of a px4_msgs message of this type; True for all others."""
+    """True if these values can be those of a px4_msgs message of this type; True for all others."""
     if not kind.startswith("px4_msgs/"):
         return True
     if "timestamp_sample" in columns:

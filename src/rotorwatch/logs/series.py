@@ -142,7 +142,7 @@ def within_ends(t: np.ndarray) -> slice:
 
 
 def wrong_gap(gap_s: float) -> bool:
-    """Whether a gap before the last few stamps of a log, or after the first, is more likely damage than a real gap.
+    """True if a gap before the last few stamps of a log, or after the first, is more likely damage than a real gap.
 
     It is when it is long, or when one bit of a stamp in us, ms or decimal digits makes it: one wrong bit in the last stamp makes minutes or
     days of flight. Logs that are closed long after the last sample, with a few records more, are common: their gap is of any length."""

@@ -99,7 +99,7 @@ def layouts() -> dict[str, mavlink_messages.Message]:
 
 
 class _Log:
-    """One vehicle's messages: `get(name)` -> (time s, structured array). notes: sentences on damage."""
+    """The messages of a vehicle: `get(name)` -> (time s, structured array). notes: sentences on damage."""
 
     def __init__(self, data, progress):
         self.layouts = layouts()

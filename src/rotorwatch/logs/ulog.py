@@ -199,7 +199,7 @@ class _File:
         return self._file.seek(at if self._left >= 0 and self._circles >= 0 else max(at, self._size))
 
     def close(self) -> None:
-        """Nothing to close: the data belongs to the caller."""
+        """The data belongs to the caller and stays open."""
 
 
 class _Bytes(io.RawIOBase):

@@ -50,7 +50,7 @@ class Connection(H11Protocol):
 
     @property
     def _idle(self) -> bool:
-        """Whether closing it loses nothing: no request is under way, or an incomplete one without the token, such as the form's. One with
+        """True if closing it loses nothing: no request is under way, or an incomplete one without the token, such as the form's. One with
         something left to write has an answer under way."""
         unknown = self.cycle is not None and self.cycle.more_body and not self.cycle.scope.get(LET_IN)
         return (self.waits is not None or unknown) and not self.transport.get_write_buffer_size()

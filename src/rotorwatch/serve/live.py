@@ -104,7 +104,7 @@ class Shown:
 
     @property
     def another(self) -> bool:
-        """Whether a flight has begun that `sample` has not processed yet."""
+        """True if a flight has begun that `sample` has not processed yet."""
         return self.watched.session is not self._session
 
     def sample(self) -> bool:

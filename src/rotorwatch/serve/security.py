@@ -34,7 +34,7 @@ OPEN = ("/static/page.css", "/static/serve.css")  # the login form looks like th
 
 
 def loopback(host: str) -> bool:
-    """Whether only this computer can reach that address."""
+    """True if only this computer can reach that address."""
     if host.lower() == "localhost":
         return True
     try:
@@ -105,7 +105,7 @@ class Guard:
         return refused(request, 401, WRONG if token is not None or "authorization" in headers else NEEDED)
 
     def _known(self, host: str) -> bool:
-        """Whether the host is an address, or a name of this computer. Any other name points here by a foreign name server (DNS
+        """True if the host is an address, or a name of this computer. Any other name points here by a foreign name server (DNS
         rebinding)."""
         try:
             name = urlsplit(f"//{host}").hostname or ""
@@ -169,7 +169,7 @@ def _cookie(request: Request) -> str:
 
 
 def from_here(headers: Headers) -> bool:
-    """Whether a request that changes something was not made by the page of another site."""
+    """True if a request that changes something was not made by the page of another site."""
     origin = headers.get("origin")
     if headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none"):
         return False

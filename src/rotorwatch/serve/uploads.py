@@ -118,7 +118,7 @@ class Uploads:
         self._lock.close()
 
     def waiting(self, digest: str) -> bool:
-        """Whether a log was received and neither stored nor refused yet."""
+        """True if a log was received and neither stored nor refused yet."""
         return digest in self._logs
 
     async def take(self, encoded_name: str, length: int | None, body: AsyncIterator[bytes]) -> tuple[dict, bool]:
@@ -280,7 +280,7 @@ def _own(incoming: Path) -> tuple[Path, Any]:
 
 
 def _locked(file: Any) -> bool:
-    """Whether the lock was acquired; False where the system has none."""
+    """True if the lock was acquired; False where the system has none."""
     try:
         import fcntl
 

@@ -17,7 +17,7 @@ BEFORE_S, NEAR_S = 1.0, 1.5  # the usual voltage is taken up to BEFORE_S before 
 
 
 def fell(flight: Flight, moment: float) -> bool | None:
-    """Whether the voltage fell below SAG of its usual value within NEAR_S of `moment` s; None without enough samples."""
+    """True if the voltage fell below SAG of its usual value within NEAR_S of `moment` s; None without enough samples."""
     if not flight.has("battery"):
         return None
     battery = flight["battery"]
@@ -29,7 +29,7 @@ def fell(flight: Flight, moment: float) -> bool | None:
 
 
 def sagged(flight: Flight, moment: float) -> bool | None:
-    """Whether it fell there by more than its current explains; None where that is unknown."""
+    """True if it fell there by more than its current explains; None where that is unknown."""
     if not fell(flight, moment):
         return fell(flight, moment)
     beyond = unexplained(flight, moment, moment - NEAR_S, moment + NEAR_S)

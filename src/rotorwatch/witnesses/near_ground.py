@@ -16,7 +16,7 @@ MOVES_M = 0.02  # a height that changes less since before take-off is not measur
 
 
 def explains(flight: Flight, air: Spans, loss: Event) -> bool:
-    """Whether a loss began and was announced so near the height of take-off that the ground explains it as well."""
+    """True if a loss began and was announced so near the height of take-off that the ground explains it as well."""
     if not flight.has("position"):
         return False
     start = next((a for a, b in air if a <= loss.onset_s <= b + FRESH_S), None)

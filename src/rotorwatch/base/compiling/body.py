@@ -97,7 +97,7 @@ class Code:
 
 @dataclass
 class Function:
-    """One method or function. const: parameters that it does not change."""
+    """A method or function. const: parameters that it does not change."""
 
     name: str
     node: ast.FunctionDef
@@ -158,7 +158,7 @@ def settled(text: str, time: bool) -> str:
 
 
 class Body:
-    """One function in C."""
+    """A function in C."""
 
     def __init__(self, all_: Translation, function: Function):
         self.all, self.function, self.module = all_, function, function.module

@@ -202,7 +202,7 @@ class Translation:
 
     @property
     def side_by_side(self) -> bool:
-        """Whether anything is calculated in several lanes."""
+        """True if anything is calculated in several lanes."""
         return any(what.base == EACH_KIND for fields in self.fields.values() for what, _ in fields.values())
 
     # Text

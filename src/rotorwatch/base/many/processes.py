@@ -193,7 +193,7 @@ def _one_thread() -> Iterator[None]:
 
 
 def _shown(kind: type[Warning]) -> bool:
-    """Whether warnings of a kind are shown by this process."""
+    """True if warnings of a kind are shown by this process."""
     of_all = (
         action for action, text, of, module, _ in warnings.filters if not (text or module) and issubclass(kind, of)
     )

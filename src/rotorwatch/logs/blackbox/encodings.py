@@ -172,7 +172,7 @@ def tag8_4s16_v1(data: Bytes, at: int, out: Ints, place: int) -> int:
 
 
 def elias(data: Bytes, bit: int, out: Ints, place: int, encoding: int) -> int:
-    """One number of an Elias code; `bit` counts from the first bit of data, the highest bit of a byte first, and so does the result."""
+    """A number in an Elias code; `bit` counts from the first bit of data, the highest bit of a byte first, and so does the result."""
     length = 0
     while length < 32 and not _bits(data, bit, 1):
         length += 1

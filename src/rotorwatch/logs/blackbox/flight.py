@@ -75,7 +75,7 @@ class Columns:
 
 
 def used(name: str) -> bool:
-    """Whether a field of main frames is read."""
+    """True if a field of main frames is read."""
     return USED.fullmatch(name) is not None
 
 

@@ -45,7 +45,7 @@ _END = (69, 110, 100, 32, 111, 102, 32, 108, 111, 103, 0)  # End of log
 
 
 class Layout(Struct):
-    """How one kind of frame is written."""
+    """Encoding of one kind of frame."""
 
     fields: int = 0  # 0: the header does not define it
     encoding = array(INT, FIELDS)  # of each field
@@ -159,7 +159,7 @@ def decode(s: Stream, data: Bytes, main: Ints, slow: Ints, gps: Ints, events: In
 
 
 def _begins(byte: int) -> bool:
-    """Whether a frame begins with it."""
+    """True if a frame begins with it."""
     return byte == _P or byte == _I or byte == _S or byte == _G or byte == _E or byte == _H
 
 
@@ -244,7 +244,7 @@ def _keep(s: Stream, time: int) -> None:
 
 
 def _follows(time: int, last: int) -> bool:
-    """Whether a main frame can come after another; their clocks begin again after 71 minutes."""
+    """True if a main frame can come after another; their clocks begin again after 71 minutes."""
     return 0 <= difference32(time, last) < _LONGEST_GAP_US
 
 

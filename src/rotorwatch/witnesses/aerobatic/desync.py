@@ -87,7 +87,7 @@ def _claim(d: Desync) -> Event:
 
 
 def events(found: list[Desync], rpm: bool) -> tuple[Event, ...]:
-    """One event for each motor, or for each set of motors that the log cannot distinguish. rpm: whether speeds are logged."""
+    """An event for each motor, or for each set of motors that the log cannot distinguish. rpm: whether speeds are logged."""
     sets: dict[tuple[int, ...], list[Desync]] = {}
     sure = {d.rotor for d in found if not d.others}
     for d in found:  # a motor with one certain desync explains the ambiguous ones
@@ -316,7 +316,7 @@ def _by_case(ratios: Ratios) -> np.ndarray:
 
 
 def _works_not(seen: list[Channel], i: int, start: int, length: int) -> bool:
-    """Whether the rotor lacks much thrust before or after as well."""
+    """True if the rotor lacks much thrust before or after as well."""
     around = int(AROUND_S / seen[0].width)
     for first, count in ((start - around - LAGS, around), (start + length + LAGS // 2, around)):
         first, count = max(first, 0), min(count, len(seen[0].left) - LAGS - first)
@@ -329,7 +329,7 @@ def _works_not(seen: list[Channel], i: int, start: int, length: int) -> bool:
 
 
 def _returns(seen: list[Channel], i: int, start: int, length: int) -> bool:
-    """Whether the rotor recovered, rather than giving no thrust from then on."""
+    """True if the rotor recovered, rather than giving no thrust from then on."""
     for later in RETURNS_S:
         until = start + length + round(later / seen[0].width)
         if until >= len(seen[0].left):

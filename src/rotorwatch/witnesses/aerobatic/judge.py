@@ -98,12 +98,12 @@ class Look(NamedTuple):
 
 
 def flown_by_rates(flight: Flight) -> bool:
-    """Whether the flight's firmware is for pilots who command rates."""
+    """True if the flight's firmware is for pilots who command rates."""
     return flight.autopilot.lower() in FIRMWARES
 
 
 def applies(flight: Flight, table: Ticks | None) -> bool:
-    """Whether a flight of these ticks does not hover: its rotors hardly ever carry its weight, or it tumbles, and its log is fast enough to
+    """True if a flight of these ticks does not hover: its rotors hardly ever carry its weight, or it tumbles, and its log is fast enough to
     show its rotation. Without any motion in the log, the firmware decides."""
     if not flight.has("gyro") or table is None:
         return flown_by_rates(flight)

@@ -218,7 +218,7 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def _mixed_up(bins: Binned) -> bool:
-    """Whether speeds follow the commands in another order than that of their numbers."""
+    """True if speeds follow the commands in another order than that of their numbers."""
     # A stopped rotor follows no command.
     usual = np.quantile(np.where(bins.known, bins.power, 0.0), 0.75, axis=0)
     fine = (bins.known & (bins.thrust > LEAST_SHARE) & (bins.power > ORDINARY * usual)).all(axis=1)

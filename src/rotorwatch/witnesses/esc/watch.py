@@ -89,7 +89,7 @@ def lost_speed(rotor: int, onset: float, announced: float, size: float, bounds) 
 
 
 def _follows(time, law, k: int, onset: float, announced: float, change: float) -> bool:
-    """Whether the current of rotor k (from 0) fell with its speed at `onset`, by the data up to `announced`; False without currents.
+    """True if the current of rotor k (from 0) fell with its speed at `onset`, by the data up to `announced`; False without currents.
 
     change: of log W^2. By the law, a current that stays the same looks like one that rises by -change times half the law's power."""
     y, x, known, prior = law

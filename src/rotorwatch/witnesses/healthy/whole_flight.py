@@ -99,7 +99,7 @@ class Features(NamedTuple):
 
     @property
     def usable(self) -> bool:
-        """Whether there is enough steady flight for a comparison."""
+        """True if there is enough steady flight for a comparison."""
         return self.blocks > 0
 
     def to_dict(self) -> dict:

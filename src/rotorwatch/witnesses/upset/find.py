@@ -67,7 +67,7 @@ class Judged(NamedTuple):
 
     @property
     def fell(self) -> bool:
-        """Whether the loss of control lasted until the vehicle hit the ground."""
+        """True if the loss of control lasted until the vehicle hit the ground."""
         return self.left.ground is not None and self.left.ground - self.onset > HIT_S
 
 
@@ -166,7 +166,7 @@ def _cause(
 
 
 def _shaken(flight: Flight, onset: float) -> bool:
-    """Whether vibration before the departure was so strong that the motion clears no rotor."""
+    """True if vibration before the departure was so strong that the motion clears no rotor."""
     if not flight.has("accel"):
         return False
     force = flight["accel"].wholes().between(onset - BEFORE_S, onset - KNOCK_S).values
@@ -174,7 +174,7 @@ def _shaken(flight: Flight, onset: float) -> bool:
 
 
 def _struck(window: Window, B: np.ndarray, onset: float) -> bool:
-    """Whether the vehicle turned, as control was lost, in a way that the loss of no two rotors explains. Sizes as for knocks in flight."""
+    """True if the vehicle turned, as control was lost, in a way that the loss of no two rotors explains. Sizes as for knocks in flight."""
     n, torque = B.shape[1], (window.thrust @ B.T)[:, :3]
     near = np.abs(window.time - onset) <= KNOCK_S
     with_it = np.maximum(np.sign(window.rate_dot) * torque, 0.0)
@@ -189,7 +189,7 @@ def _names(found, probability) -> str:
 
 
 def _level(flight: Flight, left: LossOfControl, onset: float) -> bool:
-    """Whether the autopilot estimated an upright attitude during the departure."""
+    """True if the autopilot estimated an upright attitude during the departure."""
     if not flight.has("attitude"):
         return False
     q, age = held(flight["attitude"], np.linspace(onset, left.onset, 5))

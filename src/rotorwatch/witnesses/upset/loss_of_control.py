@@ -250,7 +250,7 @@ def _to_the_ground(flight: Flight, d: LossOfControl, start: float, end: float) -
 
 
 def _flies_again(flight: Flight, back: float | None, start: float) -> bool:
-    """Whether a vehicle that hit the ground, and is at its target again at `back` s, is airborne and not a wreck on the ground."""
+    """True if a vehicle that hit the ground, and is at its target again at `back` s, is airborne and not a wreck on the ground."""
     if back is None:
         return False
     above = (height(flight, back + later, start) for later in range(6))
@@ -258,7 +258,7 @@ def _flies_again(flight: Flight, back: float | None, start: float) -> bool:
 
 
 def stops(flight: Flight, blow: float, start: float) -> bool:
-    """Whether a blow was an impact on the ground, of a vehicle that took off at `start`: its record ends there; or it lies still soon
+    """True if a blow was an impact on the ground, of a vehicle that took off at `start`: its record ends there; or it lies still soon
     after; or it does not fall on, and lies still, stays below the height of take-off, or was hit harder than anything in the air does [all
     s]."""
     turning = flight.angular_rate()
@@ -553,13 +553,13 @@ def height(flight: Flight, at: float, ground: float) -> float | None:
 
 
 def low(flight: Flight, at: float, start: float) -> bool:
-    """Whether the vehicle, as far as is known, is no higher than LOW_M above its place of take-off."""
+    """True if the vehicle, as far as is known, is no higher than LOW_M above its place of take-off."""
     above = height(flight, at, start)
     return above is not None and above < LOW_M
 
 
 def _ground(flight, impact, onset, start, end) -> bool:
-    """Whether the vehicle deviated because it touched the ground: a landing, or tipping over after one."""
+    """True if the vehicle deviated because it touched the ground: a landing, or tipping over after one."""
     if impact - onset > HIT_S or end - onset > 3.0:
         return False
     above = height(flight, onset, start)
