@@ -97,7 +97,7 @@ def _concluded(seen: Evidence, verdict, reason, first, main, doubts) -> Conclusi
         doubts,
         stays,
         bool(seen.missing),
-        _shows_more(seen, main, verdict),
+        _better_log(seen, main, verdict),
     )
     story_lines = story.narrate(seen.events, main, seen.n, seen.places, seen.hops, not doubts)
     return Conclusion(verdict, reason, first, main, states, next_steps, tuple(seen.events), story_lines)
@@ -111,7 +111,7 @@ def _not_judged(why: str) -> str:
     return sentence(f"not judged: {re.split('[:;] ', why)[0].rstrip('.')}.")
 
 
-def _shows_more(seen: Evidence, main: int | None, verdict: str) -> str:
+def _better_log(seen: Evidence, main: int | None, verdict: str) -> str:
     """Advice for a next log that shows what this one did not; empty where it showed enough."""
     if verdict != "inconclusive" or main is not None or seen.missing:
         return ""
@@ -137,11 +137,11 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
         verdict = "ambiguous" if event.alternatives else "crashed" if _crashed(event) else "inconclusive"
         return verdict, f"{event.reason}. {_cleared(seen, event)}".strip()
     if event is not None and not event.alternatives:
-        return "fault", _what_happened(seen, event) + _and_more(seen, event) + _open(seen) + "."
+        return "fault", _event_reason(seen, event) + _others(seen, event) + _open(seen) + "."
     if whole and whole["verdict"] == "fault":
         return "fault", whole["reason"]
     if event is not None:
-        return ("inconclusive" if _anybody(seen, event) else "ambiguous"), event.reason + _and_more(seen, event) + "."
+        return ("inconclusive" if _any_rotor(seen, event) else "ambiguous"), event.reason + _others(seen, event) + "."
     if whole and whole["verdict"] == "ambiguous":
         return "ambiguous", whole["reason"]
     if seen.hidden is None:
@@ -176,7 +176,7 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
     return "healthy", f"{healthy}."
 
 
-def _anybody(seen: Evidence, event: Event) -> bool:
+def _any_rotor(seen: Evidence, event: Event) -> bool:
     """True if any single rotor may explain an event, which then does not indicate which one."""
     alone = {rotors_[0] for rotors_ in (event.rotors, *event.alternatives) if len(rotors_) == 1}
     return len(alone) == seen.n
@@ -200,7 +200,7 @@ def _as_if(spell: Event, places: Sequence[str]) -> str:
     return f"since {seconds(spell.onset_s)} the vehicle has flown as if {listed(lost, 'or')} of thrust"
 
 
-def _what_happened(seen: Evidence, event: Event) -> str:
+def _event_reason(seen: Evidence, event: Event) -> str:
     return said(event.means.reason, event, comma_until=_until(seen, event, ", until")).removesuffix(": ")
 
 
@@ -225,7 +225,7 @@ def _until(seen: Evidence, event: Event, word: str) -> str:
     return f"{word} {'the landing at ' if _landed(seen, event.end_s) else ''}{seconds(event.end_s)}"
 
 
-def _and_more(seen: Evidence, main: Event) -> str:
+def _others(seen: Evidence, main: Event) -> str:
     rest = [e for e in seen.events if e is not main and e.means.accuses]
     return f"; {len(rest)} more event{'s' if len(rest) > 1 else ''} in this flight" if rest else ""
 
@@ -240,7 +240,7 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
     event = None if main is None else seen.events[main]
     if event is not None and not event.means.accuses:
         first = said(event.means.headline, event, seen.places, until=_until(seen, event, " until"), again="")
-        before = [said(e.means.headline, e) for e in _told_beside(seen, event)]
+        before = [said(e.means.headline, e) for e in _notices_beside(seen, event)]
         return headline([*before, sentence(first), _cleared(seen, event)], len(before))
     if verdict == "inconclusive" and event is not None and event.means.accuses:
         return _with_reports(
@@ -281,7 +281,7 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
 
 def _with_reports(seen: Evidence, main: Event | None, parts: Sequence[str], caveats: Sequence[str] = ()) -> str:
     """A headline of sentences, the main one first, with the notices that concern no rotor."""
-    notices = _told_beside(seen, main)
+    notices = _notices_beside(seen, main)
     leads = [e for e in notices if main is None and e.extra.get("trouble") in GRAVE]
     rest = [e for e in notices if e not in leads]
     beside = [[said(e.means.headline, e) for e in some] for some in (leads, rest)]
@@ -301,7 +301,7 @@ def _inconclusive(seen: Evidence) -> str:
     return f"No loss was seen, but up to {_bound(seen)} could be missing unseen: {seen.unjudged.why}."
 
 
-def _told_beside(seen: Evidence, main: Event | None) -> list[Event]:
+def _notices_beside(seen: Evidence, main: Event | None) -> list[Event]:
     """Notices of no rotor for the headline, in order of time. Beside a loss of control that no rotor explains, only those that compete with
     its cause: later reports are its consequence, as is the report of a motor failure where a rotor is held responsible."""
     notices, lost = [e for e in seen.notices if not e.rotors], seen.lost

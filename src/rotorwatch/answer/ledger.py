@@ -93,57 +93,57 @@ def explained(claim: Event, known: Iterable[Event]) -> bool:
     return rule is not None and any(rule(claim, other) for other in known)
 
 
-def _told_before(claim: Event, known: Event) -> bool:
+def _hindsight_of_same_rotor(claim: Event, known: Event) -> bool:
     same = known.source is Source.HINDSIGHT and set(claim.rotors) & set(known.rotors)
     return bool(same) and claim.onset_s <= known.detected_s
 
 
-def _named_as_it_stands(claim: Event, known: Event) -> bool:
+def _stopped_rotor_at_fault(claim: Event, known: Event) -> bool:
     return known.means.lasting_fault and claim.rotors[0] in known.suspects and known.onset_s < claim.onset_s + STANDS_S
 
 
-def _weak(claim: Event, known: Event) -> bool:
+def _same_rotor_weak(claim: Event, known: Event) -> bool:
     return claim.means.weakens and known.means.weakens and not {*claim.rotors}.isdisjoint(known.rotors)
 
 
-def _falls(claim: Event, known: Event) -> bool:
+def _rotor_or_control_lost(claim: Event, known: Event) -> bool:
     if known.kind == LOST:
         return claim.detected_s >= known.onset_s - CRASH_S
     gone = known.means.weakens and max(known.loss, default=0.0) > MOST and claim.rotors[0] in known.rotors
     return gone and known.onset_s - CRASH_S < claim.onset_s < (known.end_s or np.inf)
 
 
-def _told_of_trim(claim: Event, known: Event) -> bool:
+def _fault_found(claim: Event, known: Event) -> bool:
     return known.means.wrong if claim.kind == EVIDENCE else known.means.accuses
 
 
-def _told_of_step(claim: Event, known: Event) -> bool:
+def _fault_or_trim_evidence(claim: Event, known: Event) -> bool:
     return known.means.wrong or known.source is Source.TRIM
 
 
-def _told_of_all(claim: Event, known: Event) -> bool:
+def _other_evidence(claim: Event, known: Event) -> bool:
     return known.kind == EVIDENCE and known.source is not Source.RESIDUAL
 
 
-def _certain(claim: Event, known: Event) -> bool:
+def _certain_fault(claim: Event, known: Event) -> bool:
     return known.means.accuses and not known.alternatives
 
 
-def _certain_or_known(claim: Event, known: Event) -> bool:
-    return known.source is Source.FLIGHTS or _certain(claim, known)
+def _certain_fault_or_comparison(claim: Event, known: Event) -> bool:
+    return known.source is Source.FLIGHTS or _certain_fault(claim, known)
 
 
 _EXPLAINS: dict[Source, Callable[[Event, Event], bool]] = {
-    Source.ESTIMATOR: _told_before,
-    Source.EXCITATION: _told_before,
-    Source.ESC_STANDS: _named_as_it_stands,
-    Source.ESC_CHANGED: _weak,
-    Source.DESYNC: _falls,
-    Source.TRIM: _told_of_trim,
-    Source.STEPS: _told_of_step,
-    Source.RESIDUAL: _told_of_all,
-    Source.FLIGHTS: _certain,
-    Source.VEHICLES: _certain_or_known,
+    Source.ESTIMATOR: _hindsight_of_same_rotor,
+    Source.EXCITATION: _hindsight_of_same_rotor,
+    Source.ESC_STANDS: _stopped_rotor_at_fault,
+    Source.ESC_CHANGED: _same_rotor_weak,
+    Source.DESYNC: _rotor_or_control_lost,
+    Source.TRIM: _fault_found,
+    Source.STEPS: _fault_or_trim_evidence,
+    Source.RESIDUAL: _other_evidence,
+    Source.FLIGHTS: _certain_fault,
+    Source.VEHICLES: _certain_fault_or_comparison,
 }
 
 

@@ -55,12 +55,12 @@ def narrate(
         out.append(StoryLine(lost.onset_s, _no_rotor(lost, n, places)))
     end = _end(lost, upsets[1:], hops)
     when = lost.detected_s if lost.detected_s <= end.time_s else max(lost.onset_s, out[-1].time_s)
-    beside = [StoryLine(e.onset_s, sentence(said(e.means.headline, e))) for e in events if _told_beside(e)]
+    beside = [StoryLine(e.onset_s, sentence(said(e.means.headline, e))) for e in events if _is_notice(e)]
     lines = (*out, StoryLine(when, _lost(lost, when, first, n)), end, *beside)
     return tuple(sorted(lines, key=lambda line: line.time_s))
 
 
-def _told_beside(event: Event) -> bool:
+def _is_notice(event: Event) -> bool:
     return event.means.weight is Weight.NOTICE and not event.rotors
 
 

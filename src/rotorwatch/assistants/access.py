@@ -39,7 +39,7 @@ class Access:
     def _refusal(self, request: Request) -> Response | None:
         """The answer to a refused request, or None for one with access."""
         headers = request.headers
-        if len(headers.getlist("host")) != 1 or not _own(headers["host"]):
+        if len(headers.getlist("host")) != 1 or not _is_local(headers["host"]):
             return _refused(421, "This address is not this server's; use the one that it printed.")
         if not security.from_here(headers):
             return _refused(403, "This came from the page of another site.")
@@ -52,7 +52,7 @@ class Access:
         return None
 
 
-def _own(host: str) -> bool:
+def _is_local(host: str) -> bool:
     """True if a Host header names this computer alone: any other name points here by a foreign name server (DNS rebinding)."""
     try:
         parts = urlsplit(f"//{host}")

@@ -84,7 +84,7 @@ def watch(
         for outlet in outlets:
             background.run(type(outlet).__name__.lower(), outlet.take, alert)
 
-    def nobody_reads() -> bool:
+    def reader_gone() -> bool:
         """True if the reader of standard output (head) has closed, and the results go nowhere else."""
         return bool(unread) and isinstance(unread[0], BrokenPipeError) and not outlets and record is None
 
@@ -100,9 +100,9 @@ def watch(
         raise
     guarded = [Guarded(name, source, publish) for name, source in zip(endpoints, sources)]
     if jsonl or not _screen():
-        run(guarded, None, seconds, outlets, background, nobody_reads)
+        run(guarded, None, seconds, outlets, background, reader_gone)
     else:
-        _drawn(lambda show: run(guarded, show, seconds, outlets, background, nobody_reads))
+        _drawn(lambda show: run(guarded, show, seconds, outlets, background, reader_gone))
     if unread:
         raise unread[0]
     code = _code([v for source in sources for v in source.vehicles])

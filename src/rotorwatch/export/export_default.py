@@ -49,7 +49,7 @@ def compose_project(name: str, vehicle: Vehicle, dt: float) -> Project:
     )
     source = text[1] + "\n" + plant.replace("const rw_plant", "static const rw_plant") + _DEFINED.format(NAME=name)
     texts = {f"{name}.h": header, f"{name}.c": source, "example.c": _example(name, B)}
-    return Project({file: _own(text, name) for file, text in texts.items()}, _bytes(Estimator, values), digest)
+    return Project({file: _prefixed(text, name) for file, text in texts.items()}, _bytes(Estimator, values), digest)
 
 
 _DECLARED = """
@@ -94,7 +94,7 @@ def _inputs(n: int) -> str:
    of a flight, 2 at a contact)"""
 
 
-def _own(text: str, name: str) -> str:
+def _prefixed(text: str, name: str) -> str:
     """The text with prefixed names, so that several of these, and a diagnoser, can be in one firmware."""
     text = re.sub(r"\brw_(?!real\b|time\b)", f"{name}_", text)
     return re.sub(r"\bRW_(?!LASTS\b)", f"{name.upper()}_", text)

@@ -156,7 +156,7 @@ def _of_one_build(histories: list[History]) -> list[tuple[History, Series, Found
         cuts = tuple((k, rotor) for k, rotor, _ in one.services if k < len(y))
         series.append(Series(y, (between + c) * INFLATION, starts, G, one.use, cuts))
     first = [explain.explain(s) for s in series]
-    longer = _hanging_together([f.rest[s.use] for f, s in zip(first, series)])
+    longer = _correlation_inflation([f.rest[s.use] for f, s in zip(first, series)])
     series = [replace(s, noise=s.noise * longer) for s in series]
     out = []
     for k, (one, s) in enumerate(zip(known, series)):
@@ -200,7 +200,7 @@ def _table(one: History, slope: np.ndarray, slope_variance: np.ndarray) -> tuple
     return y, c
 
 
-def _hanging_together(rest: Sequence[np.ndarray]) -> float:
+def _correlation_inflation(rest: Sequence[np.ndarray]) -> float:
     """Variance inflation by the correlation of successive flights: 1 + 2 sum of the autocorrelation of the residuals, over all aircraft."""
     rows = [np.clip(r - np.median(r, axis=0), -3.0, 3.0) for r in rest if len(r) > 2 * LAGS + 2]
     if not rows:

@@ -16,7 +16,7 @@ from rotorwatch.flight.diagnosis import Diagnosis
 TYPES = {sa.Text: str, sa.Integer: int, sa.BigInteger: int, sa.Float: (int, float)}
 
 
-def _told(text: str) -> None:
+def _answer(text: str) -> None:
     with suppress(ConfigError):  # of another version, which is no damage
         Diagnosis.from_dict(json.loads(text)).to_dict()
 
@@ -31,7 +31,7 @@ def _trim(text: str) -> None:
 
 
 # Texts that hold JSON: the function that raises for a damaged one.
-JSON = {"diagnosis": _told, "trim": _trim, "standing": _standing, "points": lambda text: list(json.loads(text))}
+JSON = {"diagnosis": _answer, "trim": _trim, "standing": _standing, "points": lambda text: list(json.loads(text))}
 
 
 def found(connection: Any) -> str:

@@ -38,7 +38,7 @@ def seeds() -> dict[int, int]:
 
 
 @cache
-def _known() -> tuple[np.ndarray, np.ndarray]:
+def _known_messages() -> tuple[np.ndarray, np.ndarray]:
     """(longest payload of each message id of MAVLink 1, -1: unknown; whether each id of MAVLink 2 is known, the last: all larger ones)."""
     messages = mavlink_messages.by_id()
     longest, known = np.full(256, -1), np.zeros(max(messages) + 2, bool)
@@ -124,7 +124,7 @@ class Frames:
 def _places(data: bytes) -> list[int]:
     """Possible beginnings of frames of known messages, and places with too few bytes to decide."""
     at = np.frombuffer(data, np.uint8)
-    longest, known = _known()
+    longest, known = _known_messages()
     sure = max(at.size - 11, 0)  # beyond, a header may be truncated
     first = np.flatnonzero(at[:sure] == V1)
     first = first[at[first + 1] <= longest[at[first + 5]]]

@@ -456,10 +456,10 @@ class Link:
             vehicle.step(now)
         self._fresh = {}
         if not self._vehicles and now - self._began > self._patience_s:
-            raise LinkError(self._nobody())
+            raise LinkError(self._why_none())
         return True
 
-    def _nobody(self) -> str:
+    def _why_none(self) -> str:
         """The reason why no vehicle is watched."""
         if self.damaged and not self.frames:
             slow = "is the speed right, and " if self.endpoint.slow else ""

@@ -87,7 +87,7 @@ def checked(flight: Flight, progress: Callable[[float], object] | None = None) -
         tell(0.7 + 0.3 * done / len(known))
         found = _unsupported(name, signals, sizes)
         if name == "motors" and "control" in signals:
-            found |= _unasked(signals, found)
+            found |= _beyond_mixer(signals, found)
         if name == "battery":
             found[:, 1:] = False  # current jumps in normal flight
         count = int(np.count_nonzero(found))
@@ -208,7 +208,7 @@ def _unsupported(name: str, signals: Mapping[str, Signal], sizes: Mapping[str, L
     return size.part(support < np.maximum(JUMPS, off * ALONE)).marked(signal.values.shape)
 
 
-def _unasked(signals: Mapping[str, Signal], already: np.ndarray) -> np.ndarray:
+def _beyond_mixer(signals: Mapping[str, Signal], already: np.ndarray) -> np.ndarray:
     """(n, k) bool: motor commands that are lone in the part that the rate controller's output does not explain.
 
     In a turbulent flight the commands are rough, but the mixer makes all of them from the same four numbers: commands = W (roll, pitch,

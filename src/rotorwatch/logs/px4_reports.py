@@ -46,10 +46,10 @@ LONGEST = 1 << 24  # bytes of the definitions of events; PX4's have 400,000
 
 def messages(topics: Topics) -> list[Message]:
     """Reports of all topics, in any order of time."""
-    return [Message(time, kind, text, value) for time, kind, text, value in _told(topics)]
+    return [Message(time, kind, text, value) for time, kind, text, value in _reports(topics)]
 
 
-def _told(topics: Topics) -> Iterator[tuple[float, str, str, float]]:
+def _reports(topics: Topics) -> Iterator[tuple[float, str, str, float]]:
     def rises(name: str, field: str) -> list[tuple[float, float]]:
         found = topics.table(name, field)
         return [] if found is None else series.rises(found[0], found[1][field])

@@ -46,7 +46,7 @@ class Flights:
     def rows(self, limit: int, offset: int = 0, sort: str = NEWEST, **filters: Any) -> dict[str, Any]:
         """{total, flights}. sort, filters: as for `Store.flights`. Raises as that does."""
         flights = self._store.flights(sort, limit, offset, **filters)
-        return {"total": self._store.count(**filters), "flights": [_shown(row) for row in flights]}
+        return {"total": self._store.count(**filters), "flights": [_listed(row) for row in flights]}
 
     def aircraft(self) -> list[dict[str, Any]]:
         """All aircraft by name: key, name and number of flights."""
@@ -58,12 +58,12 @@ class Flights:
 
     def delete(self, digest: str) -> dict[str, Any]:
         """Delete a flight with its report; returns its row of the list. Raises NotInStore."""
-        return _shown(self._store.delete(digest))
+        return _listed(self._store.delete(digest))
 
     def row(self, digest: str) -> dict[str, Any] | None:
         """A flight; None when unknown."""
         flight = self._store.flight(digest)
-        return None if flight is None else _shown(flight)
+        return None if flight is None else _listed(flight)
 
     def keep(self, entry: Entry) -> dict[str, Any]:
         """Put a flight into the store, once; its row there."""
@@ -169,5 +169,5 @@ def wrong(why: Exception) -> tuple[int, str]:
     return next(((code, text) for kind, code, text in causes if isinstance(why, kind)), (500, mine))
 
 
-def _shown(row: dict[str, Any]) -> dict[str, Any]:
+def _listed(row: dict[str, Any]) -> dict[str, Any]:
     return {name: row.get(name) for name in SHOWN}

@@ -85,7 +85,7 @@ class Guard:
     async def _refusal(self, request: Request) -> Response | None:
         """The answer to a refused request, or None for one with access."""
         headers = request.headers
-        if len(headers.getlist("host")) != 1 or not self._known(headers["host"]):
+        if len(headers.getlist("host")) != 1 or not self._own_host(headers["host"]):
             why = "This address is not this server's; open it by the name or the address it was started with."
             return refused(request, 421, why)
         if request.method not in ("GET", "HEAD") and not from_here(headers):
@@ -104,7 +104,7 @@ class Guard:
             return self._let_in(request)
         return refused(request, 401, WRONG if token is not None or "authorization" in headers else NEEDED)
 
-    def _known(self, host: str) -> bool:
+    def _own_host(self, host: str) -> bool:
         """True if the host is an address, or a name of this computer. Any other name points here by a foreign name server (DNS
         rebinding)."""
         try:

@@ -109,7 +109,7 @@ class Worker:
 
     def __init__(self, work: bytes, limit_s: float | None, task: Task = NOTHING):
         """work: (function, prepare), packed. limit_s: for one item."""
-        context, told = get_context("spawn"), _shown(FirstUse)
+        context, told = get_context("spawn"), _warns(FirstUse)
         place = str(incoming.spool())  # a killed process cleans up nothing
         self.task, self.limit_s, self.ready, self.hung = task, limit_s, False, False
         self.pipe, theirs = context.Pipe()
@@ -192,7 +192,7 @@ def _one_thread() -> Iterator[None]:
             os.environ.pop(name, None)
 
 
-def _shown(kind: type[Warning]) -> bool:
+def _warns(kind: type[Warning]) -> bool:
     """True if warnings of a kind are shown by this process."""
     of_all = (
         action for action, text, of, module, _ in warnings.filters if not (text or module) and issubclass(kind, of)

@@ -125,7 +125,7 @@ def search(seen: list[Channel]) -> list[Desync]:
     found: list[Desync] = []
     for i in rotors:
         for start, length in _peaks(seen, i, lengths, dt):
-            best = _judged(seen, i, start, length, lengths, rotors, limit)
+            best = _evaluated(seen, i, start, length, lengths, rotors, limit)
             if best is not None:
                 found.append(best)
     separate: list[Desync] = []
@@ -178,7 +178,7 @@ def _peaks(seen: list[Channel], i: int, lengths: np.ndarray, dt: float) -> list[
     return out
 
 
-def _judged(
+def _evaluated(
     seen: list[Channel], i: int, start: int, length: int, lengths: np.ndarray, rotors: list[int], limit: float
 ) -> Desync | None:
     """The desync of rotor i near (start, length); None where the evidence is not sufficient."""
@@ -201,7 +201,7 @@ def _judged(
     uneven = turning.max(axis=1).sum() - turning.sum(axis=0).max()
     if not LEAST_SIZE - 1e-9 <= size <= MOST_SIZE + 1e-9 or uneven > UNEVEN * firm.max(axis=1).sum():
         return None
-    if _works_not(seen, i, start, length) or not _returns(seen, i, start, length):
+    if _weak_around(seen, i, start, length) or not _returns(seen, i, start, length):
         return None
     others = []
     for j in rotors:
@@ -315,7 +315,7 @@ def _by_case(ratios: Ratios) -> np.ndarray:
     return np.logaddexp.reduce(firm + _OF_ALL, axis=-1) + of_yaw + ratios.weight
 
 
-def _works_not(seen: list[Channel], i: int, start: int, length: int) -> bool:
+def _weak_around(seen: list[Channel], i: int, start: int, length: int) -> bool:
     """True if the rotor lacks much thrust before or after as well."""
     around = int(AROUND_S / seen[0].width)
     for first, count in ((start - around - LAGS, around), (start + length + LAGS // 2, around)):

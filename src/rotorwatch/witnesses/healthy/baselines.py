@@ -111,10 +111,10 @@ class Candidate:
     def flaw(self, diagnose: Diagnose) -> str:
         """Finding of the default diagnosis in it alone, or doubt about its log; empty without any, and when it is too short. Cached."""
         if "found" not in self.__dict__:
-            self.__dict__["found"] = self._judged(diagnose)
+            self.__dict__["found"] = self._finding(diagnose)
         return self.__dict__["found"]
 
-    def _judged(self, diagnose: Diagnose) -> str:
+    def _finding(self, diagnose: Diagnose) -> str:
         try:
             assert self.table is not None
             diagnosis = diagnose(self.flight, self.vehicle)

@@ -388,7 +388,7 @@ def _p_values(shift, scale, dof, flight: Features, healthy) -> tuple[float, floa
     return p_mean, p_change, min(1.0, p_mean / OF_MEAN, p_change / (1.0 - OF_MEAN))
 
 
-def _seldom(p_value: float, flights: int) -> str:
+def _rarity_text(p_value: float, flights: int) -> str:
     """The rarity of such a flight in words, and its basis: few flights cannot show how much healthy ones differ."""
     odds = f"1 in {1.0 / max(p_value, FALSE_FAULT):.0f}"
     odds = f"fewer than {odds}" if p_value < FALSE_FAULT else odds
@@ -401,7 +401,7 @@ def _explain(causes, suspects, sure, p_mean, p_change, p_value, flight, loss, he
     """Verdict and sentence for a flight that differs."""
     named = " and ".join(f"{r} ({100 * loss[r - 1]:.0f} % loss)" for r in suspects)
     rotors = f"rotor{'s' if len(suspects) > 1 else ''} {named}"
-    seldom = _seldom(p_value, len(healthy))
+    seldom = _rarity_text(p_value, len(healthy))
     if p_mean / OF_MEAN > max(FALSE_ALARM, p_change):
         return "ambiguous", f"the balance of the rotors changed in flight: a moving load, or {rotors}; {seldom}."
     limited = int(np.argmax(flight.limited))

@@ -224,7 +224,7 @@ def find(flight: Flight, air, progress: Progress = None) -> tuple[LossOfControl,
         spans = [
             _to_the_ground(flight, d, start, end)
             for d in (
-                _leaves(flight, time, angle, words, start, end),
+                _departs(flight, time, angle, words, start, end),
                 _falls(flight, start, end),
                 _sinks(flight, start, end),
                 _strikes(flight, start, end),
@@ -342,7 +342,7 @@ def _turns_over(flight: Flight, powered: list[tuple[float, float]], start: float
     )
 
 
-def _leaves(flight, time, angle, words, start, end) -> LossOfControl | None:
+def _departs(flight, time, angle, words, start, end) -> LossOfControl | None:
     inside = slice(np.searchsorted(time, start), np.searchsorted(time, end + LASTS_S, side="right"))
     t, a = time[inside], angle[inside]
     if not (known_angle := np.isfinite(a)).all():
