@@ -157,9 +157,9 @@ def _old_frame(flight: Flight, notes: list[str]) -> str:
     kind = int(airframes.finite(flight)["FRAME"])
     texts = [m.text for m in flight.messages if m.kind == "text"] + [flight.firmware, flight.vehicle_type]
     for text in texts:
-        found = re.search(r"\b(OCTA_?QUAD|QUAD|HEXA|OCTA|Y6|TRI|HELI)\b", text.upper())
-        if found:
-            name = found.group(1).replace("_", "").lower()
+        match = re.search(r"\b(OCTA_?QUAD|QUAD|HEXA|OCTA|Y6|TRI|HELI)\b", text.upper())
+        if match:
+            name = match.group(1).replace("_", "").lower()
             break
     else:
         classes = {4: ("quad",), 6: ("hexa", "y6"), 8: ("octa", "octaquad")}.get(flight.rotor_count, ("",))

@@ -100,9 +100,9 @@ def curve(flight: Flight, notes: list[str]) -> ThrustCurve:
         low, high = (1070.0, 2000.0) if pulses else (0.05, 1.0)
         notes.append(f"The log has no range of its outputs: {low:g} to {high:g} assumed.")
     linear = airframes.finite(flight).get("thrust_linear", 0.0)
-    own = f", thrust_linear {linear:g} included, which is in the logged outputs," if linear else ""
+    note = f", thrust_linear {linear:g} included, which is in the logged outputs," if linear else ""
     notes.append(
-        f"The firmware knows no thrust curve of the motors: thrust{own} taken as {1 - EXPO:.2f} u + {EXPO:.2f} u^2 of the command u, "
+        f"The firmware knows no thrust curve of the motors: thrust{note} taken as {1 - EXPO:.2f} u + {EXPO:.2f} u^2 of the command u, "
         "which affects the size of a loss."
     )
     return ThrustCurve(float(low), float(high), EXPO, known=False)

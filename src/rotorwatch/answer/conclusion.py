@@ -389,11 +389,11 @@ def _state(seen: Evidence, rotor: int, verdict: str) -> RotorState:
     def state(loss, bounds, status, note="", since=None):
         low, high = float(bounds[0]), float(bounds[1])
         clear = status not in ("unobservable", "suspect")
-        shown = since if since is not None and from_takeoff in ("not judged", "bounded") else (low, high)
+        interval = since if since is not None and from_takeoff in ("not judged", "bounded") else (low, high)
         # The steady state before control was lost does not hold for the rotor after it.
         trend = seen.trends[rotor - 1] if clear and seen.trends and seen.lost is None else None
         vague = status == "unobservable" or (status == "healthy" and seen.lost is not None)
-        grade = health.UNGRADED if vague else health.grade(shown[0], shown[1], trend)
+        grade = health.UNGRADED if vague else health.grade(interval[0], interval[1], trend)
         place = seen.places[rotor - 1] if rotor <= len(seen.places) else ""
         return RotorState(rotor, float(loss), (low, high), status, place, since, from_takeoff, note, grade, trend)
 

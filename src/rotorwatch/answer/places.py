@@ -29,8 +29,8 @@ def names(rotors: Sequence[Rotor]) -> tuple[str, ...]:
     for word in set(words):
         alike = [j for j, w in enumerate(words) if w == word]
         if len(alike) > 1:
-            for j, more in zip(alike, _distinguished(at[[first[j] for j in alike]], word), strict=True):
-                words[j] = f"{word}, {more}"
+            for j, detail in zip(alike, _distinguished(at[[first[j] for j in alike]], word), strict=True):
+                words[j] = f"{word}, {detail}"
     out = [""] * len(rotors)
     for arm, word in zip(arms, words, strict=True):
         for k, level in zip(arm, _levels([rotors[k] for k in arm]), strict=True):

@@ -126,8 +126,8 @@ def headline(parts: Sequence[str], main: int = 0, caveats: Sequence[str] = ()) -
     kept, left = [(part, k == main) for k, part in enumerate(parts) if part], 0
 
     def text() -> str:
-        more = [f"And {left} more finding{'s' if left > 1 else ''}."] if left else []
-        return " ".join([*(part for part, _ in kept), *more])
+        ending = [f"And {left} more finding{'s' if left > 1 else ''}."] if left else []
+        return " ".join([*(part for part, _ in kept), *ending])
 
     def shorter(how: Callable[[str], str], also: bool = False) -> bool:
         """Shorten the last sentence that can be, and return whether there was one; also: the main one, too."""
@@ -251,5 +251,5 @@ def when(event: Event) -> str:
 
 def cause(event: Event) -> str:
     """The failed part, by ESC telemetry, to follow 'lost thrust': ', by its propeller'; empty when unknown."""
-    found = CAUSES.get(event.extra.get("cause", ""))
-    return f", by its {found}" if found and len(event.rotors) == 1 else ""
+    part = CAUSES.get(event.extra.get("cause", ""))
+    return f", by its {part}" if part and len(event.rotors) == 1 else ""

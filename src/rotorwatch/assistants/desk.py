@@ -82,18 +82,18 @@ class Desk:
 
     def list_logs(self, search: str, limit: int) -> dict[str, Any]:
         """`Logs` of models.py."""
-        found = self.folders.list(search)
+        logs = self.folders.list(search)
         several = len(self.folders.roots) > 1
         rows = []
-        for name, root, path, about in found[: min(limit, MOST_LISTED)]:
-            shown = path if several else path.relative_to(root)
+        for name, root, path, about in logs[: min(limit, MOST_LISTED)]:
+            listed = path if several else path.relative_to(root)
             when = datetime.fromtimestamp(about.st_mtime, timezone.utc)
             rows.append(
-                {"id": name, "path": quoted(shown), "bytes": about.st_size, "changed_utc": f"{when:%Y-%m-%dT%H:%MZ}"}
+                {"id": name, "path": quoted(listed), "bytes": about.st_size, "changed_utc": f"{when:%Y-%m-%dT%H:%MZ}"}
             )
-        left = len(found) - len(rows)
+        left = len(logs) - len(rows)
         note = f"{left} more logs; search for words of their paths, or give a larger limit." if left else None
-        return {"total": len(found), "logs": rows, "note": note}
+        return {"total": len(logs), "logs": rows, "note": note}
 
     def stored(self, flight: str) -> dict[str, Any]:
         """`Diagnosis` of models.py, of a flight in the store."""
@@ -101,7 +101,7 @@ class Desk:
 
     def stored_event(self, flight: str, number: int | None) -> dict[str, Any]:
         """`Event` of models.py, of a flight in the store. Raises ConfigError."""
-        found = answers.event(*self.fleet.flight(flight), number)
-        if isinstance(found, str):
-            raise ConfigError(found)
-        return found
+        event = answers.event(*self.fleet.flight(flight), number)
+        if isinstance(event, str):
+            raise ConfigError(event)
+        return event

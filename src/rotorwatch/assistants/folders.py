@@ -95,8 +95,8 @@ class Folders:
         if not self.roots:
             raise ConfigError(f"{what}: no folder is allowed; start the server with the folders of your logs.")
         candidates = [asked] if asked.is_absolute() else [root / asked for root in self.roots]
-        found = [c for c in candidates if os.path.lexists(c)]
-        return self._inside(what, found[0] if found else candidates[0]), part
+        existing = [c for c in candidates if os.path.lexists(c)]
+        return self._inside(what, existing[0] if existing else candidates[0]), part
 
     def _inside(self, what: str, path: Path) -> Path:
         try:
@@ -115,8 +115,8 @@ class Folders:
         words, logs_, ending = search.lower().split(), [], logs.named()
         for root in self.roots:
             for path in islice(_files(root, DEEPEST), LOOKED_AT):
-                shown = str(path.relative_to(root)).lower()
-                if ending.search(path.name) and all(word in shown for word in words):
+                searched = str(path.relative_to(root)).lower()
+                if ending.search(path.name) and all(word in searched for word in words):
                     try:
                         about = path.stat()
                     except OSError:

@@ -34,11 +34,11 @@ class Fleet:
         from rotorwatch.fleet import condition
 
         with self._open() as store:
-            found = condition.by_urgency(store.aircraft())
+            aircraft = condition.by_urgency(store.aircraft())
         words = search.lower().split()
-        found = [a for a in found if all(word in _text(a) for word in words)]
-        rows = [_aircraft(a) for a in found[: min(limit, MOST)]]
-        return {"total": len(found), "aircraft": rows, "note": _left(len(found) - len(rows), "aircraft")}
+        aircraft = [a for a in aircraft if all(word in _text(a) for word in words)]
+        rows = [_aircraft(a) for a in aircraft[: min(limit, MOST)]]
+        return {"total": len(aircraft), "aircraft": rows, "note": _left(len(aircraft) - len(rows), "aircraft")}
 
     def flights(self, sort: str, aircraft: str | None, limit: int, offset: int, **filters: Any) -> dict[str, Any]:
         """`Flights` of models.py. sort: one of listing.ORDERS; filters: other fields of listing.Filters."""

@@ -106,14 +106,14 @@ def _text(value: Any) -> str:
 def answered(model: type[M], make: Callable[[], Any]) -> CallToolResult:
     """The value of `make` as an answer of that type: structured, and the same as text; or why there is none."""
     try:
-        made = make()
+        value = make()
     except RotorwatchError as why:
         return failed(Failed(str(why)))
     except Exception as why:
         return failed(Failed(_own_error(why)))
-    if isinstance(made, Failed):
-        return failed(made)
-    data, picture = made if isinstance(made, tuple) else (made, None)
+    if isinstance(value, Failed):
+        return failed(value)
+    data, picture = value if isinstance(value, tuple) else (value, None)
     structured = model.model_validate(data).model_dump(mode="json", exclude_defaults=True)
     content: list[Any] = [TextContent(type="text", text=_text(structured))]
     if picture is not None:

@@ -171,32 +171,32 @@ def _compare(question: Question, more: dict) -> dict[str, Any]:
 
 
 def _event(question: Question, more: dict) -> dict[str, Any]:
-    found = answers.event(_judged(question), _name(question), more["number"])
-    if isinstance(found, str):
-        raise _Ours(found)
-    return found
+    event = answers.event(_judged(question), _name(question), more["number"])
+    if isinstance(event, str):
+        raise _Ours(event)
+    return event
 
 
 def _series(question: Question, more: dict) -> dict[str, Any]:
-    found = _judged(question)
+    diagnosis = _judged(question)
     wanted = [more[name] for name in ("what", "rotor", "start_s", "end_s", "most")]
-    return {"log": quoted.quoted(_name(question))} | _ours(series.sampled, found, *wanted)
+    return {"log": quoted.quoted(_name(question))} | _ours(series.sampled, diagnosis, *wanted)
 
 
 def _picture(question: Question, more: dict) -> tuple[dict[str, Any], bytes]:
     from rotorwatch.report import still
 
-    found = _judged(question)
-    kind = _ours(still.shows, found, more["what"])
+    diagnosis = _judged(question)
+    kind = _ours(still.shows, diagnosis, more["what"])
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "picture.png"
-        drawn = _ours(still.figure, found, kind, path)
+        drawn = _ours(still.figure, diagnosis, kind, path)
         data = path.read_bytes()
     if len(data) > LARGEST:
         raise _Ours("The picture is too large to be sent; `rotorwatch diagnose --report` writes it as a page.")
     width, height = (round(side) for side in drawn.get_size_inches() * drawn.dpi)
     size = {"width": width, "height": height, "bytes": len(data)}
-    return {"log": quoted.quoted(_name(question)), "shows": answers.caption(found, kind)} | size, data
+    return {"log": quoted.quoted(_name(question)), "shows": answers.caption(diagnosis, kind)} | size, data
 
 
 def _facts(question: Question) -> dict[str, Any]:

@@ -73,9 +73,9 @@ class _Module:
     def __getattr__(self, part: str) -> Any:
         if part.startswith("__"):  # probed by inspection tools
             raise AttributeError(part)
-        found = getattr(self(), part)
-        setattr(self, part, found)
-        return found
+        value = getattr(self(), part)
+        setattr(self, part, value)
+        return value
 
 
 jax: Any = _Module("jax")

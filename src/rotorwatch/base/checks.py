@@ -19,9 +19,9 @@ from rotorwatch.errors import ConfigError
 
 def shape(name: str, value: Any, *expected: int) -> Any:
     """value, unchanged, when it is an array of that shape."""
-    found = np.shape(value)
-    if found != expected:
-        raise ConfigError(f"{name} must have the shape {expected}, not {found}.")
+    shape_ = np.shape(value)
+    if shape_ != expected:
+        raise ConfigError(f"{name} must have the shape {expected}, not {shape_}.")
     return value
 
 
@@ -117,25 +117,25 @@ def plant(system: Any, dt: float = 0.01) -> Any:
         ("Q", (h,), (n_x, n_x)),
         ("R", (u,), (n_y,)),
     ):
-        found = _traced(f"{part} of the plant {kind}", getattr(system, part), arguments)
-        if found != expected:
-            raise ConfigError(f"{part} of the plant {kind} must return an array of the shape {expected}, not {found}.")
+        got = _traced(f"{part} of the plant {kind}", getattr(system, part), arguments)
+        if got != expected:
+            raise ConfigError(f"{part} of the plant {kind} must return an array of the shape {expected}, not {got}.")
     return positive("dt", dt) and system
 
 
 def controller(u: Any, system: Any) -> None:
     """Raise ConfigError unless u(t, y) can be traced and returns (n_u,)."""
-    found = _traced("u(t, y)", u, ((), (system.n_y,)))
-    if found != (system.n_u,):
-        raise ConfigError(f"u(t, y) must return an array of the shape {(system.n_u,)}, not {found}.")
+    got = _traced("u(t, y)", u, ((), (system.n_y,)))
+    if got != (system.n_u,):
+        raise ConfigError(f"u(t, y) must return an array of the shape {(system.n_u,)}, not {got}.")
 
 
 def _traced(name: str, function: Any, arguments: tuple[tuple[int, ...], ...]) -> tuple[int, ...]:
     """The shape of what a function returns for arrays of these shapes. Raises ConfigError where it cannot be traced."""
     empty = [jax.ShapeDtypeStruct(size, np.float64) for size in arguments]
     try:
-        found = jax.eval_shape(function, *empty)
-        return tuple(found.shape)
+        out = jax.eval_shape(function, *empty)
+        return tuple(out.shape)
     except jax.errors.JAXTypeError as why:
         raise ConfigError(untraceable(name, why)) from why
     except ConfigError:
@@ -156,8 +156,8 @@ def untraceable(name: str, why: BaseException) -> str:
 def _where(why: BaseException) -> str:
     """The innermost line outside the libraries, as " (file, line)"."""
     frames = traceback.extract_tb(why.__traceback__)
-    own = [f for f in frames if "site-packages" not in f.filename and "/rotorwatch/" not in f.filename]
-    inside = own or [f for f in frames if "/rotorwatch/" in f.filename and not f.filename.endswith("checks.py")]
+    user = [f for f in frames if "site-packages" not in f.filename and "/rotorwatch/" not in f.filename]
+    inside = user or [f for f in frames if "/rotorwatch/" in f.filename and not f.filename.endswith("checks.py")]
     return f" ({inside[-1].filename.rpartition('/')[2]}, line {inside[-1].lineno})" if inside else ""
 
 

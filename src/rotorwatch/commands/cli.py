@@ -237,8 +237,8 @@ def diagnose(context, **options) -> None:
     _check_markdown(request)
     several_ways = request.jsonl or request.html or request.scheduler
     many = len(request.logs) > 1 or bool(several_ways) or gathering.is_several(request.logs[0])
-    found = gathering.Gathered(request.logs)
-    logs = gathering.Found(found) if many else request.logs
+    gathered = gathering.Gathered(request.logs)
+    logs = gathering.Found(gathered) if many else request.logs
     pages, recordings = report_paths(logs, request.report), report_paths(logs, request.mcap, "--mcap", ".mcap")
     posts, document = _post_paths(logs, request.markdown)
     if pages or request.html:
@@ -246,7 +246,7 @@ def diagnose(context, **options) -> None:
     if recordings:
         optional.library("mcap", "--mcap")
     request = request._replace(
-        logs=logs, pages=pages, recordings=recordings, posts=posts, document=document, others=found.others
+        logs=logs, pages=pages, recordings=recordings, posts=posts, document=document, others=gathered.others
     )
     if request.tuning:
         from rotorwatch.witnesses.healthy.tune import read

@@ -308,8 +308,8 @@ def report(store, out, quiet) -> None:
     """Write DIR/index.html and a page for each aircraft, which need no network."""
     from rotorwatch.fleet import pages
 
-    made = pages.write(store, out)
-    click.echo(f"{len(made)} pages written; begin with {made[0]}")
+    paths = pages.write(store, out)
+    click.echo(f"{len(paths)} pages written; begin with {paths[0]}")
 
 
 @fleet.command(short_help="The store as Parquet files.")
@@ -320,8 +320,8 @@ def export(store, out, quiet) -> None:
     """Write flights, aircraft, rotors and services as Parquet files (extra `parquet`)."""
     from rotorwatch.fleet import export as run
 
-    made = run.export(store, out)
-    click.echo("\n".join(map(str, made)))
+    paths = run.export(store, out)
+    click.echo("\n".join(map(str, paths)))
 
 
 @fleet.command(short_help="A simulated fleet with known truth.")
@@ -345,11 +345,11 @@ def simulate(out, aircraft, flights, seed, logs, url, as_json, quiet) -> None:
     with progress(quiet) as report:
         truth, _ = synthetic.fly_fleet(out, aircraft, flights, seed, url, logs, report)
     with Store(url or truth.parent / synthetic.STORE) as store:
-        found = score.score(store, truth.parent)
+        result = score.score(store, truth.parent)
     if as_json:
-        print_json(found)
+        print_json(result)
         return
-    for name, value in found.items():
+    for name, value in result.items():
         if name != "change_off":
             click.echo(
                 f"{name.replace('_', ' '):<18}{'-' if value is None else f'{value:.3f}' if isinstance(value, float) else value}"

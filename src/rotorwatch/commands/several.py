@@ -97,16 +97,16 @@ def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
                 text = explain(answer.error)
                 name = label(request.logs[answer.index])
                 sentence = text if name in text or label(answer.path) in text else f"{name}: {text}"
-                found = {**answer.to_dict(), "flight": {"name": name}, "error": text}
+                record = {**answer.to_dict(), "flight": {"name": name}, "error": text}
                 say(sentence)
             else:
-                found = answer.to_dict()
+                record = answer.to_dict()
             codes.add(answer.exit_code)
             page = _write_page(request, answer)
-            lines.write(answer, found)
+            lines.write(answer, record)
             if request.as_json:
-                listed[answer.index] = found
-            row = overview.row(label(answer.path), found, page)
+                listed[answer.index] = record
+            row = overview.row(label(answer.path), record, page)
             rows.add(row)
             if together:
                 together.add(row, answer.diagnosis, answer.messages, answer.picture)
@@ -271,10 +271,10 @@ def _there(request: Request, how: str) -> dict[str, _Line]:
             try:
                 line = json.loads(text)
                 path, code, size, sha256 = (line[key] for key in KEYS)
-                made = line["settings"]
+                how_made = line["settings"]
             except (ValueError, TypeError, KeyError):
                 raise ConfigError(f"{out}: line {number} is no answer of rotorwatch; give another file.") from None
-            if made != how:
+            if how_made != how:
                 raise ConfigError(
                     f"{out} was made by another version, or with another estimator, vehicle or baseline; give another file."
                 )

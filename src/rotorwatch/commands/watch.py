@@ -200,8 +200,8 @@ def _sentences(quiet: bool):
 
 
 def _code(vehicles) -> int:
-    found = [e for v in vehicles for e in v.events if e.means.wrong]
-    if any(e.means.accuses or e.rotors for e in found):
+    faults = [e for v in vehicles for e in v.events if e.means.wrong]
+    if any(e.means.accuses or e.rotors for e in faults):
         return FAULT
     open_ = any(v.trouble or v.session is None or v.session.doubt or not v.session.judged for v in vehicles)
-    return NOTHING if not vehicles or open_ or found else 0
+    return NOTHING if not vehicles or open_ or faults else 0

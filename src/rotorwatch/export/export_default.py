@@ -35,11 +35,11 @@ class Project(NamedTuple):
 def compose_project(name: str, vehicle: Vehicle, dt: float) -> Project:
     """The header and source NAME.h, NAME.c and an example, for a vehicle and ticks of dt seconds. Raises ConfigError for other ticks."""
     B = vehicle.effectiveness()
-    made = Translation((*ESTIMATOR, whole), sizes)
+    translation = Translation((*ESTIMATOR, whole), sizes)
     values = settings(B, dt)
     plant = text_of(plant_table(vehicle, dt), "rw_plant", "rw_plant_default")
-    text = made.header("", name="estimator"), made.source(f"{name}.h")
-    config = "".join(f"#define RW_{size} {values[size]}\n" for size in made.sizes)
+    text = translation.header("", name="estimator"), translation.source(f"{name}.h")
+    config = "".join(f"#define RW_{size} {values[size]}\n" for size in translation.sizes)
     digest = hashlib.sha256("\0".join((*text, config, plant)).encode()).hexdigest()[:16]
     about = f"The default estimator: ticks of {dt:g} s of {B.shape[1]} rotors in, losses out."
     about += f" rotorwatch {__version__}, definition {digest}."

@@ -159,9 +159,9 @@ def files(
     texts = {path.name: path.read_text(encoding="utf-8") for path in sorted(SOURCES.glob("*.[ch]"))}
     texts |= definitions()
     texts["rw_config.h"] = config(vehicle, plan.dt, *rates)
-    made = [text_of(tables[0], "rw_vehicle", "rw_vehicle_default"), text_of(tables[1], "rw_plan", "rw_plan_default")]
-    made.append(text_of(plant_table(vehicle, plan.dt), "rw_plant", "rw_plant_default"))
-    texts["rw_config.c"] = '#include "rw_diagnoser.h"\n\n' + "\n".join(made)
+    parts = [text_of(tables[0], "rw_vehicle", "rw_vehicle_default"), text_of(tables[1], "rw_plan", "rw_plan_default")]
+    parts.append(text_of(plant_table(vehicle, plan.dt), "rw_plant", "rw_plant_default"))
+    texts["rw_config.c"] = '#include "rw_diagnoser.h"\n\n' + "\n".join(parts)
     return texts
 
 

@@ -229,8 +229,8 @@ def rejudge(
     if jobs is None and scheduler is None:
         jobs = many.useful_jobs(len(rows))
     changes, count = [], 0
-    told = (lambda n: progress(n / len(rows), "judging again")) if progress else None
-    for done in many.in_order(_again, [(r["path"], r["hash"]) for r in rows], jobs, scheduler, told):
+    finished = (lambda n: progress(n / len(rows), "judging again")) if progress else None
+    for done in many.in_order(_again, [(r["path"], r["hash"]) for r in rows], jobs, scheduler, finished):
         row = rows[done.index]
         _expected(done.error)
         before = after = row["verdict"], row["headline"]

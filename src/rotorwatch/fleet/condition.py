@@ -21,8 +21,8 @@ def of(verdicts: Sequence[str], fell: Sequence[bool], rotors: Iterable[str]) -> 
         return FAULT
     if any(r in URGENT for r in rotors) or any(bad) or (decided and verdicts[decided[-1]] == "ambiguous"):
         return SUSPECT
-    judged = verdicts and decided and decided[-1] == len(verdicts) - 1
-    return HEALTHY if judged and rotors and not {"unknown", "serviced"} & set(rotors) else UNKNOWN
+    last_judged = verdicts and decided and decided[-1] == len(verdicts) - 1
+    return HEALTHY if last_judged and rotors and not {"unknown", "serviced"} & set(rotors) else UNKNOWN
 
 
 def flights(verdicts: Sequence[str], fell: Sequence[bool]) -> str:

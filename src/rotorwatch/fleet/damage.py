@@ -26,8 +26,8 @@ def _standing(text: str) -> None:
 
 
 def _trim(text: str) -> None:
-    if found := json.loads(text):
-        found["doubt"]
+    if table := json.loads(text):
+        table["doubt"]
 
 
 # Texts that hold JSON: the function that raises for a damaged one.

@@ -167,5 +167,5 @@ def _sentence(text: str, low: str, label: str, lite: bool) -> str:
         away = f"The database {label} cannot be reached ({text[:120]}): see that it runs. {AGAIN}"
         known = (*known, ("connect|server|terminat|shutting down", away))
     return next(
-        (said for words, said in known if re.search(words, low)), f"The store {label} failed ({text[:160]}). {AGAIN}"
+        (reply for words, reply in known if re.search(words, low)), f"The store {label} failed ({text[:160]}). {AGAIN}"
     )

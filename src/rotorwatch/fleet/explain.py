@@ -331,10 +331,10 @@ def _found(fit: _Fit, atoms: tuple[Atom, ...]) -> Found:
     # Each flight's own estimate of each rotor's e, with all else as explained.
     inverse = np.linalg.inv(s.noise)
     information = np.einsum("in,kij,jn->kn", s.G, inverse, s.G)
-    own = e + np.einsum("in,kij,kj->kn", s.G, inverse, s.y - fit.fitted) / information
+    single = e + np.einsum("in,kij,kj->kn", s.G, inverse, s.y - fit.fitted) / information
     rest = np.einsum("kij,kj->ki", np.linalg.inv(np.linalg.cholesky(s.noise)), s.y - fit.fitted)
     return Found(
-        atoms, coefficients, tuple(candidates), tuple(when), e, e[-1], now_sd, _hidden(fit), own, information**-0.5, evidence,
+        atoms, coefficients, tuple(candidates), tuple(when), e, e[-1], now_sd, _hidden(fit), single, information**-0.5, evidence,
         fit.beta[:3], fit.covariance[:3, :3], rest, fit.weight,
     )  # fmt: skip
 

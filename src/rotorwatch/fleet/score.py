@@ -57,8 +57,8 @@ def score(store: Store, folder: str | Path) -> dict[str, Any]:
                 right += names == [weak]
         if story.kind == "damage" and story.rotor in names:
             mine = (c for c in standing["changes"] if c["kind"] == "loss" and c["rotor"] == story.rotor + 1)
-            own = [c["flight"] - 1 for c in mine]
-            off.append(min((abs(k - story.start) for k in own), default=flights))
+            onsets = [c["flight"] - 1 for c in mine]
+            off.append(min((abs(k - story.start) for k in onsets), default=flights))
             near.append(off[-1] <= NEAR)
         if story.kind == "wear" and story.rotor >= 0:
             p = standing["rotors"][story.rotor]["prognosis"]

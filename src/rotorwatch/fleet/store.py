@@ -183,18 +183,18 @@ class Store:
         """Add maintenance: rotor 1-based, 0 the whole aircraft. utc: when, ISO 8601; after: the number (`ordinal`) of the last flight
         before it. Without both: after the aircraft's last flight. Returns the row."""
         with self._database.writing() as db:
-            found = listing.find(db, aircraft)
-            rotors = db.value("SELECT max(rotors) FROM flights WHERE aircraft = :key", key=found["key"]) or 0
+            aircraft_row = listing.find(db, aircraft)
+            rotors = db.value("SELECT max(rotors) FROM flights WHERE aircraft = :key", key=aircraft_row["key"]) or 0
             if not 0 <= rotor <= rotors:
-                raise ConfigError(f"{found['name']} has rotors 1 to {rotors}, no rotor {rotor}.")
+                raise ConfigError(f"{aircraft_row['name']} has rotors 1 to {rotors}, no rotor {rotor}.")
             last = db.value("SELECT max(ordinal) FROM flights") or 0
             if not utc and after is None:
                 columns = "ordinal, utc, count, clock_us"
-                own = list(db.rows(f"SELECT {columns} FROM flights WHERE aircraft = :key", key=found["key"]))
-                last = listing.in_order(own)[-1]["ordinal"] if own else last
+                flights = list(db.rows(f"SELECT {columns} FROM flights WHERE aircraft = :key", key=aircraft_row["key"]))
+                last = listing.in_order(flights)[-1]["ordinal"] if flights else last
             row = {
-                "aircraft": found["key"],
-                "number": _services_of(db, found["key"]) + 1,
+                "aircraft": aircraft_row["key"],
+                "number": _services_of(db, aircraft_row["key"]) + 1,
                 "rotor": int(rotor),
                 "what": listing.text(what),
                 "utc": utc,

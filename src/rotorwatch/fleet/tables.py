@@ -138,8 +138,8 @@ def _add_losses(connection: Any) -> None:
     into = sa.update(flights).where(flights.c.hash == sa.bindparam("of"))
     last = ""
     while rows := connection.execute(some.where(diagnoses.c.hash > last)).all():
-        found = [{"of": hash} | _worked_out(text) for hash, text in rows]
-        connection.execute(into, found)
+        updates = [{"of": hash} | _worked_out(text) for hash, text in rows]
+        connection.execute(into, updates)
         last = rows[-1][0]
     for index in SORTED:
         index.create(connection)
@@ -160,8 +160,8 @@ def _remember_refused(connection: Any) -> None:
 
 def _worked_out(text: str) -> dict[str, Any]:
     try:
-        told = json.loads(text)
-        return {"loss": summary.worst_loss(told), "onset_s": summary.onset(told)}
+        answer = json.loads(text)
+        return {"loss": summary.worst_loss(answer), "onset_s": summary.onset(answer)}
     except (ValueError, TypeError, AttributeError):  # a damaged row, reported on reading
         return {"loss": 0.0, "onset_s": None}
 
@@ -180,14 +180,14 @@ def version(connection: Any) -> int:
     """Version of a store's tables: 0 where it has none. Raises StoreError for one of a later rotorwatch."""
     if not sa.inspect(connection).has_table("meta"):
         return 0
-    found = connection.execute(sa.select(meta.c.value).where(meta.c.key == "version")).scalar()
-    if not str(found or 0).isdecimal():
+    stored = connection.execute(sa.select(meta.c.value).where(meta.c.key == "version")).scalar()
+    if not str(stored or 0).isdecimal():
         raise StoreError("The store is damaged (table meta, version): put a copy back, or add the logs to a new one.")
-    if int(found or 0) > len(STEPS):
+    if int(stored or 0) > len(STEPS):
         raise StoreError(
-            f"The store was made by a later version of rotorwatch (tables {found}, known {len(STEPS)}); update rotorwatch."
+            f"The store was made by a later version of rotorwatch (tables {stored}, known {len(STEPS)}); update rotorwatch."
         )
-    return int(found or 0)
+    return int(stored or 0)
 
 
 def upgrade(connection: Any) -> None:

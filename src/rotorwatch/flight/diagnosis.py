@@ -136,8 +136,8 @@ class Event:
     @classmethod
     def from_dict(cls, found: Mapping[str, Any]) -> Event:
         """The event from `to_dict`'s output, numbers as rounded."""
-        own = {name: value for name, value in found.items() if name in EVENT}
-        return cls(**_tuples(own), extra={name: value for name, value in found.items() if name not in own})
+        fields = {name: value for name, value in found.items() if name in EVENT}
+        return cls(**_tuples(fields), extra={name: value for name, value in found.items() if name not in fields})
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ class Identity(NamedTuple):
 
 def identify(flight: Flight) -> Identity:
     """The aircraft of a flight."""
-    own = flight.parameters.get("MAV_SYSID", flight.parameters.get("SYSID_THISMAV", 1.0))
+    system = flight.parameters.get("MAV_SYSID", flight.parameters.get("SYSID_THISMAV", 1.0))
     for message in flight.messages:
         if message.kind != "text":
             continue
@@ -41,8 +41,8 @@ def identify(flight: Flight) -> Identity:
             digits = match.group(2).replace(" ", "")
             return Identity(f"serial {match.group(1)} {digits}", f"{match.group(1)}-{digits[-4:]}", "serial number")
         if MACHINE.match(message.text):
-            text = f"machine {message.text} system {own:.0f}"
-            return Identity(text, f"{message.text[:4]}-{own:.0f}", "serial number")
+            text = f"machine {message.text} system {system:.0f}"
+            return Identity(text, f"{message.text[:4]}-{system:.0f}", "serial number")
     if uuid := str(flight.facts.get("sys_uuid", "")):
         board = str(flight.facts.get("ver_hw") or "PX4")
         return Identity(f"serial {board} {uuid}", f"{board}-{uuid[-4:]}", "serial number")

@@ -35,17 +35,17 @@ class Outliers:
             motors, self._waits = motors.with_arrays(*(np.concatenate(columns) for columns in zip(*parts))), None
         values = np.where(motors.valid, motors.values, 0.0) / RANGE.get(motors.unit, 1.0)
         time, keep = motors.time.tolist(), np.ones(len(motors), bool)
-        for k, (now, own) in enumerate(zip(time, values)):
+        for k, (now, outputs) in enumerate(zip(time, values)):
             if self._before is not None:
                 then, before = self._before
-                step, pause = np.abs(own - before), now - then
+                step, pause = np.abs(outputs - before), now - then
                 jumps = step > max(JUMP, USUAL * self._step)
                 if pause < max(NEAR_S, EARLY * self._period_s) and jumps.any():
                     if k + 1 == len(time):
                         self._waits, keep[k] = motors.part(slice(k, None)), False
                         break
                     after = values[k + 1]
-                    beyond = np.maximum(own - np.maximum(before, after), np.minimum(before, after) - own)
+                    beyond = np.maximum(outputs - np.maximum(before, after), np.minimum(before, after) - outputs)
                     if time[k + 1] - then < EXTRA * self._period_s and (beyond > BEYOND * step)[jumps].all():
                         keep[k] = False
                         self.left_out += 1
@@ -53,7 +53,7 @@ class Outliers:
                 self._step += WEIGHT * (float(step.mean()) - self._step)
                 period = self._period_s or pause
                 self._period_s = period + WEIGHT * min(pause - period, LOST * period)
-            self._before = now, own
+            self._before = now, outputs
         if keep.all():
             return motors
         return motors.with_arrays(motors.time[keep], motors.values[keep], motors.valid[keep]) if keep.any() else None

@@ -124,19 +124,19 @@ def table(sources: Sequence[Source]) -> Any:
     parts: list[Any] = []
     for source in sources:
         for watched, waits_for in source.shown():
-            shown = line(watched, waits_for)
-            head = Text(f" {shown.state:<6} ", STYLES.get(shown.state, "bold"))
-            head.append(f" {shown.name}  ", "bold default on default")
-            for number, loss, style in shown.rotors:
+            row = line(watched, waits_for)
+            head = Text(f" {row.state:<6} ", STYLES.get(row.state, "bold"))
+            head.append(f" {row.name}  ", "bold default on default")
+            for number, loss, style in row.rotors:
                 bar = BAR[min(round(loss * (len(BAR) - 1)), len(BAR) - 1)]
                 head.append(f" {number}", style or "default not bold on default")
                 head.append(f"{bar}", style or "default not bold on default")
                 head.append(f"{percent(loss):>5}" if loss >= 0.01 else "    –", style or "default not bold on default")
             parts.append(head)
-            parts += [Padding(Text(event), (0, 0, 0, 9)) for event in shown.events]
+            parts += [Padding(Text(event), (0, 0, 0, 9)) for event in row.events]
             parts.append(
                 Padding(
-                    Text("; ".join(_besides(shown)), "dim"),
+                    Text("; ".join(_besides(row)), "dim"),
                     (0, 0, 0, 9),
                 )
             )

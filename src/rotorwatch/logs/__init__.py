@@ -86,8 +86,8 @@ def read(path, progress=None) -> Flight:
 
     path, tell = Path(path), progress and portion(progress, 0.0, READ)
     if path.is_dir():
-        own = next((m for m in formats() if hasattr(m, "sniff_folder") and m.sniff_folder(path)), None)
-        module: Any = own or _theirs("sniff_folder", path)
+        folder_format = next((m for m in formats() if hasattr(m, "sniff_folder") and m.sniff_folder(path)), None)
+        module: Any = folder_format or _theirs("sniff_folder", path)
         if module is None:
             raise LogError(f"{path}: a folder without ulog2csv tables or a ROS 2 bag; give the log file itself")
         return _checked(lambda: module.read_folder(path, tell), module, path, (), progress)

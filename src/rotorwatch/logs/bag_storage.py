@@ -135,7 +135,7 @@ def read_mcap(data, bag: Bag, progress=None) -> None:
     stream.seek(0)
     schemas: dict[int, tuple[str, str, str]] = {}
     channels: dict[int, Topic | None] = {}
-    found, lost, unfolded = 0, 0, 0
+    valid_records, lost, unfolded = 0, 0, 0
 
     def put(channel: int, stamp: int, data: bytes) -> None:
         topic = channels.get(channel)
@@ -169,7 +169,7 @@ def read_mcap(data, bag: Bag, progress=None) -> None:
         for record in reader.StreamReader(stream, emit_chunks=True, record_size_limit=len(data)).records:
             if isinstance(record, records.DataEnd):
                 break
-            found += 1
+            valid_records += 1
             if not isinstance(record, records.Chunk):
                 take(record)
                 continue
@@ -192,7 +192,7 @@ def read_mcap(data, bag: Bag, progress=None) -> None:
     except (ConfigError, LogError):
         raise
     except Exception:
-        if not found:
+        if not valid_records:
             raise LogError("this MCAP file is too damaged to be read") from None
         bag.notes.append("the MCAP file is cut off or damaged; what comes before that place was read")
     if lost:

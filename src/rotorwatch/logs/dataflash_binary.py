@@ -163,17 +163,17 @@ class BinaryLog:
 
     def _header_candidates(self, progress) -> tuple[np.ndarray, np.ndarray]:
         """Positions of A3 95 with a type byte after it, and that byte; some lie inside payloads."""
-        found, types = [np.zeros(0, self._index)], [np.zeros(0, np.uint8)]
+        positions, types = [np.zeros(0, self._index)], [np.zeros(0, np.uint8)]
         end = self._bytes.size - 2
         for start in range(0, max(end, 0), SPAN):
             at = np.flatnonzero(self._bytes[start : min(start + SPAN, end)] == HEADER[0]) + start
             at = at[self._bytes[at + 1] == HEADER[1]].astype(self._index)
-            found.append(at)
+            positions.append(at)
             types.append(self._bytes[at + 2])
             self._release()
             if progress:
                 progress(FOUND * min(1.0, (start + SPAN) / end))
-        return np.concatenate(found), np.concatenate(types)
+        return np.concatenate(positions), np.concatenate(types)
 
     def _read_formats(self, positions: np.ndarray) -> dict[int, list[tuple[int, Format]]]:
         """Type number -> [(position from which it holds, Format)]; more than one where a log redefines a type."""
@@ -365,15 +365,15 @@ class BinaryLog:
         kinds: dict[tuple[np.dtype, float], int] = {}
         first, changes = np.zeros(256, np.uint8), {}
         for type_, versions in self._formats.items():
-            own = [
+            stamps = [
                 kinds.setdefault((fmt.dtype[fmt.stamp], 1.0 if fmt.stamp == "TimeUS" else 1e3), len(kinds) + 1)
                 if fmt.stamp
                 else 0
                 for _, fmt in versions
             ]
-            first[type_] = own[0]
-            if len(set(own)) > 1:
-                changes[type_] = np.array([since for since, _ in versions]), np.array(own, np.uint8)
+            first[type_] = stamps[0]
+            if len(set(stamps)) > 1:
+                changes[type_] = np.array([since for since, _ in versions]), np.array(stamps, np.uint8)
         return kinds, first, changes
 
     def stamps(self, records: np.ndarray | slice = slice(None)) -> np.ndarray:
@@ -381,9 +381,9 @@ class BinaryLog:
         kinds, first, changes = self._stamped
         types, at = self._types[records], self._at[records]
         kind, times = first[types], np.full(types.size, np.nan)
-        for type_, (since, own) in changes.items():
+        for type_, (since, places) in changes.items():
             rows = np.flatnonzero(types == type_)
-            kind[rows] = own[np.searchsorted(since, at[rows], "right") - 1]
+            kind[rows] = places[np.searchsorted(since, at[rows], "right") - 1]
         for (dtype, factor), number in kinds.items():
             rows = np.flatnonzero(kind == number)
             for part, stamps in self._items(at[rows] + 3, dtype):

@@ -129,8 +129,8 @@ def make_clock(stamps: np.ndarray) -> Clock:
     jumps = [(at - start) / 1e6 for at, _ in resets]
     if resets:
         size, when = f"{resets[0][1] / 1e6:.1f} s", f"{jumps[0]:.1f} s"
-        more = f" (and {amount(len(jumps) - 1, 'more time')})" if len(jumps) > 1 else ""
-        warnings.append(f"The log's clock jumps back by {size} at {when}{more}; later times are shifted to follow on.")
+        also = f" (and {amount(len(jumps) - 1, 'more time')})" if len(jumps) > 1 else ""
+        warnings.append(f"The log's clock jumps back by {size} at {when}{also}; later times are shifted to follow on.")
     # Carry the last stamp forward to records without one; those before the first stamp belong to the start.
     last = np.zeros(stamps.size, np.int32 if stamps.size < 2**31 else np.int64)
     last[timed] = np.arange(timed.size, dtype=last.dtype)

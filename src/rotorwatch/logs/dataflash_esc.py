@@ -49,8 +49,8 @@ def read(log, table: Callable, outputs: Mapping[int, int], notes: list[str]) -> 
         rows = table(message, (column,), None)
         if rows is None:
             return None
-        found = rows[1][np.isfinite(rows[1])]
-        counted = np.bincount(np.clip(found, 0, 255).astype(int))
+        instances = rows[1][np.isfinite(rows[1])]
+        counted = np.bincount(np.clip(instances, 0, 255).astype(int))
         # A damaged instance number occurs in a record or two.
         numbers = [int(k) + 1 for k in np.flatnonzero(counted > max(1, 0.01 * counted.max(initial=0)))]
         fields, source = (CAN_FIELDS if message == "CESC" else FIELDS), message

@@ -43,18 +43,18 @@ def read(get: Callable, outputs: Sequence[int], notes: list[str]) -> Signal | No
 
 def _status(get: Callable) -> dict:
     """ESC number, from 0 -> (time, quantity -> values) of ESC_STATUS, with temperatures of the last ESC_INFO."""
-    found = get(STATUS)
-    if found is None:
+    sample = get(STATUS)
+    if sample is None:
         return {}
-    time, table = found
+    time, table = sample
     reports = {}
     for first in np.unique(table["index"]).tolist():
         rows = table["index"] == first
         reports |= {first + k: (time[rows], _measured(table[rows], k)) for k in range(4)}
-    found = get(INFO)
-    if found is None:
+    sample = get(INFO)
+    if sample is None:
         return reports
-    slow, table = found
+    slow, table = sample
     for number, (time, values) in reports.items():
         rows = np.flatnonzero(table["index"] == number - number % 4)
         if rows.size:
@@ -75,10 +75,10 @@ def _measured(table, k: int, unit: float = 1.0) -> dict[str, np.ndarray]:
 def _telemetry(get: Callable) -> dict:
     reports: dict[int, tuple[np.ndarray, Mapping[str, np.ndarray]]] = {}
     for block, message in enumerate(TELEMETRY):
-        found = get(message)
-        if found is None:
+        sample = get(message)
+        if sample is None:
             continue
-        time, table = found
+        time, table = sample
         order = np.argsort(time, kind="stable")
         for k in range(4):
             degrees = {"temperature": table["temperature"][order, k].astype(float)}

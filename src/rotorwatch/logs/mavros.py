@@ -134,8 +134,8 @@ class _Log:
         self.start = min(float(t[series.steady(t)[0]]) for t in flown.values())
 
     def get(self, name: str) -> tuple[np.ndarray, Mapping[str, np.ndarray]] | None:
-        found = self.topics.get(name)
-        return None if found is None else (found[0] - self.start, found[1])
+        topic = self.topics.get(name)
+        return None if topic is None else (topic[0] - self.start, topic[1])
 
     def signal(self, kind: str, name: str, read: Callable, source: str = "") -> Signal | None:
         """The Signal `kind` of a topic; None without it. read(columns): values, or (values, valid)."""
@@ -232,10 +232,10 @@ def _rotated(q: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def _motors(log: _Log, parameters, autopilot: str) -> tuple[Signal | None, dict]:
-    found = log.get(_OUTPUTS)
-    if found is None:
+    sample = log.get(_OUTPUTS)
+    if sample is None:
         return None, {}
-    time, table = found
+    time, table = sample
     names = [name for k in range(_CHANNELS) if (name := f"channels[{k}]") in table]
     if not names:
         return None, {}
@@ -278,13 +278,13 @@ def _first(moving: Mapping[int, np.ndarray]) -> dict[int, np.ndarray]:
 
 
 def _gps(log: _Log, name: str) -> Signal | None:
-    found = log.get(name)
-    if found is None:
+    sample = log.get(name)
+    if sample is None:
         return None
-    table = found[1]
+    table = sample[1]
     degrees = series.stacked(table, ["latitude", "longitude"])
     altitude = np.asarray(table["altitude"], float)
-    return series.gps(found[0], degrees, altitude, np.full(len(degrees), np.nan), table["status.status"] >= 0, name)
+    return series.gps(sample[0], degrees, altitude, np.full(len(degrees), np.nan), table["status.status"] >= 0, name)
 
 
 def _battery(table) -> tuple[np.ndarray, np.ndarray]:
@@ -295,19 +295,19 @@ def _battery(table) -> tuple[np.ndarray, np.ndarray]:
 def _esc(log: _Log, count: int) -> Signal | None:
     """ESC telemetry, in the order of the motors' outputs."""
     for topic, field in (("esc_telemetry/telemetry", "esc_telemetry"), ("esc_status/status", "esc_status")):
-        found = log.get(topic) or log.get(field)
-        there = [k for k in range(px4_outputs.MOTOR_12) if f"{field}[{k}].rpm" in found[1]] if found else []
-        if found and there:
-            return esc_columns.numbered(*found, f"{field}[{{}}].", _ESC, there[: count or None], field, log.notes)
+        sample = log.get(topic) or log.get(field)
+        there = [k for k in range(px4_outputs.MOTOR_12) if f"{field}[{k}].rpm" in sample[1]] if sample else []
+        if sample and there:
+            return esc_columns.numbered(*sample, f"{field}[{{}}].", _ESC, there[: count or None], field, log.notes)
     return None
 
 
 def _parameters(log: _Log) -> dict[str, float]:
     """Parameters of param/event without the simulator's: SIM_* would disclose a fault."""
-    found, out = log.get("param/event"), {}
-    if found is None:
+    sample, out = log.get("param/event"), {}
+    if sample is None:
         return out
-    table = found[1]
+    table = sample[1]
     for i, name in enumerate(table.get("param_id", ())):
         column = table.get(f"value.{_NUMBERS.get(int(table['value.type'][i]), '')}")
         if column is None or not name or name.startswith("SIM_"):
@@ -324,8 +324,8 @@ def _autopilot(log: _Log, parameters) -> str:
         return "PX4"
     if "FRAME_CLASS" in parameters or "SERVO1_FUNCTION" in parameters:
         return "ArduPilot"
-    found = log.get("state")
-    modes = [str(m) for m in found[1].get("mode", ())] if found is not None else []
+    sample = log.get("state")
+    modes = [str(m) for m in sample[1].get("mode", ())] if sample is not None else []
     if any(m.startswith(_PX4_MODES) and m != "STABILIZE" for m in modes):
         return "PX4"
     return "ArduPilot" if any(m in _ARDUPILOT_MODES for m in modes) else ""

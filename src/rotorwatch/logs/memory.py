@@ -82,9 +82,9 @@ def from_arrays(
     time = time - start
     signals = {}
     for kind, ways in _GROUPS.items():
-        found = _group(kind, ways, time, table, notes)
-        if found is not None:
-            signals[kind] = found
+        signal = _group(kind, ways, time, table, notes)
+        if signal is not None:
+            signals[kind] = signal
     signals |= _rotors(time, table, notes)
     if not signals:
         raise LogError(

@@ -38,8 +38,8 @@ def unfolded(data, metadata, most: int) -> int:
 def _head(data, at: int) -> tuple[int, int, int]:
     """(bytes of the page unpacked, bytes of it packed, the first of them)."""
     try:
-        found, at = _fields(data, at, 0)
-        unpacked, packed = found[_UNPACKED], found[_PACKED]
+        fields, at = _fields(data, at, 0)
+        unpacked, packed = fields[_UNPACKED], fields[_PACKED]
     except (IndexError, KeyError):
         raise Damaged from None
     if unpacked < 0 or packed < 0:

@@ -85,16 +85,16 @@ def checked(flight: Flight, progress: Callable[[float], object] | None = None) -
         tell(0.7 * done / len(known))
     for done, (name, signal) in enumerate(known.items()):
         tell(0.7 + 0.3 * done / len(known))
-        found = _unsupported(name, signals, sizes)
+        wrong = _unsupported(name, signals, sizes)
         if name == "motors" and "control" in signals:
-            found |= _beyond_mixer(signals, found)
+            wrong |= _beyond_mixer(signals, wrong)
         if name == "battery":
-            found[:, 1:] = False  # current jumps in normal flight
-        count = int(np.count_nonzero(found))
+            wrong[:, 1:] = False  # current jumps in normal flight
+        count = int(np.count_nonzero(wrong))
         share = count / max(int(np.count_nonzero(signal.valid)), 1)
         if not count or share > HABIT:
             continue
-        signals[name], shares[name] = replace(signal, valid=signal.valid & ~found), share
+        signals[name], shares[name] = replace(signal, valid=signal.valid & ~wrong), share
         each = "value that does" if count == 1 else "values that do"
         warnings.append(f"{name} ({signal.source}): {count} {each} not fit the ones before and after ignored.")
         if count >= LEAST_HEAVY and share > HEAVY:
@@ -202,8 +202,8 @@ def _unsupported(name: str, signals: Mapping[str, Signal], sizes: Mapping[str, L
         if other != name and (partner.unit, partner.source) == (signal.unit, signal.source):
             continue  # the same numbers by another name
         at = rows if other == name else _nearest(partner.time, signal.time[rows])
-        own = columns if other == name else np.full(rows.size, -1)
-        jumps = _support(partner.time, partner.values, partner.valid, sizes[other], _floor(other, partner), at, own)
+        skip = columns if other == name else np.full(rows.size, -1)
+        jumps = _support(partner.time, partner.values, partner.valid, sizes[other], _floor(other, partner), at, skip)
         support = np.maximum(support, jumps)
     return size.part(support < np.maximum(JUMPS, off * ALONE)).marked(signal.values.shape)
 

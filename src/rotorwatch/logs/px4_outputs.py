@@ -78,16 +78,16 @@ def read(values: np.ndarray, parameters, count: int) -> Reading | None:
     for driver, outputs in functions.items():
         picked = [n - 1 for n in in_order(outputs)]
         if picked and max(picked) < values.shape[1]:
-            found = _scaled(values[:, picked], picked, driver, parameters)
-            if found is not None:
-                return found
+            reading = _scaled(values[:, picked], picked, driver, parameters)
+            if reading is not None:
+                return reading
     can = set(functions) == {CAN} or (not functions and parameters.get("UAVCAN_ENABLE", 0) >= 3)
     driver = CAN if can and not parameters.get("DSHOT_CONFIG", 0) > 0 else ""
     if 0 < count <= values.shape[1]:
         picked = list(range(count))
-        found = _scaled(values[:, picked], picked, driver, parameters)
-        if found is not None:
-            return found
+        reading = _scaled(values[:, picked], picked, driver, parameters)
+        if reading is not None:
+            return reading
     moving = [k for k in range(values.shape[1]) if _moves(values[:, k])]
     moving = [k for k in moving if _scaled(values[:, [k]], [k], driver, parameters, moving=True)]
     return _scaled(values[:, moving], moving, driver, parameters) if moving else None
@@ -216,8 +216,8 @@ def tracks(values: np.ndarray, step: float) -> list[np.ndarray]:
         near, far = (max(abs(a - b) for a, b in zip(row, other)) for other in last)
         member[i] = far < near
         last[int(member[i])] = row
-    found = [np.flatnonzero(~member), np.flatnonzero(member)]
-    return found if min(len(f) for f in found) >= THERE_AND_BACK else everything
+    series = [np.flatnonzero(~member), np.flatnonzero(member)]
+    return series if min(len(f) for f in series) >= THERE_AND_BACK else everything
 
 
 def flown(values: np.ndarray, found: list[np.ndarray]) -> np.ndarray | None:

@@ -51,8 +51,8 @@ def messages(topics: Topics) -> list[Message]:
 
 def _reports(topics: Topics) -> Iterator[tuple[float, str, str, float]]:
     def rises(name: str, field: str) -> list[tuple[float, float]]:
-        found = topics.table(name, field)
-        return [] if found is None else series.rises(found[0], found[1][field])
+        sample = topics.table(name, field)
+        return [] if sample is None else series.rises(sample[0], sample[1][field])
 
     for field, text in FLAGS.items():
         for time, value in rises("failsafe_flags", field):
@@ -70,17 +70,17 @@ def _reports(topics: Topics) -> Iterator[tuple[float, str, str, float]]:
         yield time, "error", "manual control lost", value
     for time, value in rises("vehicle_status", "failsafe"):
         yield time, "event", "failsafe begins", value
-    found = topics.table("battery_status", "warning")
-    for time, value in series.changes(found[0], found[1]["warning"])[1:] if found is not None else ():
+    sample = topics.table("battery_status", "warning")
+    for time, value in series.changes(sample[0], sample[1]["warning"])[1:] if sample is not None else ():
         if int(value) in WARNINGS:
             yield time, "error", f"battery warning: {WARNINGS[int(value)]}", value
-    found = topics.table("vehicle_status", "latest_disarming_reason", "arming_state")
-    if found is not None:
-        armed = np.asarray(found[1]["arming_state"]) == 2
+    sample = topics.table("vehicle_status", "latest_disarming_reason", "arming_state")
+    if sample is not None:
+        armed = np.asarray(sample[1]["arming_state"]) == 2
         for k in np.flatnonzero(armed[:-1] & ~armed[1:]) + 1:
-            reason = int(found[1]["latest_disarming_reason"][k])
+            reason = int(sample[1]["latest_disarming_reason"][k])
             if reason in DISARMED:
-                yield float(found[0][k]), "event", f"disarmed: {DISARMED[reason]}", float(reason)
+                yield float(sample[0][k]), "event", f"disarmed: {DISARMED[reason]}", float(reason)
 
 
 def limited(topics: Topics) -> dict[str, Signal | None]:
@@ -117,9 +117,9 @@ def events(log: Any, start_us: int) -> list[Message]:
         out = []
         for k, number in enumerate(table["id"]):
             level = int(table["log_levels"][k]) >> 4
-            found = parser.parse(int(number), bytes(int(a[k]) for a in arguments)) if level <= WARNS else None
-            if found is not None and found.group() == "default":
+            event = parser.parse(int(number), bytes(int(a[k]) for a in arguments)) if level <= WARNS else None
+            if event is not None and event.group() == "default":
                 time = max(0.0, (int(table["timestamp"][k]) - start_us) * 1e-6)
-                out.append(Message(time, "error" if level <= FAILS else "text", " ".join(found.message().split())))
+                out.append(Message(time, "error" if level <= FAILS else "text", " ".join(event.message().split())))
         return out
     return []

@@ -165,9 +165,9 @@ def _decoded(topic: bag_storage.Topic):
 
 
 def _flight(bag: bag_storage.Bag) -> Flight:
-    found = tables(bag)
-    px4 = {name: t for name, t in found.items() if bag.topics[name].kind.startswith("px4_msgs/")}
-    rest = {name: (bag.topics[name].kind, *t) for name, t in found.items() if name not in px4}
+    topics = tables(bag)
+    px4 = {name: t for name, t in topics.items() if bag.topics[name].kind.startswith("px4_msgs/")}
+    rest = {name: (bag.topics[name].kind, *t) for name, t in topics.items() if name not in px4}
     moving = any((at := place(name)) and at[1] in ("actuator_motors", "actuator_outputs") for name in px4)
     if px4 and (moving or not mavros.has_outputs(rest)):
         return _px4_flight(px4, bag.notes)

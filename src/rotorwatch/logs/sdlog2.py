@@ -85,10 +85,10 @@ class _Tables:
         return (time[good], values[good]) if good.any() else None
 
     def signal(self, kind, message, *columns, valid=None):
-        found = self.get(message, *columns)
-        if found is None:
+        sample = self.get(message, *columns)
+        if sample is None:
             return None
-        return series.signal(kind, *found, message, self.notes, None if valid is None else valid(found[1]))
+        return series.signal(kind, *sample, message, self.notes, None if valid is None else valid(sample[1]))
 
 
 def _signals(tables: _Tables, parameters) -> tuple[dict, dict]:
@@ -123,17 +123,17 @@ def _motors(tables: _Tables, parameters):
 
 
 def _attitude(tables: _Tables):
-    found = tables.get("ATT", *_QUATERNION)
-    if found is not None:
-        q, fine = series.unit_quaternion(found[1])
+    sample = tables.get("ATT", *_QUATERNION)
+    if sample is not None:
+        q, fine = series.unit_quaternion(sample[1])
         if fine.any():
-            return series.signal("attitude", found[0], q, "ATT", tables.notes, fine)
-    found = tables.get("ATT", *_ANGLES)
-    if found is None:
+            return series.signal("attitude", sample[0], q, "ATT", tables.notes, fine)
+    sample = tables.get("ATT", *_ANGLES)
+    if sample is None:
         return None
-    fine = np.all(np.abs(found[1]) < 7.0, axis=1)
+    fine = np.all(np.abs(sample[1]) < 7.0, axis=1)
     return series.signal(
-        "attitude", found[0], series.quaternion(*np.where(fine[:, None], found[1], 0.0).T), "ATT", tables.notes, fine
+        "attitude", sample[0], series.quaternion(*np.where(fine[:, None], sample[1], 0.0).T), "ATT", tables.notes, fine
     )
 
 
@@ -141,12 +141,12 @@ def _messages(tables: _Tables) -> tuple[Message, ...]:
     """Arming, landing and flight mode, in time order."""
     out = []
     for column in ("ArmS", "ArmState"):
-        if (found := tables.get("STAT", column)) is not None:
-            out += series.states("armed", found[0], found[1][:, 0] == _ARMED)
-    if (found := tables.get("LAND", "Landed") or tables.get("STAT", "Landed")) is not None:
-        out += series.states("landed", found[0], found[1][:, 0])
-    if (found := tables.get("STAT", "NavState")) is not None:
-        out += px4_topics.modes(found[0], found[1][:, 0])
+        if (sample := tables.get("STAT", column)) is not None:
+            out += series.states("armed", sample[0], sample[1][:, 0] == _ARMED)
+    if (sample := tables.get("LAND", "Landed") or tables.get("STAT", "Landed")) is not None:
+        out += series.states("landed", sample[0], sample[1][:, 0])
+    if (sample := tables.get("STAT", "NavState")) is not None:
+        out += px4_topics.modes(sample[0], sample[1][:, 0])
     return tuple(sorted(out, key=lambda m: m.time))
 
 

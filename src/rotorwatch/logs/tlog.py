@@ -325,21 +325,21 @@ def readings(outputs: Outputs) -> dict[str, tuple[Reading, ...]]:
 def _signals(log: _Log) -> tuple[dict, dict]:
     parameters = parameters_of(log)[0]
     outputs = rotor_outputs(log, parameters)
-    found: dict[str, Signal | None] = {}
+    signals: dict[str, Signal | None] = {}
     for name, options in readings(outputs).items():
         if name == "motors" and log.autopilot == "PX4":
             continue
         there = [signal for option in options if (signal := option.make(log)) is not None]
-        found[name] = series.fastest(*there) if name in FASTEST else (there or [None])[0]
+        signals[name] = series.fastest(*there) if name in FASTEST else (there or [None])[0]
     facts: dict = {}
     if log.autopilot == "PX4":
-        found["motors"], facts = _px4_motors(log, parameters)
-    if found["motors"] is not None:
+        signals["motors"], facts = _px4_motors(log, parameters)
+    if signals["motors"] is not None:
         facts.setdefault("outputs", outputs.numbers)
         if not motor_outputs(parameters):
             log.notes.append(BY_NUMBER)
-    found["esc"] = mavlink_esc.read(log.get, facts.get("outputs", ()), log.notes)
-    return {k: v for k, v in found.items() if v is not None}, facts
+    signals["esc"] = mavlink_esc.read(log.get, facts.get("outputs", ()), log.notes)
+    return {k: v for k, v in signals.items() if v is not None}, facts
 
 
 def rotor_count(log: Messages, parameters: Mapping[str, float]) -> int:
@@ -379,7 +379,7 @@ def _px4_motors(log: _Log, parameters: Mapping[str, float]) -> tuple[Signal | No
     """Rotor commands of a whole PX4 log and the facts about them, as from its ULog: each port is an instance of its outputs.
 
     Without a parameter for the number of rotors, the moving outputs are counted: a heartbeat may name another kind of vehicle."""
-    count, found = rotor_count(log, parameters), []
+    count, readings_ = rotor_count(log, parameters), []
     known = "CA_ROTOR_COUNT" in parameters or bool(motor_outputs(parameters))
     for source, instances in ((MOTORS, _ports(log)), (STATUS, [_status(log)])):
         tried = (
@@ -393,9 +393,9 @@ def _px4_motors(log: _Log, parameters: Mapping[str, float]) -> tuple[Signal | No
         driven = reading.values > 0 if reading.unit == "us" else None
         signal = series.motors(time, reading.values, reading.unit, source, log.notes, driven)
         if signal is not None:
-            found.append((signal, reading))
-    motors = series.fastest(*(signal for signal, _ in found))
-    reading = next((reading for signal, reading in found if signal is motors), None)
+            readings_.append((signal, reading))
+    motors = series.fastest(*(signal for signal, _ in readings_))
+    reading = next((reading for signal, reading in readings_ if signal is motors), None)
     if reading is None:
         return None, {}
     log.notes += [reading.note] if reading.note else []
@@ -404,21 +404,21 @@ def _px4_motors(log: _Log, parameters: Mapping[str, float]) -> tuple[Signal | No
 
 def _ports(log: Messages) -> list[tuple[np.ndarray, np.ndarray]]:
     """(time, outputs (m, 16)) of each port of SERVO_OUTPUT_RAW."""
-    found = log.get(MOTORS)
-    if found is None:
+    sample = log.get(MOTORS)
+    if sample is None:
         return []
-    time, table = found
+    time, table = sample
     rows = [table["port"] == port for port in np.unique(table["port"])]
     fields = [f"servo{k + 1}_raw" for k in range(BANK)]
-    return [(time[own], _columns(table[own], fields)) for own in rows]
+    return [(time[on_port], _columns(table[on_port], fields)) for on_port in rows]
 
 
 def _status(log: Messages) -> tuple[np.ndarray, np.ndarray] | None:
     """(time, outputs (m, k)) of ACTUATOR_OUTPUT_STATUS, for the active outputs."""
-    found = log.get(STATUS)
-    if found is None:
+    sample = log.get(STATUS)
+    if sample is None:
         return None
-    return found[0], series.floats(found[1]["actuator"][:, : int(found[1]["active"].max())])
+    return sample[0], series.floats(sample[1]["actuator"][:, : int(sample[1]["active"].max())])
 
 
 def _motors(log: Messages, outputs: Outputs) -> Signal | None:
@@ -441,13 +441,13 @@ def _motors(log: Messages, outputs: Outputs) -> Signal | None:
 
 def _actuators(log: Messages, outputs: Outputs) -> Signal | None:
     """Rotor commands from ACTUATOR_OUTPUT_STATUS, in the units of SERVO_OUTPUT_RAW."""
-    found = log.get(STATUS)
-    if found is None or not outputs.numbers:
+    sample = log.get(STATUS)
+    if sample is None or not outputs.numbers:
         return None
-    values = series.floats(found[1]["actuator"][:, [n - 1 for n in outputs.numbers]])
+    values = series.floats(sample[1]["actuator"][:, [n - 1 for n in outputs.numbers]])
     with np.errstate(invalid="ignore"):
-        driven = (values > 0) & (np.array(outputs.numbers) <= found[1]["active"][:, None])
-    return _commands(log, found[0], values, outputs, STATUS, driven)
+        driven = (values > 0) & (np.array(outputs.numbers) <= sample[1]["active"][:, None])
+    return _commands(log, sample[0], values, outputs, STATUS, driven)
 
 
 def _commands(log: Messages, time, values, outputs: Outputs, source: str, driven) -> Signal | None:
@@ -469,8 +469,8 @@ def _quaternions(table):
 
 def _utc_start(log: _Log) -> str | None:
     """UTC of second 0: by the autopilot, else from the times at which the ground station received its attitude."""
-    found = log.get("SYSTEM_TIME")
-    utc = wall_clock.start(found[0], found[1]["time_unix_usec"] * 1e-6) if found is not None else None
+    sample = log.get("SYSTEM_TIME")
+    utc = wall_clock.start(sample[0], sample[1]["time_unix_usec"] * 1e-6) if sample is not None else None
     if utc is None and "ATTITUDE" in log.tables:
         received = log.frames.received(log.system, log.component, log.layouts["ATTITUDE"])
         time = log.clock("ATTITUDE")
@@ -486,16 +486,16 @@ def _height(table):
 
 def _gps(log: Messages, name: str) -> Signal | None:
     """The GPS's own message, or the estimate that follows it."""
-    found = log.get(name)
-    if found is None:
+    sample = log.get(name)
+    if sample is None:
         return None
-    table = found[1]
+    table = sample[1]
     if "fix_type" in (table.dtype.names or ()):
         fixed, speed = table["fix_type"] >= _FIX_3D, np.where(table["vel"] < _UNKNOWN, table["vel"] * 1e-2, np.nan)
     else:
         fixed, speed = np.ones(table.size, bool), np.hypot(table["vx"] * 1e-2, table["vy"] * 1e-2)
     degrees = _columns(table, ("lat", "lon")) * 1e-7
-    return series.gps(found[0], degrees, table["alt"] * 1e-3, speed, fixed, name)
+    return series.gps(sample[0], degrees, table["alt"] * 1e-3, speed, fixed, name)
 
 
 def _battery(table):
@@ -520,10 +520,10 @@ def _cells(table):
 def parameters_of(log: Messages):
     """(parameters, changes) from PARAM_VALUE without the simulator's: SIM_* can disclose a fault."""
     values, changes = {}, []
-    found = log.get("PARAM_VALUE")
-    if found is None:
+    sample = log.get("PARAM_VALUE")
+    if sample is None:
         return values, changes
-    for time, row in zip(found[0], found[1]):
+    for time, row in zip(sample[0], sample[1]):
         name = row["param_id"].decode("ascii", "replace")
         value = row["param_value"]
         if log.autopilot == "PX4" and row["param_type"] == 6:  # PX4 sends the bytes of an int32 as they are

@@ -91,12 +91,12 @@ def _pyulog(ulog, file, **options):
 def _whole(ulog, data, progress):
     """(log, damaged, cut): all topics of interest. Of an intact log pyulog reads all but the data, and `ulog_data` that."""
     topics = [*px4_topics.TOPICS, px4_reports.EVENTS]
-    found = ulog_data.messages(data, topics)
-    if found is not None:
-        _check_definitions(found.formats)
-        log, damaged = _pyulog(ulog, _File(found.rest, progress), message_name_filter_list=topics)
-        if not damaged and found.fill(log):
-            return log, False, found.cut
+    data_messages = ulog_data.messages(data, topics)
+    if data_messages is not None:
+        _check_definitions(data_messages.formats)
+        log, damaged = _pyulog(ulog, _File(data_messages.rest, progress), message_name_filter_list=topics)
+        if not damaged and data_messages.fill(log):
+            return log, False, data_messages.cut
     else:
         header = _pyulog(ulog, _File(data), parse_header_only=True)[0]
         _check_definitions({name: kind.fields for name, kind in header.message_formats.items()})
@@ -184,10 +184,10 @@ class _File:
         self.cut = False
 
     def read(self, count=-1) -> bytes:
-        found = self._read(count)
-        if len(found) < count and (found or count != 3):
+        block = self._read(count)
+        if len(block) < count and (block or count != 3):
             self.cut = True
-        return found
+        return block
 
     def seek(self, offset, whence=0) -> int:
         self._left -= 1

@@ -98,13 +98,13 @@ def messages(data: Any, wanted: Collection[str]) -> Messages | None:
     topics = {int(raw[places[k] + 1]) + 256 * int(raw[places[k] + 2]): k for k in added}
     if len(topics) < len(added):
         return None
-    found, first = np.unique(ids, return_index=True)
-    if any(i >= 0 and (i not in topics or topics[i] > k) for i, k in zip(found.tolist(), first.tolist())):
+    unique, first = np.unique(ids, return_index=True)
+    if any(i >= 0 and (i not in topics or topics[i] > k) for i, k in zip(unique.tolist(), first.tolist())):
         return None
     names = {i: bytes(raw[places[k] + 3 : places[k] + sizes[k]]).decode("latin-1") for i, k in topics.items()}
     ids[~np.isin(ids, [i for i, name in names.items() if name in wanted])] = -1
     kept = ~is_data
-    kept[[k for i, k in zip(found.tolist(), first.tolist()) if i >= 0]] = True
+    kept[[k for i, k in zip(unique.tolist(), first.tolist()) if i >= 0]] = True
     parts = [raw[p - 3 : p + s].tobytes() for p, s in zip(places[kept].tolist(), sizes[kept].tolist())]
     return Messages(raw, kinds, sizes, places, ids, raw[:HEADER].tobytes() + b"".join(parts), end < len(raw), formats)
 

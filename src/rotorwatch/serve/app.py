@@ -87,10 +87,10 @@ async def _index(_: Request) -> Response:
 
 
 async def _file(request: Request) -> Response:
-    found = pages.file(request.path_params["name"])
-    if found is None:
+    content = pages.file(request.path_params["name"])
+    if content is None:
         raise HTTPException(404)
-    return Response(found[0], media_type=found[1], headers={"Cache-Control": "no-cache"})
+    return Response(content[0], media_type=content[1], headers={"Cache-Control": "no-cache"})
 
 
 async def _icon(_: Request) -> Response:
@@ -148,10 +148,10 @@ async def _upload(request: Request) -> Response:
 async def _of_flight(request: Request, find: Callable[[str], Any]) -> Any:
     """The result of `find` for the flight of a request. Raises HTTPException."""
     digest = request.path_params["digest"]
-    found = await asyncio.to_thread(find, digest) if DIGEST.fullmatch(digest) else None
-    if found is None:
+    result = await asyncio.to_thread(find, digest) if DIGEST.fullmatch(digest) else None
+    if result is None:
         raise HTTPException(404, UNKNOWN)
-    return found
+    return result
 
 
 async def _flight(request: Request) -> Response:

@@ -46,10 +46,10 @@ def answer(name: str, session: Session, rows: Sequence[tuple], hop: tuple[float,
     assert session.vehicle is not None
     start, end = hop
     vehicle, about = session.vehicle, session.about
-    judged = [row for row in rows if len(row) > 1 and start <= row[0] <= end]
-    steps = np.diff([row[0] for row in judged])
+    rows_judged = [row for row in rows if len(row) > 1 and start <= row[0] <= end]
+    steps = np.diff([row[0] for row in rows_judged])
     hidden = np.ones(len(vehicle.rotors))
-    for row in judged:  # the bound of a healthy rotor covers the flight up to then
+    for row in rows_judged:  # the bound of a healthy rotor covers the flight up to then
         hidden = np.where(np.asarray(row[1]) > 0.0, hidden, row[3])
     events, claims = session.weighed([e for e in session.events() if start <= e.detected_s <= end + FINAL_S])
     names = places.names(vehicle.rotors)
@@ -63,7 +63,7 @@ def answer(name: str, session: Session, rows: Sequence[tuple], hop: tuple[float,
         places=names,
         hops=(hop,),
         missing=[gap for gap in session.missing if start <= gap.start <= end],
-        blind_s=judged[0][0] - start if judged else 0.0,
+        blind_s=rows_judged[0][0] - start if rows_judged else 0.0,
     )
     end_of = conclusion.conclude(seen)
     began = datetime.fromtimestamp(time.time() - session.now, timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ")

@@ -345,5 +345,5 @@ class Feed:
 
     def state(self) -> dict[str, Any]:
         """The whole state for a new page, as of the last tick, since the watching thread is at work meanwhile."""
-        vehicles = [{**now, "frame": shown.frame, "points": shown.band.rows} for shown, now in self._vehicles]
+        vehicles = [{**now, "frame": view.frame, "points": view.band.rows} for view, now in self._vehicles]
         return {"endpoints": self._endpoints, "vehicles": vehicles, "said": list(self._messages)}

@@ -243,10 +243,10 @@ class Uploads:
 
     def _into_store(self, log: Log) -> dict[str, Any]:
         """The flight, judged and put into the store."""
-        found = self._answer(log)
-        if isinstance(found, str):
-            raise Refused(422, found)
-        return self._flights.keep(found)
+        entry = self._answer(log)
+        if isinstance(entry, str):
+            raise Refused(422, entry)
+        return self._flights.keep(entry)
 
     def _answer(self, log: Log) -> Entry | str:
         """A worker's result."""

@@ -89,14 +89,14 @@ def find(
     before = until(table, spans[0][0])
     carry, out = estimate(before, B, dynamics)
     model = _model(carry, table, B)
-    found = []
+    responses = []
     for a, b in spans:
         near = (table.time > table.time[a] - ASIDE_S) & (table.time < table.time[b] + ASIDE_S) & usable
         rows = np.flatnonzero(near)[:LONGEST]
         if rows.size * table.dt >= SHORTEST_S:
             span = float(table.command_time[a]), float(table.time[b])
-            found.append(_response(rows, span, q, model, table, B))
-    return tuple(found), trim(carry, out, before, B), read(out, before, B)
+            responses.append(_response(rows, span, q, model, table, B))
+    return tuple(responses), trim(carry, out, before, B), read(out, before, B)
 
 
 def trim(carry, out, table: Ticks, B: np.ndarray) -> ExcitationEvidence | None:
@@ -124,16 +124,16 @@ def shift(carry, out, table: Ticks) -> tuple[np.ndarray | None, np.ndarray]:
 def suspects(carry, out, table: Ticks, B: np.ndarray) -> dict[tuple[int, ...], np.ndarray]:
     """Single rotors and pairs (0-based) whose losses (n,) explain the change of trim, whatever was announced."""
     lacking, sd = shift(carry, out, table)
-    n, found = B.shape[1], {}
+    n, sets = B.shape[1], {}
     if lacking is None:
-        return found
+        return sets
     for who in (*combinations(range(n), 1), *combinations(range(n), 2)):
         losses = np.zeros(n)
         losses[list(who)], left = least_squares(B[:, who] / sd[:, None], lacking / sd)
         least = losses[list(who)].min()
         if left < EXPLAINED and LEAST_LOSS < least and losses.max() <= 1.0:
-            found[who] = losses
-    return found
+            sets[who] = losses
+    return sets
 
 
 def until(table: Ticks, k: int) -> Ticks:
@@ -144,14 +144,14 @@ def until(table: Ticks, k: int) -> Ticks:
 
 def _unneeded(table: Ticks, N: np.ndarray, usable: np.ndarray) -> np.ndarray:
     """q (T, n): thrusts in the null space, less their regression on the commanded wrench (twice: the first one includes excitations)."""
-    own = table.thrust @ N
-    inputs = np.column_stack([table.wrench, np.ones(len(own))])
-    calm, q = usable, (own - median(own[usable], axis=0)) @ N.T
+    excess = table.thrust @ N
+    inputs = np.column_stack([table.wrench, np.ones(len(excess))])
+    calm, q = usable, (excess - median(excess[usable], axis=0)) @ N.T
     for _ in range(2):
         if calm.sum() < 4 * inputs.shape[1]:
             break
-        K = np.linalg.lstsq(inputs[calm], own[calm], rcond=None)[0]
-        q = (own - inputs @ K) @ N.T
+        K = np.linalg.lstsq(inputs[calm], excess[calm], rcond=None)[0]
+        q = (excess - inputs @ K) @ N.T
         calm = usable & (np.abs(q).max(axis=1) < 0.5 * LEAST)
     return q
 
@@ -181,11 +181,11 @@ def _model(carry, table: Ticks, B: np.ndarray) -> _Model:
     n, lower = B.shape[1], lower_rotors(B)
     s, P = np.asarray(carry.s), np.asarray(carry.P)
     left = table.wrench[:, 3] - s[3 * PER_AXIS + GAIN] * n * table.load
-    more, sd = np.zeros(n), 0.0
+    extra, sd = np.zeros(n), 0.0
     if lower is not None:
-        more = B[3] * (lower - (B[3] * lower).mean())
-        left, sd = left + s[SHARE] * (table.thrust @ more), float(np.sqrt(P[SHARE, SHARE]))
-    return _Model(left, more, sd, excitation.Noise(np.asarray(carry.variances)[:, 3], np.array(TAU)))
+        extra = B[3] * (lower - (B[3] * lower).mean())
+        left, sd = left + s[SHARE] * (table.thrust @ extra), float(np.sqrt(P[SHARE, SHARE]))
+    return _Model(left, extra, sd, excitation.Noise(np.asarray(carry.variances)[:, 3], np.array(TAU)))
 
 
 def _response(rows, span, q, model: _Model, table: Ticks, B: np.ndarray) -> ExcitationEvidence:
@@ -220,25 +220,25 @@ class Prior(NamedTuple):
 
 def prior(rotors: Sequence[int], n: int, losses: np.ndarray | None = None) -> Prior:
     """Prior of a set (0-based): with the losses (n,) that hover has shown, or a general one."""
-    own = np.isin(np.arange(n), list(rotors))
+    named = np.isin(np.arange(n), list(rotors))
     if losses is None:
-        return Prior(np.zeros(n), np.where(own, hypotheses.LOSS_WIDTH, UNLIKE))
+        return Prior(np.zeros(n), np.where(named, hypotheses.LOSS_WIDTH, UNLIKE))
     spread = hypotheses.RECOVERY_SHARE * np.max(losses, initial=0.0) + LOSS_SD
-    return Prior(np.where(own, losses, 0.0), np.where(own, spread, UNLIKE))
+    return Prior(np.where(named, losses, 0.0), np.where(named, spread, UNLIKE))
 
 
 def evidence(
     responses: Sequence[ExcitationEvidence], rotors: Sequence[int], before: Prior
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """Log evidence that these rotors (0-based) are weak, against none; and the posterior mean (n,) and covariance (n, n) of all losses."""
-    n, own = len(before.mean), list(rotors)
+    n, named = len(before.mean), list(rotors)
     J, z = (np.sum([getattr(one, name) for one in responses], axis=0) for name in ("J", "z"))
     total, base, mean, cov = [], [], [], []
     none = np.full(n, UNLIKE)
     for own_J, own_z in zip(J, z, strict=True):
         log, m, P = _gaussian(own_J, own_z, before.mean, before.sd)
-        above = _positive(m[own], P[np.ix_(own, own)])
-        above /= _positive(before.mean[own], np.diag(before.sd[own] ** 2))
+        above = _positive(m[named], P[np.ix_(named, named)])
+        above /= _positive(before.mean[named], np.diag(before.sd[named] ** 2))
         total.append(log + np.log(max(above, 1e-300)))
         base.append(_gaussian(own_J, own_z, np.zeros(n), none)[0])
         mean.append(m)
@@ -300,16 +300,16 @@ def candidates(event: Event, B: np.ndarray) -> dict[tuple[int, ...], np.ndarray]
     hover, by non-negative least squares. B (4, n)."""
     n = B.shape[1]
     lacking = B[:, [r - 1 for r in event.rotors]] @ np.array(event.loss)
-    found = {}
+    sets = {}
     for who in (event.rotors, *event.alternatives):
-        own = sorted(r - 1 for r in who)
+        members = sorted(r - 1 for r in who)
         losses = np.zeros(n)
-        losses[own] = np.minimum(least_squares(B[:, own], lacking)[0], 1.0)
+        losses[members] = np.minimum(least_squares(B[:, members], lacking)[0], 1.0)
         if (
             who is event.rotors or losses.max() > hypotheses.NONE
         ):  # a set that explains nothing in hover is no candidate
-            found[tuple(own)] = losses
-    return found
+            sets[tuple(members)] = losses
+    return sets
 
 
 class Question(NamedTuple):
@@ -330,8 +330,10 @@ def question(sets: dict[tuple[int, ...], np.ndarray], carry, table: Ticks, B: np
     late = flying & (table.time > table.time[flying][-1] - HOVER_S)
     hover = (table.thrust * table.hover[:, None])[late].mean(axis=0)
     gain = np.asarray(carry.s)[:AXIS_STATES].reshape(4, PER_AXIS)[:3, GAIN]
-    found = {**sets, (): np.zeros(B.shape[1])}
-    return Question(found, hover, excitation.Noise(np.asarray(carry.variances)[:, 3], np.array(TAU)), gain, table.dt)
+    candidates_ = {**sets, (): np.zeros(B.shape[1])}
+    return Question(
+        candidates_, hover, excitation.Noise(np.asarray(carry.variances)[:, 3], np.array(TAU)), gain, table.dt
+    )
 
 
 def resolve(

@@ -161,9 +161,9 @@ def _low_voltage(flight: Flight, air: Spans) -> Event | None:
     set_ = flight.parameters
     limits = {"BATT_LOW_VOLT": 1.0, "BATT_CRT_VOLT": 1.0, "BAT1_V_EMPTY": set_.get("BAT1_N_CELLS", 0.0)}
     name, limit = next(((k, set_[k] * n) for k, n in limits.items() if set_.get(k, 0.0) * n > 0.0), ("", 0.0))
-    if not limit or (found := _aloft(flight, "battery", air)) is None:
+    if not limit or (samples := _aloft(flight, "battery", air)) is None:
         return None
-    time, volts = found[0], found[1][:, 0]
+    time, volts = samples[0], samples[1][:, 0]
     low = (volts > 0.0) & (volts < limit)
     since = _lasts(time, low)
     if since is None:

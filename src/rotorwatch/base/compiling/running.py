@@ -92,8 +92,8 @@ class Rows:
 
     def copy(self) -> Rows:
         """A copy of a single struct."""
-        made = self.cut(1)
-        return Rows(self.kind, made.native, made.plain)
+        copied = self.cut(1)
+        return Rows(self.kind, copied.native, copied.plain)
 
     @staticmethod
     def joined(parts: Sequence[Rows]) -> Rows:
@@ -274,13 +274,13 @@ class Definition:
             place = Path(scratch)
             for name, text in zip(("rw_config.h", f"rw_{self.name}.h", f"rw_{self.name}.c"), self.translated(level)):
                 (place / name).write_text(text, encoding="utf-8")
-            made = place / "made.so"
-            command = [compiler, *flags, "-o", str(made), str(place / f"rw_{self.name}.c"), "-lm"]
-            done = subprocess.run(command, capture_output=True, text=True, check=False)
-            if done.returncode:
-                message = (done.stderr.strip().splitlines() or ["nothing said"])[0]
+            library = place / "made.so"
+            command = [compiler, *flags, "-o", str(library), str(place / f"rw_{self.name}.c"), "-lm"]
+            run = subprocess.run(command, capture_output=True, text=True, check=False)
+            if run.returncode:
+                message = (run.stderr.strip().splitlines() or ["nothing said"])[0]
                 raise toolchain.Unavailable(f"{compiler} cannot build native code: {message}.")
-            for to, data in ((goal, made.read_bytes()), (seal, shipped.digest_of(made).encode())):
+            for to, data in ((goal, library.read_bytes()), (seal, shipped.digest_of(library).encode())):
                 part = to.with_suffix(f".{os.getpid()}")
                 part.write_bytes(data)
                 os.replace(part, to)
@@ -333,9 +333,9 @@ class Definition:
         if self.library is None:
             plain = [_plain(x) for x in arguments]
             result = function(*plain)
-            for x, made in zip(arguments, plain):
-                if isinstance(made, list) and isinstance(x, np.ndarray) and x.flags.writeable:
-                    x.reshape(-1)[:] = made  # a function may write them
+            for x, argument in zip(arguments, plain):
+                if isinstance(argument, list) and isinstance(x, np.ndarray) and x.flags.writeable:
+                    x.reshape(-1)[:] = argument  # a function may write them
             return result
         name = f"rw_{function.__module__.rpartition('.')[2]}_{function.__name__}"
         called = getattr(self.library, name)

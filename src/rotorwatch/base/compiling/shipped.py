@@ -49,21 +49,21 @@ def levels() -> tuple[str, ...]:
 def files_in(room: str) -> list[str]:
     """Source files of a folder's definitions."""
     folder = HOME / room
-    own = [f"{room}/{name}" for name in os.listdir(folder) if name.endswith(".py")] if folder.is_dir() else []
-    return sorted([*own, *(f"base/compiling/{name}.py" for name in ("structs", "body", "translate"))])
+    sources = [f"{room}/{name}" for name in os.listdir(folder) if name.endswith(".py")] if folder.is_dir() else []
+    return sorted([*sources, *(f"base/compiling/{name}.py" for name in ("structs", "body", "translate"))])
 
 
 def digest(files: Iterable[str]) -> str:
     """Hash of files of the package as they are now; a missing file counts as such."""
-    made = hashlib.sha256(str(FORMAT).encode())
+    hash_ = hashlib.sha256(str(FORMAT).encode())
     for name in files:
         try:
             with open(f"{HOME}/{name}", "rb") as file:
                 text = file.read()
         except FileNotFoundError:
             text = b"\1"
-        made.update(name.encode() + b"\0" + text + b"\0")
-    return made.hexdigest()
+        hash_.update(name.encode() + b"\0" + text + b"\0")
+    return hash_.hexdigest()
 
 
 def digest_of(path: Path) -> str:

@@ -38,9 +38,9 @@ def compiler() -> str:
 
     candidates = [os.environ["CC"]] if os.environ.get("CC") else ["cc", "gcc", "clang"]
     for name in candidates:
-        found = shutil.which(shlex.split(name)[0])
-        if found:
-            return found
+        path = shutil.which(shlex.split(name)[0])
+        if path:
+            return path
     raise Unavailable(f"There is no C compiler ({', '.join(candidates)}): install gcc or clang, or set CC.")
 
 
@@ -50,9 +50,9 @@ def processor() -> str:
     (CC=aarch64-linux-gnu-gcc). Raises Unavailable without a compiler."""
     import subprocess
 
-    done = subprocess.run([compiler(), "-dumpmachine"], capture_output=True, text=True, check=False)
-    target = done.stdout.strip().partition("-")[0]
-    same = not target or done.returncode or {target, platform.machine().lower()} == {"x86_64", "amd64"}
+    run = subprocess.run([compiler(), "-dumpmachine"], capture_output=True, text=True, check=False)
+    target = run.stdout.strip().partition("-")[0]
+    same = not target or run.returncode or {target, platform.machine().lower()} == {"x86_64", "amd64"}
     return platform.machine() if same else target
 
 

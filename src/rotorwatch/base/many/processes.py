@@ -109,11 +109,11 @@ class Worker:
 
     def __init__(self, work: bytes, limit_s: float | None, task: Task = NOTHING):
         """work: (function, prepare), packed. limit_s: for one item."""
-        context, told = get_context("spawn"), _warns(FirstUse)
+        context, reports = get_context("spawn"), _warns(FirstUse)
         place = str(incoming.spool())  # a killed process cleans up nothing
         self.task, self.limit_s, self.ready, self.hung = task, limit_s, False, False
         self.pipe, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs, work, place, told), daemon=True)
+        self.process = context.Process(target=_serve, args=(theirs, work, place, reports), daemon=True)
         with _one_thread():
             self.process.start()
         theirs.close()

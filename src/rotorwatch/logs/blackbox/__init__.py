@@ -91,9 +91,9 @@ def read(data, name: str, progress=None, part: int | None = None) -> Flight:
         others = [k for k in there if k != number]
         if part is None and others:
             named = ", ".join(f"#{k}" for k in others[:NAMED])
-            more = f" and {len(others) - NAMED} more" if len(others) > NAMED else ""
+            others_more = f" and {len(others) - NAMED} more" if len(others) > NAMED else ""
             notes.append(
-                f"This is session {number} of {len(starts) - 1}, the longest; also in this file: {named}{more}."
+                f"This is session {number} of {len(starts) - 1}, the longest; also in this file: {named}{others_more}."
             )
         return _flight(session, name, number, notes)
     raise AssertionError

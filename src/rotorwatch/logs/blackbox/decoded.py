@@ -64,5 +64,5 @@ def read(data, name: str, progress=None) -> Flight:
             table[column] = table[column] * factor
     notes.append("This is a table of blackbox_decode, without the log's header: give the log itself, which says more.")
     columns = flight.Columns(table, time - start, Header(0, settings), notes)
-    made = flight.assembled(columns, FORMAT, name, start_us=round(start * 1e6))
-    return Flight(**{**vars(made), "parameters": {}, "autopilot": "Betaflight", "warnings": tuple(notes)})
+    flown = flight.assembled(columns, FORMAT, name, start_us=round(start * 1e6))
+    return Flight(**{**vars(flown), "parameters": {}, "autopilot": "Betaflight", "warnings": tuple(notes)})

@@ -101,15 +101,15 @@ def decode(
         if progress:
             progress(float(stream["at"][0]) / max(size, 1))
     rows = [pieces[0] if len(pieces) == 1 else np.concatenate(pieces) for pieces in chunks]
-    found = _table(about, "I", used, rows[0], 0)
+    whole = _table(about, "I", used, rows[0], 0)
     slow_frames, gps_frames = (
         _table(about, kind, np.arange(table.shape[1] - 1), table, 1) for kind, table in zip("SG", rows[1:])
     )
-    if not len(found):
+    if not len(whole):
         raise LogError("the session holds no frames that can be read")
     corrupt, orphans, garbage = (int(stream[name][0]) for name in ("corrupt", "orphans", "garbage"))
-    time, ended = _unwrapped(found.columns["time"]), bool(stream["ended"][0])
-    return Session(about, found, slow_frames, gps_frames, rows[3], time, corrupt, orphans, garbage, ended, not done)
+    time, ended = _unwrapped(whole.columns["time"]), bool(stream["ended"][0])
+    return Session(about, whole, slow_frames, gps_frames, rows[3], time, corrupt, orphans, garbage, ended, not done)
 
 
 def _table(about: Header, kind: str, used: np.ndarray, rows: np.ndarray, prefix: int) -> Table:

@@ -206,12 +206,12 @@ def _bits(data: Bytes, bit: int, count: int) -> int:
 def _whole_bytes(data: Bytes, at: int, out: Ints, place: int, sizes: int) -> int:
     """Three numbers of as many bytes as the two lowest bits say, and so on."""
     for k in range(3):
-        more = sizes >> 2 * k & 3
+        size = sizes >> 2 * k & 3
         value = data[at]
-        for j in range(1, more + 1):
+        for j in range(1, size + 1):
             value |= shift32(data[at + j], 8 * j)
-        out[place + k] = value if more == 3 else _extended(value, 8 * more + 8)
-        at += more + 1
+        out[place + k] = value if size == 3 else _extended(value, 8 * size + 8)
+        at += size + 1
     return at
 
 

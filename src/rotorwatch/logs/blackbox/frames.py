@@ -277,21 +277,21 @@ def _predict(s: Stream, layout: Layout, out: Ints, place: int, previous: int, be
             for i in range(first, last):
                 out[place + i] = sum32(out[place + i], s.home[i - first])
         else:
-            more = 0
+            offset = 0
             if what == MINTHROTTLE:
-                more = s.minthrottle
+                offset = s.minthrottle
             elif what == MINMOTOR:
-                more = s.motor_low
+                offset = s.motor_low
             elif what == MOTOR_0:
-                more = out[place + s.motor]
+                offset = out[place + s.motor]
             elif what == FIFTEEN_HUNDRED:
-                more = 1500
+                offset = 1500
             elif what == VBATREF:
-                more = s.vbatref
+                offset = s.vbatref
             elif what == LAST_TIME:
-                more = s.last
+                offset = s.last
             for i in range(first, last):
-                out[place + i] = sum32(out[place + i], more)
+                out[place + i] = sum32(out[place + i], offset)
 
 
 def _event(s: Stream, data: Bytes, at: int, out: Ints, place: int) -> int:

@@ -78,8 +78,8 @@ def find(flight: Flight, vehicle: Vehicle, air: Spans, known: tuple[Event, ...] 
     seen = channels(flight, vehicle, air)
     if not seen:
         return ()
-    found = [d for d in search(seen) if not explained(_claim(d), known)]
-    return events(found, any(c.rotor is not None for c in seen))
+    desyncs = [d for d in search(seen) if not explained(_claim(d), known)]
+    return events(desyncs, any(c.rotor is not None for c in seen))
 
 
 def _claim(d: Desync) -> Event:
@@ -122,14 +122,14 @@ def search(seen: list[Channel]) -> list[Desync]:
     lengths = np.unique(np.maximum(2, np.round(LENGTHS_S / dt).astype(int)))
     rotors = [i for i in range(seen[0].drive.shape[1])]
     limit = float(np.log(FALSE_ALARM_PERIOD_S / dt * len(rotors) * len(lengths)))
-    found: list[Desync] = []
+    desyncs: list[Desync] = []
     for i in rotors:
         for start, length in _peaks(seen, i, lengths, dt):
             best = _evaluated(seen, i, start, length, lengths, rotors, limit)
             if best is not None:
-                found.append(best)
+                desyncs.append(best)
     separate: list[Desync] = []
-    for d in sorted(found, key=lambda d: -d.ratio):
+    for d in sorted(desyncs, key=lambda d: -d.ratio):
         if all(d.start > k.end + APART_S or d.end < k.start - APART_S for k in separate):
             separate.append(d)
     spun = {c.rotor for c in seen}

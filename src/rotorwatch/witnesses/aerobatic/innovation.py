@@ -80,10 +80,10 @@ def channels(flight: Flight, vehicle: Vehicle, air: Spans) -> list[Channel]:
     for a in range(3):
         others = rate[:, (a + 1) % 3] * rate[:, (a + 2) % 3]
         motion = np.column_stack([np.ones(len(rate)), rate[:, a], others])
-        found = _surprise(turning[:, a], thrust * B[a], motion, flies, width)
-        if found is None:
+        fit = _surprise(turning[:, a], thrust * B[a], motion, flies, width)
+        if fit is None:
             return []
-        out.append(Channel(None, start, width, flies, thrust, *found[:2], thrust * B[a], found[2]))
+        out.append(Channel(None, start, width, flies, thrust, *fit[:2], thrust * B[a], fit[2]))
     return out + _speeds(flight, start, width, flies, thrust)
 
 
@@ -111,9 +111,9 @@ def _speeds(flight: Flight, start: np.ndarray, width: float, flies: np.ndarray, 
         speed = np.interp(start + 0.5 * width, esc.time[ok], esc.values[ok, column])
         drive = np.zeros_like(thrust)
         drive[:, i] = np.sqrt(np.maximum(thrust[:, i], 0.0))
-        found = _surprise(speed, drive, np.ones((len(start), 1)), flies, width)
-        if found is not None:
-            out.append(Channel(i, start, width, flies, thrust, *found[:2], drive, found[2]))
+        fit = _surprise(speed, drive, np.ones((len(start), 1)), flies, width)
+        if fit is not None:
+            out.append(Channel(i, start, width, flies, thrust, *fit[:2], drive, fit[2]))
     return out
 
 

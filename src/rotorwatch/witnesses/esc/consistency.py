@@ -151,8 +151,8 @@ def in_words(entry: dict) -> str:
         phrases = ["it turns as commanded"]
     draws = entry["current_ratio"]
     if draws is not None and abs(draws - 1.0) >= 0.1:
-        more = "more" if draws > 1.0 else "less"
-        phrases.append(f"draws {percent(abs(draws - 1.0))} {more} current than such a speed needs")
+        direction = "more" if draws > 1.0 else "less"
+        phrases.append(f"draws {percent(abs(draws - 1.0))} {direction} current than such a speed needs")
     drop = entry["supply_drop_V"]
     if drop is not None and drop > NOTABLE_V:
         phrases.append(f"its supply fell {drop:.1f} V below the others'")

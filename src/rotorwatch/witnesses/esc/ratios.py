@@ -81,21 +81,21 @@ def learn(y: np.ndarray, x: np.ndarray, known: np.ndarray, prior: tuple[float, f
         power_sd = max(precision**-0.5, LEAST_POWER_SD)
     enough = known.sum(axis=0) >= FEWEST
     level = np.where(known, y - power * x, 0.0)
-    own = np.array([median(level[k, i]) if k.any() else 0.0 for i, k in enumerate(known.T)])
-    law = Law(own, float(power), float(power_sd), enough, np.full(own.size, 0.1), np.zeros(own.size))
+    levels = np.array([median(level[k, i]) if k.any() else 0.0 for i, k in enumerate(known.T)])
+    law = Law(levels, float(power), float(power_sd), enough, np.full(levels.size, 0.1), np.zeros(levels.size))
     rest, there = residual(law, y, x, known)
-    scatter, memory = np.full(own.size, 0.1), np.zeros(own.size)
+    scatter, memory = np.full(levels.size, 0.1), np.zeros(levels.size)
     for k in np.flatnonzero(enough):
         at = there[:, k]
         r = rest[at, k]
         if r.size >= FEWEST:
             r = r - median(r)
-            own[k] += float(median(rest[at, k]))
+            levels[k] += float(median(rest[at, k]))
             spread = max(float(median(np.abs(r)) / 0.6745), 0.3 * float(np.std(r)), 1e-4)
             scatter[k] = spread
             r = np.clip(r, -4.0 * spread, 4.0 * spread)
             memory[k] = np.clip(float(r[1:] @ r[:-1]) / max(float(r @ r), 1e-12), 0.0, 0.95)
-    return Law(own, float(power), float(power_sd), enough, scatter, memory)
+    return Law(levels, float(power), float(power_sd), enough, scatter, memory)
 
 
 def residual(law: Law, y: np.ndarray, x: np.ndarray, known: np.ndarray, healthy: np.ndarray | None = None):

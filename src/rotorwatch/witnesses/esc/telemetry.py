@@ -229,9 +229,9 @@ def _mixed_up(bins: Binned) -> bool:
     changes = [np.clip(c, *(s * 5.0 * median(np.abs(c)) for s in (-1.0, 1.0))) for c in changes]
     w, f = (c - c.mean(axis=1, keepdims=True) for c in changes)
     fits = np.array([[_correlation(a, b) for b in f.T] for a in w.T])
-    own = float(np.mean(np.diag(fits)))
+    in_order = float(np.mean(np.diag(fits)))
     best = best_total(fits) / len(fits)
-    return best > ORDER_FIT and best > own + ORDER_BETTER
+    return best > ORDER_FIT and best > in_order + ORDER_BETTER
 
 
 def binned(time, speed: Quantity, current: Quantity, voltage: Quantity, thrust: Signal, air) -> Binned | None:

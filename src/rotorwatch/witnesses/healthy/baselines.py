@@ -150,18 +150,18 @@ def healthy(
     be read, and VehicleError when no flight is left or two that are left contradict one another."""
     given = several(flights)
     tell = progress or (lambda share: None)
-    found = [f if isinstance(f, Candidate) else Candidate(_read(f), vehicle) for f in given]
-    if not found:
+    candidates = [f if isinstance(f, Candidate) else Candidate(_read(f), vehicle) for f in given]
+    if not candidates:
         raise ConfigError("Give at least one healthy flight.")
     rejected: list[tuple[str, str]] = []
     accepted: list[Candidate] = []
-    for k, one in enumerate(found):
+    for k, one in enumerate(candidates):
         why = one.unusable or _again(one, accepted, of) or one.flaw(diagnose)
         if why:
             rejected.append((one.name, why))
         else:
             accepted.append(one)
-        tell((k + 1) / len(found))
+        tell((k + 1) / len(candidates))
     accepted = _same_build(accepted, of, rejected)
     accepted = _alike_in_hover(accepted, rejected)
     if not accepted:

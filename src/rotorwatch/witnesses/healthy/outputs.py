@@ -198,9 +198,9 @@ def _one(w: np.ndarray, B: np.ndarray) -> tuple[int, int | None, float] | None:
     contrary = np.flatnonzero(np.abs(B[:3] + B[:3, best, None]).max(axis=0) < SAME)
     if contrary.size and size[best] < 0.0:  # a weak rotor is likelier than a strong one
         best, contrary = int(contrary[0]), np.array([best])
-    n, own = B.shape[1], (np.linalg.pinv(B) @ B)[best, best]
+    n, share = B.shape[1], (np.linalg.pinv(B) @ B)[best, best]
     lacks = n * size[best] / (1.0 - size[best])  # w = B e / (n + e), as in whole_flight.py
-    return best, int(contrary[0]) if contrary.size else None, float(lacks / (1.0 + own * lacks))
+    return best, int(contrary[0]) if contrary.size else None, float(lacks / (1.0 + share * lacks))
 
 
 def _drive(expo: float, thrust: float) -> float:
@@ -217,9 +217,9 @@ def _twisted(
     yaw, *both = (float(s[spin > 0].mean() - s[spin < 0].mean()) for s in (share, *halves))
     if min(np.sign(yaw) * one for one in (yaw, *both)) < TWISTED:
         return []
-    more = np.sign(yaw) * spin > 0
-    ratio = float(share[more].mean() / share[~more].mean() - 1.0)
-    harder, others = ([int(k) + 1 for k in np.flatnonzero(side)] for side in (more, ~more))
+    heavier = np.sign(yaw) * spin > 0
+    ratio = float(share[heavier].mean() / share[~heavier].mean() - 1.0)
+    harder, others = ([int(k) + 1 for k in np.flatnonzero(side)] for side in (heavier, ~heavier))
     warns = flight.parameters.get("ATC_RAT_YAW_IMAX")
     limit = f", and ArduPilot itself warns from {percent(0.75 * warns)} on" if warns else ""
     reason = (

@@ -43,10 +43,10 @@ def judge(flight: Flight, vehicle: Vehicle, air: Sequence[tuple[float, float]], 
 
     -> verdict healthy, ambiguous or fault; reason; rotors (1-based, named); loss (n,), interval (n, 2), of a healthy flight with 0 and the
     largest undetected loss of each rotor; causes as in WholeFlight."""
-    found = features(flight, vehicle, [(a, min(b, until)) for a, b in air if a < until])
-    if not found.usable or max(found.limited) > LIMITED:
+    hovering = features(flight, vehicle, [(a, min(b, until)) for a, b in air if a < until])
+    if not hovering.usable or max(hovering.limited) > LIMITED:
         return None
-    return weigh(found, vehicle.effectiveness())
+    return weigh(hovering, vehicle.effectiveness())
 
 
 def weigh(found: Features, B: np.ndarray) -> dict:

@@ -434,8 +434,8 @@ def prior_covariance(n: int) -> np.ndarray:
 def _difference(flight: Features, healthy) -> tuple[np.ndarray, np.ndarray, float]:
     """Shift of w and ln of the mean command (4,) against the mean of the healthy flights, its t scale matrix (4, 4), degrees of freedom."""
     all_of_them = (flight, *healthy)
-    own = np.square([one.slope_sd for one in all_of_them]) + SLOPE_BETWEEN_SD**2
-    slope, slope_variance = student.weighted_mean(np.array([one.slope for one in all_of_them]), own)
+    variance = np.square([one.slope_sd for one in all_of_them]) + SLOPE_BETWEEN_SD**2
+    slope, slope_variance = student.weighted_mean(np.array([one.slope for one in all_of_them]), variance)
     rows = np.array([[*(one.wrench - of_wind(one.force, slope)), np.log(np.mean(one.share))] for one in all_of_them])
     base, force = rows[1:], np.array([one.force for one in all_of_them])
     scale, dof = student.predictive(base, prior_covariance(len(flight.share)), PRIOR_FLIGHTS)

@@ -141,13 +141,13 @@ def _blockwise(
     work: Callable[..., np.ndarray], time: np.ndarray, *rows: np.ndarray, progress: Progress = None
 ) -> np.ndarray:
     """work(time, *rows), in blocks of BLOCK times. progress: called with the finished share, 0..1."""
-    found = []
+    parts = []
     for start in range(0, time.size, BLOCK):
         part = slice(start, start + BLOCK)
-        found.append(work(time[part], *(x[part] for x in rows)))
+        parts.append(work(time[part], *(x[part] for x in rows)))
         if progress:
             progress(min(1.0, part.stop / time.size))
-    return np.concatenate(found) if found else np.zeros(0)
+    return np.concatenate(parts) if parts else np.zeros(0)
 
 
 def _nearest(
@@ -395,9 +395,9 @@ def _back(t: np.ndarray, a: np.ndarray, k: int, lasts: float = BACK_S) -> float 
     """Time at which control came back: the begin of `lasts` s within BACK_DEG; None where the flight ends before."""
     length = BLOCK >> 6
     while True:  # mostly soon
-        found = _lasting(t[k : k + length], a[k : k + length] < BACK_DEG, lasts)
-        if found is not None or k + length >= t.size:
-            return None if found is None else float(t[k + found[0]])
+        run = _lasting(t[k : k + length], a[k : k + length] < BACK_DEG, lasts)
+        if run is not None or k + length >= t.size:
+            return None if run is None else float(t[k + run[0]])
         length *= 4
 
 
@@ -429,10 +429,10 @@ def _falls(flight: Flight, start: float, end: float) -> LossOfControl | None:
         rest = (share[np.maximum(k, 0)] < REST) & (k >= 0)
         return (np.linalg.norm(force, axis=1) / G0 < FALLS) & rest
 
-    found = _lasting(time, _blockwise(falling, time, force), FALLS_S)
-    if found is None:
+    run = _lasting(time, _blockwise(falling, time, force), FALLS_S)
+    if run is None:
         return None
-    since, when = (float(time[at]) for at in found)
+    since, when = (float(time[at]) for at in run)
     quiet = motors.time[(share < REST) & (motors.time <= when) & (motors.time > since - 1.0)]
     onset = min(since, float(quiet[0])) if quiet.size else since
     return LossOfControl(onset, when, None, hit(flight, when, end + 30.0), "falling without thrust", True)
@@ -449,10 +449,10 @@ def _sinks(flight: Flight, start: float, end: float) -> LossOfControl | None:
     share, age = held(replace(motors, values=_shares(flight, motors)), time)
     push, known = held(_around(flight["accel"], start - 1.0, end), time)
     full = (share.mean(axis=1) > NEARLY_FULL) & (age <= FRESH_S) & (-push[:, 2] < G0) & (known <= FRESH_S)
-    found = _lasting(time, full & (down > SINKS_M_S), LASTS_S)
-    if found is None:
+    run = _lasting(time, full & (down > SINKS_M_S), LASTS_S)
+    if run is None:
         return None
-    since, when = (float(time[at]) for at in found)
+    since, when = (float(time[at]) for at in run)
     slow = np.flatnonzero((time < since) & (down < 0.2 * SINKS_M_S))
     onset = float(time[slow[-1]]) if slow.size else since
     words = f"sinking at {down[time == when][0]:.0f} m/s though nearly full thrust was commanded"
