@@ -37,8 +37,7 @@ def identify(flight: Flight) -> Vehicle:
     """The airframe of a flight.
 
     Raises VehicleError when the log is of another kind of vehicle, when nothing in it names an airframe, or when the frame
-    contradicts the number of outputs.
-    """
+    contradicts the number of outputs."""
     if other := vehicle_kind.refusal(flight):
         raise VehicleError(other)
     vehicles = (module.identify(flight) for module in modules())

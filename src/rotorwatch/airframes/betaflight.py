@@ -34,8 +34,7 @@ TRI_NOTE = "A tricopter: a servo yaws it, so yaw is not judged, and its outputs 
 def identify(flight: Flight) -> Vehicle | None:
     """The frame of a log of these firmwares; None for others, and where it commands no rotors.
 
-    Raises VehicleError for motors that turn both ways (3D mode), and for numbers of motors that no multirotor here has.
-    """
+    Raises VehicleError for motors that turn both ways (3D mode), and for numbers of motors that no multirotor here has."""
     if flight.autopilot.lower() not in FIRMWARES or not flight.rotor_count:
         return None
     parameters = airframes.finite(flight)

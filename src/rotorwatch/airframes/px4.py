@@ -44,8 +44,7 @@ USUAL_EXPO = 0.65  # ESCs without a thrust model: the usual result of propeller 
 def identify(flight: Flight) -> Vehicle | None:
     """The frame of a PX4 log; None for other autopilots or when neither parameters nor outputs say which frame.
 
-    Raises VehicleError for airframes that are not multirotors.
-    """
+    Raises VehicleError for airframes that are not multirotors."""
     if not flight.autopilot.lower().startswith("px4"):
         return None
     notes: list[str] = []

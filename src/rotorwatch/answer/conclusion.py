@@ -137,7 +137,8 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
         verdict = "ambiguous" if event.alternatives else "crashed" if _crashed(event) else "inconclusive"
         return verdict, f"{event.reason}. {_cleared(seen, event)}".strip()
     if event is not None and not event.alternatives:
-        return "fault", _event_reason(seen, event) + _others(seen, event) + _open(seen) + "."
+        reason = said(event.means.reason, event, comma_until=_until(seen, event, ", until")).removesuffix(": ")
+        return "fault", reason + _others(seen, event) + _open(seen) + "."
     if whole and whole["verdict"] == "fault":
         return "fault", whole["reason"]
     if event is not None:
@@ -198,10 +199,6 @@ def _lasting(seen: Evidence) -> Event | None:
 def _as_if(spell: Event, places: Sequence[str]) -> str:
     lost = [f"{rotors([r], places)} had lost {interval(*i)}" for r, i in zip(spell.rotors, spell.interval, strict=True)]
     return f"since {seconds(spell.onset_s)} the vehicle has flown as if {listed(lost, 'or')} of thrust"
-
-
-def _event_reason(seen: Evidence, event: Event) -> str:
-    return said(event.means.reason, event, comma_until=_until(seen, event, ", until")).removesuffix(": ")
 
 
 def _cleared(seen: Evidence, lost: Event) -> str:

@@ -50,8 +50,7 @@ def grade(low: float, high: float, trend: Trend | None = None) -> str:
 def trends(out, table: Ticks, B: np.ndarray, found: Sequence[Event]) -> tuple[Trend | None, ...]:
     """The trend of each rotor's loss since the last event; None where it cannot be estimated.
 
-    out: the estimator's stacked outputs (theta (T, n), biases (T, 4)); B (4, n): effectiveness; found: events of the flight.
-    """
+    out: the estimator's stacked outputs (theta (T, n), biases (T, 4)); B (4, n): effectiveness; found: events of the flight."""
     nothing = (None,) * B.shape[1]
     use = (table.mode == JUDGE) & table.valid[:, :3].all(axis=1) & ~table.upset
     use &= (table.time >= _steady_from(table, found)) & (table.thrust.mean(axis=1) > CARRIES)

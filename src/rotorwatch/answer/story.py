@@ -35,8 +35,7 @@ def narrate(
     """The story of a flight of n rotors; empty where control was not lost.
 
     events: of the answer; main: index of the one that matters, or None; places: `places.names`; hops: ((take-off, landing), ...) s.
-    trusted: False where the log contradicts itself, and may not show what the rotors did.
-    """
+    trusted: False where the log contradicts itself, and may not show what the rotors did."""
     upsets = [e for e in events if e.kind == LOST]
     if not upsets:
         return ()
@@ -55,13 +54,10 @@ def narrate(
         out.append(StoryLine(lost.onset_s, _no_rotor(lost, n, places)))
     end = _end(lost, upsets[1:], hops)
     when = lost.detected_s if lost.detected_s <= end.time_s else max(lost.onset_s, out[-1].time_s)
-    beside = [StoryLine(e.onset_s, sentence(said(e.means.headline, e))) for e in events if _is_notice(e)]
+    notices = [e for e in events if e.means.weight is Weight.NOTICE and not e.rotors]
+    beside = [StoryLine(e.onset_s, sentence(said(e.means.headline, e))) for e in notices]
     lines = (*out, StoryLine(when, _lost(lost, when, first, n)), end, *beside)
     return tuple(sorted(lines, key=lambda line: line.time_s))
-
-
-def _is_notice(event: Event) -> bool:
-    return event.means.weight is Weight.NOTICE and not event.rotors
 
 
 def initiating_event(events: Sequence[Event], main: int | None) -> Event | None:
@@ -69,16 +65,12 @@ def initiating_event(events: Sequence[Event], main: int | None) -> Event | None:
     lost = next((e for e in events if e.kind == LOST), None)
     if lost is None:
         return None
-    before = [e for e in events if _may_begin(e) and e.onset_s <= lost.detected_s]
+    faults = [e for e in events if e.means.accuses and e.means.span is not Span.SPELLS]  # a momentary desync is over
+    before = [e for e in faults if e.onset_s <= lost.detected_s]
     if main is not None and events[main] in before:
         return events[main]
     lasted = [e for e in before if e.end_s is None or e.end_s >= lost.onset_s]
     return min(lasted, key=lambda e: e.onset_s, default=None)
-
-
-def _may_begin(event: Event) -> bool:
-    """True if an event may start it: a momentary desync is over."""
-    return event.means.accuses and event.means.span is not Span.SPELLS
 
 
 def _initiating_sentence(event: Event, lost: Event, places: Sequence[str]) -> str:

@@ -110,7 +110,7 @@ class Unseen:
         self._rows = Rows(np.empty((0, 4 + n)), none, none, none, none > 0.0, np.empty(0, bool))  # of `_each` ticks
         self._rest = self._rows  # ticks too few for a row
         self._new: list[tuple[np.ndarray, ...]] = []  # chunks not yet processed
-        self._began = False  # a flight has begun since the last tick in a row or the rest
+        self._began = False  # whether a flight began since the last tick in a row or the rest
         self._pushed, self._rested = False, -np.inf  # pushed at the last tick; last time without a push [s]
         self._pushes: list[float] = []  # onsets of pushes by an external force [s]
 

@@ -99,8 +99,7 @@ def plant(system: Any, dt: float = 0.01) -> Any:
     """system, unchanged, when it is a plant (`core.System`) whose parts fit together: sizes, x0, P0, and shapes of f, h, Q and R.
 
     The functions are traced, not run. Raises ConfigError with one sentence that names the part and the shape it must have, also where NumPy
-    or Python's float() is called on a value that has none yet.
-    """
+    or Python's float() is called on a value that has none yet."""
     kind = getattr(system, "name", type(system).__name__)
     has(system, "rotorwatch", "name", "n_x", "n_u", "n_theta", "n_y", "x0", "P0", "f", "h", "Q", "R")
     for size in ("n_x", "n_u", "n_theta", "n_y"):

@@ -76,8 +76,7 @@ def estimator(spec: Any) -> Any:
 
     spec: a name, or `package.module:Class`; a class; a `functools.partial` of one with keywords; or an instance, of whose class another
     one is made with the same keywords, which it must keep as attributes of these names. Raises ConfigError that lists the known ones, or
-    names the part that `spec` lacks.
-    """
+    names the part that `spec` lacks."""
     if isinstance(spec, str):
         return _named("rotorwatch.estimators", spec)
     kind = spec.func if isinstance(spec, functools.partial) else spec if inspect.isclass(spec) else type(spec)
@@ -219,8 +218,7 @@ def _names(package: str) -> tuple[str, ...]:
 def member(package: str, name: str):
     """The class of that name defined in one of the package's modules. Raises AttributeError: for modules' __getattr__.
 
-    Importing a submodule asks for its name here first: only what looks like a class is searched for, because that loads all.
-    """
+    Importing a submodule asks for its name here first: only what looks like a class is searched for, because that loads all."""
     if name[:1].isupper():
         for module in modules(package):
             found = getattr(module, name, None)

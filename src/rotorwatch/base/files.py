@@ -48,8 +48,7 @@ def toml(path: str | os.PathLike, what: str, most: int = 10_000_000) -> tuple[di
 def writable(path: str | os.PathLike, what: str, make: bool = False) -> Path:
     """The path, when a file can be written there. Nothing is written; with `make` missing folders are made.
 
-    what: names the target in the sentence, such as "--report". Raises ConfigError.
-    """
+    what: names the target in the sentence, such as "--report". Raises ConfigError."""
     no_address(path)
     path = Path(path)
     if str(path) == "-":

@@ -18,7 +18,7 @@ from rotorwatch.flight.method_series import MOST_ROWS, MethodSeries
 SCHEMA = 2
 TINY = 1e-12  # probabilities are rounded to less
 EXIT_CODES = {"healthy": 0, "fault": 1, "crashed": 1, "ambiguous": 3, "inconclusive": 3}
-# Fields of the JSON answer (docs/json.md) in their order; of an event, before what only its kind has; of a rotor.
+# Fields of the JSON answer (docs/json.md) in their order; of an event, before those of its kind; of a rotor.
 ANSWER = (
     "flight", "verdict", "headline", "reason", "story", "picture", "advice", "main_event", "rotors", "events", "common_mode",
     "whole_flight", "baseline", "estimator", "comparison", "assumptions", "warnings", "timing",

@@ -39,8 +39,7 @@ def coaxial(rotors: tuple[Rotor, ...], lower: Sequence[bool] | np.ndarray) -> tu
 def lower_of_pairs(rotors: tuple[Rotor, ...], depth: Sequence[float] | np.ndarray | None = None) -> np.ndarray:
     """(n,) bool: rotors with another above them on the same arm.
 
-    depth (n,): how far down each rotor sits, in any unit; of equal ones the later is the lower, as autopilots number them.
-    """
+    depth (n,): how far down each rotor sits, in any unit; of equal ones the later is the lower, as autopilots number them."""
     place = np.array([(r.x, r.y) for r in rotors])
     together = np.linalg.norm(place[:, None] - place[None], axis=2) < SAME_ARM * np.abs(place).max()
     rank = np.argsort(np.argsort(np.zeros(len(rotors)) if depth is None else depth, kind="stable"))
@@ -64,8 +63,7 @@ class ThrustCurve:
 
     u_min, u_max: commands of no and of full thrust, in the unit of the ``motors`` signal (us, or 1); ArduPilot's PWM of
     MOT_SPIN_MIN and MOT_SPIN_MAX. expo: 0 for a straight line to 1 for a parabola; ArduPilot's MOT_THST_EXPO, PX4's THR_MDL_FAC.
-    known: False when expo is an assumption.
-    """
+    known: False when expo is an assumption."""
 
     u_min: float
     u_max: float
@@ -91,8 +89,7 @@ class Vehicle:
     this is from. extra: what only some vehicles need (docs/simulation.md).
     mixer: (n, 4) factors (roll, pitch, yaw, throttle) with which the autopilot turns its rate controller's output
     into rotor thrusts, or None when unknown. identified: gains learned from healthy flights (see calibrate), or None.
-    assumptions: sentences on what was not in the log and had to be assumed.
-    """
+    assumptions: sentences on what was not in the log and had to be assumed."""
 
     name: str
     rotors: tuple[Rotor, ...]
@@ -108,8 +105,7 @@ class Vehicle:
         """B (4, n): roll, pitch, yaw torque and thrust per unit of commanded thrust of each rotor, rows scaled to a largest
         entry of 1 and then by the rotors' shares, whose mean counts as 1.
 
-        FRD: thrust T at (x, y) pointing up gives roll -y T, pitch +x T; yaw is spin times a common drag ratio.
-        """
+        FRD: thrust T at (x, y) pointing up gives roll -y T, pitch +x T; yaw is spin times a common drag ratio."""
         return self._effectiveness.copy()
 
     @cached_property

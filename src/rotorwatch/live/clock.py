@@ -9,7 +9,7 @@ BACK_US = 0.5e6  # messages of one moment come in any order; a longer step back 
 # A link only delays: no stamp is further ahead of its arrival than that of the least delayed message, within this.
 AHEAD_US = 0.1e6
 SET_US = 10e6  # a longer step ahead that others follow is a clock that was set; a shorter one is a link with less delay
-# So many successive stamps, over so long, without any that fits the clock, show that it restarted.
+# Number and span of successive stamps, none fitting the clock, that show that it restarted.
 AGREEING, AGREEING_S, TOGETHER_US = 5, 0.25, 2e6
 
 

@@ -80,8 +80,7 @@ def read(path, progress=None) -> Flight:
 
     path: a file, or a folder: a ROS 2 bag or ulog2csv tables; of a file with several flights FILE#2 is the second. progress: called with
     the finished share, 0..1.
-    Raises LogError with one sentence when there is no flight to be read; damage that leaves something is in `warnings`.
-    """
+    Raises LogError with one sentence when there is no flight to be read; damage that leaves something is in `warnings`."""
     from rotorwatch.logs.container import open_log
 
     path, tell = Path(path), progress and portion(progress, 0.0, READ)

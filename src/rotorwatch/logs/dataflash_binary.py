@@ -61,8 +61,7 @@ class Format:
     def stamp(self) -> str:
         """'TimeUS' or 'TimeMS' where the record starts with its boot time, else ''.
 
-        Only the first field counts: the TimeMS further on in old GPS records is a time of week.
-        """
+        Only the first field counts: the TimeMS further on in old GPS records is a time of week."""
         first = self.columns[0] if self.columns else ""
         return first if first in ("TimeUS", "TimeMS") and self.codes[0] in "QIqi" else ""
 
@@ -87,8 +86,7 @@ def make_format(
 class Table:
     """All wanted records of one message name.
 
-    record: (n,) running number in the file. columns: name -> (n,) values. codes: name -> format character.
-    """
+    record: (n,) running number in the file. columns: name -> (n,) values. codes: name -> format character."""
 
     name: str
     record: np.ndarray
@@ -125,8 +123,7 @@ class BinaryLog:
     """The records of a binary DataFlash log.
 
     data: anything with the buffer protocol. progress: called with the share done (0..1).
-    counts: records per message name. warnings: sentences on damage. record_count: intact records.
-    """
+    counts: records per message name. warnings: sentences on damage. record_count: intact records."""
 
     preamble: tuple[str, ...] = ()  # only text logs have one
 
@@ -410,8 +407,7 @@ class BinaryLog:
         """Columns of all records called `name`, scaled as their format characters say; None when there are none.
 
         wanted: columns to read, those the log lacks are left out (None: all). where: (column, value) keeps only the
-        records of one sensor instance. Numbers keep their type unless scaled; text is bytes without trailing zeros.
-        """
+        records of one sensor instance. Numbers keep their type unless scaled; text is bytes without trailing zeros."""
         parts = []
         for fmt, records in self._chosen(name, where):
             names = fmt.columns if wanted is None else [c for c in wanted if c in fmt.columns]

@@ -39,8 +39,7 @@ class Clock(NamedTuple):
     """time: (n,) s since the first record, for every record. good: (n,) False where the stamp is garbage.
 
     start_us: boot time of the first record. jumps: times [s] where the log's clock was set back. Records without a
-    stamp have the time of the last stamped record before them.
-    """
+    stamp have the time of the last stamped record before them."""
 
     time: np.ndarray
     good: np.ndarray
@@ -144,8 +143,7 @@ def _repaired(us: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray
     """(stamps with resets taken out, kept mask, [(corrected stamp, size) of each reset]).
 
     The stamps fall into stretches without large steps. The best chain of stretches is the one that keeps most records
-    after paying for each gap and, dearly, for each step back; what is not on it is garbage.
-    """
+    after paying for each gap and, dearly, for each step back; what is not on it is garbage."""
     cuts = np.flatnonzero((steps < -STEP_BACK_US) | (steps > GAP_US)) + 1
     first, stop = np.concatenate([[0], cuts]), np.concatenate([cuts, [us.size]])
     count = (stop - first).astype(float)

@@ -113,8 +113,7 @@ class TextLog:
     ) -> Table | None:
         """Columns of all records called `name`; None when there are none. See `BinaryLog.table`.
 
-        Numbers are float64, NaN where a field is missing or not a number.
-        """
+        Numbers are float64, NaN where a field is missing or not a number."""
         fmt = self._formats.get(name)
         if fmt is None or not self._starts.get(name):
             return None

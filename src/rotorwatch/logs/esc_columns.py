@@ -28,8 +28,7 @@ def build(time, measured: dict[str, np.ndarray], rotors: Sequence[int], source: 
     """The Signal `esc` from rows in which all ESCs report together; None when no speed or current in it is usable.
 
     time (m,) s; measured: quantity -> (m, N) in the units above, speeds of either sign; those left out are not measured. rotors: their
-    numbers. valid (m, N) bool: where an ESC reported. notes: sentences that this appends to.
-    """
+    numbers. valid (m, N) bool: where an ESC reported. notes: sentences that this appends to."""
     shape = (len(time), len(rotors))
     blocks, masks, wild = [], [], 0
     for quantity in QUANTITIES:

@@ -27,8 +27,7 @@ NO_TEMPERATURE = 32767
 def read(get: Callable, outputs: Sequence[int], notes: list[str]) -> Signal | None:
     """The signal `esc`; None where the log has none of these messages.
 
-    get(message): (time (m,) s, table) or None. outputs: servo output of each rotor, from 1; empty when not known.
-    """
+    get(message): (time (m,) s, table) or None. outputs: servo output of each rotor, from 1; empty when not known."""
     reports, source = _status(get), STATUS
     if not reports:
         reports, source = _telemetry(get), "ESC_TELEMETRY"

@@ -47,7 +47,7 @@ class Frames:
                 source, component, message = data[start + 3], data[start + 4], data[start + 5]
             else:
                 end = size + 1
-            # The next frame's magic is where this one says, or this one is damaged.
+            # The next frame's magic byte follows this frame, or this one is damaged.
             if end > size or (end + _STAMP < size and data[end + _STAMP] not in (_V1, _V2)):
                 later = size
                 while (k := bisect_left(places, start + 1)) == len(places) and seen < size:

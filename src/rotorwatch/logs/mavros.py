@@ -168,8 +168,7 @@ def _quaternion(table, name: str) -> tuple[np.ndarray, np.ndarray]:
 def turned(q: np.ndarray) -> np.ndarray:
     """(n, 4) quaternion x, y, z, w of forward-left-up in east-north-up -> w, x, y, z of forward-right-down in north-east-down.
 
-    q' = e * q * b with e the turn of the world, (i + j) / sqrt 2, and b that of the body, i: half a turn about the nose.
-    """
+    q' = e * q * b with e the turn of the world, (i + j) / sqrt 2, and b that of the body, i: half a turn about the nose."""
     x, y, z, w = q.T
     return np.stack([w + z, x + y, x - y, w - z], axis=1) * np.sqrt(0.5)
 

@@ -71,8 +71,7 @@ def from_arrays(
     Signals of different rates share one table: one that is empty in most rows is taken at the rows where it has values.
     parameters: the autopilot's, by their names (MOT_THST_EXPO, CA_ROTOR0_PX ...).
 
-    Raises LogError naming the columns that are unknown, incomplete or of the wrong kind.
-    """
+    Raises LogError naming the columns that are unknown, incomplete or of the wrong kind."""
     table = _arrays(columns)
     notes: list[str] = []
     time = table.pop("time_s")

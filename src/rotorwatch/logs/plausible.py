@@ -68,8 +68,7 @@ def checked(flight: Flight, progress: Callable[[float], object] | None = None) -
     """The flight with impossible values and lone ones marked invalid, named in its warnings and counted in facts["damage"]; `checked`.
 
     facts["damage"]: {signal: share of its values that were lone}, only of signals that had any. Lone values of a flight that has been
-    checked before are left alone. progress: called with the finished share, 0..1.
-    """
+    checked before are left alone. progress: called with the finished share, 0..1."""
     flight = possible(flight)
     if flight.checked:
         return flight
@@ -170,8 +169,7 @@ def _limit(name: str, signal: Signal):
 def _whole_records(motors: Signal) -> tuple[Signal, list[str]]:
     """The outputs without lone records in which most of them are no command (0: off, or impossible); and a warning.
 
-    Rotors that stop take longer, and outputs that are switched off stay off.
-    """
+    Rotors that stop take longer, and outputs that are switched off stay off."""
     valid = motors.valid
     if len(motors) < 3 or valid.shape[1] < 2:
         return motors, []

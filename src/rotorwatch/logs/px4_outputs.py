@@ -71,8 +71,7 @@ class Reading(NamedTuple):
 def read(values: np.ndarray, parameters, count: int) -> Reading | None:
     """The rotors among the outputs of one instance, values (n, k); None when there are none.
 
-    count: rotors of the vehicle, 0 where the log does not say.
-    """
+    count: rotors of the vehicle, 0 where the log does not say."""
     values = np.where(values == NO_COMMAND, 0.0, values)
     functions = motor_outputs(parameters)
     for driver, outputs in functions.items():
@@ -111,8 +110,7 @@ def _moves(column: np.ndarray) -> bool:
 def _scaled(values, picked, driver, parameters, moving=False) -> Reading | None:
     """The picked outputs as pulses or shares, whichever their values and the log's parameters allow; None when neither.
 
-    moving: only when all of them move as rotors do.
-    """
+    moving: only when all of them move as rotors do."""
     reading = _in_unit(values, picked, driver, parameters, moving)
     return None if reading is None else reading._replace(outputs=tuple(k + 1 for k in picked))
 
@@ -199,8 +197,7 @@ def pulse_limits(parameters, driver: str, picked) -> dict:
 def tracks(values: np.ndarray, step: float) -> list[np.ndarray]:
     """Indices of the samples of each publisher in values (n, k), in order; a single one where they do not alternate.
 
-    step: a change from sample to sample below which nothing is a jump, in the unit of the values.
-    """
+    step: a change from sample to sample below which nothing is a jump, in the unit of the values."""
     everything = [np.arange(len(values))]
     if len(values) < 3 * THERE_AND_BACK or not np.isfinite(values).all():
         return everything

@@ -66,8 +66,7 @@ class Topics:
     def table(self, name, *fields, instance=0, early=False):
         """(time s (n,), table) of a topic that has all `fields`, else None.
 
-        Samples from before the start (states latched there) are left out, or counted as second 0 with `early`.
-        """
+        Samples from before the start (states latched there) are left out, or counted as second 0 with `early`."""
         table = self.tables.get((name, instance))
         if table is None and instance == 0:  # loggers may count instances from 1
             numbers = [number for topic, number in self.tables if topic == name]

@@ -34,8 +34,7 @@ def sniff(head: bytes, name: str) -> bool:
 def read(data, name: str, progress=None) -> Flight:
     """Read an sdlog2 file from bytes or a memory map. Times count from the first TIME record.
 
-    Raises LogError when it holds no time or nothing that is read here.
-    """
+    Raises LogError when it holds no time or nothing that is read here."""
     log = BinaryLog(data, progress)
     times = log.table("TIME", ("StartTime",))
     if times is None or "StartTime" not in times or times["StartTime"].ndim != 1:

@@ -69,8 +69,7 @@ def sniff(head: bytes, name: str) -> bool:
 def read(data, name: str, progress=None) -> Flight:
     """Read the autopilot's side of a telemetry log. Times count from the smallest boot time of any of its messages.
 
-    Raises LogError when no autopilot's heartbeat is in it.
-    """
+    Raises LogError when no autopilot's heartbeat is in it."""
     log = _Log(data, progress)
     signals, facts = _signals(log)
     parameters, changes = parameters_of(log)

@@ -32,8 +32,7 @@ def sniff(head: bytes, name: str) -> bool:
 def read(data, name: str, progress=None) -> Flight:
     """Read a ULog of any PX4 from 1.6 on. Times count from the log's own start time stamp.
 
-    Raises LogError when the definitions are damaged or no topic of interest is left.
-    """
+    Raises LogError when the definitions are damaged or no topic of interest is left."""
     from pyulog import ULog
 
     log, damaged, cut = _whole(ULog, data, progress)

@@ -49,7 +49,7 @@ from rotorwatch.methods.maths.tails import normal_cdf
 LEAST = 0.05  # hover thrusts of one rotor, beyond the mixer's own allocation: an excitation, not rounding
 SHORTEST_S, GAP_S, ASIDE_S = 0.5, 1.0, 1.0  # of an excitation; between two; of flight used before and after
 HOVER_S = 3.0  # over which the commands of hover are averaged
-LONGEST = 400  # ticks looked at together
+LONGEST = 400  # ticks used together
 UNLIKE = 0.03  # relative scatter of healthy rotors' response to a command
 LOSS_SD = 0.05  # sd of a loss derived from hover, besides RECOVERY_SHARE of it
 EXPLAINED = 4.0  # standard deviations of trim that a set of rotors may leave unexplained to be suspected

@@ -38,7 +38,7 @@ WIDE: dict[Any, Any] = {
     "small": "int",
     "letter": "int",
     "byte": "int",
-}  # as what stored numbers are read
+}  # types of stored numbers when read
 FIRST = {"lit": "real", "ilit": "int", **WIDE}  # type of a variable by its first value
 OPEN, CLOSE = "\x02", "\x03"  # around a number in a text, as long as its precision is open
 BINARY = {
@@ -52,7 +52,7 @@ BINARY = {
 BITS = {ast.BitAnd: "&", ast.BitOr: "|", ast.BitXor: "^", ast.LShift: "<<", ast.RShift: ">>"}  # of whole numbers
 MODULO = {"sum32": "+", "difference32": "-", "shift32": "<<"}  # of whole numbers, of 32 bits
 ROUNDED = {"sqrt": "RW_ROOT", "exp": "RW_EXP", "log": "RW_LOG"}  # of a number in the library's precision
-EACH = {"sqrt": "root_each", "exp": "exp_each", "log": "log_each"}  # the same of each that stand side by side
+EACH = {"sqrt": "root_each", "exp": "exp_each", "log": "log_each"}  # the same for each lane
 COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 BUILTIN = (
     *ROUNDED, "isnan", "floor", "abs", "min", "max", "int", "float", "real", "len", "ord", "reset", "copy", "local", "each", "one",

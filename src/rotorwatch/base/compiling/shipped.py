@@ -15,9 +15,7 @@ from pathlib import Path
 
 HOME = Path(__file__).parents[2]
 FOLDER = Path(__file__).parent / "built"
-DEFINITIONS = (
-    "definitions.json"  # what `compiling.running` runs: room -> digest of its files, target, library and its SHA-256
-)
+DEFINITIONS = "definitions.json"  # for `compiling.running`: folder -> digest of its files, target, library, its SHA-256
 FORMAT = 3
 
 # Levels of processors, best first: the compiler's -march and the flags of /proc/cpuinfo that code of that level needs

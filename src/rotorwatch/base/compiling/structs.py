@@ -31,7 +31,7 @@ from typing import Any, ClassVar, TypeVar
 
 Real = float
 Time = float
-Each = float  # of each of LANES that stand side by side
+Each = float  # of each of LANES lanes
 Reals = list[float]
 Eaches = list[float]
 Times = list[float]

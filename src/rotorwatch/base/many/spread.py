@@ -45,8 +45,7 @@ def run(
 
     A process that dies is replaced; its item is begun TRIES times in all, then its error is a WorkerError. On a cluster the scheduler
     decides how often (docs/cluster.md). When the iterator is closed, or left by an exception (Ctrl-C), all work ends. Raises ConfigError
-    for arguments that do not fit together and for a scheduler that does not answer, WorkerError where processes do not start.
-    """
+    for arguments that do not fit together and for a scheduler that does not answer, WorkerError where processes do not start."""
     if jobs is not None and jobs < 1:
         raise ConfigError(f"jobs must be at least 1, not {jobs}.")
     if scheduler is not None:

@@ -68,8 +68,7 @@ def parts(data) -> list[int]:
 def read(data, name: str, progress=None, part: int | None = None) -> Flight:
     """Read a session, by default the longest. Times count from its first main frame.
 
-    Raises LogError where the file holds no such session, or none with frames that can be read.
-    """
+    Raises LogError where the file holds no such session, or none with frames that can be read."""
     starts = [*header.starts(data), len(data)]
     if len(starts) == 1:
         raise LogError(

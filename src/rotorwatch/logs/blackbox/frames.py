@@ -40,7 +40,7 @@ INCREMENT, HOME_COORDINATE, FIFTEEN_HUNDRED, VBATREF, LAST_TIME, MINMOTOR = 6, 7
 SYNC_BEEP, ADJUSTMENT, RESUME, DISARM, MODES, IMU_FAILURE, LOG_END = 0, 13, 14, 15, 30, 40, 255
 
 _LONGEST = 1024  # bytes of a frame; real ones have some 30, INAV's I frames up to 300
-_LONGEST_GAP_US = 10000000  # of the main frames; a longer one is believed when two I frames agree about it
+_LONGEST_GAP_US = 10000000  # of the main frames; a longer one is accepted when two I frames agree about it
 _END = (69, 110, 100, 32, 111, 102, 32, 108, 111, 103, 0)  # End of log
 
 
@@ -97,8 +97,7 @@ def decode(s: Stream, data: Bytes, main: Ints, slow: Ints, gps: Ints, events: In
     """Read on until the session ends (True) or one of the buffers is full (False).
 
     main: rows of as many numbers as I frames have fields, up to `room` of them. slow, gps: likewise, with the number of main frames before
-    them in front, up to `few`. events: rows of `WIDTH`.
-    """
+    them in front, up to `few`. events: rows of `WIDTH`."""
     while s.at < s.end:
         if s.rows >= room or s.slow_rows >= few or s.gps_rows >= few or s.event_rows >= few:
             return False
@@ -128,7 +127,7 @@ def decode(s: Stream, data: Bytes, main: Ints, slow: Ints, gps: Ints, events: In
             s.at += 1
             continue
         if at == 0 or at > s.end or at - s.at > _LONGEST or not (at == s.end or _begins(data[at])):
-            # Its length cannot be believed either: the next frame may begin within it.
+            # Its length is unreliable, too: the next frame may begin within it.
             s.synced = False
             s.corrupt += 1
             s.at += 1

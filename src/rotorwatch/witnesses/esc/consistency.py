@@ -22,7 +22,7 @@ from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.witnesses.esc import evidence, ratios, stopped, telemetry, watch
 from rotorwatch.witnesses.esc.telemetry import Binned
 
-CLEAR_S = 1.0  # uncertainty of an onset: so much before it is left out
+CLEAR_S = 1.0  # uncertainty of an onset: left out before it
 RESPONSE_S = 0.5  # after it, while controllers and motors respond
 USED_S = 10.0  # the last part of a loss that is used
 LEARNED_S = 60.0  # of healthy flight, the last before the onset

@@ -37,8 +37,7 @@ class Binned(NamedTuple):
     current (T, n) [A], current_known; voltage (T, n) [V], voltage_known.
 
     The m reports that bins are made of: report_time (m,), speed (m, n) [rad/s] with speed_known, amps (m, n) [A] with amps_known, commanded
-    (m, n): share of full thrust when they were made. width: of a bin [s].
-    """
+    (m, n): share of full thrust when they were made. width: of a bin [s]."""
 
     time: np.ndarray
     thrust: np.ndarray

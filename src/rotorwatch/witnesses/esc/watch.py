@@ -112,8 +112,7 @@ def probability_of(sigmas: float) -> float:
 def changes(time, y, x, known, prior, kind: str) -> list[tuple[int, float, float, float, float]]:
     """(rotor from 1, onset s, announced s, change, sd) of every rotor whose law changed for good, in the direction of `kind`.
 
-    y, x, known (T, n): the law's bins at `time` (T,). Causal: a change is announced at the end of the first block with which it counts.
-    """
+    y, x, known (T, n): the law's bins at `time` (T,). Causal: a change is announced at the end of the first block with which it counts."""
     if not len(time):
         return []
     n, width = y.shape[1], round(BLOCK_S / BIN_S)
@@ -157,8 +156,7 @@ def _onset(rest, there, split: int, width: int) -> int:
 def _changed(blocks, full, loads, power_sd: float, k: int, kind: str) -> tuple[int, float, float] | None:
     """(block at which it changed, change, sd) of rotor k at the end of these blocks; None where it has not.
 
-    loads (m, n): x of the law in each block, whose change stretches it by power_sd.
-    """
+    loads (m, n): x of the law in each block, whose change stretches it by power_sd."""
     at = np.flatnonzero(full[:, k])
     if at.size < BEFORE + AFTER:
         return None

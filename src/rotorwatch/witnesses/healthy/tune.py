@@ -101,8 +101,7 @@ def fit(
     """Fit the tuning of a method to healthy flights. keywords: the method's tuning to start from, else its defaults.
 
     progress: called with the finished share, 0..1. Raises ConfigError for an unknown method, one without innovations, or
-    flights that are too short.
-    """
+    flights that are too short."""
     from scipy.optimize import minimize
 
     jax = load_jax()

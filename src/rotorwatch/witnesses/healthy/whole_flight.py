@@ -458,7 +458,7 @@ def _within(own, others: list) -> np.ndarray:
     return np.array(own) + np.mean(others, axis=0) / len(others)
 
 
-# What explains a difference
+# Explanations of a difference
 
 
 class _Hypothesis(NamedTuple):
