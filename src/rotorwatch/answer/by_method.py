@@ -1,7 +1,7 @@
 """An answer by a published method, beside that of the common decision.
 
-The events, their losses and intervals are those of the decision that all methods share, made from the method's estimates. Beside them
-stands the method's own estimate AFTER_S after the announcement.
+The events, their losses and intervals are those of the decision that all methods share, made from the method's estimates. The method's own
+estimate AFTER_S after the announcement is added.
 """
 
 from __future__ import annotations

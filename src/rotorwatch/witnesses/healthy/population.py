@@ -1,4 +1,4 @@
-"""Was a rotor weak from take-off on? One flight's balance of commands against that of healthy vehicles of any build.
+"""A rotor that is weak from take-off on: one flight's balance of commands against that of healthy vehicles of any build.
 
 Without a healthy flight of the build the balance w = B f / sum f (roll, pitch, yaw; whole_flight.py) is compared with how unequally healthy
 vehicles are commanded. It is a t distribution about 0 with FREEDOM degrees of freedom, of scale CENTRE of an arm length in roll and pitch

@@ -1,34 +1,38 @@
-"""Was a propeller damaged at take-off already? One flight's balance of commands against healthy flights of the build.
+"""Damage of a propeller at take-off: one flight's balance of commands against healthy flights of the build.
 
 In hover the rotors' thrusts balance weight and torques. A weak rotor needs more command, and the commanded wrench per commanded thrust,
 
     w = B f / sum f      (roll, pitch, yaw),
 
-moves by a vector that names the rotor. What else moves it is modelled:
+moves by a vector that identifies the rotor. Other influences are modelled:
 
-* Wind: rotors in a cross flow pitch and roll the vehicle. The lateral specific force a (what wind pushes with, in g) measures that flow: w
+* Wind: rotors in a cross flow pitch and roll the vehicle. The lateral specific force a (the wind's force, in g) measures that flow: w
   = w0 + s a, one slope s per axis, about the same in all flights of a build. w0 is compared.
 * Between healthy flights of one build roll and pitch repeat to CENTRE_SD of an arm length (the battery lies elsewhere), yaw to TILT_SD /
-  sqrt(n) (motors that do not stand upright, each on its own) and the mean command to THRUST_SD (battery, load). How much a build scatters
-  differs, too: the prior counts like PRIOR_FLIGHTS flights, and the baseline's own scatter updates it (inverse Wishart).
-* Within a flight: the covariance of the mean, from means over blocks on the time scale that shows the largest one.
-* A shifted centre of mass (a battery put in otherwise, a hung weight) moves roll and pitch as a rotor loss does, but not yaw: drag torques
-  balance as the thrusts do. A damaged rotor is commanded more thrust than it gives, and as much more yaw: its own column of B, times rho.
-  rho is 1 when torque falls as thrust does, more for a mere shorter blade, less when damage adds drag.
-* A damaged rotor needs more commanded thrust of all, too; a shifted mass does not, a hung one as much as it weighs. Yaw and thrust together
+  sqrt(n) (motors that do not stand upright, each on its own) and the mean command to THRUST_SD (battery, load). The scatter differs
+  between
+  builds: the prior counts like PRIOR_FLIGHTS flights, and the baseline's own scatter updates it (inverse Wishart).
+* Within a flight: the covariance of the mean, from means over blocks on the time scale that shows the largest one. * A shifted centre of
+mass (the battery in another place, a hung weight) moves roll and pitch as a rotor loss does, but not yaw: drag torques
+  balance as the thrusts do. A damaged rotor is commanded more thrust than it gives, and as much more yaw: its own column of B, times
+  rho.
+  rho is 1 when torque falls as thrust does, more for a merely shorter blade, less when damage adds drag.
+* A damaged rotor needs more commanded thrust of all, too; a shifted mass does not, a hung one as much as it weighs. Yaw and thrust
+together
   decide between them.
-* Battery, a load under the centre, air density move all commands alike and leave w where it was: no test rests on the mean command alone.
+* Battery, a load under the centre, air density move all commands alike and leave w unchanged: no test rests on the mean command alone.
 
-A loss theta of rotor i lacks e = theta f_i; the mixer makes up for it with all rotors, f = f0 + B+ B_i e, so that B f moves by B_i e with e
+A loss theta of rotor i lacks e = theta f_i; the mixer compensates it with all rotors, f = f0 + B+ B_i e, so that B f moves by B_i e with e
 = theta f0_i / (1 - a theta), a = (B+ B)_ii (1 of a quadrotor); of several rotors e = Theta (f0 + (B+ B) e).
 
 Source of the scatter: 37 steady hovers of 6 real quadrotors (ArduPilot, Crazyflie, telemetry; a landing between any two of a vehicle),
 marginal likelihood of the inverse Wishart model. Its logarithm is flat to 0.2 between yaw 0.020 and 0.025 and between 2 and 10 flights;
-with any one vehicle left out 0.008 to 0.011, 0.016 to 0.025 and 4 to 10. The mean command: 5 of these vehicles. Of hexas and octas there
-are none; the scaling of yaw is assumed, as in population.py.
+with any one vehicle left out 0.008 to 0.011, 0.016 to 0.025 and 4 to 10. The mean command: 5 of these vehicles. There are no hexas or octas
+among them; the scaling of yaw is assumed, as in population.py.
+
 Hotelling's test rejects the healthy hypothesis at FALSE_ALARM per flight, shared by two tests: of the mean, and of its change between the
-halves of the flight, as damage at take-off stays and a swinging load does not. Only then explanations are weighed, one of them that nothing
-but scatter is there. The verdict fault needs a rarer flight (FALSE_FAULT) and a rotor that is DAMAGED for sure.
+halves of the flight, as damage at take-off stays and a swinging load does not. Only then explanations are weighed, one of them scatter
+alone. The verdict fault needs a rarer flight (FALSE_FAULT) and a rotor that is certainly DAMAGED.
 """
 
 from __future__ import annotations

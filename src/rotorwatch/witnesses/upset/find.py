@@ -217,9 +217,8 @@ def until_impact(flight: Flight, air, found: Sequence[Judged]) -> tuple[tuple[fl
 def window_of(
     flight: Flight, vehicle: Vehicle, left: LossOfControl, start: float
 ) -> tuple[Window, Offset, np.ndarray, bool, float | None] | None:
-    """The ticks around an upset, the torques' offset before it, indices of the ticks at which its cause may have begun, whether it came
-    with the take-off, and when the vehicle lay on the ground, or None [s]; None where the log shows no commands or rates there. start:
-    of the flight [s]."""
+    """The ticks around an upset, the torques' offset before it, indices of the ticks of possible onsets, whether it came with the take-off,
+    and when the vehicle lay on the ground, or None [s]; None where the log shows no commands or rates there. start: of the flight [s]."""
     first, last = left.onset - BEFORE_S, min(left.lost + AFTER_S, np.inf if left.end is None else left.end)
     if left.impact is not None and left.impact > left.onset + HIT_S:
         last = min(last, left.impact)
