@@ -29,8 +29,8 @@ def events(found: Sequence[Judged], known: Sequence[Event], n: int) -> tuple[Eve
 
     Announcements after control was lost, by a method that assumes hover, are replaced."""
     out = list(known)
-    for one in found:
-        out = _merged(out, one, n)
+    for upset in found:
+        out = _merged(out, upset, n)
     out = [_with_reports(e, out) if e.kind == LOST else e for e in out]
     return tuple(sorted(out, key=lambda e: e.detected_s))
 

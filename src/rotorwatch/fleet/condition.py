@@ -27,7 +27,7 @@ def of(verdicts: Sequence[str], fell: Sequence[bool], rotors: Iterable[str]) -> 
 
 def flights(verdicts: Sequence[str], fell: Sequence[bool]) -> str:
     """The number of bad flights, as a sentence; empty where there were none."""
-    crashed, fault = (sum(verdict == one for verdict in verdicts) for one in BAD)
+    crashed, fault = (sum(verdict == bad for verdict in verdicts) for bad in BAD)
     lost = sum(gone and verdict not in BAD for verdict, gone in zip(verdicts, fell, strict=True))
     counts = ((crashed, "crashed"), (fault, "had a fault"), (lost, "lost control"))
     counted = [f"{count} {what}" for count, what in counts if count]

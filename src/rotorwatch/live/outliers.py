@@ -31,7 +31,7 @@ class Outliers:
     def take(self, motors: Signal) -> Signal | None:
         """The samples that can be used now; None without any."""
         if self._waits is not None:
-            parts = [(one.time, one.values, one.valid) for one in (self._waits, motors)]
+            parts = [(signal.time, signal.values, signal.valid) for signal in (self._waits, motors)]
             motors, self._waits = motors.with_arrays(*(np.concatenate(columns) for columns in zip(*parts))), None
         values = np.where(motors.valid, motors.values, 0.0) / RANGE.get(motors.unit, 1.0)
         time, keep = motors.time.tolist(), np.ones(len(motors), bool)

@@ -232,7 +232,7 @@ def evidence(
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """Log evidence that these rotors (0-based) are weak, against none; and the posterior mean (n,) and covariance (n, n) of all losses."""
     n, named = len(before.mean), list(rotors)
-    J, z = (np.sum([getattr(one, name) for one in responses], axis=0) for name in ("J", "z"))
+    J, z = (np.sum([getattr(response, name) for response in responses], axis=0) for name in ("J", "z"))
     total, base, mean, cov = [], [], [], []
     none = np.full(n, UNLIKE)
     for own_J, own_z in zip(J, z, strict=True):

@@ -154,8 +154,8 @@ def examine(known: Blocks, B: np.ndarray, variance: np.ndarray, weak: list[Weak]
     X = np.zeros((K, 3, 6 + len(weak)))
     for a in range(3):
         X[:, a, 2 * a], X[:, a, 2 * a + 1] = 1.0, total
-    for m, one in enumerate(weak):
-        X[one.onset : one.end, :, 6 + m] = shape[one.onset : one.end, one.rotor]
+    for m, fault in enumerate(weak):
+        X[fault.onset : fault.end, :, 6 + m] = shape[fault.onset : fault.end, fault.rotor]
     prior_precision = np.r_[[1e-3] * 6, np.full(len(weak), 1.0 / LOSS_SD**2)]
     Q = np.linalg.inv(np.einsum("kaq,ka,kap->qp", X, precision, X) + np.diag(prior_precision))
     fitted = Q @ np.einsum("kaq,ka,ka->q", X, precision, z)
@@ -171,7 +171,7 @@ def examine(known: Blocks, B: np.ndarray, variance: np.ndarray, weak: list[Weak]
     information -= np.einsum("kiq,qp,kip->ki", crossed, Q, crossed)
     moment = since(np.einsum("kia,ka->ki", weighted, left))
     ratio, size = _ratio(moment, information, LOSS_SD)
-    active = {one.rotor for one in weak if one.end is None}
+    active = {fault.rotor for fault in weak if fault.end is None}
     for i in range(n):  # for a weak rotor, the hypothesis is recovery
         wrong = size[:, i] > 0.0 if i in active else size[:, i] < 0.0
         ratio[wrong, i] = np.minimum(ratio[wrong, i], -5.0)
@@ -187,9 +187,9 @@ def examine(known: Blocks, B: np.ndarray, variance: np.ndarray, weak: list[Weak]
     statistic = min(fault - limit, fault - float(np.logaddexp.reduce(other)) - hypotheses.CLEAR)
     rotor = int(np.argmax(each))
     loss, sd = np.zeros(n), np.zeros(n)
-    for m, one in enumerate(weak):
-        if one.end is None:
-            loss[one.rotor], sd[one.rotor] = np.clip(fitted[6 + m], 0.0, 1.0), np.sqrt(Q[6 + m, 6 + m])
+    for m, fault in enumerate(weak):
+        if fault.end is None:
+            loss[fault.rotor], sd[fault.rotor] = np.clip(fitted[6 + m], 0.0, 1.0), np.sqrt(Q[6 + m, 6 + m])
     share = np.exp(each - each.max())
     onset = first + int(np.argmax(ratio[:, rotor]))
     return Look(statistic, rotor, onset, share / share.sum(), loss, sd, _most(moment, information))
@@ -258,10 +258,10 @@ def _follow(out: TickOutput, known: Blocks, table: Ticks, B: np.ndarray, learn: 
         now = examine(so_far, B, variance, weak, learn)
         out.statistic[first:] = now.statistic
         if now.statistic > 0.0 and first < len(table.time):
-            active = {one.rotor for one in weak if one.end is None}
-            over = [one for one in weak if one.end is None and one.rotor == now.rotor]
-            weak = [one for one in weak if one not in over]
-            weak += [one._replace(end=now.onset) for one in over] or [Weak(now.rotor, now.onset)]
+            active = {fault.rotor for fault in weak if fault.end is None}
+            over = [fault for fault in weak if fault.end is None and fault.rotor == now.rotor]
+            weak = [fault for fault in weak if fault not in over]
+            weak += [fault._replace(end=now.onset) for fault in over] or [Weak(now.rotor, now.onset)]
             age = np.searchsorted(table.command_time, (known.end[k], known.start[now.onset]))
             _announce(out, first, now, active, float(age[0] - age[1]))
             now = examine(so_far, B, variance, weak, learn)

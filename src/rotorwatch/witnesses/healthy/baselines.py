@@ -155,12 +155,12 @@ def healthy(
         raise ConfigError("Give at least one healthy flight.")
     rejected: list[tuple[str, str]] = []
     accepted: list[Candidate] = []
-    for k, one in enumerate(candidates):
-        why = one.unusable or _again(one, accepted, of) or one.flaw(diagnose)
+    for k, candidate in enumerate(candidates):
+        why = candidate.unusable or _again(candidate, accepted, of) or candidate.flaw(diagnose)
         if why:
-            rejected.append((one.name, why))
+            rejected.append((candidate.name, why))
         else:
-            accepted.append(one)
+            accepted.append(candidate)
         tell((k + 1) / len(candidates))
     accepted = _same_build(accepted, of, rejected)
     accepted = _alike_in_hover(accepted, rejected)
@@ -227,11 +227,11 @@ def _other_frame(flight: Flight, vehicle: Vehicle | None) -> tuple[str, ...]:
     )
 
 
-def _again(one: Candidate, accepted: list[Candidate], of: Candidate | None) -> str:
+def _again(candidate: Candidate, accepted: list[Candidate], of: Candidate | None) -> str:
     """Reason why a flight is a copy: of the flight under test, or of one already accepted; empty otherwise."""
 
     def same(other):
-        a, b = one.flight["motors"], other.flight["motors"]
+        a, b = candidate.flight["motors"], other.flight["motors"]
         return np.array_equal(a.time, b.time) and np.array_equal(a.values, b.values)
 
     if of is not None and same(of):
@@ -244,9 +244,11 @@ def _same_build(flights: list[Candidate], of: Candidate | None, rejected: list[t
     if len(flights) < (1 if of else 2):
         return flights
     if of is not None:
-        reference, why = of, [unlike(one, of) for one in flights]
+        reference, why = of, [unlike(candidate, of) for candidate in flights]
     else:
-        table = [[unlike(one, other) if one is not other else "" for one in flights] for other in flights]
+        table = [
+            [unlike(candidate, other) if candidate is not other else "" for candidate in flights] for other in flights
+        ]
         agree = [sum(not why for why in row) for row in table]
         best = int(np.argmax(agree))
         if agree.count(agree[best]) > agree[best]:  # as many flights of another build
@@ -255,19 +257,19 @@ def _same_build(flights: list[Candidate], of: Candidate | None, rejected: list[t
                 f"{flights[odd].name} and {flights[best].name} are not of one build: {table[best][odd]}; give flights of one build only."
             )
         reference, why = flights[best], table[best]
-    rejected += [(one.name, f"{w} (held against {reference.name})") for one, w in zip(flights, why) if w]
-    return [one for one, w in zip(flights, why) if not w]
+    rejected += [(candidate.name, f"{w} (held against {reference.name})") for candidate, w in zip(flights, why) if w]
+    return [candidate for candidate, w in zip(flights, why) if not w]
 
 
 def _alike_in_hover(flights: list[Candidate], rejected: list[tuple[str, str]]) -> list[Candidate]:
     """The flights that hover alike: leave-one-out, the worst first."""
     while True:
-        usable = [one for one in flights if one.features.usable]
+        usable = [candidate for candidate in flights if candidate.features.usable]
         m = len(usable)
         if m < 2:
             return flights
-        others = [[u.features for u in usable if u is not one] for one in usable]
-        rare = [whole_flight.rarity(one.features, rest) for one, rest in zip(usable, others)]
+        others = [[u.features for u in usable if u is not candidate] for candidate in usable]
+        rare = [whole_flight.rarity(candidate.features, rest) for candidate, rest in zip(usable, others)]
         worst = int(np.argmin(rare))
         if m == 2:
             if min(rare) >= whole_flight.FALSE_FAULT:
@@ -280,7 +282,7 @@ def _alike_in_hover(flights: list[Candidate], rejected: list[tuple[str, str]]) -
             return flights
         odd = usable[worst]
         rejected.append((odd.name, f"its rotors share the load otherwise than in the {m - 1} other flights"))
-        flights = [one for one in flights if one is not odd]
+        flights = [candidate for candidate in flights if candidate is not odd]
 
 
 # Can two flights be of one aircraft?
@@ -332,10 +334,10 @@ def _same_geometry(a: Vehicle, b: Vehicle) -> bool:
     return len(a.rotors) == len(b.rotors) and np.allclose(a.effectiveness(), b.effectiveness(), atol=0.01)
 
 
-def _hover_command(one: Candidate) -> float:
+def _hover_command(candidate: Candidate) -> float:
     """Median of the outputs in the air, in their unit."""
-    motors = one.flight["motors"]
-    values = motors.values[within(motors.time, one.air) & motors.whole]
+    motors = candidate.flight["motors"]
+    values = motors.values[within(motors.time, candidate.air) & motors.whole]
     return float(median(values)) if values.size else float("nan")
 
 

@@ -21,10 +21,10 @@ def learned(kept: Sequence[Candidate], dynamics: Callable | None = None) -> Vehi
     """The vehicle of flights that `baselines.healthy` has accepted; as `calibrate` returns it."""
     reference = kept[0].vehicle
     identified = _identified(kept)
-    dynamics_ = (dynamics or learn)([one.table for one in kept if one.table is not None], reference.effectiveness())
+    dynamics_ = (dynamics or learn)([each.table for each in kept if each.table is not None], reference.effectiveness())
     if dynamics_:
         identified["dynamics"] = dict(dynamics_)
-    names = ", ".join(one.name for one in kept)
+    names = ", ".join(each.name for each in kept)
     source = f"{reference.source}; calibrated on {names}" if reference.source else f"calibrated on {names}"
     assumptions = (*reference.assumptions, *_assumptions(kept))
     return replace(reference, identified=identified, source=source, assumptions=tuple(dict.fromkeys(assumptions)))
@@ -32,10 +32,10 @@ def learned(kept: Sequence[Candidate], dynamics: Callable | None = None) -> Vehi
 
 def _identified(kept: Sequence[Candidate]) -> dict:
     """Everything but the dynamics; plain floats and lists."""
-    tables = [one.features for one in kept]
+    tables = [each.features for each in kept]
     identified: dict = {
         "flights": len(kept),
-        "airborne_s": float(sum(end - start for one in kept for start, end in one.air)),
+        "airborne_s": float(sum(end - start for each in kept for start, end in each.air)),
         "steady_s": float(sum(t.seconds for t in tables)),
     }
     usable = [t for t in tables if t.usable]
@@ -49,16 +49,16 @@ def _identified(kept: Sequence[Candidate]) -> dict:
 
 def _assumptions(kept: Sequence[Candidate]) -> list[str]:
     """Sentences on the assumptions of a calibration."""
-    count, tables = len(kept), [one.features for one in kept]
+    count, tables = len(kept), [each.features for each in kept]
     which = f"The {count} calibration flights were" if count > 1 else "The calibration flight was"
     sentences = [
         f"{which} healthy and of the same build, payload and battery type.",
         "The hover command is the mean of these flights, at their battery voltages.",
     ]
     sentences += [
-        f"{one.name} does not hover: of it only the airframe is used."
-        for one in kept
-        if aerobatic.applies(one.flight, one.table)
+        f"{each.name} does not hover: of it only the airframe is used."
+        for each in kept
+        if aerobatic.applies(each.flight, each.table)
     ]
     short = (t.name or "A calibration flight" for t in tables if not t.usable)
     sentences += [f"{name} has too little steady hover to be compared with." for name in short]

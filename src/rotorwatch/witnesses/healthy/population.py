@@ -65,7 +65,7 @@ def weigh(found: Features, B: np.ndarray) -> dict:
     rotor = ROTOR / n * likelihood.mean(axis=1)
     total = weight.sum() + rotor.sum()
     probability = rotor / total
-    means, intervals = zip(*(student.mean_and_interval(theta, one) for one in likelihood))
+    means, intervals = zip(*(student.mean_and_interval(theta, likely) for likely in likelihood))
     loss, (low, high) = np.array(means), np.array(intervals).T
     best = int(np.argmax(probability))
     named = [i for i in np.argsort(-probability) if probability[i] > MENTIONED * probability.sum()]

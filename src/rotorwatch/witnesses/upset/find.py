@@ -76,8 +76,8 @@ def judged(
 ) -> tuple[Judged, ...]:
     """Every loss of control of a flight with its cause. air: intervals ((start, end), ...) s in the air. progress: called with the finished
     share, 0..1."""
-    found = (judge(flight, vehicle, air, left) for left in loss_of_control.find(flight, air, progress))
-    return tuple(one._replace(commanded=_commanded(flight, one.onset)) for one in found)
+    verdicts = (judge(flight, vehicle, air, left) for left in loss_of_control.find(flight, air, progress))
+    return tuple(verdict._replace(commanded=_commanded(flight, verdict.onset)) for verdict in verdicts)
 
 
 def _commanded(flight: Flight, onset: float) -> tuple[float | None, ...]:
