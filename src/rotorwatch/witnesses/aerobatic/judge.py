@@ -154,8 +154,8 @@ def examine(known: Blocks, B: np.ndarray, variance: np.ndarray, weak: list[Weak]
     X = np.zeros((K, 3, 6 + len(weak)))
     for a in range(3):
         X[:, a, 2 * a], X[:, a, 2 * a + 1] = 1.0, total
-    for m, fault in enumerate(weak):
-        X[fault.onset : fault.end, :, 6 + m] = shape[fault.onset : fault.end, fault.rotor]
+    for m, past in enumerate(weak):
+        X[past.onset : past.end, :, 6 + m] = shape[past.onset : past.end, past.rotor]
     prior_precision = np.r_[[1e-3] * 6, np.full(len(weak), 1.0 / LOSS_SD**2)]
     Q = np.linalg.inv(np.einsum("kaq,ka,kap->qp", X, precision, X) + np.diag(prior_precision))
     fitted = Q @ np.einsum("kaq,ka,ka->q", X, precision, z)
@@ -171,7 +171,7 @@ def examine(known: Blocks, B: np.ndarray, variance: np.ndarray, weak: list[Weak]
     information -= np.einsum("kiq,qp,kip->ki", crossed, Q, crossed)
     moment = since(np.einsum("kia,ka->ki", weighted, left))
     ratio, size = _ratio(moment, information, LOSS_SD)
-    active = {fault.rotor for fault in weak if fault.end is None}
+    active = {past.rotor for past in weak if past.end is None}
     for i in range(n):  # for a weak rotor, the hypothesis is recovery
         wrong = size[:, i] > 0.0 if i in active else size[:, i] < 0.0
         ratio[wrong, i] = np.minimum(ratio[wrong, i], -5.0)
@@ -187,9 +187,9 @@ def examine(known: Blocks, B: np.ndarray, variance: np.ndarray, weak: list[Weak]
     statistic = min(fault - limit, fault - float(np.logaddexp.reduce(other)) - hypotheses.CLEAR)
     rotor = int(np.argmax(each))
     loss, sd = np.zeros(n), np.zeros(n)
-    for m, fault in enumerate(weak):
-        if fault.end is None:
-            loss[fault.rotor], sd[fault.rotor] = np.clip(fitted[6 + m], 0.0, 1.0), np.sqrt(Q[6 + m, 6 + m])
+    for m, past in enumerate(weak):
+        if past.end is None:
+            loss[past.rotor], sd[past.rotor] = np.clip(fitted[6 + m], 0.0, 1.0), np.sqrt(Q[6 + m, 6 + m])
     share = np.exp(each - each.max())
     onset = first + int(np.argmax(ratio[:, rotor]))
     return Look(statistic, rotor, onset, share / share.sum(), loss, sd, _most(moment, information))
