@@ -1,4 +1,4 @@
-"""What healthy means for one build: learned from its healthy flights, kept in the vehicle's description."""
+"""Calibration of a vehicle description from healthy flights of its build."""
 
 from __future__ import annotations
 
@@ -20,22 +20,20 @@ def calibrate(
 ) -> Vehicle:
     """The flights' airframe with what was learned from them in ``identified``:
 
-    flights, airborne_s, steady_s   how much was learned from
+    flights, airborne_s, steady_s   amount of data
     hover                           mean share of full thrust of a rotor in steady hover
-    thrust_offset (n)               how much more (+) than that mean each rotor needs, relative: trim of this build
+    thrust_offset (n)               extra thrust (+) of each rotor relative to that mean: trim of this build
     whole_flight                    a table for each flight: whole_flight.Features.from_dict reads them
     dynamics                        motion gains and noise (engine/host/learning.py), when the flights show enough
 
-    flights: healthy flights of one build, or their log files; those that are not are set aside, and `assumptions` say so
-    (`baselines.healthy`). progress: called with the finished share.
-    dynamics: called as dynamics(list of ticks.Ticks, B) -> mapping of floats and lists, in place of learn. vehicle: the airframe, for logs
-    that do not name theirs. Raises ConfigError without a flight, VehicleError when no healthy flight of one build is left, LogError for an
-    unreadable file.
-    """
-    kept, aside = baselines.healthy(
+    flights: healthy flights of one build, or their log files; others are rejected, as `assumptions` state (`baselines.healthy`). progress:
+    called with the finished share. dynamics: called as dynamics(list of ticks.Ticks, B) -> mapping of floats and lists, in place of learn.
+    vehicle: the airframe, for logs that do not name theirs. Raises ConfigError without a flight, VehicleError when no healthy flight of one
+    build is left, LogError for an unreadable file."""
+    kept, rejected = baselines.healthy(
         flights, diagnose, vehicle, progress=(lambda share: progress(0.9 * share)) if progress else None
     )
-    found = learned(kept, dynamics)
+    calibrated = learned(kept, dynamics)
     if progress:
         progress(1.0)
-    return replace(found, assumptions=(*found.assumptions, *aside))
+    return replace(calibrated, assumptions=(*calibrated.assumptions, *rejected))

@@ -17,11 +17,10 @@ Carry = Any
 
 
 class Estimate(NamedTuple):
-    """What an estimator says after one step. Arrays only; n_x states, n_theta losses, n_y measurements.
+    """Output of an estimator after one step. Arrays only; n_x states, n_theta losses, n_y measurements.
 
-    x, x_cov: (n_x,), (n_x, n_x). theta, theta_cov: (n_theta,), (n_theta, n_theta). innovation, innovation_cov: (n_y,),
-    (n_y, n_y): y minus its prediction, 0 where invalid. status: int32, 0 ok, 1 not ready, 2 no valid measurement.
-    """
+    x, x_cov: (n_x,), (n_x, n_x). theta, theta_cov: (n_theta,), (n_theta, n_theta). innovation, innovation_cov: (n_y,), (n_y, n_y): y minus
+    its prediction, 0 where invalid. status: int32, 0 ok, 1 not ready, 2 no valid measurement."""
 
     x: Array
     x_cov: Array
@@ -33,12 +32,10 @@ class Estimate(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """What a detector says after one step.
+    """Output of a detector after one step.
 
-    log_odds: (n_h,) natural log of each hypothesis' evidence against "nothing changed". statistic: log of the fault
-    hypotheses' evidence over everything else's. alarm: bool. onset: estimated steps since the change. best: index of
-    the most probable fault hypothesis.
-    """
+    log_odds: (n_h,) natural log of each hypothesis' evidence against "nothing changed". statistic: log of the fault hypotheses' evidence
+    over everything else's. alarm: bool. onset: estimated steps since the change. best: index of the most probable fault hypothesis."""
 
     log_odds: Array
     statistic: Array
@@ -49,12 +46,11 @@ class Decision(NamedTuple):
 
 @runtime_checkable
 class System(Protocol):
-    """One plant. Shapes: x (n_x,), u (n_u,), theta (n_theta,), y (n_y,).
+    """A plant. Shapes: x (n_x,), u (n_u,), theta (n_theta,), y (n_y,).
 
-    theta is loss of effectiveness per actuator (0 healthy, 1 dead), then whatever the plant adds (bias). A plant whose
-    state is no vector space offers `retract` and `local` too. x_names, x_units and so on: a tuple per variable, SI. x0, P0: where an
-    estimator starts, and how uncertain that is.
-    """
+    theta is loss of effectiveness per actuator (0 healthy, 1 dead), then the plant's further parameters (bias). A plant whose state is no
+    vector space offers `retract` and `local` too. x_names, x_units and so on: a tuple per variable, SI. x0, P0: an estimator's initial
+    state and its covariance."""
 
     name: str
     n_x: int
@@ -83,12 +79,11 @@ class System(Protocol):
 
 @runtime_checkable
 class Estimator(Protocol):
-    """One method on one system, made by `Method(system, dt, ...)` with the method's tuning as keywords.
+    """A method on a system, made by `Method(system, dt, ...)` with the method's tuning as keywords.
 
-    name: what the command line calls it. not_kalman: why it is not the augmented Kalman filter on a linear Gaussian plant;
-    empty when it is (a law then holds it to that). The constructor raises ConfigError for a plant that the method is not
-    defined for, and for wrong shapes and values.
-    """
+    name: on the command line. not_kalman: why it is not the augmented Kalman filter on a linear Gaussian plant; empty when it is (a test
+    then requires it). The constructor raises ConfigError for a plant that the method is not defined for, and for wrong shapes and
+    values."""
 
     name: str
     not_kalman: str
@@ -99,9 +94,8 @@ class Estimator(Protocol):
         ...
 
     def step(self, carry: Carry, u: Array, y: Array, valid: Array, dt: Array = None) -> tuple[Carry, Any]:
-        """One time step with input u, measurement y (n_y,) and its validity mask; causal and pure.
+        """A time step with input u, measurement y (n_y,) and its validity mask; causal and pure.
 
-        dt: s; None where the estimator was made for one step length. Returns the carry and an `Estimate`, or a named
-        tuple of the method's own that holds one in its field ``estimate``.
-        """
+        dt: s; None where the estimator was made for one step length. Returns the carry and an `Estimate`, or a named tuple of the method's
+        own that contains one in its field ``estimate``."""
         ...

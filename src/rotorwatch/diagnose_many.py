@@ -52,7 +52,7 @@ class Answer:
 
     @property
     def exit_code(self) -> int:
-        """As of `rotorwatch diagnose`: 0 healthy, 1 fault or crashed, 3 inconclusive or ambiguous, 2 error."""
+        """Exit code of `rotorwatch diagnose`: 0 healthy, 1 fault or crashed, 3 inconclusive or ambiguous, 2 error."""
         return ERROR if self.diagnosis is None else self.diagnosis.exit_code
 
     def to_dict(self) -> dict[str, Any]:

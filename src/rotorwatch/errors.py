@@ -41,7 +41,7 @@ class BackendWarning(RuntimeWarning):
 
 
 class FirstUse(BackendWarning):
-    """What takes long on this computer, said once; one sentence says why."""
+    """A slow operation on first use on this computer, reported once; one sentence says why."""
 
 
 class PluginWarning(RuntimeWarning):
@@ -65,7 +65,7 @@ RESEARCH = ("jax", "jaxlib", "scipy", "cvxpy", "matplotlib")
 
 
 def lacking(why: BaseException) -> str | None:
-    """One sentence where an exception says that a package of the extra `research` is not installed, else None."""
+    """The sentence where an exception is due to a missing package of the extra `research`, else None."""
     name = (getattr(why, "name", None) or "").split(".")[0]
     if not isinstance(why, ModuleNotFoundError) or name not in RESEARCH:
         return None

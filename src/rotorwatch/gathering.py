@@ -1,5 +1,5 @@
-"""Which logs a call is about: files with all flights in them, folders with all that is in them, patterns, and addresses that fsspec knows
-(the extra `cluster`)."""
+"""The logs of a call: files with all their flights, folders with all their logs, patterns, and addresses that fsspec supports (the extra
+`cluster`)."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ TABLES = (".csv", ".parquet")
 
 
 def is_address(source: Any) -> bool:
-    """Whether this is the address of a log or of several (s3://, http://, file:// ..), not a path."""
+    """True if this is the address of one or more logs (s3://, http://, file:// ..), not a path."""
     return isinstance(source, str) and ADDRESS.match(source) is not None and not os.path.exists(source)
 
 
 def is_several(source: Any) -> bool:
-    """Whether this stands for any number of logs: a folder that is no log itself, a pattern, an address that is one of these, or a file
-    with several flights."""
+    """True if this stands for any number of logs: a folder that is no log itself, a pattern, such an address, or a file with several
+    flights."""
     if is_address(source):
         return source.endswith("/") or "*" in source
     path = Path(source)
@@ -162,18 +162,18 @@ def fetched(log: str | os.PathLike) -> Iterator[Path]:
 
 
 def is_there(path: Path) -> bool:
-    """Whether there is a file or a folder, or the file that a flight such as LOG.BFL#2 is in."""
+    """True if there is a file or a folder, or the file that contains a flight such as LOG.BFL#2."""
     return logs.of_part(path)[0].exists()
 
 
 def is_meant(path: Path, archives: bool = False) -> bool:
-    """Whether a file is a log, by its content, or meant as one, by its name: one that cannot be read was a flight, and is not passed over.
-    archives: also one that is packed in a way that is not opened here."""
+    """True if a file is a log by its content or its name: an unreadable one with a log's name was a flight, and is not skipped. archives:
+    include compressions that are not opened here."""
     return logs.named(common=False, archives=archives).search(path.name) is not None or is_log(path)
 
 
 def is_log(path: Path) -> bool:
-    """Whether a reader knows it, by its content; by its name only where that is not one of any table."""
+    """True if a reader recognises its content; by its name only where that is not one of any table."""
     if path.is_dir():
         try:
             return any(m.sniff_folder(path) for m in logs.formats() if hasattr(m, "sniff_folder"))

@@ -1,5 +1,5 @@
-"""Any estimator as a C99 project for a flight controller: header, source, example and CMakeLists, out of a published method's traced step
-or the default estimator's definition (export_default.py).
+"""Any estimator as a C99 project for a flight controller: header, source, example and CMakeLists, from a published method's traced step or
+the default estimator's definition (export_default.py).
 
 rw.export_c("ukf", "out")                                  on the airframe of the method's paper
 rw.export_c("ekf", "out", vehicle=vehicle_file.read("mine.toml"))   # of rotorwatch.flight
@@ -27,7 +27,7 @@ from rotorwatch_lab.compiling.c99.project import Field, Program, emit_program
 from rotorwatch_lab.control import allocation
 from rotorwatch_lab.published import log_plant
 
-# Plant, airframe and step (s) of each method's paper; others run on the first.
+# Plant, airframe and step (s) of each method's paper; other methods use the first.
 USUAL = ("rate_dynamics", "niermeyer-hexa", 0.01)
 PAPERS = {
     "ukf": ("rigid_body", "uaf-02e", 0.01), "aukf": ("rigid_body", "uaf-02e", 0.01),
@@ -51,11 +51,10 @@ def export_c(
 ) -> Exported:
     """Write a C99 project of an estimator into a folder.
 
-    estimator: a name (`discovery.estimators`), or an estimator object. out: the folder, made where it is missing. vehicle: what
-    `calibrate` learned, an airframe's or a paper's name; None: the method's own paper's. dt: s, length of a step. variable_dt: the step of
-    a published method takes dt as an argument. name: of files and functions. Raises ConfigError for unknown names, and
-    c99.lower.Refused, with the line it comes from, for what cannot be C.
-    """
+    estimator: a name (`discovery.estimators`), or an estimator object. out: the folder, created where missing. vehicle: from `calibrate`,
+    an airframe's or a paper's name; None: the method's own paper's. dt: s, length of a step. variable_dt: the step of a published method
+    takes dt as an argument. name: of files and functions. Raises ConfigError for unknown names, and c99.lower.Refused, with the line it
+    comes from, for code that cannot be C."""
     called = name or (estimator if isinstance(estimator, str) else getattr(estimator, "name", "estimator"))
     identifier = re.sub(r"\W", "_", called)
     if not re.match(r"[A-Za-z]", identifier):
@@ -87,9 +86,8 @@ def export_allocator(
     """Write a C99 project of the control allocation of a vehicle (`control.allocation.Allocator`) into the folder `out`.
 
     vehicle: a `Vehicle` or an airframe's name; thrusts and moments are then in its own units, largest lever and mean full thrust 1.
-    allocator: your own one, in newtons. by, method: what drives it and how. candidates: rows of the belief's table of candidates, for
-    by="posterior". Raises ConfigError.
-    """
+    allocator: your own one, in newtons. by, method: its input and its algorithm. candidates: rows of the belief's table of candidates, for
+    by="posterior". Raises ConfigError."""
     if not re.fullmatch(r"[A-Za-z]\w*", name):
         raise ConfigError(f"{name!r} cannot be the name of a C function: begin it with a letter.")
     if candidates < 1:
@@ -102,7 +100,7 @@ def export_allocator(
 
 
 def allocator_program(allocator: allocation.Allocator, identifier: str, candidates: int = 3) -> Program:
-    """The C of an allocator. Its step takes what drives it only: candidates and weights, or mean, lower and upper."""
+    """The C of an allocator. Its step takes only the inputs in use: candidates and weights, or mean, lower and upper."""
     n, between = allocator.n, allocator.by == "posterior"
     share = "effectiveness: 1 healthy, 0 dead"
     inputs = [
@@ -194,7 +192,7 @@ def prepare(name: str, vehicle: Vehicle | str | None = None, dt: float | None = 
 
 
 def _learned(vehicle: Vehicle) -> dict:
-    """Geometry, and the dynamics learned from healthy flights, or usual ones."""
+    """Geometry, and the dynamics learned from healthy flights, or default ones."""
     return default_program.parameters(
         vehicle.effectiveness(), export_default.LOG_DT, (vehicle.identified or {}).get("dynamics")
     )
@@ -226,7 +224,7 @@ def program_of(method: Any, identifier: str, variable_dt: bool = False) -> Progr
 
 
 def _named(system, letter: str, count: int) -> str:
-    """`p, q, r [rad/s]`: names and units of a variable, as far as the plant knows them."""
+    """`p, q, r [rad/s]`: names and units of a variable, as far as the plant has them."""
     names = list(getattr(system, f"{letter}_names", ()))
     units = list(getattr(system, f"{letter}_units", ("",) * len(names)))
     parts: list[str] = []

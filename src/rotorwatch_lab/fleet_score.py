@@ -1,4 +1,4 @@
-"""How well the standings of a simulated fleet agree with its truth."""
+"""Agreement of the standings of a simulated fleet with its truth."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ NEAR = 2  # flights
 
 def score(store: Store, folder: str | Path) -> dict[str, Any]:
     """auc: of the evidence, rotors that have lost COUNTS by the last flight against healthy ones. found: share of those named; right: of
-    aircraft of which any rotor was named while one is weak, how many had the right one first. false: share of all named that have lost
-    nothing. change: share of found damage whose first flight is right to NEAR. prognosis: share of intervals that hold the truth."""
+    aircraft with a weak rotor and any named one, the share whose first named rotor is right. false: share of all named rotors without a
+    loss. change: share of found damage whose first flight is right to NEAR. prognosis: share of intervals that contain the truth."""
     try:
         truth = json.loads((Path(folder) / TRUTH).read_text())
     except (OSError, ValueError) as why:
@@ -30,7 +30,7 @@ def score(store: Store, folder: str | Path) -> dict[str, Any]:
         fresh, _ = assess.assess(store)
         found = {a["name"]: fresh.get(a["key"]) for a in store.aircraft()}
     bad, good, rows, named, wrong = [], [], [], 0, 0
-    held, near, off, right, told = [], [], [], 0, 0
+    held, near, off, right, with_named = [], [], [], 0, 0
     for t in truth["aircraft"]:
         story = Story(**{k: v for k, v in t.items() if k != "loss"})
         standing = found.get(story.name)
@@ -52,12 +52,12 @@ def score(store: Store, folder: str | Path) -> dict[str, Any]:
         if weak >= 0:
             rows.append(weak in names)
             if names:
-                told += 1
+                with_named += 1
                 right += names == [weak]
         if story.kind == "damage" and story.rotor in names:
             mine = (c for c in standing["changes"] if c["kind"] == "loss" and c["rotor"] == story.rotor + 1)
-            own = [c["flight"] - 1 for c in mine]
-            off.append(min((abs(k - story.start) for k in own), default=flights))
+            onsets = [c["flight"] - 1 for c in mine]
+            off.append(min((abs(k - story.start) for k in onsets), default=flights))
             near.append(off[-1] <= NEAR)
         if story.kind == "wear" and story.rotor >= 0:
             p = standing["rotors"][story.rotor]["prognosis"]
@@ -68,7 +68,7 @@ def score(store: Store, folder: str | Path) -> dict[str, Any]:
                 held.append(bool(low <= max(true, 0.0) and (high is None or true <= high)))
     return {
         "aircraft": len(truth["aircraft"]), "flights": store.count(), "weak": len(bad), "healthy_rotors": len(good),
-        "auc": _auc(bad, good), "found": _share(rows), "right": right / told if told else None,
+        "auc": _auc(bad, good), "found": _share(rows), "right": right / with_named if with_named else None,
         "named": named, "false": wrong / named if named else 0.0, "change_within_2": _share(near), "changes": len(near),
         "change_off": off, "prognosis_holds": _share(held), "prognoses": len(held),
     }  # fmt: skip
@@ -79,7 +79,7 @@ def _share(rows: list) -> float | None:
 
 
 def _auc(bad: list[float], good: list[float]) -> float | None:
-    """Area under the ROC curve: how often a weak rotor stands above a healthy one, ties half."""
+    """Area under the ROC curve: probability that a weak rotor ranks above a healthy one, ties half."""
     if not bad or not good:
         return None
     above = np.subtract.outer(np.array(bad), np.array(good))

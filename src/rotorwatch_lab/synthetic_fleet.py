@@ -1,12 +1,12 @@
-"""A fleet that never flew, and its truth: simulated flights of many aircraft, some of whose rotors wear, are damaged or exchanged.
+"""A simulated fleet with known truth: flights of many aircraft, some of whose rotors wear, are damaged or exchanged.
 
 Every aircraft is one of a build, with rotors that differ by OWN_SD and repeat from flight to flight to FLIGHT_SD, as a new battery or a
-propeller mounted again makes them. Every flight has its own wind, payload (a weight hung somewhere near the centre), heading and
-manoeuvre. What happens to an aircraft (`STORIES`): nothing; wear that grows in proportion to hours in the air; damage from one flight on;
-wear, then an exchange that is noted as a service; or another place for its battery, which is no rotor's fault.
+remounted propeller causes. Every flight has its own wind, payload (a weight hung somewhere near the centre), heading and manoeuvre. An
+aircraft's story (`STORIES`) is one of: nothing; wear that grows in proportion to hours in the air; damage from one flight on; wear, then an
+exchange that is noted as a service; or another place for its battery, which is no rotor's fault.
 
-The simulator flies each of them; the flight that its log would give is judged as any log is, by itself, and stored. Truth goes into a file
-beside the store, which nothing but `score` reads.
+The simulator flies each of them; the flight that its log would give is judged as any log, and stored. The truth goes into a file beside the
+store, which nothing but `score` reads.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ BATCH = 40
 
 @dataclass(frozen=True)
 class Story:
-    """What is true of an aircraft: rotor 0-based or -1, start: first flight with it, end: loss of the rotor at the last flight, exchange:
+    """The truth of an aircraft: rotor 0-based or -1, start: first flight with it, end: loss of the rotor at the last flight, exchange:
     first flight after the service, or -1."""
 
     name: str
@@ -55,7 +55,7 @@ class Story:
     exchange: int
 
     def loss(self, flight: int, flights: int) -> float:
-        """Of `rotor` by what happened, at a flight; its own part from the workshop is not in it."""
+        """Loss of `rotor` at a flight by its story, without its manufacturing scatter."""
         if self.kind == "damage":
             return self.size if flight >= self.start else 0.0
         end = self.exchange if self.exchange >= 0 else flights
@@ -65,7 +65,7 @@ class Story:
 
 
 def stories(aircraft: int, flights: int, seed: int) -> list[Story]:
-    """What happens to each aircraft of a fleet: the kinds in their shares, all else drawn."""
+    """The story of each aircraft of a fleet: the kinds in their shares, all else drawn."""
     rng = np.random.default_rng([seed, 1])
     kinds = [k for k, share in STORIES for _ in range(round(share * aircraft))]
     kinds = (kinds + ["healthy"] * aircraft)[:aircraft]
@@ -118,7 +118,7 @@ def fly(story: Story, number: int, flights: int, seed: int) -> Iterator[Flight]:
 
 
 def _weak(none: Any, loss: np.ndarray) -> Any:
-    """The simulator's faults with the loss of every rotor in one row: a rotor that gives more than usual has one below 0."""
+    """The simulator's faults with the loss of every rotor in one row, negative for a rotor with more thrust than usual."""
     rows, amount, onset = np.zeros_like(none.rotor), np.zeros_like(none.loss), np.array(none.onset)
     rows[0], amount[0], onset[0] = loss, 1.0, 0.0
     return none._replace(rotor=rows, loss=amount, onset=onset)
@@ -140,7 +140,7 @@ def _scenario(story: Story, k: int, rng: np.random.Generator, moved: np.ndarray)
 
 
 def _named(flight: Flight, number: int, k: int, seed: int) -> Flight:
-    """The flight with what an autopilot would have logged of itself: its serial number, the time, its count of boots."""
+    """The flight with an autopilot's log entries on itself: its serial number, the time, its count of boots."""
     mark = hashlib.sha256(f"{seed} {number}".encode()).hexdigest()[:24].upper()
     serial = Message(0.0, "text", f"SIMBOARD {mark[:8]} {mark[8:16]} {mark[16:]}")
     when = FIRST + timedelta(days=k, minutes=7 * number)
@@ -165,8 +165,8 @@ def fly_fleet(
     logs: bool = False,
     progress: Callable | None = None,
 ) -> tuple[Path, int]:
-    """Fly a fleet into a store (url, or FOLDER/fleet.db) and write FOLDER/truth.json; what is there already is not flown again. logs: write
-    every flight as FOLDER/NAME.bin besides. Returns the truth's path and how many flights were added."""
+    """Fly a fleet into a store (url, or FOLDER/fleet.db) and write FOLDER/truth.json; existing flights are not flown again. logs: write
+    every flight as FOLDER/NAME.bin besides. Returns the truth's path and the number of flights added."""
     folder = files.folder(folder, "--out")
     tales = stories(aircraft, flights, seed)
     added = 0

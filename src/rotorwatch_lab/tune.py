@@ -1,16 +1,16 @@
 """Noise covariances from healthy flights: the gradient of a filter's likelihood, through the filter.
 
-The innovations e of a filter that is tuned right are white with the covariance S that it says; their log-likelihood
+The innovations e of a well-tuned filter are white with the covariance S that it reports; their log-likelihood
 
     L = -1/2 sum_k ( e' S^-1 e + log det S + n log 2 pi )
 
-is a function of the tuning, and JAX differentiates it through every step (Abbeel et al., Discriminative training of Kalman
-filters, RSS 2005, compare such criteria). Fitted: a factor on each state's process noise and on each measurement's variance,
-and how fast losses may change: their random walk, or the memory of a method that has none. Healthy data alone would say that losses
-never move; so every flight counts once more with a loss put in: an actuator of which less arrives is commanded more, u / (1 - loss),
-while the motion stays as measured.
+is a function of the tuning, and JAX differentiates it through every step (Abbeel et al., Discriminative training of Kalman filters, RSS
+2005, compare such criteria). Fitted: a factor on each state's process noise and on each measurement's variance, and how fast losses may
+change: their random walk, or the memory of a method that has none. Healthy data alone would fit losses that never change; so every flight
+counts once more with an inserted loss: an actuator with less effect is commanded more, u / (1 - loss), while the motion stays as
+measured.
 
-Works for every estimator that says innovation and innovation_cov.
+Works for every estimator that outputs innovation and innovation_cov.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ from rotorwatch_lab.published import log_plant, published
 from rotorwatch_lab.published.log_plant import LogPlant
 from rotorwatch_lab.published.published import Scaled, Tuning
 
-# What methods call the variance that a loss gains per second, or the time after which they forget what they measured.
+# Methods' names for the variance that a loss gains per second, or for their forgetting time.
 PACES = ("theta_walk", "Q_theta", "theta_drift", "memory_s")
-ROWS, SETTLE = 600, 40  # rows of one window, and how many of its first do not count
-LEAST_ROWS = 4 * SETTLE  # of a table that says something
+ROWS, SETTLE = 600, 40  # rows of a window, and of its beginning that does not count
+LEAST_ROWS = 4 * SETTLE  # fewest rows of a usable table
 WORDS = {"p": "roll rate", "q": "pitch rate", "r": "yaw rate", "f_z": "thrust"}
-LOSS, GROWTH_S = 0.3, 0.3  # the loss put in, and how fast it grows
+LOSS, GROWTH_S = 0.3, 0.3  # the inserted loss, and its time of growth
 RANGE = 1e4  # factors stay within this
 ROUNDS = 30
 WALL = 1e3
@@ -46,7 +46,7 @@ WALL = 1e3
 
 @dataclass(frozen=True)
 class Table:
-    """One flight on a plant: system, u (T, n_u), y (T, n_y), valid (T, n_y), dt [s]. `LogPlant` is one too."""
+    """A flight on a plant: system, u (T, n_u), y (T, n_y), valid (T, n_y), dt [s]. `LogPlant` has the same fields."""
 
     system: Any
     u: np.ndarray
@@ -57,9 +57,8 @@ class Table:
 
 @dataclass(frozen=True)
 class Fit:
-    """What was found. before, after: log-likelihood of one measured row, on the flights fitted to; held_out: what was kept back from the
-    fit, held_out_before and held_out_after: the same on that, healthy rows only. notes: what makes the tuning doubtful, a sentence each.
-    """
+    """Result of a fit. before, after: log-likelihood of one measured row, on the flights fitted to; held_out: the data kept back from the
+    fit, held_out_before and held_out_after: the same on that, healthy rows only. notes: doubts about the tuning, a sentence each."""
 
     estimator: str
     plant: str
@@ -74,7 +73,7 @@ class Fit:
     notes: tuple[str, ...] = ()
 
     def to_dict(self) -> dict:
-        """As in the file."""
+        """The fields as in the file."""
         t = self.tuning
         names = ("held_out", "held_out_before", "held_out_after") if self.held_out else ()
         checked = {name: getattr(self, name) for name in names}
@@ -100,8 +99,7 @@ def fit(
     """Fit the tuning of a method to healthy flights. keywords: the method's tuning to start from, else its defaults.
 
     progress: called with the finished share, 0..1. Raises ConfigError for an unknown method, one without innovations, or
-    flights that are too short.
-    """
+    flights that are too short."""
     from scipy.optimize import minimize
 
     jax = load_jax()
@@ -153,14 +151,12 @@ def tune(
     rounds: int = ROUNDS,
     progress: Callable | None = None,
 ) -> Fit:
-    """`fit` the named estimator to healthy logs of one build, and check it on what it was not fitted to.
+    """`fit` the named estimator to healthy logs of one build, and check it on data that was not fitted.
 
-    logs: healthy flights of one build, or their files. estimator: the name of a published method. rounds: of the fit at most.
-    progress: called with the finished share.
-    Logs that are not healthy or not of one build are set aside (`baselines.healthy`). Of two flights and more the last is kept back for the
-    check, of a single long one its last quarter. Fit.notes say what was set aside, which factors ended at their bounds, and whether
-    what was kept back became less likely. Raises LogError, VehicleError or ConfigError with one sentence.
-    """
+    logs: healthy flights of one build, or their files. estimator: the name of a published method. rounds: of the fit at most. progress:
+    called with the finished share. Logs that are not healthy or not of one build are rejected (`baselines.healthy`). Of two flights and
+    more the last is kept back for the check, of a single long one its last quarter. Fit.notes state what was rejected, which factors ended
+    at their bounds, and whether the held-out data became less likely. Raises LogError, VehicleError or ConfigError with one sentence."""
     if estimator == "default":
         raise ConfigError("The default estimator learns its noise in flight; tune a published one, such as ekf.")
     discovery.estimator(estimator)
@@ -195,7 +191,7 @@ def _hops(one: baselines.Candidate) -> list[LogPlant]:
 
 
 def _held_out(flights: Sequence[tuple[str, list[LogPlant]]]) -> tuple[list[LogPlant], list[LogPlant], str]:
-    """Hops to fit to, hops to check on, and what those are called: the last flight, or the last quarter of a single long hop."""
+    """Hops to fit to, hops to check on, and the name of the latter: the last flight, or the last quarter of a single long hop."""
     flights = [(name, hops) for name, hops in flights if hops]
     if len(flights) > 1:
         name, held = flights[-1]
@@ -222,7 +218,7 @@ def _at_bounds(factors: np.ndarray, system, pace: str | None) -> list[str]:
 
 
 def _names(system, kind: str, count: int) -> list[str]:
-    """What a plant calls its states or measurements, in words where there are any, else numbers."""
+    """Names of a plant's states or measurements, numbered where it has none."""
     names = [str(name) for name in getattr(system, kind, range(1, count + 1))]
     return [WORDS.get(name, name) for name in names]
 
@@ -254,7 +250,7 @@ def _log_normal(e, S, valid):
 
 
 def _objective(name: str, tables, keywords: dict, pace: str | None) -> Callable:
-    """Negative mean log-likelihood of the log factors p, over windows of all tables, each once healthy and once not."""
+    """Negative mean log-likelihood of the log factors p, over windows of all tables, each once healthy and once with a loss."""
     jax = load_jax()
     jnp = jax.numpy
     rows = min(ROWS, *(t.u.shape[0] for t in tables))
@@ -279,7 +275,7 @@ def _objective(name: str, tables, keywords: dict, pace: str | None) -> Callable:
         system = log_plant.plant(parameters) if shared else tables[0].system
         scaled = Scaled(system, jnp.exp(p[:n_x]), jnp.exp(p[n_x : n_x + n_y]))
         estimator = published.method(name, scaled, dt, Tuning(keywords=keywords))
-        if pace is not None:  # constructors may want numbers: the factor goes to what they made of them
+        if pace is not None:  # constructors may require numbers: the factor applies to their result
             setattr(estimator, pace, getattr(estimator, pace) * jnp.exp(p[-1]))
 
         def step(carry, row):
@@ -297,7 +293,7 @@ def _objective(name: str, tables, keywords: dict, pace: str | None) -> Callable:
 
 
 def _with_loss(u: np.ndarray, actuator: int | None, dt: float) -> np.ndarray:
-    """Commands (T, n_u) had the actuator lost LOSS in the middle of the window, and been commanded more for it."""
+    """Commands (T, n_u) as if the actuator had lost LOSS in the middle of the window, and been commanded more to compensate it."""
     if actuator is None:
         return u
     since = np.maximum(np.arange(len(u)) - len(u) // 2, 0) * dt

@@ -1,9 +1,9 @@
-"""Which airframe flew: one module per autopilot, each turning what a log says into a `Vehicle`.
+"""The airframe of a flight: one module per autopilot, each making a `Vehicle` from a log.
 
-A module here offers ``identify(flight) -> Vehicle | None`` (None: not mine, or the log says too little) and may
-offer ``NAMES``, name -> function without arguments that builds the `Vehicle` with default settings. Adding an autopilot
-is adding a file, or an entry point `rotorwatch.airframes` of another package: a module or an object with the same parts (docs/plug-ins.md),
-which is tried when no module here recognises the flight.
+A module here offers ``identify(flight) -> Vehicle | None`` (None: another autopilot, or too little in the log) and may offer ``NAMES``,
+name -> function without arguments that builds the `Vehicle` with default settings. Adding an autopilot is adding a file, or an entry point
+`rotorwatch.airframes` of another package: a module or an object with the same parts (docs/plug-ins.md), which is tried when no module here
+recognises the flight.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def modules() -> Iterator[ModuleType]:
 
 
 def offered() -> tuple[tuple[Any, Any], ...]:
-    """(entry point, airframes) of what other installed packages offer, by name; one that is broken is left out, with a PluginWarning."""
+    """(entry point, airframes) that other installed packages offer, by name; broken ones are left out, with a PluginWarning."""
     return tuple(discovery.others(__name__, ("identify",)))
 
 
@@ -37,12 +37,11 @@ def identify(flight: Flight) -> Vehicle:
     """The airframe of a flight.
 
     Raises VehicleError when the log is of another kind of vehicle, when nothing in it names an airframe, or when the frame
-    contradicts the number of outputs.
-    """
+    contradicts the number of outputs."""
     if other := vehicle_kind.refusal(flight):
         raise VehicleError(other)
-    own = (module.identify(flight) for module in modules())
-    vehicle = next((found for found in own if found is not None), None) or _theirs(flight)
+    vehicles = (module.identify(flight) for module in modules())
+    vehicle = next((found for found in vehicles if found is not None), None) or _theirs(flight)
     if vehicle is not None:
         check(vehicle, flight)
         return vehicle
@@ -79,19 +78,19 @@ def named(name: str) -> Vehicle:
 
 
 def _all() -> Iterator[Any]:
-    """Ours, then those of other packages, which are loaded only when they are reached."""
+    """Built-in airframes, then those of other packages, which are loaded only when reached."""
     yield from modules()
     yield from (found for _, found in offered())
 
 
 def _theirs(flight: Flight) -> Vehicle | None:
-    """The vehicle that the airframes of another package make of a flight; one that raises is passed over, with a warning."""
+    """The vehicle of a flight by the airframes of other packages; one that raises is skipped, with a warning."""
     for entry, found in offered():
         try:
             vehicle = found.identify(flight)
             if vehicle is not None and not isinstance(vehicle, Vehicle):
                 raise TypeError(f"{type(vehicle).__name__} is not a Vehicle")
-        except VehicleError:  # it knows the vehicle, and says why it cannot be judged
+        except VehicleError:  # the vehicle was recognised, and refused with a reason
             raise
         except Exception as why:  # a module of another package may raise anything
             discovery.failed(entry, "identify", why)
@@ -128,10 +127,8 @@ def _papers() -> Any:
 
 
 def kind(flight: Flight) -> str | None:
-    """quad, hexa, octa ... by the vehicle type the log names (MAVLink's MAV_TYPE or its word for it); None without one.
-
-    For autopilots that need a frame when nothing but this is logged, as in telemetry.
-    """
+    """quad, hexa, octa ... by the vehicle type the log names (MAVLink's MAV_TYPE or its word for it); None without one. For autopilots that
+    need a frame when nothing else is logged, as in telemetry."""
     number = flight.facts.get("mav_type", finite(flight).get("MAV_TYPE"))
     if number in KINDS:
         return KINDS[int(number)]

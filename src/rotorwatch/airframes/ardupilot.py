@@ -43,10 +43,9 @@ CO_ROTATING = ("octaquad-x-cor", "octaquad-cw-x-cor")
 
 
 def identify(flight: Flight) -> Vehicle | None:
-    """The frame of an ArduPilot log by its parameters, else its vehicle type; None for others or when it says neither.
+    """The frame of an ArduPilot log by its parameters, else its vehicle type; None for others or when it has neither.
 
-    Raises VehicleError for frames that are not multirotors with fixed rotors, and for types ArduPilot does not have.
-    """
+    Raises VehicleError for frames that are not multirotors with fixed rotors, and for types ArduPilot does not have."""
     if not flight.autopilot.lower().startswith(("ardu", "apm")):
         return None
     parameters = airframes.finite(flight)
@@ -66,7 +65,7 @@ def identify(flight: Flight) -> Vehicle | None:
     else:
         return None
     vehicle = build(frame, curve(flight, notes), source=source, assumptions=tuple(notes))
-    # What the tilted rear motor must give more is not in the mixer's factors.
+    # The mixer's factors do not include the extra thrust of the tilted rear motor.
     return replace(vehicle, mixer=None, assumptions=(*notes, TRI_NOTE)) if frame == "tri" else vehicle
 
 
@@ -92,7 +91,7 @@ def build(frame: str, curve: ThrustCurve, source: str = "airframe name", assumpt
 
 
 def curve(flight: Flight, notes: list[str]) -> ThrustCurve:
-    """Thrust curve from the MOT_* (3.5 and later) or THR_* (before) parameters; `notes` gets what had to be assumed."""
+    """Thrust curve from the MOT_* (3.5 and later) or THR_* (before) parameters; assumptions are added to `notes`."""
     p = airframes.finite(flight)
     low, high = p.get("MOT_PWM_MIN", 0.0), p.get("MOT_PWM_MAX", 0.0)
     if not 0 < low < high:
@@ -156,9 +155,9 @@ def _old_frame(flight: Flight, notes: list[str]) -> str:
     kind = int(airframes.finite(flight)["FRAME"])
     texts = [m.text for m in flight.messages if m.kind == "text"] + [flight.firmware, flight.vehicle_type]
     for text in texts:
-        found = re.search(r"\b(OCTA_?QUAD|QUAD|HEXA|OCTA|Y6|TRI|HELI)\b", text.upper())
-        if found:
-            name = found.group(1).replace("_", "").lower()
+        match = re.search(r"\b(OCTA_?QUAD|QUAD|HEXA|OCTA|Y6|TRI|HELI)\b", text.upper())
+        if match:
+            name = match.group(1).replace("_", "").lower()
             break
     else:
         classes = {4: ("quad",), 6: ("hexa", "y6"), 8: ("octa", "octaquad")}.get(flight.rotor_count, ("",))
@@ -187,10 +186,9 @@ def _of_type(name: str, kind: int) -> str:
 
 
 def _class_by_outputs(flight: Flight, classes: tuple[str, ...], kind: int) -> tuple[str, bool]:
-    """(class, True) when the outputs move as one mixer alone can move them, else (the first class, False).
+    """(class, True) when one mixer alone can explain the outputs' variation, else (the first class, False).
 
-    A mixer moves n outputs along four directions only. What of their differences lies off those is compared.
-    """
+    A mixer moves n outputs along four directions only. The part of their differences outside these is compared."""
     motors, thrust = flight["motors"], curve(flight, [])
     rows = motors.whole & (motors.values > thrust.u_min).all(axis=1)
     able = [c for c in classes if _of_type(c, kind) in FRAMES]
@@ -216,7 +214,7 @@ def _place(motor: tuple) -> tuple[float, float, float]:
     return math.sin(angle), math.cos(angle), yaw
 
 
-OFF_MIXER = 0.25  # of what the next class leaves unexplained: by chance the sums differ by far less
+OFF_MIXER = 0.25  # of the next class's residual: by chance the sums differ by far less
 TRI_NOTE = (
     "A tricopter: a servo yaws it, so yaw is not assessed, and its outputs are not compared with the mixer; "
     "rotor 3 is motor 4, the rear one."

@@ -1,8 +1,8 @@
 """Multirotors of Betaflight, INAV, EmuFlight and Cleanflight.
 
-Their Blackbox logs do not name the mixer. Where the log holds the controller's sums, the reader fits what each output gets of roll, pitch
-and yaw (facts["mixer"]): that tells the frame, and whether the motors turn the other way round (yaw_motors_reversed). Else the usual frame
-of as many motors is assumed.
+Their Blackbox logs do not name the mixer. Where the log holds the controller's sums, the reader fits each output's factors of roll, pitch
+and yaw (facts["mixer"]), which give the frame, and whether the motors turn the other way round (yaw_motors_reversed). Otherwise the usual
+frame of as many motors is assumed.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from rotorwatch.flight.vehicle import Rotor, ThrustCurve, Vehicle, coaxial, lowe
 FIRMWARES = ("betaflight", "inav", "emuflight", "cleanflight", "baseflight", "butterflight", "rotorflight")
 USUAL = {3: "tri", 4: "quad-x", 6: "hexa-x", 8: "octa-x8"}
 FEATURE_3D = 1 << 12
-NEAR = 0.35  # root mean square of what a frame's factors are off, where that of the factors is about 0.8
-EXPO = 0.65  # ESCs without a thrust model: what most propeller test stands show
+NEAR = 0.35  # root mean square error of a frame's factors, which have one of about 0.8
+EXPO = 0.65  # ESCs without a thrust model: the usual result of propeller test stands
 UNSEEN = (
     "The log does not name its frame: {frame} with {autopilot}'s motor order assumed, and propellers that turn as is usual (props in); "
     "give --vehicle FILE if it is another, or if the motors are reversed (props out)."
@@ -34,8 +34,7 @@ TRI_NOTE = "A tricopter: a servo yaws it, so yaw is not assessed, and its output
 def identify(flight: Flight) -> Vehicle | None:
     """The frame of a log of these firmwares; None for others, and where it commands no rotors.
 
-    Raises VehicleError for motors that turn both ways (3D mode), and for numbers of motors that no multirotor here has.
-    """
+    Raises VehicleError for motors that turn both ways (3D mode), and for numbers of motors that no multirotor here has."""
     if flight.autopilot.lower() not in FIRMWARES or not flight.rotor_count:
         return None
     parameters = airframes.finite(flight)
@@ -56,7 +55,7 @@ def identify(flight: Flight) -> Vehicle | None:
 
 
 def _seen(flight: Flight, count: int) -> tuple[str, bool, list[str]]:
-    """(frame, motors reversed?, what had to be assumed) by what the mixer was seen to do."""
+    """(frame, motors reversed?, assumptions) by the fitted mixer."""
     seen = np.array(flight.facts.get("mixer") or np.zeros((0, 3)), float)
     frame = USUAL[count]
     if frame == "tri":
@@ -93,23 +92,23 @@ def build(frame: str, thrust: ThrustCurve, turned: bool = False) -> Vehicle:
 
 
 def curve(flight: Flight, notes: list[str]) -> ThrustCurve:
-    """Thrust from the output at idle to the largest one; `notes` gets what had to be assumed."""
+    """Thrust from the output at idle to the largest one; assumptions are added to `notes`."""
     low, high = flight.facts.get("motor_low"), flight.facts.get("motor_high")
     pulses = "motors" in flight.signals and flight["motors"].unit == "us"
     if low is None or high is None or not low < high:
         low, high = (1070.0, 2000.0) if pulses else (0.05, 1.0)
         notes.append(f"The log has no range of its outputs: {low:g} to {high:g} assumed.")
     linear = airframes.finite(flight).get("thrust_linear", 0.0)
-    own = f", thrust_linear {linear:g} included, which is in the logged outputs," if linear else ""
+    note = f", thrust_linear {linear:g} included, which is in the logged outputs," if linear else ""
     notes.append(
-        f"The firmware has no thrust curve of the motors: thrust{own} taken as {1 - EXPO:.2f} u + {EXPO:.2f} u^2 of the command u, "
+        f"The firmware has no thrust curve of the motors: thrust{note} taken as {1 - EXPO:.2f} u + {EXPO:.2f} u^2 of the command u, "
         "which affects the estimated size of a loss."
     )
     return ThrustCurve(float(low), float(high), EXPO, known=False)
 
 
 def _factors(motors: tuple[tuple[float, ...], ...]) -> np.ndarray:
-    """(n, 3) what roll, pitch and yaw (body FRD) add to each output, the largest of each column 1."""
+    """(n, 3) factors of roll, pitch and yaw (body FRD) of each output, the largest of each column 1."""
     right, forward, yaw = np.array([_place(motor) for motor in motors]).T
     return np.stack([v / np.abs(v).max() for v in (-right, forward, yaw)], axis=1)
 

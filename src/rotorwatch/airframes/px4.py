@@ -38,14 +38,13 @@ THOUSANDS = {4: "quad-x", 5: "quad-plus", 6: "hexa-x", 7: "hexa-plus", 8: "octa-
 THOUSANDS |= {11: "hexa-coaxial", 12: "octa-coaxial", 14: "tri"}
 SINGLE = {1001: "quad-x", 3010: "quad-x", **dict.fromkeys(range(10015, 10021), "quad-x"), 10040: "quad-x"}
 TILTING = 8  # CA_AIRFRAME of multirotors with tilting rotors
-USUAL_EXPO = 0.65  # ESCs without a thrust model: what most propeller test stands show
+USUAL_EXPO = 0.65  # ESCs without a thrust model: the usual result of propeller test stands
 
 
 def identify(flight: Flight) -> Vehicle | None:
     """The frame of a PX4 log; None for other autopilots or when neither parameters nor outputs say which frame.
 
-    Raises VehicleError for airframes that are not multirotors.
-    """
+    Raises VehicleError for airframes that are not multirotors."""
     if not flight.autopilot.lower().startswith("px4"):
         return None
     notes: list[str] = []
@@ -99,7 +98,7 @@ def mixer_expo(flight: Flight) -> float:
 
 
 def curve(flight: Flight, notes: list[str]) -> ThrustCurve:
-    """Thrust curve from THR_MDL_FAC and the output limits; `notes` gets what had to be assumed."""
+    """Thrust curve from THR_MDL_FAC and the output limits; assumptions are added to `notes`."""
     factor = airframes.finite(flight).get("THR_MDL_FAC", 0.0)
     known = 0.0 < factor <= 1.0
     if not known:
@@ -157,7 +156,7 @@ def _frame(flight: Flight, notes: list[str]) -> tuple[str | None, str]:
     if airframes.kind(flight) == "tri":
         return "tri", "vehicle type"
     guess = f"{airframes.kind(flight)}-x"
-    if guess in FRAMES and flight.rotor_count in (0, len(FRAMES[guess][0])):  # a heartbeat may tell of another kind
+    if guess in FRAMES and flight.rotor_count in (0, len(FRAMES[guess][0])):  # a heartbeat may name another kind
         notes.append(f"The log only names its vehicle type: frame {guess} assumed.")
         return guess, "vehicle type"
     frame = {4: "quad-x", 6: "hexa-x", 8: "octa-x"}.get(flight.rotor_count)

@@ -1,23 +1,23 @@
-"""From events to the one answer that every view shows. Nothing is estimated in here; the answer's data are in flight/diagnosis.py.
+"""From events to the answer that every view shows. No estimation happens here; the answer's data classes are in flight/diagnosis.py.
 
 wording.py      the words for numbers, rotors and events
-places.py       where a rotor sits, in words
+places.py       the location of a rotor, in words
 health.py       grade of every rotor's loss, and its trend
 trend.py        slope of a line under errors that wander, with its interval
 unjudged.py     why a flight could not be judged, or shows too little, and what would show more
-unseen.py       how large a loss can be that has not been announced, and whether one has stayed that wind hides
-trim.py         what the trim of a whole flight shows: losses that grew, mounts and arms that turned
-slow.py         losses that grew slowly or only seemed to end, with the others
-from_takeoff.py damage from take-off, as healthy flights or vehicles show it
-story.py        what happened when control was lost, in time order
-ledger.py       all that is claimed of a flight, and the one rule that makes events of the claims
+unseen.py       the largest undetected loss, and lasting steps that wind could mask
+trim.py         the trim of a whole flight: losses that grew, mounts and arms that turned
+slow.py         losses that grew slowly or only seemed to end, merged with the others
+from_takeoff.py damage from take-off, by comparison with healthy flights or vehicles
+story.py        the sequence of a loss of control
+ledger.py       all claims on a flight, and the rule that makes events of them
 falls.py        the events with those of a loss of control
-evidence.py     what a conclusion is drawn from
+evidence.py     the input to the conclusion
 conclusion.py   verdict, reason, headline, main event, state of every rotor
-by_method.py    an answer by a published method: whose losses and intervals are whose
-advice.py       what to do next
-common_mode.py  how much more thrust all rotors together need at the end
-context.py      where it flew, how fast, battery, vibration: what no verdict depends on
-traces.py       what a picture of the flight needs
-picture.py      what a picture of a loss of control needs
+by_method.py    an answer by a published method, with its own losses and intervals
+advice.py       recommended actions
+common_mode.py  change of the thrust that all rotors together need
+context.py      position, speed, battery, vibration: data that no verdict depends on
+traces.py       time series for the plots of a flight
+picture.py      data for the plot of a loss of control
 """

@@ -1,4 +1,5 @@
-"""What to do next, in sentences: which parts to look at, what to log, what to fly. It follows from the answer and changes nothing in it."""
+"""Recommended actions, in sentences: parts to inspect, signals to log, flights to fly. They follow from the answer and change nothing in
+it."""
 
 from __future__ import annotations
 
@@ -10,7 +11,7 @@ from rotorwatch.engine.front.decisions import TOTAL_LOSS
 from rotorwatch.flight.diagnosis import Event, RotorState
 from rotorwatch.flight.kinds import CONTACT, DESYNC, LOST, REPORTED, Weight
 
-AFTER_S = 5.0  # after a blow, within which what is reported came of it
+AFTER_S = 5.0  # after a blow, within which reports are its consequence
 
 PARTS = {
     "propeller": "the propeller first (nicked, bent, loose on its shaft); the motor turns as commanded",
@@ -33,9 +34,8 @@ def advise(
     missing: bool = False,
     shows_more: str = "",
 ) -> tuple[str, ...]:
-    """Sentences, the most urgent first. compared: with healthy flights, or it cannot
-    be. stays: the main event was not over before the landing. missing: commands, up to the end of the flight. shows_more: what to do for
-    the next log to show what this one did not."""
+    """Sentences, the most urgent first. compared: with healthy flights, or it cannot be; stays: the main event was not over before the
+    landing; missing: commands, up to the end of the flight; shows_more: how the next log can show what this one did not."""
     out: list[str] = []
     event = None if main is None else events[main]
     broken = [s.rotor for s in states if s.status in ("degraded", "failed")]
@@ -69,16 +69,16 @@ def advise(
     out += [f"Inspect {rotors([rotor], places)} before the next flight: {why}." for rotor in growing]
     outside = [e for e in events if e.means.weight is Weight.OUTSIDE]
     for kind in dict.fromkeys(e.kind for e in outside):
-        own = [e for e in outside if e.kind == kind]
-        when = listed([seconds(e.onset_s) for e in own[:5]])
-        out.append(said(own[0].means.advice, own[0], places, all_times=when))
+        of_kind = [e for e in outside if e.kind == kind]
+        when = listed([seconds(e.onset_s) for e in of_kind[:5]])
+        out.append(said(of_kind[0].means.advice, of_kind[0], places, all_times=when))
     if verdict not in ("inconclusive", "crashed") and not compared:
         out.append(BASELINE)
     return tuple(out)
 
 
 def _came_of(report: Event, events: Sequence[Event]) -> bool:
-    """Whether what an autopilot reported follows from a loss of control or a blow, and needs no search of its own."""
+    """True if an autopilot's report follows from a loss of control or a blow, and needs no investigation of its own."""
     return any(
         e.onset_s <= report.onset_s and (e.kind == LOST or (e.kind == CONTACT and report.onset_s < e.onset_s + AFTER_S))
         for e in events
@@ -97,7 +97,7 @@ CAUSES = {
 
 
 def _first(event: Event, places: Sequence[str], stays: bool) -> str:
-    """What to do about the event that matters; empty where that is said of its suspects."""
+    """Action for the main event; empty where its suspects' advice covers it."""
     if event.kind == LOST:
         return CAUSES.get(event.extra.get("cause", ""), CAUSES["unknown"])
     return said(event.means.advice, event, places, parts=_parts(event, stays) if event.means.weakens else "")

@@ -1,7 +1,8 @@
-"""An answer by a published method: what the method itself says of the events, and whose interval is whose.
+"""An answer by a published method, beside that of the common decision.
 
-The events, their losses and intervals are those of the decision that all methods share, made of the method's estimates. Beside them stands
-what the method itself had estimated AFTER_S after the announcement."""
+The events, their losses and intervals are those of the decision that all methods share, made from the method's estimates. The method's own
+estimate AFTER_S after the announcement is added.
+"""
 
 from __future__ import annotations
 
@@ -23,28 +24,28 @@ def told(end: Conclusion, itself: MethodSeries) -> Conclusion:
 
 
 def _with_own(event: Event, itself: MethodSeries) -> Event:
-    """The event with the method's own estimate of its rotors; unchanged where it is no loss, or where the method had not begun."""
+    """The event with the method's own estimate of its rotors; unchanged where it is no loss, or where the method had not yet begun."""
     row = itself.at(event.detected_s + AFTER_S)
     if event.kind != LOSS or row is None:
         return event
     at = [itself.rotors[rotor] for rotor in event.rotors]
-    own = {
+    estimate = {
         "own_loss": [float(itself.theta[row, k]) for k in at],
         "own_interval": [[float(itself.lower[row, k]), float(itself.upper[row, k])] for k in at],
         "own_at_s": float(itself.time[row]),
     }
-    return replace(event, extra={**event.extra, **own})
+    return replace(event, extra={**event.extra, **estimate})
 
 
 def _headline(end: Conclusion, events: tuple[Event, ...], itself: MethodSeries) -> str:
     main = None if end.main is None else events[end.main]
-    said = f"{itself.method}: {end.headline}"
+    first = f"{itself.method}: {end.headline}"
     if main is None or "own_loss" not in main.extra:
-        return said
+        return first
     kind = "its set" if itself.says == SET else "95 % by its covariance"
     losses = [
         f"{rotors([r])} {percent(loss)} ({interval(*bounds)}, {kind})"
         for r, loss, bounds in zip(main.rotors, main.extra["own_loss"], main.extra["own_interval"])
     ]
-    own = f"{itself.method} itself estimated {', '.join(losses)} at {seconds(main.extra['own_at_s'])}."
-    return headline([said, own])
+    second = f"{itself.method} itself estimated {', '.join(losses)} at {seconds(main.extra['own_at_s'])}."
+    return headline([first, second])

@@ -1,4 +1,4 @@
-"""The common mode: how much more thrust all rotors together are commanded at the end of a flight than at its beginning."""
+"""The common mode: change of the thrust commanded of all rotors together over a flight."""
 
 from __future__ import annotations
 
@@ -16,10 +16,9 @@ LEAST = 4  # ticks in a block
 def thrust_shift(collective: np.ndarray) -> dict[str, Any]:
     """Change of the collective thrust that the same motion needs, from the first third of the judged time to the last third.
 
-    collective (T,): thrust [hover thrusts of one rotor] at each judged tick beyond what the motion explains. Each third is cut into
-    blocks; the medians of its blocks are compared by Student's t-test with equal variances, so that a landing or a climb, which is in one
-    block, widens the interval and does not pass for a change. Empty where there are too few ticks.
-    """
+    collective (T,): thrust [hover thrusts of one rotor] at each judged tick beyond what the motion explains. Each third is divided into
+    blocks whose medians are compared by Student's t-test with equal variances, so that a landing or a climb, confined to one block, widens
+    the interval and does not appear as a change. Empty where there are too few ticks."""
     third = len(collective) // 3
     if third < BLOCKS * LEAST:
         return {}

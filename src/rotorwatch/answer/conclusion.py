@@ -1,4 +1,4 @@
-"""The one place where events become an answer: verdict, reason, headline, main event, state of every rotor, and what to do next.
+"""From events to the answer: verdict, reason, headline, main event, state of every rotor, and recommended actions.
 
 Every view - terminal, page, JSON - shows this answer and adds nothing, so that no two can contradict each other.
 """
@@ -42,12 +42,12 @@ NOT_A_ROTOR = {
     "power": "the power failed",
 }
 LEAST_S = 3.0  # of judged flight, below which no rotor is called healthy
-MOST_NOTICES = 3  # of no rotor, in a headline: the first
+MOST_NOTICES = 3  # notices of no rotor in a headline: the first ones
 GRAVE = ("power", "crash", "stopped")  # troubles that end a flight: they lead where no fault is found
-AFTER_S = 5.0  # after a flight in which control was lost, for which what is reported came of that
-ALIKE = 0.05  # bounds of rotors that differ by less accuse none
+AFTER_S = 5.0  # after a flight with a loss of control, within which reports are its consequence
+ALIKE = 0.05  # bounds of rotors that differ by less point to none
 LANDED_S = 1.5
-SHORT_S = 20.0  # of flight, below which tenths of a second are worth saying
+SHORT_S = 20.0  # of flight, below which tenths of a second are shown
 UNJUDGED = "Damage present at take-off was not assessed."
 INVISIBLE = (0.0, 1.0)
 OFF_MIDDLE = "the centre of mass is offset"
@@ -57,8 +57,8 @@ LOPSIDED = "may have been weak since take-off"  # compared with any build's vehi
 
 
 class Conclusion(NamedTuple):
-    """verdict, reason, headline: as in the answer. main: index into events of the one that matters most, or None. rotors: their states.
-    advice: what to do next, sentences. events: those that are shown. story: of a loss of control (`story.narrate`)."""
+    """verdict, reason, headline: as in the answer. main: index into events of the most important one, or None. rotors: their states.
+    advice: recommended actions, sentences. events: those that are shown. story: of a loss of control (`story.narrate`)."""
 
     verdict: str
     reason: str
@@ -71,7 +71,7 @@ class Conclusion(NamedTuple):
 
 
 def conclude(seen: Evidence, doubts: Sequence[str] = ()) -> Conclusion:
-    """The answer to a flight. doubts: sentences on why the log may not show what flew; with any, nothing is concluded from its outputs."""
+    """The answer to a flight. doubts: reasons why the log may not show the real flight; with any, nothing is concluded from its outputs."""
     if doubts:
         seen = Evidence(
             ledger.believed(seen.events), seen.n, judged_s=seen.judged_s, places=seen.places, hops=seen.hops
@@ -97,7 +97,7 @@ def _concluded(seen: Evidence, verdict, reason, first, main, doubts) -> Conclusi
         doubts,
         stays,
         bool(seen.missing),
-        _shows_more(seen, main, verdict),
+        _better_log(seen, main, verdict),
     )
     story_lines = story.narrate(seen.events, main, seen.n, seen.places, seen.hops, not doubts)
     return Conclusion(verdict, reason, first, main, states, next_steps, tuple(seen.events), story_lines)
@@ -107,12 +107,12 @@ def _concluded(seen: Evidence, verdict, reason, first, main, doubts) -> Conclusi
 
 
 def _not_judged(why: str) -> str:
-    """The headline of a log of which nothing could be judged: the reason, without what follows from it."""
+    """The headline of a log without any judged time: the reason, without its consequences."""
     return sentence(f"not assessed: {re.split('[:;] ', why)[0].rstrip('.')}.")
 
 
-def _shows_more(seen: Evidence, main: int | None, verdict: str) -> str:
-    """What to do so that the next log shows what this one did not; empty where it showed enough."""
+def _better_log(seen: Evidence, main: int | None, verdict: str) -> str:
+    """Advice for a next log that shows what this one did not; empty where it showed enough."""
     if verdict != "inconclusive" or main is not None or seen.missing:
         return ""
     known = seen.hidden is not None and not seen.vague
@@ -120,12 +120,12 @@ def _shows_more(seen: Evidence, main: int | None, verdict: str) -> str:
 
 
 def _bounded(seen: Evidence) -> bool:
-    """Nothing is wrong as far as the flight shows, and how far that is is known of each rotor."""
+    """True if the flight shows no fault, and bounds the loss of each rotor."""
     return seen.hidden is not None and seen.lost is None and not seen.missing
 
 
 def _crashed(lost: Event) -> bool:
-    """Control was lost for good by what is known, and no rotor."""
+    """True if control was lost for good by a known cause that is no rotor."""
     known = lost.kind == LOST and lost.extra.get("cause") in NOT_A_ROTOR and not lost.alternatives
     return known and lost.end_s in (None, lost.extra.get("impact_s"))
 
@@ -137,11 +137,12 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
         verdict = "ambiguous" if event.alternatives else "crashed" if _crashed(event) else "inconclusive"
         return verdict, f"{event.reason}. {_cleared(seen, event)}".strip()
     if event is not None and not event.alternatives:
-        return "fault", _what_happened(seen, event) + _and_more(seen, event) + _open(seen) + "."
+        reason = said(event.means.reason, event, comma_until=_until(seen, event, ", until")).removesuffix(": ")
+        return "fault", reason + _others(seen, event) + _open(seen) + "."
     if whole and whole["verdict"] == "fault":
         return "fault", whole["reason"]
     if event is not None:
-        return ("inconclusive" if _anybody(seen, event) else "ambiguous"), event.reason + _and_more(seen, event) + "."
+        return ("inconclusive" if _any_rotor(seen, event) else "ambiguous"), event.reason + _others(seen, event) + "."
     if whole and whole["verdict"] == "ambiguous":
         return "ambiguous", whole["reason"]
     if seen.hidden is None:
@@ -176,14 +177,14 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
     return "healthy", f"{healthy}."
 
 
-def _anybody(seen: Evidence, event: Event) -> bool:
-    """Whether any single rotor may explain an event: then it says nothing of which one."""
+def _any_rotor(seen: Evidence, event: Event) -> bool:
+    """True if any single rotor may explain an event, which then does not indicate which one."""
     alone = {rotors_[0] for rotors_ in (event.rotors, *event.alternatives) if len(rotors_) == 1}
     return len(alone) == seen.n
 
 
 def _missing(seen: Evidence) -> str:
-    """Which commands the log lacks up to the end; empty where it lacks none."""
+    """Commands that the log lacks up to the end, in words; empty without any."""
     if not seen.missing:
         return ""
     who = sorted({rotor for gap in seen.missing for rotor in gap.rotors})
@@ -191,7 +192,7 @@ def _missing(seen: Evidence) -> str:
 
 
 def _lasting(seen: Evidence) -> Event | None:
-    """A step that has stayed, of the size of a loss (`unseen.suspected`)."""
+    """A lasting step of the size of a loss (`unseen.suspected`)."""
     return next((s for s in seen.residual_evidence if s.interval), None)
 
 
@@ -205,7 +206,7 @@ def _what_happened(seen: Evidence, event: Event) -> str:
 
 
 def _cleared(seen: Evidence, lost: Event) -> str:
-    """A sentence on the rotors, of a loss of control that no rotor caused."""
+    """A sentence on the rotors, for a loss of control that no rotor caused."""
     if lost.kind != LOST:
         return ""
     when = min((t for t in lost.extra.get("worked_until_s", ()) if t is not None), default=None)
@@ -227,7 +228,7 @@ def _until(seen: Evidence, event: Event, word: str) -> str:
     return f"{word} {'the landing at ' if _landed(seen, event.end_s) else ''}{seconds(event.end_s)}"
 
 
-def _and_more(seen: Evidence, main: Event) -> str:
+def _others(seen: Evidence, main: Event) -> str:
     rest = [e for e in seen.events if e is not main and e.means.accuses]
     return f"; {len(rest)} more event{'s' if len(rest) > 1 else ''} in this flight" if rest else ""
 
@@ -238,11 +239,11 @@ def _open(seen: Evidence) -> str:
 
 
 def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
-    """One or two short sentences that a pilot understands."""
+    """The headline for a pilot: one or two short sentences."""
     event = None if main is None else seen.events[main]
     if event is not None and not event.means.accuses:
         first = said(event.means.headline, event, seen.places, until=_until(seen, event, " until"), again="")
-        before = [said(e.means.headline, e) for e in _told_beside(seen, event)]
+        before = [said(e.means.headline, e) for e in _notices_beside(seen, event)]
         return headline([*before, sentence(first), _cleared(seen, event)], len(before))
     if verdict == "inconclusive" and event is not None and event.means.accuses:
         return _with_reports(
@@ -269,31 +270,31 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
     elif verdict == "healthy" and seen.bound is not None:
         parts.append(_lopsided(seen))
         caveats.append(parts[-1])
-    if knocks:  # after each the trim is learned afresh, with whatever it broke
+    if knocks:  # after each the trim is learned again, with any damage included
         when = (
             f"the contact at {knocks[0]}" if len(knocks) == 1 else f"{len(knocks)} contacts, the first at {knocks[0]},"
         )
         parts.append(f"Damage from {when} was not assessed.")
     for rotor in sorted({r for e in seen.notices for r in e.rotors}):
-        own = [e for e in seen.notices if rotor in e.rotors]
-        notices = listed([said(e.means.headline, e) for e in own])
+        of_rotor = [e for e in seen.notices if rotor in e.rotors]
+        notices = listed([said(e.means.headline, e) for e in of_rotor])
         parts.append(
-            sentence(f"{rotors([rotor], seen.places)} {notices}, since {seconds(min(e.onset_s for e in own))}.")
+            sentence(f"{rotors([rotor], seen.places)} {notices}, since {seconds(min(e.onset_s for e in of_rotor))}.")
         )
     return _with_reports(seen, event, parts, caveats)
 
 
 def _with_reports(seen: Evidence, main: Event | None, parts: Sequence[str], caveats: Sequence[str] = ()) -> str:
-    """A headline of sentences, the main one first, with those of notices of no rotor."""
-    told = _told_beside(seen, main)
-    leads = [e for e in told if main is None and e.extra.get("trouble") in GRAVE]
-    rest = [e for e in told if e not in leads]
+    """A headline of sentences, the main one first, with the notices that concern no rotor."""
+    notices = _notices_beside(seen, main)
+    leads = [e for e in notices if main is None and e.extra.get("trouble") in GRAVE]
+    rest = [e for e in notices if e not in leads]
     beside = [[said(e.means.headline, e) for e in some] for some in (leads, rest)]
     return headline([*beside[0], *parts, *beside[1]], len(leads), caveats)
 
 
 def _inconclusive(seen: Evidence) -> str:
-    """Why a flight without an event that matters says too little."""
+    """Reason why a flight without a significant event shows too little."""
     if seen.missing and seen.hidden is not None:
         return (
             f"No rotor lost thrust until {seconds(seen.missing_s)}. After that nothing can be said: {_missing(seen)}."
@@ -307,31 +308,31 @@ def _inconclusive(seen: Evidence) -> str:
     return f"No loss was detected, but a loss of up to {_bound(seen)} could have gone undetected: {seen.unjudged.why}."
 
 
-def _told_beside(seen: Evidence, main: Event | None) -> list[Event]:
-    """Notices of no rotor that a headline tells, in the order of time. Beside a loss of control that no rotor explains, only those that
-    compete with what does; what was reported after one is what came of it, as is that a motor fails which is accused."""
-    told, lost = [e for e in seen.notices if not e.rotors], seen.lost
+def _notices_beside(seen: Evidence, main: Event | None) -> list[Event]:
+    """Notices of no rotor for the headline, in order of time. Beside a loss of control that no rotor explains, only those that compete with
+    its cause: later reports are its consequence, as is the report of a motor failure where a rotor is held responsible."""
+    notices, lost = [e for e in seen.notices if not e.rotors], seen.lost
     if main is not None and main.means.accuses:
-        told = [e for e in told if e.extra.get("trouble") != "motor"]
+        notices = [e for e in notices if e.extra.get("trouble") != "motor"]
     if lost is not None:
         over = next((b for a, b in seen.hops if a <= lost.onset_s <= b), np.inf) + AFTER_S
-        told = [e for e in told if e.kind != REPORTED or not lost.onset_s <= e.onset_s <= over]
+        notices = [e for e in notices if e.kind != REPORTED or not lost.onset_s <= e.onset_s <= over]
     if main is not None and main.kind == LOST:
         before = {cause["time_s"] for cause in main.extra.get("before", ())}
-        told = [e for e in seen.notices if e.kind == REPORTED and e.onset_s in before]
-    return told[:MOST_NOTICES]
+        notices = [e for e in seen.notices if e.kind == REPORTED and e.onset_s in before]
+    return notices[:MOST_NOTICES]
 
 
 def _bound(seen: Evidence) -> str:
-    """How much of one rotor, and of each of two opposite ones where that is more."""
-    one = seen.unseen
-    more = up_to(seen.hidden_pair) != up_to(one) and seen.hidden_pair > one
-    pair = f", or {up_to(seen.hidden_pair)} of each of two opposite rotors," if more else ""
-    return f"{up_to(one)} of one rotor{pair}"
+    """Undetected loss of one rotor and, where larger, of each of two opposite ones, in words."""
+    single = seen.unseen
+    pair_differs = up_to(seen.hidden_pair) != up_to(single) and seen.hidden_pair > single
+    pair = f", or {up_to(seen.hidden_pair)} of each of two opposite rotors," if pair_differs else ""
+    return f"{up_to(single)} of one rotor{pair}"
 
 
 def _lopsided(seen: Evidence) -> str:
-    """How much may have been missing from take-off on, by healthy vehicles of any build, and in which rotor."""
+    """Bound of a loss since take-off, by healthy vehicles of any build, and its rotor."""
     assert seen.compared
     bounds = seen.bounds
     most = up_to(max(bounds))
@@ -359,27 +360,27 @@ def _matter(seen: Evidence, verdict: str, main: int | None) -> str:
         return sentence(f"{grown}, or wind or load changed at the same rate.")
     if event is None:
         return "There is evidence of a fault, but the log does not show which rotor."
-    more = sum(e.means.accuses for e in seen.events) - 1
-    again = f" (the first of {more + 1} events)" if more and event is seen.events[0] else ""
-    again = again or (f" (one of {more + 1} events)" if more else "")
+    others = sum(e.means.accuses for e in seen.events) - 1
+    again = f" (the first of {others + 1} events)" if others and event is seen.events[0] else ""
+    again = again or (f" (one of {others + 1} events)" if others else "")
     about = {"until": _until(seen, event, " until"), "again": again, "stopped": _stopped(seen, event)}
     return sentence(said(event.means.headline, event, seen.places, **about))
 
 
 def _from_the_start(seen: Evidence, whole: Mapping[str, Any]) -> str:
-    """What explains a whole flight's difference, the likeliest first."""
+    """Explanations of a whole flight's difference, the most likely first."""
     causes = sorted((c for c in whole["causes"] if c["probability"] > MENTIONED), key=lambda c: -c["probability"])
     if not any(c["rotors"] for c in causes):
         causes = [{"rotors": whole["rotors"]}, *causes]
-    said = []
+    explanations = []
     for c in causes:
         who, lost = c["rotors"], [whole["loss"][r - 1] for r in c["rotors"]]
         size = f" {percent(lost[0])}" if len(who) == 1 and lost[0] > 0.0 else ""
         weak = f"{rotors(who, seen.places)} {'were' if len(who) > 1 else 'was'}{size} weak from {seen.start} on"
-        said.append(weak if who else "the centre of mass has moved" if seen.whole else OFF_MIDDLE)
-    if len(said) == 1:
-        said.append("the centre of mass has moved" if seen.whole else OFF_MIDDLE)
-    first, *rest = said
+        explanations.append(weak if who else "the centre of mass has moved" if seen.whole else OFF_MIDDLE)
+    if len(explanations) == 1:
+        explanations.append("the centre of mass has moved" if seen.whole else OFF_MIDDLE)
+    first, *rest = explanations
     return sentence(f"{first}, or {', or '.join(one.replace(f' from {seen.start} on', '') for one in rest)}.")
 
 
@@ -387,19 +388,19 @@ def _from_the_start(seen: Evidence, whole: Mapping[str, Any]) -> str:
 
 
 def _state(seen: Evidence, rotor: int, verdict: str) -> RotorState:
-    """The rotor at the end of the judged flight: the first of these that holds. Nothing could be judged; a certain loss that lasts; damage
-    from take-off on; suspicion; healthy."""
+    """The rotor at the end of the judged flight, by the first of these that applies: nothing could be judged; a certain loss that lasts;
+    damage from take-off on; suspicion; healthy."""
     whole = seen.compared
     from_takeoff = _from_takeoff(whole, rotor, verdict, seen)
 
     def state(loss, bounds, status, note="", since=None):
         low, high = float(bounds[0]), float(bounds[1])
         clear = status not in ("unobservable", "suspect")
-        shown = since if since is not None and from_takeoff in ("not judged", "bounded") else (low, high)
+        interval = since if since is not None and from_takeoff in ("not judged", "bounded") else (low, high)
         # The steady state before control was lost does not hold for the rotor after it.
         trend = seen.trends[rotor - 1] if clear and seen.trends and seen.lost is None else None
         vague = status == "unobservable" or (status == "healthy" and seen.lost is not None)
-        grade = health.UNGRADED if vague else health.grade(shown[0], shown[1], trend)
+        grade = health.UNGRADED if vague else health.grade(interval[0], interval[1], trend)
         place = seen.places[rotor - 1] if rotor <= len(seen.places) else ""
         return RotorState(rotor, float(loss), (low, high), status, place, since, from_takeoff, note, grade, trend)
 
@@ -451,29 +452,31 @@ def _from_takeoff(whole: Mapping[str, Any] | None, rotor: int, verdict: str, see
 
 
 def _suspicions(seen: Evidence, rotor: int, maybe, landed, claims) -> list[tuple[str, float]]:
-    """(why a rotor is a suspect, how much it may have lost then), of what was seen in flight."""
-    found = []
+    """(reason, loss that it implies) of each suspicion against a rotor in flight."""
+    suspicions = []
     for e in (*maybe, *landed):
         later = ", not assessed again after landing" if e in landed else ""
-        found.append((f"{said(e.means.now, e)}{later}", e.most(rotor)))
+        suspicions.append((f"{said(e.means.now, e)}{later}", e.most(rotor)))
     for e in _other_faults(seen):
         who = e.rotors if e.means.now.unsure is None else e.suspects
         if rotor in who and e.means.ongoing(None if _landed(seen, e.end_s) else e.end_s):
-            found.append((said(e.means.now, e, other=listed([str(r) for r in e.rotors if r != rotor])), 1.0))
+            suspicions.append((said(e.means.now, e, other=listed([str(r) for r in e.rotors if r != rotor])), 1.0))
     for s in seen.residual_evidence:
         if rotor in s.rotors and s.interval:
             lost = interval(*s.interval[s.rotors.index(rotor)])
-            found.append((f"may have lost {lost} since {seconds(s.onset_s)}, or the wind changed then", s.most(rotor)))
+            suspicions.append(
+                (f"may have lost {lost} since {seconds(s.onset_s)}, or the wind changed then", s.most(rotor))
+            )
         elif rotor in s.rotors:
             span = f"from {seconds(s.onset_s)} to {seconds(s.end_s)}"
-            found.append((f"evidence against it {span} that no event explains", 1.0))
+            suspicions.append((f"evidence against it {span} that no event explains", 1.0))
     if seen.lost is not None and not claims and any(rotor in who for who in seen.lost.alternatives):
-        found.append((said(seen.lost.means.now, seen.lost), 1.0))
-    return found
+        suspicions.append((said(seen.lost.means.now, seen.lost), 1.0))
+    return suspicions
 
 
 def _past(seen: Evidence, rotor: int, claims) -> str:
-    """What happened to a rotor that is healthy at the end."""
+    """Events of the flight on a rotor that is healthy at the end, in words."""
     over = sorted((e for e in claims if e.end_s is not None), key=lambda e: bool(e.alternatives))
     notes = [said(e.means.past, e) for e in (*over, *_other_faults(seen)) if rotor in e.suspects]
     notes += [_worked(seen, rotor)]
@@ -482,12 +485,12 @@ def _past(seen: Evidence, rotor: int, claims) -> str:
 
 
 def _other_faults(seen: Evidence) -> list[Event]:
-    """Faults that take no share of a rotor's thrust."""
+    """Faults without a loss of a rotor's thrust."""
     return [e for e in seen.events if e.means.accuses and not e.means.weakens]
 
 
 def _stopped(seen: Evidence, event: Event) -> str:
-    """What became of a motor that lost step: whether it stopped for good."""
+    """Outcome of a motor that lost step, in words: it stopped for good, or recovered."""
     after = (e for e in seen.losses if e.rotors == event.rotors and not e.alternatives and e.onset_s >= event.onset_s)
     last = next((e for e in after if e.end_s is None and e.loss and e.loss[0] > TOTAL_LOSS), None)
     return "" if last is None else f", and gave no thrust from {seconds(last.onset_s)} on"
@@ -498,18 +501,18 @@ def _broken(loss: float) -> str:
 
 
 def _worked(seen: Evidence, rotor: int) -> str:
-    """Until when a rotor was seen to work, of a flight in which control was lost; since when commands are missing that judging it takes."""
+    """Until when a rotor was seen to work, in a flight with a loss of control; from when commands are missing that this requires."""
     until = seen.lost.extra.get("worked_until_s", ()) if seen.lost is not None else ()
     known = rotor <= len(until) and until[rotor - 1] is not None
     notes = [f"seen to work until {seconds(until[rotor - 1])}"] if known else []
-    own = min((gap.start for gap in seen.missing if rotor in gap.rotors), default=np.inf)
-    if np.isfinite(own):
-        notes.append(f"no command for it in the log since {seconds(own)}")
-    if seen.missing_s < own:
+    commands_end = min((gap.start for gap in seen.missing if rotor in gap.rotors), default=np.inf)
+    if np.isfinite(commands_end):
+        notes.append(f"no command for it in the log since {seconds(commands_end)}")
+    if seen.missing_s < commands_end:
         notes.append(f"not assessed since {seconds(seen.missing_s)}")
     return listed(notes)
 
 
 def _landed(seen: Evidence, end_s: float | None) -> bool:
-    """An event that ended with a landing, before another take-off: what became of it was not judged again."""
+    """True if an event ended with a landing, before another take-off: its continuation was not judged."""
     return end_s is not None and any(abs(end_s - down) < LANDED_S for _, down in seen.hops[:-1])

@@ -1,4 +1,4 @@
-"""What people expect to see of a flight beside its answer: where it flew, how fast, the battery, vibration. No verdict depends on it.
+"""Context of a flight beside its answer: position, speed, battery, vibration. No verdict depends on it.
 
 Series are on the estimator's ticks. A gap of the log stays a gap; the time between samples of a slow signal does not.
 """
@@ -20,10 +20,10 @@ MOTION_S, SPREAD_S = 0.2, 0.5
 
 
 def gather(flight: Flight, time: np.ndarray, air: tuple[tuple[float, float], ...]) -> dict[str, np.ndarray | None]:
-    """position, ground_speed, battery and vibration of a `Trace`: each (T, ..), NaN where unknown, or None where the log never says.
+    """position, ground_speed, battery and vibration of a `Trace`: each (T, ..), NaN where unknown, or None where not logged.
 
-    time (T,): of the ticks. air: spans in the air; positions count from the first lift-off, so that nothing tells where on earth it was.
-    """
+    time (T,): of the ticks. air: spans in the air; positions count from the first lift-off, so that the location on earth is not
+    disclosed."""
     return {
         "position": _position(flight, time, air),
         "ground_speed": _ground_speed(flight, time),
@@ -33,7 +33,7 @@ def gather(flight: Flight, time: np.ndarray, air: tuple[tuple[float, float], ...
 
 
 def _position(flight: Flight, time: np.ndarray, air) -> np.ndarray | None:
-    """(T, 3) north, east, down [m] from the lift-off: as estimated on board, else by GPS; the height else by the barometer."""
+    """(T, 3) north, east, down [m] from the lift-off: by the onboard estimate, else by GPS; the height else by the barometer."""
     level = _first(flight, time, (("position", (0, 1)), ("gps", (0, 1))))
     down = _first(flight, time, (("position", (2,)), ("gps", (2,))))
     if down is None and (up := _columns(flight, "baro", (0,), time)) is not None:
@@ -51,7 +51,7 @@ def _position(flight: Flight, time: np.ndarray, air) -> np.ndarray | None:
 
 
 def _ground_speed(flight: Flight, time: np.ndarray) -> np.ndarray | None:
-    """(T,) m/s over the ground: as estimated on board, else by GPS."""
+    """(T,) m/s over the ground: by the onboard estimate, else by GPS."""
     velocity = _first(flight, time, (("velocity", (0, 1)),))
     if velocity is not None:
         return np.hypot(*velocity.T)
@@ -61,12 +61,12 @@ def _ground_speed(flight: Flight, time: np.ndarray) -> np.ndarray | None:
 
 def _first(flight: Flight, time: np.ndarray, choices) -> np.ndarray | None:
     """The columns of the first of the signals that has them all."""
-    found = (_columns(flight, name, columns, time) for name, columns in choices)
-    return next((values for values in found if values is not None and np.isfinite(values).all(axis=1).any()), None)
+    candidates = (_columns(flight, name, columns, time) for name, columns in choices)
+    return next((values for values in candidates if values is not None and np.isfinite(values).all(axis=1).any()), None)
 
 
 def _columns(flight: Flight, name: str, columns: tuple[int, ...], time: np.ndarray) -> np.ndarray | None:
-    """(T, k) columns of a signal, in straight lines between its samples; None where it has none of them."""
+    """(T, k) columns of a signal, interpolated linearly; None where it has none of them."""
     if not flight.has(name):
         return None
     signal = flight[name]
@@ -75,7 +75,7 @@ def _columns(flight: Flight, name: str, columns: tuple[int, ...], time: np.ndarr
 
 
 def _straight(signal: Signal, column: int, time: np.ndarray) -> np.ndarray:
-    """(T,) a column in straight lines between its valid samples; NaN in gaps, before the first and after the last."""
+    """(T,) a column, interpolated linearly between valid samples; NaN in gaps, before the first and after the last."""
     fine = signal.valid[:, column]
     return _between(signal.time[fine], signal.values[fine, column], time)
 
@@ -103,7 +103,7 @@ def vibration(flight: Flight, time: np.ndarray) -> np.ndarray | None:
         first, last = _around(when, when[begin:end], MOTION_S)
         count = last - first
         motion = windows.sums(force, first, last) / np.maximum(count, 1)[:, None]
-        # Of k samples of white noise their mean takes away one in k.
+        # Subtracting the mean of k samples removes 1/k of the variance of white noise.
         factor = np.where(count >= 3, count / np.maximum(count - 1, 1), 0.0)[:, None]
         above = np.square(force[begin:end] - motion) * factor
         variance[some] = windows.sums(above, low[some] - begin, high[some] - begin)

@@ -1,4 +1,4 @@
-"""What a conclusion is drawn from: the events of a flight, and how much of it was seen."""
+"""Input to the conclusion: the events of a flight, and how much of it was judged."""
 
 from __future__ import annotations
 
@@ -14,20 +14,19 @@ from rotorwatch.engine.motion.airborne import Gap
 from rotorwatch.flight.diagnosis import Event, Trend
 from rotorwatch.flight.kinds import CONTACT, EVIDENCE, FROM_TAKEOFF, LOST, Weight
 
-ALOFT_S = 1.0  # of the log: a vehicle that flies then did not take off in it
-UNJUDGED_SHARE = 0.5  # of the judged time, that may be unjudged beyond the blind time
+ALOFT_S = 1.0  # from the begin of the log: a vehicle in the air by then took off before it
+UNJUDGED_SHARE = 0.5  # largest unjudged time beyond the blind time, as a share of the judged time
 
 
 class Evidence(NamedTuple):
-    """What the conclusion is drawn from.
+    """Input to the conclusion.
 
-    n: rotors; places: `places.names`. hidden (n,): loss of each rotor that could have gone unseen in flight, None when nothing was judged;
-    hidden_pair: the same of two opposite rotors. judged_s: seconds of flight judged. claims: those that count, though they are no events
-    (`ledger.open_claims`). hops: ((take-off, landing), ...) s. trends: `health.trends`, of each rotor, shown of those that are no suspects,
-    or empty. comparable: healthy flights of the vehicle would show more. missing: commands that the log lacks up to the end.
-    matters: loss of one rotor that a healthy flight must be able to show. unjudged: why no more could be judged. judged_until: time of the
-    last judged moment [s]; blind_s: after each take-off, in which trim and noise are learned [s].
-    """
+    n: rotors; places: `places.names`. hidden (n,): undetected loss of each rotor in flight, None when nothing was judged; hidden_pair: the
+    same of two opposite rotors. judged_s: seconds of flight judged. claims: those that count though they are no events
+    (`ledger.open_claims`). hops: ((take-off, landing), ...) s. trends: `health.trends`, of each rotor, shown for rotors without suspicion,
+    or empty. comparable: healthy flights of the vehicle would show more. missing: commands that the log lacks up to the end. matters: loss
+    of one rotor that a healthy flight must be able to show. unjudged: why no more could be judged. judged_until: time of the last judged
+    tick [s]; blind_s: time after each take-off in which trim and noise are learned [s]."""
 
     events: Sequence[Event]
     n: int
@@ -47,22 +46,22 @@ class Evidence(NamedTuple):
 
     @property
     def start(self) -> str:
-        """What the first judged moment follows, in words."""
+        """The start of the judged time, in words."""
         return "take-off" if not self.hops or self.hops[0][0] > ALOFT_S else "the start of the log"
 
     @property
     def patchy(self) -> bool:
-        """Too much of the flight was not judged, beyond the blind time after each take-off: what was not judged cannot be healthy."""
+        """True if too much of the flight, beyond the blind time after each take-off, was not judged to call it healthy."""
         return self.flown_s - self.blind_s * len(self.hops) - self.judged_s > UNJUDGED_SHARE * self.judged_s
 
     @property
     def unseen(self) -> float:
-        """The largest loss of any rotor that can lie in the flight without having been announced."""
+        """The largest undetected loss of any rotor."""
         return float(np.max(self.hidden)) if self.hidden is not None else 1.0
 
     @property
     def growing(self) -> list[tuple[int, Trend]]:
-        """Rotors whose loss grows, of those that are no suspects: (number, trend)."""
+        """Rotors without suspicion whose loss grows: (number, trend)."""
         open_ = {r for s in self.residual_evidence for r in s.rotors}
         open_ |= {r for e in self.losses if e.alternatives for r in e.suspects}
         return [(k, t) for k, t in enumerate(self.trends, start=1) if t and t.word == "growing" and k not in open_]
@@ -78,18 +77,18 @@ class Evidence(NamedTuple):
 
     @property
     def vague(self) -> bool:
-        """A loss that matters could have gone unseen."""
+        """True if a significant loss could have remained undetected."""
         return self.unseen > self.matters
 
     @property
     def knocked_s(self) -> float | None:
-        """The last knock, where nothing was judged after it [s]."""
+        """Time of the last knock, where nothing was judged after it [s]."""
         last = max((e.onset_s for e in self.events if e.kind == CONTACT), default=-np.inf)
         return last if last >= self.judged_until else None
 
     @property
     def missing_s(self) -> float:
-        """From when on nothing could be judged any more because commands are missing; infinite where it could [s]."""
+        """Time from which missing commands prevent judging; infinite without such [s]."""
         return min((gap.start for gap in self.missing), default=np.inf)
 
     @property
@@ -103,17 +102,17 @@ class Evidence(NamedTuple):
 
     @property
     def lost(self) -> Event | None:
-        """The first time that the vehicle left control."""
+        """The first loss of control."""
         return next((e for e in self.events if e.kind == LOST), None)
 
     @property
     def compared(self) -> Mapping[str, Any] | None:
-        """What the comparison with healthy flights, or else with healthy vehicles, found."""
+        """Result of the comparison with healthy flights, or else with healthy vehicles."""
         return next((c.extra for c in self.claims if c.kind == FROM_TAKEOFF), None)
 
     @property
     def whole(self) -> bool:
-        """It was compared with healthy flights."""
+        """True if it was compared with healthy flights."""
         return any(c.source.name == from_takeoff.FLIGHTS.name for c in self.claims)
 
     @property
@@ -123,17 +122,17 @@ class Evidence(NamedTuple):
 
     @property
     def bound(self) -> float | None:
-        """The largest loss that may have been there from take-off on, where only healthy vehicles of other builds bound it."""
+        """The largest possible loss since take-off, where only healthy vehicles of other builds bound it."""
         return max(self.bounds) if self.compared and not self.whole else None
 
     @property
     def bounds(self) -> list[float]:
-        """The same of each rotor, with what it may have lost unseen in flight: as its interval at the end."""
+        """The same of each rotor, combined with its undetected loss in flight: the upper end of its interval at the end."""
         hidden = self.hidden if self.hidden is not None else np.zeros(self.n)
         known = self.compared["interval"] if self.compared else [(0.0, 1.0)] * self.n
         return [together([float(unseen), float(high)]) for unseen, (_, high) in zip(hidden, known)]
 
 
 def together(bounds: Sequence[float]) -> float:
-    """Upper bound of a loss that several things may have added to."""
+    """Upper bound of a loss that may have several contributions."""
     return 1.0 - float(np.prod([1.0 - bound for bound in bounds]))

@@ -1,4 +1,5 @@
-"""The events of a flight with those of its losses of control: which rotors the fall accuses, and which announced losses it explains."""
+"""The events of a flight with those of its losses of control: the rotors to which the fall points, and the announced losses that it
+explains."""
 
 from __future__ import annotations
 
@@ -17,34 +18,33 @@ if TYPE_CHECKING:
     from rotorwatch.witnesses.upset.find import Judged
     from rotorwatch.witnesses.upset.loss_of_control import LossOfControl
 
-TOUCHED_S = 1.0  # from a blow in flight to the loss of control that follows from it
-# Before control is lost, within which what the autopilot reported competes as the cause; a battery that is low goes on to be.
+TOUCHED_S = 1.0  # from a blow in flight to the loss of control that it causes
+# Time before control is lost within which the autopilot's reports compete as the cause; a low battery stays low.
 REPORTED_S, LOW_S = 30.0, 300.0
-STOPPED_S = 1.0  # after that, within which it is written down that the motors were stopped
+STOPPED_S = 1.0  # after that, within which the stop of the motors is logged
 
 
 def events(found: Sequence[Judged], known: Sequence[Event], n: int) -> tuple[Event, ...]:
     """The events `known` of a flight of n rotors with those of its losses of control.
 
-    What was announced after control had been lost, by a method that believes in hover, gives way.
-    """
+    Announcements after control was lost, by a method that assumes hover, are replaced."""
     out = list(known)
-    for one in found:
-        out = _merged(out, one, n)
+    for upset in found:
+        out = _merged(out, upset, n)
     out = [_with_reports(e, out) if e.kind == LOST else e for e in out]
     return tuple(sorted(out, key=lambda e: e.detected_s))
 
 
 def _with_reports(lost: Event, events_: Sequence[Event]) -> Event:
-    """A loss of control with what the autopilot reported before it. Whether a rotor is to blame rests on other evidence; what a knock
-    explains needs no report."""
+    """A loss of control with the autopilot's reports before it. Whether a rotor is responsible rests on other evidence; a knock as the
+    cause needs no report."""
     cause = lost.extra["cause"]
     before = [] if cause == "knock" else [e for e in events_ if e.kind == REPORTED and _competes(e, lost)]
     if not before:
         return lost
-    told = [f"before that, at {e.onset_s:.1f} s, {e.reason}" for e in before]
+    quoted = [f"before that, at {e.onset_s:.1f} s, {e.reason}" for e in before]
     causes = [{"trouble": e.extra["trouble"], "time_s": e.onset_s} for e in before]
-    return replace(lost, reason="; ".join((lost.reason, *told)), extra={**lost.extra, "before": causes})
+    return replace(lost, reason="; ".join((lost.reason, *quoted)), extra={**lost.extra, "before": causes})
 
 
 def _competes(report: Event, lost: Event) -> bool:
@@ -55,7 +55,7 @@ def _competes(report: Event, lost: Event) -> bool:
 
 
 def _weak(events_, left: LossOfControl) -> Event | None:
-    """The largest loss that had been known for long when control was lost."""
+    """The largest loss that was known long before control was lost."""
     before = [
         e
         for e in events_
@@ -72,7 +72,7 @@ def _announced_near(events_, left: LossOfControl) -> Event | None:
 
 
 def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
-    """The events with that of the loss of control and of the rotors it accuses, less those that it explains."""
+    """The events with the loss of control and the losses of its rotors, less those that it explains."""
     left, window = judged.left, judged.window
     weak = _weak(events_, left)
     if weak is not None and judged.cause in ("rotor", "saturated", "unknown", "controller"):
@@ -96,7 +96,7 @@ def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
         judged.cause == "unknown" and rotor_probability > 1.0 - SURE
     )
     rotor = (rotors[0][0].rotors[0] + 1,) if accused else ()
-    # What was announced before the vehicle began to leave stands, unless what came then shows another rotor.
+    # Announcements before the departure stay, unless the departure shows another rotor.
     stands = -np.inf if accused or judged.cause == ORDER else left.onset
     result, same = [], None
     for e in events_:
@@ -106,16 +106,16 @@ def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
         elif not late or e.detected_s < stands or (e.kind == OVERRIDE and e.onset_s <= left.lost):
             result.append(e)
     held = [e for e in result if e.kind == OVERRIDE and left.onset - SAME_S < e.onset_s <= left.lost]
-    if held and judged.cause not in ("rotor", ORDER):  # what the mixer did not ask for is the cause
+    if held and judged.cause not in ("rotor", ORDER):  # an output that overrides the mixer is the cause
         judged = judged._replace(cause="rotor", evidence=(held[0].reason,))
         return [*result, _control_lost(judged._replace(found=()), n, held[0].rotors, (), decided)]
     if accused:
         best, p = rotors[0]
-        sure = p > SURE and judged.cause == "rotor" and best.low > 0.0  # a fault has a loss above nothing
+        sure = p > SURE and judged.cause == "rotor" and best.low > 0.0  # a fault has a loss above 0
         others = () if sure else others or (tuple(range(1, n + 1)),)
         if same is None or others != same.alternatives:
             result.append(_loss(best, p, others, n, decided, judged))
-        else:  # announced already, from a few ticks of a vehicle that leaves hover: where the fall shows more for certain, that counts
+        else:  # announced already, from a few ticks after hover: a certain result from the fall prevails
             sizes = {"loss": (best.size,), "interval": ((best.low, best.high),)}
             result.append(replace(same, **sizes) if best.low > same.interval[0][1] else same)
         result.append(_control_lost(judged, n, rotor, others, decided))
@@ -220,13 +220,13 @@ def _control_lost(judged: Judged, n: int, named, others, decided: float) -> Even
 
 
 def _worked(judged: Judged, n: int, named, others, decided: float) -> list[float | None]:
-    """Until when each rotor was seen to work [s]; None where that is not known."""
+    """Time until which each rotor was seen to work [s]; None where unknown."""
     until, known = _until(judged, n, named, others, decided), judged.commanded or (np.inf,) * n
     return [None if a is None or b is None else min(a, b) for a, b in zip(until, known)]
 
 
 def _until(judged: Judged, n: int, named, others, decided: float) -> list[float | None]:
-    """The same, of rotors whose commands are known."""
+    """The same, of rotors with known commands."""
     suspects = {r for who in others for r in who}
     if not judged.found:
         return [None if r in named or r in suspects else judged.onset for r in range(1, n + 1)]

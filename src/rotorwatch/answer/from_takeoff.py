@@ -1,4 +1,4 @@
-"""Damage from take-off as a claim: what the comparison with healthy flights, or with healthy vehicles, says of a whole flight."""
+"""Damage from take-off as a claim: the result of comparing a whole flight with healthy flights or vehicles."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ VEHICLES = Source("healthy vehicles", 14, _certain_or_compared)  # of any build
 
 
 def claims(found: Mapping[str, Any] | None, source: Source, air: Spans) -> tuple[Event, ...]:
-    """What was found (`WholeFlight.to_dict`, `population.judge`), all of it in `extra`, as a claim; none where nothing could be
-    compared. air: the flights."""
+    """The result (`WholeFlight.to_dict`, `population.judge`) as a claim, with all of it in `extra`; none where nothing could be compared.
+    air: the flights."""
     if found is None or found["verdict"] == "inconclusive":
         return ()
     who = tuple(found["rotors"])

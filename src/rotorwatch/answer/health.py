@@ -1,15 +1,15 @@
 """The health of every rotor: a grade of its loss, and whether and how fast the loss grows.
 
-Grades are of the 95 % interval of the loss, not of its middle: one that reaches over two grades gets both, over more none. The trend is of
-the wrench that the commands give and the motion does not show, per hover thrust, on roll, pitch and yaw,
+Grades are of the 95 % interval of the loss, not of its middle: one that spans two grades gets both, one that spans more gets none. The
+trend is of the residual wrench, per hover thrust, on roll, pitch and yaw,
 
     z = (b + B T theta) / mean T,      growth of rotor i's loss by s a minute:  dz/dt = s B_i T_i / mean T
 
-b, theta: biases and losses as estimated, T: thrusts commanded; dividing by the mean takes a sagging battery out, and thrust itself, which
-battery and air move for all rotors alike, is left out. The slopes d of z and their variances are those of `answer/trend.py`, over
+b, theta: biases and losses as estimated, T: thrusts commanded; dividing by the mean removes a sagging battery, and thrust itself, which
+battery and air change for all rotors alike, is left out. The slopes d of z and their variances are those of `answer/trend.py`, over
 block means since the last event, take-off or knock: a step is no trend. For each rotor s is weighted least squares on d. A drift is a
-rotor's when it is along that rotor's direction, and along no other's; wind and a shifting load point anywhere, and what is no single
-rotor's is "unclear". Intervals are for all rotors at once (Scheffe): with d within its 95 % ellipsoid about 0, none shows a trend.
+rotor's when it lies along that rotor's direction, and along no other's; wind and a shifting load point anywhere, and a drift of no single
+rotor is "unclear". Intervals are for all rotors at once (Scheffe): with d within its 95 % ellipsoid about 0, none shows a trend.
 
 Source of the aim: Zhang, Zhang, Li, Qin and Xu, ATSUKF-based actuator health assessment method for quad-copter unmanned aerial vehicles,
 Drones 7 (2023) 12, section 2.2: a loss of 0 is healthy, of 1 failed, anything between partly degraded; it prints no scale between them.
@@ -30,18 +30,18 @@ from rotorwatch.engine.motion.ticks import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event, Trend
 
 UNGRADED = "not judged"
-LEAST_S = 30.0  # of flight, below which no trend is looked for
+LEAST_S = 30.0  # of flight, below which no trend is estimated
 BLOCKS = 40  # at most
-LEAST_THRUST = 0.05  # hover thrusts: a rotor that is commanded less rests, and shows nothing
+LEAST_THRUST = 0.05  # hover thrusts: a rotor commanded less shows nothing
 ALIKE = 0.95  # cosine of the drifts of two rotors, above which a growing loss of one cannot be distinguished from one of the other
 CHI2_3, CHI2_2 = 7.815, 5.991  # 95 % of chi-squared with 3 and 2 degrees of freedom
 
 
 def grade(low: float, high: float, trend: Trend | None = None) -> str:
-    """'worn' of a loss between low and high; 'healthy to worn' where it may be either, 'not judged' where it may be more. trend: adds what
-    has grown since and is in no loss yet."""
-    more = trend.beyond if trend else (0.0, 0.0)
-    ends = (min(max(bound + extra, 0.0), 1.0) for bound, extra in zip((low, high), more))
+    """'worn' of a loss between low and high; 'healthy to worn' where it may be either, 'not judged' where it may be more. trend: adds the
+    growth that no loss includes yet."""
+    beyond = trend.beyond if trend else (0.0, 0.0)
+    ends = (min(max(bound + extra, 0.0), 1.0) for bound, extra in zip((low, high), beyond))
     first, last = (sum(loss >= least for _, least in SCALE) - 1 for loss in ends)
     names = [name for name, _ in SCALE[first : last + 1]]
     return names[0] if len(names) == 1 else f"{names[0]} to {names[1]}" if len(names) == 2 else UNGRADED
@@ -50,8 +50,7 @@ def grade(low: float, high: float, trend: Trend | None = None) -> str:
 def trends(out, table: Ticks, B: np.ndarray, found: Sequence[Event]) -> tuple[Trend | None, ...]:
     """The trend of each rotor's loss since the last event; None where it cannot be estimated.
 
-    out: the estimator's stacked outputs (theta (T, n), biases (T, 4)); B (4, n): effectiveness; found: events of the flight.
-    """
+    out: the estimator's stacked outputs (theta (T, n), biases (T, 4)); B (4, n): effectiveness; found: events of the flight."""
     nothing = (None,) * B.shape[1]
     use = (table.mode == JUDGE) & table.valid[:, :3].all(axis=1) & ~table.upset
     use &= (table.time >= _steady_from(table, found)) & (table.thrust.mean(axis=1) > CARRIES)
@@ -76,7 +75,7 @@ def trends(out, table: Ticks, B: np.ndarray, found: Sequence[Event]) -> tuple[Tr
     z = np.column_stack([mean(w) / usual for w in wrench.T])
     slopes = line.slopes(when, z, step / 60.0)
     theta, early = out.theta[rows], slice(0, max(1, rows.size // 4))
-    # A rotor that makes up for theta is commanded T = c / (1 - theta), and T theta grows by T^2 / c times what theta does.
+    # A rotor that compensates theta is commanded T = c / (1 - theta), and T theta grows by T^2 / c times the growth of theta.
     need = np.maximum((T[early] * (1.0 - theta[early])).mean(axis=0), LEAST_THRUST)
     columns = B[:3] * (np.maximum(T.mean(axis=0), LEAST_THRUST) ** 2 / need / T.mean())
     d, sd = np.array([s.slope for s in slopes]), np.array([s.sd for s in slopes])
@@ -93,23 +92,23 @@ def trends(out, table: Ticks, B: np.ndarray, found: Sequence[Event]) -> tuple[Tr
 
 
 def _trend(row, minutes: float, span, weak: bool, known: float, scatter: float) -> Trend:
-    """The trend of a rotor: growth s a minute with its reach, of which `known` is in the estimated loss; a loss changes by 1 at most."""
+    """The trend of a rotor: growth s a minute with its interval, of which `known` is in the estimated loss; a loss changes by 1 at most."""
     s, reach, word = row
     low, high = max(s - reach, -1.0 / minutes), min(s + reach, 1.0 / minutes)
     if not weak:
-        high = max(high, 0.0)  # who has lost nothing cannot win it back
+        high = max(high, 0.0)  # a rotor without a loss cannot recover
     word = word or ("growing" if low > 0.0 else "shrinking" if high < 0.0 else "no trend")
     if word == "unclear":
         low, high = min(low, 0.0), max(high, 0.0)
     most = high * minutes
-    if word == "no trend":  # weather that hides a growth would have to mirror it: no more is there than shows
+    if word == "no trend":  # weather that masks a growth would have to mirror it: the interval is taken as it is
         most = min(most, max(s, 0.0) * minutes + 2.0 * scatter)
     beyond = max(low * minutes - known, 0.0), max(most - max(known, 0.0), 0.0)
     return Trend(float(min(max(s, low), high)), (float(low), float(high)), span[0], span[1], word, beyond)
 
 
 def _steady_from(table: Ticks, found: Sequence[Event]) -> float:
-    """The time from which no step, no landing and no knock lies in the data."""
+    """Start of the data without any step, landing or knock [s]."""
     marks = [t for e in found for t in (e.detected_s, e.end_s) if t is not None]
     judged = np.flatnonzero(table.mode == JUDGE)
     for k in np.flatnonzero((table.mode[1:] == JUDGE) & (table.mode[:-1] != JUDGE)) + 1:
@@ -121,7 +120,7 @@ def _steady_from(table: Ticks, found: Sequence[Event]) -> float:
 
 def _per_rotor(d: np.ndarray, sd: np.ndarray, columns: np.ndarray, weak: np.ndarray) -> list:
     """(growth, reach of its interval, word or None) of each rotor, or None where it cannot be estimated, for a drift d (3,) with deviations
-    sd. columns (3, n): drift by growth of 1; weak (n,): rotors that have lost something, and can win it back."""
+    sd. columns (3, n): drift by growth of 1; weak (n,): rotors with a loss, which may recover."""
     y, A = d / sd, columns / sd[:, None]
     information = np.maximum((A**2).sum(axis=0), 1e-12)
     alone = A.T @ y / information

@@ -1,8 +1,5 @@
-"""One picture around a loss of control, or a motor that lost step: its moments, wanted and actual attitude or rates, the commands of every
-rotor, and their speeds.
-
-Series have at most MOST samples, whatever the log's rate, so that an answer stays small.
-"""
+"""Plot data around a loss of control or a desync: its times, commanded and actual attitude or rates, the commands of every rotor, and their
+speeds. Series have at most MOST samples, whatever the log's rate, so that an answer stays small."""
 
 from __future__ import annotations
 
@@ -21,13 +18,13 @@ from rotorwatch.flight.kinds import DESYNC, LOST
 from rotorwatch.flight.vehicle import Vehicle
 
 MOST = 160  # samples of a series
-BEFORE_S, AFTER_S = 1.5, 1.0  # of the initiating event and of the end that are shown
-# Before and after control began to be lost: what is further away would make the rest too small to see.
+BEFORE_S, AFTER_S = 1.5, 1.0  # shown before the initiating event, and after the end
+# Shown before and after the loss of control began: more would make the rest too small.
 EARLIEST_S, LATEST_S = 6.0, 12.0
 GOOD_S = 1.0
 MARGIN_S = 0.3  # before the lift-off
 AROUND_S = 0.5  # of a desync
-HELD_S = 3.0  # of commands before, which are held where outputs are logged slowly
+HELD_S = 3.0  # of earlier commands, which are held where outputs are logged slowly
 
 
 def compose(
@@ -37,7 +34,7 @@ def compose(
     main: int | None,
     hops: Sequence[tuple[float, float]] = (),
 ) -> dict[str, Any] | None:
-    """The picture's data, as in docs/json.md; None where control was not lost and no motor lost step. hops: ((take-off, landing), ..) s."""
+    """The plot's data, as in docs/json.md; None without a loss of control or a desync. hops: ((take-off, landing), ..) s."""
     lost = next((e for e in events if e.kind == LOST), None)
     if lost is not None:
         return _drawn(flight, vehicle, *_fall(lost, events, main, hops))
@@ -51,7 +48,7 @@ def compose(
 
 
 def _fall(lost: Event, events: Sequence[Event], main: int | None, hops: Sequence[tuple[float, float]]):
-    """(start, end, marks, accused rotors) of a loss of control."""
+    """(start, end, marks, rotors at fault) of a loss of control."""
     first = initiating_event(events, main)
     began = lost.onset_s if first is None else min(first.onset_s, lost.onset_s)
     up = next((a for a, b in hops if a <= began <= b and began - a < FIRST_S), None)
@@ -86,7 +83,7 @@ def _drawn(
 
 
 def _attitude(flight: Flight, start: float, end: float) -> dict[str, Any] | None:
-    """Roll and pitch [degrees], as flown and as wanted, at the samples of the attitude."""
+    """Roll and pitch [degrees], actual and commanded, at the samples of the attitude."""
     if not flight.has("attitude"):
         return None
     time = _some(flight["attitude"].time, start, end)
@@ -102,7 +99,7 @@ def _attitude(flight: Flight, start: float, end: float) -> dict[str, Any] | None
 
 
 def _rates(flight: Flight, start: float, end: float) -> dict[str, Any] | None:
-    """Rates [degrees/s] as flown and as wanted, of a vehicle that is flown by them."""
+    """Rates [degrees/s], actual and commanded, of a vehicle that is flown by rates."""
     flown, wanted = rates(flight)
     if flown is None or wanted is None:
         return None

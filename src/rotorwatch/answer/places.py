@@ -1,4 +1,4 @@
-"""Where a rotor sits, in words that somebody who stands behind the vehicle understands: 'rear left', 'right, lower'."""
+"""The location of a rotor, in words, as seen from behind the vehicle: 'rear left', 'right, lower'."""
 
 from __future__ import annotations
 
@@ -8,17 +8,16 @@ import numpy as np
 
 from rotorwatch.flight.vehicle import SAME_ARM, Rotor
 
-STRAIGHT = 22.4  # degrees: so close to an axis, a rotor is in front, at the side or at the rear; else in a corner
+STRAIGHT = 22.4  # degrees: within this of an axis, a rotor is in front, at the side or at the rear; else in a corner
 SIDES = ("front", "right", "rear", "left")
 CORNERS = ("front right", "rear right", "rear left", "front left")
 
 
 def names(rotors: Sequence[Rotor]) -> tuple[str, ...]:
-    """One name for each rotor, all different; x forward, y right. Empty names when rotors have no places.
+    """A name for each rotor, all different; x forward, y right. Empty names when rotors have no places.
 
-    Two rotors of one corner are distinguished by the side they are nearer to, or as inner and outer; two on one arm as
-    upper and lower: as in the vehicle's description, else the one with less thrust, else the one listed later is the lower one.
-    """
+    Two rotors of one corner are distinguished by the side they are nearer to, or as inner and outer; two on one arm as upper and lower: as
+    in the vehicle's description, else the one with less thrust, else the one listed later is the lower one."""
     at = np.array([(r.x, r.y) for r in rotors], float).reshape(-1, 2)
     reach = np.abs(at).max(initial=0.0)
     if reach <= 0.0:
@@ -30,8 +29,8 @@ def names(rotors: Sequence[Rotor]) -> tuple[str, ...]:
     for word in set(words):
         alike = [j for j, w in enumerate(words) if w == word]
         if len(alike) > 1:
-            for j, more in zip(alike, _distinguished(at[[first[j] for j in alike]], word), strict=True):
-                words[j] = f"{word}, {more}"
+            for j, detail in zip(alike, _distinguished(at[[first[j] for j in alike]], word), strict=True):
+                words[j] = f"{word}, {detail}"
     out = [""] * len(rotors)
     for arm, word in zip(arms, words, strict=True):
         for k, level in zip(arm, _levels([rotors[k] for k in arm]), strict=True):

@@ -1,5 +1,4 @@
-"""Losses that grow slowly, and losses that are said to be over and last, as the trim of a whole flight shows them: with the others, in
-words."""
+"""Losses that grow slowly, and losses that were announced as over but last, by the trim of a whole flight: merged with the others."""
 
 from __future__ import annotations
 
@@ -16,23 +15,23 @@ from rotorwatch.flight.kinds import LOSS
 
 
 def join(losses: Sequence[Event], grown: Growth | None) -> tuple[Event, ...]:
-    """The losses of a flight with the one that the trim shows, if that is certain (`engine.trim.told.Growth.join`)."""
+    """The losses of a flight with the one that the trim shows, if it is certain (`engine.trim.told.Growth.join`)."""
     if grown is None or not grown.certain:
         return tuple(losses)
     room = len(losses) + 1
     rows = packed(losses, room)
     count = ENGINE.call(many.with_growth, grown.rows, rows, len(losses), room)
-    names, found = ("detail", "source", "onset", "detected"), []
+    names, events = ("detail", "source", "onset", "detected"), []
     for detail, source, *times in zip(*(rows[name][:count].tolist() for name in names)):
         new = detail in (GREW, STAYS)
-        found.append(
+        events.append(
             _event(grown, detail == GREW, losses[source] if source >= 0 else None, *times) if new else losses[source]
         )
-    return tuple(found)
+    return tuple(events)
 
 
 def _event(grown: Growth, grew: bool, first: Event | None, onset: float, detected: float) -> Event:
-    """The event of a loss that grew, or stays. first: the first one that it takes in."""
+    """The event of a loss that grew, or lasts. first: the first one that it replaces."""
     (rotor,), (size,) = grown.rotors, grown.loss
     reason = (
         f"the commanded torque gradually departed from the motion, along the direction of rotor {rotor} and by more than "

@@ -1,7 +1,5 @@
-"""The story of a loss of control in the order of time: the last good moment, the initiating event, the loss of control, how it ended, and
-what else is to be told, as what the autopilot itself reported. It is of the first loss of control of a flight; a flight without one has no
-story.
-"""
+"""The sequence of a loss of control in order of time: the last normal state, the initiating event, the loss of control, its end, and other
+notices, such as the autopilot's reports. It describes the first loss of control of a flight; a flight without one has no story."""
 
 from __future__ import annotations
 
@@ -11,9 +9,9 @@ from rotorwatch.answer.wording import candidates, rotors, said, seconds, sentenc
 from rotorwatch.flight.diagnosis import Event, StoryLine
 from rotorwatch.flight.kinds import LOST, Span, Weight
 
-FIRST_S = 3.0  # after lift-off: the vehicle never flew well, and the last good moment is that it stood
-SOON_S = 0.1  # a tick of slow logs: moments closer than this count as one
-# Causes that clear the rotors: {who} are all of them, {when} is until when they were seen to work.
+FIRST_S = 3.0  # after lift-off: the vehicle never flew normally, and its last normal state is on the ground
+SOON_S = 0.1  # a tick of slow logs: closer times count as one
+# Causes that clear the rotors: {who}: all of them; {when}: until when they were seen to work.
 FOLLOWED = "{who} followed their commands until {when}"
 CLEARED = {
     "disarmed": f"{FOLLOWED}, when the motors were disarmed in flight.",
@@ -37,8 +35,7 @@ def narrate(
     """The story of a flight of n rotors; empty where control was not lost.
 
     events: of the answer; main: index of the one that matters, or None; places: `places.names`; hops: ((take-off, landing), ...) s.
-    trusted: False where the log contradicts itself, and may not show what the rotors did.
-    """
+    trusted: False where the log contradicts itself, and may not show what the rotors did."""
     upsets = [e for e in events if e.kind == LOST]
     if not upsets:
         return ()
@@ -57,30 +54,23 @@ def narrate(
         out.append(StoryLine(lost.onset_s, _no_rotor(lost, n, places)))
     end = _end(lost, upsets[1:], hops)
     when = lost.detected_s if lost.detected_s <= end.time_s else max(lost.onset_s, out[-1].time_s)
-    beside = [StoryLine(e.onset_s, sentence(said(e.means.headline, e))) for e in events if _told_beside(e)]
+    notices = [e for e in events if e.means.weight is Weight.NOTICE and not e.rotors]
+    beside = [StoryLine(e.onset_s, sentence(said(e.means.headline, e))) for e in notices]
     lines = (*out, StoryLine(when, _lost(lost, when, first, n)), end, *beside)
     return tuple(sorted(lines, key=lambda line: line.time_s))
 
 
-def _told_beside(event: Event) -> bool:
-    return event.means.weight is Weight.NOTICE and not event.rotors
-
-
 def initiating_event(events: Sequence[Event], main: int | None) -> Event | None:
-    """The event with which it began: the main one when it came before control was lost, else the first that lasted until then."""
+    """The event that started the sequence: the main one when it came before control was lost, else the first that lasted until then."""
     lost = next((e for e in events if e.kind == LOST), None)
     if lost is None:
         return None
-    before = [e for e in events if _may_begin(e) and e.onset_s <= lost.detected_s]
+    faults = [e for e in events if e.means.accuses and e.means.span is not Span.SPELLS]  # a momentary desync is over
+    before = [e for e in faults if e.onset_s <= lost.detected_s]
     if main is not None and events[main] in before:
         return events[main]
     lasted = [e for e in before if e.end_s is None or e.end_s >= lost.onset_s]
     return min(lasted, key=lambda e: e.onset_s, default=None)
-
-
-def _may_begin(event: Event) -> bool:
-    """A motor that lost step for a moment came back."""
-    return event.means.accuses and event.means.span is not Span.SPELLS
 
 
 def _initiating_sentence(event: Event, lost: Event, places: Sequence[str]) -> str:
@@ -89,7 +79,7 @@ def _initiating_sentence(event: Event, lost: Event, places: Sequence[str]) -> st
 
 
 def _no_rotor(lost: Event, n: int, places: Sequence[str]) -> str:
-    """The sentence on the rotors where no event accuses one."""
+    """The sentence on the rotors where no event names one."""
     if lost.alternatives:
         return f"At {seconds(lost.onset_s)} {' or '.join(rotors(a, places) for a in lost.alternatives)} may have failed, or something else."
     if lost.rotors:
@@ -111,7 +101,7 @@ def _lost(lost: Event, when: float, first: Event | None, n: int) -> str:
     named = frozenset() if first is None else first.suspects
     other = not named & lost.suspects
     if first is not None and lost.extra.get("cause") in CLEARED and other:
-        text += f" {_cleared(lost, n)}"  # what had begun before is not why
+        text += f" {_cleared(lost, n)}"  # an earlier event is not the cause
     return text
 
 

@@ -1,8 +1,5 @@
-"""What a picture of the flight needs, on the estimator's ticks: estimates, evidence, residuals, commands, attitude, modes and messages,
-and what `context` adds.
-
-A tick without a sample has no value: over a short gap the line goes straight on, over a long one there is none.
-"""
+"""Time series for the plots of a flight, on the estimator's ticks: estimates, evidence, residuals, commands, attitude, modes and messages,
+and those of `context`. Short gaps are interpolated, long ones stay gaps."""
 
 from __future__ import annotations
 
@@ -18,7 +15,7 @@ from rotorwatch.flight.diagnosis import Trace
 
 LN10 = float(np.log(10.0))
 LEAST_ODDS = -3.0
-BRIDGE_S = 0.6  # a gap that logging makes, not a dropout
+BRIDGE_S = 0.6  # longest gap between samples that is no dropout
 KINDS = ("mode", "armed", "landed", "error", "event", "text", "dropout")
 
 
@@ -45,7 +42,7 @@ def compose(
         blind.append((spell.onset_s, spell.end_s, f"evidence against {rotors(spell.rotors)} that no event explains"))
     lower, upper = np.clip(out.theta - spread, 0, 1), np.clip(out.theta + spread, 0, 1)
     _open(lower, upper, table.time, found, spells)
-    for k, state in enumerate(states):  # the loss that can have gone unseen, as in the rotor table
+    for k, state in enumerate(states):  # the undetected loss, as in the rotor table
         if state.since_takeoff is not None and not (out.theta[:, k] > 0.0).any():
             upper[judging, k] = np.maximum(upper[judging, k], state.since_takeoff[1])
     time, seen = table.time, np.ones(table.time.size, bool) if table.seen is None else table.seen
@@ -62,7 +59,7 @@ def compose(
 
 
 def _open(lower: np.ndarray, upper: np.ndarray, time: np.ndarray, found, spells) -> None:
-    """Widen the bands of suspects as the rotor table does: over every explanation of an event, and up to all after unexplained evidence."""
+    """Widen the bands of suspects as the rotor table does: over every explanation of an event, and up to 1 after unexplained evidence."""
     for e in found:
         inside = (time >= e.detected_s) & (time <= (np.inf if e.end_s is None else e.end_s))
         for rotor in e.suspects if e.alternatives and e.interval else ():
@@ -75,7 +72,7 @@ def _open(lower: np.ndarray, upper: np.ndarray, time: np.ndarray, found, spells)
 
 
 def _bridged(time: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """(T, k) with NaN rows filled in a straight line between their neighbours, where those are at most BRIDGE_S apart."""
+    """(T, k) with NaN rows interpolated linearly between neighbours that are at most BRIDGE_S apart."""
     missing = np.isnan(values).any(axis=1)
     have = np.flatnonzero(~missing)
     if not missing.any() or have.size < 2:
@@ -109,7 +106,7 @@ def angles(flight: Flight, name: str, time: np.ndarray) -> np.ndarray | None:
 
 
 def rates(flight: Flight) -> tuple[Signal | None, Signal | None]:
-    """(flown, wanted) rates [rad/s] of a vehicle that is flown by them; None, None of one whose attitude is commanded."""
+    """(actual, commanded) rates [rad/s] of a vehicle that is flown by rates; None, None where its attitude is commanded."""
     if (
         not flight.has("rates_wanted")
         or flight.has("attitude_wanted")
@@ -120,7 +117,7 @@ def rates(flight: Flight) -> tuple[Signal | None, Signal | None]:
 
 
 def _held(signal: Signal | None, time: np.ndarray) -> np.ndarray | None:
-    """(T, 3) degrees/s at the latest sample of each tick; NaN where there is none as new as BRIDGE_S."""
+    """(T, 3) degrees/s at the latest sample of each tick; NaN where that is older than BRIDGE_S."""
     if signal is None:
         return None
     at = np.searchsorted(signal.time, time, side="right") - 1

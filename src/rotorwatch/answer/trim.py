@@ -1,5 +1,5 @@
-"""What the trim of a flight shows (engine/trim/): a loss of one rotor that grew, or lasts; a mount or an arm that turned, which takes no
-thrust and accuses no rotor."""
+"""Results of the trim of a flight (engine/trim/): a loss of one rotor that grew, or lasts; a turned mount or arm, which costs no thrust and
+implicates no rotor."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rotorwatch.flight.kinds import TURNED
 
 
 class Growth(NamedTuple):
-    """A loss that has grown, or a step: `engine.trim.told.Growth`, with rotors from 1; rows: the same as the definition has it."""
+    """A loss that has grown, or a step: `engine.trim.told.Growth`, with rotors from 1; rows: the same in the definition's form."""
 
     rotors: tuple[int, ...]
     start_s: float
@@ -34,12 +34,12 @@ class Growth(NamedTuple):
 
     @property
     def certain(self) -> bool:
-        """Is it one rotor's, beyond doubt?"""
+        """True if it is certainly a single rotor's."""
         return len(self.rotors) == 1 and self.odds > CLEAR
 
 
 def growth(state: Rows) -> Growth | None:
-    """The loss of one rotor that lasts to the end of a flight and is likelier than anything else; None where there is none."""
+    """The loss of one rotor that lasts to the end of a flight and is the most likely explanation; None without such."""
     rows = state.part("growth").copy()
     count = int(rows["count"][0])
     if not count:
@@ -51,7 +51,7 @@ def growth(state: Rows) -> Growth | None:
 
 
 def mounts(state: Rows) -> tuple[Event, ...]:
-    """The claim that a mount turned, if there is one."""
+    """The claim that a mount turned, if any."""
     onset, detected, odds, yaw, half = (
         float(state.part("mount")[name][0]) for name in ("onset", "detected", "odds", "yaw", "half")
     )
@@ -67,8 +67,8 @@ def mounts(state: Rows) -> tuple[Event, ...]:
 
 
 def look(out, table: Ticks, B: np.ndarray) -> Rows:
-    """Look at a whole flight. out: the estimator's stacked outputs at the ticks of `table` (theta (T, n), biases (T, 4)); B (4, n):
-    effectiveness."""
+    """The trim analysis of a whole flight. out: the estimator's stacked outputs at the ticks of `table` (theta (T, n), biases (T, 4)); B
+    (4, n): effectiveness."""
     state, craft = ENGINE.new(trim.Trim), events.vehicle(B)
     state.set(every=LASTS)
     craft.set(expo_sd=table.curve[1])

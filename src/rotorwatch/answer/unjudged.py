@@ -1,4 +1,4 @@
-"""Why a flight could not be judged, or shows too little, and what would show more: the true reason, with its numbers."""
+"""Reasons why a flight could not be judged, or shows too little, with the numbers, and advice on what would show more."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from rotorwatch.engine.motion.allocation import Spans, within
 from rotorwatch.engine.motion.ticks import GROUND, LEARN, SHORTEST_S, Ticks
 from rotorwatch.flight import Flight
 
-SHAKEN = G0  # m/s^2: vibration that is as large as what carries the vehicle; lift-off, landing and thrust cannot be told from it
+SHAKEN = G0  # m/s^2: vibration as large as the weight, which masks lift-off, landing and thrust
 CARRIED = 0.8  # of the usual command in the air: it carries the vehicle
 RUNNING = 0.1  # share of the outputs' range, from which motors run
-LOOKS = 2000  # moments at which vibration is looked at
+LOOKS = 2000  # times at which vibration is computed
 NAMED = 3  # knocks that are named
-FEW_S = 30.0  # of judged flight: below, more of it is what shows more
+FEW_S = 30.0  # of judged flight: below, a longer flight shows more
 MOST = 0.5  # of the time in the air
 OUTPUTS = "Log the outputs that reach the motors; `rotorwatch info LOG` lists what a log holds and lacks."
 LONGER = "Fly for at least a minute, mostly in steady hover."
@@ -29,14 +29,14 @@ CALM = "Hover for a minute in calm air, without a swinging or shifting load."
 
 
 class Unjudged(NamedTuple):
-    """why: a clause; advice: a sentence on what shows more."""
+    """why: a clause; advice: a sentence on what would show more."""
 
     why: str
     advice: str
 
 
 def silent(what: str) -> Unjudged:
-    """Of a log that holds this of the outputs."""
+    """For a log with this description of its outputs."""
     return Unjudged(f"the log has {what}", OUTPUTS)
 
 
@@ -53,7 +53,7 @@ NEVER = Unjudged(
 
 
 def shaken(flight: Flight, air: Spans) -> Unjudged | None:
-    """Why a flight was taken for over while its rotors carried it on: vibration that is as large as its weight; None where it was not."""
+    """For a flight that was taken as ended while its rotors carried it on, because vibration was as large as its weight; None otherwise."""
     time, level = commands(flight)
     up = within(time, air)
     if not up.any() or (level[~up] > CARRIED * median(level[up])).sum() < up.sum():
@@ -71,9 +71,9 @@ def shaken(flight: Flight, air: Spans) -> Unjudged | None:
 def find(
     air: Spans, table: Ticks, judged_s: float, needed_s: float, hovers: bool, enough_s: float, steps: bool
 ) -> Unjudged:  # fmt: skip
-    """Why of a flight of these ticks only judged_s s were judged, or a loss that matters could have gone unseen in them. needed_s: of
-    flight in one piece, for enough_s judged; hovers: the balance of hover judges it, not its angular motion; steps: it is steps of its
-    trim that hide a loss."""
+    """The reason why only judged_s s of a flight were judged, or a significant loss could have remained undetected. needed_s: of continuous
+    flight, for enough_s judged; hovers: it is judged by the balance of hover, not by its angular motion; steps: steps of its trim mask a
+    loss."""
     return (
         _shown_little(table, judged_s, hovers, steps)
         if judged_s >= enough_s
@@ -82,7 +82,7 @@ def find(
 
 
 def patchy(air: Spans, table: Ticks, hovers: bool) -> Unjudged:
-    """Why much of a flight of these ticks was not judged, though some of it shows enough."""
+    """The reason why much of a flight was not judged, though the rest shows enough."""
     if table.contacts:
         when = [seconds(c.time) for c in table.contacts]
         times = listed(when) if len(when) <= NAMED else f"{when[0]} and {len(when) - 1} times more"
@@ -91,13 +91,13 @@ def patchy(air: Spans, table: Ticks, hovers: bool) -> Unjudged:
 
 
 def vibration(flight: Flight) -> float:
-    """Usual size [m/s^2] of what an accelerometer shows above the motion while the motors run; 0 where it is not known."""
+    """Usual size [m/s^2] of the accelerometer's signal above the motion while the motors run; 0 where unknown."""
     time, level = commands(flight)
     running = time[level > RUNNING]
     size = context.vibration(flight, running[:: 1 + len(running) // LOOKS])
-    known = np.zeros(0) if size is None else np.linalg.norm(size, axis=1)
-    known = known[np.isfinite(known)]
-    return float(median(known)) if known.size else 0.0
+    norms = np.zeros(0) if size is None else np.linalg.norm(size, axis=1)
+    norms = norms[np.isfinite(norms)]
+    return float(median(norms)) if norms.size else 0.0
 
 
 def _too_little(air: Spans, table: Ticks, needed_s: float, hovers: bool) -> Unjudged:

@@ -1,27 +1,27 @@
-"""How large a loss of each rotor can be that has not been announced.
+"""The largest loss of each rotor that can have remained undetected.
 
-What is not announced has been taken for a disturbance: from its onset on the estimated biases of roll, pitch and yaw hold what the rotor
-does not give. A loss L of rotor i is a step of
+A loss that is not announced is taken for a disturbance: from its onset on the estimated biases of roll, pitch and yaw include the rotor's
+deficit. A loss L of rotor i is a step of
 
     z = b / mean T      by      L B_i T_i / mean T
 
-b: biases [hover thrusts of one rotor]; T: thrusts commanded; dividing by the mean takes a sagging battery out. For every onset between
-two blocks of time L is weighted least squares on the difference of the means of z after and before it; the variance of z is enlarged by
-(1 + r) / (1 - r) for errors of an autoregression with correlation r from block to block. The bound is the largest upper end of the 95 %
-intervals over all onsets from 10 s after judging began to 10 s before its end (6 s in short flights). Wind that turns, or a load that
-shifts, is such a step as well: the bound then says that a loss could look like this. Thrust itself, which battery and air move for all
-rotors alike, is left out for a single rotor.
+b: biases [hover thrusts of one rotor]; T: thrusts commanded; dividing by the mean removes a sagging battery. For every onset between two
+blocks of time L is weighted least squares on the difference of the means of z after and before it; the variance of z is enlarged by (1 + r)
+/ (1 - r) for errors of an autoregression with correlation r from block to block. The bound is the largest upper end of the 95 % intervals
+over all onsets from 10 s after judging began to 10 s before its end (6 s in short flights). Turning wind, or a shifting load, is such a
+step as well: the bound then states that a loss could look like it. Thrust itself, which battery and air change for all rotors alike, is
+left out for a single rotor.
 
-Where such a step is certain, began with certain evidence for that rotor (`CERTAIN_NATS` each, against no change at all; the
-beginning of one tick), and has stayed since, the flight cannot be called healthy: a gust explains the beginning as well, and another
-wind the rest, but a loss explains both.
+Where such a step is certain, began with certain evidence for that rotor (`CERTAIN_NATS` each, against no change at all; the beginning of
+one tick), and has lasted since, the flight cannot be called healthy: a gust explains the beginning as well, and another wind the rest, but
+a loss explains both.
 
-Equal losses of rotors that are opposite each other cancel in roll and pitch, and where both turn the same way as the others on average in
-yaw, too. For these pairs thrust is used as well: the bound then holds a sagging battery and rising air.
+Equal losses of opposite rotors cancel in roll and pitch, and where both turn the same way as the others on average in yaw, too. For these
+pairs thrust is used as well: the bound then includes a sagging battery and rising air.
 
-Sources: G. V. Bayley and J. M. Hammersley, The effective number of independent observations in an autocorrelated time series, Supplement
-to the Journal of the Royal Statistical Society 8 (1946) 184-197, for the enlargement; M. G. Kendall, Note on bias in the estimation of
-autocorrelation, Biometrika 41 (1954) 403-404, for the (1 + 3 r) / N by which r comes out too small.
+Sources: G. V. Bayley and J. M. Hammersley, The effective number of independent observations in an autocorrelated time series, Supplement to
+the Journal of the Royal Statistical Society 8 (1946) 184-197, for the enlargement; M. G. Kendall, Note on bias in the estimation of
+autocorrelation, Biometrika 41 (1954) 403-404, for the (1 + 3 r) / N by which r is biased low.
 """
 
 from __future__ import annotations
@@ -51,37 +51,36 @@ def _step_explained(claim: Event, known: Event) -> bool:
 
 
 STEPS = Source("steps", 11, _step_explained)
-STEP_S = 2.0  # length of a block; a longer one hides the scatter of wind, a shorter one is as correlated as the wind is
+STEP_S = 2.0  # length of a block; a longer one masks the scatter of wind, a shorter one is as correlated as wind
 BLOCKS = 8, 200  # at least, so that short flights have shorter ones, and at most
 SPELL = 3  # blocks before and after an onset
-FIRM = 5  # the same for the bound, where the flight is long enough: means of fewer say nothing of a step
+FIRM = 5  # the same for the bound, where the flight is long enough: means of fewer do not resolve a step
 CORRELATED = 0.9  # at most
 # Causes of a loss of control that rest on how rotors answer their commands.
 CLEARS = ("controller", "saturated", "unknown")
-PUSH_S, LEANS_S = 1.0, 3.0  # before the force of a push is that large; wind that turns pushes for less than that
-TOGETHER = 256  # pieces of a flight that are looked at together: one by one they cost more than the estimator
-ROWS = 2048  # that are stored of a flight; of longer ones a row is the sum of several ticks
+PUSH_S, LEANS_S = 1.0, 3.0  # before the force of a push is that large; length of a push, beyond that of turning wind
+TOGETHER = 256  # chunks of a flight processed together: one by one they cost more than the estimator
+ROWS = 2048  # stored of a flight; in longer ones a row is the sum of several ticks
 
 
 def bounds(out, table: Ticks, B: np.ndarray) -> Unseen:
-    """What a whole flight shows. out: the estimator's outputs at the ticks of `table`; B (4, n): effectiveness."""
+    """The bounds of a whole flight. out: the estimator's outputs at the ticks of `table`; B (4, n): effectiveness."""
     seen = Unseen(B, table.dt)
     seen.add(out, table)
     return seen
 
 
 def usable(table: Ticks) -> np.ndarray:
-    """(T,) bool: the ticks whose biases count. Rotors that do not carry the vehicle cannot lack anything; those of a tricopter
-    make no yaw."""
+    """(T,) bool: the ticks whose biases count. Rotors that do not carry the vehicle show no deficit; those of a tricopter make no yaw."""
     return (
         (table.mode == JUDGE) & table.valid[:, :YAW].all(axis=1) & ~table.upset & (table.thrust.mean(axis=1) > CARRIES)
     )
 
 
 class Rows(NamedTuple):
-    """R stretches of one or more ticks each. sums (R, 4 + n): of biases and thrusts; odds (R, n): the most evidence [nats] against each
-    rotor alone; when, onset (R, n): the time of that, and since when it says that the rotor is weak [s]; leads (R, n): at some time no
-    disturbance had more; began (R,): a flight begins in it, or since the one before."""
+    """R stretches of one or more ticks each. sums (R, 4 + n): of biases and thrusts; odds (R, n): the largest evidence [nats] against each
+    rotor alone; when, onset (R, n): its time, and the onset that it implies [s]; leads (R, n): it exceeded any disturbance at some time;
+    began (R,): a flight begins in the stretch, or since the one before."""
 
     sums: np.ndarray
     odds: np.ndarray
@@ -97,7 +96,7 @@ class Rows(NamedTuple):
         return Rows(*(column[rows] for column in self))
 
     def merged(self, k: int) -> Rows:
-        """Stretches of k rows each; a last one that is not whole is left out."""
+        """Stretches of k rows each; an incomplete last one is left out."""
         if k == 1:
             return self
         whole = len(self.sums) // k
@@ -108,24 +107,21 @@ class Rows(NamedTuple):
 
 
 class Unseen:
-    """The bounds of a flight that goes on; its memory does not grow. B (4, n): effectiveness; dt: length of a tick, s."""
+    """The bounds of an ongoing flight; memory is bounded. B (4, n): effectiveness; dt: length of a tick, s."""
 
     def __init__(self, B: np.ndarray, dt: float):
         self.B, self._dt, self._each = B, dt, 1
         n = B.shape[1]
         self._disturbance, none = ~list_hypotheses(n).fault, np.empty((0, n))
         self._rows = Rows(np.empty((0, 4 + n)), none, none, none, none > 0.0, np.empty(0, bool))  # of `_each` ticks
-        self._rest = self._rows  # ticks that are too few for a row
-        self._new: list[tuple[np.ndarray, ...]] = []  # what is looked at once it is many, or asked for
-        self._began = False  # a flight has begun since the last tick in a row or the rest
-        self._pushed, self._rested = (
-            False,
-            -np.inf,
-        )  # whether something outside pushes it at the last tick; when nothing did last [s]
-        self._pushes: list[float] = []  # when something outside began to push the vehicle [s]
+        self._rest = self._rows  # ticks too few for a row
+        self._new: list[tuple[np.ndarray, ...]] = []  # chunks not yet processed
+        self._began = False  # whether a flight began since the last tick in a row or the rest
+        self._pushed, self._rested = False, -np.inf  # pushed at the last tick; last time without a push [s]
+        self._pushes: list[float] = []  # onsets of pushes by an external force [s]
 
     def add(self, out, table: Ticks) -> None:
-        """More ticks, with the estimator's outputs at them."""
+        """Add ticks, with the estimator's outputs at them."""
         if self._rested == -np.inf:
             self._rested = float(table.time[0])
         since = np.maximum.accumulate(np.where(out.pushed, self._rested, table.time))
@@ -133,7 +129,7 @@ class Unseen:
         starts = np.flatnonzero(out.pushed & ~np.concatenate([[self._pushed], out.pushed[:-1]]))
         self._pushes += table.time[starts].tolist()
         self._pushed, self._rested = bool(out.pushed[-1]), float(since[-1])
-        # What pushes sideways turns the vehicle as well; what leans on it may leave it otherwise trimmed than it was.
+        # A lateral force turns the vehicle as well; a contact may leave another trim.
         arrays = (
             usable(table) & ~out.pushed,
             table.restart | leans,
@@ -157,12 +153,12 @@ class Unseen:
             added = ticks.part(slice(whole)).merged(self._each)
             if len(self._rows.sums) + len(added.sums) <= ROWS:
                 break
-            self._rows = self._rows.merged(2)  # of an odd number the last row is dropped: it is half of a new one
+            self._rows = self._rows.merged(2)  # the last row of an odd number is half of a new one
             self._each *= 2
         self._rows, self._rest = self._rows.joined(added), ticks.part(slice(whole, None))
 
     def _looked_at(self, use, restart, time, thrust, biases, log_odds, onset) -> Rows:
-        """The ticks that are usable."""
+        """Rows of the usable ticks."""
         begun = int(self._began) + np.cumsum(restart)
         count = begun[use]
         self._began = bool(begun[-1] > count[-1]) if count.size else bool(begun[-1])
@@ -174,8 +170,8 @@ class Unseen:
         return Rows(sums, odds, when, since, odds >= others[:, None], np.diff(count, prepend=0) > 0)
 
     def suspected(self, found: Sequence[Event], end_s: float) -> tuple[Event, ...]:
-        """The rotors that a step accuses which has stayed until end_s and began with certain evidence. found: events, for the knocks, whose
-        evidence speaks of themselves."""
+        """The rotors of a step that began with certain evidence and lasted until end_s. found: events, for the knocks, whose evidence
+        concerns themselves."""
         step = self.step()
         if step is None or step.nats.max() < CERTAIN_NATS:
             return ()
@@ -188,7 +184,7 @@ class Unseen:
         here = self._rows.part(slice(first, last + 1))
         odds = np.where(self._disturbed(here.when, found), -np.inf, here.odds)[:, who]
         if odds.max() < CERTAIN_NATS or here.began[1:].any():
-            return ()  # between two flights battery and payload change as well
+            return ()  # battery and payload change as well between two flights
         sure, rotor = np.unravel_index(odds.argmax(), odds.shape)
         rotors = tuple(int(i) + 1 for i in who[step.nats[who].argsort()[::-1]])
         half = WITHIN_95 * events.sd_of(step.loss, step.half / WITHIN_95, self.B)
@@ -198,15 +194,15 @@ class Unseen:
         return (residual_evidence.claim(rotors, since, end_s, interval, source=STEPS),)
 
     def _disturbed(self, when: np.ndarray, found: Sequence[Event]) -> np.ndarray:
-        """Whether the evidence at these times [s] speaks of a knock among the events, or of what then pushes the vehicle."""
+        """True if the evidence at these times [s] is due to a knock among the events, or to a push."""
         pushed = np.zeros(np.shape(when), bool)
         for start in self._pushes:
             pushed |= (when > start - PUSH_S) & (when <= start)
         return pushed | residual_evidence.knocked(when, found)
 
     def doubted(self, found: Sequence[Event]) -> tuple[Event, ...]:
-        """The events, but a loss of control that no rotor is blamed for has those as alternatives against which evidence was certain
-        shortly before, and more than for any disturbance: what a rotor lacks by then is part of the trim that its rotors are judged by."""
+        """The events, with alternatives added to a loss of control without a rotor at fault: rotors against which evidence was certain
+        shortly before, and exceeded that of any disturbance. Their deficit by then is part of the trim that the rotors are judged by."""
         return tuple(self._doubted(e, found) if e.kind == LOST else e for e in found)
 
     def _doubted(self, lost: Event, found: Sequence[Event]) -> Event:
@@ -230,17 +226,17 @@ class Unseen:
         )  # fmt: skip
 
     def losses(self) -> np.ndarray:
-        """Upper bound (n,) of what each rotor can have lost since judging began and was not announced; 1 where too little was judged."""
+        """Upper bound (n,) of the loss of each rotor since judging began that was not announced; 1 where too little was judged."""
         return self._of(np.eye(self.B.shape[1]), 3).upper(self.B)
 
     def step(self) -> Step | None:
-        """The step of one rotor that explains most, or None where too little was judged."""
-        found = self._of(np.eye(self.B.shape[1]), 3)
-        return found.largest() if len(found.before) else None
+        """The step of one rotor with the largest evidence, or None where too little was judged."""
+        steps = self._of(np.eye(self.B.shape[1]), 3)
+        return steps.largest() if len(steps.before) else None
 
     def pair(self, partners: Mapping[int, Sequence[int]]) -> float:
-        """The same of equal losses of two rotors, the largest of all pairs; 0 without any. partners: to each rotor (0-based) the ones
-        opposite."""
+        """The same for equal losses of two rotors, the largest of all pairs; 0 without any. partners: the opposite rotors of each rotor
+        (0-based)."""
         pairs = [(i, j) for i, js in partners.items() for j in js if i < j]
         sets = np.zeros((self.B.shape[1], len(pairs)))
         for k, pair in enumerate(pairs):
@@ -260,8 +256,8 @@ class Unseen:
 
 
 class Step(NamedTuple):
-    """A step of the biases that a loss of one rotor explains. before: share of the judged ticks before it; block: share of them that one
-    block is; loss (n,) of each rotor; half (n,): half its 95 % interval; nats (n,): how much better than no step each explains it."""
+    """A step of the biases as a loss of one rotor. before: share of the judged ticks before it; block: share of one block; loss (n,) of
+    each rotor; half (n,): half its 95 % interval; nats (n,): evidence of each against no step."""
 
     before: float
     block: float
@@ -283,8 +279,8 @@ class _Steps(NamedTuple):
         return student_quantile(0.975, self.N - 2) / np.sqrt(self.information)
 
     def upper(self, B: np.ndarray) -> np.ndarray:
-        """(m,): the largest upper end over all onsets but the first and the last, with what the model of a vehicle is uncertain of; 1
-        without any."""
+        """(m,): the largest upper end over all onsets but the first and the last, with the uncertainty of the vehicle's model; 1 without
+        any."""
         if not len(self.before):
             return np.ones(self.loss.shape[1])
         loss = np.maximum(self.loss, 0.0)
@@ -304,7 +300,7 @@ def _steps(z: np.ndarray, share: np.ndarray, B: np.ndarray, sets: np.ndarray) ->
     k = np.arange(SPELL, N - SPELL + 1)[:, None]  # blocks before the onset
     sums, shares = z.cumsum(axis=0), share.cumsum(axis=0)
     before, after = sums[k[:, 0] - 1] / k, (sums[-1] - sums[k[:, 0] - 1]) / (N - k)
-    # The scatter is that about the step that explains most: about any other one, the step itself would count as scatter.
+    # The scatter is about the best step: about any other one, the step itself would count as scatter.
     squares = np.maximum((z**2).sum(axis=0) - k * before**2 - (N - k) * after**2, 1e-12)
     best = int(np.log(squares).sum(axis=1).argmin())
     left = z - np.where(np.arange(N)[:, None] < k[best], before[best], after[best])

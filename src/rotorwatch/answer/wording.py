@@ -16,17 +16,17 @@ CAUSES = {"propeller": "propeller", "motor_or_esc": "motor or ESC", "bearing": "
 BASELINE = (
     "To detect smaller damage present at take-off, give a healthy flight of the same build: --baseline HEALTHY.LOG."
 )
-LONGEST, SAYS = 200, 40  # letters of a headline; of a sentence that says something without its last clause
+LONGEST, SAYS = 200, 40  # letters of a headline; of a sentence without its last clause, at least
 NAMED = 5  # gaps that warnings name
 VERDICTS = {
     "healthy": "Healthy", "fault": "Fault found", "crashed": "Crashed, no rotor fault", "ambiguous": "Ambiguous",
     "inconclusive": "Inconclusive",
 }  # fmt: skip
 
-# Grade of health, and the loss from which it holds. 5 %: propellers and motors of one build differ by as much. 20 %: the rotor turns 12 %
+# Grade of health, and its least loss. 5 %: scatter of propellers and motors of one build. 20 %: the rotor turns 12 %
 # faster for the same thrust, which controllers hardly notice below. 50 %: of a vehicle with twice its weight in thrust, the rotor no
-# longer carries its own share at full command. Above TOTAL_LOSS it carries next to nothing: the status "failed" as well. The status
-# "degraded" is of any loss that was found, and so no grade has its name.
+# longer carries its own share at full command. Above TOTAL_LOSS it carries almost nothing: the status "failed" as well. The status
+# "degraded" covers any loss, so no grade has that name.
 SCALE = (("healthy", 0.0), ("worn", WORN), ("weak", MATTERS), ("critical", 0.50), ("failed", TOTAL_LOSS))
 
 
@@ -72,7 +72,7 @@ def rotors(numbers: Iterable[int], places: Sequence[str] = ()) -> str:
 
 def not_commanded(gaps: Sequence[Gap], n: int) -> list[str]:
     """Sentences on the commands that the log of n rotors lacks in the air."""
-    said = []
+    sentences = []
     for gap in gaps[:NAMED]:
         what = (
             "No motor outputs are logged"
@@ -80,39 +80,43 @@ def not_commanded(gaps: Sequence[Gap], n: int) -> list[str]:
             else f"The log has no command for {rotors(gap.rotors)}"
         )
         if gap.lasts:
-            said.append(f"{what} from {gap.start:.1f} s to the end of the flight: nothing can be assessed after that.")
+            sentences.append(
+                f"{what} from {gap.start:.1f} s to the end of the flight: nothing can be assessed after that."
+            )
         elif gap.first:
-            said.append(
+            sentences.append(
                 f"{what} from lift-off at {gap.start:.1f} s to {gap.end:.1f} s: the flight is assessed from then on, and earlier "
                 "damage counts as present at take-off."
             )
         else:
-            said.append(
+            sentences.append(
                 f"{what} from {gap.start:.1f} s to {gap.end:.1f} s, in the air: what happened in that time shows only by "
                 "its effect afterwards."
             )
     if len(gaps) > NAMED:
-        said.append(f"The same applies to {len(gaps) - NAMED} more gaps, the last one up to {gaps[-1].end:.1f} s.")
-    return said
+        sentences.append(f"The same applies to {len(gaps) - NAMED} more gaps, the last one up to {gaps[-1].end:.1f} s.")
+    return sentences
 
 
 def together(outputs: Sequence[Event]) -> list[tuple[str, bool]]:
-    """Of outputs that left the mixer together: a sentence for each time, and whether it lasts up to the end."""
+    """(sentence, whether it lasts to the end) for each group of outputs that left the mixer together."""
     spans: dict[tuple[float, float | None], list[int]] = {}
     for e in outputs:
         spans.setdefault((e.onset_s, e.end_s), []).extend(e.rotors)
-    said = []
+    sentences = []
     for (start, end), who in spans.items():
         until = "to the end" if end is None else f"to {end:.1f} s"
         what = (
             f"the outputs of {rotors(sorted(who))} depart from the mixer at the same sample, from {start:.1f} s {until}"
         )
-        said.append((f"{sentence(what)}: the log is wrong there and is not evidence of a rotor fault.", end is None))
-    return said
+        sentences.append(
+            (f"{sentence(what)}: the log is wrong there and is not evidence of a rotor fault.", end is None)
+        )
+    return sentences
 
 
 def candidates(event: Event, places: Sequence[str] = ()) -> str:
-    """The rotors of an event with what else explains the data: 'rotors 1 and 2, or rotors 3 and 4'."""
+    """The rotors of an event with its alternatives: 'rotors 1 and 2, or rotors 3 and 4'."""
     all_alike = f"all {len(places)} rotors alike"
     every = 2 < len(places)
     sets = (all_alike if every and len(places) == len(s) else rotors(s, places) for s in event.explanations)
@@ -120,17 +124,17 @@ def candidates(event: Event, places: Sequence[str] = ()) -> str:
 
 
 def headline(parts: Sequence[str], main: int = 0, caveats: Sequence[str] = ()) -> str:
-    """The sentences as a headline of at most LONGEST letters. main: index of the one that stays; caveats: those of `parts` that the reason
-    of the verdict says as well. What is too long loses first what it quotes, then the last clauses, caveats and sentences beside the main
-    one, whose number is said: events and reason have them all."""
+    """The sentences as a headline of at most LONGEST letters. main: index of the one that is kept; caveats: those of `parts` that the
+    reason of the verdict also states. Too long a headline first loses quotes, then last clauses, caveats and sentences beside the main one,
+    whose number is added: events and reason have them all."""
     kept, left = [(part, k == main) for k, part in enumerate(parts) if part], 0
 
     def text() -> str:
-        more = [f"And {left} more finding{'s' if left > 1 else ''}."] if left else []
-        return " ".join([*(part for part, _ in kept), *more])
+        ending = [f"And {left} more finding{'s' if left > 1 else ''}."] if left else []
+        return " ".join([*(part for part, _ in kept), *ending])
 
     def shorter(how: Callable[[str], str], also: bool = False) -> bool:
-        """Whether the last sentence that can be made shorter has been; also: the main one, too."""
+        """Shorten the last sentence that can be, and return whether there was one; also: the main one, too."""
         for k in reversed(range(len(kept))):
             part, stays = kept[k]
             if (also or not stays) and (new := how(part)) != part:
@@ -159,13 +163,13 @@ def _unquoted(text: str) -> str:
 
 
 def _without_clause(text: str) -> str:
-    """A sentence without what follows its last colon or semicolon, and without further ones after that."""
+    """A sentence cut at its last colon or semicolon, without further sentences."""
     cut = re.match(r'((?:[^":;]|"[^"]*"|[:;](?! ))*(?:[:;] .*)?)[:;] ', text)
     return f"{cut[1].rstrip('.')}." if cut else text
 
 
 def _without_reason(text: str) -> str:
-    """A sentence without its last clause, where what is before that says something and is no list of candidates."""
+    """A sentence without its last clause, where the rest is a statement and no list of candidates."""
     cut = _without_clause(text)
     return cut if len(cut) > SAYS and not re.search(": (rotor|all )", text) else text
 
@@ -174,8 +178,8 @@ def _without_last_candidate(text: str) -> str:
     """A sentence that ends with sets of rotors, without the last of them."""
     if not re.search(": (rotor|all )", text):
         return text
-    first, found, _ = text.removesuffix(", or others.").rpartition(", or ")
-    return f"{first}, or others." if found else text
+    first, separator, _ = text.removesuffix(", or others.").rpartition(", or ")
+    return f"{first}, or others." if separator else text
 
 
 def losses(event: Event) -> str:
@@ -201,12 +205,12 @@ def motor(numbers: Iterable[int], places: Sequence[str] = ()) -> str:
 
 
 def sentence(text: str) -> str:
-    """With a capital at the beginning."""
+    """The text with a capital at the beginning."""
     return text[:1].upper() + text[1:]
 
 
 def said(words: Words | str, event: Event, places: Sequence[str] = (), **more: str) -> str:
-    """A template of the table of kinds (flight/kinds.py) about an event. places: `places.names`; more: what else stands in its braces."""
+    """A template of the table of kinds (flight/kinds.py) filled for an event. places: `places.names`; more: values of further fields."""
     extra, count = event.extra, int(event.extra.get("count", 1))
     pieces = {
         "noun": event.means.noun,
@@ -236,7 +240,7 @@ def said(words: Words | str, event: Event, places: Sequence[str] = (), **more: s
 
 
 def lost(event: Event, what: str = "") -> str:
-    """'lost 37 % (33-41 %)' and what; of a rotor that follows no command, what it gives."""
+    """'lost 37 % (33-41 %)' and `what`; the thrust of a rotor that follows no command."""
     gives = event.extra.get("gives")
     if gives is None:
         return f"lost {losses(event)}{what}"
@@ -253,6 +257,6 @@ def when(event: Event) -> str:
 
 
 def cause(event: Event) -> str:
-    """What broke, as ESC telemetry has it, ready to follow 'lost thrust': ', by its propeller'; empty when that is not known."""
-    found = CAUSES.get(event.extra.get("cause", ""))
-    return f", by its {found}" if found and len(event.rotors) == 1 else ""
+    """The failed part, by ESC telemetry, to follow 'lost thrust': ', by its propeller'; empty when unknown."""
+    part = CAUSES.get(event.extra.get("cause", ""))
+    return f", by its {part}" if part and len(event.rotors) == 1 else ""

@@ -1,4 +1,4 @@
-"""Who may ask over HTTP: a program on this computer that knows the token, and no page of a browser."""
+"""Access control over HTTP: programs on this computer with the token, and no web page."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rotorwatch.serve import security
 
 
 def checked(host: str, token: str) -> str:
-    """The token, if it will do and the address is this computer's own. Raises ConfigError."""
+    """The token, if it is sufficient and the address is this computer's own. Raises ConfigError."""
     if not security.loopback(host):
         raise ConfigError(
             f"--host {host}: other computers can reach this address; give a loopback address such as 127.0.0.1."
@@ -27,7 +27,7 @@ def checked(host: str, token: str) -> str:
 
 
 class Access:
-    """Around the whole application. token: that every request has to bring."""
+    """Middleware around the whole application. token: required of every request."""
 
     def __init__(self, app: ASGIApp, token: str):
         self._app, self._token = app, token
@@ -37,9 +37,9 @@ class Access:
         await (refusal or self._app)(scope, receive, send)
 
     def _refusal(self, request: Request) -> Response | None:
-        """What is answered instead, or None for a request that may pass."""
+        """The answer to a refused request, or None for one with access."""
         headers = request.headers
-        if len(headers.getlist("host")) != 1 or not _own(headers["host"]):
+        if len(headers.getlist("host")) != 1 or not _is_local(headers["host"]):
             return _refused(421, "This is not the server's address; use the one it printed.")
         if not security.from_here(headers):
             return _refused(403, "This request came from another site.")
@@ -52,8 +52,8 @@ class Access:
         return None
 
 
-def _own(host: str) -> bool:
-    """Whether a Host header names this computer and nothing else: any other name was turned towards us by somebody's name server."""
+def _is_local(host: str) -> bool:
+    """True if a Host header names this computer alone: any other name points here by a foreign name server (DNS rebinding)."""
     try:
         parts = urlsplit(f"//{host}")
         return parts.username is None and security.loopback(parts.hostname or "") and (parts.port or 1) > 0

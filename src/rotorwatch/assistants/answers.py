@@ -1,4 +1,4 @@
-"""Diagnosis, log and vehicle as short answers: plain data, as models.py has it, bounded so that they fit into a conversation."""
+"""Diagnosis, log and vehicle as short answers: plain data in the types of models.py, of bounded size for a conversation."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SHORT = ("kind", "rotors", "alternatives", "onset_s", "detected_s", "end_s", "lo
 
 
 def cut(text: str, most: int = SENTENCE) -> str:
-    """A sentence of ours, no longer than that."""
+    """A sentence of rotorwatch's own, cut to that length."""
     return text if len(text) <= most else one_line(text, most)
 
 
@@ -60,8 +60,8 @@ def _line(number: int, event: Mapping) -> dict[str, Any]:
 
 def _rotor(r: Mapping) -> dict[str, Any]:
     row = {name: r[name] for name in ("rotor", "place", "status", "loss", "interval")}
-    more = {"since_takeoff": r["since_takeoff"], "grade": None if r["grade"] == "not judged" else r["grade"]}
-    return row | {name: value for name, value in (more | {"note": cut(r["note"], 120)}).items() if value}
+    optional = {"since_takeoff": r["since_takeoff"], "grade": None if r["grade"] == "not judged" else r["grade"]}
+    return row | {name: value for name, value in (optional | {"note": cut(r["note"], 120)}).items() if value}
 
 
 def compared(found: Diagnosis, name: str, healthy: Sequence[str]) -> dict[str, Any]:
@@ -111,7 +111,7 @@ def _short(value: Any) -> Any:
 def log(facts: Mapping[str, Any], name: str) -> dict[str, Any]:
     """`Log` of models.py. facts: as `report.info.info` gives them."""
     messages = sorted(facts["messages"], key=lambda m: (m["kind"] not in ("error", "text"), m["time_s"]))
-    shown = sorted(messages[:MOST_MESSAGES], key=lambda m: m["time_s"])
+    latest = sorted(messages[:MOST_MESSAGES], key=lambda m: m["time_s"])
     signals = [s for s in facts["signals"] if label(s["name"])][:MOST_SIGNALS]
     return {
         "log": quoted(name),
@@ -127,8 +127,8 @@ def log(facts: Mapping[str, Any], name: str) -> dict[str, Any]:
         "missing": [gap["signal"] for gap in facts["missing"] if not gap["present"]],
         "slow": [gap["signal"] for gap in facts["missing"] if gap["present"]],
         "parameters": facts["parameters"],
-        "messages": [{"time_s": m["time_s"], "kind": m["kind"], "text": quoted(m["text"], 80)} for m in shown],
-        "messages_left_out": len(facts["messages"]) - len(shown),
+        "messages": [{"time_s": m["time_s"], "kind": m["kind"], "text": quoted(m["text"], 80)} for m in latest],
+        "messages_left_out": len(facts["messages"]) - len(latest),
         "warnings": several(facts["warnings"], MOST_WARNINGS),
         "note": None if len(facts["messages"]) < MESSAGES_SHOWN else f"Only the first {MESSAGES_SHOWN} messages are used.",
     }  # fmt: skip
@@ -145,7 +145,7 @@ MOST_CASES = 24
 
 
 def survival(found: Any, name: str, verdicts: Sequence[str]) -> dict[str, Any]:
-    """`Survival` of models.py, of what `rotorwatch.survive` found: cases that end alike are one row. verdicts: in their order."""
+    """`Survival` of models.py, of what `rotorwatch.survive` found: cases with the same result share a row. verdicts: in their order."""
     groups: dict[tuple, list[list[int]]] = {}
     for case in found.cases:
         wind = None if case.wind is None else round(case.wind)
@@ -168,7 +168,7 @@ def survival(found: Any, name: str, verdicts: Sequence[str]) -> dict[str, Any]:
 
 
 def caption(found: Diagnosis, kind: str) -> str:
-    """What a still picture shows, in a sentence."""
+    """The content of a plot, in a sentence."""
     if kind == "flight":
         return "The loss of every rotor with its 95 % band, and the commands, over the whole flight."
     facts: Any = found.picture

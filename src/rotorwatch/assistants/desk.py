@@ -1,4 +1,4 @@
-"""Takes a question, has it answered by a process with limits, and says in one sentence why there is no answer."""
+"""Dispatch of a question to a process with limits, with one sentence where there is no answer."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from rotorwatch.assistants.work import Question
 from rotorwatch.base.many.limited import TooMuch, Workers
 from rotorwatch.errors import ConfigError
 
-WAITING, PATIENCE_S = 8, 300.0  # questions that wait for their turn, and how long
+WAITING, PATIENCE_S = 8, 300.0  # queued questions, and their longest wait
 MOST_HEALTHY, MOST_LISTED = 20, 50
 
 
 class Desk:
-    """Answers as plain data. folders: what may be read; store: address of the fleet's store or ""; judge_s [s], memory_mb [MB], most
-    [bytes of a log]: limits of one question; jobs: questions at once."""
+    """Answers as plain data. folders: readable ones; store: address of the fleet's store or ""; judge_s [s], memory_mb [MB], most [bytes of
+    a log]: limits of one question; jobs: questions at once."""
 
     def __init__(self, folders: Sequence[Any], store: str, most: int, judge_s: float, memory_mb: int, jobs: int = 1):
         self.folders, self.fleet = Folders(folders, most), Fleet(store)
@@ -39,7 +39,7 @@ class Desk:
     def ask(
         self, verb: str, log: str | None = None, baseline: Sequence[str] = (), vehicle: str | None = None, **more: Any
     ) -> Any:
-        """What the process answers (`work.answer`). log, baseline, vehicle: as the user names them. Raises ConfigError, WorkerError."""
+        """The process's answer (`work.answer`). log, baseline, vehicle: as the user names them. Raises ConfigError, WorkerError."""
         if len(baseline) > MOST_HEALTHY:
             raise ConfigError(f"baseline: give at most {MOST_HEALTHY} flights.")
         named = None if log is None else self.folders.log(log)
@@ -82,18 +82,18 @@ class Desk:
 
     def list_logs(self, search: str, limit: int) -> dict[str, Any]:
         """`Logs` of models.py."""
-        found = self.folders.list(search)
+        logs = self.folders.list(search)
         several = len(self.folders.roots) > 1
         rows = []
-        for name, root, path, about in found[: min(limit, MOST_LISTED)]:
-            shown = path if several else path.relative_to(root)
+        for name, root, path, about in logs[: min(limit, MOST_LISTED)]:
+            listed = path if several else path.relative_to(root)
             when = datetime.fromtimestamp(about.st_mtime, timezone.utc)
             rows.append(
-                {"id": name, "path": quoted(shown), "bytes": about.st_size, "changed_utc": f"{when:%Y-%m-%dT%H:%MZ}"}
+                {"id": name, "path": quoted(listed), "bytes": about.st_size, "changed_utc": f"{when:%Y-%m-%dT%H:%MZ}"}
             )
-        left = len(found) - len(rows)
+        left = len(logs) - len(rows)
         note = f"{left} more logs; search for words of their paths, or raise the limit." if left else None
-        return {"total": len(found), "logs": rows, "note": note}
+        return {"total": len(logs), "logs": rows, "note": note}
 
     def stored(self, flight: str) -> dict[str, Any]:
         """`Diagnosis` of models.py, of a flight in the store."""
@@ -101,7 +101,7 @@ class Desk:
 
     def stored_event(self, flight: str, number: int | None) -> dict[str, Any]:
         """`Event` of models.py, of a flight in the store. Raises ConfigError."""
-        found = answers.event(*self.fleet.flight(flight), number)
-        if isinstance(found, str):
-            raise ConfigError(found)
-        return found
+        event = answers.event(*self.fleet.flight(flight), number)
+        if isinstance(event, str):
+            raise ConfigError(event)
+        return event

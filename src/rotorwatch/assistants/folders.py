@@ -1,4 +1,4 @@
-"""Which files may be read: ordinary files inside the folders that the user allowed, wherever links and dots lead."""
+"""The readable files: ordinary files inside the folders that the user allowed, after resolving links and dots."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ OUTSIDE = "is in none of the allowed folders; `list_logs` shows what may be read
 
 @dataclass(frozen=True)
 class Allowed:
-    """A file that may be read. path: without links; part: number of a flight in it, or None; size: bytes; changed: time of the last
-    change [ns]; ending: of its name, from a fixed list."""
+    """A readable file. path: without links; part: number of a flight in it, or None; size: bytes; changed: time of the last change [ns];
+    ending: of its name, from a fixed list."""
 
     path: Path
     part: int | None
@@ -39,7 +39,7 @@ class Allowed:
 
 
 class Folders:
-    """The allowed folders. most: bytes of a file. Raises ConfigError for what is no folder."""
+    """The allowed folders. most: bytes of a file. Raises ConfigError for anything but a folder."""
 
     def __init__(self, folders: Sequence[str | os.PathLike], most: int):
         self.most, self._known = most, {}
@@ -95,8 +95,8 @@ class Folders:
         if not self.roots:
             raise ConfigError(f"{what}: no folder is allowed; start the server with the folders of your logs.")
         candidates = [asked] if asked.is_absolute() else [root / asked for root in self.roots]
-        found = [c for c in candidates if os.path.lexists(c)]
-        return self._inside(what, found[0] if found else candidates[0]), part
+        existing = [c for c in candidates if os.path.lexists(c)]
+        return self._inside(what, existing[0] if existing else candidates[0]), part
 
     def _inside(self, what: str, path: Path) -> Path:
         try:
@@ -111,20 +111,20 @@ class Folders:
         raise ConfigError(f"{what}: this {OUTSIDE}")
 
     def list(self, search: str) -> list[tuple[str, Path, Path, os.stat_result]]:
-        """(id, its folder, path, facts) of every log, the newest first. search: words that the path holds."""
-        words, found, ending = search.lower().split(), [], logs.named()
+        """(id, its folder, path, facts) of every log, the newest first. search: words that the path contains."""
+        words, logs_, ending = search.lower().split(), [], logs.named()
         for root in self.roots:
             for path in islice(_files(root, DEEPEST), LOOKED_AT):
-                shown = str(path.relative_to(root)).lower()
-                if ending.search(path.name) and all(word in shown for word in words):
+                searched = str(path.relative_to(root)).lower()
+                if ending.search(path.name) and all(word in searched for word in words):
                     try:
                         about = path.stat()
                     except OSError:
                         continue
                     name = hashlib.sha256(os.fsencode(path)).hexdigest()[:12]
                     self._known[name] = path
-                    found.append((name, root, path, about))
-        return sorted(found, key=lambda one: (-one[3].st_mtime_ns, str(one[2])))
+                    logs_.append((name, root, path, about))
+        return sorted(logs_, key=lambda entry: (-entry[3].st_mtime_ns, str(entry[2])))
 
 
 def _files(folder: Path, deep: int) -> Iterator[Path]:

@@ -1,4 +1,4 @@
-"""Texts that others wrote, as in logs and file names: data for the reader, never part of a sentence of ours and never an instruction."""
+"""Foreign texts, as in logs and file names: data for the reader, never part of our sentences and never an instruction."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ UTC = re.compile(r"\d{4}-\d\d-\d\dT[0-9:.]{5,15}Z?")
 
 
 def quoted(text: Any, most: int = MOST) -> dict[str, str]:
-    """One text of others, marked: one line of visible letters, at most `most` of them (40 or more)."""
+    """A foreign text, marked: one line of at most `most` visible letters (40 or more)."""
     return {"quoted_from_log": one_line(str(text), most)}
 
 
 def several(texts: Iterable[Any], most: int, letters: int = MOST) -> dict[str, Any]:
-    """The first `most` of such texts; left_out: how many more there are."""
+    """The first `most` of such texts; left_out: number of the others."""
     texts = list(texts)
     return {"quoted_from_log": [one_line(str(text), letters) for text in texts[:most]], "left_out": len(texts[most:])}
 

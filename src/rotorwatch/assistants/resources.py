@@ -1,4 +1,4 @@
-"""Resources: the glossary and the limits of what can be distinguished, as the documents have them."""
+"""Resources: the glossary and the limits of diagnosis, from the documentation."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def sections() -> dict[str, str]:
 
 
 def register(server: MCPServer) -> None:
-    """Give the server its resources."""
+    """Register the resources with the server."""
 
     @server.resource("rotorwatch://glossary", title="Glossary", mime_type="text/markdown")
     def glossary() -> str:

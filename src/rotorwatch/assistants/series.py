@@ -1,4 +1,4 @@
-"""A few samples of what a picture shows: the least and the greatest value of every stretch of time, so that peaks stay."""
+"""Samples of a plot's time series: the minimum and the maximum of every stretch of time, so that peaks stay."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def sampled(
     diagnosis: Diagnosis, what: str, rotor: int | None, start_s: float | None, end_s: float | None, most: int
 ) -> dict[str, Any]:
     """Rows of [time, values] from start_s to end_s, at most `most` of them (one of WHOLE over the flight, one of MOMENT around a loss of
-    control). rotor: of losses only this one, with its 95 % interval. Raises ConfigError where there is no such series."""
+    control). rotor: of losses only this one, with its 95 % interval. Raises ConfigError for a missing series."""
     time, names, values = _moment(diagnosis, what) if what in MOMENT else _whole(diagnosis, what, rotor)
     first = float(time[0]) if start_s is None else start_s
     last = float(time[-1]) if end_s is None else end_s

@@ -39,14 +39,13 @@ def mcp(
     jobs: int = 1,
     ready: Callable[[str], None] | None = None,
 ) -> None:
-    """Serve the Model Context Protocol until the client is gone, or until interrupted.
+    """Serve the Model Context Protocol until the client disconnects, or until interrupted.
 
-    folders: whose logs and vehicle files may be read. store: of the fleet, a SQLite file or a URL, which is read; default: the environment
+    folders: of readable logs and vehicle files. store: of the fleet, a SQLite file or a URL, which is only read; default: the environment
     variable ROTORWATCH_STORE, else none. http: on host and port in place of standard input and output; host: a loopback address; port: 0
-    for any that is free; token: 16 letters or more that a client must know; default: the environment variable ROTORWATCH_TOKEN. max_size
+    for any that is free; token: 16 letters or more that a client must send; default: the environment variable ROTORWATCH_TOKEN. max_size
     [MB], max_seconds [s], max_memory [MB]: limits of each log; jobs: questions answered at once. ready: called with the address over HTTP.
-    Raises ConfigError before anything is served.
-    """
+    Raises ConfigError before anything is served."""
     optional.library("mcp.server.mcpserver", "rotorwatch mcp")
     from rotorwatch.assistants import resources, tools
     from rotorwatch.assistants.desk import Desk
@@ -79,7 +78,7 @@ def mcp(
 
 @contextmanager
 def _ended_at_once(stop: Callable[[], None]) -> Iterator[None]:
-    """A signal ends the process inside: what waits for a line of standard input cannot be interrupted otherwise."""
+    """Context in which a signal ends the process: waiting for a line of standard input cannot be interrupted otherwise."""
 
     def end(number: int, frame: Any) -> None:
         stop()
@@ -103,7 +102,7 @@ def _on_port(server: Any, host: str, port: int, token: str, ready: Callable[[str
     from rotorwatch.assistants import access
     from rotorwatch.serve.server import http_server, listen
 
-    known = access.checked(host, token)
+    checked_token = access.checked(host, token)
     listening = listen(host, port)
     try:
         name = f"[{host}]" if ":" in host else host
@@ -115,7 +114,7 @@ def _on_port(server: Any, host: str, port: int, token: str, ready: Callable[[str
             max_request_body_size=LARGEST_REQUEST,
             host=host,
         )
-        serving = http_server(access.Access(app, known), lambda: ready(address) if ready else None)
+        serving = http_server(access.Access(app, checked_token), lambda: ready(address) if ready else None)
         asyncio.run(serving.serve([listening]))
         if not serving.started:
             raise ConfigError("The server did not start; run it with --debug to see why.")

@@ -1,4 +1,4 @@
-"""The fleet's store as short answers, as models.py has them. It is only read."""
+"""The fleet's store as short answers, in the types of models.py. It is only read."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ class Fleet:
             yield store
 
     def aircraft(self, search: str, limit: int) -> dict[str, Any]:
-        """`Fleet` of models.py. search: words that name, key, frame or state hold."""
+        """`Fleet` of models.py. search: words that name, key, frame or state contain."""
         from rotorwatch.fleet import condition
 
         with self._open() as store:
-            found = condition.by_urgency(store.aircraft())
+            aircraft = condition.by_urgency(store.aircraft())
         words = search.lower().split()
-        found = [a for a in found if all(word in _text(a) for word in words)]
-        rows = [_aircraft(a) for a in found[: min(limit, MOST)]]
-        return {"total": len(found), "aircraft": rows, "note": _left(len(found) - len(rows), "aircraft")}
+        aircraft = [a for a in aircraft if all(word in _text(a) for word in words)]
+        rows = [_aircraft(a) for a in aircraft[: min(limit, MOST)]]
+        return {"total": len(aircraft), "aircraft": rows, "note": _left(len(aircraft) - len(rows), "aircraft")}
 
     def flights(self, sort: str, aircraft: str | None, limit: int, offset: int, **filters: Any) -> dict[str, Any]:
         """`Flights` of models.py. sort: one of listing.ORDERS; filters: other fields of listing.Filters."""
@@ -50,14 +50,14 @@ class Fleet:
         return {"total": total, "flights": [_flight(row) for row in rows], "note": _left(left, "flights")}
 
     def flight(self, flight: str) -> tuple[Diagnosis, str]:
-        """(the diagnosis that is stored of a flight, the name of its log). flight: its hash, or the first 6 digits and more."""
+        """(the stored diagnosis of a flight, the name of its log). flight: its hash, or at least the first 6 digits."""
         with self._open() as store:
-            found = store.flight(flight.lower())
-        if found is None:
+            row = store.flight(flight.lower())
+        if row is None:
             raise ConfigError(
                 "flight: the store holds no flight, or several, with such a hash; `fleet_flights` lists them."
             )
-        return Diagnosis.from_dict(found["diagnosis"]), found["name"]
+        return Diagnosis.from_dict(row["diagnosis"]), row["name"]
 
     @staticmethod
     def _key(store: Store, aircraft: str | None) -> str | None:
@@ -65,7 +65,7 @@ class Fleet:
             return None
         try:
             return store.find(aircraft)["key"]
-        except StoreError:  # its sentence holds names that others gave
+        except StoreError:  # its sentence contains foreign names
             raise ConfigError("aircraft: no such name or key in the store; `fleet` lists them.") from None
 
 

@@ -1,4 +1,4 @@
-"""The tools: what an assistant can ask, with types and bounds of every parameter. Each is one question to the desk."""
+"""The tools: the questions of an assistant, with types and bounds of every parameter. Each is one question to the desk."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ SERIES = Literal[
 
 
 class Server(MCPServer):
-    """Says in one sentence what is wrong with a call, and lists its tools without what only costs room."""
+    """Reports errors of a call in one sentence, and lists its tools without redundant parts of their schemas."""
 
     async def list_tools(self) -> list[Any]:
         """The tools, with schemas."""
@@ -59,7 +59,7 @@ class Server(MCPServer):
         return tools
 
     async def call_tool(self, name: str, arguments: dict[str, Any], context: Any = None) -> Any:
-        """Call a tool. Parameters that it does not have are refused."""
+        """Call a tool. Unknown parameters are refused."""
         known = {tool.name: list(tool.input_schema.get("properties", {})) for tool in await super().list_tools()}
         if name not in known:
             return failed(Failed("No such tool; tools/list names them."))
@@ -75,16 +75,16 @@ class Server(MCPServer):
 
 
 def _wrong_parameters(tool: str, why: ValidationError) -> str:
-    """One sentence, without the values."""
-    said = []
+    """The error in one sentence, without the values."""
+    sentences = []
     for error in why.errors(include_url=False, include_input=False, include_context=False)[:3]:
         where = next((str(part) for part in error["loc"]), "")
-        said.append(f"{where}: {error['msg'][:1].lower()}{error['msg'][1:]}")
-    return f"`{tool}` has invalid parameters ({'; '.join(said)})."
+        sentences.append(f"{where}: {error['msg'][:1].lower()}{error['msg'][1:]}")
+    return f"`{tool}` has invalid parameters ({'; '.join(sentences)})."
 
 
 def _own_error(why: BaseException) -> str:
-    """One sentence; details go to standard error."""
+    """The error in one sentence; details go to standard error."""
     if os.environ.get("ROTORWATCH_DEBUG"):
         import traceback
 
@@ -94,9 +94,9 @@ def _own_error(why: BaseException) -> str:
 
 
 def failed(why: Failed) -> CallToolResult:
-    """An answer that says why there is none."""
-    said = {"error": why.sentence} | ({"quoted_from_log": why.reader} if why.reader else {})
-    return CallToolResult(content=[TextContent(type="text", text=_text(said))], is_error=True)
+    """An answer that states why there is none."""
+    content = {"error": why.sentence} | ({"quoted_from_log": why.reader} if why.reader else {})
+    return CallToolResult(content=[TextContent(type="text", text=_text(content))], is_error=True)
 
 
 def _text(value: Any) -> str:
@@ -104,16 +104,16 @@ def _text(value: Any) -> str:
 
 
 def answered(model: type[M], make: Callable[[], Any]) -> CallToolResult:
-    """What `make` returns as an answer of that type: structured, and the same as text; or why there is none."""
+    """The value of `make` as an answer of that type: structured, and the same as text; or why there is none."""
     try:
-        made = make()
+        value = make()
     except RotorwatchError as why:
         return failed(Failed(str(why)))
     except Exception as why:
         return failed(Failed(_own_error(why)))
-    if isinstance(made, Failed):
-        return failed(made)
-    data, picture = made if isinstance(made, tuple) else (made, None)
+    if isinstance(value, Failed):
+        return failed(value)
+    data, picture = value if isinstance(value, tuple) else (value, None)
     structured = model.model_validate(data).model_dump(mode="json", exclude_defaults=True)
     content: list[Any] = [TextContent(type="text", text=_text(structured))]
     if picture is not None:
@@ -123,7 +123,7 @@ def answered(model: type[M], make: Callable[[], Any]) -> CallToolResult:
 
 
 def register(server: MCPServer, desk: Desk) -> None:
-    """Give the server its tools."""
+    """Register the tools with the server."""
 
     def tool(title: str) -> Callable:
         return server.tool(title=title, annotations=READS)
@@ -260,7 +260,7 @@ def register(server: MCPServer, desk: Desk) -> None:
 
 
 def _without_titles(schema: Any) -> None:
-    """Remove what Pydantic makes of the names of fields and types, which are there anyway: a third of the schemas."""
+    """Remove the titles that Pydantic derives from the names of fields and types: a third of the schemas."""
     if isinstance(schema, dict):
         if isinstance(schema.get("title"), str):
             del schema["title"]

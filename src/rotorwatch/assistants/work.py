@@ -1,5 +1,5 @@
-"""What the processes with limits do: read a log, judge it, draw it. A log lies there under a name of ours, so that no sentence holds its
-own name; the last few diagnoses are kept, because questions about one log come one after the other."""
+"""The jobs of the processes with limits: read a log, judge it, draw it. A log gets a neutral name there, so that no sentence contains its
+own; the last few diagnoses are kept, because questions about one log come one after the other."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _kept: OrderedDict[Any, Diagnosis] = OrderedDict()
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked. verb: one of VERBS; log, healthy, vehicle: files that may be read; more: the tool's other parameters."""
+    """A question. verb: one of VERBS; log, healthy, vehicle: readable files; more: the tool's other parameters."""
 
     verb: str
     log: Allowed | None = None
@@ -42,24 +42,24 @@ class Question:
 
 @dataclass(frozen=True)
 class Failed:
-    """Why there is no answer: a sentence of ours, and, where a file is to blame, its reader's words, which may quote it."""
+    """A failure: one of our sentences and, for an error in a file, its reader's words, which may quote it."""
 
     sentence: str
     reader: str = ""
 
 
 def answer(question: Question) -> dict[str, Any] | Failed | tuple[dict[str, Any], bytes]:
-    """The answer, as models.py has it; of a picture with its bytes."""
+    """The answer, in the types of models.py; of a picture with its bytes."""
     try:
         return VERBS[question.verb](question, dict(question.more))
     except _Ours as why:
         return Failed(str(why))
     except (LogError, VehicleError, ConfigError) as why:
         blamed = getattr(why, BLAMED, "This vehicle" if question.log is None else "This log")
-        said = re.sub(
+        sentence = re.sub(
             re.escape(tempfile.gettempdir() + os.sep) + r"[^/\\\s]+[/\\]", "", str(why)
-        )  # where the link lies
-        reader = quoted.quoted(said, 300)["quoted_from_log"]
+        )  # the link's folder
+        reader = quoted.quoted(sentence, 300)["quoted_from_log"]
         return Failed(f"{blamed} cannot be used; what its reader says is quoted.", reader)
 
 
@@ -79,12 +79,12 @@ def away() -> None:
     os.chdir(tempfile.mkdtemp())
 
 
-BLAMED = "blamed"  # attribute of an exception: the file that is at fault, as the beginning of a sentence
+BLAMED = "blamed"  # attribute of an exception: the file at fault, as the beginning of a sentence
 
 
 @contextmanager
 def _blaming(what: str) -> Iterator[None]:
-    """Errors in it are the fault of that file, unless something in it has said so already."""
+    """Context in which errors are attributed to that file, unless already attributed."""
     try:
         yield
     except (LogError, VehicleError, ConfigError) as why:
@@ -94,11 +94,11 @@ def _blaming(what: str) -> Iterator[None]:
 
 
 class _Ours(ConfigError):
-    """A sentence that holds nothing of a file."""
+    """A sentence without content of a file."""
 
 
 def _ours(do: Callable[..., Any], *what: Any) -> Any:
-    """do(*what), whose ConfigErrors hold nothing of a file."""
+    """do(*what), whose ConfigErrors contain nothing of a file."""
     try:
         return do(*what)
     except ConfigError as why:
@@ -107,7 +107,7 @@ def _ours(do: Callable[..., Any], *what: Any) -> Any:
 
 @contextmanager
 def _here(file: Allowed, name: str) -> Iterator[Path]:
-    """The file under a name of ours: a link in a folder of its own, or a copy where there are no links."""
+    """The file under a neutral name: a link in a folder of its own, or a copy where there are no links."""
     folder = Path(tempfile.mkdtemp())
     place = folder / f"{name}{file.ending}"
     try:
@@ -129,7 +129,7 @@ def _read(file: Allowed | None, name: str) -> Flight:
 
 
 def _vehicle(file: Allowed | str | None) -> Vehicle | None:
-    """The vehicle of a file; its name and notes, which are texts of others, are left away."""
+    """The vehicle of a file, without its name and notes, which are foreign texts."""
     if not isinstance(file, Allowed):
         return None
     from rotorwatch.flight import vehicle_file
@@ -139,7 +139,7 @@ def _vehicle(file: Allowed | str | None) -> Vehicle | None:
 
 
 def _judged(question: Question) -> Diagnosis:
-    """The diagnosis, as `rotorwatch diagnose` makes it."""
+    """The diagnosis, by `rotorwatch diagnose`."""
     key = question.log, question.healthy, question.vehicle
     if key in _kept:
         _kept.move_to_end(key)
@@ -160,16 +160,16 @@ def _judged(question: Question) -> Diagnosis:
             return diagnose(flight, vehicle=vehicle, baseline=healthy)
 
     try:
-        found = judge()
-    except MemoryError:  # what is kept counts, too
+        diagnosis = judge()
+    except MemoryError:  # kept diagnoses use memory, too
         if not _kept:
             raise
         _kept.clear()
-        found = judge()
-    _kept[key] = found
+        diagnosis = judge()
+    _kept[key] = diagnosis
     while len(_kept) > KEPT:
         _kept.popitem(last=False)
-    return found
+    return diagnosis
 
 
 def _diagnose(question: Question, more: dict) -> dict[str, Any]:
@@ -181,32 +181,32 @@ def _compare(question: Question, more: dict) -> dict[str, Any]:
 
 
 def _event(question: Question, more: dict) -> dict[str, Any]:
-    found = answers.event(_judged(question), _name(question), more["number"])
-    if isinstance(found, str):
-        raise _Ours(found)
-    return found
+    event = answers.event(_judged(question), _name(question), more["number"])
+    if isinstance(event, str):
+        raise _Ours(event)
+    return event
 
 
 def _series(question: Question, more: dict) -> dict[str, Any]:
-    found = _judged(question)
+    diagnosis = _judged(question)
     wanted = [more[name] for name in ("what", "rotor", "start_s", "end_s", "most")]
-    return {"log": quoted.quoted(_name(question))} | _ours(series.sampled, found, *wanted)
+    return {"log": quoted.quoted(_name(question))} | _ours(series.sampled, diagnosis, *wanted)
 
 
 def _picture(question: Question, more: dict) -> tuple[dict[str, Any], bytes]:
     from rotorwatch.report import still
 
-    found = _judged(question)
-    kind = _ours(still.shows, found, more["what"])
+    diagnosis = _judged(question)
+    kind = _ours(still.shows, diagnosis, more["what"])
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "picture.png"
-        drawn = _ours(still.figure, found, kind, path)
+        drawn = _ours(still.figure, diagnosis, kind, path)
         data = path.read_bytes()
     if len(data) > LARGEST:
         raise _Ours("The picture is too large to send; `rotorwatch diagnose --report` writes it as a page.")
     width, height = (round(side) for side in drawn.get_size_inches() * drawn.dpi)
     size = {"width": width, "height": height, "bytes": len(data)}
-    return {"log": quoted.quoted(_name(question)), "shows": answers.caption(found, kind)} | size, data
+    return {"log": quoted.quoted(_name(question)), "shows": answers.caption(diagnosis, kind)} | size, data
 
 
 def _facts(question: Question) -> dict[str, Any]:

@@ -1,1 +1,1 @@
-"""Shared by every room: settings checked, plug-ins found, files and streams within limits, libraries that may be missing."""
+"""Shared infrastructure: checks of settings, plug-in discovery, files and streams within limits, optional libraries."""

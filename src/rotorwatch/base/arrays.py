@@ -1,4 +1,4 @@
-"""What NumPy has as well, of small arrays: its own does far more for each call, and imports what nothing else here needs."""
+"""NumPy functions for small arrays, without NumPy's overhead per call and its imports."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 
 def median(values: Any, axis: int | None = None) -> Any:
-    """`np.median`, bit for bit; NaN where there is one, and of nothing."""
+    """`np.median`, bit for bit; NaN with a NaN among the values, and for no values."""
     values = np.asarray(values)
     if values.dtype.kind != "f":
         values = values.astype(float)
@@ -19,15 +19,15 @@ def median(values: Any, axis: int | None = None) -> Any:
         return np.median(values, axis)
     middle = count // 2
     ordered = np.partition(values, (middle, count - 1) if count % 2 else (middle - 1, middle, count - 1), axis)
-    found = ordered.take(middle, axis)
+    middle_value = ordered.take(middle, axis)
     if count % 2 == 0:
-        found = (ordered.take(middle - 1, axis) + found) / 2
+        middle_value = (ordered.take(middle - 1, axis) + middle_value) / 2
     lacks = np.isnan(last := ordered.take(count - 1, axis))  # sorted behind all numbers
-    return np.where(lacks, last, found)[()] if lacks.any() else found
+    return np.where(lacks, last, middle_value)[()] if lacks.any() else middle_value
 
 
 def quantile(values: Any, share: float) -> float:
-    """`np.quantile(values, share)` of all values, bit for bit; NaN where one is."""
+    """`np.quantile(values, share)` of all values, bit for bit; NaN with a NaN among them."""
     values = np.asarray(values).reshape(-1)
     place = (values.size - 1) * share
     low = int(place)
@@ -40,5 +40,5 @@ def quantile(values: Any, share: float) -> float:
 
 
 def distinct(ordered: np.ndarray) -> np.ndarray:
-    """Each of the values (n,), which are in order, once."""
+    """The distinct values of sorted values (n,)."""
     return ordered[np.concatenate([[True], ordered[1:] != ordered[:-1]])] if ordered.size else ordered

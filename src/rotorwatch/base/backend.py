@@ -1,4 +1,4 @@
-"""JAX, set up once: float64, and compiled programs kept on disk between runs."""
+"""Set-up of JAX: float64, and compiled programs cached on disk between runs."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from rotorwatch.errors import ConfigError
 
 
 def cache_folder() -> Path:
-    """Where compiled programs are kept: $ROTORWATCH_CACHE, else $XDG_CACHE_HOME/rotorwatch, else ~/.cache/rotorwatch."""
+    """Folder of compiled programs: $ROTORWATCH_CACHE, else $XDG_CACHE_HOME/rotorwatch, else ~/.cache/rotorwatch."""
     if "ROTORWATCH_CACHE" in os.environ:
         return Path(os.environ["ROTORWATCH_CACHE"])
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rotorwatch"
 
 
 def code_folder(name: str) -> Path:
-    """A folder of the cache for code that is loaded and run, made where it is missing. Raises PermissionError where it cannot be written,
-    and where others could have put something into it; OSError."""
+    """A cache folder for code that is loaded and run, created where missing. Raises PermissionError where it is not writable or other users
+    can write to it; OSError."""
     place = cache_folder() / name
     place.mkdir(mode=0o700, parents=True, exist_ok=True)
     about = place.stat()
@@ -46,11 +46,11 @@ def set_up() -> None:
 
     if not jax.config.read("jax_enable_x64"):
         jax.config.update("jax_enable_x64", True)
-        if loaded:  # what was traced before is float32, and would be mixed into what comes now
+        if loaded:  # functions traced before are float32, and would be mixed with float64
             jax.clear_caches()
     try:
         folder = code_folder("jax")
-    except OSError:  # a home that is read-only, or others', only costs a recompilation
+    except OSError:  # a read-only or foreign home only costs a recompilation
         return
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
@@ -58,11 +58,10 @@ def set_up() -> None:
 
 
 class _Module:
-    """A module of JAX that is imported, and JAX set up, when something of it is first used, because that takes 0.5 s.
+    """A JAX module whose import, and JAX's set-up, are deferred to the first use, because they take 0.5 s.
 
-    A call sets JAX up at once and gives the module itself: every plant and every estimator does so when it is made, so that nothing of
-    theirs is traced in float32.
-    """
+    A call sets JAX up at once and returns the module: plants and estimators do so when constructed, so that nothing of theirs is traced in
+    float32."""
 
     def __init__(self, name: str):
         self._name = name
@@ -72,11 +71,11 @@ class _Module:
         return importlib.import_module(self._name)
 
     def __getattr__(self, part: str) -> Any:
-        if part.startswith("__"):  # asked for by what inspects objects
+        if part.startswith("__"):  # probed by inspection tools
             raise AttributeError(part)
-        found = getattr(self(), part)
-        setattr(self, part, found)
-        return found
+        value = getattr(self(), part)
+        setattr(self, part, value)
+        return value
 
 
 jax: Any = _Module("jax")

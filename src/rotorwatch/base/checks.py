@@ -1,6 +1,6 @@
-"""Checks of what a user configures: each raises ConfigError with one sentence that names the argument and says what it must be.
+"""Checks of user settings: each raises ConfigError with one sentence that names the argument and the requirement.
 
-Inside a compiled program arrays have no values yet; there only shapes can be checked, and only they are.
+Inside a compiled program arrays have no values yet; there only shapes are checked.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from rotorwatch.errors import ConfigError
 
 def shape(name: str, value: Any, *expected: int) -> Any:
     """value, unchanged, when it is an array of that shape."""
-    found = np.shape(value)
-    if found != expected:
-        raise ConfigError(f"{name} must have the shape {expected}, not {found}.")
+    shape_ = np.shape(value)
+    if shape_ != expected:
+        raise ConfigError(f"{name} must have the shape {expected}, not {shape_}.")
     return value
 
 
@@ -80,7 +80,7 @@ def covariance(name: str, P: Any, n: int, definite: bool = False) -> Any:
 
 
 def has(system: Any, method: str, *parts: str, why: str = "") -> None:
-    """Raise ConfigError, with the reason, where the plant lacks one of these parts: the method is not defined for it then."""
+    """Raise ConfigError, with the reason, where the plant lacks one of the parts that the method requires."""
     missing = [part for part in parts if not hasattr(system, part)]
     if missing:
         kind = plant_name(system)
@@ -99,8 +99,7 @@ def plant(system: Any, dt: float = 0.01) -> Any:
     """system, unchanged, when it is a plant (`core.System`) whose parts fit together: sizes, x0, P0, and shapes of f, h, Q and R.
 
     The functions are traced, not run. Raises ConfigError with one sentence that names the part and the shape it must have, also where NumPy
-    or Python's float() is called on a value that has none yet.
-    """
+    or Python's float() is called on a value that has none yet."""
     kind = getattr(system, "name", type(system).__name__)
     has(system, "rotorwatch", "name", "n_x", "n_u", "n_theta", "n_y", "x0", "P0", "f", "h", "Q", "R")
     for size in ("n_x", "n_u", "n_theta", "n_y"):
@@ -117,25 +116,25 @@ def plant(system: Any, dt: float = 0.01) -> Any:
         ("Q", (h,), (n_x, n_x)),
         ("R", (u,), (n_y,)),
     ):
-        found = _traced(f"{part} of the plant {kind}", getattr(system, part), arguments)
-        if found != expected:
-            raise ConfigError(f"{part} of the plant {kind} must return an array of the shape {expected}, not {found}.")
+        got = _traced(f"{part} of the plant {kind}", getattr(system, part), arguments)
+        if got != expected:
+            raise ConfigError(f"{part} of the plant {kind} must return an array of the shape {expected}, not {got}.")
     return positive("dt", dt) and system
 
 
 def controller(u: Any, system: Any) -> None:
     """Raise ConfigError unless u(t, y) can be traced and returns (n_u,)."""
-    found = _traced("u(t, y)", u, ((), (system.n_y,)))
-    if found != (system.n_u,):
-        raise ConfigError(f"u(t, y) must return an array of the shape {(system.n_u,)}, not {found}.")
+    got = _traced("u(t, y)", u, ((), (system.n_y,)))
+    if got != (system.n_u,):
+        raise ConfigError(f"u(t, y) must return an array of the shape {(system.n_u,)}, not {got}.")
 
 
 def _traced(name: str, function: Any, arguments: tuple[tuple[int, ...], ...]) -> tuple[int, ...]:
     """The shape of what a function returns for arrays of these shapes. Raises ConfigError where it cannot be traced."""
     empty = [jax.ShapeDtypeStruct(size, np.float64) for size in arguments]
     try:
-        found = jax.eval_shape(function, *empty)
-        return tuple(found.shape)
+        out = jax.eval_shape(function, *empty)
+        return tuple(out.shape)
     except jax.errors.JAXTypeError as why:
         raise ConfigError(untraceable(name, why)) from why
     except ConfigError:
@@ -146,7 +145,7 @@ def _traced(name: str, function: Any, arguments: tuple[tuple[int, ...], ...]) ->
 
 
 def untraceable(name: str, why: BaseException) -> str:
-    """One sentence for JAX's error about a value that has none yet: NumPy, float(), bool() or `if` on it. Names the line."""
+    """A sentence for JAX's error about a value that has none yet: NumPy, float(), bool() or `if` on it. Names the line."""
     return (
         f"{name} asks for the number behind a value that is known only at run time{_where(why)}: use jax.numpy instead of numpy or "
         "math there, and jnp.where instead of `if`."
@@ -154,13 +153,13 @@ def untraceable(name: str, why: BaseException) -> str:
 
 
 def _where(why: BaseException) -> str:
-    """The innermost line outside of the libraries, as " (file, line)"."""
+    """The innermost line outside the libraries, as " (file, line)"."""
     frames = traceback.extract_tb(why.__traceback__)
-    own = [f for f in frames if "site-packages" not in f.filename and "/rotorwatch/" not in f.filename]
-    inside = own or [f for f in frames if "/rotorwatch/" in f.filename and not f.filename.endswith("checks.py")]
+    user = [f for f in frames if "site-packages" not in f.filename and "/rotorwatch/" not in f.filename]
+    inside = user or [f for f in frames if "/rotorwatch/" in f.filename and not f.filename.endswith("checks.py")]
     return f" ({inside[-1].filename.rpartition('/')[2]}, line {inside[-1].lineno})" if inside else ""
 
 
 def concrete(value: Any) -> bool:
-    """Whether the value is known now: not a tracer inside a compiled program."""
+    """True if the value is known now: not a tracer inside a compiled program."""
     return "jax" not in sys.modules or not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value))

@@ -1,4 +1,4 @@
-"""A name that is none of those to choose from: which one was probably meant."""
+"""Suggestions for an unknown name."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from typing import Any
 
 
 def meant(given: Any, known: Iterable[Any], least: float = 0.6) -> str:
-    """' (did you mean axkf?)', for a sentence on a name that is none of the known ones; empty where none comes near. least: how alike they
-    must be, 0 to 1."""
+    """' (did you mean axkf?)', for a sentence on an unknown name; empty without a similar one. least: similarity, 0 to 1."""
     import difflib
 
     names = {str(name).lower(): str(name) for name in known if name is not None}

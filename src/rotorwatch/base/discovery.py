@@ -56,7 +56,7 @@ DEFAULT = "rotorwatch.engine.host"  # the package that holds the default estimat
 
 
 class Source(NamedTuple):
-    """Where a method comes from: the package and its version, and the class as `module:Class`."""
+    """Origin of a method: the package and its version, and the class as `module:Class`."""
 
     package: str
     version: str
@@ -85,8 +85,7 @@ def estimator(spec: Any) -> Any:
 
     spec: a name, or `package.module:Class`; a class; a `functools.partial` of one with keywords; or an instance, of whose class another
     one is made with the same keywords, which it must keep as attributes of these names. Raises ConfigError that lists the known ones, or
-    names the part that `spec` lacks.
-    """
+    names the part that `spec` lacks."""
     if isinstance(spec, str):
         return _named("rotorwatch.estimators", spec)
     kind = spec.func if isinstance(spec, functools.partial) else spec if inspect.isclass(spec) else type(spec)
@@ -132,7 +131,7 @@ def names() -> list[str]:
 
 
 def source(found: Any) -> Source:
-    """Where a class or a module comes from. A package that is not installed has no version."""
+    """Origin of a class or a module. A package that is not installed has no version."""
     module = getattr(found, "__module__", None) or found.__name__
     path = f"{module}:{found.__qualname__}" if inspect.isclass(found) else module
     top = module.partition(".")[0]
@@ -151,7 +150,7 @@ def source(found: Any) -> Source:
 
 @functools.cache
 def _distributions(top: str, _path: tuple[str, ...]) -> list[str]:
-    """Names of the installed packages that bring a module of that name; all that is installed is read for it, which takes a second."""
+    """Names of the installed packages that contain a module of that name; reading all installed packages takes a second."""
     from importlib import metadata
 
     return metadata.packages_distributions().get(top, [])
@@ -184,7 +183,7 @@ def _named(group: str, name: str) -> type:
 
 
 def _with_offered(group: str) -> dict[str, type]:
-    """Our own and those of other packages; ours stay what they are."""
+    """Built-in classes and those of other packages; built-in names take precedence."""
     found = _own(group)
     for name, entry in _single(group).items():
         kind = GROUPS[group]
@@ -271,8 +270,7 @@ def _names(package: str) -> tuple[str, ...]:
 def member(package: str, name: str):
     """The class of that name defined in one of the package's modules. Raises AttributeError: for modules' __getattr__.
 
-    Importing a submodule asks for its name here first: only what looks like a class is searched for, because that loads all.
-    """
+    Importing a submodule asks for its name here first: only what looks like a class is searched for, because that loads all."""
     if name[:1].isupper():
         for module in modules(package):
             found = getattr(module, name, None)
@@ -282,13 +280,13 @@ def member(package: str, name: str):
 
 
 def offered(group: str) -> dict[str, metadata.EntryPoint]:
-    """Name -> entry point of what installed packages, ours included, offer in a group of GROUPS; nothing is loaded. Of two packages that
+    """Name -> entry point that installed packages, ours included, offer in a group of GROUPS; nothing is loaded. Of two packages that
     offer one name, ours comes first."""
     return dict(_offered(group, _folders()))
 
 
 def _folders() -> tuple[tuple[str, int], ...]:
-    """The places where packages are found, with the time of their last change: an installed package changes it."""
+    """Folders in which packages are found, with the time of their last change: installing a package changes it."""
     found = []
     for folder in sys.path:
         try:
@@ -340,8 +338,8 @@ def _mentioned(folders: tuple[tuple[str, int], ...]) -> frozenset[str] | None:
 def others(
     group: str, parts: tuple[str, ...], refuse: Callable[[Any], str] = lambda found: ""
 ) -> Iterator[tuple[metadata.EntryPoint, Any]]:
-    """Every plug-in of a group of GROUPS that other packages offer, loaded, with its entry point; one that is broken is left out, with a
-    PluginWarning that names its package. refuse: says why one is not used ("its name is taken"), "" for one that is."""
+    """Every plug-in of a group of GROUPS that other packages offer, loaded, with its entry point; broken ones are left out, with a
+    PluginWarning that names the package. refuse: returns the reason not to use one ("its name is taken"), or ""."""
     for entry in offered(group).values():
         try:
             found = load(entry, parts)
@@ -427,8 +425,8 @@ def first(group: str, what: str, name: str | None = None) -> Any:
 
 
 def imported(text: str, parts: tuple[str, ...], kind: str) -> Any:
-    """What `package.module:Class` names. Raises ConfigError, one sentence, for another form, a module that cannot be imported, or a class
-    that lacks one of `parts`. kind: what it is to be, for the sentence."""
+    """The object that `package.module:Class` names. Raises ConfigError, one sentence, for another form, a module that cannot be imported,
+    or a class that lacks one of `parts`. kind: its expected kind, for the sentence."""
     module, _, label = text.partition(":")
     if not all(part.isidentifier() for part in (*module.split("."), *label.split("."))):
         raise ConfigError(f"{text!r} names no {kind}: write package.module:Class.")

@@ -1,5 +1,5 @@
-"""Writing results: the place is checked before the work, and a file is written whole or not at all. Also TOML files, and foreign texts (of
-logs, links, file names, addresses) made safe to show."""
+"""Output files: the target is checked before the work, and files are written atomically. Also TOML input, and foreign texts (of logs,
+links, file names, addresses) made safe to display."""
 
 from __future__ import annotations
 
@@ -48,8 +48,7 @@ def toml(path: str | os.PathLike, what: str, most: int = 10_000_000) -> tuple[di
 def writable(path: str | os.PathLike, what: str, make: bool = False) -> Path:
     """The path, when a file can be written there. Nothing is written; with `make` missing folders are made.
 
-    what: names the target in the sentence, such as "--report". Raises ConfigError.
-    """
+    what: names the target in the sentence, such as "--report". Raises ConfigError."""
     no_address(path)
     path = Path(path)
     if str(path) == "-":
@@ -89,10 +88,8 @@ def folder(path: str | os.PathLike, what: str, make: bool = True) -> Path:
 
 @contextmanager
 def replacing(path: str | os.PathLike) -> Iterator[Path]:
-    """A temporary path next to `path`, with its ending, that takes its place at the end; it is removed when something fails on the way.
-
-    Raises ConfigError when it cannot be written.
-    """
+    """A temporary path next to `path`, with its ending, that replaces it at the end; removed when something fails on the way. Raises
+    ConfigError when it cannot be written."""
     import tempfile
 
     path = Path(path)
@@ -115,19 +112,18 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
 
 
 def printable(text: str) -> str:
-    """The text with all that is no visible character written out, as in \\x1b or \\n.
+    """The text with all invisible characters escaped, as in \\x1b or \\n.
 
-    A terminal, and whoever reads a program's output, takes control characters as commands; bytes that are no text, \\udcXX, cannot be
-    written at all.
-    """
+    A terminal, or a program that reads the output, takes control characters as commands; bytes that are no text, \\udcXX, cannot be written
+    at all."""
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
 
 
 def one_line(text: str, most: int) -> str:
-    """The text in one line of at most `most` letters (40 or more), its end kept, without signs that control a terminal, turn the direction
-    of writing around or are no letters at all."""
+    """The text in one line of at most `most` letters (40 or more), its end kept, without terminal control characters, bidirectional
+    overrides and undecodable bytes."""
     import unicodedata
 
     words = " ".join(text.split())
@@ -136,5 +132,5 @@ def one_line(text: str, most: int) -> str:
 
 
 def public(text: str) -> str:
-    """The text with nothing in its addresses that only their owner may know: user and password are removed, and the query to a server."""
+    """The text without private parts of its addresses: user and password, and the query to a server."""
     return QUERY.sub(r"\1...", USER.sub(r"\1", text)) if "://" in text else text

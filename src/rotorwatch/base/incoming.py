@@ -1,5 +1,5 @@
-"""Foreign logs: streams (a pipe, an address) written to a file, within limits of size and time; a temporary folder of the
-process; and limits of time and memory for work on files that have not been checked yet, set by the process that does it."""
+"""Foreign logs: streams (a pipe, an address) written to a file, within limits of size and time; a temporary folder of the process; and
+limits of time and memory for work on unchecked files, set by the process that does it."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ MOST = 4 << 30
 """Bytes of a log, wherever it comes from and however it is packed."""
 STALLS_S, MOST_S = 60.0, 1800.0
 """For the next block of a stream, and for all of it."""
-GRACE_S = 30.0  # beyond a job's own time limit: then its process does not come back and is killed
+GRACE_S = 30.0  # beyond a job's own time limit, before its process is killed
 _BLOCK = 1 << 20
 _spool: dict[int, Path] = {}
 
 
 def spool() -> Path:
-    """The temporary folder of this process. Processes that it starts keep theirs in it."""
+    """The temporary folder of this process. Its child processes create theirs inside it."""
     import tempfile
 
     if os.getpid() not in _spool:  # after a fork the parent's is not ours to remove
@@ -36,12 +36,12 @@ def spool() -> Path:
 
 
 def spooled() -> Path | None:
-    """The same, where there is one already."""
+    """The temporary folder, if there is one already."""
     return _spool.get(os.getpid())
 
 
 def tidy() -> None:
-    """Remove the temporary folder now: before an end of the process that calls nothing any more."""
+    """Remove the temporary folder now: before an exit of the process that runs no handlers."""
     for process, folder in list(_spool.items()):
         _remove(process, folder)
 
@@ -54,10 +54,9 @@ def _remove(process: int, folder: Path) -> None:
 
 
 def keep(stream: Any, path: Path, name: str, waits: bool = False) -> None:
-    """Write all of a binary stream into a file. waits: as long as it takes, as for what another program makes meanwhile.
+    """Write all of a binary stream into a file. waits: without a time limit, as for the output of another program.
 
-    Raises LogError when it is more than a log can be or does not come; what reading and writing raise as well.
-    """
+    Raises LogError when it is larger than a log can be or does not arrive; errors of reading and writing pass."""
     size = 0
     with path.open("wb") as file:
         for block in iter(lambda: stream.read(_BLOCK), b"") if waits else _in_time(stream, name):
@@ -68,7 +67,7 @@ def keep(stream: Any, path: Path, name: str, waits: bool = False) -> None:
 
 
 def _in_time(stream: Any, name: str) -> Iterator[bytes]:
-    """The blocks of a stream, read by a thread: a read cannot be given up, but one that waits for a thread can."""
+    """The blocks of a stream, read by a thread: a read cannot be cancelled, but waiting for a thread can."""
     import queue
     import threading
 
@@ -103,12 +102,12 @@ def _in_time(stream: Any, name: str) -> Iterator[bytes]:
             yield block
     finally:
         wanted.clear()
-        while not blocks.empty():  # the thread may wait for room
+        while not blocks.empty():  # the thread may be waiting for space
             blocks.get_nowait()
 
 
 class TooLong(BaseException):
-    """Raised by the process' own clock; no except clause of a reader swallows it. The text says how long."""
+    """Raised by the process' own timer; no except clause of a reader catches it. The text says how long."""
 
 
 @contextmanager
@@ -130,7 +129,8 @@ def within(seconds: float) -> Iterator[None]:
 
 
 def cap_memory(memory_mb: int, loads: Sequence[str] = ()) -> None:
-    """Cap the address space of this process at what it has plus memory_mb, where the system can. loads: modules that do not count."""
+    """Limit the address space of this process to its current size plus memory_mb, where the system can. loads: modules that do not
+    count."""
     for name in loads:  # before measuring
         with suppress(ImportError):
             importlib.import_module(name)

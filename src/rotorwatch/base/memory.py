@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 
 def give_back() -> None:
-    """Give what was freed back to the system, where the C library can: of many small pieces it keeps the place otherwise."""
+    """Return freed memory to the system, where the C library can: it keeps that of many small blocks otherwise."""
     _trim()(0)
 
 

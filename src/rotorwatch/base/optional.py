@@ -1,4 +1,4 @@
-"""Optional libraries: imported where they are installed, else a ConfigError that says how to install them."""
+"""Optional libraries: imported where installed, else a ConfigError with the command to install them."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ if TYPE_CHECKING:
 
 
 def __getattr__(name: str) -> Any:
-    """tomllib, once it is asked for; on Python 3.10 the same, as a package."""
+    """tomllib, on demand; on Python 3.10 its backport."""
     if name == "tomllib":
         return importlib.import_module("tomllib" if sys.version_info >= (3, 11) else "tomli")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def library(name: str, what: str) -> Any:
-    """The library of that name, imported. Raises ConfigError that says how to install it, where it is not: what needs it."""
+    """The library of that name, imported. Raises ConfigError with the command to install it. what: the feature that needs it."""
     try:
         importlib.import_module(name.partition(".")[0])  # a part of it may be loaded already
         return importlib.import_module(name)

@@ -1,4 +1,4 @@
-"""Who is told how far a work has come hears of its parts, too."""
+"""Progress of a part as progress of the whole."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ READ = 0.25
 
 
 def portion(tell: Callable | None, first: float, last: float, text: str = "") -> Callable[[float], None]:
-    """What a part of a work is given to tell its own share, 0..1: it takes the whole from `first` to `last`. text: what is done meanwhile.
-    tell: is told the share of the whole, and the text where there is one; None: nobody is."""
+    """A callback for a part of the work that reports its own share, 0..1, as `first` to `last` of the whole. tell: receives the share of
+    the whole, and the text where there is one; None: no report. text: the current step."""
     if tell is None:
         return lambda share: None
     words = (text,) if text else ()

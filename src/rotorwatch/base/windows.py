@@ -6,12 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-ROWS = 1 << 16  # that are worked on at a time
+ROWS = 1 << 16  # processed at a time
 
 
 def groups(low: np.ndarray, high: np.ndarray, most: int = ROWS) -> Iterator[slice]:
-    """Windows from row low (m,) up to row high (m,), neither of which ever decreases: as many of them at a time, one at least, as lie
-    within `most` rows."""
+    """Slices of windows from row low (m,) up to row high (m,), both non-decreasing: as many windows at a time, at least one, as lie within
+    `most` rows."""
     first = 0
     while first < len(low):
         last = max(first + 1, int(np.searchsorted(high, low[first] + most, side="right")))
@@ -21,10 +21,10 @@ def groups(low: np.ndarray, high: np.ndarray, most: int = ROWS) -> Iterator[slic
 
 def sums(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """(m, k) sums of the rows of values (n, k) in such windows."""
-    found = np.empty((len(low), values.shape[1]))
+    out = np.empty((len(low), values.shape[1]))
     for some in groups(low, high):
         begin, end = int(low[some.start]), int(high[some.stop - 1])
         total = np.zeros((max(end - begin, 0) + 1, values.shape[1]))
         np.cumsum(values[begin:end], axis=0, out=total[1:])
-        found[some] = total[high[some] - begin] - total[low[some] - begin]
-    return found
+        out[some] = total[high[some] - begin] - total[low[some] - begin]
+    return out

@@ -1,1 +1,1 @@
-"""The command line: a family of commands a file; cli.py puts them together and is the program's entry."""
+"""The command line: a family of commands per file; cli.py combines them and is the program's entry."""

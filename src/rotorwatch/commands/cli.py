@@ -45,46 +45,46 @@ from rotorwatch.commands.tools import (
 )
 from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, RotorwatchError, WorkerWarning, lacking
 
-ERROR, STOPPED, BROKEN_PIPE = 2, 128, 141  # stopped: and the number of the signal
-ENDING = "SIGTERM", "SIGHUP"  # signals that end a command as Ctrl-C does: with what it began put away
+ERROR, STOPPED, BROKEN_PIPE = 2, 128, 141  # stopped: plus the number of the signal
+ENDING = "SIGTERM", "SIGHUP"  # signals that end a command as Ctrl-C does, with clean-up
 SAMPLES = Path(__file__).parents[1] / "samples"
 
 
 def main(argv: list[str] | None = None) -> None:
     """Entry point of the `rotorwatch` command; always leaves by SystemExit."""
-    # Nearly all that a command makes lasts until its end, and is not looked through for cycles again and again, nor when it ends. Matrices
-    # are small: threads of numerical libraries would only have to be started.
+    # Nearly all objects of a command live until its end, so cyclic garbage collection is of no use. Matrices
+    # are small: threads of numerical libraries only cost their start.
     gc.set_threshold(100_000, 20, 50)
     atexit.register(gc.freeze)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if "_ROTORWATCH_COMPLETE" in os.environ:  # set by the shell's completion function
         cli.main(prog_name="rotorwatch")
     if not os.environ.get("ROTORWATCH_DEBUG"):
-        warnings.simplefilter("ignore")  # those of numerical libraries; a flight's are part of the answer
+        warnings.simplefilter("ignore")  # of numerical libraries; a flight's are part of the answer
         for kind in (BackendWarning, PluginWarning):
             warnings.filterwarnings("once", category=kind)
         warnings.filterwarnings("always", category=WorkerWarning)
         warnings.showwarning = lambda message, *where, **more: say(str(message))
     for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:  # closed by the shell (>&-): nobody wants it
+        if getattr(sys, name) is None:  # closed by the shell (>&-)
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
         stream = getattr(sys, name)
-        if isinstance(stream, io.TextIOWrapper):  # a sign that the terminal does not know must not end the answer
+        if isinstance(stream, io.TextIOWrapper):  # a character that the terminal lacks must not end the answer
             stream.reconfigure(errors="backslashreplace")
     for name in ENDING:
         number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) == signal.SIG_DFL:  # nohup has it ignored
+        if number is not None and signal.getsignal(number) == signal.SIG_DFL:  # nohup ignores it
             with contextlib.suppress(ValueError):  # not the main thread
                 signal.signal(number, _stop)
     try:
         code = _run(sys.argv[1:] if argv is None else list(argv))
-    except OSError as why:  # nor can the error be printed
+    except OSError as why:  # the error cannot be printed either
         code = BROKEN_PIPE if isinstance(why, BrokenPipeError) else ERROR
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
         except OSError:
-            # What could not be written is tried again when the interpreter ends, which then complains and ends with 120.
+            # The interpreter would retry unwritten output when it ends, and then end with 120.
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
     sys.exit(code)
 
@@ -101,7 +101,7 @@ def _run(argv: list[str]) -> int:
             code = leave.exit_code
         sys.stdout.flush()
         return code
-    except BrokenPipeError:  # the reader (head, less) has seen enough
+    except BrokenPipeError:  # the reader (head, less) has closed
         return BROKEN_PIPE
     except (KeyboardInterrupt, click.Abort) as why:
         say("interrupted")
@@ -130,7 +130,7 @@ def _stop(number: int, frame: Any) -> None:
 
 
 def explain(why: Exception) -> str:
-    """One sentence for any exception: its own if it was raised on purpose, else a request to report it."""
+    """A sentence for any exception: its own if it was raised on purpose, else a request to report it."""
     if os.environ.get("ROTORWATCH_DEBUG"):
         import traceback
 
@@ -217,8 +217,8 @@ def diagnose(context, **options) -> None:
     _check_markdown(request)
     several_ways = request.jsonl or request.html or request.scheduler
     many = len(request.logs) > 1 or bool(several_ways) or gathering.is_several(request.logs[0])
-    found = gathering.Gathered(request.logs)
-    logs = gathering.Found(found) if many else request.logs
+    gathered = gathering.Gathered(request.logs)
+    logs = gathering.Found(gathered) if many else request.logs
     pages, recordings = report_paths(logs, request.report), report_paths(logs, request.mcap, "--mcap", ".mcap")
     posts, document = _post_paths(logs, request.markdown)
     if pages or request.html:
@@ -226,7 +226,7 @@ def diagnose(context, **options) -> None:
     if recordings:
         optional.library("mcap", "--mcap")
     request = request._replace(
-        logs=logs, pages=pages, recordings=recordings, posts=posts, document=document, others=found.others
+        logs=logs, pages=pages, recordings=recordings, posts=posts, document=document, others=gathered.others
     )
     if request.tuning:
         from rotorwatch.base import discovery
@@ -245,13 +245,13 @@ def _diagnose(request: several.Request) -> int:
     from rotorwatch.diagnose_many import timed
     from rotorwatch.witnesses.healthy.baselines import Candidate
 
-    known = vehicle_of(request.vehicle)
+    vehicle = vehicle_of(request.vehicle)
     with progress(request.quiet) as report:
-        healthy = tuple(Candidate(_read(path, report), known) for path in request.baselines)
+        healthy = tuple(Candidate(_read(path, report), vehicle) for path in request.baselines)
     with progress(request.quiet) as report:
         result = timed(
             lambda: _read(request.logs[0], portion(report, 0.0, READ)),
-            known,
+            vehicle,
             healthy,
             request.estimator,
             request.tuned,
@@ -281,7 +281,7 @@ def _diagnose(request: several.Request) -> int:
 
 
 def _check_markdown(request: several.Request) -> None:
-    """Raises ConfigError for --markdown and --identify beside what they do not go with."""
+    """Raises ConfigError for --markdown and --identify with incompatible options."""
     if request.identify and not request.markdown:
         raise ConfigError("--identify needs --markdown.")
     if request.to_stdout and (request.as_json or (request.jsonl and not request.out)):
@@ -296,9 +296,7 @@ def _post_paths(logs: Sequence[Any], out: Path | None) -> tuple[list[Path], Path
     from rotorwatch.report.markdown import ENDINGS
 
     each = "{name}" in str(out) or out.is_dir()
-    if (
-        not out.is_dir() and out.suffix.lower() not in ENDINGS
-    ):  # as a log that stands behind the option would be overwritten
+    if not out.is_dir() and out.suffix.lower() not in ENDINGS:  # a log after the option would be overwritten
         raise ConfigError(f"--markdown {out}: give a name that ends in .md; --markdown - writes to standard output.")
     if each:
         return report_paths(logs, out, "--markdown", ".md"), None
@@ -306,7 +304,7 @@ def _post_paths(logs: Sequence[Any], out: Path | None) -> tuple[list[Path], Path
 
 
 def report_paths(logs: Sequence[Any], out: Path | None, option: str = "--report", ending: str = ".html") -> list[Path]:
-    """Where each log's page goes: OUT, OUT/NAME.html in a folder, or OUT with {name} filled in; never one twice."""
+    """Path of each log's page: OUT, OUT/NAME.html in a folder, or OUT with {name} filled in; never the same twice."""
     from rotorwatch.base import files
 
     if out is None:

@@ -1,4 +1,4 @@
-"""The command that makes C of an estimator or of the control allocation."""
+"""The command that exports an estimator or the control allocation as C."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ def export_c(
 
     if (estimator is not None) + (allocator is not None) + diagnoser != 1:
         raise ConfigError("Give one of --estimator NAME, --allocator WAY and --diagnoser.")
-    own: dict[str, Any] = {"rate_hz": rate_hz, "control_hz": control_hz, "gyro_hz": sensor_hz, "accel_hz": sensor_hz}
-    own = {key: value for key, value in (own | {"prefix": prefix}).items() if value is not None}
-    if own and not diagnoser:
+    given: dict[str, Any] = {"rate_hz": rate_hz, "control_hz": control_hz, "gyro_hz": sensor_hz, "accel_hz": sensor_hz}
+    given = {key: value for key, value in (given | {"prefix": prefix}).items() if value is not None}
+    if given and not diagnoser:
         raise ConfigError("--rate-hz, --control-hz, --sensor-hz and --prefix belong to --diagnoser.")
     if diagnoser and (dt is not None or variable_dt):
         raise ConfigError("The diagnoser's ticks follow from --rate-hz: leave --dt and --variable-dt out.")
@@ -61,20 +61,20 @@ def export_c(
     if diagnoser:
         from rotorwatch.export.export_diagnoser import export_diagnoser
 
-        click.echo("\n".join(map(str, export_diagnoser(out, vehicle=craft or FRAME, **own))))
+        click.echo("\n".join(map(str, export_diagnoser(out, vehicle=craft or FRAME, **given))))
         return
     if estimator == "default":
-        made = export_default(out, vehicle=craft, dt=dt, variable_dt=variable_dt)
+        written = export_default(out, vehicle=craft, dt=dt, variable_dt=variable_dt)
     elif allocator is None:
         published = discovery.first("rotorwatch.api", "The export of a published method", "export_c")
-        made = published.export_c(estimator, out, vehicle=craft, dt=dt, variable_dt=variable_dt)
+        written = published.export_c(estimator, out, vehicle=craft, dt=dt, variable_dt=variable_dt)
     else:
         control = discovery.first("rotorwatch.api", "The export of the control allocation", "export_c")
         plain = allocator == "pseudo-inverse"
         by, method = ("estimate", allocator) if plain else (allocator, "bounded")
-        made = control.export_allocator(out, vehicle=craft or FRAME, by=by, method=method)
-    click.echo("\n".join(str(path) for path in made.files))
+        written = control.export_allocator(out, vehicle=craft or FRAME, by=by, method=method)
+    click.echo("\n".join(str(path) for path in written.files))
     if not quiet:
         say(
-            f"{made.name}: {made.state_bytes} bytes of state, {made.workspace_bytes} of workspace, definition {made.digest}"
+            f"{written.name}: {written.state_bytes} bytes of state, {written.workspace_bytes} of workspace, definition {written.digest}"
         )

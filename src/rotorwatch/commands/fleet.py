@@ -34,7 +34,7 @@ JSON = flag("--json as_json", "Print JSON (docs/fleet.md).")
 
 
 def _store(make: bool) -> Callable:
-    """The option --store of a command, which gets the store it names as `store`; make: whether one that is not there is made."""
+    """The option --store of a command, which passes the named store as `store`; make: whether a missing one is created."""
     text = "SQLite file or postgresql://USER@HOST/DATABASE; default: a file in your data folder."
     add_option = option("--store url", text, envvar="ROTORWATCH_STORE", metavar="FILE|URL")
 
@@ -109,11 +109,11 @@ def add(store, logs, aircraft, vehicle, follow, jobs, scheduler, quiet) -> None:
 
 def _say_refused(names: list[str]) -> None:
     if names:
-        shown = ", ".join(names[:REFUSED_SHOWN]) + (
+        listed = ", ".join(names[:REFUSED_SHOWN]) + (
             f" and {len(names) - REFUSED_SHOWN} more" if names[REFUSED_SHOWN:] else ""
         )
         say(
-            f"{len(names)} could not be diagnosed before and, unchanged, were not retried: {shown}; give one by itself to see why."
+            f"{len(names)} could not be diagnosed before and, unchanged, were not retried: {listed}; give one by itself to see why."
         )
 
 
@@ -231,7 +231,7 @@ def service(store, aircraft, what, rotor, at, after, quiet) -> None:
 
 
 def unknown(hash: str) -> NoReturn:
-    """Raises ConfigError for the hash of no flight."""
+    """Raises ConfigError for a hash without a flight."""
     raise ConfigError(
         f"{label(hash)}: the store holds no flight, or several, with such a hash; `rotorwatch fleet list --flights`."
     )
@@ -309,8 +309,8 @@ def report(store, out, quiet) -> None:
     """Write DIR/index.html and a page for each aircraft, which need no network."""
     from rotorwatch.fleet import pages
 
-    made = pages.write(store, out)
-    click.echo(f"{len(made)} pages written; begin with {made[0]}")
+    paths = pages.write(store, out)
+    click.echo(f"{len(paths)} pages written; begin with {paths[0]}")
 
 
 @fleet.command(short_help="Export the store as Parquet files.")
@@ -321,8 +321,8 @@ def export(store, out, quiet) -> None:
     """Write flights, aircraft, rotors and services as Parquet files (extra `parquet`)."""
     from rotorwatch.fleet import export as run
 
-    made = run.export(store, out)
-    click.echo("\n".join(map(str, made)))
+    paths = run.export(store, out)
+    click.echo("\n".join(map(str, paths)))
 
 
 def table(

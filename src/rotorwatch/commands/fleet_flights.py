@@ -1,4 +1,4 @@
-"""The commands of a fleet that list, compare and delete its flights; a list of flights is one of aircraft by default."""
+"""The commands of a fleet that list, compare and delete its flights; the list is one of aircraft by default."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def list_(store, flights, sort, limit, offset, as_json, quiet, **filters) -> Non
         rows.append((a["name"], a["state"], str(a["flights"]), day(a["last"]), last.get("verdict", "-"), new, headline))
     head = ("aircraft", "state", "flights", "last flight", "verdict", "new", "status")
     table(f"{len(found)} aircraft", head, rows, right=(2,))
-    with suppress(StoreError):  # a store that may only be read
+    with suppress(StoreError):  # the store may be read-only
         store.look()
     if nobody and not quiet:
         say(f"{nobody} flights name no aircraft: add such logs with --aircraft NAME.")
@@ -94,19 +94,19 @@ def compare(store, a, b, as_json, quiet) -> None:
     """
     from rotorwatch.fleet.compare import compare as run
 
-    found = run(store, a, b)
+    comparison = run(store, a, b)
     if as_json:
-        print_json(found.to_dict())
+        print_json(comparison.to_dict())
         return
     rows: list[tuple[str, ...]] = [
-        (_marked(row.what, row.differs), *row.values) for row in (*found.facts, *found.rotors)
+        (_marked(row.what, row.differs), *row.values) for row in (*comparison.facts, *comparison.rotors)
     ]
-    for k in range(max(map(len, found.events))):
-        pair = [events[k] if k < len(events) else None for events in found.events]
+    for k in range(max(map(len, comparison.events))):
+        pair = [events[k] if k < len(events) else None for events in comparison.events]
         alone = any(event and event.alone for event in pair)
         rows.append((_marked(f"event {k + 1}", alone), *(event.text if event else "-" for event in pair)))
-    click.echo(found.headline)
-    table("", ("", *(label(flight["name"]) for flight in found.flights)), rows, wide=(-2, -1))
+    click.echo(comparison.headline)
+    table("", ("", *(label(flight["name"]) for flight in comparison.flights)), rows, wide=(-2, -1))
 
 
 def _marked(what: str, differs: bool) -> str:
@@ -126,19 +126,19 @@ def delete(store, flights, yes, quiet) -> None:
     """
     from rotorwatch.fleet import assess
 
-    store.reports.settle()  # a deletion that was killed is finished first
-    found = {row["hash"]: row for row in (store.flight(one) or unknown(one) for one in flights)}
+    store.reports.settle()  # finish interrupted deletions first
+    rows = {row["hash"]: row for row in (store.flight(one) or unknown(one) for one in flights)}
     if not yes:
         if not sys.stdin.isatty():
             raise ConfigError("Deleting cannot be undone: give --yes to delete without confirmation.")
-        for row in found.values():
+        for row in rows.values():
             say(
                 f"{row['hash'][:8]}  {row['aircraft_name'] or '(no aircraft)'}  {label(row['name'])}: {row['headline']}"
             )
-        what = "this flight" if len(found) == 1 else f"these {len(found)} flights"
+        what = "this flight" if len(rows) == 1 else f"these {len(rows)} flights"
         click.confirm(f"Delete {what} permanently?", abort=True, err=True)
     try:
-        for hash in found:
+        for hash in rows:
             row = store.delete(hash)
             click.echo(f"deleted {hash[:8]}  {label(row['name'])}")
     finally:

@@ -1,4 +1,4 @@
-"""The command that lets assistants ask: a server of the Model Context Protocol."""
+"""The command of the server for assistants, by the Model Context Protocol."""
 
 from __future__ import annotations
 

@@ -20,13 +20,13 @@ from rotorwatch.errors import ConfigError
 
 # Of several logs the most severe answer is the exit code: error, fault, undecided, healthy.
 SEVERITY = (2, 1, 3, 0)
-KEYS = ("path", "exit_code", "size", "sha256")  # that a line of --jsonl begins with
+KEYS = ("path", "exit_code", "size", "sha256")  # first keys of a line of --jsonl
 
 
 class Request(NamedTuple):
-    """The options of `rotorwatch diagnose` by their names, and their values. logs: those found; others: how many files were none;
-    tuned: what --tuning holds; pages, recordings, posts: where --report, --mcap
-    and --markdown put each log's; document: where --markdown puts one post of all, or -."""
+    """The options of `rotorwatch diagnose` by name. logs: those found; others: number of files that were none; tuned: the content of
+    --tuning; pages, recordings, posts: paths by log of --report, --mcap and --markdown; document: path of --markdown for one post of all,
+    or -."""
 
     logs: Sequence[Any]
     baselines: Sequence[Path]
@@ -61,7 +61,7 @@ class Request(NamedTuple):
 
 
 def settings(estimator: str, matters: float, *files: Path | None) -> str:
-    """A digest of everything but the logs that the answers depend on: this version, the estimator, what matters, and files."""
+    """A digest of everything but the logs that the answers depend on: this version, the estimator, --matters, and files."""
     import hashlib
 
     digest = hashlib.sha256(f"{__version__}\0{estimator}\0{matters!r}".encode())
@@ -71,8 +71,7 @@ def settings(estimator: str, matters: float, *files: Path | None) -> str:
 
 
 def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
-    """Judge them all; returns the exit code. explain: makes a sentence of an exception. Whatever ends it, what has been answered is
-    shown."""
+    """Judge all logs; returns the exit code. explain: makes a sentence of an exception. However it ends, the answers so far are shown."""
     from rotorwatch.diagnose_many import Answer, diagnose_many
     from rotorwatch.report import markdown, overview
 
@@ -98,16 +97,16 @@ def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
                 text = explain(answer.error)
                 name = label(request.logs[answer.index])
                 sentence = text if name in text or label(answer.path) in text else f"{name}: {text}"
-                found = {**answer.to_dict(), "flight": {"name": name}, "error": text}
+                record = {**answer.to_dict(), "flight": {"name": name}, "error": text}
                 say(sentence)
             else:
-                found = answer.to_dict()
+                record = answer.to_dict()
             codes.add(answer.exit_code)
             page = _write_page(request, answer)
-            lines.write(answer, found)
+            lines.write(answer, record)
             if request.as_json:
-                listed[answer.index] = found
-            row = overview.row(label(answer.path), found, page)
+                listed[answer.index] = record
+            row = overview.row(label(answer.path), record, page)
             rows.add(row)
             if together:
                 together.add(row, answer.diagnosis, answer.parts, answer.picture)
@@ -135,7 +134,7 @@ def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
 
 
 def _drawable(quiet: bool) -> bool:
-    """Whether pictures can be drawn; says why not."""
+    """True if pictures can be drawn; prints why not."""
     try:
         optional.library("matplotlib.figure", "The picture of a post")
     except ConfigError as why:
@@ -146,7 +145,7 @@ def _drawable(quiet: bool) -> bool:
 
 
 def _show(request: Request, rows: Any, listed: list[dict[str, Any]], together: Any) -> None:
-    """Print and write what comes after the last log."""
+    """Print and write the summary after the last log."""
     from rotorwatch.report import overview
 
     if together and not request.to_stdout:
@@ -174,7 +173,7 @@ def _show(request: Request, rows: Any, listed: list[dict[str, Any]], together: A
 
 
 def _page(request: Request, path: str) -> str | None:
-    """The file name of a log's page below --html: its own name, and what distinguishes it from others of that name."""
+    """The file name of a log's page below --html: its own name, made unique."""
     if not request.html:
         return None
     import hashlib
@@ -211,9 +210,9 @@ def _write_page(request: Request, answer: Any) -> str | None:
 
 
 def _recorded(path: str) -> str:
-    """A path as a line holds it: what came through a pipe by its name; bytes that are no text as JSON's escapes."""
-    shown = label(path)
-    return path if shown == path.encode("utf-8", "backslashreplace").decode() else shown
+    """A path for a line of output: of a pipe, its name; undecodable bytes as JSON escapes."""
+    name = label(path)
+    return path if name == path.encode("utf-8", "backslashreplace").decode() else name
 
 
 class _Line(NamedTuple):
@@ -232,7 +231,7 @@ class _Lines:
         self.streams = out is not None
 
     def write(self, answer: Any, found: dict[str, Any]) -> None:
-        """One line, whole, at once: killing this loses no more than the line in the making."""
+        """Write one line atomically: a kill loses at most the line being computed."""
         if self.out is None:
             return
         about = dict(zip(KEYS, (_recorded(answer.path), answer.exit_code, answer.size, answer.sha256)))
@@ -254,7 +253,7 @@ def _lines(request: Request, how: str) -> Iterator[_Lines]:
 
 
 def _there(request: Request, how: str) -> dict[str, _Line]:
-    """The lines of the file that --resume goes on with, by path; a last line that was cut off is taken away. Raises ConfigError."""
+    """The lines of the file that --resume continues, by path; a truncated last line is removed. Raises ConfigError."""
     from rotorwatch.diagnose_many import Known
     from rotorwatch.report import overview
 
@@ -272,12 +271,12 @@ def _there(request: Request, how: str) -> dict[str, _Line]:
             try:
                 line = json.loads(text)
                 path, code, size, sha256 = (line[key] for key in KEYS)
-                made = line["settings"]
+                how_made = line["settings"]
             except (ValueError, TypeError, KeyError):
                 raise ConfigError(
                     f"{out}: line {number} is not a diagnosis of rotorwatch; give another file."
                 ) from None
-            if made != how:
+            if how_made != how:
                 raise ConfigError(
                     f"{out} was made by another version, or with another estimator, vehicle or baseline; give another file."
                 )

@@ -24,14 +24,14 @@ from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, Worker
 PICTURES = (".svg", ".png", ".pdf")
 ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
 BUILDING = "building native code for this computer, once; this takes some seconds."
-LINE_S, FEW = 2.0, 10  # s between two lines of progress; no lines for fewer items
+LINE_S, FEW = 2.0, 10  # s between two lines of progress; fewest items for them
 
 
-WRITER_S = 5.0  # in which something must come out of a pipe with a name
+WRITER_S = 5.0  # time limit for the first data of a named pipe
 
 
 class Log(click.ParamType):
-    """A file to be read: a Path. `-` is standard input; it and other pipes are kept in a file, as readers look at the whole of a log."""
+    """An input file: a Path. `-` is standard input; it and other pipes are stored in a file, as readers need random access."""
 
     name = "file"
 
@@ -49,7 +49,7 @@ class Log(click.ParamType):
         try:
             kind = path.stat().st_mode
         except (OSError, ValueError):
-            return path  # its reader reports what is wrong
+            return path  # the reader reports errors
         if stat.S_ISFIFO(kind):
             with _opened(path) as pipe:
                 return _spooled(pipe, f"pipe {path.name}")
@@ -59,7 +59,7 @@ class Log(click.ParamType):
 
 
 class Logs(Log):
-    """A log, or what stands for several: a folder, a pattern, an address. Paths, addresses and patterns as texts."""
+    """A log, or several by a folder, a pattern, an address. Paths, addresses and patterns as texts."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         if isinstance(value, str) and ADDRESS.match(value) and not Path(value).exists():
@@ -77,11 +77,11 @@ def _standard_input() -> Path:
 
 
 def _opened(path: Path) -> Any:
-    """A pipe to be read. One with a name, into which nobody writes, would be waited for without end."""
+    """An open pipe. A named one without a writer would block for ever, hence the time limit."""
     if path.parts[:2] in (
         ("/", "dev"),
         ("/", "proc"),
-    ):  # of the shell, which has opened its other end: <(xz -dc flight.bin.xz)
+    ):  # of the shell, whose other end is open: <(xz -dc flight.bin.xz)
         return open(path, "rb")
     import select
 
@@ -94,7 +94,7 @@ def _opened(path: Path) -> Any:
 
 
 def _spooled(stream: Any, name: str) -> Path:
-    """All of a stream in a file of that name, in the temporary folder of the process."""
+    """A stream's content in a file of that name, in the temporary folder of the process."""
     import tempfile
 
     path = Path(tempfile.mkdtemp(dir=incoming.spool())) / name
@@ -107,7 +107,7 @@ OUT = click.Path(path_type=Path)
 
 
 def option(names: str, help: str, default: Any = None, **more: Any) -> Callable:
-    """An option by its names ("--out -o"), what it is for, and its default, which is shown. more: as of click.option."""
+    """An option by its names ("--out -o"), its help, and its default, which is shown. more: as of click.option."""
     return click.option(*names.split(), help=help, default=default, show_default=default not in (None, ""), **more)
 
 
@@ -124,10 +124,10 @@ FIGURE = option("--figure", "Draw it.", type=OUT, metavar="OUT.svg")
 
 
 def label(text: Any) -> str:
-    """A name, or a sentence with one, as the user knows it: what came through a pipe has no folder; no control characters."""
+    """A name, or a sentence with one, for display: without the folder of a spooled pipe and without control characters."""
     spool = incoming.spooled()
-    shown = str(text) if spool is None else re.sub(re.escape(str(spool)) + r"/[^/]*/", "", str(text))
-    return public(printable(shown))
+    shortened = str(text) if spool is None else re.sub(re.escape(str(spool)) + r"/[^/]*/", "", str(text))
+    return public(printable(shortened))
 
 
 def say(text: str) -> None:
@@ -136,13 +136,13 @@ def say(text: str) -> None:
 
 
 def debug(context: click.Context, parameter: click.Parameter, on: bool) -> None:
-    """Callback of --debug: tracebacks from here on."""
+    """Callback of --debug: show tracebacks."""
     if on:
         os.environ["ROTORWATCH_DEBUG"] = "1"
 
 
 def _hush(context: click.Context, parameter: click.Parameter, on: bool) -> bool:
-    """Callback of --quiet: not even the warning that native code cannot be had."""
+    """Callback of --quiet: suppress also the warning about missing native code."""
     if on:
         for kind in (BackendWarning, PluginWarning, WorkerWarning):
             warnings.filterwarnings("ignore", category=kind)
@@ -158,7 +158,7 @@ def common(command: Callable) -> Callable:
 
 
 def spread(command: Callable) -> Callable:
-    """Options of commands that do many things: how many processes, or which cluster."""
+    """Options of commands with many items: number of processes, or the cluster."""
     jobs = option("--jobs", "Processes; default: one per processor.", type=click.IntRange(1, 256))
     scheduler = option(
         "--scheduler", "Use the workers of this Dask scheduler (docs/cluster.md).", metavar="tcp://HOST:PORT"
@@ -173,7 +173,7 @@ def resumable(command: Callable) -> Callable:
 
 
 def numbers(option: str, text: str, such: str = "0.2,0.3") -> tuple[float, ...]:
-    """Numbers with commas; such: an example. Raises ConfigError."""
+    """Numbers separated by commas; such: an example. Raises ConfigError."""
     try:
         return tuple(float(x) for x in text.split(","))
     except ValueError:
@@ -181,18 +181,17 @@ def numbers(option: str, text: str, such: str = "0.2,0.3") -> tuple[float, ...]:
 
 
 def shares(option: str, text: str) -> tuple[float, ...]:
-    """Losses given with commas. Raises ConfigError unless each is above 0 and below 1."""
-    found = numbers(option, text)
-    if not all(0 < x < 1 for x in found):
+    """Losses separated by commas. Raises ConfigError unless each is above 0 and below 1."""
+    losses = numbers(option, text)
+    if not all(0 < x < 1 for x in losses):
         raise ConfigError(
             f"{option} {text}: a loss must be above 0 and below 1; no vehicle flies on unchanged with a dead rotor."
         )
-    return found
+    return losses
 
 
 def findable(*specs: str) -> None:
-    """Before methods are looked up: one given as module:Class may lie in the current folder, as it does for `python`. Worker processes
-    inherit the path."""
+    """Before methods are looked up: put the current folder on the path for module:Class, as `python` does. Worker processes inherit it."""
     here = os.getcwd()
     if any(":" in spec for spec in specs) and here not in sys.path:
         sys.path.append(here)
@@ -208,12 +207,12 @@ def vehicle_of(path: Path | None) -> Any:
 def rate(speed: str) -> float:
     """The value of --speed: times real time, infinite for max. Raises ConfigError."""
     try:
-        found = float("inf") if speed == "max" else float(speed)
+        factor = float("inf") if speed == "max" else float(speed)
     except ValueError:
-        found = 0.0
-    if not found > 0.0:
+        factor = 0.0
+    if not factor > 0.0:
         raise ConfigError(f"--speed {speed}: give a number above 0, or max.")
-    return found
+    return factor
 
 
 def print_json(value: Any) -> None:
@@ -230,27 +229,27 @@ def answer(as_json: bool, value: Any, text: str) -> None:
 
 
 def written(quiet: bool, **paths: Path | None) -> None:
-    """Messages on the files that were written: what=path."""
+    """Report the files that were written: what=path."""
     for what, path in paths.items():
         if path and not quiet:
             say(f"{what.replace('_', ' ')} written to {path}")
 
 
 def show(table: Callable[[Any], Any]) -> None:
-    """Print what `table` makes of the terminal module, on standard output."""
+    """Print the table that `table` makes with the terminal module, on standard output."""
     from rotorwatch.report import terminal
 
     screen = terminal.console()
     if screen.is_terminal:
         screen.print(table(terminal), crop=False)
         return
-    with screen.capture() as text:  # rich pads lines to the table's width; a file does not need that
-        screen.print(table(terminal), crop=False)  # a path on a line of its own may be longer than that
+    with screen.capture() as text:  # strip rich's padding of lines, which a file does not need
+        screen.print(table(terminal), crop=False)  # a path on a line of its own may be longer
     click.echo("\n".join(line.rstrip() for line in text.get().splitlines()))
 
 
 def live() -> bool:
-    """Whether a bar can move on standard error: a terminal that can go back in its line."""
+    """True if a bar can move on standard error: a terminal with cursor control."""
     dumb = os.environ.get("TERM", "").lower() in ("dumb", "unknown")
     return sys.stderr is not None and sys.stderr.isatty() and not dumb
 
@@ -294,7 +293,7 @@ def progress(quiet: bool) -> Iterator[Callable | None]:
 
 
 class Counting:
-    """Progress where no bar can be drawn: a line now and then on standard error. Called with done, all, how many a second."""
+    """Progress without a bar: periodic lines on standard error. Called with the count, the total, and the rate per second."""
 
     def __init__(self, what: str):
         self.what, self.tenth, self.reported = what, 0, time.monotonic()
@@ -306,14 +305,14 @@ class Counting:
             say(f"{done} of {total} {self.what}, {speed:.1f} a second, {(total - done) / speed:.0f} s left")
 
     def show(self, line: Any) -> None:
-        """A line of its own on standard error."""
+        """Print a line of its own on standard error."""
         from rotorwatch.report import terminal
 
         terminal.console(stderr=True).print(line, soft_wrap=True)
 
 
 class _CountingBar(Counting):
-    """The same as a bar, with the time left."""
+    """Progress as a bar, with the time left."""
 
     def __init__(self, what: str, bar: Any):
         super().__init__(what)
@@ -329,7 +328,7 @@ class _CountingBar(Counting):
 
 @contextmanager
 def counting(quiet: bool, what: str) -> Iterator[Counting | None]:
-    """A bar with so many `what` a second and the time left on a terminal; a line now and then elsewhere; None when quiet."""
+    """A bar with the rate of `what` per second and the time left on a terminal; periodic lines elsewhere; None when quiet."""
     if quiet:
         yield None
     elif not live():
@@ -342,7 +341,7 @@ def counting(quiet: bool, what: str) -> Iterator[Counting | None]:
 
 
 def drawable(figure: Path) -> None:
-    """Before the work: that --figure can be drawn. Raises ConfigError."""
+    """Check before the work that --figure can be drawn. Raises ConfigError."""
     from rotorwatch.base import files, optional
 
     files.writable(figure, "--figure")

@@ -57,7 +57,7 @@ def watch(
     """
     from rotorwatch.live.endpoint import is_endpoint, open_endpoint
 
-    # Before anything that takes long is loaded: what vehicles send meanwhile is there then.
+    # Open endpoints before slow imports, so that packets of the meantime are buffered.
     opened = {}
     for endpoint in filter(is_endpoint, endpoints):
         opened[endpoint] = open_endpoint(endpoint)
@@ -68,24 +68,24 @@ def watch(
     from rotorwatch.live.watch import watch as run
 
     pace, known = rate(speed), vehicle_of(vehicle)
-    shown = _lines if jsonl else (lambda alert: None) if _screen() else _sentences(quiet)
+    display = _lines if jsonl else (lambda alert: None) if _screen() else _sentences(quiet)
     sources: list[Any] = []
-    outlets = _outlets(webhook, metrics, tell_ground, listen_only, shown)
+    outlets = _outlets(webhook, metrics, tell_ground, listen_only, display)
     background = Guard(say)
     unread: list[OSError] = []
 
     def publish(alert: dict) -> None:
         if not unread or not isinstance(unread[0], BrokenPipeError):
             try:
-                shown(alert)
-            except OSError as why:  # the reader has closed, or the disk is full: raised at the end, when all is done
+                display(alert)
+            except OSError as why:  # the reader has closed, or the disk is full: raised at the end
                 unread.append(why)
                 del unread[1:]
         for outlet in outlets:
             background.run(type(outlet).__name__.lower(), outlet.take, alert)
 
-    def nobody_reads() -> bool:
-        """Whether the reader of standard output (head) has seen enough, and nothing else is done with what is found."""
+    def reader_gone() -> bool:
+        """True if the reader of standard output (head) has closed, and the results go nowhere else."""
         return bool(unread) and isinstance(unread[0], BrokenPipeError) and not outlets and record is None
 
     try:
@@ -100,9 +100,9 @@ def watch(
         raise
     guarded = [Guarded(name, source, publish) for name, source in zip(endpoints, sources)]
     if jsonl or not _screen():
-        run(guarded, None, seconds, outlets, background, nobody_reads)
+        run(guarded, None, seconds, outlets, background, reader_gone)
     else:
-        _drawn(lambda show: run(guarded, show, seconds, outlets, background, nobody_reads))
+        _drawn(lambda show: run(guarded, show, seconds, outlets, background, reader_gone))
     if unread:
         raise unread[0]
     code = _code([v for source in sources for v in source.vehicles])
@@ -115,7 +115,7 @@ def watch(
 
 
 def _outlets(webhook: str | None, metrics: str | None, tell_ground: bool, listen_only: bool, shown) -> list[Any]:
-    """Where alerts go besides the screen."""
+    """Destinations of alerts besides the screen."""
     if tell_ground and listen_only:
         raise ConfigError("--tell-ground sends and --listen-only forbids it; leave out one of them.")
     outlets: list[Any] = []
@@ -140,13 +140,13 @@ def _outlets(webhook: str | None, metrics: str | None, tell_ground: bool, listen
 
 
 def _screen() -> bool:
-    """Whether a picture can be drawn on standard output."""
+    """True if standard output can show a live table."""
     dumb = os.environ.get("TERM", "").lower() in ("dumb", "unknown", "")
     return sys.stdout is not None and sys.stdout.isatty() and not dumb
 
 
 def _drawn(run) -> None:
-    """Run with a picture of all vehicles that is drawn again and again."""
+    """Run with a live table of all vehicles."""
     from rich.live import Live
 
     from rotorwatch.live.view import table
@@ -178,20 +178,20 @@ def _lines(alert: dict) -> None:
 
 
 def _sentences(quiet: bool):
-    """Alerts for people, where no picture can be drawn."""
+    """Alerts as sentences, where no live table can be drawn."""
     from rotorwatch.live.ground import gist, worth_sending
     from rotorwatch.live.view import announced
 
-    said: dict[tuple[str, int], tuple] = {}  # (vehicle, event) -> what was said of it last
+    printed: dict[tuple[str, int], tuple] = {}  # (vehicle, event) -> its last printed state
 
     def show(alert: dict) -> None:
-        if alert["type"] == "vehicle":  # a flight begins: its events are numbered anew
-            for key in [key for key in said if key[0] == alert["vehicle"]]:
-                del said[key]
+        if alert["type"] == "vehicle":  # a new flight restarts the numbers of events
+            for key in [key for key in printed if key[0] == alert["vehicle"]]:
+                del printed[key]
         elif alert["type"] == "event":
             key = alert["vehicle"], alert["number"]
-            if alert["state"] != "changed" or worth_sending(said.get(key), alert):
-                said[key] = gist(alert)
+            if alert["state"] != "changed" or worth_sending(printed.get(key), alert):
+                printed[key] = gist(alert)
                 click.echo(f"{alert['vehicle']}: {announced(alert)}")
         elif not quiet:
             say(alert["text"] if alert["vehicle"] in alert["text"] else f"{alert['vehicle']}: {alert['text']}")
@@ -200,8 +200,8 @@ def _sentences(quiet: bool):
 
 
 def _code(vehicles) -> int:
-    found = [e for v in vehicles for e in v.events if e.means.wrong]
-    if any(e.means.accuses or e.rotors for e in found):
+    faults = [e for v in vehicles for e in v.events if e.means.wrong]
+    if any(e.means.accuses or e.rotors for e in faults):
         return FAULT
     open_ = any(v.trouble or v.session is None or v.session.doubt or not v.session.judged for v in vehicles)
-    return NOTHING if not vehicles or open_ or found else 0
+    return NOTHING if not vehicles or open_ or faults else 0

@@ -1,6 +1,6 @@
-"""The default estimator as a C99 project: header, source, example and CMakeLists, made of its definition (engine/estimator/).
+"""The default estimator as a C99 project: header, source, example and CMakeLists, from its definition (engine/estimator/).
 
-A tick in, what its `Result` says out; `export_diagnoser` has what makes ticks of samples and events of results.
+Its input is a tick, its output a `Result`; `export_diagnoser` adds ticks from samples and events from results.
 """
 
 from __future__ import annotations
@@ -60,11 +60,11 @@ def export_default(
 def compose_project(name: str, vehicle: Vehicle, dt: float) -> Project:
     """The header and source NAME.h, NAME.c and an example, for a vehicle and ticks of dt seconds. Raises ConfigError for other ticks."""
     B = vehicle.effectiveness()
-    made = Translation((*ESTIMATOR, whole), sizes)
+    translation = Translation((*ESTIMATOR, whole), sizes)
     values = settings(B, dt)
     plant = text_of(plant_table(vehicle, dt), "rw_plant", "rw_plant_default")
-    text = made.header("", name="estimator"), made.source(f"{name}.h")
-    config = "".join(f"#define RW_{size} {values[size]}\n" for size in made.sizes)
+    text = translation.header("", name="estimator"), translation.source(f"{name}.h")
+    config = "".join(f"#define RW_{size} {values[size]}\n" for size in translation.sizes)
     digest = hashlib.sha256("\0".join((*text, config, plant)).encode()).hexdigest()[:16]
     about = f"The default estimator: ticks of {dt:g} s of {B.shape[1]} rotors in, losses out."
     about += f" rotorwatch {__version__}, definition {digest}."
@@ -74,7 +74,7 @@ def compose_project(name: str, vehicle: Vehicle, dt: float) -> Project:
     )
     source = text[1] + "\n" + plant.replace("const rw_plant", "static const rw_plant") + _DEFINED.format(NAME=name)
     texts = {f"{name}.h": header, f"{name}.c": source, "example.c": _example(name, B)}
-    return Project({file: _own(text, name) for file, text in texts.items()}, _bytes(Estimator, values), digest)
+    return Project({file: _prefixed(text, name) for file, text in texts.items()}, _bytes(Estimator, values), digest)
 
 
 _DECLARED = """
@@ -119,8 +119,8 @@ def _inputs(n: int) -> str:
    of a flight, 2 at a contact)"""
 
 
-def _own(text: str, name: str) -> str:
-    """The same with names of its own: several of these, and a diagnoser, may stand in one firmware."""
+def _prefixed(text: str, name: str) -> str:
+    """The text with prefixed names, so that several of these, and a diagnoser, can be in one firmware."""
     text = re.sub(r"\brw_(?!real\b|time\b)", f"{name}_", text)
     return re.sub(r"\bRW_(?!LASTS\b)", f"{name.upper()}_", text)
 
@@ -160,7 +160,7 @@ int main(void)
 
 
 def _bytes(kind: type[structs.Struct], values: dict[str, Any]) -> int:
-    """Size of a struct where the sizes have these values, without gaps."""
+    """Size of a struct with these values of the sizes, without gaps."""
     usual = {size: values[name] for name, size in vars(sizes).items() if name.isupper() and name in values}
     total = 0
     for name, field in kind.declared():

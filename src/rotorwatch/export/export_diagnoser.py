@@ -2,8 +2,8 @@
 
     export_diagnoser("out", vehicle="mine.toml", prefix="rotor")
 
-All of it is made of definitions (engine/); rw_diagnoser.{h,c} (embedded_c) is what a flight controller calls. rw_config.h and rw_config.c
-hold the vehicle and the rates.
+All of it comes from definitions (engine/); rw_diagnoser.{h,c} (embedded_c) is the interface for a flight controller. rw_config.h and
+rw_config.c hold the vehicle and the rates.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ from rotorwatch.flight.vehicle import Vehicle
 
 SOURCES = Path(__file__).parent / "embedded_c"
 MADE = "Made of the definitions in rotorwatch/engine; not to be edited."
-ROOMS = ("RECORDS", "CONTACTS", "FALLS", "EVENTS", "SAMPLES")  # sizes of buffers, which a compiler's -D may override
+ROOMS = ("RECORDS", "CONTACTS", "FALLS", "EVENTS", "SAMPLES")  # buffer sizes that the compiler's -D may override
 TRIM = {name: size for name, size in vars(trim_sizes).items() if name.isupper()}
-QUEUE_S = 6.0  # ticks that wait: airborne.CONFIRM_S, and room
+QUEUE_S = 6.0  # queue of ticks: airborne.CONFIRM_S, and a margin
 
 
 def plant_table(vehicle: Vehicle, dt: float) -> dict[str, Any]:
-    """The members of rw_plant: what the estimator knows of a vehicle before take-off, for ticks of dt seconds."""
+    """The members of rw_plant: the estimator's prior for a vehicle, for ticks of dt seconds."""
     n = len(vehicle.rotors)
     plant = program.steps(dt, vehicle.effectiveness(), (vehicle.identified or {}).get("dynamics")).plant
     fitting = {engine_sizes.ROTORS: n, engine_sizes.STATES: engine_sizes.PLANT_STATES + n}
@@ -75,7 +75,7 @@ def settings(B: np.ndarray, dt: float) -> dict[str, Any]:
 
 
 def rates(output_hz: float, gyro_hz: float, accel_hz: float) -> dict[str, int]:
-    """Entries of rw_config.h for signals at these rates [Hz]: lengths of the buffers, and how often motion is fed."""
+    """Entries of rw_config.h for signals at these rates [Hz]: lengths of the buffers, and the interval of motion samples."""
     half = int(np.ceil(max(gyro_hz, accel_hz) / 2)) + 2
     samples = int(np.ceil(max(0.4 * gyro_hz, 0.9 * accel_hz))) + 4
     often = int(np.ceil(max(gyro_hz, accel_hz)))
@@ -100,7 +100,7 @@ def config(vehicle: Vehicle, dt: float, output_hz: float, gyro_hz: float, accel_
 def vehicle_table(
     vehicle: Vehicle, output: tuple[float, float], yaw_headroom: float = allocation.YAW_HEADROOM
 ) -> dict[str, Any]:
-    """The members of rw_vehicle. output: ends of the outputs' range as the autopilot counts it, in their unit."""
+    """The members of rw_vehicle. output: ends of the outputs' range in the autopilot's unit."""
     coaxial = lower_rotors(vehicle.effectiveness()) is not None
     return {"rotors": len(vehicle.rotors), **allocation.table(vehicle, output, yaw_headroom), "coaxial": coaxial}
 
@@ -133,7 +133,7 @@ def text_of(table: dict[str, Any], kind: str, name: str) -> str:
 
 @functools.cache
 def definitions() -> dict[str, str]:
-    """File name -> text of what is made of definitions, the same for all vehicles."""
+    """File name -> text of the translated definitions, the same for all vehicles."""
     front = Translation(definition.FRONT, *definition.SIZES)
     estimator = Translation(definition.ESTIMATOR, *definition.SIZES, given=[front])
     trim = Translation(definition.TRIM, *definition.SIZES, given=[front, estimator])
@@ -159,14 +159,14 @@ def files(
     texts = {path.name: path.read_text(encoding="utf-8") for path in sorted(SOURCES.glob("*.[ch]"))}
     texts |= definitions()
     texts["rw_config.h"] = config(vehicle, plan.dt, *rates)
-    made = [text_of(tables[0], "rw_vehicle", "rw_vehicle_default"), text_of(tables[1], "rw_plan", "rw_plan_default")]
-    made.append(text_of(plant_table(vehicle, plan.dt), "rw_plant", "rw_plant_default"))
-    texts["rw_config.c"] = '#include "rw_diagnoser.h"\n\n' + "\n".join(made)
+    parts = [text_of(tables[0], "rw_vehicle", "rw_vehicle_default"), text_of(tables[1], "rw_plan", "rw_plan_default")]
+    parts.append(text_of(plant_table(vehicle, plan.dt), "rw_plant", "rw_plant_default"))
+    texts["rw_config.c"] = '#include "rw_diagnoser.h"\n\n' + "\n".join(parts)
     return texts
 
 
 def prefixed(texts: dict[str, str], prefix: str) -> dict[str, str]:
-    """The same with all names that begin with rw_ or RW_ begun with another prefix."""
+    """The texts with the prefix rw_ or RW_ of all names replaced."""
 
     def renamed(text: str) -> str:
         text = re.sub(r"\brw_", f"{prefix}_", text)
@@ -185,11 +185,10 @@ def export_diagnoser(
     accel_hz: float = 100.0,
     prefix: str = "rw",
 ) -> tuple[Path, ...]:
-    """Write the library into the folder `out`, which is made where it is missing; the files that were written.
+    """Write the library into the folder `out`, created where missing; returns the files written.
 
-    vehicle: what `calibrate` learned, or an airframe's name. rate_hz: of the outputs that are fed; control_hz: of the rate controller's
-    output, when it is fed and faster; gyro_hz, accel_hz: of the averaged samples. prefix: of all names. Raises ConfigError.
-    """
+    vehicle: from `calibrate`, or an airframe's name. rate_hz: of the outputs; control_hz: of the rate controller's output, when it is an
+    input and faster; gyro_hz, accel_hz: of the averaged samples. prefix: of all names. Raises ConfigError."""
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9]*", prefix):
         raise ConfigError(f"{prefix!r} cannot begin the names of C functions: give letters and digits.")
     for name, hz in (("rate_hz", rate_hz), ("gyro_hz", gyro_hz), ("accel_hz", accel_hz)):

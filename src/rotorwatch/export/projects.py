@@ -1,4 +1,4 @@
-"""What stands around exported C: the files of a project, how CMake builds it, and a program that calls the diagnoser."""
+"""CMake files for exported C, and an example program for the diagnoser."""
 
 from __future__ import annotations
 

@@ -1,23 +1,23 @@
-"""A store that remembers flights, whose they are, and what all of them together say of every aircraft and rotor.
+"""A store of flights and their aircraft, and the analysis of every aircraft and rotor over all its flights.
 
-judge.py            a log judged: what the store keeps of it
-summary.py          what a list shows of an answer
-tables.py           the tables, and how an older store becomes one of today
-address.py          where the store lies
-database.py         SQLite or PostgreSQL: its transactions, and its errors as sentences
-listing.py          which flights a list shows, and in which order
-reports.py          the reports of flights, which go with them
-damage.py           which row of a store is damaged, when work on it has failed
-store.py            what is kept of flights and aircraft: everything that is written or read goes through here
+judge.py            a log judged, as a store entry
+summary.py          an answer as a line of a list
+tables.py           the tables, and the upgrade of older stores
+address.py          the store's location
+database.py         SQLite or PostgreSQL: transactions, and errors as sentences
+listing.py          filters and orders of lists of flights
+reports.py          the reports of flights, kept next to the store
+damage.py           the damaged row of a store, when work on it has failed
+store.py            flights and aircraft: all reads and writes go through here
 add.py              logs into the store, once or as they come; its flights judged again
-scatter.py          how much healthy flights differ
-explain.py          what changed in an aircraft: wear, damage, shifted weights, each with its evidence
-prognosis.py        when a rotor that wears reaches a limit
-false_discovery.py  which rotors of a whole fleet are named
+scatter.py          scatter of healthy flights
+explain.py          changes of an aircraft: wear, damage, shifted weights, each with its evidence
+prognosis.py        time at which a wearing rotor reaches a limit
+false_discovery.py  the rotors of a whole fleet that are named
 condition.py        whether an aircraft may fly, by its rotors and its flights
-assess.py           all of that together: where every aircraft stands
-compare.py          two flights next to each other
-pages.py            where every aircraft stands, as pages
+assess.py           all of that together: the standing of every aircraft
+compare.py          two flights side by side
+pages.py            the standings as pages
 export.py           the store as Parquet files
 """
 

@@ -24,8 +24,8 @@ POLL_S = 2.0
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a log. state: added, known (its content is in the store), failed, or refused (it failed before, has not changed, and
-    was not tried again). verdict, text: of the flight, or why not. aircraft: its name, "" when nothing tells."""
+    """The result for a log. state: added, known (its content is in the store), failed, or refused (it failed before, is unchanged, and was
+    not tried again). verdict, text: of the flight, or why not. aircraft: its name, "" when unknown."""
 
     path: Path | str
     state: str
@@ -39,18 +39,19 @@ def add(
     given: Iterable[Path | str],
     aircraft: str = "",
     vehicle: Vehicle | None = None,
-    tell: Callable[[Outcome], None] = lambda told: None,
+    tell: Callable[[Outcome], None] = lambda outcome: None,
     progress: Callable | None = None,
     jobs: int | None = None,
     scheduler: str | None = None,
     insist: bool = True,
 ) -> tuple[list[Outcome], int]:
-    """Add all logs that are new to the store, one transaction each: files, folders, patterns and addresses (`gathering`). aircraft: a
-    name for the flights, in place of what the logs say. tell: called with each log's fate; progress: as progress(share, text). jobs,
-    scheduler: as for `many.run`, by default a process per processor, fewer for few logs; the store is the same, because this process
-    alone writes it, in the order of the logs. insist: a log that is named by itself is tried again though it failed before and has not
-    changed; those in folders are not. Returns the fates, and how many files in folders were no logs. Standings are not worked out
-    (`assess.refresh`). Raises ConfigError, and StoreError, after which the same call goes on."""
+    """Add all logs that are new to the store, one transaction each: files, folders, patterns and addresses (`gathering`).
+
+    aircraft: a name for the flights, in place of the logs' own. tell: called with each log's outcome; progress: as progress(share, text).
+    jobs, scheduler: as for `many.run`, by default a process per processor, fewer for few logs; the store is the same, because this process
+    alone writes it, in the order of the logs. insist: retry a log that is named by itself though it failed before and is unchanged; those
+    in folders are not retried. Returns the outcomes, and the number of files in folders that were no logs. Standings are not updated
+    (`assess.refresh`). Raises ConfigError, and StoreError, after which the same call resumes."""
     given, how = list(given), _given(vehicle)
     named = {full(one) for one in given if insist and not is_several(one)}
     gathered = Gathered(given)
@@ -60,9 +61,9 @@ def add(
     fates: list[Outcome] = []
     new: list[Path | str] = []
 
-    def fate(told: Outcome) -> None:
-        fates.append(told)
-        tell(told)
+    def fate(outcome: Outcome) -> None:
+        fates.append(outcome)
+        tell(outcome)
         if progress:
             progress(len(fates) / len(logs), "judging")
 
@@ -70,12 +71,12 @@ def add(
 
     def unknown() -> Iterator[str]:
         for log in logs:
-            told = _before(store, log, paths, "" if full(log) in named else how)
-            if told is None:
+            outcome = _before(store, log, paths, "" if full(log) in named else how)
+            if outcome is None:
                 new.append(log)
                 yield full(log) if scheduler else str(log)
             else:
-                fate(told)
+                fate(outcome)
 
     for done in many.in_order(_Judge(aircraft, vehicle), unknown(), jobs, scheduler):
         log = new[done.index]
@@ -90,7 +91,7 @@ def add(
 
 @dataclass(frozen=True)
 class _Judge:
-    """What is done with a log, wherever that is."""
+    """The work on a log, in any process."""
 
     aircraft: str
     vehicle: Vehicle | None
@@ -102,7 +103,7 @@ class _Judge:
 
 @contextmanager
 def _readable(log: Path | str) -> Iterator[None]:
-    """What the system says against a log, in a sentence."""
+    """Errors of the system on a log as a sentence."""
     try:
         yield
     except OSError as why:
@@ -110,27 +111,27 @@ def _readable(log: Path | str) -> Iterator[None]:
 
 
 def _expected(error: Exception | None) -> None:
-    """Raises what no log is to blame for."""
+    """Raise errors that are not due to the log."""
     if error is not None and not isinstance(error, RotorwatchError):
         raise error
 
 
 def _given(vehicle: Vehicle | None) -> str:
-    """What decides, apart from a file's bytes, whether it can be judged: this version, and the vehicle that was given."""
+    """Key of everything but the file's bytes that decides whether it can be judged: this version, and the given vehicle."""
     craft = "" if vehicle is None else hashlib.sha256(repr(vehicle).encode()).hexdigest()[:16]
     return f"{__version__} {craft}".strip()
 
 
 def _refuse(store: Store, log: Path | str, how: str, error: Exception) -> None:
-    """Remember a file that is itself to blame: not where a library is missing, or the file or its server cannot be reached."""
+    """Remember a file that failed by its content: not where a library is missing, or the file or its server cannot be reached."""
     if isinstance(error, (LogError, VehicleError)):
         with suppress(RotorwatchError), fetched(log) as path, _readable(log):
             store.refuse(fingerprint(path)[1], full(log), how, str(error))
 
 
 def _before(store: Store, log: Path | str, paths: Set[str], how: str) -> Outcome | None:
-    """What becomes of a log without being judged; None: nothing. A log behind an address that is not among `paths`, those in the store, is
-    fetched once, by who judges it. how: `_given`; empty for a log that is tried again."""
+    """The outcome of a log that need not be judged; None where it must be. A log behind an address that is not among `paths`, those in the
+    store, is fetched once, by the process that judges it. how: `_given`; empty for a log that is retried."""
     if is_address(log) and full(log) not in paths:
         return None
     try:
@@ -158,13 +159,13 @@ def follow(
     folders: Iterable[Path],
     aircraft: str = "",
     vehicle: Vehicle | None = None,
-    tell: Callable[[Outcome], None] = lambda told: None,
+    tell: Callable[[Outcome], None] = lambda outcomes: None,
     trouble: Callable[[str], None] = lambda text: None,
     poll_s: float = POLL_S,
     stop: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Add logs as they come into folders, until `stop`. A file is taken when its size and time have not changed from one look to the
-    next. When the store cannot be reached, `trouble` is told once, and it is tried again at every look."""
+    """Add logs as they come into folders, until `stop`. A file is taken when its size and time have not changed between two polls. When the
+    store cannot be reached, `trouble` is called once, and every poll retries."""
     folders = [Path(f) for f in folders]
     seen: dict[Path, tuple[int, int]] = {}
     settled: dict[Path, tuple[int, int]] = {}
@@ -175,8 +176,8 @@ def follow(
             for path, mark in _files(folders):
                 if settled.get(path) != mark and seen.get(path) == mark:
                     if is_log(path):
-                        told, _ = add(store, [path], aircraft, vehicle, tell, jobs=1, insist=False)
-                        new |= any(one.state == "added" for one in told)
+                        outcomes, _ = add(store, [path], aircraft, vehicle, tell, jobs=1, insist=False)
+                        new |= any(one.state == "added" for one in outcomes)
                     settled[path] = mark
                 seen[path] = mark
             if new or unwell:
@@ -203,7 +204,7 @@ def _files(folders: Iterable[Path]) -> Iterator[tuple[Path, tuple[int, int]]]:
 
 @dataclass(frozen=True)
 class Change:
-    """What judging again changed in a flight. before, after: (verdict, headline); lost: why it could not be judged again, or ""."""
+    """A flight changed by judging it again. before, after: (verdict, headline); lost: why it could not be judged again, or ""."""
 
     hash: str
     name: str
@@ -221,15 +222,15 @@ def rejudge(
     jobs: int | None = None,
     scheduler: str | None = None,
 ) -> tuple[int, list[Change]]:
-    """Judge flights again that another version of rotorwatch has judged; every: all of them. Returns how many were, and what changed; a
-    log that is gone or has another content keeps its judgement, and is among them. jobs, scheduler: as for `add`."""
+    """Judge flights again that another version of rotorwatch has judged; every: all of them. Returns their number, and the changes; a log
+    that is gone or has another content keeps its result, and is among them. jobs, scheduler: as for `add`."""
     rows = store.flights("date", limit=None, aircraft=aircraft)
     rows = [r for r in rows if every or r["version"] != __version__]
     if jobs is None and scheduler is None:
         jobs = many.useful_jobs(len(rows))
     changes, count = [], 0
-    told = (lambda n: progress(n / len(rows), "diagnosing again")) if progress else None
-    for done in many.in_order(_again, [(r["path"], r["hash"]) for r in rows], jobs, scheduler, told):
+    finished = (lambda n: progress(n / len(rows), "diagnosing again")) if progress else None
+    for done in many.in_order(_again, [(r["path"], r["hash"]) for r in rows], jobs, scheduler, finished):
         row = rows[done.index]
         _expected(done.error)
         before = after = row["verdict"], row["headline"]

@@ -1,4 +1,4 @@
-"""Where a store lies: a file name or a URL."""
+"""Location of a store: a file name or a URL."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def default_url() -> str:
 
 
 def data_file() -> Path:
-    """A SQLite file in the user's folder of data, where the platform wants such."""
+    """A SQLite file in the platform's folder for user data."""
     home = Path.home()
     if sys.platform == "win32":
         folder = Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local")
@@ -30,7 +30,7 @@ def data_file() -> Path:
 
 
 def resolve(url: str | os.PathLike | None) -> tuple[str, str]:
-    """(SQLAlchemy's URL, what to call it in sentences: the file, or the URL without its password)."""
+    """(SQLAlchemy's URL, name for messages: the file, or the URL without its password)."""
     text = os.fspath(url) if url is not None else default_url()
     if re.match(r"postgres(ql)?(\+\w+)?://", text):
         rest = text.partition("://")[2]
@@ -39,12 +39,14 @@ def resolve(url: str | os.PathLike | None) -> tuple[str, str]:
             urlsplit(f"postgresql://{rest}").port  # noqa: B018 - raises for what is no port
         except ValueError:
             raise ConfigError(f"{label} is not a database address; give postgresql://USER@HOST/DATABASE.") from None
-        if rest.count("@") > 1:  # drivers end the password at the first one, and show the rest of it as the host
+        if rest.count("@") > 1:  # drivers end the password at the first @, and show the rest of it as the host
             raise ConfigError(f"{label}: write @ in a user's name or a password as %40.")
         return f"postgresql+psycopg://{rest}", label
     if text.startswith("sqlite:///"):
         text = text.removeprefix("sqlite:///")
-    elif re.match(r"[a-z][a-z0-9+.-]+:/", text, re.IGNORECASE) and not Path(text).exists():  # one letter is a disk
+    elif (
+        re.match(r"[a-z][a-z0-9+.-]+:/", text, re.IGNORECASE) and not Path(text).exists()
+    ):  # a single letter is a drive
         text = re.sub(":/+", "://", text, count=1)
         raise ConfigError(f"{public(text)} is not a store; give a file name or postgresql://USER@HOST/DATABASE.")
     if not text:

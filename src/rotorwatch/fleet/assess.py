@@ -1,8 +1,8 @@
-"""What all flights of a store say of every aircraft and rotor: its standing, in plain data.
+"""The standing of every aircraft and rotor over all flights of a store, in plain data.
 
-Aircraft of one build teach each other how much a healthy flight scatters, how wind pushes their trim, and what level a healthy sister has.
-A flight teaches nothing when rotorwatch itself calls it faulty or ambiguous, does not believe its log, or saw a rotor at its limit: it is
-shown, and named among those left out.
+Aircraft of one build share the scatter of healthy flights, the wind's effect on their trim, and the level of a healthy rotor. A flight is
+not used when rotorwatch itself calls it faulty or ambiguous, doubts its log, or saw a rotor at its limit: it is shown, and named among
+those left out.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from rotorwatch.witnesses.healthy.whole_flight import LIMITED, SLOPE_BETWEEN_SD,
 
 FELL = "control was lost in it"
 TAUGHT_BY = ("healthy", "inconclusive")
-SISTERS = 2  # others of the build, from which on they are compared with
-BETWEEN = 2.0  # aircraft of a build differ by so many times what flights of one do, before any was seen
-LAGS = 3  # flights, over which what is left may hang together
-# Of Student's t: how much less a flight says than its scale suggests.
+SISTERS = 2  # fewest other aircraft of the build for a comparison
+BETWEEN = 2.0  # prior ratio of the scatter between aircraft to that between flights
+LAGS = 3  # flights over which residuals may be correlated
+# Of Student's t: information of a flight relative to its scale.
 INFLATION = (scatter.NU + 5.0) / (scatter.NU + 3.0)
 
 
@@ -48,7 +48,7 @@ class History:
 
 
 def assess(store: Store, progress: Callable | None = None) -> tuple[dict[str, dict], dict[str, dict]]:
-    """Standing of every aircraft, and the points of its picture, by key. Nothing is written."""
+    """Standing of every aircraft, and the points of its plot, by key. Nothing is written."""
     rows: dict[str, list[dict]] = {}
     for row in store.trims():
         rows.setdefault(row["aircraft"], []).append(row)
@@ -59,16 +59,16 @@ def assess(store: Store, progress: Callable | None = None) -> tuple[dict[str, di
 
 
 def refresh(store: Store, progress: Callable | None = None) -> None:
-    """Work out all standings and keep them, in one transaction."""
+    """Compute all standings and store them, in one transaction."""
     seen = store.state()
-    found, points = assess(store, progress)
-    store.set_standings(found, points, seen)
+    standings_, points = assess(store, progress)
+    store.set_standings(standings_, points, seen)
 
 
 def standings(
     rows: Mapping[str, Sequence[Mapping]], services: Mapping[str, Sequence[Mapping]], progress: Callable | None = None
 ) -> tuple[dict[str, dict], dict[str, dict]]:
-    """As `assess`, from flights (key of the aircraft -> rows) and services alone."""
+    """`assess` from flights (key of the aircraft -> rows) and services alone."""
     histories = [history(key, list(rows[key]), services.get(key, ())) for key in sorted(rows)]
     builds: dict[str, list[History]] = {}
     for one in histories:
@@ -103,8 +103,8 @@ def history(key: str, rows: list, services: Iterable[Mapping]) -> History:
 
 
 def _place(rows: Sequence[Mapping], service: Mapping) -> int:
-    """Index of the first flight after a service: behind the flight that it names, else behind the last one that is known to be before it,
-    by its time, or where there is none by when it was added."""
+    """Index of the first flight after a service: after the flight that it names, else after the last one known to be before it, by time or,
+    without one, by order of addition."""
     utc, after = service["utc"], service["after"]
     named = [] if utc else [k for k, r in enumerate(rows) if r["ordinal"] == after]
     later = next((k for k, r in enumerate(rows) if utc and r["utc"] and r["utc"] >= utc), len(rows))
@@ -126,7 +126,7 @@ def _why_not(row: Mapping, rotors: int) -> str:
 
 
 def _build(one: History) -> str:
-    """That of most of its flights."""
+    """The build of most of its flights."""
     all_of_them = [r["build"] for r in one.rows]
     return max(sorted(set(all_of_them)), key=all_of_them.count)
 
@@ -135,7 +135,7 @@ def _build(one: History) -> str:
 
 
 def _of_one_build(histories: list[History]) -> list[tuple[History, Series, Found, int]]:
-    """Every aircraft of a build that has a flight to go by, explained."""
+    """Every aircraft of a build with a usable flight, explained."""
     known = [one for one in histories if one.use.any()]
     if not known:
         return []
@@ -156,7 +156,7 @@ def _of_one_build(histories: list[History]) -> list[tuple[History, Series, Found
         cuts = tuple((k, rotor) for k, rotor, _ in one.services if k < len(y))
         series.append(Series(y, (between + c) * INFLATION, starts, G, one.use, cuts))
     first = [explain.explain(s) for s in series]
-    longer = _hanging_together([f.rest[s.use] for f, s in zip(first, series)])
+    longer = _correlation_inflation([f.rest[s.use] for f, s in zip(first, series)])
     series = [replace(s, noise=s.noise * longer) for s in series]
     out = []
     for k, (one, s) in enumerate(zip(known, series)):
@@ -168,18 +168,18 @@ def _of_one_build(histories: list[History]) -> list[tuple[History, Series, Found
 
 
 def _wind(trims: Iterable[Mapping]) -> tuple[np.ndarray, np.ndarray]:
-    """(2,) slopes of roll and pitch on the crosswise force that all flights share, and the variance of one flight's own, of which
-    SLOPE_BETWEEN_SD counts for as many flights as an assumed scatter does."""
+    """(2,) common slopes of roll and pitch on the crosswise force, and the variance of one flight's own, with SLOPE_BETWEEN_SD as a prior
+    worth as many flights as an assumed scatter."""
     all_of_them = list(trims)
-    own = np.square([t["slope_sd"] for t in all_of_them])
+    variance = np.square([t["slope_sd"] for t in all_of_them])
     slopes = np.array([t["slope"] for t in all_of_them])
     between = np.full(2, SLOPE_BETWEEN_SD**2)
     middle = np.zeros(2)
     for _ in range(5):
-        middle, _ = student.weighted_mean(slopes, own + between)
-        # Each flight's slope counts by how well it is known; clipped, as a few are far off.
-        worth = between / (own + between)
-        beyond = np.minimum(np.square(slopes - middle), 9.0 * (own + between)) - own
+        middle, _ = student.weighted_mean(slopes, variance + between)
+        # Each flight's slope is weighted by its precision; clipped against outliers.
+        worth = between / (variance + between)
+        beyond = np.minimum(np.square(slopes - middle), 9.0 * (variance + between)) - variance
         seen = (worth**2 * beyond).sum(axis=0) / np.maximum((worth**2).sum(axis=0), 1e-9)
         count = worth.sum(axis=0)
         prior = scatter.PRIOR_FLIGHTS * SLOPE_BETWEEN_SD**2
@@ -188,7 +188,7 @@ def _wind(trims: Iterable[Mapping]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _table(one: History, slope: np.ndarray, slope_variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """y (K, 3), wind taken out, and its own covariance (K, 3, 3); what does not count is the median of what does."""
+    """y (K, 3), without wind, and its covariance (K, 3, 3); unused flights have the median of the used ones."""
     K = len(one.rows)
     y, c = np.zeros((K, 3)), np.tile(np.eye(3) * 1e-6, (K, 1, 1))
     for k, (row, use) in enumerate(zip(one.rows, one.use)):
@@ -200,8 +200,8 @@ def _table(one: History, slope: np.ndarray, slope_variance: np.ndarray) -> tuple
     return y, c
 
 
-def _hanging_together(rest: Sequence[np.ndarray]) -> float:
-    """How much less than independent ones flights say that follow each other: 1 + 2 sum of the autocorrelation of what is left, of all."""
+def _correlation_inflation(rest: Sequence[np.ndarray]) -> float:
+    """Variance inflation by the correlation of successive flights: 1 + 2 sum of the autocorrelation of the residuals, over all aircraft."""
     rows = [np.clip(r - np.median(r, axis=0), -3.0, 3.0) for r in rest if len(r) > 2 * LAGS + 2]
     if not rows:
         return 1.0
@@ -211,7 +211,7 @@ def _hanging_together(rest: Sequence[np.ndarray]) -> float:
 
 
 def _with_sisters(series: Series, others: Sequence[Found], prior: np.ndarray) -> Series:
-    """The level that a healthy aircraft of the build has, by its sisters, weighed down where they differ much themselves."""
+    """The healthy level of the build, by the other aircraft, with less weight where they differ much."""
     levels = np.array([f.level for f in others])
     within = np.array([f.level_covariance for f in others])
     middle, between = np.median(levels, axis=0), BETWEEN**2 * prior
@@ -226,7 +226,7 @@ def _with_sisters(series: Series, others: Sequence[Found], prior: np.ndarray) ->
 
 
 def _unknown(one: History) -> dict:
-    """An aircraft of which no flight can be used."""
+    """An aircraft without a usable flight."""
     rotor = {"status": "unknown", "loss": 0.0, "interval": [0.0, 1.0], "evidence": 0.0} | {
         "named": False,
         "prognosis": None,
@@ -238,7 +238,7 @@ def _unknown(one: History) -> dict:
 
 
 def _standing_of(one: History, sisters: int, headline: str, table: Mapping) -> dict:
-    """The standing whose rotors are in `table`: with the state of the aircraft, its last flight and what its flights were judged."""
+    """The standing with rotors `table`: with the state of the aircraft, its last flight and its flights' verdicts."""
     since = max((k for k, _, _ in one.services), default=0)
     verdicts = [r["verdict"] for r in one.rows]
     fell = [bool(r["trim"].get("lost")) for r in one.rows]
@@ -281,7 +281,7 @@ def _rotor(one: History, series: Series, found: Found, i: int, named: bool) -> d
         worn = any(found.atoms[k].kind == WORN for k in live)
         status = "damaged" if lost else "worn" if worn else "restored"
     low, high = (e - 1.96 * sd, e + 1.96 * sd) if live else (0.0, float(found.hidden[i]))
-    # After a service since the last flight no flight has shown what it is now.
+    # After a service since the last flight the rotor's state is unknown.
     if any(k >= len(one.rows) and r in (i, -1) for k, r, _ in one.services):
         status, e, low, high = "serviced", 0.0, 0.0, 0.0
     return {
@@ -300,10 +300,10 @@ def _rotor(one: History, series: Series, found: Found, i: int, named: bool) -> d
 
 
 def _prognosis(one: History, series: Series, found: Found, i: int) -> dict:
-    said = prognosis.foresee(explain.lines(series, found, i), float(one.ended[-1]))
-    table = {k: _round(v) for k, v in said.to_dict().items()}
+    outlook = prognosis.foresee(explain.lines(series, found, i), float(one.ended[-1]))
+    table = {k: _round(v) for k, v in outlook.to_dict().items()}
     mean = float(one.ended[-1]) / len(one.rows)
-    table["flights_left"] = None if said.hours is None else int(np.ceil(said.hours / mean))
+    table["flights_left"] = None if outlook.hours is None else int(np.ceil(outlook.hours / mean))
     return table
 
 
@@ -335,20 +335,23 @@ def _size(atom: Any, value: np.ndarray, found: Found) -> Any:
 
 
 def _headline(table: Mapping) -> str:
-    said = []
+    sentences = []
     for r in table["rotors"]:
         if r["status"] in ("worn", "damaged"):
-            own = [c for c in table["changes"] if c["rotor"] == r["rotor"] and c["kind"] in ("wear", "loss")]
-            since = f" since flight {own[-1]['flight']}" if own and not own[-1]["from_the_first"] else ""
+            of_rotor = [c for c in table["changes"] if c["rotor"] == r["rotor"] and c["kind"] in ("wear", "loss")]
+            since = f" since flight {of_rotor[-1]['flight']}" if of_rotor and not of_rotor[-1]["from_the_first"] else ""
             low, high = (100 * x for x in r["interval"])
             text = f"Rotor {r['rotor']} is {r['status']}{since}: {100 * r['loss']:.0f} % of its thrust lost ({low:.0f} to {high:.0f} %)"
-            said.append(text + _outlook(r["prognosis"]) + ".")
+            sentences.append(text + _outlook(r["prognosis"]) + ".")
         elif r["status"] == "suspect":
             others = [str(c) for c in r["candidates"] if c != r["rotor"]]
-            more = [*(f"rotor {c}" for c in others), *(["a shifted centre of mass"] if r["or_centre_of_mass"] else [])]
-            else_ = ", or it is " + " or ".join(more) if more else ", but not beyond doubt"
-            said.append(f"Rotor {r['rotor']} may have lost thrust{else_}.")
-    return " ".join(said) or "No rotor has lost thrust over its flights."
+            alternatives = [
+                *(f"rotor {c}" for c in others),
+                *(["a shifted centre of mass"] if r["or_centre_of_mass"] else []),
+            ]
+            else_ = ", or it is " + " or ".join(alternatives) if alternatives else ", but not beyond doubt"
+            sentences.append(f"Rotor {r['rotor']} may have lost thrust{else_}.")
+    return " ".join(sentences) or "No rotor has lost thrust over its flights."
 
 
 def _outlook(p: Mapping) -> str:
@@ -360,7 +363,7 @@ def _outlook(p: Mapping) -> str:
 
 
 def _points(one: History, found: Found) -> dict:
-    """Of every flight: hash, utc, hours in the air when it ended, whether it was used, each rotor's loss by it alone and its deviation."""
+    """For every flight: hash, utc, hours in the air when it ended, whether it was used, each rotor's loss by it alone and its deviation."""
     n, lost = len(found.now), _round(explain.loss(found.own, len(found.now)).tolist())
     return {
         "hash": [r["hash"] for r in one.rows],

@@ -1,7 +1,7 @@
-"""Two flights of a store next to each other: what their answers say, and where they differ.
+"""Two flights of a store side by side: their answers, and the differences.
 
-What differs between any two flights (when they began, how long they were) is shown and not marked. Losses differ where their 95 % intervals
-do not overlap, or where one rotor is called healthy and the other is not.
+Differences between any two flights (start, length) are shown but not marked. Losses differ where their 95 % intervals do not overlap, or
+where one rotor is called healthy and the other is not.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from rotorwatch.errors import ConfigError, NotInStore
 from rotorwatch.fleet.store import Store
 from rotorwatch.flight.diagnosis import Diagnosis, Event, RotorState
 
-SAME_VOLTAGE = 0.03  # share; thrust at the same command goes with its square, and so do hover commands
+SAME_VOLTAGE = 0.03  # relative; thrust at the same command, and so the hover command, goes with its square
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Moment:
 @dataclass(frozen=True)
 class Comparison:
     """flights: the rows of the store, with `diagnosis`; answers: the same as `Diagnosis`. facts, rotors: lines; events: of either flight;
-    headline: where they differ, a sentence."""
+    headline: the differences, a sentence."""
 
     flights: tuple[dict[str, Any], dict[str, Any]]
     answers: tuple[Diagnosis, Diagnosis]
@@ -61,8 +61,8 @@ class Comparison:
 
 
 def compare(store: Store, a: str, b: str) -> Comparison:
-    """Flights a and b, by their hashes or the first 6 digits and more. Raises NotInStore, and ConfigError for a flight and itself or an
-    answer of a version that is not understood."""
+    """Flights a and b, by their hashes or at least their first 6 digits. Raises NotInStore, and ConfigError for a flight and itself or an
+    answer of an unsupported version."""
     flights = tuple(_found(store, hash) for hash in (a, b))
     if flights[0]["hash"] == flights[1]["hash"]:
         raise ConfigError("This is one flight; choose two different ones to compare.")
@@ -145,7 +145,7 @@ def _events(answer: Diagnosis, other: Diagnosis) -> Iterable[Moment]:
 
 
 def _headline(facts: Sequence[Row], rotors: Sequence[Row], events: Any) -> str:
-    """Where they differ, what matters most first."""
+    """The differences, the most important first."""
     alone = Row("events", ("", ""), any(event.alone for of in events for event in of))
     unlike = [row.what for row in (*facts[:1], *rotors, alone, *facts[1:]) if row.differs]
     return f"They differ in {report.listed(unlike)}." if unlike else "The answers agree within their intervals."

@@ -1,4 +1,4 @@
-"""Whether an aircraft may fly: what its rotors show over all flights, and what its flights were judged by themselves."""
+"""Fitness of an aircraft to fly, by its rotors over all flights and by the verdicts of its flights."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from rotorwatch.answer.wording import listed
 
 FAULT, SUSPECT, UNKNOWN, HEALTHY = STATES = ("fault", "suspect", "not judged", "healthy")  # the most urgent first
-URGENT = {"damaged": 0, "worn": 1, "suspect": 2}  # states of a rotor that is not well
+URGENT = {"damaged": 0, "worn": 1, "suspect": 2}  # states of a rotor with a fault
 BAD = ("crashed", "fault")
 
 
 def of(verdicts: Sequence[str], fell: Sequence[bool], rotors: Iterable[str]) -> str:
-    """One of STATES. verdicts, fell: of the flights since the last service, in order, and whether control was lost in them; rotors: the
-    states of its rotors. A verdict that decides nothing clears no fault; a rotor or a last flight that was not judged is not healthy."""
+    """The state, from STATES. verdicts, fell: of the flights since the last service, in order, and whether control was lost in them;
+    rotors: the states of its rotors. An undecided verdict clears no fault; a rotor or a last flight that was not judged is not healthy."""
     rotors = list(rotors)
     bad = [verdict in BAD or lost for verdict, lost in zip(verdicts, fell, strict=True)]
     decided = [k for k, verdict in enumerate(verdicts) if bad[k] or verdict != "inconclusive"]
@@ -21,21 +21,21 @@ def of(verdicts: Sequence[str], fell: Sequence[bool], rotors: Iterable[str]) -> 
         return FAULT
     if any(r in URGENT for r in rotors) or any(bad) or (decided and verdicts[decided[-1]] == "ambiguous"):
         return SUSPECT
-    judged = verdicts and decided and decided[-1] == len(verdicts) - 1
-    return HEALTHY if judged and rotors and not {"unknown", "serviced"} & set(rotors) else UNKNOWN
+    last_judged = verdicts and decided and decided[-1] == len(verdicts) - 1
+    return HEALTHY if last_judged and rotors and not {"unknown", "serviced"} & set(rotors) else UNKNOWN
 
 
 def flights(verdicts: Sequence[str], fell: Sequence[bool]) -> str:
-    """How many flights were bad, as a sentence; empty where none was."""
-    crashed, fault = (sum(verdict == one for verdict in verdicts) for one in BAD)
+    """The number of bad flights, as a sentence; empty where there were none."""
+    crashed, fault = (sum(verdict == bad for verdict in verdicts) for bad in BAD)
     lost = sum(gone and verdict not in BAD for verdict, gone in zip(verdicts, fell, strict=True))
     counts = ((crashed, "crashed"), (fault, "had a fault"), (lost, "lost control"))
-    said = [f"{count} {what}" for count, what in counts if count]
-    return f"Of {len(verdicts)} flight{'s' * (len(verdicts) > 1)} {listed(said)}." if said else ""
+    counted = [f"{count} {what}" for count, what in counts if count]
+    return f"Of {len(verdicts)} flight{'s' * (len(verdicts) > 1)} {listed(counted)}." if counted else ""
 
 
 def by_urgency(aircraft: Iterable[Mapping]) -> list[Mapping]:
-    """Aircraft as `Store.aircraft` gives them, those first that need attention: by their states, then by the rotors' evidence."""
+    """Aircraft as from `Store.aircraft`, the most urgent first: by their states, then by the rotors' evidence."""
 
     def urgency(a: Mapping) -> tuple:
         standing = a["standing"] or {}
@@ -46,10 +46,10 @@ def by_urgency(aircraft: Iterable[Mapping]) -> list[Mapping]:
 
 
 def state(standing: Mapping | None, verdicts: Mapping[str, int]) -> str:
-    """The state of an aircraft by its standing; of one that was not worked out, by its rotors or verdicts alone. verdicts: how many."""
-    known = (standing or {}).get("state")
-    if known in STATES:
-        return known
+    """The state of an aircraft by its standing; without one, by its rotors or verdicts alone. verdicts: their numbers."""
+    stored = (standing or {}).get("state")
+    if stored in STATES:
+        return stored
     rotors = [r["status"] for r in (standing or {}).get("rotors", ())]
     bad = any(verdicts.get(verdict) for verdict in BAD)
     return of(["fault" if bad else "inconclusive"], [False], rotors)

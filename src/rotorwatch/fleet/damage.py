@@ -1,4 +1,4 @@
-"""Is a store damaged? Asked when work on it has failed in a way that nobody has foreseen: SQLite takes any value in any column."""
+"""Search for damage of a store after an unforeseen error: SQLite takes any value in any column."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rotorwatch.flight.diagnosis import Diagnosis
 TYPES = {sa.Text: str, sa.Integer: int, sa.BigInteger: int, sa.Float: (int, float)}
 
 
-def _told(text: str) -> None:
+def _answer(text: str) -> None:
     with suppress(ConfigError):  # of another version, which is no damage
         Diagnosis.from_dict(json.loads(text)).to_dict()
 
@@ -26,16 +26,16 @@ def _standing(text: str) -> None:
 
 
 def _trim(text: str) -> None:
-    if found := json.loads(text):
-        found["doubt"]
+    if table := json.loads(text):
+        table["doubt"]
 
 
-# Texts that hold JSON: what raises for a damaged one.
-JSON = {"diagnosis": _told, "trim": _trim, "standing": _standing, "points": lambda text: list(json.loads(text))}
+# Texts that hold JSON: the function that raises for a damaged one.
+JSON = {"diagnosis": _answer, "trim": _trim, "standing": _standing, "points": lambda text: list(json.loads(text))}
 
 
 def found(connection: Any) -> str:
-    """Where a value is that cannot be, as "table flights, row 12ab.., airborne_s"; empty where all is sound."""
+    """Location of an impossible value, as "table flights, row 12ab.., airborne_s"; empty where all is intact."""
     for table in tables.metadata.sorted_tables:
         names = ", ".join(f'"{column.name}"' for column in table.columns)
         for row in connection.exec_driver_sql(f'SELECT {names} FROM "{table.name}"'):

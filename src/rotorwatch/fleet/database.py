@@ -1,6 +1,6 @@
 """The database under a store: SQLite in a file, or PostgreSQL by URL; its transactions, and its errors as one sentence each.
 
-What was committed before an error stays, and the same command goes on from there.
+Changes committed before an error stay, and the same command resumes from there.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ LOCK = 7_306_117  # of PostgreSQL's advisory locks: one writer at a time, so tha
 
 
 class Queries:
-    """A connection that is asked in SQL with named parameters (`:name`)."""
+    """A connection for SQL with named parameters (`:name`)."""
 
     def __init__(self, connection: sa.Connection):
         self.connection = connection
@@ -38,17 +38,17 @@ class Queries:
         return self.connection.execute(sa.text(sql), given).scalar()
 
     def run(self, sql: str, **given: Any) -> int:
-        """How many rows a statement changed."""
+        """Execute a statement and return the number of changed rows."""
         return self.connection.execute(sa.text(sql), given).rowcount
 
     def insert(self, table: str, **row: Any) -> None:
-        """A new row of a table."""
+        """Insert a row into a table."""
         self.run(f"INSERT INTO {table} ({', '.join(row)}) VALUES ({', '.join(f':{name}' for name in row)})", **row)
 
 
 class Database:
-    """A database, opened. url: as `Store`; make: whether a file that is not there is made. Raises StoreError, or ConfigError for an
-    address that is none."""
+    """An open database. url: as `Store`; make: whether a missing file is created. Raises StoreError, or ConfigError for an invalid
+    address."""
 
     def __init__(self, url: str | os.PathLike | None, make: bool):
         self.url, self.label = resolve(url)
@@ -65,7 +65,7 @@ class Database:
             self.engine = _engine(self.url, self._lite)
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close all connections."""
         self.engine.dispose()
 
     @contextmanager
@@ -76,7 +76,7 @@ class Database:
 
     @contextmanager
     def writing(self) -> Iterator[Queries]:
-        """A connection in a transaction that no other writer is beside of; committed at the end, else rolled back."""
+        """A connection in an exclusive write transaction; committed at the end, else rolled back."""
         connected = self.engine.connect
         with (
             self._errors_as_sentences(),
@@ -108,7 +108,7 @@ def _engine(url: str, lite: bool) -> sa.Engine:
             'A store in PostgreSQL needs psycopg, which is not installed: pip install "psycopg[binary]".'
         ) from None
 
-    # SQLite's Python driver would begin transactions late and leave tables out of them: they are begun here, at once for writers.
+    # SQLite's Python driver begins transactions late and excludes DDL: they are begun here, at once for writers.
     @event.listens_for(engine, "begin")
     def begun(connection: Any) -> None:
         write = connection.get_execution_options().get("rotorwatch_write")
@@ -130,7 +130,7 @@ def _connected(path: Path) -> sqlite3.Connection:
         fine = not os.access(path.parent, os.W_OK) and not (left.exists() and left.stat().st_size)
         if not fine or not isinstance(why, sqlite3.OperationalError):
             raise
-        # Beside such a file SQLite keeps others, and here it cannot make them. Nobody writes to it: the writer's would be there.
+        # SQLite cannot create its companion files here. No writer is active: its files would be there.
         base = sqlite3.connect(f"{path.resolve().as_uri()}?immutable=1", uri=True, **options)
         log = "wal"
     pragmas = ["foreign_keys=ON", "synchronous=FULL"]
@@ -167,5 +167,5 @@ def _sentence(text: str, low: str, label: str, lite: bool) -> str:
         away = f"The database {label} cannot be reached ({text[:120]}): check that it is running. {AGAIN}"
         known = (*known, ("connect|server|terminat|shutting down", away))
     return next(
-        (said for words, said in known if re.search(words, low)), f"The store {label} failed ({text[:160]}). {AGAIN}"
+        (reply for words, reply in known if re.search(words, low)), f"The store {label} failed ({text[:160]}). {AGAIN}"
     )

@@ -1,30 +1,30 @@
-"""What changed in an aircraft, when, and how sure: its flights' balance of commands explained by wear, damage and shifted weights.
+"""Changes of an aircraft, their times and certainty: the balance of commands over its flights explained by wear, damage and shifted
+weights.
 
-Of flight k there is the wrench w_k (roll, pitch, yaw) that its commands ask for in steady hover, as a share of the thrust
-(witnesses/healthy/whole_flight.py), with the wind's part taken out. A rotor that gives 1 - theta of its thrust is commanded 1 / (1 - theta)
-as much, of a sum that grows by it, so that with e = theta / (1 - (1 - s_i) theta)
+For flight k, w_k is the wrench (roll, pitch, yaw) that its commands ask for in steady hover, as a share of the thrust
+(witnesses/healthy/whole_flight.py), without the wind's part. A rotor that gives 1 - theta of its thrust is commanded 1 / (1 - theta) as
+much, of a sum that grows by it, so that with e = theta / (1 - (1 - s_i) theta)
 
     w_k = mu + sum_i g_i e_i(k) + c(k) + noise_k,      g_i = s_i (B_i - mu): s_i the rotor's share of the thrust, B_i its column,
 
-c: a shifted centre of mass, which moves roll and pitch and leaves yaw. What can happen is a list of atoms, each with the flight k0 from
-which on it holds:
+c: a shifted centre of mass, which moves roll and pitch but not yaw. Possible changes are a list of atoms, each with its first flight k0:
 
-    step     e_i is larger by d from flight k0 on             damage; smaller, where it was large: exchanged, and nobody noted it
+    step     e_i is larger by d from flight k0 on             damage; smaller, where it was large: exchanged without a note
     wear     e_i grows by s an hour in the air from k0 on     until rotor i is serviced
     centre   c is another vector from flight k0 on            a payload, a battery moved
 
-A service begins a new level of its rotors, which is near the old one but for what was lost. Given the list, all is linear, and its marginal
-likelihood exact. The list is found by adding what is most probable while it is more probable than ODDS, and then moving and dropping each
-in turn with all others held, over every flight, until nothing changes. The evidence for rotor i is
+A service begins a new level of its rotors, near the old one apart from the loss. Given the list, the model is linear, and its marginal
+likelihood exact. The search adds the most probable atom while it is more probable than ODDS, and then moves and drops each in turn with all
+others held, over every flight, until nothing changes. The evidence for rotor i is
 
     E_i = sum over its steps and wear, over all k0, of prior times Bayes factor, given everything that is no atom of rotor i,
 
 divided by the same of the best other explanation where that is above 1. Its mean without a loss of rotor i is 1 at most: an e-value,
-whatever else hangs on the same flights and however often it is looked at.
+whatever the dependence between flights and however often it is evaluated.
 
 Sources: V. Vovk and R. Wang, E-values: calibration, combination and applications, Annals of Statistics 49 (2021) 1736-1754. Exact sums over
-one change at a time: P. Fearnhead, Exact and efficient Bayesian inference for multiple changepoint problems, Statistics and Computing
-16 (2006) 203-213.
+one change at a time: P. Fearnhead, Exact and efficient Bayesian inference for multiple changepoint problems, Statistics and Computing 16
+(2006) 203-213.
 """
 
 from __future__ import annotations
@@ -42,16 +42,16 @@ from rotorwatch.stats.tails import log_normal_cdf, normal_quantile
 from rotorwatch.witnesses.healthy.whole_flight import CENTRE_RHO_SD, RHO_SD, SHIFT_SD
 
 LOSS_SD = 0.15  # of e by a step, or by wear at the end of the history
-STEPS, WEAR, CENTRES = 0.3, 0.3, 0.3  # how many an aircraft's history has of each, before it is looked at
+STEPS, WEAR, CENTRES = 0.3, 0.3, 0.3  # prior mean numbers in an aircraft's history
 ODDS = 20.0
 MOST = 10  # atoms
-LINES = 40  # beginnings of wear that are looked at
+LINES = 40  # onsets of wear that are evaluated
 SERVICE_SD = np.sqrt(2.0) * scatter.ROTOR_SD
 STEP, WORN, CENTRE = "step", "wear", "centre"
 
 
 class Atom(NamedTuple):
-    """Something that changed. kind: step, wear or centre. rotor: 0-based, -1 of none. start: index of the first flight with it."""
+    """A change. kind: step, wear or centre. rotor: 0-based, -1 of none. start: index of the first flight with it."""
 
     kind: str
     rotor: int
@@ -60,10 +60,10 @@ class Atom(NamedTuple):
 
 @dataclass(frozen=True)
 class Series:
-    """An aircraft's flights in order. y (K, 3): wrench per thrust, wind taken out; noise (K, 3, 3): covariance of a flight's own noise
-    and of the scatter between flights. hours (K,): in the air before each flight. G (3, n): the rotors' columns. use (K,): which flights
-    count. services: (index of the first flight after it, rotor 0-based or -1 for all). level, level_covariance: of healthy sisters, or
-    None."""
+    """An aircraft's flights in order. y (K, 3): wrench per thrust, without wind; noise (K, 3, 3): covariance of a flight's own noise and of
+    the scatter between flights. hours (K,): in the air before each flight. G (3, n): the rotors' columns. use (K,): which flights count.
+    services: (index of the first flight after it, rotor 0-based or -1 for all). level, level_covariance: of healthy aircraft of the build,
+    or None."""
 
     y: np.ndarray
     noise: np.ndarray
@@ -75,11 +75,11 @@ class Series:
     level_covariance: np.ndarray | None = None
 
     def cuts(self, rotor: int) -> list[int]:
-        """Where rotor's history is cut: 0, each service, K."""
+        """Boundaries of a rotor's history: 0, each service, K."""
         return sorted({0, len(self.y), *(k for k, r in self.services if r in (rotor, -1))})
 
     def profile(self, atom: Atom) -> np.ndarray:
-        """(K,) what the atom is multiplied with at each flight."""
+        """(K,) factor of the atom's coefficient at each flight."""
         K = len(self.y)
         end = K if atom.rotor < 0 else next(c for c in self.cuts(atom.rotor) if c > atom.start)
         out = np.zeros(K)
@@ -87,12 +87,12 @@ class Series:
         return out
 
     def _before(self, k: int) -> float:
-        """Hours at which wear that shows from flight k on began: one flight earlier, so that it shows in flight k itself."""
+        """Hours at the onset of wear that shows from flight k on: one flight earlier, so that it shows in flight k itself."""
         return float(self.hours[k - 1]) if k else float(self.hours[0] - self.mean_hours)
 
     @property
     def mean_hours(self) -> float:
-        """Of a flight."""
+        """Mean hours of a flight."""
         return float(self.hours[-1] - self.hours[0]) / max(len(self.hours) - 1, 1) or 1.0
 
 
@@ -100,11 +100,9 @@ class Series:
 class Found:
     """atoms, coefficients (e, e per hour, or (roll, pitch)) and their probabilities; candidates: {class: probability} of each atom.
 
-    e (K, n): extra command of each rotor by the atoms; now (n,), now_sd (n,): at the last flight; own (K, n): single flights' estimates
-    of e, everything that is not this rotor's taken out, and own_sd (K, n). evidence (n,): log E_i. level (3,): mu. rest (K, 3): what is
-    left, in standard deviations. weight (K,): how far each flight was believed. when: (first, last) index that each atom may have begun
-    at, 95 %.
-    """
+    e (K, n): extra command of each rotor by the atoms; now (n,), now_sd (n,): at the last flight; own (K, n): single flights' estimates of
+    e, without everything that is not this rotor's, and own_sd (K, n). evidence (n,): log E_i. level (3,): mu. rest (K, 3): residual in
+    standard deviations. weight (K,): of each flight. when: (first, last) index of the onset of each atom, 95 %."""
 
     atoms: tuple[Atom, ...]
     coefficients: tuple[np.ndarray, ...]
@@ -124,7 +122,7 @@ class Found:
 
 
 def loss(e: Any, n: int) -> Any:
-    """theta of rotors whose commands stand out by e, of n that share the thrust alike; below 0 for estimates that scatter about 0."""
+    """theta of rotors with extra command e, of n that share the thrust alike; below 0 for estimates that scatter about 0."""
     return e / (1.0 + (1.0 - 1.0 / n) * np.maximum(e, -0.5))
 
 
@@ -145,7 +143,7 @@ def explain(series: Series) -> Found:
 
 
 class _Fit:
-    """The linear model of a list of atoms, solved; and what any further atom would add to it."""
+    """The solved linear model of a list of atoms, and the gain of any further atom."""
 
     def __init__(self, series: Series, weight: np.ndarray, atoms: tuple[Atom, ...]):
         self.series, self.weight, self.atoms = series, weight, atoms
@@ -169,7 +167,7 @@ class _Fit:
         self.fitted = X @ self.beta
 
     def _design(self) -> tuple[np.ndarray, np.ndarray]:
-        """(K, 3, q) the columns of the model, not weighted, and each one's prior precision (q,); `where`: the first column of each atom."""
+        """(K, 3, q) the unweighted columns of the model, and each one's prior precision (q,); `where`: the first column of each atom."""
         s, eye = self.series, np.eye(3)
         K, n = len(s.y), s.G.shape[1]
         columns, ridge = [np.broadcast_to(eye, (K, 3, 3))], [0.0] * 3  # mu
@@ -185,7 +183,7 @@ class _Fit:
             columns.append(s.profile(atom)[:, None, None] * shape)
             yaw = (CENTRE_RHO_SD * 0.5 * SHIFT_SD) ** -2
             ridge += [SHIFT_SD**-2, SHIFT_SD**-2, yaw] if atom.kind == CENTRE else [self.precision(atom)]
-        # Torque need not fall as thrust does: a rotor's yaw is known to RHO_SD only, of what it may have lost in all.
+        # Torque need not fall as thrust does: a rotor's yaw is known to RHO_SD only, relative to its total loss.
         for i in sorted({a.rotor for a in self.atoms if a.rotor >= 0}):
             mine = [s.profile(a) for a in self.atoms if a.rotor == i]
             p = np.clip(np.sum([v / max(v.max(), 1e-9) for v in mine], axis=0), 0.0, 1.0)
@@ -194,12 +192,13 @@ class _Fit:
         return np.concatenate(columns, axis=2), np.array(ridge)
 
     def precision(self, atom: Atom) -> float:
-        """Of the prior of a rotor's atom: LOSS_SD at the end of its profile."""
+        """Prior precision of a rotor's atom: LOSS_SD at the end of its profile."""
         p = self.series.profile(atom)
         return (LOSS_SD / max(float(p.max()), 1e-9)) ** -2
 
     def odds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Log of prior times Bayes factor of one atom more: steps (n, K), wear (n, K), centre (K,); and (n, K) the steps that are gains."""
+        """Log of prior times Bayes factor of a further atom: steps (n, K), wear (n, K), centre (K,); and (n, K) the steps that are
+        gains."""
         s = self.series
         K, n = len(s.y), s.G.shape[1]
         flights = max(int(s.use.sum()), 1)
@@ -269,17 +268,17 @@ def _classes(fit: _Fit) -> tuple[np.ndarray, list[Atom]]:
     n = len(steps)
     rows, best = [], []
     for i in range(n):
-        own = {STEP: np.logaddexp(steps[i], gains[i]), WORN: wear[i]}
-        rows.append(np.logaddexp.reduce([v for one in own.values() for v in one]))
-        kind = max(own, key=lambda k: own[k].max())
-        best.append(Atom(kind, i, int(np.argmax(own[kind]))))
+        by_kind = {STEP: np.logaddexp(steps[i], gains[i]), WORN: wear[i]}
+        rows.append(np.logaddexp.reduce([v for one in by_kind.values() for v in one]))
+        kind = max(by_kind, key=lambda k: by_kind[k].max())
+        best.append(Atom(kind, i, int(np.argmax(by_kind[kind]))))
     rows.append(np.logaddexp.reduce(centre))
     best.append(Atom(CENTRE, -1, int(np.argmax(centre))))
     return np.array(rows), best
 
 
 def _search(fit: _Fit, atoms: tuple[Atom, ...]) -> tuple[Atom, ...]:
-    """Atoms added while one is probable, each addition followed by a look at those before it."""
+    """Atoms added while one is probable; after each addition the earlier ones are polished."""
     while len(atoms) < MOST:
         odds, best = _classes(_Fit(fit.series, fit.weight, atoms))
         top = int(np.argmax(odds))
@@ -290,7 +289,7 @@ def _search(fit: _Fit, atoms: tuple[Atom, ...]) -> tuple[Atom, ...]:
 
 
 def _polished(fit: _Fit, atoms: tuple[Atom, ...]) -> tuple[Atom, ...]:
-    """Each atom moved to where, given the others, it is most probable, or dropped."""
+    """Each atom moved to its most probable flight given the others, or dropped."""
     for _ in range(6):
         before = atoms
         for atom in before:
@@ -329,19 +328,19 @@ def _found(fit: _Fit, atoms: tuple[Atom, ...]) -> Found:
         if atom.rotor >= 0:
             last[atom.rotor, at] = s.profile(atom)[-1]
     now_sd = np.sqrt(np.maximum(np.einsum("np,pq,nq->n", last, fit.covariance, last), 0.0))
-    # What each flight alone says of each rotor's e, when all else is as explained.
+    # Each flight's own estimate of each rotor's e, with all else as explained.
     inverse = np.linalg.inv(s.noise)
     information = np.einsum("in,kij,jn->kn", s.G, inverse, s.G)
-    own = e + np.einsum("in,kij,kj->kn", s.G, inverse, s.y - fit.fitted) / information
+    single = e + np.einsum("in,kij,kj->kn", s.G, inverse, s.y - fit.fitted) / information
     rest = np.einsum("kij,kj->ki", np.linalg.inv(np.linalg.cholesky(s.noise)), s.y - fit.fitted)
     return Found(
-        atoms, coefficients, tuple(candidates), tuple(when), e, e[-1], now_sd, _hidden(fit), own, information**-0.5, evidence,
+        atoms, coefficients, tuple(candidates), tuple(when), e, e[-1], now_sd, _hidden(fit), single, information**-0.5, evidence,
         fit.beta[:3], fit.covariance[:3, :3], rest, fit.weight,
     )  # fmt: skip
 
 
 def _when(without: _Fit, atom: Atom) -> tuple[int, int]:
-    """95 % interval of the flight that an atom began at, given its kind and rotor."""
+    """95 % interval of the first flight of an atom, given its kind and rotor."""
     steps, wear, centre, gains = without.odds()
     row = centre if atom.kind == CENTRE else (wear if atom.kind == WORN else np.logaddexp(steps, gains))[atom.rotor]
     p = np.exp(row - row.max())
@@ -350,8 +349,7 @@ def _when(without: _Fit, atom: Atom) -> tuple[int, int]:
 
 
 def _hidden(fit: _Fit) -> np.ndarray:
-    """(n,) upper 97.5 % bound of e at the last flight, of wear since the first flight or the last service that the evidence does not
-    show."""
+    """(n,) upper 97.5 % bound of e at the last flight, for undetected wear since the first flight or the last service."""
     s = fit.series
     out = np.zeros(s.G.shape[1])
     for i in range(len(out)):
@@ -369,8 +367,7 @@ def _hidden(fit: _Fit) -> np.ndarray:
 
 
 def lines(series: Series, found: Found, rotor: int) -> Lines | None:
-    """The possible lines of the loss of a rotor that wears, one for each flight that the wear may have begun at; None of one that does
-    not."""
+    """The possible lines of the loss of a wearing rotor, one for each possible onset of the wear; None without wear."""
     since = series.cuts(rotor)[-2]
     live = [a for a in found.atoms if a.rotor == rotor and a.kind == WORN and a.start >= since]
     if not live:

@@ -33,7 +33,7 @@ def export(store: Store, folder: str | Path) -> list[Path]:
     folder = files.folder(folder, "--out")
     kinds = pa.string(), pa.int64(), pa.float64()
     aircraft = store.aircraft()
-    made = []
+    paths = []
     for table, columns in COLUMNS.items():
         fields = {name: kind for kind, names in zip(kinds, columns) for name in names.split()}
         schema = pa.schema(fields | ({"named": pa.bool_()} if "named" in fields else {}))
@@ -41,8 +41,8 @@ def export(store: Store, folder: str | Path) -> list[Path]:
         with files.replacing(path) as hidden, pq.ParquetWriter(hidden, schema) as out:
             for rows in _parts(store, table, aircraft):
                 out.write_table(pa.Table.from_pylist([{k: r.get(k) for k in schema.names} for r in rows], schema))
-        made.append(path)
-    return made
+        paths.append(path)
+    return paths
 
 
 def _parts(store: Store, table: str, aircraft: list[dict]):
@@ -59,8 +59,8 @@ def _parts(store: Store, table: str, aircraft: list[dict]):
 
 def _rotor(a: dict, r: dict) -> dict:
     outlook = r["prognosis"] or {}
-    more = {"outlook": outlook.get("word"), "aircraft": a["key"], "aircraft_name": a["name"]}
-    more |= dict(zip(("loss_low", "loss_high"), r["interval"]))
+    extra = {"outlook": outlook.get("word"), "aircraft": a["key"], "aircraft_name": a["name"]}
+    extra |= dict(zip(("loss_low", "loss_high"), r["interval"]))
     return (
-        r | outlook | more | dict(zip(("hours_left_low", "hours_left_high"), outlook.get("hours_left_interval") or ()))
+        r | outlook | extra | dict(zip(("hours_left_low", "hours_left_high"), outlook.get("hours_left_interval") or ()))
     )

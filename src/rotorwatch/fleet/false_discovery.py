@@ -1,7 +1,7 @@
-"""Which rotors of a whole fleet are named, so that of those named at most a given share is named wrongly.
+"""Selection of the rotors of a whole fleet to be named, with a bounded share of false ones.
 
-Every rotor has an e-value: evidence that has mean 1 at most when nothing is wrong with it. The k largest of m are named when the k-th is at
-least m / (q k): the e-BH procedure, which keeps the false discovery rate below q whatever hangs on what, and when looked at after every
+Every rotor has an e-value: evidence with a mean of at most 1 when nothing is wrong with it. The k largest of m are named when the k-th is
+at least m / (q k): the e-BH procedure, which keeps the false discovery rate below q under any dependence, also when evaluated after every
 flight.
 
 Source: R. Wang and A. Ramdas, False discovery rate control with e-values, Journal of the Royal Statistical Society B 84 (2022) 822-852.
@@ -15,7 +15,7 @@ RATE = 0.05
 
 
 def named(log_e: np.ndarray, rate: float = RATE) -> np.ndarray:
-    """(m,) bool: which of the hypotheses with log e-values (m,) are rejected at that false discovery rate."""
+    """(m,) bool: hypotheses with log e-values (m,) that are rejected at that false discovery rate."""
     log_e = np.asarray(log_e, float)
     m = log_e.size
     if not m:

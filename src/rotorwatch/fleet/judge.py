@@ -1,4 +1,4 @@
-"""A log file judged: what the store keeps of it."""
+"""A judged log as a store entry."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def of_flight(
     flight: Flight, hash: str, path: str, size: int, aircraft: str = "", vehicle: Vehicle | None = None, progress: Callable | None = None,
     found: Diagnosis | None = None,
 ) -> Entry:  # fmt: skip
-    """The same of a flight that was read. found: its diagnosis, where that was made elsewhere."""
+    """The entry of a flight that was read. found: its diagnosis, where already made."""
     craft = vehicle or airframes.identify(flight)
     airframes.check(craft, flight)
     if found is None:
@@ -69,17 +69,17 @@ def of_flight(
 
 
 def trim(flight: Flight, craft: Vehicle, air, doubts: Sequence[str]) -> dict:
-    """How the flight hovered, for histories: whole_flight.Features, the effectiveness B (4 x n) and `doubt`, the first reason why its
-    log is not believed; empty when there is too little steady hover."""
-    found = whole_flight.features(flight, craft, air)
-    if not found.usable:
+    """The flight's hover, for histories: whole_flight.Features, the effectiveness B (4 x n) and `doubt`, the first reason to doubt its log;
+    empty when there is too little steady hover."""
+    hovering = whole_flight.features(flight, craft, air)
+    if not hovering.usable:
         return {}
-    table = found.to_dict() | {"name": "", "effectiveness": craft.effectiveness().tolist()}
+    table = hovering.to_dict() | {"name": "", "effectiveness": craft.effectiveness().tolist()}
     return _short(table) | {"doubt": doubts[0] if doubts else ""}
 
 
 def _short(value):
-    """Numbers with seven digits: enough, and the same on every processor in most cases."""
+    """Numbers with seven digits: sufficient, and mostly the same on every processor."""
     if isinstance(value, dict):
         return {k: _short(v) for k, v in value.items()}
     if isinstance(value, list):

@@ -1,5 +1,5 @@
-"""Which flights of a store a list shows, and in which order. Filters and orders have the same names in Python, on the command line and in
-the addresses of the page, and all of them become SQL: a store of any size is never read as a whole."""
+"""Filters and orders of lists of flights. They have the same names in Python, on the command line and in the addresses of the page, and all
+become SQL: a store of any size is never read as a whole."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rotorwatch.base.files import one_line
 from rotorwatch.errors import ConfigError, NotInStore
 from rotorwatch.fleet.summary import GRAVITY
 
-# By what a list can be sorted; f: flights, a: aircraft.
+# Sort orders of a list; f: flights, a: aircraft.
 ORDERS = {
     "date": "f.utc",
     "verdict": GRAVITY.format(verdict="f.verdict"),
@@ -30,13 +30,12 @@ NEWEST = "-date"
 
 @dataclass(frozen=True)
 class Filters:
-    """What the flights of a list have in common; by default all flights are meant.
+    """Filters of a list; by default all flights match.
 
-    search: words that must all be found in name, path, headline, verdict, frame, firmware or the aircraft's name. verdict: one of
-    VERDICTS, or several with commas between. aircraft: its name, key or serial number. since, until: when the log began, in UTC as
-    2026-05-01 or 2026-05-01T14:30, that day or minute included; flights without a time are left out. min_loss: of the worst loss, 0 to 1;
-    min_duration: of the log [s]. Numbers may be texts.
-    """
+    search: words that must all be found in name, path, headline, verdict, frame, firmware or the aircraft's name. verdict: one of VERDICTS,
+    or several with commas between. aircraft: its name, key or serial number. since, until: start of the log, in UTC as 2026-05-01 or
+    2026-05-01T14:30, that day or minute included; flights without a time are left out. min_loss: of the worst loss, 0 to 1; min_duration:
+    of the log [s]. Numbers may be texts."""
 
     search: str = ""
     verdict: str = ""
@@ -48,8 +47,8 @@ class Filters:
 
 
 def condition(db: Any, wanted: Filters) -> tuple[str, dict[str, Any]]:
-    """The condition for rows of flights f with aircraft a, and its parameters. Raises ConfigError for a value that is none, NotInStore for
-    an aircraft that is not known."""
+    """The condition for rows of flights f with aircraft a, and its parameters. Raises ConfigError for an invalid value, NotInStore for an
+    unknown aircraft."""
     where, given = of_aircraft(db, wanted.aircraft or None)
     parts = [where]
 
@@ -79,8 +78,8 @@ def condition(db: Any, wanted: Filters) -> tuple[str, dict[str, Any]]:
 
 
 def order(sort: str) -> str:
-    """The SQL of an order by one of ORDERS; - before the name: the largest, gravest or newest first. Flights that are alike in it follow
-    by their dates in the same direction, of one name or aircraft the newest first; those of no aircraft stand last. Raises ConfigError."""
+    """The SQL of an order by one of ORDERS; - before the name: the largest, most severe or newest first. Ties follow by their dates in the
+    same direction, of one name or aircraft the newest first; flights without an aircraft come last. Raises ConfigError."""
     name, falls = sort.removeprefix("-"), sort.startswith("-")
     if name not in ORDERS:
         known = f"{meant(name, ORDERS)}: choose from {', '.join(ORDERS)}"
@@ -97,7 +96,7 @@ def of_aircraft(db: Any, aircraft: str | None) -> tuple[str, dict[str, Any]]:
 
 
 def find(db: Any, aircraft: str) -> dict[str, Any]:
-    """key and name of an aircraft by key, name or identity. Raises NotInStore with the names that come near."""
+    """key and name of an aircraft by key, name or identity. Raises NotInStore with similar names."""
     wanted = text(aircraft)
     of_identity = "key IN (SELECT aircraft FROM identities WHERE identity = :wanted)"
     for where in ("key = :wanted", "name = :wanted", of_identity, "lower(name) = :low"):
@@ -112,8 +111,8 @@ def find(db: Any, aircraft: str) -> dict[str, Any]:
 
 
 def moment(name: str, given: str) -> tuple[str, str]:
-    """When the day, minute or second that a text means begins, and when the next one does, as the store keeps times. name: of the setting,
-    for the error. Raises ConfigError."""
+    """Begin of the day, minute or second that a text denotes, and of the next one, in the store's form. name: of the setting, for the
+    error. Raises ConfigError."""
     try:
         first = datetime.fromisoformat(given.strip().replace("Z", "+00:00"))
         first = first.replace(tzinfo=timezone.utc) if first.tzinfo is None else first.astimezone(timezone.utc)
@@ -126,13 +125,13 @@ def moment(name: str, given: str) -> tuple[str, str]:
 
 
 def text(given: str) -> str:
-    """Without what no database keeps: zero bytes, and bytes of file names that are no text."""
+    """The text without zero bytes and undecodable bytes, which no database stores."""
     return str(given).replace("\0", "").encode("utf-8", "backslashreplace").decode()
 
 
 def in_order(rows: Iterable[Mapping]) -> list:
-    """Flights of an aircraft: by time where all have one, else by the autopilot's count, else as they were added; one without a time stays
-    where it was added among those that have one."""
+    """Flights of an aircraft: by time where all have one, else by the autopilot's count, else in order of addition; one without a time
+    keeps its place of addition among those that have one."""
     rows, last, timed = sorted(rows, key=lambda r: r["ordinal"]), "", []
     if not any(r["utc"] for r in rows) and all(r["count"] is not None for r in rows):
         return sorted(rows, key=lambda r: (r["count"], r["clock_us"]))

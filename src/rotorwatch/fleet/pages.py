@@ -1,5 +1,4 @@
-"""A fleet as pages: one that lists all aircraft, and one for each with its rotors' losses over the flights, drawn as SVG. No network
-needed."""
+"""A fleet as pages: a list of all aircraft, and one page for each with its rotors' losses over the flights as SVG. They need no network."""
 
 from __future__ import annotations
 
@@ -34,12 +33,12 @@ def write(store: Store, folder: str | Path) -> list[Path]:
     written."""
     folder = files.folder(folder, "--out")
     aircraft = by_urgency(store.aircraft())
-    made = [_put(folder / "index.html", _index(aircraft))]
+    paths = [_put(folder / "index.html", _index(aircraft))]
     services = store.services()
     for a in aircraft:
-        own = [s for s in services if s["aircraft"] == a["key"]]
-        made.append(_put(folder / _file(a), _aircraft(a, store.points(a["key"]), own)))
-    return made
+        of_aircraft = [s for s in services if s["aircraft"] == a["key"]]
+        paths.append(_put(folder / _file(a), _aircraft(a, store.points(a["key"]), of_aircraft)))
+    return paths
 
 
 def _file(a: Mapping) -> str:
@@ -62,12 +61,12 @@ def _index(aircraft: Sequence[Mapping]) -> str:
     rows = []
     for a in aircraft:
         standing = a["standing"] or {}
-        said = standing.get("headline", "Not assessed yet.")
+        headline = standing.get("headline", "Not assessed yet.")
         last = (standing.get("last") or {}).get("verdict", "-")
         rows.append(
             f'<tr><td><a href="{_file(a)}">{escape(a["name"])}</a></td><td class="{a["state"].replace(" ", "-")}">{a["state"]}</td>'
             f'<td class="n">{a["flights"]}</td><td class="n more">{a["airborne_s"] / 3600:.1f}</td>'
-            f'<td class="more">{escape((a["last"] or "-")[:10])}</td><td>{escape(last)}</td><td>{escape(said)}</td></tr>'
+            f'<td class="more">{escape((a["last"] or "-")[:10])}</td><td>{escape(last)}</td><td>{escape(headline)}</td></tr>'
         )
     head = (
         '<tr><th>aircraft</th><th>state</th><th class="n">flights</th><th class="n more">hours</th><th class="more">last flight</th>'
@@ -81,8 +80,8 @@ def _aircraft(a: Mapping, points: Mapping, services: Sequence[Mapping]) -> str:
     about = f"{a['flights']} flights, {a['airborne_s'] / 3600:.1f} h in the air. {a['build']}. Known by {'; '.join(a['identities'])}."
     body = [f'<p><a href="index.html">The fleet</a></p><p>{escape(about)}</p>']
     if standing is None or not points:
-        said = standing["headline"] if standing else "Not assessed yet."
-        return _page(a["name"], body[0] + f'<p class="lead">{escape(said)}</p>')
+        headline = standing["headline"] if standing else "Not assessed yet."
+        return _page(a["name"], body[0] + f'<p class="lead">{escape(headline)}</p>')
     body.append(f'<p class="lead">{escape(standing["headline"])}</p>')
     for i, r in enumerate(standing["rotors"]):
         low, high = r["interval"]
@@ -106,7 +105,7 @@ def _service(s: Mapping) -> str:
 
 
 def _drawn(rotor: int, loss: Sequence[float | None], line: Sequence[float], standing: Mapping) -> str:
-    """Single flights as dots, what is made of them as a line, services as dashed lines."""
+    """Single flights as dots, the fitted loss as a line, services as dashed lines."""
     K = len(loss)
     top = max(0.12, *(x for x in loss if x is not None), *line)
     bottom = min(-0.04, *(x for x in loss if x is not None), *line)

@@ -1,12 +1,12 @@
-"""When the loss of a rotor that wears will reach a limit.
+"""Time at which the loss of a wearing rotor reaches a limit.
 
-Since which flight it wears is not known exactly, so each possible beginning k has its line: the loss now and its growth, jointly normal,
-and the probability that it is this one (`explain.lines`). The limit is reached before time t with the probability
+The onset of wear is uncertain, so each possible onset k has its line: the present loss and its growth, jointly normal, and its probability
+(`explain.lines`). The limit is reached before time t with the probability
 
     P(t) = sum_k p_k Phi((l_k + s_k t - LIMIT) / sd_k(t)),      sd_k(t)^2 = var l + 2 t cov(l, s) + t^2 var s
 
-whose quantiles are the interval. For one line that is Fieller's. `answer/trend.py` is not asked: it is for errors that wander within
-a flight, and would give up a trend that a hundred separate flights show. What hangs together between flights is in their noise already.
+whose quantiles are the interval. For one line that is Fieller's. `answer/trend.py` does not apply: it is for errors that wander
+within a flight, and would reject a trend that a hundred separate flights show. Correlation between flights is in their noise already.
 
 Source: E. C. Fieller, Some problems in interval estimation, Journal of the Royal Statistical Society B 16 (1954) 175-185.
 """
@@ -21,7 +21,7 @@ from rotorwatch.stats.tails import normal_cdf
 
 LIMIT = 0.10  # loss
 COVERED = 0.90
-FAR = 20.0  # times what was flown so far: nothing is said beyond
+FAR = 20.0  # horizon, as a multiple of the hours flown so far
 SURE_SD = 1.96
 
 
@@ -39,7 +39,7 @@ class Lines:
 @dataclass(frozen=True)
 class Prognosis:
     """word: growing, reached or no trend. growth, growth_interval: loss per hour in the air, 95 %. hours: in the air from the last flight
-    until LIMIT, as likely before as after; interval: COVERED, its end None when beyond what can be said."""
+    until LIMIT, the median; interval: COVERED, its end None when beyond the horizon."""
 
     word: str
     growth: float = 0.0
@@ -55,7 +55,7 @@ class Prognosis:
 
 
 def foresee(lines: Lines | None, flown: float) -> Prognosis:
-    """lines: of a rotor that wears, None of one that does not. flown: hours in the air so far."""
+    """lines: of a wearing rotor, None without wear. flown: hours in the air so far."""
     if lines is None:
         return Prognosis("no trend")
     w = lines.weight
@@ -66,7 +66,7 @@ def foresee(lines: Lines | None, flown: float) -> Prognosis:
         return Prognosis("reached", growth, bounds, 0.0, (0.0, 0.0))
     if bounds[0] <= 0.0:
         return Prognosis("no trend", growth, bounds)
-    # Evenly in ratio, so that near and far are told equally well.
+    # Logarithmic, for equal relative resolution.
     t = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 4000)]) * FAR * flown
     v = lines.covariance
     variance = v[:, 0, 0, None] + 2.0 * t * v[:, 0, 1, None] + t**2 * v[:, 1, 1, None]

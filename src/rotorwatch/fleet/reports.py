@@ -1,4 +1,4 @@
-"""The reports of flights: files in a folder next to the store. A flight and its report go together, whatever is interrupted."""
+"""The reports of flights: files in a folder next to the store. A flight and its report stay consistent across interruptions."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ ASIDE = ".deleted"  # ending of a report whose flight is being deleted
 
 
 class Reports:
-    """The reports of a store. place: the store's file, or for a database that is none the file that a store here would be.
+    """The reports of a store. place: the store's file, or for a database without one the file that a local store would have.
 
-    known: whether the store holds a flight, by hash. The folder is made by who writes into it."""
+    known: whether the store holds a flight, by hash. The folder is created on the first write."""
 
     def __init__(self, place: Path, known: Callable[[str], bool]):
         self.folder = place.parent / f"{place.stem}-pages"
@@ -27,9 +27,9 @@ class Reports:
 
     @contextmanager
     def removed(self, hash: str) -> Iterator[None]:
-        """Inside, the flight is deleted. Its report is set aside before, and gone or back afterwards as the flight is gone or still
-        there; where a kill comes between, `settle` does so when the store is opened next. Raises StoreError where the report cannot be
-        touched."""
+        """Context in which the flight is deleted. Its report is set aside before, and removed or restored afterwards according to the
+        flight; after a kill in between, `settle` does so when the store is next opened. Raises StoreError where the report cannot be
+        moved."""
         aside = self.folder / f"{hash}{ASIDE}"
         try:
             with suppress(FileNotFoundError):
@@ -42,18 +42,18 @@ class Reports:
             self._settle(aside)
 
     def settle(self) -> None:
-        """Finish what deletions that were killed have left."""
+        """Finish deletions that were killed."""
         with suppress(OSError):
             for name in os.listdir(self.folder):
                 if name.endswith(ASIDE):
                     self._settle(self.folder / name)
 
     def _settle(self, aside: Path) -> None:
-        """Where store or disk refuse, all stays for the next time."""
+        """Finish one deletion; where store or disk fail, all stays for the next time."""
         page = self.path(aside.stem)
         with suppress(StoreError, OSError):
             if not self._known(aside.stem):
-                aside.unlink(missing_ok=True)  # first: another program that opens the store may be putting it back
+                aside.unlink(missing_ok=True)  # first: another program that opens the store may be restoring it
                 page.unlink(missing_ok=True)
             elif page.exists():  # judged again since
                 aside.unlink(missing_ok=True)

@@ -1,5 +1,5 @@
-"""The store of a fleet: flights, their aircraft, maintenance, and where every aircraft stands. Everything that is written or read goes
-through here; every write is one transaction, so it is there whole or not at all."""
+"""The store of a fleet: flights, their aircraft, maintenance, and every aircraft's standing. All reads and writes go through here; every
+write is one atomic transaction."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ LEFT JOIN flights f ON f.ordinal = s.latest
 LEFT JOIN standings t ON t.aircraft = a.key
 ORDER BY a.ordinal
 """
-# Whether an aircraft has flights, or people have said something of it.
+# Whether an aircraft has flights, or entries by users.
 NEEDED = """SELECT 1 WHERE EXISTS (SELECT 1 FROM flights WHERE aircraft = :key)
     OR EXISTS (SELECT 1 FROM services WHERE aircraft = :key)
     OR (SELECT count(*) FROM identities WHERE aircraft = :key) > 1"""
 FIELDS = (  # of an aircraft
     "key name identities flights first last airborne_s frame rotors build firmware verdicts new state standing stale".split()
 )
-# Where flights were deleted, no new one gets a number that a service or a look at the list has seen.
+# After deletions, no new flight gets a number that a service or a view of the list refers to.
 LAST = """SELECT max(last) FROM (SELECT coalesce(max(ordinal), 0) AS last FROM flights
     UNION ALL SELECT coalesce(max(after), 0) FROM services
     UNION ALL SELECT coalesce(max(CAST(value AS INTEGER)), 0) FROM meta WHERE key = 'looked') numbers"""
@@ -55,12 +55,11 @@ ALL = 1 << 62  # rows: more than there can be
 
 @dataclass(frozen=True)
 class Entry:
-    """A judged flight as it goes into the store.
+    """A judged flight as stored.
 
-    hash: SHA-256 of the log's bytes, hexadecimal. identity: what tells its aircraft apart, or "" when nothing does; called: the name that
-    an aircraft not known yet gets. utc: of second 0, ISO 8601, or None; clock_us: the log's own clock then; count: the autopilot's number
-    of the flight, or None. build: alike for aircraft that can be compared. diagnosis: as `Diagnosis.to_dict`; trim: how it hovered, or {}.
-    """
+    hash: SHA-256 of the log's bytes, hexadecimal. identity: of its aircraft, or "" when unknown; called: the name of a new aircraft. utc:
+    of second 0, ISO 8601, or None; clock_us: the log's own clock then; count: the autopilot's number of the flight, or None. build: alike
+    for aircraft that can be compared. diagnosis: as `Diagnosis.to_dict`; trim: its hover, or {}."""
 
     hash: str
     path: str
@@ -86,8 +85,8 @@ class Entry:
 
 
 class Store:
-    """A store, opened; made or brought up to date where needed. url: a file name (SQLite), sqlite:///FILE or postgresql://...; None:
-    `default_url`. make: whether a file that is not there is made. Raises StoreError, or ConfigError for an address that is none."""
+    """An open store; created or upgraded where needed. url: a file name (SQLite), sqlite:///FILE or postgresql://...; None: `default_url`.
+    make: whether a missing file is created. Raises StoreError, or ConfigError for an invalid address."""
 
     def __init__(self, url: str | os.PathLike | None = None, make: bool = True):
         optional.library("sqlalchemy", "A store of flights")
@@ -100,20 +99,20 @@ class Store:
         self.reports = Reports(Path(self.label) if self.url.startswith("sqlite") else data_file(), self.has)
         with self._database.reading() as db:
             old = tables.version(db.connection) < len(tables.STEPS)
-        if old:  # who only reads waits for no writer, and needs no right to write
+        if old:  # a reader waits for no writer, and needs no write permission
             with self._database.writing() as db:
                 tables.upgrade(db.connection)
         self.reports.settle()
 
     def close(self) -> None:
-        """Let go of the database."""
+        """Close the database."""
         self._database.close()
 
     def __enter__(self) -> Store:
         return self
 
     def __exit__(self, kind: Any, why: Any, trace: Any) -> None:
-        """Raises StoreError where work failed because the store holds what it cannot hold."""
+        """Raises StoreError where work failed because of damaged content."""
         try:
             if isinstance(why, (ValueError, TypeError, KeyError, AttributeError, IndexError)):
                 from rotorwatch.fleet import damage
@@ -130,7 +129,7 @@ class Store:
     # Writing
 
     def add(self, entry: Entry) -> bool:
-        """Put a flight into the store, and its aircraft when it is the first of it; False when the same log is there already."""
+        """Store a flight, and its aircraft when it is the first of it; False when the same log is there already."""
         with self._database.writing() as db:
             if db.value("SELECT hash FROM flights WHERE hash = :hash", hash=entry.hash):
                 return False
@@ -142,7 +141,7 @@ class Store:
         return True
 
     def judge_again(self, entry: Entry) -> None:
-        """Replace the judgement of a flight that is there; its place, its path and its aircraft stay. Raises StoreError when it is not."""
+        """Replace the result of a stored flight; its place, its path and its aircraft stay. Raises StoreError when it is not there."""
         row = {k: v for k, v in _row(entry).items() if k not in ("hash", "path", "name", "size", "identity")}
         columns = ", ".join(f"{name} = :{name}" for name in row)
         with self._database.writing() as db:
@@ -155,22 +154,22 @@ class Store:
     def delete(self, hash: str) -> dict:
         """Remove a flight with its report, and its aircraft where that has no other flight, no service and one identity; returns the row.
         hash: as for `flight`. Raises NotInStore when there is none, or several."""
-        found = self.flight(hash)
-        if found is None:
+        row = self.flight(hash)
+        if row is None:
             raise NotInStore(f"The store has no flight {listing.text(hash)[:64]}, or several with this prefix.")
-        with self.reports.removed(found["hash"]), self._database.writing() as db:
+        with self.reports.removed(row["hash"]), self._database.writing() as db:
             for table in ("diagnoses", "trims", "flights"):
-                gone = db.run(f"DELETE FROM {table} WHERE hash = :hash", hash=found["hash"])
+                gone = db.run(f"DELETE FROM {table} WHERE hash = :hash", hash=row["hash"])
             if not gone:
-                raise NotInStore(f"The store has no flight {found['hash'][:12]} any more.")
+                raise NotInStore(f"The store has no flight {row['hash'][:12]} any more.")
             db.run("UPDATE standings SET seen = -1")
-            if found["aircraft"] and not db.value(NEEDED, key=found["aircraft"]):
+            if row["aircraft"] and not db.value(NEEDED, key=row["aircraft"]):
                 for table, column in (("standings", "aircraft"), ("identities", "aircraft"), ("aircraft", "key")):
-                    db.run(f"DELETE FROM {table} WHERE {column} = :key", key=found["aircraft"])
-        return {name: found[name] for name in (*SHOWN, "aircraft_name")}
+                    db.run(f"DELETE FROM {table} WHERE {column} = :key", key=row["aircraft"])
+        return {name: row[name] for name in (*SHOWN, "aircraft_name")}
 
     def rename(self, aircraft: str, name: str) -> None:
-        """Rename an aircraft. Raises StoreError when it is not known or the name is another's."""
+        """Rename an aircraft. Raises StoreError when it is unknown or the name is taken."""
         name = listing.text(name).strip()
         if not name:
             raise ConfigError("An aircraft needs a non-empty name.")
@@ -181,21 +180,21 @@ class Store:
             db.run("UPDATE aircraft SET name = :name WHERE key = :key", name=name, key=key)
 
     def service(self, aircraft: str, rotor: int, what: str, utc: str = "", after: int | None = None) -> dict:
-        """Note maintenance: rotor 1-based, 0 the whole aircraft. utc: when, ISO 8601; after: the number (`ordinal`) of the last flight
+        """Add maintenance: rotor 1-based, 0 the whole aircraft. utc: when, ISO 8601; after: the number (`ordinal`) of the last flight
         before it. Without both: after the aircraft's last flight. Returns the row."""
         with self._database.writing() as db:
-            found = listing.find(db, aircraft)
-            rotors = db.value("SELECT max(rotors) FROM flights WHERE aircraft = :key", key=found["key"]) or 0
+            aircraft_row = listing.find(db, aircraft)
+            rotors = db.value("SELECT max(rotors) FROM flights WHERE aircraft = :key", key=aircraft_row["key"]) or 0
             if not 0 <= rotor <= rotors:
-                raise ConfigError(f"{found['name']} has rotors 1 to {rotors}, not {rotor}.")
+                raise ConfigError(f"{aircraft_row['name']} has rotors 1 to {rotors}, not {rotor}.")
             last = db.value("SELECT max(ordinal) FROM flights") or 0
             if not utc and after is None:
                 columns = "ordinal, utc, count, clock_us"
-                own = list(db.rows(f"SELECT {columns} FROM flights WHERE aircraft = :key", key=found["key"]))
-                last = listing.in_order(own)[-1]["ordinal"] if own else last
+                flights = list(db.rows(f"SELECT {columns} FROM flights WHERE aircraft = :key", key=aircraft_row["key"]))
+                last = listing.in_order(flights)[-1]["ordinal"] if flights else last
             row = {
-                "aircraft": found["key"],
-                "number": _services_of(db, found["key"]) + 1,
+                "aircraft": aircraft_row["key"],
+                "number": _services_of(db, aircraft_row["key"]) + 1,
                 "rotor": int(rotor),
                 "what": listing.text(what),
                 "utc": utc,
@@ -205,7 +204,7 @@ class Store:
         return row
 
     def merge(self, aircraft: str, other: str) -> None:
-        """Make two aircraft one: what was of `other` is of `aircraft` from now on (an autopilot was exchanged, say)."""
+        """Merge two aircraft: everything of `other` belongs to `aircraft` from now on (an autopilot was exchanged, say)."""
         with self._database.writing() as db:
             keys = {"into": listing.find(db, aircraft)["key"], "old": listing.find(db, other)["key"]}
             if keys["into"] == keys["old"]:
@@ -220,22 +219,22 @@ class Store:
             db.run("DELETE FROM aircraft WHERE key = :old", old=keys["old"])
 
     def set_standings(self, found: Mapping[str, Mapping], points: Mapping[str, Mapping], seen: int) -> None:
-        """Keep what was worked out of the aircraft (key -> plain data), in place of what was. points: what a picture needs; seen: `state`
-        of the store that it was worked out of."""
+        """Replace the stored standings (key -> plain data). points: data for plots; seen: `state` of the store that they were computed
+        from."""
         with self._database.writing() as db:
             db.run("DELETE FROM standings")
             for key, one in sorted(found.items()):
                 db.insert("standings", aircraft=key, seen=seen, standing=_json(one), points=_json(points.get(key, {})))
 
     def look(self) -> None:
-        """Note that somebody has seen the list of aircraft: flights that come from now on are new at the next look."""
+        """Note that the list of aircraft was viewed: flights from now on are new at the next view."""
         with self._database.writing() as db:
             last = db.value("SELECT coalesce(max(ordinal), 0) FROM flights")
             db.run("DELETE FROM meta WHERE key = 'looked'")
             db.insert("meta", key="looked", value=str(last))
 
     def refuse(self, hash: str, path: str, given: str, why: str) -> None:
-        """Remember that a file cannot be judged. given: what it was judged with, apart from its bytes; why: the sentence."""
+        """Remember that a file cannot be judged. given: the settings apart from its bytes; why: the sentence."""
         row = {"hash": hash, "path": path, "given": given, "why": why}
         with self._database.writing() as db:
             db.run("DELETE FROM refused WHERE hash = :hash", hash=hash)
@@ -247,25 +246,24 @@ class Store:
         self, sort: str = listing.NEWEST, limit: int | None = 100, offset: int = 0, **filters: Any
     ) -> list[dict]:
         """Flights: the columns of SHOWN and `aircraft_name`. filters: those of `listing.Filters`; sort: as for `listing.order`, by default
-        the newest first (those without a time last). Raises ConfigError, and NotInStore for an aircraft that is not known."""
+        the newest first (those without a time last). Raises ConfigError, and NotInStore for an unknown aircraft."""
         ordered = listing.order(sort)
         part = {"most": ALL if limit is None else int(limit), "first": int(offset)}
         with self._database.reading() as db:
             where, given = listing.condition(db, listing.Filters(**filters))
-            # Databases sort numbers of flights some times as fast as whole rows.
+            # Databases sort flight numbers several times faster than whole rows.
             page = f"SELECT f.ordinal {FLIGHTS} WHERE {where} ORDER BY {ordered} LIMIT :most OFFSET :first"
             ask = f"SELECT {COLUMNS} {FLIGHTS} WHERE f.ordinal IN ({page}) ORDER BY {ordered}"
             return [_plain(row) for row in db.rows(ask, **given, **part)]
 
     def count(self, **filters: Any) -> int:
-        """How many flights `flights` would find."""
+        """Number of flights that `flights` would return."""
         with self._database.reading() as db:
             where, given = listing.condition(db, listing.Filters(**filters))
             return int(db.value(f"SELECT count(*) {FLIGHTS} WHERE {where}", **given))
 
     def flight(self, hash: str) -> dict | None:
-        """A flight by its hash (or as much of its start as is unique, at least 6 digits), with `diagnosis` and `trim`; None when there is
-        none."""
+        """A flight by its hash (or a unique prefix of at least 6 digits), with `diagnosis` and `trim`; None when there is none."""
         if not re.fullmatch(r"[0-9a-f]{6,64}", hash):
             return None
         ask = f"""SELECT {COLUMNS}, d.diagnosis, t.trim {FLIGHTS} JOIN diagnoses d ON d.hash = f.hash
@@ -275,12 +273,12 @@ class Store:
         return rows[0] | {k: json.loads(rows[0][k]) for k in ("diagnosis", "trim")} if len(rows) == 1 else None
 
     def has(self, hash: str) -> bool:
-        """Whether a log with these bytes is in the store."""
+        """True if a log with these bytes is in the store."""
         with self._database.reading() as db:
             return bool(db.value("SELECT hash FROM flights WHERE hash = :hash", hash=hash))
 
     def refused(self, hash: str, given: str) -> str:
-        """Why a file with these bytes could not be judged with the same (`refuse`); empty where that is not known."""
+        """The reason why a file with these bytes could not be judged with the same settings (`refuse`); empty where unknown."""
         with self._database.reading() as db:
             return (
                 db.value("SELECT why FROM refused WHERE hash = :hash AND given = :given", hash=hash, given=given) or ""
@@ -292,9 +290,9 @@ class Store:
             return {row["path"] for row in db.rows("SELECT path FROM flights UNION SELECT path FROM refused")}
 
     def aircraft(self) -> list[dict]:
-        """All aircraft in the order in which they came: key, name, identities, flights, first and last utc (or None), frame, rotors, build,
-        airborne_s, verdicts (how many of each), new (those since the last `look`; none before the first), state (one of
-        `condition.STATES`), standing (or None; `stale` when flights came since)."""
+        """All aircraft in order of addition: key, name, identities, flights, first and last utc (or None), frame, rotors, build,
+        airborne_s, verdicts (number of each), new (those since the last `look`; none before the first), state (one of `condition.STATES`),
+        standing (or None; `stale` when flights came since)."""
         with self._database.reading() as db:
             total = _state(db)
             rows = [dict(row) for row in db.rows(AIRCRAFT)]
@@ -314,19 +312,19 @@ class Store:
         return [{name: row[name] for name in FIELDS} for row in rows]
 
     def find(self, aircraft: str) -> dict:
-        """key and name of an aircraft by key, name or identity. Raises StoreError with the names that come near."""
+        """key and name of an aircraft by key, name or identity. Raises StoreError with similar names."""
         with self._database.reading() as db:
             return listing.find(db, aircraft)
 
     def aircraft_names(self) -> list[dict]:
-        """Every aircraft, in the order of the names: key, name and how many flights. Quicker than `aircraft`, for lists to choose from."""
+        """Every aircraft, in order of names: key, name and number of flights. Faster than `aircraft`, for selection lists."""
         ask = """SELECT a.key, a.name, count(f.aircraft) AS flights FROM aircraft a LEFT JOIN flights f ON f.aircraft = a.key
             GROUP BY a.key, a.name ORDER BY lower(a.name), a.name"""
         with self._database.reading() as db:
             return [dict(row) for row in db.rows(ask)]
 
     def services(self, aircraft: str | None = None) -> list[dict]:
-        """Maintenance in the order in which it was noted: aircraft (key), number, rotor (0: all), what, utc or None, after."""
+        """Maintenance in order of addition: aircraft (key), number, rotor (0: all), what, utc or None, after."""
         with self._database.reading() as db:
             where, given = listing.of_aircraft(db, aircraft)
             return [
@@ -334,7 +332,7 @@ class Store:
             ]
 
     def trims(self, aircraft: str | None = None) -> Iterator[dict]:
-        """Every flight of an aircraft that is known, in the order in which they were added, with `trim`: what histories are made of."""
+        """Every flight of a known aircraft, in order of addition, with `trim`: the input to histories."""
         columns = "f.hash, f.ordinal, f.aircraft, f.utc, f.clock_us, f.count, f.airborne_s, f.rotors, f.frame, f.build, f.verdict, f.name"
         with self._database.reading() as db:
             where, given = listing.of_aircraft(db, aircraft)
@@ -344,11 +342,11 @@ class Store:
                 yield _plain(row) | {"trim": json.loads(row["trim"])}
 
     def standing(self, aircraft: str) -> dict | None:
-        """What was last worked out of an aircraft; None when nothing was."""
+        """The last computed standing of an aircraft; None without one."""
         return self._worked_out(aircraft, "standing")
 
     def points(self, aircraft: str) -> dict:
-        """What a picture of an aircraft needs of every flight (assess.py); empty when nothing was worked out."""
+        """Plot data of an aircraft's flights (assess.py); empty when nothing was computed."""
         return self._worked_out(aircraft, "points") or {}
 
     def _worked_out(self, aircraft: str, column: str) -> dict | None:
@@ -358,19 +356,19 @@ class Store:
         return json.loads(text) if text else None
 
     def state(self) -> int:
-        """How many flights and services there are: standings that saw another number are out of date."""
+        """Number of flights and services: standings with another number are out of date."""
         with self._database.reading() as db:
             return _state(db)
 
     def rows(self, table: str) -> Iterator[dict]:
-        """All rows of a table by its name, in the order of its primary key, as they are kept: for exports and comparisons."""
+        """All rows of a table by its name, in order of its primary key, as stored: for exports and comparisons."""
         order = ", ".join(column.name for column in self._t.metadata.tables[table].primary_key.columns)
         with self._database.reading() as db:
             yield from map(dict, db.rows(f"SELECT * FROM {table} ORDER BY {order}"))
 
 
 def _aircraft_of(db: Any, identity: str, called: str) -> str | None:
-    """The key of the aircraft with that identity, made when it is new; None without one."""
+    """The key of the aircraft with that identity, created when new; None without one."""
     if not identity:
         return None
     if known := db.value("SELECT aircraft FROM identities WHERE identity = :identity", identity=identity):
@@ -389,13 +387,13 @@ def _aircraft_of(db: Any, identity: str, called: str) -> str | None:
 
 
 def _verdicts(db: Any, after: int) -> dict[str, dict[str, int]]:
-    """How many flights of each aircraft have which verdict, of those with a larger number."""
-    found: dict[str, dict[str, int]] = {}
-    where = "WHERE ordinal > :after" if after else ""  # of all flights the index alone is read
+    """Number of flights of each aircraft by verdict, of those with a larger number."""
+    counts: dict[str, dict[str, int]] = {}
+    where = "WHERE ordinal > :after" if after else ""  # for all flights the index suffices
     ask = f"SELECT aircraft, verdict, count(*) AS many FROM flights {where} GROUP BY aircraft, verdict ORDER BY verdict"
     for row in db.rows(ask, **({"after": after} if after else {})):
-        found.setdefault(row["aircraft"], {})[row["verdict"]] = row["many"]
-    return found
+        counts.setdefault(row["aircraft"], {})[row["verdict"]] = row["many"]
+    return counts
 
 
 def _services_of(db: Any, key: str) -> int:
@@ -408,7 +406,7 @@ def _state(db: Any) -> int:
 
 
 def _row(entry: Entry) -> dict:
-    """The columns of `flights` but for ordinal and aircraft."""
+    """The columns of `flights` except ordinal and aircraft."""
     row: dict[str, Any] = {name: getattr(entry, name) for name in SHOWN if name not in NOT_OF_ENTRY}
     row |= {"loss": summary.worst_loss(entry.diagnosis), "onset_s": summary.onset(entry.diagnosis)}
     row |= {k: listing.text(v) for k, v in row.items() if isinstance(v, str)} | {"utc": entry.utc or ""}

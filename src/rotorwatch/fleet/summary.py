@@ -1,4 +1,4 @@
-"""What a list of flights shows of an answer besides its words: how grave it is, the worst loss, and the moment that it is about."""
+"""An answer in a list of flights besides its words: its severity, the worst loss, and the time of its main event."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-# How grave a verdict is, in SQL: the column's name is put in.
+# Severity of a verdict, in SQL with the column's name inserted.
 GRAVITY = "CASE {verdict} WHEN 'crashed' THEN 4 WHEN 'fault' THEN 3 WHEN 'ambiguous' THEN 2 WHEN 'inconclusive' THEN 1 ELSE 0 END"
-LOST = ("degraded", "failed", "suspect")  # states of a rotor that the answer does not call healthy
+LOST = ("degraded", "failed", "suspect")  # states of a rotor other than healthy
 
 
 def worst_loss(diagnosis: Mapping[str, Any]) -> float:
-    """The largest loss of a rotor that an answer (`Diagnosis.to_dict`) names, 0 to 1: of its events, also those that are over, and of its
-    rotors at the end. 0 when it names none."""
+    """The largest loss of a rotor that an answer (`Diagnosis.to_dict`) names, 0 to 1: of its events, also past ones, and of its rotors at
+    the end. 0 when it names none."""
     return max((min(loss, 1.0) for loss in _losses(diagnosis)), default=0.0)
 
 
 def onset(diagnosis: Mapping[str, Any]) -> float | None:
-    """When the answer's main event began [s of the log]; None without one."""
+    """Onset of the answer's main event [s of the log]; None without one."""
     events, main = _list(diagnosis.get("events")), diagnosis.get("main_event")
     if isinstance(main, int) and 0 <= main < len(events):
         return next(iter(_numbers([events[main].get("onset_s")])), None)
@@ -32,7 +32,7 @@ def _losses(diagnosis: Mapping[str, Any]) -> Iterator[float]:
 
 
 def _list(given: Any) -> list[Mapping[str, Any]]:
-    """The tables in a list; what is none is left out: a store may hold answers of any version."""
+    """The tables in a list; anything else is left out: a store may hold answers of any version."""
     return [one for one in given if isinstance(one, Mapping)] if isinstance(given, (list, tuple)) else []
 
 

@@ -1,7 +1,7 @@
-"""The tables of a store, and the numbered steps by which an older store becomes one of today.
+"""The tables of a store, and the numbered steps that upgrade an older store.
 
-Nothing in them hangs on the time of the day, on chance or on a counter of the database: the same logs added in the same order make the
-same rows, however often the work was broken off in between. Texts that can be missing are empty, so that both databases sort them alike.
+Nothing in them depends on the time of day, on chance or on a counter of the database: the same logs added in the same order make the same
+rows, however often the work was interrupted. Texts that can be missing are empty, so that both databases sort them alike.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import sqlalchemy as sa
 from rotorwatch.errors import StoreError
 from rotorwatch.fleet import summary
 
-SOME = 500  # diagnoses that are read at once
+SOME = 500  # diagnoses read at once
 metadata = sa.MetaData()
 
 
@@ -33,13 +33,13 @@ meta = sa.Table("meta", metadata, _column("key", primary_key=True), _column("val
 aircraft = sa.Table(
     "aircraft",
     metadata,
-    # key: made of what identifies it. name: what people call it; they may change it.
+    # key: derived from its identity. name: for users, who may change it.
     _column("key", primary_key=True),
     _column("name", unique=True),
     _column("ordinal", sa.Integer),
 )
 
-# By what a log is known to be of an aircraft: serial number, board and calibration, or a name. Several may stand for one aircraft.
+# Identity of a log's aircraft: serial number, board and calibration, or a name. An aircraft may have several.
 identities = sa.Table(
     "identities",
     metadata,
@@ -50,7 +50,7 @@ identities = sa.Table(
 flights = sa.Table(
     "flights",
     metadata,
-    # hash: SHA-256 of the log's bytes. ordinal: which flight of the store it is, in the order in which they were added.
+    # hash: SHA-256 of the log's bytes. ordinal: number of the flight in the store, in order of addition.
     _column("hash", primary_key=True),
     _column("ordinal", sa.Integer, unique=True),
     _column("path"),
@@ -68,9 +68,9 @@ flights = sa.Table(
     _column("firmware"),
     _column("frame"),
     _column("rotors", sa.Integer),
-    # words: what a search looks through, in lower case.
+    # words: text for searches, in lower case.
     *(_column(name) for name in ("build", "verdict", "headline", "version", "words")),
-    # loss: the worst that the answer names, 0 for none. onset_s: when its main event began, or null. Both stand in the diagnosis, too.
+    # loss: the worst of the answer, 0 for none. onset_s: of its main event, or null. Both are in the diagnosis, too.
     _column("loss", sa.Float, server_default="0"),
     _column("onset_s", sa.Float, nullable=True),
     # With airborne_s, so that sums over an aircraft read the index alone.
@@ -79,7 +79,7 @@ flights = sa.Table(
     sa.Index("flights_verdicts", "aircraft", "verdict"),
 )
 
-# By which a list is sorted.
+# For sorted lists.
 SORTED = tuple(
     sa.Index(f"flights_by_{name}", by, flights.c.utc, flights.c.ordinal)
     for name, by in (
@@ -90,7 +90,7 @@ SORTED = tuple(
     )
 )
 
-# Large texts lie apart: a list of flights never reads them.
+# Large texts are separate: a list of flights never reads them.
 diagnoses = sa.Table("diagnoses", metadata, _of("flights", "hash", "hash", primary_key=True), _column("diagnosis"))
 trims = sa.Table("trims", metadata, _of("flights", "hash", "hash", primary_key=True), _column("trim"))
 
@@ -106,8 +106,8 @@ services = sa.Table(
     _column("after", sa.Integer),
 )
 
-# What all flights together say of an aircraft, as it was last worked out. seen: how many flights and services the store held then.
-# points: what a picture needs of every flight; it lies apart because it is long.
+# The last computed standing of an aircraft. seen: number of flights and services in the store then.
+# points: plot data of every flight, separate because of its length.
 standings = sa.Table(
     "standings",
     metadata,
@@ -117,7 +117,7 @@ standings = sa.Table(
     _column("points"),
 )
 
-# Files that could not be judged. given: the version that tried, and what it was given besides the file; why: the sentence.
+# Files that could not be judged. given: the version that tried, and its settings; why: the sentence.
 refused = sa.Table(
     "refused", metadata, _column("hash", primary_key=True), *(_column(name) for name in ("path", "given", "why"))
 )
@@ -129,8 +129,7 @@ def _add(*tables: sa.Table) -> Callable[[Any], None]:
 
 
 def _add_losses(connection: Any) -> None:
-    """The columns loss and onset_s of flights, worked out of the diagnoses, and the indexes for sorting; a store that is made anew has
-    them already."""
+    """The columns loss and onset_s of flights, computed from the diagnoses, and the indexes for sorting; a new store has them already."""
     if any(column["name"] == "loss" for column in sa.inspect(connection).get_columns("flights")):
         return
     connection.exec_driver_sql("ALTER TABLE flights ADD COLUMN loss FLOAT DEFAULT 0 NOT NULL")
@@ -139,31 +138,31 @@ def _add_losses(connection: Any) -> None:
     into = sa.update(flights).where(flights.c.hash == sa.bindparam("of"))
     last = ""
     while rows := connection.execute(some.where(diagnoses.c.hash > last)).all():
-        found = [{"of": hash} | _worked_out(text) for hash, text in rows]
-        connection.execute(into, found)
+        updates = [{"of": hash} | _worked_out(text) for hash, text in rows]
+        connection.execute(into, updates)
         last = rows[-1][0]
     for index in SORTED:
         index.create(connection)
 
 
 def _rank_again(connection: Any) -> None:
-    """The index by gravity, whose expression ranks the verdicts: there are more of them."""
+    """Rebuild the index by severity, whose expression ranks the verdicts, after more were added."""
     gravity = next(index for index in SORTED if index.name == "flights_by_gravity")
     connection.exec_driver_sql(f"DROP INDEX IF EXISTS {gravity.name}")
     gravity.create(connection)
 
 
 def _remember_refused(connection: Any) -> None:
-    """Files that could not be judged. Standings say more of an aircraft since then, and are to be worked out again."""
+    """Add the table of refused files. Standings contain more since then, and must be computed again."""
     metadata.create_all(connection, tables=[refused])
     connection.execute(sa.update(standings).values(seen=-1))
 
 
 def _worked_out(text: str) -> dict[str, Any]:
     try:
-        told = json.loads(text)
-        return {"loss": summary.worst_loss(told), "onset_s": summary.onset(told)}
-    except (ValueError, TypeError, AttributeError):  # a damaged row, which whoever reads it is told of
+        answer = json.loads(text)
+        return {"loss": summary.worst_loss(answer), "onset_s": summary.onset(answer)}
+    except (ValueError, TypeError, AttributeError):  # a damaged row, reported on reading
         return {"loss": 0.0, "onset_s": None}
 
 
@@ -178,21 +177,22 @@ STEPS = (
 
 
 def version(connection: Any) -> int:
-    """Of a store's tables: 0 where it has none. Raises StoreError for one of a later rotorwatch."""
+    """Version of a store's tables: 0 where it has none. Raises StoreError for one of a later rotorwatch."""
     if not sa.inspect(connection).has_table("meta"):
         return 0
-    found = connection.execute(sa.select(meta.c.value).where(meta.c.key == "version")).scalar()
-    if not str(found or 0).isdecimal():
+    stored = connection.execute(sa.select(meta.c.value).where(meta.c.key == "version")).scalar()
+    if not str(stored or 0).isdecimal():
         raise StoreError("The store is damaged (table meta, version): restore a backup, or add the logs to a new one.")
-    if int(found or 0) > len(STEPS):
+    if int(stored or 0) > len(STEPS):
         raise StoreError(
-            f"The store was made by a later version of rotorwatch (tables {found}, known {len(STEPS)}); update rotorwatch."
+            f"The store was made by a later version of rotorwatch (tables {stored}, known {len(STEPS)}); update rotorwatch."
         )
-    return int(found or 0)
+    return int(stored or 0)
 
 
 def upgrade(connection: Any) -> None:
-    """Bring a store, new or old, to today's version, inside the caller's transaction. Raises StoreError for one of a later rotorwatch."""
+    """Upgrade a store, new or old, to the current version, inside the caller's transaction. Raises StoreError for one of a later
+    rotorwatch."""
     before = version(connection)
     for step in STEPS[before:]:
         step(connection)

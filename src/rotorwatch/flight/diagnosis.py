@@ -17,7 +17,7 @@ from rotorwatch.flight.method_series import MOST_ROWS, MethodSeries
 SCHEMA = 2
 TINY = 1e-12  # probabilities are rounded to less
 EXIT_CODES = {"healthy": 0, "fault": 1, "crashed": 1, "ambiguous": 3, "inconclusive": 3}
-# Fields of the JSON answer (docs/json.md) in their order; of an event, before what only its kind has; of a rotor.
+# Fields of the JSON answer (docs/json.md) in their order; of an event, before those of its kind; of a rotor.
 ANSWER = (
     "flight", "verdict", "headline", "reason", "story", "picture", "advice", "main_event", "rotors", "events", "common_mode",
     "whole_flight", "baseline", "estimator", "comparison", "assumptions", "warnings", "timing",
@@ -30,11 +30,10 @@ ROTOR = ("rotor", "place", "loss", "interval", "status", "since_takeoff", "from_
 
 @dataclass(frozen=True)
 class Trend:
-    """How a rotor's loss changes. per_minute: share of its thrust, more lost is positive; interval: 95 %, for all rotors at once.
+    """The trend of a rotor's loss. per_minute: share of its thrust, positive for a growing loss; interval: 95 %, for all rotors at once.
 
-    start_s, end_s: the flight it is of, since the last event. word: growing, shrinking, no trend where the interval holds 0, or unclear
-    where something drifts that no single rotor explains. beyond: what has grown by the end and is in no loss, between these shares.
-    """
+    start_s, end_s: the time that it covers, since the last event. word: growing, shrinking, no trend where the interval contains 0, or
+    unclear for a drift that no single rotor explains. beyond: (low, high) of the growth by the end that no loss includes."""
 
     per_minute: float
     interval: tuple[float, float]
@@ -48,13 +47,11 @@ class Trend:
 class RotorState:
     """A rotor at the end of the judged flight. rotor: 1-based. loss: 0 healthy .. 1 dead.
 
-    interval: 95 %, over all explanations; what could be there unseen where nothing was found. status: healthy, degraded (lost some),
+    interval: 95 %, over all explanations; the largest undetected loss where nothing was found. status: healthy, degraded (lost some),
     failed (lost most), suspect (one of several explanations, or evidence that no event explains) or unobservable. place: in words.
-    since_takeoff: 95 % interval of the change since take-off, where that was judged. from_takeoff: not judged, healthy,
-    bounded (by what healthy vehicles of any build are like), suspect or damaged. note: what happened to it, in a few words. grade: of the
-    interval of the loss, or of its change since take-off where no more was judged: healthy, worn, weak, critical, failed, two of
-    them, or not judged. trend: None where nothing can be said of it.
-    """
+    since_takeoff: 95 % interval of the change since take-off, where judged. from_takeoff: not judged, healthy, bounded (by healthy vehicles
+    of any build), suspect or damaged. note: its history, in a few words. grade: of the interval of the loss, or of its change since
+    take-off where no more was judged: healthy, worn, weak, critical, failed, two of them, or not judged. trend: None where unknown."""
 
     rotor: int
     loss: float
@@ -85,13 +82,12 @@ NO_SOURCE = Source("")
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened in flight. Times in s from the first record of the log.
+    """An event in flight. Times in s from the first record of the log.
 
-    onset_s: when it began. detected_s: when that could be said. end_s: when it ended; None while it lasts.
-    kind: its name in the table of kinds (`kinds`). rotors: 1-based. loss: of each of them, 0 to 1. interval: (low, high) of each
-    loss, 95 %. alternatives: other rotor sets that explain the data as well. probability: of these rotors, given the data. reason: one
-    sentence. extra: what only some kinds have. history: (time, loss...) rows of the causal estimate, for plots. source: not in the JSON.
-    """
+    onset_s: when it began. detected_s: when that was certain enough to announce. end_s: when it ended; None while it lasts. kind: its name
+    in the table of kinds (`kinds`). rotors: 1-based. loss: of each of them, 0 to 1. interval: (low, high) of each loss, 95 %. alternatives:
+    other rotor sets that explain the data as well. probability: of these rotors, given the data. reason: one sentence. extra: fields of
+    some kinds only. history: (time, loss...) rows of the causal estimate, for plots. source: not in the JSON."""
 
     kind: str
     rotors: tuple[int, ...]
@@ -108,29 +104,29 @@ class Event:
 
     @property
     def means(self) -> kinds.Kind:
-        """What its kind means."""
+        """The row of its kind."""
         return kinds.kind_of(self.kind)
 
     @property
     def explanations(self) -> tuple[tuple[int, ...], ...]:
-        """All rotor sets that explain it, its own first; none of an event that is of no rotor."""
-        own = tuple(self.rotors)
-        return (own, *(tuple(a) for a in self.alternatives if tuple(a) != own)) if own else ()
+        """All rotor sets that explain it, its own first; empty for an event of no rotor."""
+        named = tuple(self.rotors)
+        return (named, *(tuple(a) for a in self.alternatives if tuple(a) != named)) if named else ()
 
     @property
     def log_odds(self) -> float:
-        """Of its rotors to everything else, in nats."""
+        """Log odds of its rotors against everything else, in nats."""
         p = min(max(self.probability, TINY), 1.0 - TINY)
         return float(np.log(p / (1.0 - p)))
 
     def most(self, rotor: int) -> float:
-        """Upper bound of a rotor's loss over all explanations: its own share where the event says so; in another set it makes at most the
-        torque and thrust that all of the event's rotors lack together; 1 where nothing is known."""
+        """Upper bound of a rotor's loss over all explanations: its own interval where it is among the event's rotors; in another set at
+        most the total deficit of torque and thrust of the event's rotors; 1 where unknown."""
         if not self.interval:
             return 1.0
-        own = self.interval[self.rotors.index(rotor)][1] if rotor in self.rotors else 0.0
+        named = self.interval[self.rotors.index(rotor)][1] if rotor in self.rotors else 0.0
         other = min(1.0, sum(high for _, high in self.interval))
-        return max(own, other) if any(rotor in a for a in self.alternatives) else own
+        return max(named, other) if any(rotor in a for a in self.alternatives) else named
 
     @property
     def suspects(self) -> frozenset[int]:
@@ -143,14 +139,14 @@ class Event:
 
     @classmethod
     def from_dict(cls, found: Mapping[str, Any]) -> Event:
-        """What `to_dict` gave as an event again, numbers as rounded."""
-        own = {name: value for name, value in found.items() if name in EVENT}
-        return cls(**_tuples(own), extra={name: value for name, value in found.items() if name not in own})
+        """The event from `to_dict`'s output, numbers as rounded."""
+        fields = {name: value for name, value in found.items() if name in EVENT}
+        return cls(**_tuples(fields), extra={name: value for name, value in found.items() if name not in fields})
 
 
 @dataclass(frozen=True)
 class StoryLine:
-    """A sentence of the story of a loss of control, and the moment that it tells of [s]."""
+    """A sentence of the story of a loss of control, and its time [s]."""
 
     time_s: float
     text: str
@@ -158,17 +154,15 @@ class StoryLine:
 
 @dataclass(frozen=True, repr=False)
 class Trace:
-    """What a picture of the flight needs, on the diagnoser's own ticks (T of them, n rotors).
+    """Time series for the plots of a flight, on the diagnoser's own ticks (T of them, n rotors).
 
     time (T,): s. loss, lower, upper (T, n): estimate and its 95 % interval. residual, residual_sd (T, 4): in hover-thrust units, roll,
-    pitch, yaw, thrust. command (T, n): share of full thrust, NaN where none is logged. threshold: of the evidence, log10 odds.
-    evidence: hypothesis name -> (T,) log10 odds against healthy; blind: ((start, end, why), ...) when the diagnoser could not judge;
-    airborne: ((start, end), ...). attitude, wanted (T, 3): roll, pitch, yaw in degrees, as flown and as asked for, or None; messages:
-    ((time, kind, text), ...), kinds as in `flight.Message`. rates, rates_wanted (T, 3): the same as attitude in degrees/s, of a vehicle
-    whose pilot commands rates. position (T, 3): north, east, down in m from the lift-off; ground_speed (T,): m/s; battery (T, 2): V, A;
-    vibration (T, 3): standard deviation of the accelerometer above the motion, m/s^2, body x, y, z; each NaN where unknown, None where
-    nothing of it is logged.
-    """
+    pitch, yaw, thrust. command (T, n): share of full thrust, NaN where none is logged. threshold: of the evidence, log10 odds. evidence:
+    hypothesis name -> (T,) log10 odds against healthy; blind: ((start, end, why), ...) of unjudged time; airborne: ((start, end), ...).
+    attitude, wanted (T, 3): roll, pitch, yaw in degrees, actual and commanded, or None; messages: ((time, kind, text), ...), kinds as in
+    `flight.Message`. rates, rates_wanted (T, 3): the same in degrees/s, of a vehicle flown by rates. position (T, 3): north, east, down in
+    m from the lift-off; ground_speed (T,): m/s; battery (T, 2): V, A; vibration (T, 3): standard deviation of the accelerometer above the
+    motion, m/s^2, body x, y, z; each NaN where unknown, None where not logged."""
 
     time: np.ndarray
     loss: np.ndarray
@@ -220,19 +214,18 @@ class Trace:
 
 @dataclass(frozen=True, repr=False)
 class Diagnosis:
-    """Everything `rotorwatch diagnose` says.
+    """The answer of `rotorwatch diagnose`.
 
-    verdict: healthy, fault, crashed (and no rotor did it), ambiguous or inconclusive. reason: why, one sentence.
-    headline: the same for a pilot; main: index into events of the one that matters, or None; advice: what to do next. These, rotors and
-    events are made in one place: conclusion.conclude.
-    flight: what was judged (docs/json.md). rotors: the state of each at the end. events: in time order. common_mode: what all rotors
-    have together. baseline: what it was compared with. assumptions, warnings: sentences. timing: s of each step of the work. estimator:
-    the method's name. comparison: what the autopilot's own checks found. whole_flight: damage from take-off, where it was judged. trace:
-    what a picture needs. doubts: why the log may not be what flew, a sentence each (the first is the reason then). story: what happened
-    when control was lost, four sentences in the order of time; empty where it was not. picture: attitude and commands around that
-    moment (docs/json.md), or None. aircraft: what it is known by, such as a serial number; empty where the log does not say;
-    not in the JSON. own: of a published method, what the method itself says over the flight (`own_estimate` of the JSON).
-    """
+    verdict: healthy, fault, crashed (without a rotor as the cause), ambiguous or inconclusive. reason: why, one sentence. headline: the
+    same for a pilot; main: index into events of the main one, or None; advice: recommended actions. These, rotors and events come from
+    conclusion.conclude alone.
+    flight: the log (docs/json.md). rotors: the state of each at the end. events: in time order. common_mode: common change of all rotors.
+    baseline: the healthy flights compared with. assumptions, warnings: sentences. timing: s of each step of the work. estimator: the
+    method's name. comparison: results of the autopilot's own checks. whole_flight: damage from take-off, where judged. trace: time series
+    for plots. doubts: why the log may not show the real flight, a sentence each (the first is then the reason). story: the sequence of a
+    loss of control, four sentences in order of time, or empty. picture: attitude and commands around it (docs/json.md), or None. aircraft:
+    its identity, such as a serial number; empty where the log has none; not in the JSON. own: of a published method, its own series over
+    the flight (`own_estimate` of the JSON)."""
 
     flight: Mapping[str, Any]
     verdict: str
@@ -263,26 +256,26 @@ class Diagnosis:
         return EXIT_CODES[self.verdict]
 
     def important(self, most: int) -> list[int]:
-        """Which events a short answer shows: indices in time order, at most so many; the main event, losses of control, then the first
+        """Indices in time order of the events for a short answer, at most `most`: the main event, losses of control, then the first
         ones."""
         first = [k for k, e in enumerate(self.events) if k == self.main or e.means.weight is kinds.Weight.UPSET]
         return sorted([*first, *(k for k in range(len(self.events)) if k not in first)][:most])
 
     def to_dict(self) -> dict:
         """The documented JSON structure (docs/json.md), without the trace."""
-        own = {
+        converted = {
             "flight": {},
             "main_event": self.main,
             "rotors": [{name: getattr(r, name) for name in ROTOR} for r in self.rotors],
             "events": [e.to_dict() for e in self.events],
         }
-        found = {name: _round(own[name] if name in own else getattr(self, name)) for name in ANSWER}
+        answer = {name: _round(converted[name] if name in converted else getattr(self, name)) for name in ANSWER}
         own_estimate = {} if self.own is None else {"own_estimate": _round(self.own.to_dict(MOST_ROWS))}
-        return {"schema": SCHEMA} | found | {"flight": dict(self.flight)} | own_estimate
+        return {"schema": SCHEMA} | answer | {"flight": dict(self.flight)} | own_estimate
 
     @classmethod
     def from_dict(cls, found: Mapping[str, Any]) -> Diagnosis:
-        """What `to_dict` gave as a Diagnosis again, without the trace and a method's own series, numbers as rounded. Raises ConfigError for
+        """The Diagnosis from `to_dict`'s output, without the trace and a method's own series, numbers as rounded. Raises ConfigError for
         another schema."""
         if found.get("schema") != SCHEMA:
             raise ConfigError(
@@ -309,9 +302,9 @@ class Diagnosis:
 
     def to_markdown(self, path=None, identify: bool = False) -> str:
         """The answer as Markdown for a forum or an issue, below 10,000 letters, without positions, serial numbers and folders. path: also
-        write it there (atomically), and beside it the picture that it shows, NAME.png, where matplotlib is installed and there is something
-        to draw. identify: with the aircraft's serial number, the time of day, and texts as they are in the log. Raises ConfigError when the
-        place cannot be written to."""
+        write it there (atomically), and beside it its picture, NAME.png, where matplotlib is installed and there is something to draw.
+        identify: with the aircraft's serial number, the time of day, and texts as in the log. Raises ConfigError when the target is not
+        writable."""
         from rotorwatch.report import markdown
 
         if path is None:

@@ -1,4 +1,4 @@
-"""A flight: what a log says, in SI units and known frames, before any physics is assumed.
+"""The content of a log, in SI units and known frames, before any physics is assumed.
 
 Signals have canonical names (columns, unit, frame); a log holds any subset of them:
 
@@ -9,28 +9,28 @@ motors     r1 .. rN                        us or 1  command sent to rotor k, in 
 control    roll pitch yaw thrust           1        output of the rate controller, before the mixer (body FRD)
 gyro       x y z                           rad/s    angular rate, body FRD
 rates      x y z                           rad/s    angular rate the rate controller used (filtered), body FRD
-rates_     x y z                           rad/s    angular rate that the rate controller was asked for, body FRD (name: rates_wanted)
+rates_     x y z                           rad/s    commanded angular rate, body FRD (name: rates_wanted)
 wanted
 accel      x y z                           m/s^2    specific force, body FRD (about -9.8 on z in hover)
 attitude   w x y z                         1        quaternion body FRD -> world NED, scalar first
-attitude_  w x y z                         1        attitude the controller was asked for, likewise (name: attitude_wanted)
+attitude_  w x y z                         1        commanded attitude, likewise (name: attitude_wanted)
 wanted
 velocity   n e d                           m/s      world NED
 position   n e d                           m        world NED
-throttle   out                             1        collective the autopilot asked for (0..1)
+throttle   out                             1        collective command (0..1)
 battery    voltage current                 V, A     (unit "V,A")
-gps        n e d speed                     m, m/s   world NED, from the first fix; speed over ground. Only shown
-baro       up                              m        barometric altitude. Only shown
+gps        n e d speed                     m, m/s   world NED, from the first fix; speed over ground. Only displayed
+baro       up                              m        barometric altitude. Only displayed
 lift       lift_max voltage_ratio limit    1        ArduPilot's battery compensation (MOTB)
-vibration  level                           m/s^2    deviation of the accelerometer, as the autopilot computes it. Only compared with limits
-clipping   count                           1        samples at the end of the accelerometer's range since boot. Likewise
-innovat-   velocity position height        1        innovations of the autopilot's estimator, of its limit: at 1 a measurement is rejected
-ions       compass                                  (name: innovations). Likewise
+vibration  level                           m/s^2    deviation of the accelerometer, by the autopilot. Only compared with limits
+clipping   count                           1        samples at the end of the accelerometer's range since boot. Likewise innovat-   velocity
+position height        1        innovations of the autopilot's estimator, relative to its limit: at 1 a
+ions       compass                                  measurement is rejected (name: innovations). Likewise
 esc        speed1 .. current1 ..           rad/s,A, ESC telemetry where logged, rotor order: speed of the rotor, current and
            voltage1 .. temperature1 ..     V,degC   voltage at the ESC's input, temperature of the ESC
 ========== =============================== ======== ==================================================================
 
-Missing samples are the norm: ``valid`` masks them, values there are 0, never NaN.
+Missing samples are common: ``valid`` masks them, values there are 0, never NaN.
 """
 
 from __future__ import annotations
@@ -51,13 +51,12 @@ from rotorwatch.errors import ConfigError
 
 @dataclass(frozen=True, repr=False)
 class Signal:
-    """One multi-column time series.
+    """A multi-column time series.
 
     time: (n,) s since the first record of the log, non-decreasing. values: (n, k), finite everywhere.
-    valid: (n, k) bool; False where the log had no usable number; left out, or (n,), it is completed to that. Not to be written to.
-    columns: names of the k columns. unit: of all of them, or one for each, separated by commas. frame: "FRD", "NED" or "" for none.
-    source: the log's own name for it. made: the values were made for this signal, which keeps them instead of a copy.
-    """
+    valid: (n, k) bool; False where the log had no usable number; None or (n,) is expanded to that. Read-only. columns: names of the k
+    columns. unit: of all of them, or one for each, separated by commas. frame: "FRD", "NED" or "" for none. source: the log's own name for
+    it. made: the values were made for this signal, which keeps them instead of a copy."""
 
     time: np.ndarray
     values: np.ndarray
@@ -82,12 +81,12 @@ class Signal:
             given = np.asarray(self.valid, dtype=bool)
             valid &= given[:, None] if given.ndim == 1 else given
         whole = valid.all()
-        if whole:  # as most are: one byte for all of them
+        if whole:  # the usual case: one byte for all of them
             valid = np.broadcast_to(np.True_, valid.shape)
         object.__setattr__(self, "time", time)
-        # Copied on the way here: nobody else can change it.
-        own = made or (values.base is not self.values and values is not self.values)
-        if not own:
+        # Already copied: no other reference can change it.
+        owned = made or (values.base is not self.values and values is not self.values)
+        if not owned:
             values = np.where(valid, values, 0.0)
         elif not whole:
             values[~valid] = 0.0
@@ -102,11 +101,11 @@ class Signal:
         """(n,) bool, not to be changed: samples with a usable number in every column."""
         if self.valid.strides == (0, 0):
             return self.valid[:, 0]
-        found = self.valid[:, 0].copy() if self.valid.shape[1] else np.ones(len(self), bool)
+        valid = self.valid[:, 0].copy() if self.valid.shape[1] else np.ones(len(self), bool)
         for column in self.valid.T[1:]:  # many times faster than all(axis=1) of short rows
-            found &= column
-        found.flags.writeable = False
-        return found
+            valid &= column
+        valid.flags.writeable = False
+        return valid
 
     @cached_property
     def rate_hz(self) -> float:
@@ -117,7 +116,7 @@ class Signal:
         return 1.0 / step if step > 0 else 0.0
 
     def wholes(self) -> Signal:
-        """The samples of which all columns are valid; itself where all are."""
+        """The samples with all columns valid; itself where all are."""
         rows = self.whole
         return self if rows.all() else self.with_arrays(self.time[rows], self.values[rows], self.valid[rows])
 
@@ -141,7 +140,7 @@ class Signal:
         return self.with_arrays(self.time[rows], self.values[rows], self.valid[rows])
 
     def with_arrays(self, time: np.ndarray, values: np.ndarray, valid: np.ndarray) -> Signal:
-        """The same signal with other samples: arrays that are as those of a Signal are, which is not checked."""
+        """The same signal with other samples: arrays with a Signal's properties, which are not checked."""
         new = object.__new__(Signal)
         new.__dict__.update(
             time=time,
@@ -157,11 +156,10 @@ class Signal:
 
 @dataclass(frozen=True)
 class Message:
-    """A text or state change the autopilot logged.
+    """A text or state change that the autopilot logged.
 
     time: s from the first record. kind: 'text', 'error', 'event', 'mode', 'armed', 'landed', 'health' or 'dropout'. text: as logged, or in
-    words; of 'health' its first word is the part, and value 1 says that it is not well. value: the number behind it, where there is one.
-    """
+    words; of 'health' its first word is the part, and value 1 means unhealthy. value: the underlying number, if any."""
 
     time: float
     kind: str
@@ -175,16 +173,15 @@ class Message:
 
 @dataclass(frozen=True, repr=False)
 class Flight:
-    """Everything read from one log.
+    """The content of one log.
 
-    format: what the log's format is called. autopilot: "ArduPilot", "PX4" or another name; "" when the log does not say. duration: s.
-    firmware: its version as logged. vehicle_type: the log's own word. name: of the file. start_us: time stamp of the first record, by
-    the clock of the autopilot [us]. facts: what else a reader found and later steps use.
+    format: name of the log's format. autopilot: "ArduPilot", "PX4" or another name; "" when the log does not say. duration: s. firmware:
+    its version as logged. vehicle_type: the log's own word. name: of the file. start_us: time stamp of the first record, by the clock of
+    the autopilot [us]. facts: further findings of a reader for later steps.
     signals: canonical name -> Signal (module docstring). parameters: the autopilot's, never the simulator's
-    (``SIM_*``). parameter_changes: (time s, name, value) after the start. messages: in time order. warnings: sentences
-    about what was damaged, missing or assumed while reading. checked: values that the log's damage made have been looked for
-    (`logs.plausible`); others are looked for before a flight is judged.
-    """
+    (``SIM_*``). parameter_changes: (time s, name, value) after the start. messages: in time order. warnings: sentences on damaged, missing
+    or assumed data. checked: values corrupted by damage of the log have been searched for (`logs.plausible`); otherwise that happens before
+    a flight is judged."""
 
     format: str
     autopilot: str
@@ -222,8 +219,8 @@ class Flight:
 
     def angular_rate(self) -> Signal | None:
         """The gyro, or else the rates that the controller used; None where the log has neither with all its axes."""
-        found = (self.signals[name] for name in ("gyro", "rates") if self.has(name))
-        return next((signal for signal in found if signal.whole.any()), None)
+        signals = (self.signals[name] for name in ("gyro", "rates") if self.has(name))
+        return next((signal for signal in signals if signal.whole.any()), None)
 
     @property
     def rotor_count(self) -> int:
@@ -238,7 +235,7 @@ class Flight:
         return self.signals[name].to_pandas()
 
     def to_dict(self) -> dict[str, Any]:
-        """What the log is, as plain data: everything but the samples, of which columns, unit, frame, source, count and rate are given."""
+        """The log as plain data, without the samples: of signals, columns, unit, frame, source, count and rate."""
         signals = {
             name: {
                 "columns": list(s.columns), "unit": s.unit, "frame": s.frame, "source": s.source, "samples": len(s),
@@ -265,7 +262,7 @@ class Flight:
         return notebook.page(self)
 
     def until(self, end: float) -> Flight:
-        """The same flight as if the log had stopped at ``end`` seconds: what a live observer would have had."""
+        """The same flight as if the log had stopped at ``end`` seconds: the data of a live observer."""
         return replace(
             self,
             signals={k: s.between(-np.inf, end) for k, s in self.signals.items()},

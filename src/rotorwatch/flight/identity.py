@@ -1,8 +1,8 @@
-"""Whose flight is it? What a log holds that tells its aircraft apart from others, and the number that the autopilot gives to its flights.
+"""Identity of the aircraft, from a log, and the autopilot's number of the flight.
 
 In this order: the serial number of the autopilot's processor (ArduPilot logs it as the message "BOARD XXXXXXXX XXXXXXXX XXXXXXXX", PX4 as
-sys_uuid); the calibration of its accelerometers, whose digits no two boards share. A log that has neither names no aircraft, and none is
-guessed: simulators leave both at what they were delivered with.
+sys_uuid); the calibration of its accelerometers, whose digits no two boards share. A log with neither identifies no aircraft, and none is
+guessed: simulators leave both at their defaults.
 """
 
 from __future__ import annotations
@@ -18,14 +18,13 @@ UID = re.compile(r"^(\S+) ((?:[0-9A-F]{8} ?){3})$")
 MACHINE = re.compile(r"^[0-9a-f]{32}$")  # boards that run Linux, and simulators
 CALIBRATION = re.compile(r"^(INS_ACC\d?(OFFS|SCAL)_[XYZ]|CAL_ACC\d_[XYZ](OFF|SCALE))$")
 DIGITS = 4  # of a calibration that was measured; 0.001 was not
-LEAST = 3  # such numbers
+LEAST = 3  # of them, at least
 # Counted up by the autopilot: boots of ArduPilot, flights of PX4.
 COUNTS = ("STAT_BOOTCNT", "COM_FLIGHT_UUID")
 
 
 class Identity(NamedTuple):
-    """text: what the aircraft is known by, or "" when nothing tells. called: a short name for people. by: serial number, calibration or
-    ""."""
+    """text: identity of the aircraft, or "" when unknown. called: a short name for display. by: serial number, calibration or ""."""
 
     text: str
     called: str
@@ -33,8 +32,8 @@ class Identity(NamedTuple):
 
 
 def identify(flight: Flight) -> Identity:
-    """Whose flight it is."""
-    own = flight.parameters.get("MAV_SYSID", flight.parameters.get("SYSID_THISMAV", 1.0))
+    """The aircraft of a flight."""
+    system = flight.parameters.get("MAV_SYSID", flight.parameters.get("SYSID_THISMAV", 1.0))
     for message in flight.messages:
         if message.kind != "text":
             continue
@@ -42,8 +41,8 @@ def identify(flight: Flight) -> Identity:
             digits = match.group(2).replace(" ", "")
             return Identity(f"serial {match.group(1)} {digits}", f"{match.group(1)}-{digits[-4:]}", "serial number")
         if MACHINE.match(message.text):
-            text = f"machine {message.text} system {own:.0f}"
-            return Identity(text, f"{message.text[:4]}-{own:.0f}", "serial number")
+            text = f"machine {message.text} system {system:.0f}"
+            return Identity(text, f"{message.text[:4]}-{system:.0f}", "serial number")
     if uuid := str(flight.facts.get("sys_uuid", "")):
         board = str(flight.facts.get("ver_hw") or "PX4")
         return Identity(f"serial {board} {uuid}", f"{board}-{uuid[-4:]}", "serial number")
@@ -68,7 +67,7 @@ def _digits(value: float) -> int:
 
 
 def count(flight: Flight) -> int | None:
-    """The autopilot's number of the boot or flight; None where it keeps none."""
+    """The autopilot's number of the boot or flight; None where it has none."""
     for name in COUNTS:
         if name in flight.parameters and flight.parameters[name] >= 0:
             return int(flight.parameters[name])
@@ -76,7 +75,7 @@ def count(flight: Flight) -> int | None:
 
 
 def build(vehicle: Vehicle) -> str:
-    """What sisters share: frame, rotors' places, thrust curve. Aircraft with the same text are compared with one another."""
+    """The build as a text: frame, rotors' places, thrust curve. Aircraft with the same text are compared with one another."""
     B = vehicle.effectiveness().round(2) + 0.0
     mark = hashlib.sha256(B.tobytes()).hexdigest()[:6]
     c = vehicle.curve

@@ -1,7 +1,7 @@
-"""The kinds of events, one row each: what is said of them, what they mean for a rotor, and for how long.
+"""The kinds of events, one row each: texts, meaning for a rotor, and duration.
 
-Everybody who asks what an event means asks this table, so that a new kind is a row here and the place that finds it. A sentence is a
-template; `answer/wording.py` lists what may stand in its braces.
+All code that depends on the meaning of an event uses this table, so that a new kind is a row here and the code that finds it. A sentence is
+a template; `answer/wording.py` lists its fields.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ UNKNOWN = -1  # number of a kind that the table lacks
 
 
 class Weight(Enum):
-    """How grave. FAULT: a rotor, its motor or its output is not well, and the verdict rests on it. UPSET: the vehicle is not well, and the
-    answer is about that where no fault is found. NOTICE: of a motor that still gives its thrust. OUTSIDE: nothing of the vehicle.
-    OPEN: it counts for the verdict, but happened at no moment that is known; answers have it in their words, not in their events."""
+    """Severity. FAULT: a rotor, its motor or its output is faulty, and the verdict rests on it. UPSET: the vehicle is in trouble, and the
+    answer is about that where no fault is found. NOTICE: of a motor that still gives its thrust. OUTSIDE: not of the vehicle. OPEN: it
+    counts for the verdict, but has no known time; it appears in the words of an answer, not among its events."""
 
     FAULT, UPSET, NOTICE, OUTSIDE, OPEN = range(5)
 
 
 class Span(Enum):
-    """For how long. MOMENT: it has no duration. SPELLS: for moments, and its end is the last one's. LASTS: its rotors do not do what is
-    commanded from its onset to its end. STAYS: nothing in the flight makes it good."""
+    """Duration. MOMENT: none. SPELLS: momentary spells, and its end is that of the last one. LASTS: its rotors do not follow their commands
+    from its onset to its end. STAYS: nothing in the flight ends it."""
 
     MOMENT, SPELLS, LASTS, STAYS = range(4)
 
 
 class Words(NamedTuple):
-    """A sentence on an event: where one set of rotors explains it, where several do, and where it is of no rotor; None: as of one set."""
+    """Sentences on an event: with one set of rotors, with several possible sets, and without a rotor; None: as for one set."""
 
     sure: str = ""
     unsure: str | None = None
@@ -50,7 +50,7 @@ class Words(NamedTuple):
         return self.sure if event.rotors or self.nameless is None else self.nameless
 
 
-# What is said of a kind whose row says nothing of its own.
+# Defaults for a row.
 _HEADLINE = Words("{noun} of {who} at {at}{until}{again}.", "{noun} at {at}: {candidates}.", "{noun} at {at}.")
 _BEGAN = Words("At {at} {noun} of {who}{over}.", "At {at} {noun}: {candidates}.", "At {at} {noun}{over}.")
 _NOW = Words("{noun} since {at}", "one of several candidates since {at}")
@@ -64,13 +64,13 @@ _WATCH = Words("{noun} of {who} at {ago}{over}", nameless="{noun} at {ago}{over}
 
 
 class Kind(NamedTuple):
-    """number: in compiled definitions (engine/front/events.py) and on boards; a new kind takes the next one wherever its row stands, and no
-    number is ever given to another kind. name: in JSON. noun: in tables and titles. meaning: in a few words (docs/json.md). weight, span:
-    see there. weakens: its rotors lack a share of their thrust, its `loss`. by_outputs: it rests on outputs being what drives the motors,
-    so that it is not said where they may not be. brief: follows its rotors on a ground station's screen, in 30 letters. headline: for a
-    pilot. reason: of the verdict. began: how a loss of control began. now, past: what a rotor's note says while it holds, and after it; of
-    an event with several explanations, where `now` has no words for that, only its own rotors are suspects.
-    advice: what to do. watch: a line on the screen while the vehicle flies."""
+    """number: in compiled definitions (engine/front/events.py) and on boards; a new kind takes the next one wherever its row is, and no
+    number is ever reused. name: in JSON. noun: in tables and titles. meaning: in a few words (docs/json.md). weight, span: see there.
+    weakens: its rotors lack a share of their thrust, its `loss`. by_outputs: it assumes that the logged outputs drive the motors, and is
+    dropped where they may not. brief: follows its rotors on a ground station's screen, in 30 letters. headline: for a pilot. reason: of the
+    verdict. began: as the beginning of a loss of control. now, past: a rotor's note while it lasts, and after it; for an event with several
+    explanations, without such words in `now`, only its own rotors are suspects.
+    advice: recommended action. watch: a line on the screen while the vehicle flies."""
 
     number: int
     name: str
@@ -91,26 +91,26 @@ class Kind(NamedTuple):
 
     @property
     def accuses(self) -> bool:
-        """Whether it says of a rotor, its motor or its output that it is not well."""
+        """True if it indicates a fault of a rotor, its motor or its output."""
         return self.weight is Weight.FAULT
 
     @property
     def wrong(self) -> bool:
-        """Whether something is wrong with the vehicle's flight: what is shown first, and in the colour of what is broken."""
+        """True if something is wrong with the flight: shown first, and in the colour of a fault."""
         return self.weight in (Weight.FAULT, Weight.UPSET)
 
     @property
     def lasts(self) -> bool:
-        """Whether it goes on until it ends."""
+        """True if it lasts until it ends."""
         return self.span is Span.LASTS
 
     @property
     def lasting_fault(self) -> bool:
-        """Whether its rotors do not do what is commanded from its onset to its end."""
+        """True if its rotors do not follow their commands from its onset to its end."""
         return self.accuses and self.lasts
 
     def ongoing(self, end_s: float | None) -> bool:
-        """Whether an event that ended at `end_s` s (None: it lasts) is still wrong."""
+        """True if an event that ended at `end_s` s (None: it lasts) is still wrong."""
         return self.wrong and (self.span is Span.STAYS or (self.lasts and end_s is None))
 
 
@@ -118,14 +118,14 @@ _WRONG_WAY = "propellers or motors turn in the wrong direction."
 
 
 def _notice(number: int, name: str, noun: str, meaning: str, verb: str, part: str) -> Kind:
-    """A kind that ESC telemetry alone shows. verb: what the motor does; part: what to look at."""
+    """A kind that ESC telemetry alone shows. verb: the motor's behaviour; part: the part to inspect."""
     why = "before the next flight: its ESC telemetry changed in flight, although no loss of thrust was found."
     past, advice = Words(f"{verb} since {{at}}"), Words(f"Inspect {part} {{who}} {why}")
     return Kind(number, name, noun, meaning, Weight.NOTICE, brief=verb, headline=Words(verb), past=past, advice=advice)
 
 
 def _setup(number: int, name: str, noun: str, meaning: str, brief: str, advice: str) -> Kind:
-    """A kind that outputs show of how a vehicle is built, loaded and set up: of no rotor, and its number is in its reason."""
+    """A kind of finding from outputs on the vehicle's build, load and setup: of no rotor, with its number in its reason."""
     return Kind(number, name, noun, meaning, Weight.NOTICE, brief=brief, headline=Words("{Why}."), advice=Words(advice))
 
 
@@ -267,7 +267,7 @@ def table() -> dict[str, Kind]:
 
 
 def kind_of(name: str) -> Kind:
-    """The row of a kind; of one that this version does not know, its name in words."""
+    """The row of a kind; for an unknown kind, one with its name as its words."""
     return _TABLE.get(name) or table().get(name) or Kind(UNKNOWN, name, name.replace("_", " "))
 
 

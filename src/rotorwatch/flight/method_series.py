@@ -1,4 +1,4 @@
-"""What one method says over a flight: its own losses with their covariance or set, its states and its innovations, step by step."""
+"""A method's own output over a flight: losses with their covariance or set, states and innovations, step by step."""
 
 from __future__ import annotations
 
@@ -15,15 +15,14 @@ MOST_ROWS = 1000  # of a diagnosis' JSON
 
 @dataclass(frozen=True, repr=False)
 class MethodSeries:
-    """T steps of one method on one plant, as the method itself has them: nothing is clipped, held or decided.
+    """T steps of one method on one plant, as the method computes them: nothing is clipped, held or decided.
 
-    method, plant: names. says: INTERVAL, the method's covariance times 1.96, or SET, the half-widths of the set that it keeps.
-    time (T,): s of the log, end of each step; hop (T,): which flight of the log, from 1. theta (T, n): losses, then what else the plant
-    has; theta_cov (T, n, n): their covariance, or the set's shape. x, x_var (T, n_x); innovation, innovation_var (T, n_y): measured
-    less predicted, 0 where nothing was measured. status (T,): 0 fine, 1 not ready, 2 nothing measured. The names and units are the
-    plant's. dt: s of a step. notes: what the figures rest on, a sentence each. made_of: name -> (values, off) (T,) of what is made of
-    theta, such as the deviation of a helicopter's actuator.
-    """
+    method, plant: names. says: INTERVAL, the method's covariance times 1.96, or SET, the half-widths of its set. time (T,): s of the log,
+    end of each step; hop (T,): which flight of the log, from 1. theta (T, n): losses, then the plant's other parameters; theta_cov (T, n,
+    n): their covariance, or the set's shape. x, x_var (T, n_x); innovation, innovation_var (T, n_y): measured less predicted, 0 without a
+    measurement. status (T,): 0 fine, 1 not ready, 2 nothing measured. Names and units are the plant's. dt: s of a step. notes: the basis of
+    the figures, a sentence each. made_of: name -> (values, off) (T,) of quantities derived from theta, such as the deviation of a
+    helicopter's actuator."""
 
     method: str
     plant: str
@@ -53,13 +52,13 @@ class MethodSeries:
 
     @property
     def whose(self) -> str:
-        """Whose interval it is, a sentence."""
+        """The origin of its intervals, a sentence."""
         if self.says == SET:
             return f"The bound is the half-width of {self.method}'s own set: it holds while noise keeps the bounds that the set assumes."
         return f"The 95 % interval is 1.96 standard deviations of {self.method}'s own covariance."
 
     def off(self, variance: np.ndarray) -> np.ndarray:
-        """What a value of that variance (or squared half-width) may be off by."""
+        """Half-width of the interval for that variance (or squared half-width of a set)."""
         return (1.0 if self.says == SET else NORMAL_95) * np.sqrt(np.maximum(variance, 0.0))
 
     @property
@@ -89,8 +88,8 @@ class MethodSeries:
         return k if k >= 0 else None
 
     def columns(self) -> dict[str, np.ndarray]:
-        """Name -> (T,): the table that files hold. NAME_low, NAME_high: ends of the interval or bound of a loss; NAME_off: half of the
-        width of a state's, and what an innovation may be by the method itself; cov_NAME_NAME: of two losses."""
+        """Name -> (T,): the table for files. NAME_low, NAME_high: ends of the interval or bound of a loss; NAME_off: half-width of a
+        state's interval, and of an innovation's by the method itself; cov_NAME_NAME: of two losses."""
         n, low, high = len(self.theta_names), self.lower, self.upper
         out = {"time_s": self.time, "hop": self.hop, "status": self.status}
         for k, name in enumerate(self.theta_names):
@@ -109,7 +108,7 @@ class MethodSeries:
         return out
 
     def to_dict(self, most: int | None = None) -> dict[str, Any]:
-        """Plain data for JSON: the columns as lists, and what they are. most: of rows; every k-th is kept then, and the last."""
+        """Plain data for JSON: the columns as lists, and their description. most: of rows; every k-th is then kept, and the last."""
         step = 1 if most is None else max(1, -(-len(self.time) // most))
         keep = np.unique(np.append(np.arange(0, len(self.time), step), max(len(self.time) - 1, 0)))[: len(self.time)]
         series = {
@@ -131,6 +130,6 @@ class MethodSeries:
 
 
 def joined(parts: Sequence[MethodSeries]) -> MethodSeries:
-    """The hops of one flight, one after the other; of at least one."""
+    """The hops of one flight, at least one, concatenated."""
     rows = "time hop theta theta_cov x x_var innovation innovation_var status".split()
     return replace(parts[0], **{name: np.concatenate([getattr(p, name) for p in parts]) for name in rows})

@@ -1,4 +1,4 @@
-"""What a notebook shows of a flight: a table of its signals. HTML without scripts, in the colours of the page around it."""
+"""Display of a flight in a notebook: a table of its signals. HTML without scripts, in the colours of the page around it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def page(log: Flight) -> str:
-    """What was read: signals with their rates, and warnings."""
+    """The log's signals with their rates, and warnings."""
     signals = [
         (name, ", ".join(s.columns), s.unit, s.frame, str(len(s)), f"{s.rate_hz:.1f}", s.source)
         for name, s in sorted(log.signals.items())

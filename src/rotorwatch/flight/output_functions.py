@@ -1,4 +1,4 @@
-"""Which output drives which motor, as an autopilot's parameters say: one table for logs, telemetry and links.
+"""Output of each motor by an autopilot's parameters: one table for logs, telemetry and links.
 
     ArduPilot   SERVOn_FUNCTION                          33 to 40: motors 1 to 8; 82 to 85: motors 9 to 12
     PX4         PWM_MAIN_FUNCn, UAVCAN_EC_FUNCn and so on   101 to 112: motors 1 to 12                      1.13 and later
@@ -20,7 +20,7 @@ _NAME = re.compile(rf"({SERVO})(\d{{1,2}})_FUNCTION|({'|'.join(DRIVERS)})_FUNC(\
 
 
 class Function(NamedTuple):
-    """What one parameter says of one output. driver: who drives it; output: its number, from 1; motor: from 1, or 0 for none."""
+    """The function of one output. driver: its bus; output: its number, from 1; motor: from 1, or 0 for none."""
 
     driver: str
     output: int
@@ -28,7 +28,7 @@ class Function(NamedTuple):
 
 
 def function(name: str, value: float) -> Function | None:
-    """What a parameter says of an output; None for a parameter that is no output's function."""
+    """The output function that a parameter sets; None for any other parameter."""
     match = _NAME.fullmatch(name)
     if match is None:
         return None
@@ -39,12 +39,12 @@ def function(name: str, value: float) -> Function | None:
 
 def motor_outputs(parameters: Mapping[str, float]) -> dict[str, dict[int, int]]:
     """Driver -> {motor: output}, both from 1, of drivers that drive a motor."""
-    found: dict[str, dict[int, int]] = {}
+    drivers: dict[str, dict[int, int]] = {}
     for name, value in parameters.items():
-        one = function(name, value)
-        if one is not None and one.motor:
-            found.setdefault(one.driver, {})[one.motor] = one.output
-    return found
+        setting = function(name, value)
+        if setting is not None and setting.motor:
+            drivers.setdefault(setting.driver, {})[setting.motor] = setting.output
+    return drivers
 
 
 def in_order(outputs: Mapping[int, int]) -> tuple[int, ...]:

@@ -1,4 +1,4 @@
-"""What is known of an airframe: where its rotors are, how commands become thrust, and what was identified from flights."""
+"""An airframe: the place of its rotors, the conversion of commands to thrust, and parameters identified from flights."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Rotor:
-    """One rotor.
+    """A rotor.
 
-    x: forward; y: to the right [both in arm lengths, or m]; spin: +1 counter-clockwise seen from above, -1 clockwise; share: thrust
-    it gives compared with the vehicle's other rotors at the same command; lower: it works in the wash of a rotor above it.
+    x: forward; y: to the right [both in arm lengths, or m]; spin: +1 counter-clockwise seen from above, -1 clockwise; share: its thrust
+    relative to the vehicle's other rotors at the same command; lower: it works in the wash of a rotor above it.
 
-    A counter-clockwise propeller turns the body clockwise: positive yaw torque in FRD.
-    """
+    A counter-clockwise propeller turns the body clockwise: positive yaw torque in FRD."""
 
     x: float
     y: float
@@ -40,8 +39,7 @@ def coaxial(rotors: tuple[Rotor, ...], lower: Sequence[bool] | np.ndarray) -> tu
 def lower_of_pairs(rotors: tuple[Rotor, ...], depth: Sequence[float] | np.ndarray | None = None) -> np.ndarray:
     """(n,) bool: rotors with another above them on the same arm.
 
-    depth (n,): how far down each rotor sits, in any unit; of equal ones the later is the lower, as autopilots number them.
-    """
+    depth (n,): how far down each rotor sits, in any unit; of equal ones the later is the lower, as autopilots number them."""
     place = np.array([(r.x, r.y) for r in rotors])
     together = np.linalg.norm(place[:, None] - place[None], axis=2) < SAME_ARM * np.abs(place).max()
     rank = np.argsort(np.argsort(np.zeros(len(rotors)) if depth is None else depth, kind="stable"))
@@ -49,7 +47,7 @@ def lower_of_pairs(rotors: tuple[Rotor, ...], depth: Sequence[float] | np.ndarra
 
 
 def note_on_coaxial(rotors: tuple[Rotor, ...]) -> tuple[str, ...]:
-    """What `coaxial` has assumed, as a sentence, if anything."""
+    """The assumption of `coaxial`, as a sentence, if any."""
     lower = [str(k + 1) for k, r in enumerate(rotors) if r.lower]
     if not lower:
         return ()
@@ -65,8 +63,7 @@ class ThrustCurve:
 
     u_min, u_max: commands of no and of full thrust, in the unit of the ``motors`` signal (us, or 1); ArduPilot's PWM of
     MOT_SPIN_MIN and MOT_SPIN_MAX. expo: 0 for a straight line to 1 for a parabola; ArduPilot's MOT_THST_EXPO, PX4's THR_MDL_FAC.
-    known: False when expo is an assumption.
-    """
+    known: False when expo is an assumption."""
 
     u_min: float
     u_max: float
@@ -75,8 +72,8 @@ class ThrustCurve:
 
     @property
     def believed(self) -> tuple[float, float]:
-        """expo, and the standard deviation of what it is: one that is assumed may be any from 0 to 1; one that a log says is taken as it
-        is, and what it may be wrong by counts in the interval of a loss (engine/front/losses.py)."""
+        """expo and its standard deviation: an assumed one may be any from 0 to 1; a logged one is taken as it is, and its error counts in
+        the interval of a loss (engine/front/losses.py)."""
         return self.expo, 0.0 if self.known else 0.35
 
     def __call__(self, u: np.ndarray, battery: np.ndarray | float = 1.0) -> np.ndarray:
@@ -92,8 +89,7 @@ class Vehicle:
     this is from. extra: what only some vehicles need (docs/simulation.md).
     mixer: (n, 4) factors (roll, pitch, yaw, throttle) with which the autopilot turns its rate controller's output
     into rotor thrusts, or None when unknown. identified: gains learned from healthy flights (see calibrate), or None.
-    assumptions: sentences on what was not in the log and had to be assumed.
-    """
+    assumptions: sentences on what was not in the log and had to be assumed."""
 
     name: str
     rotors: tuple[Rotor, ...]
@@ -109,8 +105,7 @@ class Vehicle:
         """B (4, n): roll, pitch, yaw torque and thrust per unit of commanded thrust of each rotor, rows scaled to a largest
         entry of 1 and then by the rotors' shares, whose mean counts as 1.
 
-        FRD: thrust T at (x, y) pointing up gives roll -y T, pitch +x T; yaw is spin times a common drag ratio.
-        """
+        FRD: thrust T at (x, y) pointing up gives roll -y T, pitch +x T; yaw is spin times a common drag ratio."""
         return self._effectiveness.copy()
 
     @cached_property

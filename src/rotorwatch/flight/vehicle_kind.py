@@ -1,4 +1,4 @@
-"""Which kind of vehicle a log is of when it is no multirotor, in words for the message that refuses it."""
+"""The kind of vehicle of a log that is no multirotor, in words for the refusal."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ HELICOPTER_PARAMETERS = ("H_COL_MIN", "H_COL_MAX", "H_RSC_MODE", "H_SV_MAN")
 
 
 def other_kind(flight: Flight) -> str:
-    """'a fixed-wing aircraft (ArduPlane)': what flew and how that is known; empty for a multirotor or when unknown."""
+    """'a fixed-wing aircraft (ArduPlane)': the vehicle and its evidence; empty for a multirotor or when unknown."""
     parameters = {name: v for name, v in flight.parameters.items() if math.isfinite(v)}
     firmware = flight.vehicle_type
     if firmware in FIRMWARES:
@@ -42,9 +42,9 @@ def other_kind(flight: Flight) -> str:
 
 
 def refusal(flight: Flight) -> str:
-    """The sentence that says that this vehicle is not judged; empty when it may be."""
+    """The sentence that refuses this vehicle; empty when it can be judged."""
     kind = other_kind(flight)
     if not kind:
         return ""
-    more = " If it flew on fixed lifting rotors alone, describe them with --vehicle FILE." if "VTOL" in kind else ""
-    return f"{flight.name or 'This log'}: this log is of {kind}; rotorwatch diagnoses multirotors only.{more}"
+    remedy = " If it flew on fixed lifting rotors alone, describe them with --vehicle FILE." if "VTOL" in kind else ""
+    return f"{flight.name or 'This log'}: this log is of {kind}; rotorwatch diagnoses multirotors only.{remedy}"

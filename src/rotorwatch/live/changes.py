@@ -1,5 +1,4 @@
-"""What is new about a list of events that is made again and again (engine/front/changes.py), in words: announced, changed, withdrawn or
-final."""
+"""Changes of a list of events that is computed repeatedly (engine/front/changes.py), in words: announced, changed, withdrawn or final."""
 
 from __future__ import annotations
 
@@ -20,7 +19,7 @@ NAMES = {changes.ANNOUNCED: ANNOUNCED, changes.CHANGED: CHANGED, changes.WITHDRA
 
 @dataclass(frozen=True)
 class Change:
-    """number: of the event, from 1, for as long as the vehicle is watched. what: announced, changed, withdrawn or final."""
+    """number: of the event, from 1, unique while the vehicle is watched. what: announced, changed, withdrawn or final."""
 
     number: int
     what: str
@@ -28,7 +27,7 @@ class Change:
 
 
 class Changes:
-    """Remembers what has been announced. now: the events that hold, by number, as they were last announced."""
+    """Keeps the announced events. now: the valid events, by number, as last announced."""
 
     def __init__(self):
         self.now: dict[int, Event] = {}
@@ -36,16 +35,18 @@ class Changes:
         self._room = ENGINE.array(listed.Event, EVENTS), ENGINE.array(changes.Change, 2 * EVENTS)
 
     def since_last(self, events: Sequence[Event], final: bool = False) -> list[Change]:
-        """What is new about the events as they are now. final: nothing will come after, so that any difference is announced."""
+        """Changes of the events since the last call. final: nothing will follow, so that any difference is announced."""
         withdrawn, out = self._room
         refined, never = kinds.number(kinds.LOST), -listed.LASTS
         arguments = packed(events), min(len(events), EVENTS), never, refined, final, withdrawn, out
         count = ENGINE.call(whole.changes, self._known, *arguments)
-        found = []
+        changed = []
         for number, place, what in zip(*(out[name][:count].tolist() for name in ("number", "place", "what"))):
             if what == changes.WITHDRAWN:
-                found.append(Change(number, WITHDRAWN, self.now.pop(number)))
+                changed.append(Change(number, WITHDRAWN, self.now.pop(number)))
             elif self.now.get(number) != events[place]:
                 self.now[number] = events[place]
-                found.append(Change(number, FINAL if final and what == changes.CHANGED else NAMES[what], events[place]))
-        return found
+                changed.append(
+                    Change(number, FINAL if final and what == changes.CHANGED else NAMES[what], events[place])
+                )
+        return changed

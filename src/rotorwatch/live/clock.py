@@ -1,28 +1,28 @@
-"""A vehicle's own clock on a link: its stamps put in order, reboots and wrong stamps distinguished."""
+"""A vehicle's own clock on a link: its stamps in order, with reboots and wrong stamps distinguished."""
 
 from __future__ import annotations
 
 import math
 
 WRAP_US = 2.0**32  # SERVO_OUTPUT_RAW's microseconds start again there
-BACK_US = 0.5e6  # messages of one moment come in any order; a longer step back is no matter of that
-# A link delays, and never hastens: no stamp is further ahead of its arrival than that of the message that was delayed least, but for this.
+BACK_US = 0.5e6  # messages of one moment come in any order; a longer step back has another cause
+# A link only delays: no stamp is further ahead of its arrival than that of the least delayed message, within this.
 AHEAD_US = 0.1e6
-SET_US = 10e6  # a longer step ahead that others follow is a clock that was set; a shorter one is a link that delays less from now on
-# So many stamps that follow each other, over so long, are believed against the clock if none comes that fits it: it has begun anew.
+SET_US = 10e6  # a longer step ahead that others follow is a clock that was set; a shorter one is a link with less delay
+# Number and span of successive stamps, none fitting the clock, that show that it restarted.
 AGREEING, AGREEING_S, TOGETHER_US = 5, 0.25, 2e6
 
 
 class Clock:
-    """start: the vehicle's first stamp [us], None before. now: the latest one [s since start]. refused: stamps that were not believed."""
+    """start: the vehicle's first stamp [us], None before. now: the latest one [s since start]. refused: number of rejected stamps."""
 
     def __init__(self):
         self.start: float | None = None
         self._last = 0.0
-        self._lead = 0.0  # of the message that was delayed least: its stamp less its arrival [us]
+        self._lead = 0.0  # of the least delayed message: its stamp less its arrival [us]
         self._other: list[
             tuple[float, float]
-        ] = []  # (stamp us, arrival s) of those in a row that do not fit, the first and the latest
+        ] = []  # (stamp us, arrival s) of successive stamps that do not fit, first and latest
         self._others = 0
         self.refused = 0
 
@@ -31,8 +31,8 @@ class Clock:
         return 0.0 if self.start is None else (self._last - self.start) * 1e-6
 
     def take(self, stamp: float, arrival: float, short: bool) -> float | None:
-        """Time [s since start] of a message with this stamp [us] that arrived at `arrival` [s, any clock that does not jump]; short: of 32
-        bits. None for a stamp that is not believed. Raises Restarted when the vehicle's clock began anew."""
+        """Time [s since start] of a message with this stamp [us] that arrived at `arrival` [s, any monotonic clock]; short: a 32-bit stamp.
+        None for a rejected stamp. Raises Restarted when the vehicle's clock restarted."""
         if not (math.isfinite(stamp) and 0 < stamp < 1e14):
             return None
         if self.start is None:
@@ -51,7 +51,7 @@ class Clock:
         self.refused += 1
         if short or not self._agreed(
             stamp, arrival
-        ):  # those of 32 bits decide nothing: how often they wrapped is read off this clock
+        ):  # 32-bit stamps decide nothing: their wraps are counted by this clock
             return None
         if not self._last < stamp <= latest + SET_US:
             raise Restarted(reboot=bool(stamp < self._last))
@@ -62,7 +62,7 @@ class Clock:
         self._last, self._lead, self._others = stamp, stamp - 1e6 * arrival, 0
 
     def _agreed(self, stamp: float, arrival: float) -> bool:
-        """Whether enough stamps in a row follow each other, this one the last."""
+        """True if enough successive stamps, this one the last, follow each other."""
         if self._others:
             before, came = self._other[1]
             if abs(stamp - before - 1e6 * (arrival - came)) > TOGETHER_US:
@@ -73,7 +73,7 @@ class Clock:
 
 
 class Restarted(Exception):
-    """The vehicle's clock began anew: it booted, or its clock was set."""
+    """The vehicle's clock restarted: it rebooted, or its clock was set."""
 
     def __init__(self, reboot: bool):
         super().__init__(reboot)

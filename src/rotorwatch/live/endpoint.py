@@ -1,4 +1,4 @@
-"""Where MAVLink comes from: UDP, TCP, a serial port. Each gives bytes with the peer that sent them, and takes bytes back."""
+"""Endpoints for MAVLink: UDP, TCP, a serial port. Each receives bytes with the peer that sent them, and sends bytes."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from rotorwatch.errors import LinkError
 
 AGAIN_S = 1.0  # between two attempts to connect again
 MOST = 65536
-# Addresses that are answered, those heard last, and how long after they hear what is said to all: a watcher must not help to flood others.
+# Most recent addresses that get answers, and how long after their last packet they get broadcasts, so that nobody can be flooded.
 ANSWERED, ANSWERED_S = 64, 10.0
 KINDS = "udp:PORT, udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD"
 
 
 def is_endpoint(text: str) -> bool:
-    """Whether a text is meant as an endpoint, not as a file."""
+    """True if a text names an endpoint, not a file."""
     return text.split(":", 1)[0].lower() in ("udp", "udpin", "udpout", "tcp", "serial") and ":" in text
 
 
@@ -38,9 +38,9 @@ def open_endpoint(text: str) -> Endpoint:
 
 
 class Endpoint:
-    """One endpoint. name: as the user gave it. open: bytes can come."""
+    """An endpoint. name: as given by the user. open: whether it can receive."""
 
-    slow = False  # so slow that not much may be asked for
+    slow = False  # low bandwidth: request little
 
     def __init__(self, name: str):
         self.name, self.open, self._tried = name, False, -AGAIN_S
@@ -50,7 +50,7 @@ class Endpoint:
         raise NotImplementedError
 
     def receive(self, wait_s: float = 0.0) -> list[tuple[Any, bytes]]:
-        """(peer, bytes) of all that has come; waits for it so long at most."""
+        """(peer, bytes) of everything received; waits up to wait_s."""
         if not self.open:
             time.sleep(wait_s)
             return []
@@ -60,17 +60,17 @@ class Endpoint:
         raise NotImplementedError
 
     def send(self, data: bytes, peer: Any = None) -> None:
-        """To one peer, or to all that have been heard. What cannot be sent is lost, as on any link."""
+        """Send to one peer, or to all known ones. Failures are ignored, like losses on any link."""
         raise NotImplementedError
 
     def answers(self, peer: Any) -> None:
-        """This peer speaks MAVLink, and may be sent to."""
+        """Mark a peer as a MAVLink sender, which may be sent to."""
 
     def close(self) -> None:
         self.open = False
 
     def again(self) -> None:
-        """Try to open it again when it has been closed by the other side."""
+        """Try to reopen it after the other side closed it."""
 
 
 class Udp(Endpoint):
@@ -96,16 +96,16 @@ class Udp(Endpoint):
         return self._socket.fileno()
 
     def _read(self) -> list[tuple[Any, bytes]]:
-        found = []
+        packets = []
         for _ in range(500):
             try:
                 data, peer = self._socket.recvfrom(MOST)
             except (BlockingIOError, InterruptedError):
                 break
-            except OSError:  # the other side has no one listening: said by its computer
+            except OSError:  # port unreachable: nothing listens on the other side
                 continue
-            found.append((peer, data))
-        return found
+            packets.append((peer, data))
+        return packets
 
     def answers(self, peer: Any) -> None:
         if None not in self._peers:
@@ -130,14 +130,14 @@ class Udp(Endpoint):
 
 
 class Stream(Endpoint):
-    """An endpoint that is connected, and connected again when it was lost: bytes of one peer, one after the other."""
+    """A connected endpoint with a single peer, reconnected when lost."""
 
     def _connect(self, wait_s: float) -> None:
-        """Connect, waiting so long at most. Raises OSError."""
+        """Connect, waiting up to wait_s. Raises OSError."""
         raise NotImplementedError
 
     def _received(self) -> tuple[Any, bytes]:
-        """The peer, and what has come from it: nothing when it is gone."""
+        """The peer and the received bytes: none when it has disconnected."""
         raise NotImplementedError
 
     def _read(self) -> list[tuple[Any, bytes]]:

@@ -1,6 +1,6 @@
-"""Bytes of a link -> sound MAVLink frames, and messages -> frames: https://mavlink.io/en/guide/serialization.html
+"""Bytes of a link -> valid MAVLink frames, and messages -> frames: https://mavlink.io/en/guide/serialization.html
 
-pymavlink's parser makes an object of every message, which costs more than all that is done with it later; here a frame stays bytes.
+pymavlink's parser makes an object of every message, at a cost above that of all further processing; here a frame stays bytes.
 """
 
 from __future__ import annotations
@@ -18,27 +18,27 @@ from rotorwatch.logs import mavlink_messages
 V1, V2 = 0xFE, 0xFD
 SIGNED = 0x01
 MOST = 280  # bytes of the longest frame
-# Bytes that may be summed up in vain for each byte that comes, saved up to so many; an attempt costs so many more. Damage costs about 1.
+# Budget of wasted check sum bytes per received byte, its limit, and the extra cost of an attempt. Damage costs about 1.
 VAIN, SAVED, ATTEMPT = 4, 16 * MOST, 64
 
-# MAVLink's check sum, CRC-16/MCRF4XX, takes bits from the low end; the one of the standard library takes them from the high end.
+# MAVLink's check sum, CRC-16/MCRF4XX, processes bits from the low end; the standard library's from the high end.
 _TURNED = bytes(int(f"{k:08b}"[::-1], 2) for k in range(256))
 
 
 def sums(frame: bytes, extra: int) -> bytes:
-    """The two bytes of check sum that belong at the end of a frame. frame: without them, magic byte included; extra: its message's seed."""
+    """The two bytes of check sum of a frame. frame: without them, magic byte included; extra: its message's seed."""
     crc = crc_hqx(frame[1:].translate(_TURNED) + _TURNED[extra : extra + 1], 0xFFFF)
     return bytes((_TURNED[crc >> 8], _TURNED[crc & 0xFF]))
 
 
 @cache
 def seeds() -> dict[int, int]:
-    """Message id -> seed of its check sum, of all messages that are known."""
+    """Message id -> seed of its check sum, of all known messages."""
     return {number: message.seed for number, message in mavlink_messages.by_id().items()}
 
 
 @cache
-def _known() -> tuple[np.ndarray, np.ndarray]:
+def _known_messages() -> tuple[np.ndarray, np.ndarray]:
     """(longest payload of each message id of MAVLink 1, -1: unknown; whether each id of MAVLink 2 is known, the last: all larger ones)."""
     messages = mavlink_messages.by_id()
     longest, known = np.full(256, -1), np.zeros(max(messages) + 2, bool)
@@ -50,11 +50,11 @@ def _known() -> tuple[np.ndarray, np.ndarray]:
 
 
 class Frames:
-    """The frames in the bytes of one peer, however these are cut. damaged: stretches that were no sound frame; unknown: whole frames of
-    messages that nobody here knows, so that their sums cannot be checked.
+    """The frames in the bytes of one peer, in any chunks. damaged: stretches without a valid frame; unknown: whole frames of unknown
+    messages, whose check sums cannot be verified.
 
-    Work grows with the bytes, whatever they are: places where no frame can begin are passed over at once, and where sums are wrong again
-    and again as many bytes are given up as an attempt costs, instead of one."""
+    Work is linear in the bytes, whatever they are: places where no frame can begin are skipped at once, and after repeated wrong check sums
+    as many bytes are skipped as an attempt costs, instead of one."""
 
     def __init__(self):
         self._left = b""
@@ -64,20 +64,20 @@ class Frames:
         self.damaged = self.unknown = 0
 
     def take(self, data: bytes) -> list[bytes]:
-        """The sound frames that these bytes complete."""
+        """The valid frames that these bytes complete."""
         self._may = min(self._may + VAIN * len(data), max(SAVED, VAIN * len(data)))
         data, self._skipping = self._left + data if self._left else data, False
-        found, at, size, places = [], 0, len(data), None
+        complete, at, size, places = [], 0, len(data), None
         while at < size:
             length, sound = self._frame(data, at, size)
             if sound:
-                found.append(data[at : at + length])
+                complete.append(data[at : at + length])
                 self._skipping = False
                 at += length
             elif not length and size - at < MOST:
-                break  # the rest of it is still to come
+                break  # the rest is still to come
             else:
-                # Only this byte is given up: a sound frame may begin within what looked like a long one.
+                # Skip only this byte: a valid frame may begin within an apparent long one.
                 self.damaged += not self._skipping
                 self._skipping = True
                 if places is None:
@@ -85,10 +85,10 @@ class Frames:
                 k = bisect_left(places, at + max(1, -length))
                 at = places[k] if k < len(places) else size
         self._left = data[at:] if at < size else b""
-        return found
+        return complete
 
     def _frame(self, data: bytes, at: int, size: int) -> tuple[int, bool]:
-        """(length, whether it is sound) of the frame that begins here: 0 where bytes are missing, -k where k bytes are given up."""
+        """(length, whether it is valid) of the frame that begins here: 0 where bytes are missing, -k to skip k bytes."""
         magic = data[at]
         if magic == V2:
             if at + 12 > size:
@@ -112,9 +112,7 @@ class Frames:
         if seed is None:
             if not self._skipping and (whole == size or data[whole] in (V1, V2)):
                 self.unknown += 1
-                self._skipping = (
-                    True  # not damaged, but what is in it is looked through all the same: it may be a chance
-                )
+                self._skipping = True  # not damaged, but searched all the same: it may be a coincidence
             return -1, False
         if sums(data[at:end], seed) != data[end : end + 2]:
             cost = whole - at + ATTEMPT
@@ -124,10 +122,10 @@ class Frames:
 
 
 def _places(data: bytes) -> list[int]:
-    """Where frames of messages that are known may begin, and where too few bytes are left to tell."""
+    """Possible beginnings of frames of known messages, and places with too few bytes to decide."""
     at = np.frombuffer(data, np.uint8)
-    longest, known = _known()
-    sure = max(at.size - 11, 0)  # from there on a head may be cut off
+    longest, known = _known_messages()
+    sure = max(at.size - 11, 0)  # beyond, a header may be truncated
     first = np.flatnonzero(at[:sure] == V1)
     first = first[at[first + 1] <= longest[at[first + 5]]]
     second = np.flatnonzero((at[:sure] == V2) & (at[2 : sure + 2] <= SIGNED))
@@ -138,19 +136,19 @@ def _places(data: bytes) -> list[int]:
 
 
 class Outgoing(NamedTuple):
-    """A message that is to be sent: its name, and its payload."""
+    """A message to be sent: its name, and its payload."""
 
     name: str
     payload: bytes
 
 
 def outgoing(name: str, /, **values) -> Outgoing:
-    """A message with these values; fields that are left out are 0."""
+    """A message with these values; omitted fields are 0."""
     return Outgoing(name, mavlink_messages.by_name()[name].payload(**values))
 
 
 class Sender:
-    """What makes frames of messages, with running numbers of its own."""
+    """Makes frames of messages, with running numbers of its own."""
 
     def __init__(self, system: int, component: int):
         self._who, self._sequence = (system, component), 0

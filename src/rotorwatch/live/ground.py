@@ -1,8 +1,8 @@
 """Alerts to a vehicle's ground stations, over its own link: STATUSTEXT in plain words, and NAMED_VALUE_FLOAT of each rotor's loss.
 
-Both messages only tell; nothing here commands a vehicle. They come from an onboard computer of the vehicle's own system, as from a
-companion computer, so that routers pass them on and ground stations show them with the vehicle's other words.
-STATUSTEXT, NAMED_VALUE_FLOAT: https://mavlink.io/en/messages/common.html
+Both messages only inform; nothing here commands a vehicle. They come from an onboard computer of the vehicle's own system, as from a
+companion computer, so that routers forward them and ground stations show them with the vehicle's other texts. STATUSTEXT,
+NAMED_VALUE_FLOAT: https://mavlink.io/en/messages/common.html
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from rotorwatch.live.watch import Source
 
 PAUSE_S = 2.0  # between two texts of one vehicle
 A_MINUTE = 10  # texts of one vehicle in a minute
-STEP = 0.1  # by which a loss must move to be told again: half of what is worth an alert elsewhere would fill a pilot's screen
+STEP = 0.1  # change of a loss that is sent again: a smaller one would fill a pilot's screen
 SLOW_S, FAST_S = 5.0, 1.0  # between two values of a rotor, on serial ports and elsewhere
-CAUSES = {  # of a loss of control without a rotor, in the few characters there are
+CAUSES = {  # of a loss of control without a rotor, in few characters
     "disarmed": "motors stopped", "knock": "collision", "controller": "wrong commands", "saturated": "no thrust left",
     "power": "power failed",
 }  # fmt: skip
@@ -37,7 +37,7 @@ CAUSES = {  # of a loss of control without a rotor, in the few characters there 
 
 @dataclass
 class _Vehicle:
-    """sent: event -> (rotors, alternatives, over, losses) as sent last; waiting: event -> the latest alert."""
+    """sent: event -> (rotors, alternatives, over, losses) as last sent; waiting: event -> the latest alert."""
 
     sent: dict[int, tuple] = field(default_factory=dict)
     waiting: dict[int, dict] = field(default_factory=dict)
@@ -46,7 +46,7 @@ class _Vehicle:
 
 
 class Ground:
-    """Tells the ground stations of all vehicles that are watched over links."""
+    """Informs the ground stations of all vehicles that are watched over links."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic):
         """clock: s, of any origin."""
@@ -54,19 +54,19 @@ class Ground:
         self._vehicles: dict[str, _Vehicle] = {}
 
     def take(self, alert: dict) -> None:
-        """One alert. Only the latest of each event waits, so that what changes fast is sent once."""
-        if alert["type"] == "vehicle":  # a flight begins: its events are numbered anew
+        """Queue an alert. Only the latest of each event is kept, so that fast changes are sent once."""
+        if alert["type"] == "vehicle":  # a new flight restarts the numbers of events
             self._vehicles[alert["vehicle"]] = _Vehicle(texts=self._of(alert["vehicle"]).texts)
         elif alert["type"] == "event":
             self._of(alert["vehicle"]).waiting[alert["number"]] = alert
-        elif alert["type"] == "notice" and "rotor" in alert:  # of its ESC; numbers of events begin with 1
+        elif alert["type"] == "notice" and "rotor" in alert:  # of its ESC; event numbers begin with 1
             self._of(alert["vehicle"]).waiting[-alert["rotor"]] = alert
 
     def _of(self, name: str) -> _Vehicle:
         return self._vehicles.setdefault(name, _Vehicle())
 
     def step(self, sources: Sequence[Source]) -> None:
-        """Say what is due."""
+        """Send the due texts and values."""
         now = self._clock()
         for source in sources:
             if not isinstance(source, Link):
@@ -84,7 +84,7 @@ class Ground:
                             source.broadcast(watched.name, value(source.boot_ms(watched.name), number, loss))
 
     def leave(self) -> None:
-        """What waits is not sent any more: the link is closing."""
+        """Pending texts are dropped: the link is closing."""
 
     def _texts(self, link: Link, name: str, vehicle: _Vehicle, now: float) -> None:
         vehicle.texts = [t for t in vehicle.texts if t > now - 60.0]
@@ -103,7 +103,7 @@ class Ground:
 
 
 def gist(alert: dict) -> tuple:
-    """What of an alert is worth a text when it changes."""
+    """The parts of an alert whose change is worth a text."""
     if alert["type"] == "notice":
         return (alert["text"],), (), False, False, (), 0.0
     event = alert["event"]
@@ -113,21 +113,21 @@ def gist(alert: dict) -> tuple:
 
 
 def _over(event: dict) -> bool:
-    """Knocks have no duration, and what ended with the impact is not over."""
+    """Knocks have no duration, and an event that ended with the impact is not over."""
     return kind_of(event["kind"]).span is not Span.MOMENT and event["end_s"] is not None and not event.get("impact_s")
 
 
 def worth_sending(reported: tuple | None, alert: dict) -> bool:
-    """Whether it is worth a text: something new, or the loss has moved by STEP since it was sent, or a stuck rotor's thrust by GIVES."""
+    """True if an alert is worth a text: it is new, or the loss has moved by STEP since it was sent, or a stuck rotor's thrust by GIVES."""
     if "texts" in alert.get("event", ()):
-        return False  # the ground stations have heard it from the autopilot itself
+        return False  # the autopilot itself has informed the ground stations
     new = gist(alert)
     if reported is None:
-        return not new[3]  # taken back before it was said
+        return not new[3]  # withdrawn before it was sent
     if reported[:4] != new[:4]:
         return True
     before, gives = reported[5], new[5]
-    if before or gives:  # of a rotor that follows no command its loss is not said
+    if before or gives:  # the loss of a rotor that follows no command is not sent
         return not (before and gives) or abs(gives - before) > GIVES * before
     return any(abs(a - b) >= STEP for a, b in zip(reported[4], new[4]))
 
@@ -154,9 +154,9 @@ def text_of(alert: dict) -> tuple[str, int]:
         what, event.rotors = ", ".join(filter(None, (what, who))), ()
     if not _over(alert["event"]):
         event.end_s = None
-    made = ENGINE.new(words.Words)
-    severity = ENGINE.call(whole.in_words, packed([event]), withdrawn, what, made)
-    text = bytes(made["at"].reshape(-1)[: int(made["length"][0])].tolist()).decode("ascii")
+    words_ = ENGINE.new(words.Words)
+    severity = ENGINE.call(whole.in_words, packed([event]), withdrawn, what, words_)
+    text = bytes(words_["at"].reshape(-1)[: int(words_["length"][0])].tolist()).decode("ascii")
     return text, CRITICAL if upset and severity == WARNING else severity
 
 

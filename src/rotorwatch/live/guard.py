@@ -1,4 +1,4 @@
-"""Displays, records, alerts and counters, whose failures must never end the judging."""
+"""Isolation of displays, records, alerts and counters, whose failures must never end the judging."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rotorwatch.errors import RotorwatchError
 
 
 def trouble(why: BaseException) -> str:
-    """One sentence for an error; where it was, too, under $ROTORWATCH_DEBUG: on standard error, as nothing is ended by that either."""
+    """A sentence for an error; its traceback, too, on standard error under $ROTORWATCH_DEBUG."""
     if os.environ.get("ROTORWATCH_DEBUG") and sys.stderr is not None:
         with suppress(Exception):
             traceback.print_exception(type(why), why, why.__traceback__)
@@ -28,15 +28,15 @@ def trouble(why: BaseException) -> str:
 
 
 class Guard:
-    """Does such work. notify: called once when a part of it begins to fail, and when it works again. failed: a sentence for each part
-    that has failed, by its name."""
+    """Runs such work. notify: called once when a part of it begins to fail, and when it works again. failed: a sentence for each failing
+    part, by its name."""
 
     def __init__(self, notify: Callable[[str], None]):
         self._notify, self._failing = notify, set[str]()
         self.failed: dict[str, str] = {}
 
     def run(self, what: str, work: Callable[..., Any], *args: Any) -> bool:
-        """Do it; whether it was done."""
+        """Run it; return whether it succeeded."""
         try:
             work(*args)
         except Exception as why:
@@ -52,12 +52,12 @@ class Guard:
         return True
 
     def _report(self, text: str) -> None:
-        with suppress(Exception):  # nobody hears it: `failed` remembers
+        with suppress(Exception):  # notification may fail, too: `failed` has it
             self._notify(text)
 
 
 def as_json(value: Any) -> str:
-    """JSON of a value. A number of NumPy is a number; what is no number (nan, infinity) is null."""
+    """JSON of a value. NumPy numbers become numbers, nan and infinity null."""
     try:
         return json.dumps(value, allow_nan=False)
     except (TypeError, ValueError):

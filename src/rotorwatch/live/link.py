@@ -1,4 +1,4 @@
-"""One endpoint: its frames sorted by vehicle, recorded, and turned into samples; and what is requested of each vehicle."""
+"""A link: the frames of an endpoint sorted by vehicle, recorded, and turned into samples; and the requests to each vehicle."""
 
 from __future__ import annotations
 
@@ -28,15 +28,12 @@ from rotorwatch.logs.px4_topics import MAV_TYPES
 from rotorwatch.logs.tlog import BY_NUMBER, FORMAT, Outputs, rotor_outputs
 
 BEAT_S, HELLO_S = 1.0, 0.5
-ANEW_S, ANEW_MOST_S = 1.0, 60.0  # before a vehicle is watched anew after an error: doubled each time
-VEHICLES = 100  # of a link; five times what one process judges
-ALL_S = 0.05  # between two looks at vehicles of which nothing has come
-MISSED_S, UNANSWERED_S = (
-    3.0,
-    10.0,
-)  # without what judging begins with, before that is said: where nothing is asked for, and where it is
-FEW = 10  # vehicles of a link, up to which it is said of each what does not come
-PEERS = 200  # whose unfinished frames are kept
+ANEW_S, ANEW_MOST_S = 1.0, 60.0  # before a vehicle is watched again after an error: doubled each time
+VEHICLES = 100  # of a link; five times the capacity of one process
+ALL_S = 0.05  # between two checks of silent vehicles
+MISSED_S, UNANSWERED_S = 3.0, 10.0  # before missing inputs are reported: without requests, and with them
+FEW = 10  # vehicles of a link up to which missing inputs of each are reported
+PEERS = 200  # with incomplete frames kept
 ONE_ID = "give each vehicle its own id (SYSID_THISMAV, MAV_SYS_ID)"
 TWO_SENDERS = f"two vehicles appear to send with the same id: {ONE_ID}"
 NO_AUTOPILOT = 8
@@ -48,7 +45,7 @@ def _words(needs: Iterable[str]) -> str:
 
 
 def _missing(what: str, asked: bool) -> str:
-    """What has not come, and what would help. asked: it was requested of the vehicle."""
+    """The missing message, and a remedy. asked: it was requested of the vehicle."""
     if what != "parameters":
         helps = "the vehicle has to send them here" + (
             "." if asked else ", or omit --listen-only so that they are requested."
@@ -63,17 +60,17 @@ def _missing(what: str, asked: bool) -> str:
 
 
 class LinkedVehicle:
-    """One vehicle on a link. watched: what is made of its samples."""
+    """A vehicle on a link. watched: processes its samples."""
 
     def __init__(self, watched: Watched, key: tuple[int, int], autopilot: str, kind: int, link: Link, peer: Any):
         self.watched, self._key, self._link = watched, key, link
         self.messages = mavlink.Messages(autopilot, kind)
         self._parameters, self._identity = requests.Parameters(*key), requests.Identity(*key)
         self._begun: dict[str, float] | None = None
-        self._unfit = False  # the parameters kept of it
+        self._unfit = False  # its cached parameters
         self._outputs = Outputs(())
         self._silent = self._mixed = False
-        self.only_beats = True  # nothing but heartbeats has come
+        self.only_beats = True  # only heartbeats so far
         self._first = now = link.clock()
         self.routes = Routes(Route(peer, self._rates(), now), now)
         self._outliers, self._losing = Outliers(), Losing()
@@ -84,7 +81,7 @@ class LinkedVehicle:
         return requests.Rates(*self._key, self.messages.autopilot, self._link.endpoint.slow)
 
     def hear(self, peer: Any, identity: int, arrival: float) -> bool:
-        """A frame with its id has come from there; whether it is of the address that is followed."""
+        """Register a frame with its id from that peer; return whether it is of the followed address."""
         route = self.routes.find(peer)
         if route is None:
             route = Route(peer, self._rates(), arrival)
@@ -102,14 +99,14 @@ class LinkedVehicle:
         if self._silent:
             self._silent = False
             self.watched.say("the vehicle is received again")
-            self.routes.usable = dict.fromkeys(self.routes.usable, arrival)  # what it sends shows from now on
+            self.routes.usable = dict.fromkeys(self.routes.usable, arrival)  # its messages show from now on
         if route is self.routes.followed:
             return True
         self.watched.health.others += 1
         return False
 
     def _fails(self, now: float) -> str:
-        """Why nothing can be judged of the address that is followed; empty where it can."""
+        """The reason why the followed address does not allow judging; empty where it does."""
         routes = self.routes
         if self._mixed:
             return "two vehicles appear to send there"
@@ -143,7 +140,7 @@ class LinkedVehicle:
             self._anew()
 
     def counted(self, sequence: int) -> bool:
-        """Whether a frame with this running number is new."""
+        """True if a frame with this running number is new."""
         health, route = self.watched.health, self.routes.followed
         step = 1 if route.sequence is None else (sequence - route.sequence) % 256
         route.senders.count(sequence)
@@ -156,7 +153,7 @@ class LinkedVehicle:
         return True
 
     def _one_sender(self) -> bool:
-        """Whether all frames are of one sender: nothing can be judged of what two send together."""
+        """True if all frames are of one sender: a mixture of two senders cannot be judged."""
         several = self.routes.followed.senders.several
         if several and not self._mixed:
             self.watched.say(f"{TWO_SENDERS}; nothing is assessed until only one is left", "error")
@@ -168,7 +165,7 @@ class LinkedVehicle:
         return not several
 
     def take(self, identity: int, frame: bytes, arrival: float) -> None:
-        """One frame of the autopilot. What goes wrong with it is this vehicle's alone."""
+        """Process a frame of the autopilot. Errors affect this vehicle alone."""
         try:
             self._on(identity, frame, arrival)
         except Exception as why:
@@ -203,7 +200,7 @@ class LinkedVehicle:
             self._identity.received(answer["uid"], answer["uid2"], answer["flight_sw_version"], self.messages.autopilot)
 
     def _restart(self, reboot: bool) -> None:
-        """Its clock began anew: another flight."""
+        """Its clock restarted: a new flight."""
         self.watched.finish()
         health = self.watched.health
         health.reboots, health.jumps = health.reboots + reboot, health.jumps + (not reboot)
@@ -225,7 +222,7 @@ class LinkedVehicle:
             self._begin(self._begun)
 
     def step(self, now: float) -> None:
-        """Judge what has come, and ask for what is missing."""
+        """Judge new samples, and request missing messages."""
         try:
             self._recover(now)
             self._step(now)
@@ -233,7 +230,7 @@ class LinkedVehicle:
             self.watched.fail(why)
 
     def _recover(self, now: float) -> None:
-        """After an error of rotorwatch's own the vehicle is watched anew: what led to it may not come again."""
+        """After an internal error, watch the vehicle from scratch: the error may not recur."""
         if not self.watched.broken:
             self._anew_at = math.inf
         elif self._anew_at == math.inf:
@@ -261,7 +258,7 @@ class LinkedVehicle:
         if session is None or not self.messages.pending or not self.messages.reached(session.due_s):
             return
         if self.routes.followed.senders.suspected:
-            return  # what two vehicles send together is no vehicle's: it waits until that is decided
+            return  # a mixture of two senders cannot be judged: wait until that is decided
         signals, messages = self.messages.take(self._outputs, session.flying)
         self.routes.usable.update((need, now) for name, need in SIGNALS.items() if name in signals)
         if "motors" in signals:
@@ -273,7 +270,7 @@ class LinkedVehicle:
             self.watched.advance()
 
     def _know(self, now: float) -> None:
-        """Parameters, from the vehicle or cached from earlier; when they are there, it is watched."""
+        """Get parameters, from the vehicle or the cache; with them, it is watched."""
         if self._link.talks and not self._silent:
             self._parameters.step(now, self._send)
             self._identity.step(now, self._send)
@@ -304,17 +301,17 @@ class LinkedVehicle:
         if not there and (self._parameters.given_up or self._link.known is not None or not self._link.talks):
             there = self.messages.parameters()
             if not mavlink.known(there, self.messages.autopilot) and self._link.known is None:
-                return  # its heartbeat does not say the frame, and may tell of another kind of vehicle
+                return  # its heartbeat does not give the frame, and may name another kind of vehicle
         if there or self._link.known is not None:
             self._begin(there)
 
     def _miss(self, now: float) -> None:
-        """Say what judging waits for, when it does not come, or comes no more, and what would help."""
+        """Report inputs that do not come, or no longer come, and a remedy."""
         talks, usable = self._link.talks, self.routes.usable
         gone, lost = ([need for need in NEEDS if now - usable.get(need, now) > after] for after in (SILENT_S, FADED_S))
         self.watched.gone = f"no {_words(gone)} that can be used" if gone else ""
         if self._silent or (not usable and self.messages.clock.start is None and len(self._link.vehicles) > FEW):
-            return  # many ids that only send heartbeats: nobody's vehicles, and a page of notices
+            return  # many ids with heartbeats alone are no vehicles, and would cause many notices
         missing = lost
         if now - self._first >= (UNANSWERED_S if talks else MISSED_S):
             coming = talks and self._parameters.count and not self._parameters.given_up
@@ -344,19 +341,19 @@ class LinkedVehicle:
         self.watched.begin(self._about(parameters, self._outputs))
 
     def _wired(self, parameters: dict[str, float]) -> Outputs:
-        """Where the commands of its rotors are."""
+        """The outputs of its rotors."""
         known = self._link.known
         return rotor_outputs(self.messages, parameters, 0 if known is None else len(known.rotors))
 
     def _about(self, parameters: dict[str, float], outputs: Outputs) -> Flight:
-        """What is known of a flight with these parameters besides its signals."""
+        """The known facts of a flight with these parameters, without signals."""
         return Flight(
             FORMAT, self.messages.autopilot, {}, 0.0, vehicle_type=MAV_TYPES.get(self.messages.vehicle, ("", 0))[0],
             parameters=parameters, name=self.watched.name, facts=mavlink.facts(self.messages, parameters, outputs),
         )  # fmt: skip
 
     def _airframe(self, parameters: dict[str, float]) -> tuple | None:
-        """All by which these parameters decide how the vehicle is judged; None where they do not fit what it says of itself."""
+        """Everything in these parameters that decides how the vehicle is judged; None where they contradict its other messages."""
         outputs, vehicle = self._wired(parameters), self._link.known
         if vehicle is None:
             try:
@@ -371,53 +368,53 @@ class LinkedVehicle:
         self._link.send(message, self.routes.followed.peer)
 
     def waits_for(self) -> str:
-        """What is not known of it yet, in a few words."""
+        """The data still missing, in a few words."""
         if self._begun is not None:
             return ""
         return f"parameters, {self._parameters.share:.0%}" if self._parameters.count else "parameters"
 
     def restore_rates(self) -> None:
-        """Rates as they were before."""
+        """Restore the original message rates."""
         if self._link.talks:
             for route in self.routes:
                 route.rates.restore(lambda message, peer=route.peer: self._link.send(message, peer))
 
     @property
     def empty(self) -> bool:
-        """Whether nothing has come of it that could be judged."""
+        """True if it has sent nothing that could be judged."""
         return self.watched.session is None or self.watched.session.vehicle is None
 
 
 class Link:
-    """An endpoint that is watched. known: the vehicle, where a file says it. talks: it may request what it needs of the vehicle."""
+    """A watched endpoint. known: the vehicle, where a file gives it. talks: whether it may send requests to the vehicle."""
 
     def __init__(
         self, endpoint: Endpoint, tell: Notify, known: Vehicle | None = None, record: Path | None = None, talks: bool = True,
         patience_s: float = 30.0, clock: Callable[[], float] = time.monotonic,
     ):  # fmt: skip
-        """record: folder to record in. patience_s: how long to wait for a first vehicle. clock: time of arrival [s]. Raises ConfigError
-        for a folder that cannot be written."""
+        """record: folder to record in. patience_s: longest wait for a first vehicle. clock: time of arrival [s]. Raises ConfigError for a
+        folder that cannot be written."""
         self.clock = clock
         self.endpoint, self.known, self.talks = endpoint, known, talks
         self._notify, self._patience_s = tell, patience_s
         self._parsers: dict[Any, Any] = {}
         self._vehicles: dict[tuple[int, int], LinkedVehicle] = {}
-        self._fresh: dict[LinkedVehicle, None] = {}  # those that something has come of since they were judged
+        self._fresh: dict[LinkedVehicle, None] = {}  # vehicles with new frames since they were judged
         self._stepped = 0.0
         self._refused: set[int] = set()
-        self._outside: dict[tuple[int, int], bytes] = {}  # the heartbeats of those that there was no room for
+        self._outside: dict[tuple[int, int], bytes] = {}  # heartbeats of vehicles beyond the limit
         self.frames = self._damaged_before = 0
         self._began, self._beat = clock(), 0.0
         self._sender = Sender(requests.SYSTEM, requests.COMPONENT)
         self._tellers: dict[int, Sender] = {}
         self._first_version = False
-        self.trouble = ""  # that does not end it: a recording that has stopped
+        self.trouble = ""  # a non-fatal problem: a stopped recording
         self._record = self._open(record) if record is not None else None
         self._crowded = -math.inf
 
     @property
     def damaged(self) -> int:
-        """Stretches of bytes that were no sound frame."""
+        """Stretches of bytes without a valid frame."""
         return self._damaged_before + sum(parser.damaged for parser in self._parsers.values())
 
     @property
@@ -425,7 +422,7 @@ class Link:
         return tuple(vehicle.watched for vehicle in self._vehicles.values())
 
     def shown(self) -> list[tuple[Watched, str]]:
-        """Each vehicle with what is not known of it yet."""
+        """Each vehicle with its missing data."""
         return [(vehicle.watched, vehicle.waits_for()) for vehicle in self._vehicles.values()]
 
     def _open(self, folder: Path) -> Record:
@@ -438,7 +435,7 @@ class Link:
         self._notify({"type": "error", "vehicle": self.endpoint.name, "text": text})
 
     def poll(self, wait_s: float) -> bool:
-        """Take what has come."""
+        """Process everything received."""
         received = self.endpoint.receive(wait_s)
         for peer, data in received:
             self._take(peer, data)
@@ -458,11 +455,11 @@ class Link:
             vehicle.step(now)
         self._fresh = {}
         if not self._vehicles and now - self._began > self._patience_s:
-            raise LinkError(self._nobody())
+            raise LinkError(self._why_none())
         return True
 
-    def _nobody(self) -> str:
-        """Why no vehicle is watched."""
+    def _why_none(self) -> str:
+        """The reason why no vehicle is watched."""
         if self.damaged and not self.frames:
             slow = "is the baud rate right, and " if self.endpoint.slow else ""
             return f"{self.endpoint.name}: data arrive but are not MAVLink; {slow}is MAVLink sent here?"
@@ -477,7 +474,7 @@ class Link:
         self.endpoint.send(self._sender.frame(message, self._first_version), peer)
 
     def broadcast(self, name: str, message: Outgoing) -> None:
-        """A message to all who listen, as by an onboard computer of the vehicle of this name."""
+        """Send a message to all listeners, as an onboard computer of the vehicle of this name."""
         system = next((key[0] for key, vehicle in self._vehicles.items() if vehicle.watched.name == name), None)
         if system is None or not self.talks:
             return
@@ -485,7 +482,7 @@ class Link:
         self.endpoint.send(sender.frame(message, self._first_version))
 
     def boot_ms(self, name: str, time_s: float | None = None) -> int:
-        """The vehicle's own time, as its messages tell it; time_s: that of its flight, None for now."""
+        """The vehicle's own time, as in its messages; time_s: that of its flight, None for now."""
         clock = next(
             (vehicle.messages.clock for vehicle in self._vehicles.values() if vehicle.watched.name == name), None
         )
@@ -523,7 +520,7 @@ class Link:
             vehicle.take(identity, frame, arrival)
 
     def _meet(self, peer: Any, frame: bytes, system: int, component: int, more: bool) -> None:
-        """A heartbeat of someone new. more: it has sent something else as well."""
+        """A heartbeat of a new sender. more: it has sent other messages as well."""
         beat = mavlink.row(frame, mavlink.layouts()[0])
         autopilot, kind = int(beat["autopilot"]), int(beat["type"])
         if autopilot == NO_AUTOPILOT:
@@ -552,8 +549,8 @@ class Link:
         watched.say(f"{words}, {MAV_TYPES[kind][0]}")
 
     def _room(self, more: bool) -> bool:
-        """Whether there is room for one more vehicle: that of one of which nothing has come that could be judged, and which is silent; for
-        one that sends more than heartbeats also that of one that sends nothing else."""
+        """Make room for one more vehicle and return whether there is any: in place of a silent one without usable data; for one that sends
+        more than heartbeats also of one that sends nothing else."""
         now = self.clock()
         for key, vehicle in self._vehicles.items():
             silent = now - vehicle.watched.health.last_frame > SILENT_S

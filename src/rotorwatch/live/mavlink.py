@@ -1,4 +1,4 @@
-"""One vehicle's MAVLink messages as they arrive -> samples of its signals, by the definitions of `logs.tlog`."""
+"""MAVLink messages of a vehicle as they arrive -> samples of its signals, by the definitions of `logs.tlog`."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from rotorwatch.live.clock import Clock
 from rotorwatch.logs import mavlink_esc, mavlink_frames, mavlink_messages, tlog
 
 AUTOPILOTS = {3: "ArduPilot", 12: "PX4"}
-UNKNOWN_S = 2.0  # a message that tells of a signal and falls silent for so long gives way to another one
-RATE_S = 3.0  # over which rates are counted
-MOST_ROWS = 5000  # of a message, before its vehicle is known well enough to judge it
-MOST_PARAMETERS = 4096  # by name; autopilots have less than half of that
+UNKNOWN_S = 2.0  # silence after which the source of a signal is replaced
+RATE_S = 3.0  # window for rates
+MOST_ROWS = 5000  # of a message, before its vehicle can be judged
+MOST_PARAMETERS = 4096  # by name; autopilots have less than half
 SIGNALS = (
     "motors", "gyro", "accel", "attitude", "attitude_wanted", "velocity", "position", "battery", "vibration", "clipping", "innovations",
 )  # fmt: skip
 TICK = ("motors", "gyro", "accel")
 ESC = {mavlink_esc.STATUS, *mavlink_esc.TELEMETRY}
-WAIT_S = 0.1  # for what a tick is made of, before it is looked whether it can be made without
+WAIT_S = 0.1  # for inputs of a tick, before it is made without them
 
 
 @dataclass(frozen=True)
 class Layout:
-    """A message as it is on the wire: name, type of its payload; how its stamp is read and where it is (None without one), the us of its
-    unit, and whether it is of 32 bits only."""
+    """A message on the wire: name, type of its payload; format and offset of its stamp (None without one), its unit in us, and whether it
+    has 32 bits only."""
 
     name: str
     kind: np.dtype
@@ -44,19 +44,19 @@ class Layout:
 @cache
 def layouts() -> dict[int, Layout]:
     """Message id -> layout, of all messages that are read."""
-    found = {}
+    by_id = {}
     for name, message in tlog.layouts().items():
         kind = mavlink_frames.payload_type(message)
         fields: Any = kind.fields or {}
         stamp = next((n for n in ("time_boot_ms", "time_usec") if n in fields), None)
         if stamp is None:
-            found[message.id] = Layout(name, kind, None, 0, 1.0, False)
+            by_id[message.id] = Layout(name, kind, None, 0, 1.0, False)
             continue
         size, offset = fields[stamp][0].itemsize, fields[stamp][1]
         reads = struct.Struct("<I" if size == 4 else "<Q")
         scale = 1e3 if stamp == "time_boot_ms" else 1.0
-        found[message.id] = Layout(name, kind, reads, offset, scale, stamp == "time_usec" and size == 4)
-    return found
+        by_id[message.id] = Layout(name, kind, reads, offset, scale, stamp == "time_usec" and size == 4)
+    return by_id
 
 
 @cache
@@ -66,7 +66,7 @@ def _kinds() -> dict[str, np.dtype]:
 
 @cache
 def _parts() -> dict[str, str]:
-    """Message -> the field that says which part of the vehicle it is of: several messages have the same stamp."""
+    """Message -> the field that names its part of the vehicle: several messages may have the same stamp."""
     return {name: part for name, kind in _kinds().items() for part in ("port", "index") if part in (kind.names or ())}
 
 
@@ -103,21 +103,21 @@ def decoded(identity: int, frame: bytes) -> dict[str, Any] | None:
 
 
 class Messages:
-    """What one vehicle has sent since the last `take`; parameters are kept. See `tlog.Messages`."""
+    """Messages of a vehicle since the last `take`; parameters are kept. See `tlog.Messages`."""
 
     def __init__(self, autopilot: str, vehicle: int):
         self.autopilot, self.vehicle, self.notes = autopilot, vehicle, []
         self.clock = Clock()
         self.late = 0
         self._rows: dict[str, tuple[list[float], list[bytes]]] = {}
-        self._tables: dict[str, tuple[np.ndarray, np.ndarray] | None] = {}  # of the rows since the last `take`
+        self._tables: dict[str, tuple[np.ndarray, np.ndarray] | None] = {}  # rows since the last `take`
         self._parameters: dict[bytes, tuple[float, bytes]] = {}
-        self._newest: dict[tuple[str, int], float] = {}  # stamp of the last message taken of each part
+        self._newest: dict[tuple[str, int], float] = {}  # stamp of the last message taken, by part
         self._counts: dict[str, deque[float]] = {}
         self._source: dict[str, str] = {}
-        self._usable_at: dict[str, float] = {}  # when the source of a signal last told something usable
+        self._usable_at: dict[str, float] = {}  # last usable sample, by source of a signal
         self._states: dict[tuple[str, str], float] = {}
-        self._seen: dict[str, deque[float]] = {}  # when the last messages arrived
+        self._seen: dict[str, deque[float]] = {}  # arrivals of the last messages
 
     def inherit(self, earlier: Messages) -> None:
         """Parameters outlast a reboot."""
@@ -125,15 +125,15 @@ class Messages:
 
     @property
     def pending(self) -> bool:
-        """Whether anything has come since the last `take`."""
+        """True if there are messages since the last `take`."""
         return bool(self._rows)
 
     def heard(self, *names: str) -> bool:
-        """Whether any of these messages has come."""
+        """True if any of these messages has been received."""
         return any(name in self._seen for name in names)
 
     def reached(self, time: float) -> bool:
-        """Whether all that a tick is made of has come up to `time` s; what is missing is not waited for longer than WAIT_S."""
+        """True if all inputs of a tick are there up to `time` s; missing ones are waited for up to WAIT_S."""
         now = self.clock.now
         if now < time:
             return False
@@ -147,12 +147,12 @@ class Messages:
         return True
 
     def rates_hz(self) -> dict[str, float]:
-        """Message -> how often it arrives."""
+        """Message -> its rate of arrival."""
         last = max((seen[-1] for seen in self._seen.values() if seen), default=0.0)
         return {name: sum(t > last - RATE_S for t in seen) / RATE_S for name, seen in self._seen.items()}
 
     def add(self, layout: Layout, frame: bytes, arrival: float) -> None:
-        """One frame. Raises clock.Restarted."""
+        """Add a frame. Raises clock.Restarted."""
         body = payload(frame, layout.kind.itemsize)
         if layout.stamp is not None:
             time = self.clock.take(
@@ -180,8 +180,8 @@ class Messages:
             del rows[0][0], rows[1][0]
 
     def get(self, name: str) -> tuple[np.ndarray, np.ndarray] | None:
-        """(time s (n,), table) of what has come of a message, in time order, each stamp once; or None. What is older than the last message
-        that was taken is late and left out."""
+        """(time s (n,), table) of a message's new rows, in time order, each stamp once; or None. Rows older than the last one taken are
+        late and left out."""
         if name == "PARAM_VALUE":
             rows = list(self._parameters.values())
             if not rows:
@@ -197,14 +197,14 @@ class Messages:
     def _table(self, name: str) -> tuple[np.ndarray, np.ndarray] | None:
         times, bodies = self._rows[name]
         time, table = np.array(times), np.frombuffer(b"".join(bodies), _kinds()[name])
-        if name in tlog.UNTIMED:  # these have the time of what came before them, several the same
+        if name in tlog.UNTIMED:  # these have the time of the message before, several the same
             return time, table
         part = _parts().get(name)
         numbers = [0] if part is None else sorted(set(table[part].tolist()))
         if len(numbers) == 1:
             return self._once(name, numbers[0], time, table)
-        found = [self._once(name, n, time[table[part] == n], table[table[part] == n]) for n in numbers]
-        kept = [one for one in found if one is not None]
+        by_part = [self._once(name, n, time[table[part] == n], table[table[part] == n]) for n in numbers]
+        kept = [one for one in by_part if one is not None]
         if not kept:
             return None
         time, table = (np.concatenate(columns) for columns in zip(*kept))
@@ -212,9 +212,9 @@ class Messages:
         return time[order], table[order]
 
     def _once(self, name: str, part: int, time: np.ndarray, table: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Rows in time order, each stamp once, and only those after the last one that was taken."""
+        """Rows in time order, each stamp once, and only those after the last one taken."""
         last = self._newest.get((name, part), -np.inf)
-        if not (time[0] > last and (time.size == 1 or (time[1:] > time[:-1]).all())):  # seldom
+        if not (time[0] > last and (time.size == 1 or (time[1:] > time[:-1]).all())):  # rare
             order = np.argsort(time, kind="stable")
             time, table = time[order], table[order]
             keep = (time > last) & (np.diff(time, prepend=-np.inf) > 0)
@@ -226,12 +226,12 @@ class Messages:
         return time, table
 
     def parameters(self) -> dict[str, float]:
-        """All that have come so far, by name."""
+        """All parameters received so far, by name."""
         return tlog.parameters_of(self)[0]
 
     def take(self, outputs: tlog.Outputs, aloft: bool) -> tuple[dict[str, Signal], list[Message]]:
-        """New samples of each signal and what the autopilot said, and forget them. outputs: of `tlog.rotor_outputs`; aloft: in flight
-        the message that tells of a signal is changed only when it falls silent."""
+        """New samples of each signal and new texts of the autopilot, which are removed. outputs: of `tlog.rotor_outputs`; aloft: in flight
+        the source of a signal changes only when it falls silent."""
         now = self.clock.now
         there = {name for name in self._rows if self.get(name) is not None}
         for name in there:
@@ -244,9 +244,9 @@ class Messages:
         for name in SIGNALS:
             readings = [reading for reading in options[name] if reading.source in there]
             for reading in self._order(name, readings, aloft) if readings else ():
-                made = reading.make(self)
-                if made is not None:
-                    signals[name] = made
+                signal = reading.make(self)
+                if signal is not None:
+                    signals[name] = signal
                     self._source[name], self._usable_at[name] = reading.source, now
                     break
         if not ESC.isdisjoint(there):
@@ -260,13 +260,12 @@ class Messages:
         return signals, messages
 
     def _order(self, name: str, readings: list[tlog.Reading], aloft: bool) -> list[tlog.Reading]:
-        """Which of the messages that have come is to tell of a signal, and which instead when it says nothing usable: the fastest, in order
-        of preference."""
+        """Sources of a signal among the received messages, with fallbacks: the fastest, in order of preference."""
         source = self._source.get(name)
         silent = source is None or self.clock.now - self._usable_at[name] > UNKNOWN_S
-        own = [reading for reading in readings if reading.source == source]
-        if not silent and (aloft or name not in tlog.FASTEST or len(readings) == len(own)):
-            return own
+        current = [reading for reading in readings if reading.source == source]
+        if not silent and (aloft or name not in tlog.FASTEST or len(readings) == len(current)):
+            return current
         best = None if silent else source
         for reading in readings:
             if best is None or self._count(reading.source) > 1.5 * self._count(best) + 10:
@@ -277,7 +276,7 @@ class Messages:
         return len(self._counts.get(source, ()))
 
     def _new(self, message: Message) -> bool:
-        """States are sent again and again; only what is new counts."""
+        """True if a message is new: states are sent repeatedly."""
         if message.kind in ("text", "error"):
             return True
         part = message.text.partition(" ")[0] if message.kind == "health" else ""
@@ -293,7 +292,7 @@ def facts(messages: Messages, parameters: Mapping[str, float], outputs: tlog.Out
 
 
 def known(parameters: Mapping[str, float], autopilot: str) -> bool:
-    """Whether these parameters say what the airframe is."""
+    """True if these parameters determine the airframe."""
     if autopilot == "ArduPilot":
         return bool({"FRAME_CLASS", "FRAME"} & parameters.keys()) and "MOT_SPIN_MIN" in parameters
     return bool({"CA_ROTOR_COUNT", "SYS_AUTOSTART", "MAV_TYPE"} & parameters.keys())

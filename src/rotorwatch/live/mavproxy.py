@@ -1,7 +1,8 @@
-"""A module of MAVProxy: `module load rotorwatch` judges the vehicles that MAVProxy hears, and shows events in its console and on its map.
+"""A MAVProxy module: `module load rotorwatch` judges the vehicles that MAVProxy receives, and shows events in its console and on its
+map.
 
 MAVProxy calls `init` of the package (https://ardupilot.org/mavproxy/docs/development/gettingstarted.html). Its loop hands over frames and
-takes finished texts back; all else is done in a thread of its own. MAVProxy is imported where it is there already: in its own process.
+takes finished texts back; all else runs in a thread. MAVProxy is only imported in its own process.
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ if TYPE_CHECKING:
     from rotorwatch.live.link import Link
 
 NAME = "mavproxy"
-FRAMES, SENT, NEWS = 20_000, 200, 500  # that wait, at most: the oldest go
+FRAMES, SENT, NEWS = 20_000, 200, 500  # queue limits; the oldest are dropped
 WAIT_S, SHOW_S, MAP_S = 0.05, 0.5, 1.0
-AGAIN_S = 5.0  # before the thread is begun anew after an error
+AGAIN_S = 5.0  # before the thread is restarted after an error
 LAST_S = 4.0  # at the end; MAVProxy waits 5 s
 AT_ONCE = 10  # texts and messages in one turn of MAVProxy's loop
 PLACES, APART_MS = 3600, 500  # kept of each vehicle, and the time between two
@@ -36,8 +37,8 @@ CRITICAL, WARNING = 2, 4
 
 @dataclass(frozen=True)
 class News:
-    """Something to be shown. key, label: of its marker on the map; place: (latitude, longitude) [deg], None where it is not
-    known; gone: the marker is to be taken away."""
+    """A text to show. key, label: of its marker on the map; place: (latitude, longitude) [deg], None where unknown; gone: remove the
+    marker."""
 
     text: str
     severity: int
@@ -48,7 +49,7 @@ class News:
 
 
 class Handed(Endpoint):
-    """What MAVProxy hands over. A peer is the number of one of its links. sent: (peer, frame) that MAVProxy is to send."""
+    """Frames handed over by MAVProxy. A peer is the number of one of its links. sent: (peer, frame) for MAVProxy to send."""
 
     def __init__(self, slow: bool = False):
         super().__init__(NAME)
@@ -58,41 +59,41 @@ class Handed(Endpoint):
         self._some = threading.Event()
 
     def put(self, link: int, frame: bytes) -> None:
-        """One frame; returns at once."""
+        """Add a frame without blocking."""
         self._frames.append((link, frame))
         self._some.set()
 
     def receive(self, wait_s: float = 0.0) -> list[tuple[Any, bytes]]:
         self._some.wait(wait_s)
         self._some.clear()
-        found = []
-        while self._frames and len(found) < 500:
-            found.append(self._frames.popleft())
+        frames = []
+        while self._frames and len(frames) < 500:
+            frames.append(self._frames.popleft())
         if self._frames:
             self._some.set()
-        return found
+        return frames
 
     def send(self, data: bytes, peer: Any = None) -> None:
-        if peer is not None:  # to all: heartbeats, of which MAVProxy has its own
+        if peer is not None:  # broadcasts are heartbeats; MAVProxy sends its own
             self.sent.append((peer, data))
 
 
 class Places:
-    """Where vehicles have been, by their own clocks. Written by MAVProxy's loop, read by the thread."""
+    """Positions of vehicles, by their own clocks. Written by MAVProxy's loop, read by the thread."""
 
     def __init__(self):
         self._tracks: dict[int, deque[tuple[int, float, float]]] = {}
 
     def add(self, system: int, boot_ms: int, latitude: float, longitude: float) -> None:
-        """One more place [deg]."""
+        """Add a position [deg]."""
         track = self._tracks.setdefault(system, deque(maxlen=PLACES))
         if track and boot_ms < track[-1][0]:
-            track.clear()  # it has rebooted
+            track.clear()  # a reboot
         if (not track or boot_ms - track[-1][0] >= APART_MS) and (latitude or longitude):
             track.append((boot_ms, latitude, longitude))
 
     def find(self, system: int, boot_ms: int) -> tuple[float, float] | None:
-        """Where it was nearest to that time; None where nothing is known."""
+        """The position nearest to that time; None where unknown."""
         track = list(self._tracks.get(system, ()))
         if not track:
             return None
@@ -100,7 +101,7 @@ class Places:
 
 
 class Watcher:
-    """The thread that judges what is handed over. news: texts to be shown; states: vehicle -> (state, a few words)."""
+    """The thread that judges the frames. news: texts to show; states: vehicle -> (state, a few words)."""
 
     def __init__(self, handed: Handed, places: Places, talks: bool = True, known: Path | None = None):
         self.news: deque[News] = deque(maxlen=NEWS)
@@ -118,7 +119,7 @@ class Watcher:
         self._thread.start()
 
     def revive(self) -> None:
-        """Begin anew what an error has ended."""
+        """Restart after an error."""
         now = time.monotonic()
         if not self._thread.is_alive() and not self._stop.is_set():
             if not self._again:
@@ -128,12 +129,12 @@ class Watcher:
                 self._begin()
 
     def leave(self) -> None:
-        """End; waits for LAST_S at most."""
+        """End; waits up to LAST_S."""
         self._stop.set()
         self._thread.join(LAST_S)
 
     def _work(self) -> None:
-        try:  # what is imported here takes a while, which MAVProxy's loop must not
+        try:  # slow imports must not block MAVProxy's loop
             from rotorwatch.flight.vehicle_file import read
             from rotorwatch.live.link import Link
             from rotorwatch.live.watch import Guarded
@@ -145,11 +146,11 @@ class Watcher:
             self._say(f"rotorwatch cannot start: {trouble(why)}", CRITICAL)
             self._stop.set()
             return
-        guard, shown = Guard(lambda text: self._say(f"rotorwatch: {text}", WARNING)), 0.0
+        guard, last_shown = Guard(lambda text: self._say(f"rotorwatch: {text}", WARNING)), 0.0
         try:
             while not self._stop.is_set() and source.poll(WAIT_S):
-                if time.monotonic() - shown > SHOW_S:
-                    shown = time.monotonic()
+                if time.monotonic() - last_shown > SHOW_S:
+                    last_shown = time.monotonic()
                     guard.run("the state", self._look)
         except Exception as why:
             self._say(f"rotorwatch: {trouble(why)}", CRITICAL)
@@ -160,11 +161,11 @@ class Watcher:
         from rotorwatch.live.view import line
 
         assert self._link is not None
-        found = {}
+        states = {}
         for watched, waits_for in self._link.shown():
             seen = line(watched, waits_for)
-            found[_number(watched.name)] = seen.state, next(iter(seen.events), seen.blind)
-        self.states = found
+            states[_number(watched.name)] = seen.state, next(iter(seen.events), seen.blind)
+        self.states = states
 
     def _say(self, text: str, severity: int) -> None:
         self.news.append(News(text, severity))
@@ -176,7 +177,7 @@ class Watcher:
         name = alert["vehicle"]
         vehicle = f"vehicle {_number(name)}" if name != NAME else "MAVProxy"
         if alert["type"] == "vehicle":
-            self._flights[name] = self._flights.get(name, 0) + 1  # its events are numbered anew
+            self._flights[name] = self._flights.get(name, 0) + 1  # a new flight restarts the numbers of events
             self._told = {key: told for key, told in self._told.items() if key[0] != name}
             self._say(f"rotorwatch: {vehicle}: {alert['frame']}, {alert['rotors']} rotors", ground.NOTICE)
             return
@@ -189,9 +190,9 @@ class Watcher:
         told = name, alert["number"]
         if not ground.worth_sending(self._told.get(told), alert) and alert["state"] != "final":
             return
-        known = told in self._told
+        announced = told in self._told
         self._told[told] = ground.gist(alert)
-        if alert["state"] == "withdrawn" and not known:
+        if alert["state"] == "withdrawn" and not announced:
             return
         event = alert["event"]
         text, severity = ground.text_of(alert)
@@ -215,7 +216,7 @@ def _number(name: str) -> str:
 
 
 class Shown:
-    """What MAVProxy shows: lines and a field of its console, markers on its maps. Only its own loop may call this."""
+    """Output in MAVProxy: lines and a field of its console, markers on its maps. Only its own loop may call this."""
 
     def __init__(self, console: Callable[[], Any], maps: Callable[[], Iterable[Any]]):
         self._console, self._maps = console, maps
@@ -223,24 +224,24 @@ class Shown:
         self._drawn: set[int] = set()
         self._states: dict[str, tuple[str, str]] = {}
 
-    def line(self, one: News) -> None:
+    def line(self, news: News) -> None:
         """A line of the console."""
-        self._console().writeln(one.text, fg=_colour(one.severity))
+        self._console().writeln(news.text, fg=_colour(news.severity))
 
     def marker(self, one: News) -> None:
-        """A marker where its place is known; it stays where its event began."""
+        """A marker where the position is known; it stays where its event began."""
         if one.gone:
             self._markers.pop(one.key, None)
-            for shown in self._maps():
-                shown.remove_object(one.key)
+            for map_ in self._maps():
+                map_.remove_object(one.key)
         elif one.key and (one.place is not None or one.key in self._markers):
             place = self._markers[one.key][0] if one.key in self._markers else one.place
             assert place is not None
             if len(self._markers) >= MARKERS and one.key not in self._markers:
                 self._away(next(iter(self._markers)))
             self._markers[one.key] = place, one.label, one.severity
-            for shown in self._maps():
-                self._mark(shown, one.key)
+            for map_ in self._maps():
+                self._mark(map_, one.key)
 
     def states(self, found: dict[str, tuple[str, str]]) -> None:
         """A field for each vehicle."""
@@ -251,32 +252,30 @@ class Shown:
                 self._console().set_status(f"rotorwatch {number}", text, row=6, fg=COLOURS.get(state, "black"))
 
     def maps(self) -> None:
-        """Draw what is known on maps that have been opened since."""
-        there = {id(shown): shown for shown in self._maps()}
-        for number, shown in there.items():
+        """Draw all markers on newly opened maps."""
+        there = {id(map_): map_ for map_ in self._maps()}
+        for number, map_ in there.items():
             if number not in self._drawn:
                 for key in self._markers:
-                    self._mark(shown, key)
+                    self._mark(map_, key)
         self._drawn = set(there)
 
     def clear(self) -> None:
-        """Take all markers away."""
+        """Remove all markers."""
         for key in list(self._markers):
             self._away(key)
 
     def _away(self, key: str) -> None:
         del self._markers[key]
-        for shown in self._maps():
-            shown.remove_object(key)
+        for map_ in self._maps():
+            map_.remove_object(key)
 
-    def _mark(self, shown: Any, key: str) -> None:
+    def _mark(self, map_: Any, key: str) -> None:
         from MAVProxy.modules.mavproxy_map import mp_slipmap  # type: ignore
 
         place, label, severity = self._markers[key]
         colour = (255, 0, 0) if severity <= CRITICAL else (255, 165, 0) if severity <= WARNING else (160, 160, 160)
-        shown.add_object(
-            mp_slipmap.SlipIcon(key, place, shown.icon("flag.png"), layer=LAYER, label=label, colour=colour)
-        )
+        map_.add_object(mp_slipmap.SlipIcon(key, place, map_.icon("flag.png"), layer=LAYER, label=label, colour=colour))
 
 
 def _colour(severity: int) -> str:
@@ -319,12 +318,12 @@ def _module(base: type) -> type:
             self._guard.run("taking messages", self._take, m)
 
         def idle_task(self) -> None:
-            """A turn of MAVProxy's loop."""
+            """Called by MAVProxy's loop."""
             self._guard.run("sending", self._send)
             self._guard.run("showing", self._show)
 
         def unload(self) -> None:
-            """MAVProxy ends, or does not want it any more."""
+            """MAVProxy ends, or unloads the module."""
             self._watcher.leave()
             for work in (self._send_all, self._show, self._shown.clear):
                 self._guard.run("the end", work)
@@ -341,7 +340,7 @@ def _module(base: type) -> type:
             self._handed.put(self._link_of(m, kind, system), bytes(m.get_msgbuf()))
 
         def _link_of(self, m: Any, kind: str, system: int) -> int:
-            """The number of the link it came by: each numbers its frames for itself."""
+            """The number of the link that it came by: each numbers its frames itself."""
             masters = self.mpstate.mav_master
             for number, master in enumerate(masters if len(masters) > 1 else ()):
                 state = master.sysid_state.get(system)
@@ -365,7 +364,7 @@ def _module(base: type) -> type:
             for _ in range(min(AT_ONCE, len(self._watcher.news) + (self._waiting is not None))):
                 if self._waiting is None:
                     self._waiting = self._watcher.news.popleft()
-                self._shown.line(self._waiting)  # where the console fails, it is tried again
+                self._shown.line(self._waiting)  # retried where the console fails
                 one, self._waiting = self._waiting, None
                 self._guard.run("the map", self._shown.marker, one)
             now = time.monotonic()

@@ -1,6 +1,6 @@
-"""What is known of each vehicle, for Prometheus: https://prometheus.io/docs/instrumenting/exposition_formats/
+"""The state of each vehicle, for Prometheus: https://prometheus.io/docs/instrumenting/exposition_formats/
 
-The loop leaves a picture of all vehicles once a second; a scrape, in a thread of its own, only reads the last one.
+The loop stores a snapshot of all vehicles once a second; a scrape, in a thread of its own, only reads the last one.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from rotorwatch.live.watch import Source
 from rotorwatch.live.watched import Watched
 
 EVERY_S = 1.0
-CONNECTIONS, ASKS_S = 32, 10.0  # at once, the oldest of which goes for a new one; between two bytes of a request
+CONNECTIONS, ASKS_S = 32, 10.0  # at once, the oldest is closed for a new one; between two bytes of a request
 STATES = ("LOST", "FAULT", "MAYBE", "OK", "GROUND", "BLIND", "SILENT", "ERROR")
 
 
 @dataclass(frozen=True)
 class Picture:
-    """One vehicle at one moment. rotors: (loss, lower, upper) of each; last_frame: when the last message came (monotonic, s)."""
+    """Snapshot of a vehicle. rotors: (loss, lower, upper) of each; last_frame: arrival of the last message (monotonic, s)."""
 
     name: str
     state: str
@@ -38,9 +38,9 @@ class Picture:
 
 
 def picture(watched: Watched, waits_for: str = "") -> Picture:
-    """What there is to say of a vehicle right now."""
-    known = None if watched.session is None else watched.session.losses()
-    rotors = () if known is None else tuple(zip(*(column.tolist() for column in known)))
+    """The current snapshot of a vehicle."""
+    losses = None if watched.session is None else watched.session.losses()
+    rotors = () if losses is None else tuple(zip(*(column.tolist() for column in losses)))
     events: dict[str, int] = {}
     for event in watched.events:
         events[event.kind] = events.get(event.kind, 0) + 1
@@ -76,10 +76,10 @@ class Metrics:
         self.port: int = self._server.server_port
 
     def take(self, alert: dict) -> None:
-        """Alerts are counted by the events that hold."""
+        """Alerts are not counted here, but by the valid events."""
 
     def step(self, sources: Sequence[Source]) -> None:
-        """Leave a picture of all vehicles, when it is time for one."""
+        """Store a snapshot of all vehicles, when due."""
         now = time.monotonic()
         if now - self._taken >= EVERY_S:
             self._taken = now
@@ -91,11 +91,11 @@ class Metrics:
         self._thread.join(2.0)
 
     def describe(self) -> list[Any]:
-        """Nothing is asked for at registration."""
+        """An empty list: registration collects nothing."""
         return []
 
     def collect(self) -> Iterator[Any]:
-        """The metrics of the last picture."""
+        """The metrics of the last snapshot."""
         from prometheus_client.core import CounterMetricFamily as Counter
         from prometheus_client.core import GaugeMetricFamily as Gauge
 
@@ -134,7 +134,7 @@ class Metrics:
 
 
 def _server(host: str, port: int, page: Any) -> Any:
-    """A server of a WSGI application in threads, of which those that wait for a request are limited. Raises OSError, UnicodeError."""
+    """A threaded server of a WSGI application, with a limit on idle connections. Raises OSError, UnicodeError."""
     import socket
     from socketserver import ThreadingMixIn
     from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
@@ -143,11 +143,11 @@ def _server(host: str, port: int, page: Any) -> Any:
         timeout = ASKS_S
 
         def log_message(self, format: str, *args: Any) -> None:
-            """Standard error is the watch's."""
+            """Keep standard error for the watch."""
 
     class Server(ThreadingMixIn, WSGIServer):
         daemon_threads = True
-        request_queue_size = 128  # wait to be taken: of more than 5 at once some waited for seconds
+        request_queue_size = 128  # backlog: with 5, some connections waited for seconds
         address_family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
 
         def __init__(self) -> None:
@@ -159,7 +159,7 @@ def _server(host: str, port: int, page: Any) -> Any:
             with self._lock:
                 self._open[request] = None
                 if len(self._open) > CONNECTIONS:
-                    with suppress(OSError):  # its thread ends by that
+                    with suppress(OSError):  # ends its thread
                         oldest = next(iter(self._open))
                         del self._open[oldest]
                         oldest.shutdown(socket.SHUT_RDWR)
@@ -171,7 +171,7 @@ def _server(host: str, port: int, page: Any) -> Any:
             super().shutdown_request(request)
 
         def handle_error(self, request: Any, client_address: Any) -> None:
-            """A connection that breaks is nobody's trouble here."""
+            """Ignore broken connections."""
 
     server = Server()
     server.set_app(page)

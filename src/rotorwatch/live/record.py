@@ -1,4 +1,4 @@
-"""A link recorded as a telemetry log: a disk that is full ends the recording, never the judging."""
+"""A link recorded as a telemetry log: a full disk ends the recording, never the judging."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ from pathlib import Path
 
 from rotorwatch.base import files
 
-FLUSH_S = 1.0  # of frames are lost at most when the computer fails
-MOST = 1 << 16  # bytes that wait
+FLUSH_S = 1.0  # longest loss of frames when the computer fails
+MOST = 1 << 16  # largest number of waiting bytes
 
 
 class Record:
-    """Frames, each behind its time of receipt (https://ardupilot.org/dev/docs/mavlink-tlog.html), in a new file.
+    """Frames, each after its time of receipt (https://ardupilot.org/dev/docs/mavlink-tlog.html), in a new file.
 
-    failed: called with a sentence when the file cannot be written any more."""
+    failed: called with a sentence when the file can no longer be written."""
 
     def __init__(self, path: Path, failed: Callable[[str], None]):
-        """Raises ConfigError for what cannot be written."""
+        """Raises ConfigError for a path that cannot be written."""
         self._path, self._failed = path, failed
-        # Without a buffer of Python's own: what that could not write it tries again and again, when it is closed at the latest.
+        # Unbuffered: Python's buffer would retry failed writes, at the latest on closing.
         self._file: int | None = os.open(files.writable(path, "--record", make=True), _FLAGS, 0o666)
         self._waiting = bytearray()
         self._written = time.monotonic()
 
     def add(self, frame: bytes) -> None:
-        """One frame that has just come."""
+        """Add a frame just received."""
         if self._file is None:
             return
         self._waiting += int(time.time() * 1e6).to_bytes(8, "big") + frame
@@ -35,12 +35,12 @@ class Record:
             self._write()
 
     def step(self) -> None:
-        """Called again and again: write what has waited long enough."""
+        """Write frames that have waited long enough; called periodically."""
         if self._waiting and time.monotonic() - self._written > FLUSH_S:
             self._write()
 
     def _write(self) -> None:
-        """Write all that waits; the first error is the end of the recording."""
+        """Write all waiting frames; the first error ends the recording."""
         self._written = time.monotonic()
         if self._file is None:
             return

@@ -1,4 +1,4 @@
-"""A recorded flight given piece by piece, as fast as it was flown, faster, or as fast as it is judged."""
+"""A recorded flight fed piece by piece, in real time, faster, or as fast as it is judged."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ STEP_S, FAST_STEP_S = 0.05, 1.0
 
 
 class Replay:
-    """One log. speed: times as fast as it was flown; infinite: as fast as possible. Raises ConfigError for a vehicle that never hovers."""
+    """A log. speed: relative to real time; infinite: as fast as possible. Raises ConfigError for a vehicle that never hovers."""
 
     def __init__(self, flight: Flight, watched: Watched, speed: float = np.inf):
         if aerobatic.flown_by_rates(flight):
@@ -37,7 +37,7 @@ class Replay:
         return (self.watched,)
 
     def poll(self, wait_s: float = 0.05) -> bool:
-        """Give the next piece when its time has come; False when there is none left."""
+        """Feed the next piece when it is due; False when there is none left."""
         if self._before > self._end:
             return False
         now = self._now + self._step
@@ -59,10 +59,10 @@ class Replay:
         return True
 
     def shown(self) -> list[tuple[Watched, str]]:
-        """The vehicle; all is known of it."""
+        """The vehicle; nothing is missing of it."""
         return [(self.watched, "")]
 
     def leave(self) -> None:
-        """Nothing is to be given back."""
+        """No state to restore."""
         if self._before <= self._end:
             self.watched.finish()

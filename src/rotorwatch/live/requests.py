@@ -1,7 +1,7 @@
-"""Messages to a vehicle: requests for parameters, rates, and who it is. Nothing here commands it.
+"""Messages to a vehicle: requests for parameters, rates, and identity. Nothing here commands it.
 
-Parameter protocol: https://mavlink.io/en/services/parameter.html; rates: https://mavlink.io/en/mavgen_notes/message_intervals.html.
-The watcher calls itself an onboard computer of system 254, so that no autopilot takes it for its ground station.
+Parameter protocol: https://mavlink.io/en/services/parameter.html; rates: https://mavlink.io/en/mavgen_notes/message_intervals.html. The
+sender is an onboard computer of system 254, so that no autopilot takes it for its ground station.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ REQUEST_MESSAGE, SET_INTERVAL, GET_INTERVAL = 512, 511, 510
 VERSION_ID = 148
 LIST_S, MISSING_S, AT_ONCE, ROUNDS = 3.0, 0.7, 12, 40
 ACK_S, TRIES = 0.7, 3
-CACHED_VEHICLES = 1000  # vehicles whose parameters are kept: who sends under many names does not fill the disk
+CACHED_VEHICLES = 1000  # cached vehicles: a sender with many names must not fill the disk
 FAST = {"SERVO_OUTPUT_RAW": 50.0, "ATTITUDE": 50.0, "IMU": 50.0}
 SLOW = {"SERVO_OUTPUT_RAW": 20.0, "ATTITUDE": 25.0, "IMU": 25.0}
 BESIDES = {"LOCAL_POSITION_NED": 5.0, "ATTITUDE_TARGET": 5.0, "EXTENDED_SYS_STATE": 2.0, "SYS_STATUS": 2.0}
@@ -32,7 +32,7 @@ Send = Callable[[Outgoing], None]
 
 
 def heartbeat() -> Outgoing:
-    """What keeps links open that only answer to those who speak: an onboard computer (18) without an autopilot (8), active (4)."""
+    """Keeps links open that only answer to senders: an onboard computer (18) without an autopilot (8), active (4)."""
     return outgoing("HEARTBEAT", type=18, autopilot=8, system_status=4, mavlink_version=3)
 
 
@@ -41,8 +41,8 @@ def _to(system: int, component: int) -> dict[str, int]:
 
 
 class Parameters:
-    """All parameters of one vehicle, requested until they are there. complete: they are; given_up: they will not come;
-    used: they have been made use of."""
+    """All parameters of one vehicle, requested until complete. complete: all are there; given_up: they will not come; used: they have been
+    used."""
 
     def __init__(self, system: int, component: int):
         self._to, self._next, self._round = _to(system, component), 0.0, 0
@@ -56,11 +56,11 @@ class Parameters:
 
     @property
     def share(self) -> float:
-        """How many of them have come."""
+        """Share of them received."""
         return len(self._there) / self.count if self.count else 0.0
 
     def received(self, index: int, count: int, now: float) -> None:
-        """One has come. An index of 65535 is one that was set, not asked for."""
+        """A parameter was received. An index of 65535 is one that was set, not requested."""
         if index < count < 65535:
             self.count = count
             if index not in self._there:
@@ -68,7 +68,7 @@ class Parameters:
                 self._next, self._round = now + MISSING_S, 0
 
     def step(self, now: float, send: Send) -> None:
-        """Ask for what is missing when nothing has come for a while."""
+        """Request the missing ones when nothing has come for a while."""
         if self.complete or self.given_up or now < self._next:
             return
         self._round += 1
@@ -86,7 +86,7 @@ class Parameters:
 
 
 class Identity:
-    """Which vehicle and firmware it is. key: for the cache of its parameters; None as long as that is not known."""
+    """Vehicle and firmware. key: for the cache of its parameters; None while unknown."""
 
     def __init__(self, system: int, component: int):
         self._to, self._requested, self._next = _to(system, component), 0, 0.0
@@ -104,7 +104,7 @@ class Identity:
 
 
 class Rates:
-    """The rates requested of one vehicle, one after the other, and how they were before."""
+    """The rates requested of one vehicle, one after the other, and the original ones."""
 
     def __init__(self, system: int, component: int, autopilot: str, slow: bool):
         imu = "HIGHRES_IMU" if autopilot == "PX4" else "RAW_IMU"
@@ -122,7 +122,7 @@ class Rates:
         return not self._left
 
     def interval(self, message: int, us: int) -> None:
-        """The vehicle reports how often it sends a message."""
+        """The vehicle reports the interval of a message."""
         if message not in self._set:
             self._before[message] = us
 
@@ -136,21 +136,21 @@ class Rates:
                 self._after(skip=False)
 
     def _after(self, skip: bool = True) -> None:
-        if not skip and not self._set:  # it does not know the command at all
+        if not skip and not self._set:  # it does not support the command at all
             self._tries = TRIES
             return
         del self._left[0]
         self._tries, self._next, self._requested = 0, 0.0, False
 
     def step(self, now: float, send: Send, seen_hz: Mapping[str, float]) -> None:
-        """Ask, and ask again where nothing is answered; without any answer by the old streams. seen_hz: rates that come already."""
+        """Send requests, and repeat unanswered ones; without any answer use the old streams. seen_hz: present rates."""
         while self._left and seen_hz.get(self._left[0][0], 0.0) >= 0.8 * self._left[0][1] and not self._requested:
             self._after()
         if not self._left or now < self._next:
             return
         name, hz = self._left[0]
         if self._tries >= TRIES:
-            if self._set:  # this one it does not know
+            if self._set:  # it does not support this one
                 self._after()
             else:
                 self._by_streams(send, seen_hz)
@@ -177,7 +177,7 @@ class Rates:
         self._left = []
 
     def restore(self, send: Send) -> None:
-        """Everything as often as before; where that is not known, as often as usual."""
+        """Restore the original rates; where unknown, the defaults."""
         for message in self._set:
             before = self._before.get(message, 0)
             send(self._command(SET_INTERVAL, message, before if before else 0))
@@ -189,14 +189,14 @@ class Rates:
 def cached(key: str) -> dict[str, float]:
     """The cached parameters of a vehicle with its firmware; empty without any."""
     try:
-        found = json.loads((cache_folder() / "parameters" / f"{key}.json").read_text("utf-8"))
-        return {str(name): float(value) for name, value in found.items()}
+        parameters = json.loads((cache_folder() / "parameters" / f"{key}.json").read_text("utf-8"))
+        return {str(name): float(value) for name, value in parameters.items()}
     except (OSError, ValueError, AttributeError, TypeError):
         return {}
 
 
 def store(key: str, parameters: Mapping[str, float]) -> None:
-    """Cache the parameters of a vehicle; where that cannot be written, they are requested again."""
+    """Cache the parameters of a vehicle; where that fails, they are requested again."""
     folder = cache_folder() / "parameters"
     part = folder / f".{key}.{os.getpid()}"
     try:
@@ -204,7 +204,7 @@ def store(key: str, parameters: Mapping[str, float]) -> None:
         part.write_text(json.dumps(dict(parameters)), "utf-8")
         os.replace(part, folder / f"{key}.json")
         there = list(folder.glob("*.json"))
-        if len(there) > CACHED_VEHICLES:  # half of it at once, those that were written longest ago
+        if len(there) > CACHED_VEHICLES:  # remove the older half at once
             for old in sorted(there, key=lambda path: path.stat().st_mtime)[: len(there) - CACHED_VEHICLES // 2]:
                 old.unlink(missing_ok=True)
     except OSError:

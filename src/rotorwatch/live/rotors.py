@@ -1,7 +1,7 @@
-"""What ESC telemetry says of a vehicle that flies: how fast its rotors turn, and that one stands though it is commanded to turn.
+"""ESC telemetry of a flying vehicle: the rotors' speeds, and rotors that stop though they are commanded to turn.
 
-The rule of `esc.stopped` as far as it needs nothing that comes later: a rotor below STANDS of its usual speed in REPORTS reports in a row,
-commanded more than COMMANDED of its usual command, while two others turn. The vehicle's motion is judged separately.
+The causal part of the rule of `esc.stopped`: a rotor below STANDS of its usual speed in REPORTS reports in a row, commanded more than
+COMMANDED of its usual command, while two others turn. The vehicle's motion is judged separately.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from rotorwatch.flight import Signal
 from rotorwatch.logs.esc_columns import RPM
 from rotorwatch.witnesses.esc.stopped import COMMANDED, OTHERS_TURN, REPORTS, STANDS
 
-USUAL_REPORTS, LEAST = 300, 20  # reports that tell what is usual
-AGAIN_S = 2.0  # of turning before a rotor that stood is said to turn again
+USUAL_REPORTS, LEAST = 300, 20  # reports for the usual speed
+AGAIN_S = 2.0  # of turning before a stopped rotor counts as turning again
 
 
 class Rotors:
@@ -27,20 +27,20 @@ class Rotors:
         self._speeds: deque[np.ndarray] = deque(maxlen=USUAL_REPORTS)
         self._commands: deque[np.ndarray] = deque(maxlen=USUAL_REPORTS)
         self._bad = np.zeros(0, int)
-        self._turned: dict[int, float] = {}  # rotor that stands, from 0 -> since when it turns again
+        self._turned: dict[int, float] = {}  # stopped rotor, from 0 -> time since which it turns again
         self._command: np.ndarray | None = None
 
     def examine(self, esc: Signal | None, motors: Signal | None, flying: bool) -> list[tuple[int, str]]:
-        """More telemetry, and the commands that came with it: (rotor, sentence) of what is new."""
+        """Add telemetry, and the commands that came with it; returns (rotor, sentence) of new findings."""
         if motors is not None and len(motors):
             self._command = np.where(motors.valid[-1], motors.values[-1], 0.0)
         if esc is None or not len(esc) or self._command is None:
             return []
-        found, count = [], sum(name.startswith("speed") for name in esc.columns)
+        changes, count = [], sum(name.startswith("speed") for name in esc.columns)
         speeds = np.where(esc.valid[:, :count], esc.values[:, :count], np.nan)
         for time, speed in zip(esc.time.tolist(), speeds):
-            found += self._report(time, speed, flying)
-        return found
+            changes += self._report(time, speed, flying)
+        return changes
 
     def _report(self, time: float, speed: np.ndarray, flying: bool) -> list[tuple[int, str]]:
         known = np.isfinite(speed)
@@ -61,26 +61,26 @@ class Rotors:
         others = turning.size > 2 and turning[-2] > OTHERS_TURN
         stands = known & (usual > 0.0) & (self.speed < STANDS * usual) & (command > COMMANDED * usual_command) & others
         self._bad = np.where(known, np.where(stands, self._bad + 1, 0), self._bad)
-        found = []
+        changes = []
         for k in np.flatnonzero(self._bad >= REPORTS).tolist():
             if k not in self._turned:
-                found.append((k + 1, f"the ESC of {rotors([k + 1])} reports a stopped motor at {time:.1f} s"))
+                changes.append((k + 1, f"the ESC of {rotors([k + 1])} reports a stopped motor at {time:.1f} s"))
             self._turned[k] = np.inf
         for k, since in list(self._turned.items()):
             if known[k] and not stands[k] and self.speed[k] > OTHERS_TURN * usual[k] > 0.0:
                 self._turned[k] = min(since, time)
                 if time - self._turned[k] >= AGAIN_S:
                     del self._turned[k]
-                    found.append(
+                    changes.append(
                         (k + 1, f"the ESC of {rotors([k + 1])} reports that the motor turns again at {time:.1f} s")
                     )
         if not self._bad.any() and known.any():
             self._speeds.append(np.where(known, speed, np.nan))
             self._commands.append(command)
-        return found
+        return changes
 
     def words(self) -> str:
-        """Speeds in turns a minute."""
+        """Speeds in revolutions per minute."""
         if self.speed is None:
             return ""
         return "ESC " + " ".join("–" if np.isnan(s) else f"{s / RPM:.0f}" for s in self.speed.tolist()) + " rpm"

@@ -1,7 +1,7 @@
 """The addresses that send under one vehicle's id, and which of them is followed: one that sends what judging needs.
 
-Two radios, a router's copy, another vehicle, or somebody who pretends to be it: heartbeats alone win nothing. The one that is followed
-stays so while its samples can be used; what the others send is left out.
+They may be two radios, a router's copy, another vehicle, or an impostor: heartbeats alone are not sufficient. The followed address stays
+while its samples are usable; frames of the others are left out.
 """
 
 from __future__ import annotations
@@ -15,40 +15,36 @@ from rotorwatch.live.senders import Senders
 from rotorwatch.logs import tlog
 
 NEEDS = {"outputs": (tlog.MOTORS, tlog.STATUS), "rates": (*tlog.ATTITUDES, "HIGHRES_IMU", *tlog.IMUS)}
-SIGNALS = {"motors": "outputs", "gyro": "rates"}  # samples, and what they are of it
+SIGNALS = {"motors": "outputs", "gyro": "rates"}  # signals, and their name in messages
 WORDS = {"outputs": "motor outputs", "rates": "angular rates"}
-SILENT_S = 3.0  # without a message, or without one that judging needs
-LEAST = 3  # of each that judging needs, before an address is one that sends it
-FADED_S = 8.0  # the same, before it is asked whether another address would send it: slow links lose several in a row
-TURN_S = 5.0  # each is asked for what judging needs, while none sends it
-DOUBT_S = 20.0  # that samples contradict each other, before another address is tried
-UNKNOWN_S = 15.0  # that none of the parameters that were asked for comes
-MOST = 8  # addresses of a vehicle that are known
+SILENT_S = 3.0  # without a message, or without a needed one
+LEAST = 3  # messages of each input before an address counts as sending it
+FADED_S = 8.0  # the same, before another address is tried: slow links lose several in a row
+TURN_S = 5.0  # for requests to each address, while none sends the inputs
+DOUBT_S = 20.0  # of contradictory samples, before another address is tried
+UNKNOWN_S = 15.0  # without any requested parameter
+MOST = 8  # addresses kept of a vehicle
 
 
 @cache
 def _needed() -> dict[int, str]:
-    """Message id -> what it is of what judging needs."""
+    """Message id -> the input of judging that it contains."""
     layouts = tlog.layouts()
     return {layouts[name].id: need for need, names in NEEDS.items() for name in names if name in layouts}
 
 
 class Route:
-    """One address. heard: when the last frame came [s]; sequence: the last running number; rates: those requested there."""
+    """An address. heard: arrival of the last frame [s]; sequence: the last running number; rates: those requested there."""
 
     def __init__(self, peer: Any, rates: Rates, now: float):
         self.peer, self.rates, self.heard = peer, rates, now
         self.senders = Senders()
         self.sequence: int | None = None
-        self.doubted = (
-            False  # its samples contradicted each other, or it took over with another clock: others are preferred
-        )
-        self._came = {
-            need: (-SILENT_S, 0) for need in NEEDS
-        }  # when the last one did, and how many without a long pause
+        self.doubted = False  # contradictory samples, or another clock at take-over: others are preferred
+        self._came = {need: (-SILENT_S, 0) for need in NEEDS}  # time of the last one, and number without a long pause
 
     def hear(self, identity: int, now: float) -> None:
-        """A frame of this message."""
+        """Register a frame of this message."""
         self.heard = now
         need = _needed().get(identity)
         if need is not None:
@@ -59,7 +55,7 @@ class Route:
         return now - self.heard > SILENT_S
 
     def carries(self, now: float) -> bool:
-        """Whether it sends what judging needs."""
+        """True if it sends what judging needs."""
         return all(count >= LEAST and now - last <= SILENT_S for last, count in self._came.values())
 
     def __str__(self) -> str:
@@ -67,8 +63,8 @@ class Route:
 
 
 class Routes:
-    """Of one vehicle. followed: the one that it is judged by; since: from when on [s]; usable: need -> when the last samples that could be
-    used came."""
+    """The addresses of one vehicle. followed: the one used for judging; since: its start [s]; usable: input -> time of its last usable
+    samples."""
 
     def __init__(self, first: Route, now: float):
         self._all, self.followed, self.since = {first.peer: first}, first, now
@@ -81,7 +77,7 @@ class Routes:
         return self._all.get(peer)
 
     def add(self, route: Route, now: float) -> bool:
-        """One more, in the place of one that does not send what judging needs; False where there is no room."""
+        """Add a route, in place of one that does not send what judging needs; False where there is no room."""
         if len(self._all) >= MOST:
             others = [r for r in self if r is not self.followed and not r.carries(now)]
             if not others:
@@ -91,36 +87,36 @@ class Routes:
         return True
 
     def used(self, now: float) -> bool:
-        """Whether samples of all that judging needs could be used of late."""
+        """True if recent samples of all inputs were usable."""
         return all(now - max(self.usable.get(need, -SILENT_S), self.since) <= SILENT_S for need in NEEDS)
 
     def doubt(self, now: float) -> None:
-        """The samples contradict each other."""
+        """Mark that the samples contradict each other."""
         self.followed.doubted |= now - self.since > DOUBT_S
 
     def better(self, now: float, fails: bool) -> Route | None:
-        """Another one that is to be followed. fails: this one does not send what judging needs."""
+        """Another route to follow. fails: the current one does not send what judging needs."""
         if not fails and not self.followed.doubted:
             return None
         others = [r for r in self._after() if r.carries(now) and (fails or not r.doubted)]
         return min(others, key=lambda r: r.doubted, default=None)
 
     def next(self, now: float) -> Route | None:
-        """The one whose turn it is to be asked, where none sends what judging needs."""
+        """The next route to send requests to, where none sends what judging needs."""
         last = min(self.usable.get(need, -FADED_S) for need in NEEDS)
         if now - self.since <= TURN_S or now - last <= FADED_S or self.followed.carries(now):
             return None
         return next((r for r in self._after() if not r.silent(now)), None)
 
     def _after(self) -> list[Route]:
-        """The others, from the one that is followed on."""
+        """The others, in order after the followed one."""
         routes = list(self)
         at = routes.index(self.followed)
         return [*routes[at + 1 :], *routes[:at]]
 
     def restarted(self, now: float) -> None:
-        """The vehicle's clock began anew. All paths of one vehicle have its clock: who took over with another one is a stranger, or the
-        vehicle after a reboot."""
+        """The vehicle's clock restarted. All paths to one vehicle have its clock: a route that took over with another one is an impostor,
+        or the vehicle after a reboot."""
         self.followed.doubted |= now - self.since <= DOUBT_S
 
     def follow(self, route: Route, now: float) -> None:

@@ -1,4 +1,4 @@
-"""All vehicles in a terminal, read at arm's length: what is wrong first, then each rotor, the link, and what is not seen."""
+"""All vehicles in a terminal, for reading at arm's length: faults first, then each rotor, the link, and missing data."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rotorwatch.live.watched import Watched
 
 BAR = " ▁▂▃▄▅▆▇█"
 SILENT_S = 3.0
-SHOWN = 3  # events of a vehicle: that control was lost, and the newest
+SHOWN = 3  # events of a vehicle: a loss of control, and the newest
 STYLES = {
     "LOST": "bold white on red",
     "FAULT": "bold white on red",
@@ -30,7 +30,7 @@ STYLES = {
 
 @dataclass(frozen=True)
 class Line:
-    """One vehicle in words. state: LOST (control), FAULT, MAYBE, OK, GROUND, BLIND, SILENT or ERROR. rotors: (number, loss, style) of
+    """A vehicle in words. state: LOST (control), FAULT, MAYBE, OK, GROUND, BLIND, SILENT or ERROR. rotors: (number, loss, style) of
     each."""
 
     name: str
@@ -43,15 +43,15 @@ class Line:
 
 
 def lasting(events: Iterable[Event]) -> list[Event]:
-    """Those that still say something is wrong: control that was lost, motors in the wrong order, and faults that are not over."""
+    """Events that still apply: losses of control, motors in the wrong order, and faults that are not over."""
     return [e for e in events if e.means.ongoing(e.end_s)]
 
 
 def line(watched: Watched, waits_for: str = "") -> Line:
-    """What there is to say of a vehicle right now."""
+    """The current line of a vehicle."""
     session, health = watched.session, watched.health
     silence = time.monotonic() - health.last_frame
-    known = None if session is None else session.losses()
+    losses = None if session is None else session.losses()
     wrong = lasting(watched.events)
     blind = watched.trouble or (
         f"waiting for {waits_for}"
@@ -76,8 +76,8 @@ def line(watched: Watched, waits_for: str = "") -> Line:
         state = "GROUND"
     named = {r for e in wrong for r in e.rotors}
     bars = ()
-    if known is not None:
-        bars = tuple((k + 1, float(loss), "bold red" if k + 1 in named else "") for k, loss in enumerate(known[0]))
+    if losses is not None:
+        bars = tuple((k + 1, float(loss), "bold red" if k + 1 in named else "") for k, loss in enumerate(losses[0]))
     now = 0.0 if session is None else session.now
     newest = sorted(watched.events, key=lambda e: (e.kind != LOST, -e.detected_s))[:SHOWN]
     alerts = tuple(words(e, now) for e in newest)
@@ -93,7 +93,7 @@ def announced(alert: dict) -> str:
 
 
 def words(event: Event, now: float | None = None) -> str:
-    """What happened, and when; how long ago, when `now` says what time it is."""
+    """The event and its time; its age, when `now` is given."""
     ago = f"{event.onset_s:.1f} s" + ("" if now is None else f" ({max(now - event.onset_s, 0.0):.0f} s ago)")
     over = "" if event.end_s is None or event.means.span is Span.MOMENT else f", over at {event.end_s:.1f} s"
     others = f"; or {' or '.join('+'.join(map(str, a)) for a in event.alternatives)}" if event.alternatives else ""
@@ -116,7 +116,7 @@ def _besides(shown: Line) -> list[str]:
 
 
 def table(sources: Sequence[Source]) -> Any:
-    """All vehicles of all sources, as Rich draws them."""
+    """All vehicles of all sources, as a Rich table."""
     from rich.console import Group
     from rich.padding import Padding
     from rich.text import Text
@@ -124,19 +124,19 @@ def table(sources: Sequence[Source]) -> Any:
     parts: list[Any] = []
     for source in sources:
         for watched, waits_for in source.shown():
-            shown = line(watched, waits_for)
-            head = Text(f" {shown.state:<6} ", STYLES.get(shown.state, "bold"))
-            head.append(f" {shown.name}  ", "bold default on default")
-            for number, loss, style in shown.rotors:
+            row = line(watched, waits_for)
+            head = Text(f" {row.state:<6} ", STYLES.get(row.state, "bold"))
+            head.append(f" {row.name}  ", "bold default on default")
+            for number, loss, style in row.rotors:
                 bar = BAR[min(round(loss * (len(BAR) - 1)), len(BAR) - 1)]
                 head.append(f" {number}", style or "default not bold on default")
                 head.append(f"{bar}", style or "default not bold on default")
                 head.append(f"{percent(loss):>5}" if loss >= 0.01 else "    –", style or "default not bold on default")
             parts.append(head)
-            parts += [Padding(Text(event), (0, 0, 0, 9)) for event in shown.events]
+            parts += [Padding(Text(event), (0, 0, 0, 9)) for event in row.events]
             parts.append(
                 Padding(
-                    Text("; ".join(_besides(shown)), "dim"),
+                    Text("; ".join(_besides(row)), "dim"),
                     (0, 0, 0, 9),
                 )
             )

@@ -1,4 +1,4 @@
-"""The loop over all endpoints: data in, alerts and a picture of all vehicles out."""
+"""The loop over all endpoints: data in, alerts and a live table of all vehicles out."""
 
 from __future__ import annotations
 
@@ -16,50 +16,50 @@ from rotorwatch.live.guard import Guard, trouble
 from rotorwatch.live.watched import Notify, Watched
 
 SHOW_S, WAIT_S, STEP_S = 0.25, 0.005, 0.05
-FIRST_S, LONGEST_S = 0.25, 10.0  # before a source that has failed is tried again: doubled each time
+FIRST_S, LONGEST_S = 0.25, 10.0  # before a failed source is retried: doubled each time
 
 
 class Source(Protocol):
-    """Something that vehicles are heard through."""
+    """A source of vehicles' data."""
 
     @property
     def vehicles(self) -> Sequence[Watched]:
-        """Those that have been heard so far."""
+        """The vehicles received so far."""
         ...
 
     def poll(self, wait_s: float) -> bool:
-        """Take what has come, waiting for it so long at most; False when there will be no more."""
+        """Read pending data, waiting up to wait_s, and update the vehicles; False when there will be no more."""
         ...
 
     def shown(self) -> Sequence[tuple[Watched, str]]:
-        """Each vehicle with what is not known of it yet."""
+        """Each vehicle with its missing data."""
         ...
 
     def leave(self) -> None:
-        """Watched no longer."""
+        """Stop watching."""
         ...
 
 
 class Outlet(Protocol):
-    """Something that alerts go to besides standard output."""
+    """A destination of alerts besides standard output."""
 
     def take(self, alert: dict) -> None:
-        """One alert; must not wait."""
+        """Accept an alert; must not block."""
         ...
 
     def step(self, sources: Sequence[Source]) -> None:
-        """Called by the loop again and again; must not wait."""
+        """Called periodically by the loop; must not block."""
         ...
 
     def leave(self) -> None:
-        """Nothing will come after."""
+        """Called at the end."""
         ...
 
 
 class Guarded:
-    """A source that cannot take the others down. A RotorwatchError ends it; any other error is reported, and it is tried again.
+    """A source whose errors cannot affect the others. A RotorwatchError ends it; any other error is reported, and it is retried.
 
-    trouble: why it is not watched, in a sentence, empty while it is. ended: for good. why: the first error there was."""
+    trouble: why it is not watched, in a sentence, empty while it is. ended: for good. why: the first error."""
 
     def __init__(self, name: str, source: Source, notify: Notify):
         self.name, self.source, self._notify = name, source, notify
@@ -75,7 +75,7 @@ class Guarded:
         return self.source.shown()
 
     def poll(self, wait_s: float) -> bool:
-        """As the source does."""
+        """The source's `poll`, with errors handled."""
         now = time.monotonic()
         if now < self._again:
             time.sleep(wait_s)
@@ -114,14 +114,13 @@ def watch(
 ) -> None:  # fmt: skip
     """Watch until all sources have ended, for so many seconds, until `ends`, or until the program is asked to end.
 
-    show: called with the sources a few times a second. outlets: get the loop's turns; alerts come to them by the sources' `notify`. guard:
-    does all that is no judging.
-    """
+    show: called with the sources a few times a second. outlets: called by the loop; alerts come to them by the sources' `notify`. guard:
+    runs everything but the judging."""
     guard = Guard(lambda text: None) if guard is None else guard
     watched = [source.source for source in sources]
     gc.collect()
-    gc.freeze()  # what is loaded stays: looking through it for garbage again and again would stop the judging for tenths of a second
-    alive, shown, stepped, began = list(sources), 0.0, 0.0, time.monotonic()
+    gc.freeze()  # loaded modules stay: collecting them repeatedly would stop the judging for tenths of a second
+    alive, last_shown, stepped, began = list(sources), 0.0, 0.0, time.monotonic()
     with _end_requested() as requested:
         try:
             while alive and not requested and not ends() and time.monotonic() - began < seconds:
@@ -131,9 +130,9 @@ def watch(
                     stepped = now
                     for outlet in outlets:
                         guard.run(_name(outlet), outlet.step, watched)
-                if show is not None and now - shown > SHOW_S:
+                if show is not None and now - last_shown > SHOW_S:
                     guard.run("the picture", show, watched)
-                    shown = now
+                    last_shown = now
         except KeyboardInterrupt:
             pass
         finally:
@@ -152,8 +151,8 @@ def _name(outlet: Outlet) -> str:
 
 @contextmanager
 def _end_requested() -> Iterator[list[int]]:
-    """A list that is no longer empty once the program is asked to end: by Ctrl-C, by SIGTERM, or as its terminal is closed. Nothing is
-    interrupted by that, so that the last alert of each vehicle can be sent; a second signal ends it at once."""
+    """A list that becomes non-empty once the program is asked to end: by Ctrl-C, by SIGTERM, or as its terminal is closed. Nothing is
+    interrupted, so that the last alert of each vehicle can be sent; a second signal ends it at once."""
     requested: list[int] = []
 
     def on_signal(number: int, frame: object) -> None:
@@ -165,7 +164,7 @@ def _end_requested() -> Iterator[list[int]]:
     if threading.current_thread() is threading.main_thread():
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):
             number = getattr(signal, name, None)
-            # One that is ignored stays so: of a command in the background, or under nohup.
+            # Ignored signals stay ignored: of a command in the background, or under nohup.
             if number is not None and signal.getsignal(number) not in (signal.SIG_IGN, None):
                 before[number] = signal.signal(number, on_signal)
     try:

@@ -1,4 +1,4 @@
-"""One vehicle that is watched: its session, its alerts so far, and how its link is."""
+"""A watched vehicle: its session, its alerts so far, and the state of its link."""
 
 from __future__ import annotations
 
@@ -19,18 +19,14 @@ from rotorwatch.live.rotors import Rotors
 from rotorwatch.live.session import Session
 
 Notify = Callable[[dict], None]
-LOSING_S, MANY_LOST, FEW_LOST = (
-    10.0,
-    0.2,
-    0.1,
-)  # over which losses are counted; shares from which it is said, and no longer
-LOOK_S = 0.5  # of the vehicle's time, between two looks at events that are known
+LOSING_S, MANY_LOST, FEW_LOST = 10.0, 0.2, 0.1  # window for losses; shares from which it is reported, and no longer
+LOOK_S = 0.5  # of the vehicle's time, between two checks of known events
 
 
 @dataclass
 class Health:
-    """How a link does: messages taken, lost (by their running numbers), seen twice or out of order, damaged; reboots and clock jumps of the
-    vehicle; frames with its id from elsewhere, left out; last_frame: when the last one came (monotonic, s)."""
+    """State of a link: messages received, lost (by their running numbers), repeated or out of order, damaged; reboots and clock jumps of
+    the vehicle; frames with its id from elsewhere, left out; last_frame: arrival of the last one (monotonic, s)."""
 
     taken: int = 0
     lost: int = 0
@@ -47,7 +43,7 @@ class Health:
         return self.lost / max(self.lost + self.taken, 1)
 
     def words(self) -> str:
-        """What the link did to the messages; empty where it did nothing."""
+        """Defects of the link in words; empty without any."""
         counts = (
             (self.twice, "twice or late"),
             (self.damaged, "damaged"),
@@ -60,7 +56,7 @@ class Health:
 
 
 class Losing:
-    """Says when a link begins to lose many messages, and when it no longer does."""
+    """Reports when a link begins to lose many messages, and when it no longer does."""
 
     def __init__(self):
         self._since, self._taken, self._lost, self._bad = -np.inf, 0, 0, False
@@ -86,8 +82,8 @@ class Watched:
 
     def __init__(self, name: str, notify: Notify, vehicle: Vehicle | None = None):
         self.name, self.health, self.trouble, self.notice = name, Health(), "", ""
-        self.gone = ""  # what judging needs and does not come any more, in a few words
-        self.broken = False  # by an error of rotorwatch's own, not for what the vehicle is
+        self.gone = ""  # inputs of judging that no longer come, in a few words
+        self.broken = False  # by an internal error, not for the vehicle's kind
         self._notify, self._vehicle = notify, vehicle
         self.session: Session | None = None
         self.rotors = Rotors()
@@ -95,14 +91,14 @@ class Watched:
         self._looked, self._revision, self._said, self._doubt = -np.inf, 0, ("", ""), ""
 
     def begin(self, about: Flight) -> None:
-        """A flight begins: what is known of it besides its signals."""
+        """Begin a flight. about: its known facts, without signals."""
         self.session, self.changes = Session(about, self._vehicle), Changes()
         self.trouble, self.broken = "", False
         self.rotors = Rotors()
         self._looked, self._revision, self._doubt = -np.inf, 0, ""
 
     def add(self, signals: Mapping[str, Signal], messages: Iterable[Message] = ()) -> None:
-        """More of the flight, in time order."""
+        """Add samples and messages, in time order."""
         if self.session is None or self.trouble:
             return
         try:
@@ -119,17 +115,17 @@ class Watched:
             self.fail(why)
 
     def fail(self, why: Exception) -> None:
-        """It cannot be judged any more, as it is."""
+        """The vehicle can no longer be judged."""
         self.trouble, self.broken = trouble(why), not isinstance(why, RotorwatchError)
         self.say(self.trouble, "error")
 
     def advance(self, complete: float | None = None) -> bool:
-        """Judge what has come; whether there was a tick."""
+        """Judge new samples; return whether there was a tick."""
         if self.session is None or self.trouble:
             return False
         try:
             stepped = self._advanced(complete)
-        except Exception as why:  # of one vehicle; the others are watched on
+        except Exception as why:  # the other vehicles are not affected
             self.fail(why)
             return False
         return stepped
@@ -154,7 +150,7 @@ class Watched:
         return stepped
 
     def finish(self, duration: float | None = None) -> None:
-        """The flight has ended: the last word on each event."""
+        """The flight has ended: send the final state of each event."""
         if self.session is None or self.trouble:
             return
         try:
@@ -164,13 +160,13 @@ class Watched:
             self.fail(why)
 
     def withdraw(self) -> None:
-        """Withdraw all alerts of this flight: it was judged as another vehicle's."""
+        """Withdraw all alerts of this flight: it was judged with the wrong vehicle."""
         for change in self.changes.since_last(()):
             self._alert(change)
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """All events that were announced and hold."""
+        """All valid announced events."""
         return tuple(self.changes.now.values())
 
     def _look(self, final: bool = False) -> None:
@@ -192,6 +188,6 @@ class Watched:
             self.notice = "an event was withdrawn: it began with the landing, or the data favour another explanation"
 
     def say(self, text: str, kind: str = "notice", **more: int | list[str]) -> None:
-        """A sentence on the link or the vehicle. more: further fields of the alert."""
+        """Send a notice on the link or the vehicle. more: further fields of the alert."""
         self.notice = text
         self._notify({"type": kind, "vehicle": self.name, "text": text, **more})

@@ -1,7 +1,7 @@
-"""Alerts posted to a web address, as they come, by a thread of its own: what is slow or unreachable there never holds up the judging.
+"""Alerts posted to a web address by a thread of its own: a slow or unreachable server never delays the judging.
 
-The standard library's client: an alert is one POST a few times a minute, and what matters here - a queue with an end, growing pauses - a
-library would not bring.
+Uses the standard library's client: an alert is one POST a few times a minute, and a library would not provide the bounded queue and the
+growing pauses.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from rotorwatch.base.files import public
 from rotorwatch.errors import ConfigError
 from rotorwatch.live.guard import as_json
 
-MOST = 1000  # alerts that wait; beyond, the oldest go
+MOST = 1000  # waiting alerts; beyond, the oldest are dropped
 TIMEOUT_S = 10.0
-FIRST_S, LONGEST_S = 1.0, 60.0  # pauses between attempts: doubled each time
-AGAIN = (408, 425, 429)  # answers of the kind "you are wrong" that mean "later"
-LAST_S = 5.0  # at the end for what has not been sent
+FIRST_S, LONGEST_S = 1.0, 60.0  # pauses between attempts, doubled each time
+AGAIN = (408, 425, 429)  # client errors that mean "later"
+LAST_S = 5.0  # at the end, for unsent alerts
 
 
 def checked(url: str) -> str:
-    """Whom an address is of, with nothing that only its owner may know. Raises ConfigError for what is no address."""
+    """The host of an address, without private parts, for display. Raises ConfigError for an invalid address."""
     try:
         where = urllib.parse.urlsplit(url)
         host = (where.hostname or "").encode("idna").decode()
@@ -39,7 +39,7 @@ def checked(url: str) -> str:
 
 
 class _Here(urllib.request.HTTPRedirectHandler):
-    """A redirection would make a GET of a POST: it is an answer like any other."""
+    """No redirection, which would turn a POST into a GET: it is an answer like any other."""
 
     def redirect_request(self, req, fp, code, msg, headers, newurl):
         return None
@@ -48,10 +48,10 @@ class _Here(urllib.request.HTTPRedirectHandler):
 class Webhook:
     """POST of each alert as JSON to `url`. notify: called by `step` with a sentence when it begins to fail, and when it works again.
 
-    sent, refused, dropped: alerts that were taken by the other side, that it refused for good, and that gave way to newer ones."""
+    sent, refused, dropped: alerts accepted by the other side, refused for good, and dropped for newer ones."""
 
     def __init__(self, url: str, notify: Callable[[str], None] = lambda text: None, pause_s: float = FIRST_S):
-        """Raises ConfigError for what is no address."""
+        """Raises ConfigError for an invalid address."""
         self.name = checked(url)
         self._url, self._notify, self._pause_s = url, notify, pause_s
         self.sent = self.refused = self.dropped = 0
@@ -67,7 +67,7 @@ class Webhook:
         self._thread.start()
 
     def take(self, alert: dict) -> None:
-        """One alert more; returns at once."""
+        """Queue an alert without blocking."""
         with self._change:
             if len(self._queue) >= MOST:
                 self._queue.popleft()
@@ -76,7 +76,7 @@ class Webhook:
             self._change.notify()
 
     def step(self, sources=()) -> None:
-        """Report what has happened; called by the loop, so that one thread reports it all."""
+        """Report changes; called by the loop, so that one thread does all reporting."""
         if self._ends is None and not self._thread.is_alive():
             self._start()
             self._notices.append(
@@ -86,7 +86,7 @@ class Webhook:
             self._notify(self._notices.popleft())
 
     def leave(self) -> None:
-        """Send what waits, for LAST_S at most."""
+        """Send waiting alerts, for up to LAST_S."""
         with self._change:
             self._ends = time.monotonic() + LAST_S
             self._change.notify()
@@ -114,7 +114,7 @@ class Webhook:
                     if failing:
                         self._notices.append(f"{self.name} accepts alerts again")
                     failing, pause = False, self._pause_s
-                    if self.dropped == dropped:  # else this one has gone already
+                    if self.dropped == dropped:  # else this one was dropped already
                         self._queue.popleft()
                     continue
                 if not failing:
@@ -130,7 +130,7 @@ class Webhook:
         return LONGEST_S if self._ends is None else max(self._ends - time.monotonic(), 0.0)
 
     def _post(self, body: bytes) -> str:
-        """Why it could not be sent, to be tried again; empty when it was, or was refused for good."""
+        """The reason why it could not be sent, for a retry; empty when it was, or was refused for good."""
         headers = {"Content-Type": "application/json", "User-Agent": "rotorwatch"}
         try:
             request = urllib.request.Request(self._url, body, headers, method="POST")
@@ -149,6 +149,6 @@ class Webhook:
                     )
                 return ""
             return f"{code} {reason}"
-        except Exception as why:  # whatever a network does
+        except Exception as why:  # any network error
             reason = getattr(why, "reason", None) or why
             return " ".join(str(getattr(reason, "strerror", None) or reason).split())[:120] or type(why).__name__

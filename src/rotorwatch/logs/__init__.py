@@ -1,18 +1,18 @@
-"""Reading flight logs. Each module in this folder that has FORMAT is one format; nothing else lists them.
+"""Flight log readers. Each module in this folder that has FORMAT is one format; nothing else lists them.
 
-    FORMAT: str                                  what to call it
-    sniff(head: bytes, name: str) -> bool        is it mine? name is "" when only the content may decide
+    FORMAT: str                                  name of the format
+    sniff(head: bytes, name: str) -> bool        whether a file is of this format; name is "" when only the content may decide
     read(data, name, progress=None) -> Flight    data: bytes or a memory map; may raise LogError
 
-ENDINGS, where given, are the ends of names that only its files have, as ".tlog"; COMMON_ENDINGS those that other files have as well.
+ENDINGS, where given, are the file name endings of this format alone, as ".tlog"; COMMON_ENDINGS those that other files have as well.
 Nothing else lists names of logs.
 
 A format that is a folder of tables has sniff_folder(path) and read_folder(path, progress=None) besides or instead. One whose files hold
-several flights has parts(data) -> their numbers, the longest first, and its read takes part=NUMBER.
-progress, where given, is called with the finished share, 0..1.
+several flights has parts(data) -> their numbers, the longest first, and its read takes part=NUMBER. progress, where given, is called with
+the finished share, 0..1.
 
-Another package may hand in a module or an object with the same parts, as an entry point `rotorwatch.logs` (docs/plug-ins.md).
-It is tried when no format of ours recognises the file.
+Another package may offer a module or an object with the same parts, as an entry point `rotorwatch.logs` (docs/plug-ins.md). It is tried
+when no built-in format recognises the file.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ def formats() -> tuple:
 
 
 def offered() -> dict[str, tuple[Any, Any]]:
-    """FORMAT -> (entry point, format) of what other installed packages offer; one that is broken, or whose FORMAT is taken, is left out
-    with a PluginWarning."""
+    """FORMAT -> (entry point, format) that other installed packages offer; broken ones, and those whose FORMAT is taken, are left out with
+    a PluginWarning."""
 
     def refuse(found) -> str:
         whole = any(all(hasattr(found, part) for part in pair) for pair in (FILE_PARTS, FOLDER_PARTS))
@@ -63,8 +63,8 @@ def offered() -> dict[str, tuple[Any, Any]]:
 
 @cache
 def named(common: bool = True, archives: bool = False) -> re.Pattern:
-    """What names of logs end with, packed or not, in letters of any size; group 1 is that ending. common: also with what other files' names
-    end with. archives: also packed in ways that are not opened here."""
+    """Pattern of the endings of log names, compressed or not, case-insensitive; group 1 is the ending. common: include endings that other
+    files share; archives: include compressions that are not opened here."""
     from rotorwatch.logs.container import PACKED, REFUSED
 
     known: list[Any] = [*formats(), *(found for _, found in offered().values())]
@@ -80,14 +80,13 @@ def read(path, progress=None) -> Flight:
 
     path: a file, or a folder: a ROS 2 bag or ulog2csv tables; of a file with several flights FILE#2 is the second. progress: called with
     the finished share, 0..1.
-    Raises LogError with one sentence when there is no flight to be read; damage that leaves something is in `warnings`.
-    """
+    Raises LogError with one sentence when there is no flight to be read; damage that leaves something is in `warnings`."""
     from rotorwatch.logs.container import open_log
 
     path, tell = Path(path), progress and portion(progress, 0.0, READ)
     if path.is_dir():
-        own = next((m for m in formats() if hasattr(m, "sniff_folder") and m.sniff_folder(path)), None)
-        module: Any = own or _theirs("sniff_folder", path)
+        folder_format = next((m for m in formats() if hasattr(m, "sniff_folder") and m.sniff_folder(path)), None)
+        module: Any = folder_format or _theirs("sniff_folder", path)
         if module is None:
             raise LogError(f"{path}: a folder without ulog2csv tables or a ROS 2 bag; give the log file itself")
         return _checked(lambda: module.read_folder(path, tell), module, path, (), progress)
@@ -108,8 +107,8 @@ def read(path, progress=None) -> Flight:
 
 
 def from_bytes(data: bytes, name: str) -> Flight:
-    """The flight of a log file that is in memory, one flight, not compressed: what `read` gives of a file of that name that holds these
-    bytes. Raises LogError as it does."""
+    """The flight of an uncompressed log file in memory with one flight, as `read` returns it for a file of that name. Raises LogError as it
+    does."""
     module = recognise(data[:HEAD], name)
     if module is None:
         raise LogError(f"{name}: not a flight log of a known kind")
@@ -117,7 +116,7 @@ def from_bytes(data: bytes, name: str) -> Flight:
 
 
 def of_part(path) -> tuple[Path, int | None]:
-    """(file, number of a flight in it) of LOG.BFL#2; (path, None) of any other path, also of a file that is really called so."""
+    """(file, number of a flight in it) of LOG.BFL#2; (path, None) of any other path, also of an existing file with such a name."""
     path = Path(path)
     name, mark, number = path.name.rpartition("#")
     if not mark or not name or not number.isascii() or not number.isdigit() or len(number) > 6 or path.exists():
@@ -126,8 +125,8 @@ def of_part(path) -> tuple[Path, int | None]:
 
 
 def fingerprint(path) -> tuple[int, str]:
-    """(size in bytes, SHA-256 in hexadecimal) of a log: of a file its bytes; of a folder name, size and bytes of each file in order; of a
-    flight in a file its number, too. Raises OSError, and LogError for a pipe, a socket or a device."""
+    """(size in bytes, SHA-256 in hexadecimal) of a log: of a file, its bytes; of a folder, name, size and bytes of each file in order; of a
+    flight in a file, its number, too. Raises OSError, and LogError for a pipe, a socket or a device."""
     import hashlib
 
     from rotorwatch.logs.container import ordinary
@@ -155,31 +154,31 @@ def sessions(path) -> list[str]:
     path = Path(path)
     if not path.is_file():
         return [str(path)]
-    found = recognise(*head(path, HEAD))
-    if not hasattr(found, "parts"):
+    format_ = recognise(*head(path, HEAD))
+    if not hasattr(format_, "parts"):
         return [str(path)]
     try:
-        numbers = found.parts(open_log(path)[0])
+        numbers = format_.parts(open_log(path)[0])
     except RotorwatchError:
         return [str(path)]
     return [f"{path}#{number}" for number in numbers] if len(numbers) > 1 else [str(path)]
 
 
 def recognise(head: bytes, name: str) -> Any:
-    """The format for a file that starts with `head`: by content, failing that by `name`; None when unknown. Ours are tried first."""
+    """The format for a file that starts with `head`: by content, failing that by `name`; None when unknown. Built-in formats come first."""
     for start, module in USUAL.items():
         if head.startswith(start) and (usual := import_module(f"{__name__}.{module}")).sniff(head, ""):
             return usual
     files: list[Any] = [m for m in formats() if hasattr(m, "sniff")]
     for label in ("", name):
-        found = next((m for m in files if m.sniff(head, label)), None) or _theirs("sniff", head, label)
-        if found is not None:
-            return found
+        format_ = next((m for m in files if m.sniff(head, label)), None) or _theirs("sniff", head, label)
+        if format_ is not None:
+            return format_
     return None
 
 
 def _theirs(part: str, *arguments) -> Any:
-    """The format of another package whose `sniff` or `sniff_folder` says yes, or None; one that raises is passed over, with a warning."""
+    """The format of another package whose `sniff` or `sniff_folder` is true, or None; one that raises is skipped, with a warning."""
     for entry, found in offered().values():
         try:
             if hasattr(found, part) and getattr(found, part)(*arguments):
@@ -190,7 +189,7 @@ def _theirs(part: str, *arguments) -> Any:
 
 
 def _checked(job, module, path, warnings, progress=None) -> Flight:
-    """Run a reader; anything it trips over becomes a LogError, and so does a log without data."""
+    """Run a reader; any exception becomes a LogError, and so does a log without data."""
     try:
         flight = job()
     except RotorwatchError as error:

@@ -1,4 +1,4 @@
-"""How a ROS 2 bag is stored: MCAP files and SQLite databases (.db3), as topics with their messages' bytes.
+"""Storage of ROS 2 bags: MCAP files and SQLite databases (.db3), read as topics with their messages' bytes.
 
 MCAP: https://mcap.dev/spec. SQLite: tables topics, messages and, since ROS 2 Iron, message_definitions.
 """
@@ -26,11 +26,11 @@ IN_MEMORY = hasattr(sqlite3.Connection, "deserialize")  # from Python 3.11 on
 ZSTD = b"\x28\xb5\x2f\xfd"
 NEEDED_BY = "Reading this bag"
 PROGRESS_EVERY = 2000  # messages between two reports of progress
-KEPT = 128  # bytes that a message takes besides its own
+KEPT = 128  # bytes of overhead per message
 LARGEST = 1 << 24  # bytes of a message that is wanted
 CHANNEL, MESSAGE, SCHEMA = 4, 5, 3  # records of MCAP
 MESSAGE_HEAD = struct.Struct("<HIQQ")
-# Of SQLite: bytes of a value; steps of its machine between two looks at signals, and in all, for each byte of the file and besides: a row
+# Of SQLite: bytes of a value; virtual machine steps between checks for signals, and in all, per byte of the file and besides: a row
 # takes ten or so.
 VALUE, STEPS, STEPS_A_BYTE, STEPS_BESIDES = 1 << 26, 10_000, 10, 10_000_000
 PLAIN = ("topics", "messages", "message_definitions")
@@ -38,7 +38,7 @@ PLAIN = ("topics", "messages", "message_definitions")
 
 @dataclass
 class Topic:
-    """One topic. kind: `package/msg/Type`; definition: its text, empty where the bag has none. stamps: ns, of receipt."""
+    """A topic. kind: `package/msg/Type`; definition: its text, empty where the bag has none. stamps: ns, of receipt."""
 
     name: str
     kind: str
@@ -49,9 +49,8 @@ class Topic:
 
 @dataclass
 class Bag:
-    """The wanted topics, by name; others: name -> type of those that were not, or are not ROS 2's; notes: what was damaged.
-
-    most: bytes that its messages may take, unpacked, and that may be unpacked at once."""
+    """The wanted topics, by name; others: name -> type of the rest, or of topics that are not ROS 2's; notes: sentences on damage. most:
+    limit in bytes of its messages, unpacked, and of a single unpacking."""
 
     wanted: Callable[[str, str], bool]
     most: int
@@ -61,16 +60,16 @@ class Bag:
     held: int = 0
 
     def topic(self, name: str, kind: str, definition: str) -> Topic | None:
-        """The topic to put messages into; None for one that is not wanted."""
+        """The topic for messages of that name; None for an unwanted one."""
         if not self.wanted(name, kind):
             self.others[name] = kind
             return None
-        found = self.topics.setdefault(name, Topic(name, kind))
-        found.definition = found.definition or definition
-        return found
+        entry = self.topics.setdefault(name, Topic(name, kind))
+        entry.definition = entry.definition or definition
+        return entry
 
     def add(self, topic: Topic, stamp: int, data: bytes) -> None:
-        """Raises LogError where all messages together are more than a bag of this size can hold."""
+        """Add a message. Raises LogError where all messages together are more than a bag of this size can hold."""
         if data[:4] == ZSTD:  # rosbag2's compression of each message
             data = _message(data)
         self.held += len(data) + KEPT
@@ -85,20 +84,20 @@ def _message(data: bytes) -> bytes:
         return _zstd(data, LARGEST)
     except ConfigError:
         raise
-    except Exception:  # whatever a decompressor makes of damage
+    except Exception:  # any error of a decompressor on damage
         return b""
 
 
 def _zstd(data: bytes, most: int) -> bytes:
-    """Raises ValueError where it says that it is longer, and what the decompressor raises."""
+    """Decompress. Raises ValueError where the declared size is larger than `most`, and the decompressor's errors."""
     zstandard = optional.library("zstandard", NEEDED_BY)
-    if zstandard.frame_content_size(data) > most:  # it would be believed, and room made for it
+    if zstandard.frame_content_size(data) > most:  # the decompressor would allocate the declared size
         raise ValueError("more than it can be")
     return zstandard.ZstdDecompressor().decompress(data, max_output_size=most)
 
 
 def _unpacked(chunk, most: int) -> bytes:
-    """The records in a chunk. Raises LogError where they are more than `most` bytes, and whatever else on damage."""
+    """The records in a chunk. Raises LogError where they are more than `most` bytes, and any other error on damage."""
     size = chunk.uncompressed_size
     if size > most:
         raise container.too_much(most)
@@ -128,8 +127,7 @@ def _records(data: bytes) -> Iterator[tuple[int, int, int]]:
 def read_mcap(data, bag: Bag, progress=None) -> None:
     """Put the messages of an MCAP file, bytes or a memory map, into the bag.
 
-    Its index is not used: it is the end of the file, which a recording that was interrupted does not have.
-    """
+    Its index is not used: it is at the end of the file, which an interrupted recording lacks."""
     records = optional.library("mcap.records", NEEDED_BY)
     reader = optional.library("mcap.stream_reader", NEEDED_BY)
     source = optional.library("mcap.data_stream", NEEDED_BY)
@@ -137,7 +135,7 @@ def read_mcap(data, bag: Bag, progress=None) -> None:
     stream.seek(0)
     schemas: dict[int, tuple[str, str, str]] = {}
     channels: dict[int, Topic | None] = {}
-    found, lost, unfolded = 0, 0, 0
+    valid_records, lost, unfolded = 0, 0, 0
 
     def put(channel: int, stamp: int, data: bytes) -> None:
         topic = channels.get(channel)
@@ -171,7 +169,7 @@ def read_mcap(data, bag: Bag, progress=None) -> None:
         for record in reader.StreamReader(stream, emit_chunks=True, record_size_limit=len(data)).records:
             if isinstance(record, records.DataEnd):
                 break
-            found += 1
+            valid_records += 1
             if not isinstance(record, records.Chunk):
                 take(record)
                 continue
@@ -179,14 +177,14 @@ def read_mcap(data, bag: Bag, progress=None) -> None:
                 unfolded += record.uncompressed_size
                 if unfolded > incoming.MOST:
                     raise container.too_much(incoming.MOST)
-                inside = b""  # the last one goes before this one comes
+                inside = b""  # free the last chunk first
                 inside = _unpacked(record, bag.most)
-                for _ in _records(inside):  # a chunk that is damaged is left out as a whole
+                for _ in _records(inside):  # a damaged chunk is left out as a whole
                     pass
                 take_inside(inside)
             except (ConfigError, LogError):
                 raise
-            except Exception:  # whatever a decompressor or a parser makes of damage
+            except Exception:  # any error of a decompressor or a parser on damage
                 lost += 1
                 continue
             if progress:
@@ -194,7 +192,7 @@ def read_mcap(data, bag: Bag, progress=None) -> None:
     except (ConfigError, LogError):
         raise
     except Exception:
-        if not found:
+        if not valid_records:
             raise LogError("this MCAP file is too damaged to be read") from None
         bag.notes.append("the MCAP file is cut off or damaged; what comes before that place was read")
     if lost:
@@ -204,7 +202,7 @@ def read_mcap(data, bag: Bag, progress=None) -> None:
 
 
 class _Database:
-    """A database of strangers, of so many bytes: plain tables are read, nothing else that is in it is run, and signals are let in."""
+    """An untrusted database of so many bytes: only plain tables are read, nothing in it is executed, and signals are let through."""
 
     def __init__(self, base: sqlite3.Connection, size: int):
         self._base, self._left = base, STEPS_BESIDES + STEPS_A_BYTE * size
@@ -221,7 +219,7 @@ class _Database:
 
     @staticmethod
     def _allows(action: int, one: str | None, other: str | None, base: str | None, view: str | None) -> int:
-        """What a statement may do, asked while it is prepared: read the three tables, and not by way of a view."""
+        """SQLite authorizer for a statement being prepared: reading the three tables, and not by way of a view."""
         read = action == sqlite3.SQLITE_READ and one in (*PLAIN, "sqlite_master")
         known = action == sqlite3.SQLITE_PRAGMA and one == "table_xinfo"
         counted = action == sqlite3.SQLITE_FUNCTION and other == "max"
@@ -229,7 +227,8 @@ class _Database:
         return sqlite3.SQLITE_OK if fine else sqlite3.SQLITE_DENY
 
     def _stops(self) -> Iterator[bool]:
-        """Whether to stop, each time it is asked. SQLite swallows what is raised here; signals raise where this waits, inside the try."""
+        """True to stop, for SQLite's progress handler. SQLite swallows exceptions raised here; signals raise where this waits, inside
+        the try."""
         while True:
             try:
                 yield self._why is not None
@@ -242,7 +241,7 @@ class _Database:
                 self._why = why
 
     def rows(self, query: str) -> Iterator:
-        """Raises sqlite3.Error, LogError where it takes too long, and what signals raise."""
+        """Rows of a query. Raises sqlite3.Error, LogError where it takes too long, and exceptions of signals."""
         try:
             yield from self._base.execute(query)
         except sqlite3.Error as error:
@@ -253,7 +252,7 @@ class _Database:
             raise
 
     def there(self, table: str) -> bool:
-        """Whether this is a table whose columns are all stored, not computed."""
+        """True if this is a table whose columns are all stored, not computed."""
         try:
             columns = list(self.rows(f"PRAGMA table_xinfo({table})"))
             kind = list(self.rows(f"SELECT type FROM sqlite_master WHERE name = '{table}' AND rootpage > 0"))

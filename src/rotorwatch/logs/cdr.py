@@ -1,9 +1,9 @@
-"""Messages as ROS 2 writes them: definitions as text, values in Common Data Representation (CDR).
+"""ROS 2 message encoding: definitions as text, values in Common Data Representation (CDR).
 
-Definitions: https://docs.ros.org/en/rolling/Concepts/Basic/About-Interfaces.html. CDR: OMG, "DDS-XTypes" 1.3, 7.4: four bytes that
-name the encoding, then the fields in order, each aligned to its own size (to 4 bytes at most in the second version).
+Definitions: https://docs.ros.org/en/rolling/Concepts/Basic/About-Interfaces.html. CDR: OMG, "DDS-XTypes" 1.3, 7.4: four bytes that name the
+encoding, then the fields in order, each aligned to its own size (to 4 bytes at most in the second version).
 
-One message's layout serves all that have the same lengths of strings and sequences: whole columns are taken at once.
+The layout of one message applies to all with the same lengths of strings and sequences, so that whole columns are decoded at once.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ _RULE = re.compile(r"^=+\s*$", re.MULTILINE)
 
 
 class Unreadable(ValueError):
-    """A definition or a message that cannot be followed."""
+    """An invalid definition or message."""
 
 
 @dataclass(frozen=True)
 class Field:
-    """One field: `count` None for a single value, 0 for a sequence, else the length of an array."""
+    """A field: `count` None for a single value, 0 for a sequence, else the length of an array."""
 
     name: str
     kind: str
@@ -43,8 +43,7 @@ class Field:
 def parse(text: str, kind: str) -> dict[str, list[Field]]:
     """Type -> its fields, of a message's definition and of those that follow it, each after a line of = and `MSG: type`.
 
-    kind: the message's type, `px4_msgs/msg/VehicleStatus`. Types have the form `package/Type` here. Raises Unreadable.
-    """
+    kind: the message's type, `px4_msgs/msg/VehicleStatus`. Types have the form `package/Type` here. Raises Unreadable."""
     kind, out = short(kind), {}
     for number, part in enumerate(_RULE.split(text.replace("\r", ""))):
         name, lines = kind, part.strip().split("\n")
@@ -82,7 +81,7 @@ def _fields(lines: Sequence[str], package: str) -> list[Field]:
 
 
 def _check(types: Mapping[str, list[Field]], kind: str) -> None:
-    """Refuse types that are not there, nest endlessly or have an absurd number of fields: only damage makes such."""
+    """Refuse types that are missing, recursive or have an absurd number of fields: only damage causes that."""
     sizes: dict[str, int] = {}
 
     def size(name: str, depth: int) -> int:
@@ -100,14 +99,14 @@ def _check(types: Mapping[str, list[Field]], kind: str) -> None:
 
 
 def _long(field: Field) -> bool:
-    """Whether this array of numbers is passed over."""
+    """True if this array of numbers is skipped."""
     return field.kind in PRIMITIVES and (field.count or 0) > ELEMENTS
 
 
 @dataclass
 class _Layout:
-    """Where a message's values lie, in bytes from its first: numbers (NumPy type, offset), strings (offset, length), and the
-    bytes that have to be the same in another message for this layout to hold there."""
+    """Offsets of a message's values, in bytes from its first: numbers (NumPy type, offset), strings (offset, length), and the bytes that
+    have to be the same in another message for this layout to apply."""
 
     order: str
     align: int
@@ -184,11 +183,10 @@ def _advance(data, where: _Layout, size: int) -> None:
 
 
 def decode(payloads: Sequence[bytes], types: Mapping[str, list[Field]], kind: str, wanted=None):
-    """({field path: (m,) array}, rows (m,)): the messages that could be read, and which of `payloads` those are, in order.
+    """({field path: (m,) array}, rows (m,)): the readable messages, and their indices in `payloads`, in order.
 
-    Paths are flattened as PX4 flattens them: `control[3]`, `esc[0].esc_rpm`, `header.stamp.sec`. Strings become arrays of str. Where
-    messages differ in what they hold, numbers that are not there are NaN. wanted: names of the fields to keep; None: all.
-    """
+    Paths are flattened as PX4 flattens them: `control[3]`, `esc[0].esc_rpm`, `header.stamp.sec`. Strings become arrays of str. Numbers that
+    only some messages have are NaN in the others. wanted: names of the fields to keep; None: all."""
     kind, pieces, layouts = short(kind), [], 0
     sizes = np.array([len(p) for p in payloads])
     for size in np.unique(sizes):

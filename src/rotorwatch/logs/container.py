@@ -46,7 +46,7 @@ class _Gzip:
 
 
 def ordinary(path: Path) -> None:
-    """Raises LogError for a pipe, a socket or a device, which to open may wait for ever; OSError where nothing is."""
+    """Raise LogError for a pipe, a socket or a device, whose opening may block for ever; OSError where nothing is."""
     if not path.is_file() and not path.is_dir() and path.stat():
         raise LogError(f"{path}: is a pipe, a socket or a device, not a file; give a flight log")
 
@@ -54,9 +54,8 @@ def ordinary(path: Path) -> None:
 def open_log(path: Path, progress=None, limit: int = incoming.MOST):
     """The content of a log file: (bytes-like data, name without the compression suffix, list of warnings).
 
-    A truncated or damaged compressed stream gives what could be read of it and a warning.
-    Raises LogError when the file is missing, unreadable, empty, or holds, unpacked or as it is, more than `limit` bytes.
-    """
+    A truncated or damaged compressed stream gives its readable part and a warning.
+    Raises LogError when the file is missing, unreadable, empty, or holds, unpacked or as it is, more than `limit` bytes."""
     try:
         ordinary(path)
         with path.open("rb") as file:
@@ -85,7 +84,7 @@ def open_log(path: Path, progress=None, limit: int = incoming.MOST):
 
 
 def most(size: int, limit: int = incoming.MOST) -> int:
-    """Bytes that a file of `size` bytes may unfold to, in whatever way it is packed; never more than `limit`."""
+    """Limit in bytes of the unpacked content of a file of `size` bytes, for any compression; never more than `limit`."""
     return min(limit, SLACK + SHRINKS * size)
 
 
@@ -95,8 +94,8 @@ def too_much(limit: int, where: str = "") -> LogError:
 
 
 def head(path: Path, count: int) -> tuple[bytes, str]:
-    """The first `count` bytes of what a log file holds, unpacked, and its name without the compression suffix; no bytes where it cannot
-    be opened or unpacked, and of a pipe."""
+    """The first `count` unpacked bytes of a log file, and its name without the compression suffix; no bytes where it cannot be opened or
+    unpacked, and of a pipe."""
     try:
         if not path.is_file():
             return b"", path.name

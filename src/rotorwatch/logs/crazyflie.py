@@ -19,7 +19,7 @@ COMMON_ENDINGS = (".usd",)
 
 _FULL = 65535.0
 _FLIP = np.array([1.0, -1.0, -1.0])
-_CONTROLLERS = ("controller", "ctrlMel", "ctrlINDI")  # log groups that hold what the power distribution gets
+_CONTROLLERS = ("controller", "ctrlMel", "ctrlINDI")  # log groups with the input of the power distribution
 _MAIN = "fixedFrequency"
 _TYPES = {code: np.dtype(code).newbyteorder("<") for code in "bBhHiIqQefd"}
 
@@ -32,8 +32,7 @@ def sniff(head: bytes, name: str) -> bool:
 def read(data, name: str, progress=None) -> Flight:
     """Read the log's fixed-frequency variables. Times count from the first record.
 
-    Raises LogError when the header is damaged or no record of variables that are known here is in it.
-    """
+    Raises LogError when the header is damaged or it has no record of known variables."""
     notes: list[str] = []
     data = bytes(data)
     table = _records(data, notes)
@@ -126,7 +125,7 @@ def _signals(time, table, notes) -> dict:
     battery = columns("pm.vbatMV")
     volts = columns("pm.vbat") if battery is None else battery * 1e-3
     voltage = None if volts is None else np.column_stack([volts, np.full(time.size, np.nan)])
-    found = {
+    signals = {
         "motors": None if motors is None else series.motors(time, motors / _FULL, "1", origin, notes, valid),
         "gyro": make("gyro", None if gyro is None else np.radians(gyro) * _FLIP, "gyro"),
         "accel": make("accel", accel, source),
@@ -135,15 +134,14 @@ def _signals(time, table, notes) -> dict:
         "position": make("position", None if place is None else place * _FLIP, "stateEstimate"),
         "battery": make("battery", voltage, "pm.vbatMV"),
     }
-    return {k: v for k, v in found.items() if v is not None}
+    return {k: v for k, v in signals.items() if v is not None}
 
 
 def _mixed(columns, notes):
     """((n, 4) motor commands, (n,) valid, source) from the controller's outputs; (None, None, "") where they are not logged.
 
-    The firmware's power distribution halves roll and pitch: power_distribution_quadrotor.c, powerDistributionLegacy. Newer
-    firmware takes from all motors what the strongest has too much: there the commands are not known.
-    """
+    The firmware's power distribution halves roll and pitch: power_distribution_quadrotor.c, powerDistributionLegacy. Newer firmware reduces
+    all motors by the excess of the strongest: the commands are then unknown."""
     for group in _CONTROLLERS:
         wanted = columns(*(f"{group}.cmd_{axis}" for axis in ("thrust", "roll", "pitch", "yaw")))
         if wanted is not None:

@@ -1,6 +1,6 @@
 """ArduPilot DataFlash logs (`.bin`, or `.log` as text), ArduCopter 3.0 to 4.7 -> Flight.
 
-What is read from which message (instance 0 where sensors come in several):
+Signals and their messages (instance 0 of sensors that come in several):
 
     motors    RCOU (RCO2, RCO3) C1.. or Ch1.., in rotor order by SERVOn_FUNCTION; before 3.2 MOT Mot1.., in rotor order
     control   RATE ROut POut YOut AOut         rates     RATE R P Y
@@ -40,13 +40,13 @@ FMT_HEADER = b"\xa3\x95\x80"
 NEAR_START = 512  # bytes that damage or a ground station may have put before the first FMT
 INSTANCE_COLUMNS = ("I", "Instance", "Inst", "IMU", "C")
 PWM_RANGE_US = (500.0, 2600.0)
-SMALL_STEP_S = 0.005  # records of one message that changed places
-ENOUGH = 20_000  # records, spread over the log, from which the unit of a column is found
+SMALL_STEP_S = 0.005  # records of one message out of order
+ENOUGH = 20_000  # records, spread over the log, to determine the unit of a column
 
 # Magnitudes beyond which a number is damage, not flight; (low, high) per column, in the unit of the signal.
 TURN = (-80.0, 80.0)  # rad/s: gyros end at 2000 or 4000 deg/s
 LIMITS = {
-    "control": ((-10.0, 10.0),) * 3 + ((-0.5, 1.6),),  # newer firmware logs what it wishes, before the mixer's limits
+    "control": ((-10.0, 10.0),) * 3 + ((-0.5, 1.6),),  # newer firmware logs the demand before the mixer's limits
     "gyro": (TURN,) * 3,
     "rates": (TURN,) * 3,
     "accel": ((-640.0, 640.0),) * 3,
@@ -62,7 +62,7 @@ LIMITS = {
     "clipping": ((0.0, np.inf),),
     "innovations": ((0.0, np.inf),) * 4,
 }
-BLOCK = 1 << 16  # samples that are worked on at a time
+BLOCK = 1 << 16  # samples processed at a time
 RAW_TORQUE = 4500.0  # APM:Copter 3.3: full roll, pitch or yaw output
 RAW_THROTTLE = 1000.0  # ... and full throttle
 
@@ -80,9 +80,8 @@ def sniff(head: bytes, name: str) -> bool:
 def read(data, name: str, progress=None) -> Flight:
     """Read a DataFlash log from bytes or a memory map.
 
-    name: for messages. progress: called with the share done (0..1). Damage is passed over and named in `warnings`.
-    Raises LogError when the file is no DataFlash log or holds no flight data.
-    """
+    name: for messages. progress: called with the share done (0..1). Damage is skipped and named in `warnings`. Raises LogError when the
+    file is no DataFlash log or holds no flight data."""
     head = bytes(data[: 64 * 1024])
     if not len(head):
         raise LogError(f"{name}: the file is empty; copy it from the autopilot again.")
@@ -158,10 +157,10 @@ class _Signals:
 
     def table(self, message: str, columns, where=None):
         """(time (n,), values (n, k), codes) of a message, in time order; None when absent. Lacking columns are NaN."""
-        found = self.log.numbers(message, columns, where)
-        if found is None:
+        numbers = self.log.numbers(message, columns, where)
+        if numbers is None:
             return None
-        values, (time, good) = found.values, self.clock.of(found.record)
+        values, (time, good) = numbers.values, self.clock.of(numbers.record)
         if not good.all():
             time, values = time[good], values[good]
         steps = np.diff(time)
@@ -172,10 +171,10 @@ class _Signals:
         elif (steps < 0).any():
             order = np.argsort(time, kind="stable")
             time, values = time[order], values[order]
-        return time, values, found.codes
+        return time, values, numbers.codes
 
     def instance(self, message: str, columns):
-        """As `table`, for sensor instance 0, or for the one with most records where 0 is missing."""
+        """`table` for sensor instance 0, or for the one with most records where 0 is missing."""
         column = next((c for c in INSTANCE_COLUMNS if c in self.log.columns(message)), None)
         if column is None:
             return self.table(message, columns)
@@ -249,7 +248,7 @@ class _Signals:
         missing = np.full(time.size, np.nan)
         values = np.stack([pwm.get(self.outputs[k], missing) for k in sorted(self.outputs)], axis=1)
         low, high = PWM_RANGE_US
-        valid = (values >= low) & (values <= high)  # 0 means that the output is off
+        valid = (values >= low) & (values <= high)  # 0: the output is off
         wild = int((np.isfinite(values) & ~valid & (values != 0)).sum())
         columns = tuple(f"r{k}" for k in sorted(self.outputs))
         self._store("motors", Signal(time, values, columns, "us", "", source, valid, made=True), wild)
@@ -284,7 +283,7 @@ class _Signals:
             return
         time, values, _ = rows
         rates, control = np.radians(values[:, :3]), values[:, 3:].copy()
-        del rows, values  # more than is kept
+        del rows, values  # free the unneeded part
         some = slice(None, None, max(1, time.size // ENOUGH))
         raw_control = self._control_is_raw(time[some], control[some, :3])
         if self._rates_are_centi(time[some], rates[some], raw_control):
@@ -314,11 +313,11 @@ class _Signals:
         return float(median(ours[fast])) > 10.0 * float(median(theirs[fast]))
 
     def _control_is_raw(self, time: np.ndarray, control: np.ndarray) -> bool:
-        """Are controller outputs in RAW_TORQUE for full output, or in 1? By how far the motors move apart for them.
+        """True if controller outputs are in units of RAW_TORQUE for full output, or of 1, by the differences of the motors that they
+        cause.
 
-        A mixer turns an output of 1 into about half of the motors' range, more or less of it as the frame and the thrust curve want:
-        the two answers are 4500 times apart, and the boundary lies half-way between them. Without motors that move, by size.
-        """
+        A mixer turns an output of 1 into about half of the motors' range, depending on the frame and the thrust curve: the two answers are
+        4500 times apart, and the boundary lies half-way between them. Without motors that move, by size."""
         motors = self.signals.get("motors")
         if motors is not None and len(motors) >= 10 and time.size >= 10:
             at = np.clip(np.searchsorted(motors.time, time), 0, len(motors) - 1)
@@ -329,7 +328,7 @@ class _Signals:
             differential = (differential - differential.mean(axis=1, keepdims=True)) / (
                 PWM_RANGE_US[1] - PWM_RANGE_US[0]
             )
-            # Of most of the flight: a crash or a damaged record does not count, nor does calm air.
+            # A percentile over the flight: robust against a crash, damaged records, and calm air.
             moved, output = (quantile(np.abs(v), 0.8) if v.size else 0.0 for v in (differential, control[near]))
             if moved > 5e-4 and output > 0.0:
                 return output > 2.0 * np.sqrt(RAW_TORQUE) * moved
@@ -344,7 +343,7 @@ class _Signals:
             self._angles("attitude_wanted", message, ("DesRoll", "DesPitch", "DesYaw"))
         elif "RollIn" in self.log.columns(
             message
-        ):  # up to 3.1; YawIn is a stick, and the direction of thrust needs none
+        ):  # up to 3.1; YawIn is a stick, and the direction of thrust does not depend on it
             self._angles("attitude_wanted", message, ("RollIn", "PitchIn", "Yaw"))
 
     def _angles(self, name: str, message: str, columns) -> None:
@@ -365,7 +364,7 @@ class _Signals:
         # q and -q are the same attitude; keep the sign that makes the series continuous.
         turned = np.einsum("ij,ij->i", q[1:], q[:-1]) < 0
         q[1:] *= np.where(np.cumsum(turned) % 2, -1.0, 1.0)[:, None]
-        same = self.signals.get("attitude")  # of the same records: their times need not be kept twice
+        same = self.signals.get("attitude")  # of the same records: share their times
         self.add(name, same.time if same is not None and np.array_equal(same.time, time) else time, q, message, fine)
 
     def navigation(self, parameters) -> None:
@@ -381,9 +380,9 @@ class _Signals:
             self.add("throttle", throttle[0], throttle[1][:, None], "CTUN")
 
     def place(self) -> None:
-        """Where the GPS and, without an EKF, the barometer say that it was; and the time by GPS. This is only shown: nothing warns of
-        damage in it."""
-        said = list(self.warnings)
+        """Position by GPS and, without an EKF, height by barometer; and the time by GPS. Only displayed, so that damage in it causes no
+        warning."""
+        warnings = list(self.warnings)
         columns = self.log.columns("GPS")
         stamp = [next((c for c in aliases if c in columns), "") for aliases in (("GWk", "Week"), ("GMS", "TimeMS"))]
         rows = self.instance("GPS", ("Status", "Lat", "Lng", "Alt", "Spd", *filter(None, stamp)))
@@ -399,11 +398,11 @@ class _Signals:
                 self.utc_start = wall_clock.start(time[fixed], wall_clock.of_gps(week[fixed], milliseconds[fixed]))
         if "position" not in self.signals and (rows := self.instance("BARO", ("Alt",))) is not None:
             self.add("baro", *rows[:2], "BARO")
-        self.warnings = said
+        self.warnings = warnings
 
     def limited(self) -> None:
-        """What is compared with the autopilot's limits alone; nothing warns of damage in it."""
-        said = list(self.warnings)
+        """Quantities that are only compared with the autopilot's limits, so that damage in them causes no warning."""
+        warnings = list(self.warnings)
         rows = self.instance("VIBE", ("VibeX", "VibeY", "VibeZ"))
         if rows is not None:
             self.add("vibration", rows[0], rows[1].max(axis=1, keepdims=True), "VIBE")
@@ -414,7 +413,7 @@ class _Signals:
             rows = self.instance(message, ("SV", "SP", "SH", "SM"))
             if rows is not None:
                 self.add("innovations", *rows[:2], message)
-        self.warnings = said
+        self.warnings = warnings
 
     def collective(self):
         """(time (n,), throttle (n,), 1 is full) of CTUN; None without it."""
@@ -447,6 +446,6 @@ class _Signals:
 
 
 def _typical_peak(values: np.ndarray) -> float:
-    """99th percentile of the magnitudes: the scale of a column, whatever a few damaged values say."""
+    """99th percentile of the magnitudes: the scale of a column, robust against a few damaged values."""
     finite = np.abs(values[np.isfinite(values)])
     return quantile(finite, 0.99) if finite.size else 0.0

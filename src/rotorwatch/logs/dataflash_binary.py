@@ -25,10 +25,10 @@ HEADER = b"\xa3\x95"
 SDLOG2 = re.compile(rb"\xa3\x95\x80..(ATTC|ATSP|OUT0)", re.DOTALL)  # definitions that only PX4 made
 FMT_TYPE = 128
 FMT_LENGTH = 89
-MOST_FORMATS = 4096  # definitions that differ; a vehicle's log has about 250, and those of several may be joined
-SPAN = 1 << 22  # bytes of the file that are looked at at a time, and stay in memory meanwhile
-RARE = 0.01  # share of all records that are of one type
-FOUND, CHAINED, SCANNED = 0.1, 0.2, 0.3  # share of the work when headers are found, and which of them are records
+MOST_FORMATS = 4096  # distinct definitions; a vehicle's log has about 250, and several logs may be joined
+SPAN = 1 << 22  # bytes of the file processed, and held in memory, at a time
+RARE = 0.01  # share of all records below which a type is rare
+FOUND, CHAINED, SCANNED = 0.1, 0.2, 0.3  # progress when headers are found, chained and scanned
 
 # Format character -> (numpy type, divisor); the characters of ArduPilot's Logger. `M` is a flight mode number.
 _TYPES = "i1 u1 <i2 <u2 <i4 <u4 <i8 <u8 <f2 <f4 <f8 S4 S16 S64 u1 <i2 <u2 <i4 <u4 <i4".split()
@@ -41,7 +41,7 @@ _SIZES = {code: np.dtype(kind).itemsize for code, (kind, _) in CODES.items()}
 
 @dataclass(frozen=True)
 class Format:
-    """What one FMT record declares: a type number's name, record length [bytes], field codes and column names."""
+    """The content of one FMT record: a type number's name, record length [bytes], field codes and column names."""
 
     type: int
     name: str
@@ -61,8 +61,7 @@ class Format:
     def stamp(self) -> str:
         """'TimeUS' or 'TimeMS' where the record starts with its boot time, else ''.
 
-        Only the first field counts: the TimeMS further on in old GPS records is a time of week.
-        """
+        Only the first field counts: the TimeMS further on in old GPS records is a time of week."""
         first = self.columns[0] if self.columns else ""
         return first if first in ("TimeUS", "TimeMS") and self.codes[0] in "QIqi" else ""
 
@@ -87,8 +86,7 @@ def make_format(
 class Table:
     """All wanted records of one message name.
 
-    record: (n,) running number in the file. columns: name -> (n,) values. codes: name -> format character.
-    """
+    record: (n,) running number in the file. columns: name -> (n,) values. codes: name -> format character."""
 
     name: str
     record: np.ndarray
@@ -125,8 +123,7 @@ class BinaryLog:
     """The records of a binary DataFlash log.
 
     data: anything with the buffer protocol. progress: called with the share done (0..1).
-    counts: records per message name. warnings: sentences on damage. record_count: intact records.
-    """
+    counts: records per message name. warnings: sentences on damage. record_count: intact records."""
 
     preamble: tuple[str, ...] = ()  # only text logs have one
 
@@ -146,7 +143,7 @@ class BinaryLog:
             progress(CHAINED)
         del lengths
         self._at = candidates[keep]
-        # Only now it is known which FMT headers belong to records; the others were payload.
+        # The chain shows which FMT headers belong to records; the others were payload.
         bad_at = np.array(self._bad_formats, self._index)
         place = np.searchsorted(self._at, bad_at)
         if bad := int((self._at[place[place < self._at.size]] == bad_at[place < self._at.size]).sum()):
@@ -154,7 +151,7 @@ class BinaryLog:
         self._types = types[keep]
         self.record_count = self._at.size
         self._progress, self._read = progress, 0  # bytes of records
-        # Records of types that are rare are listed here; those of the few others are looked for when they are read.
+        # Records of rare types are listed here; those of the few others are searched for when read.
         self._count = np.bincount(self._types, minlength=256)
         rare = np.flatnonzero((self._count <= RARE * self.record_count)[self._types])
         self._rare = rare[np.argsort(self._types[rare], kind="stable")].astype(self._index)
@@ -163,17 +160,17 @@ class BinaryLog:
 
     def _header_candidates(self, progress) -> tuple[np.ndarray, np.ndarray]:
         """Positions of A3 95 with a type byte after it, and that byte; some lie inside payloads."""
-        found, types = [np.zeros(0, self._index)], [np.zeros(0, np.uint8)]
+        positions, types = [np.zeros(0, self._index)], [np.zeros(0, np.uint8)]
         end = self._bytes.size - 2
         for start in range(0, max(end, 0), SPAN):
             at = np.flatnonzero(self._bytes[start : min(start + SPAN, end)] == HEADER[0]) + start
             at = at[self._bytes[at + 1] == HEADER[1]].astype(self._index)
-            found.append(at)
+            positions.append(at)
             types.append(self._bytes[at + 2])
             self._release()
             if progress:
                 progress(FOUND * min(1.0, (start + SPAN) / end))
-        return np.concatenate(found), np.concatenate(types)
+        return np.concatenate(positions), np.concatenate(types)
 
     def _read_formats(self, positions: np.ndarray) -> dict[int, list[tuple[int, Format]]]:
         """Type number -> [(position from which it holds, Format)]; more than one where a log redefines a type."""
@@ -210,17 +207,16 @@ class BinaryLog:
         for type_, versions in self._formats.items():
             if len(versions) > 1:
                 since, length = np.array([(since, version.length) for since, version in versions], self._index).T
-                own = np.flatnonzero(types == type_)
-                lengths[own] = length[np.searchsorted(since, positions[own], "right") - 1]
+                of_type = np.flatnonzero(types == type_)
+                lengths[of_type] = length[np.searchsorted(since, positions[of_type], "right") - 1]
         return lengths
 
     def _chain(self, at: np.ndarray, end: np.ndarray) -> np.ndarray:
         """Mask of the candidates that are records: each starts where the one before it ends.
 
-        Where the chain breaks, candidates inside the record before are payload, if a header follows that record.
-        If not, something is damaged: the record before stays only if what follows still looks like half a header, and
-        the chain resumes at the next candidate that is itself followed by a header (or overlaps none that is).
-        """
+        Where the chain breaks, candidates inside the record before are payload, if a header follows that record. Otherwise something is
+        damaged: the record before stays only if the following bytes look like half a header, and the chain resumes at the next candidate
+        that is itself followed by a header (or overlaps none that is)."""
         size, n = self._bytes.size, at.size
         keep = end <= size
         if n == 0:
@@ -276,7 +272,7 @@ class BinaryLog:
             lead = bytes(self._bytes[stop : stop + 2])
             unknown += lead == HEADER
             if inner < following or (lead[:1] != HEADER[:1] and lead[1:] != HEADER[1:]):
-                keep[b] = False  # it swallowed a record, or its length is wrong: its type byte is damaged
+                keep[b] = False  # it overlaps a record, or has a wrong length: its type byte is damaged
             cursor = inner if inner < following else first_confirmed(following)
             keep[b + 1 : cursor] = False
         used = int((end[keep] - at[keep]).sum())
@@ -299,7 +295,7 @@ class BinaryLog:
             self.warnings.append(f"{amount(unknown, 'record')} of unknown type skipped.")
 
     def _release(self) -> None:
-        """Of a mapped file: what has been looked at need not stay in memory. It is there again when it is looked at again."""
+        """Release the processed pages of a mapped file from memory; they are loaded again on access."""
         if isinstance(self._data, mmap.mmap) and hasattr(self._data, "madvise"):
             self._data.madvise(mmap.MADV_DONTNEED)
 
@@ -322,11 +318,11 @@ class BinaryLog:
     def _versions(self, name: str | None = None) -> list[tuple[int, Format, np.ndarray]]:
         """(type, Format, record numbers in order) for each definition of `name` (all names if None)."""
         wanted = [t for t, many in self._formats.items() if name is None or any(fmt.name == name for _, fmt in many)]
-        found = [each for type_ in wanted for each in self._versions_of(type_)]
-        return [each for each in found if name in (None, each[1].name)]
+        versions = [each for type_ in wanted for each in self._versions_of(type_)]
+        return [each for each in versions if name in (None, each[1].name)]
 
     def _versions_of(self, type_: int) -> list[tuple[int, Format, np.ndarray]]:
-        """Of one type. It may be defined anew any number of times; what is defined alike is one."""
+        """The versions of one type, which may be redefined any number of times; identical definitions are merged."""
         versions, records = self._formats[type_], self._records(type_)
         limits = np.searchsorted(self._at[records], [since for since, _ in versions[1:]]) if versions[1:] else []
         pieces: dict[Format, list[np.ndarray]] = {}
@@ -342,8 +338,8 @@ class BinaryLog:
         return self._rare[start:stop]
 
     def _items(self, at: np.ndarray, dtype: np.dtype) -> Iterator[tuple[slice, np.ndarray]]:
-        """(which, `dtype` items there) of places in the file, in order; block after block of those that lie within SPAN bytes: the bytes of
-        all are never held at once, and what was looked at in one block leaves memory before the next."""
+        """(which, `dtype` items there) of places in the file, in order, in blocks of SPAN bytes: never all bytes at once, and the memory of
+        a block is released before the next."""
         view = np.ndarray(
             (max(self._bytes.size - dtype.itemsize + 1, 0),), f"V{dtype.itemsize}", buffer=self._bytes, strides=(1,)
         )
@@ -361,20 +357,20 @@ class BinaryLog:
 
     @cached_property
     def _stamped(self) -> tuple[dict, np.ndarray, dict]:
-        """How records are stamped: (type of the number, factor to us) -> a number from 1; that number for each type, 0 for none; and for
-        types whose definitions differ in that (places from which they hold, that number)."""
+        """Time stamps of records: (type of the number, factor to us) -> an index from 1; that index for each type, 0 for none; and for
+        types whose definitions differ in it, (places from which they hold, that index)."""
         kinds: dict[tuple[np.dtype, float], int] = {}
         first, changes = np.zeros(256, np.uint8), {}
         for type_, versions in self._formats.items():
-            own = [
+            stamps = [
                 kinds.setdefault((fmt.dtype[fmt.stamp], 1.0 if fmt.stamp == "TimeUS" else 1e3), len(kinds) + 1)
                 if fmt.stamp
                 else 0
                 for _, fmt in versions
             ]
-            first[type_] = own[0]
-            if len(set(own)) > 1:
-                changes[type_] = np.array([since for since, _ in versions]), np.array(own, np.uint8)
+            first[type_] = stamps[0]
+            if len(set(stamps)) > 1:
+                changes[type_] = np.array([since for since, _ in versions]), np.array(stamps, np.uint8)
         return kinds, first, changes
 
     def stamps(self, records: np.ndarray | slice = slice(None)) -> np.ndarray:
@@ -382,9 +378,9 @@ class BinaryLog:
         kinds, first, changes = self._stamped
         types, at = self._types[records], self._at[records]
         kind, times = first[types], np.full(types.size, np.nan)
-        for type_, (since, own) in changes.items():
+        for type_, (since, places) in changes.items():
             rows = np.flatnonzero(types == type_)
-            kind[rows] = own[np.searchsorted(since, at[rows], "right") - 1]
+            kind[rows] = places[np.searchsorted(since, at[rows], "right") - 1]
         for (dtype, factor), number in kinds.items():
             rows = np.flatnonzero(kind == number)
             for part, stamps in self._items(at[rows] + 3, dtype):
@@ -392,7 +388,7 @@ class BinaryLog:
         return times
 
     def spans(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Of every record: first byte, byte after the last, bytes of its time stamp (0: none), is it a definition (FMT)?"""
+        """First byte, byte after the last, bytes of the time stamp (0: none), and whether it is a definition (FMT), of every record."""
         length, stamp = np.zeros(self.record_count, np.int64), np.zeros(self.record_count, np.int64)
         definition = np.zeros(self.record_count, bool)
         for type_, fmt, records in self._versions():
@@ -411,8 +407,7 @@ class BinaryLog:
         """Columns of all records called `name`, scaled as their format characters say; None when there are none.
 
         wanted: columns to read, those the log lacks are left out (None: all). where: (column, value) keeps only the
-        records of one sensor instance. Numbers keep their type unless scaled; text is bytes without trailing zeros.
-        """
+        records of one sensor instance. Numbers keep their type unless scaled; text is bytes without trailing zeros."""
         parts = []
         for fmt, records in self._chosen(name, where):
             names = fmt.columns if wanted is None else [c for c in wanted if c in fmt.columns]
@@ -437,7 +432,7 @@ class BinaryLog:
         return Table(name, records[order], merged, dict(zip(parts[0][0].columns, parts[0][0].codes, strict=True)))
 
     def numbers(self, name: str, wanted: Sequence[str], where: tuple[str, int] | None = None) -> Numbers | None:
-        """As `table`, columns that hold numbers as one array, which is all that is held of them."""
+        """`table` with numeric columns as one array, which is all that is kept."""
         chosen = self._chosen(name, where)
         if len(chosen) != 1 or not any(c in chosen[0][0].columns for c in wanted):
             table = self.table(name, wanted, where)
@@ -454,7 +449,7 @@ class BinaryLog:
 
     def _chosen(self, name: str, where: tuple[str, int] | None) -> list[tuple[Format, np.ndarray]]:
         """(Format, record numbers) of the records called `name`, `where` as of `table`; a definition that has none is left out."""
-        found = []
+        chosen = []
         for _, fmt, records in self._versions(name):
             if where and where[0] in fmt.columns:
                 field, offset = fmt.dtype.fields[where[0]][:2]  # type: ignore[index]
@@ -462,8 +457,8 @@ class BinaryLog:
                     blocks = self._items(self._at[records] + offset, field)
                     records = np.concatenate([records[:0], *(records[part][x == where[1]] for part, x in blocks)])
             if records.size:
-                found.append((fmt, records))
-        return found
+                chosen.append((fmt, records))
+        return chosen
 
 
 def amount(number: int, noun: str) -> str:
@@ -481,7 +476,7 @@ def _text(raw: bytes) -> str:
 
 
 def _zero_tail(data: np.ndarray) -> int:
-    """How many zero bytes end the file."""
+    """Number of zero bytes at the end of the file."""
     stop, step = data.size, 256
     while stop > 0:
         start, step = max(stop - step, 0), min(16 * step, SPAN)

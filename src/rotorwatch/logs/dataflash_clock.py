@@ -1,10 +1,10 @@
-"""One clock for all records of a DataFlash log: garbage time stamps rejected, backward jumps taken out.
+"""A common clock for all records of a DataFlash log: damaged time stamps rejected, backward jumps removed.
 
 Records of different types are logged slightly out of order, so small steps back are normal; large ones are not.
 
-ArduCopter 3.0 and 3.1 wrote no time stamps but the GPS receiver's own (`rebuilt`): records written once a loop keep the pace, the GPS
-clock says over spans of some seconds how long a loop was. A GPS record is written up to a tenth of a second after its time, which must
-not stretch and squeeze what lies between two of them.
+ArduCopter 3.0 and 3.1 wrote no time stamps but the GPS receiver's own (`rebuilt`): records written once a loop give the pace, and the GPS
+clock gives the length of a loop over spans of some seconds. A GPS record is written up to a tenth of a second after its time, which must
+not stretch or compress the records between two of them.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from rotorwatch.base.arrays import median
 from rotorwatch.logs.dataflash_binary import amount
 from rotorwatch.logs.series import Impossible, wrong_gap
 
-STEP_BACK_US = 0.5e6  # larger steps back are no matter of record order
+STEP_BACK_US = 0.5e6  # larger steps back are not due to record order
 GAP_US = 0.4e6  # where stamps are in doubt, a silence this long starts a new stretch; less than a step back, so that a
 # stamp that is ahead of its time never counts as the end of the stretch before it
-LONG_GAP_US = 600e6  # a silence this long puts stamps in doubt
-EDGE_RECORDS = 5  # no more records than these before or after a gap at an end of the log are not believed
-RESET_PRICE = 20.0  # records a clock reset must explain before it is believed
-GAP_PRICE = 0.5  # below 1: a lone stamp that fits the order of the others is believed
+LONG_GAP_US = 600e6  # a gap this long makes stamps doubtful
+EDGE_RECORDS = 5  # up to so many records beyond a gap at an end of the log are rejected
+RESET_PRICE = 20.0  # records that a clock reset must explain to be accepted
+GAP_PRICE = 0.5  # below 1: a lone stamp in order with the others is accepted
 DAY_US = 86400e6
 LOOK_BACK = 64  # stretches of garbage in a row that can be skipped
 PACED = ("IMU", "ATT", "MOT", "CTUN")  # written at a steady rate
 GPS_COLUMNS = ("Time", "TimeMS")  # ms of the GPS week: 3.0, 3.1
-SPAN_S = 5.0  # between two places where the GPS clock is believed
+SPAN_S = 5.0  # between two places where the GPS clock is used
 GAP_S = 2.0  # a longer step of the GPS clock is damage or a lost fix, not time between two records
-PIECE = 1 << 20  # records that are looked at at a time
+PIECE = 1 << 20  # records processed at a time
 LOOP_S = 0.1  # MOT and CTUN are written ten times a second
 
 
@@ -39,8 +39,7 @@ class Clock(NamedTuple):
     """time: (n,) s since the first record, for every record. good: (n,) False where the stamp is garbage.
 
     start_us: boot time of the first record. jumps: times [s] where the log's clock was set back. Records without a
-    stamp have the time of the last stamped record before them.
-    """
+    stamp have the time of the last stamped record before them."""
 
     time: np.ndarray
     good: np.ndarray
@@ -55,10 +54,9 @@ class Clock(NamedTuple):
 
 
 class SteadyClock(NamedTuple):
-    """The clock of a log in whose stamps nothing is wrong, which are read where they are asked for.
+    """The clock of a log without damaged stamps, which are read on demand.
 
-    stamps: of record numbers, us. bare: numbers of the records without a stamp, in order. start_us, end, jumps, warnings as of `Clock`.
-    """
+    stamps: of record numbers, us. bare: numbers of the records without a stamp, in order. start_us, end, jumps, warnings as of `Clock`."""
 
     stamps: Callable[[np.ndarray], np.ndarray]
     bare: np.ndarray
@@ -68,7 +66,7 @@ class SteadyClock(NamedTuple):
     warnings: tuple[str, ...] = ()
 
     def of(self, records: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As of `Clock`."""
+        """The same as `Clock.of`."""
         us = self.stamps(records)
         if (rows := np.flatnonzero(np.isnan(us))).size:
             begins = (
@@ -82,7 +80,7 @@ class SteadyClock(NamedTuple):
 
 
 def clock_of(log) -> tuple[Clock | SteadyClock, str]:
-    """(the clock of a log, a sentence on where its times are from if they are not its own)."""
+    """(the clock of a log, a sentence on the source of its times if not its own)."""
     least, most, last, first = np.inf, -np.inf, np.zeros(0), np.zeros(0)
     bare, doubt = [], False
     for start in range(0, log.record_count, PIECE):
@@ -130,9 +128,9 @@ def make_clock(stamps: np.ndarray) -> Clock:
     jumps = [(at - start) / 1e6 for at, _ in resets]
     if resets:
         size, when = f"{resets[0][1] / 1e6:.1f} s", f"{jumps[0]:.1f} s"
-        more = f" (and {amount(len(jumps) - 1, 'more time')})" if len(jumps) > 1 else ""
+        also = f" (and {amount(len(jumps) - 1, 'more time')})" if len(jumps) > 1 else ""
         warnings.append(
-            f"The log's clock jumps back by {size} at {when}{more}; later times are shifted to be continuous."
+            f"The log's clock jumps back by {size} at {when}{also}; later times are shifted to be continuous."
         )
     # Carry the last stamp forward to records without one; those before the first stamp belong to the start.
     last = np.zeros(stamps.size, np.int32 if stamps.size < 2**31 else np.int64)
@@ -147,15 +145,14 @@ def _repaired(us: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray
     """(stamps with resets taken out, kept mask, [(corrected stamp, size) of each reset]).
 
     The stamps fall into stretches without large steps. The best chain of stretches is the one that keeps most records
-    after paying for each gap and, dearly, for each step back; what is not on it is garbage.
-    """
+    after paying for each gap and, dearly, for each step back; what is not on it is garbage."""
     cuts = np.flatnonzero((steps < -STEP_BACK_US) | (steps > GAP_US)) + 1
     first, stop = np.concatenate([[0], cuts]), np.concatenate([cuts, [us.size]])
     count = (stop - first).astype(float)
     start, end = us[first], us[stop - 1]
     m = first.size
     best, previous = count.copy(), np.full(m, -1)
-    top = -1  # best chain among those too long ago to look at one by one
+    top = -1  # best chain among those beyond LOOK_BACK
     for k in range(1, m):
         low = max(k - LOOK_BACK, 0)
         if low and (top < 0 or best[low - 1] > best[top]):
@@ -196,7 +193,7 @@ def _repaired(us: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def rebuilt(log) -> tuple[np.ndarray, str]:
-    """((n,) us of each record, a sentence on where the times are from); NaN and an empty text when nothing keeps time."""
+    """((n,) us of each record, a sentence on the source of the times); NaN and an empty text when nothing gives times."""
     n = log.record_count
     paced = {name: table.record for name in PACED if (table := log.table(name, ())) is not None and len(table) > 1}
     if not paced:
@@ -225,7 +222,7 @@ def rebuilt(log) -> tuple[np.ndarray, str]:
 
 
 def _anchors(log, paced) -> tuple[np.ndarray | None, np.ndarray, str]:
-    """(record numbers, their times in s, what they are): GPS records, else those of the ten-times-a-second loop."""
+    """(record numbers, their times in s, a description): GPS records, else those of the ten-times-a-second loop."""
     gps = log.table("GPS", GPS_COLUMNS)
     column = next((c for c in GPS_COLUMNS if gps is not None and c in gps and gps[c].dtype.kind in "iuf"), None)
     if gps is not None and column is not None and len(gps) > 10:

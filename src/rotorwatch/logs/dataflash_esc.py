@@ -1,4 +1,4 @@
-"""ESC telemetry in DataFlash logs: which record is which rotor's, and in which units.
+"""ESC telemetry in DataFlash logs: the rotor of each record, and its units.
 
     ESC   Instance RPM RawRPM Volt Curr Temp CTot MotTemp Err     Copter 4.2 and later: rpm, V, A, degC; an ESC that does not
                                                                   report speeds has NaN there
@@ -6,10 +6,11 @@
     ESC1, ESC2 ..  RPM Volt Curr Temp CTot                        Copter 3.6
     CESC  Id ECnt Voltage Curr Temp RPM Pow                       Copter 3.6 to 4.0, ESCs on UAVCAN: temperature in K
 
-The instance counts servo outputs from 0. ESCs on CAN buses and on outputs counted separately begin with 0 as well: when none of the
-rotors' outputs has an instance, and there are as many instances as rotors, they are the rotors in order. ESCX (duty cycles and status
-flags of some makes) holds neither speed nor current and is not read.
-Field lists: the LoggerMessage comments in AP_ESC_Telem/LogStructure.h of each release, and https://ardupilot.org/copter/docs/logmessages.html
+The instance counts servo outputs from 0. ESCs on CAN buses and on outputs counted separately begin with 0 as well: when none of the rotors'
+outputs has an instance, and there are as many instances as rotors, they are the rotors in order. ESCX (duty cycles and status flags of some
+makes) holds neither speed nor current and is not read.
+Field lists: the LoggerMessage comments in AP_ESC_Telem/LogStructure.h of each release, and
+https://ardupilot.org/copter/docs/logmessages.html
 """
 
 from __future__ import annotations
@@ -48,9 +49,9 @@ def read(log, table: Callable, outputs: Mapping[int, int], notes: list[str]) -> 
         rows = table(message, (column,), None)
         if rows is None:
             return None
-        found = rows[1][np.isfinite(rows[1])]
-        counted = np.bincount(np.clip(found, 0, 255).astype(int))
-        # A damaged instance number stands in a record or two.
+        instances = rows[1][np.isfinite(rows[1])]
+        counted = np.bincount(np.clip(instances, 0, 255).astype(int))
+        # A damaged instance number occurs in a record or two.
         numbers = [int(k) + 1 for k in np.flatnonzero(counted > max(1, 0.01 * counted.max(initial=0)))]
         fields, source = (CAN_FIELDS if message == "CESC" else FIELDS), message
 
@@ -71,8 +72,8 @@ def _report(rows, fields: Mapping[str, str], kelvin: bool):
     if rows is None:
         return None
     time, values, _ = rows
-    found = {quantity: values[:, k] for k, quantity in enumerate(fields)}
-    found["speed"] = found["speed"] * esc_columns.RPM
+    quantities = {quantity: values[:, k] for k, quantity in enumerate(fields)}
+    quantities["speed"] = quantities["speed"] * esc_columns.RPM
     if kelvin:
-        found["temperature"] = found["temperature"] - esc_columns.KELVIN
-    return time, found
+        quantities["temperature"] = quantities["temperature"] - esc_columns.KELVIN
+    return time, quantities

@@ -20,7 +20,7 @@ TEXT_COLUMNS = ("Name", "Message", "FWS")
 SAME_EVENT_S = 1.0  # an arming logged by ARM and again by EV
 
 ARMED, DISARMED, LANDED, NOT_LANDED = 10, 11, 18, 28  # EV.Id
-CORE = 24  # ERR.Subsys whose code is the number of the estimator's core that is used from then on
+CORE = 24  # ERR.Subsys whose code is the number of the newly selected EKF core
 
 
 def parameters(log, clock) -> tuple[dict[str, float], tuple[tuple[float, str, float], ...]]:
@@ -41,7 +41,7 @@ def parameters(log, clock) -> tuple[dict[str, float], tuple[tuple[float, str, fl
 
 
 def firmware(log, clock) -> tuple[str, str]:
-    """(version text, vehicle type such as 'ArduCopter'), empty where the log does not say."""
+    """(version text, vehicle type such as 'ArduCopter'), empty where unknown."""
     for kind, column in (("VER", "FWS"), ("MSG", "Message"), ("", "")):
         rows = _rows(log, clock, kind, column) if kind else ((0.0, text) for text in log.preamble)
         for _, text in rows:
@@ -61,42 +61,43 @@ def frame_text(log, clock) -> tuple[str, str]:
 def messages(log, clock) -> tuple[Message, ...]:
     """Texts, errors, events, modes and arming, in time order.
 
-    'armed' and 'landed' have value 1 or 0; 'mode' and 'event' their number; 'error' that of the part that reports.
-    """
-    found = [Message(t, "text", text) for t, text in _rows(log, clock, "MSG", "Message") if "SIM_" not in text]
+    'armed' and 'landed' have value 1 or 0; 'mode' and 'event' their number; 'error' that of the reporting subsystem."""
+    entries = [Message(t, "text", text) for t, text in _rows(log, clock, "MSG", "Message") if "SIM_" not in text]
     for time, source, code in _rows(log, clock, "ERR", "Subsys", "ECode"):
         if np.isfinite([source, code]).all():
             name = ERRORS.get(int(source), f"part {int(source)}")
             over = code == 0 and source != CORE
-            found.append(
+            entries.append(
                 Message(time, "error", f"{name}: {'resolved' if over else f'error {int(code)}'}", float(source))
             )
     number = "ModeNum" if "ModeNum" in log.columns("MODE") else "Mode"
     for time, mode in _rows(log, clock, "MODE", number):
         if np.isfinite(mode):
-            found.append(Message(time, "mode", MODES.get(int(mode), f"mode {int(mode)}"), float(mode)))
+            entries.append(Message(time, "mode", MODES.get(int(mode), f"mode {int(mode)}"), float(mode)))
     arming = [(time, float(state != 0)) for time, state in _rows(log, clock, "ARM", "ArmState")]
-    known = len(arming)
+    armings = len(arming)
     for time, state, method in _rows(log, clock, "ARM", "ArmState", "Method"):
         if state == 0 and np.isfinite(method) and int(method) in METHODS:
-            found.append(Message(time, "event", f"disarmed: {METHODS[int(method)]}", float(method)))
+            entries.append(Message(time, "event", f"disarmed: {METHODS[int(method)]}", float(method)))
     for time, event in _rows(log, clock, "EV", "Id"):
         if not np.isfinite(event):
             continue
         if event in (ARMED, DISARMED):
             state = float(event == ARMED)
-            if not any(s == state and abs(t - time) < SAME_EVENT_S for t, s in arming[:known]):
+            if not any(s == state and abs(t - time) < SAME_EVENT_S for t, s in arming[:armings]):
                 arming.append((time, state))
         elif event in (LANDED, NOT_LANDED):
-            found.append(Message(time, "landed", "landed" if event == LANDED else "in the air", float(event == LANDED)))
+            entries.append(
+                Message(time, "landed", "landed" if event == LANDED else "in the air", float(event == LANDED))
+            )
         else:
-            found.append(Message(time, "event", EVENTS.get(int(event), f"event {int(event)}"), float(event)))
-    found += [Message(t, "armed", "armed" if state else "disarmed", state) for t, state in arming]
-    return tuple(sorted(found, key=lambda m: m.time))
+            entries.append(Message(time, "event", EVENTS.get(int(event), f"event {int(event)}"), float(event)))
+    entries += [Message(t, "armed", "armed" if state else "disarmed", state) for t, state in arming]
+    return tuple(sorted(entries, key=lambda m: m.time))
 
 
 def _rows(log, clock, name, *columns) -> Iterator[tuple[Any, ...]]:
-    """(time s, column...) of each record of message `name` with a believable time; texts decoded."""
+    """(time s, column...) of each record of message `name` with a valid time; texts decoded."""
     table = log.table(name, columns)
     if table is None or any(c not in table for c in columns):
         return

@@ -1,4 +1,4 @@
-"""Which servo output drives which rotor, and which airframe the log is of."""
+"""The servo output of each rotor, and the airframe, of a DataFlash log."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DRIVEN_US, ENOUGH, MOVES = (
     100,
     10,
 )  # pulses of a motor that runs; samples, and different values, of one that is flown with
-UNLIKE = 0.2  # share of an output's deviation that the others may leave unexplained
+UNLIKE = 0.2  # share of an output's deviation not explained by the others
 FRAME_NAMES = {"QUAD": 1, "HEXA": 2, "OCTA": 3, "OCTA_QUAD": 4, "OCTAQUAD": 4, "Y6": 5, "HELI": 6, "TRI": 7}
 FRAME_NAMES |= {"SINGLE": 8, "COAX": 9, "BICOPTER": 10, "DODECA_HEXA": 12, "DODECAHEXA": 12, "DECA": 14}
 
@@ -38,10 +38,9 @@ def frame(parameters: Mapping[str, float], announced: tuple[str, str]) -> tuple[
 
 
 def announced(parameters: dict[str, float], text: tuple[str, str]) -> list[str]:
-    """Put the frame that the autopilot announces ("Frame: QUAD/X") into parameters that lack theirs; says so.
+    """Put the frame that the autopilot announces ("Frame: QUAD/X") into parameters that lack theirs, with a note.
 
-    Only for firmware that has FRAME_CLASS and FRAME_TYPE at all: one of the two, or the text's second half, is there.
-    """
+    Only for firmware that has FRAME_CLASS and FRAME_TYPE at all: one of the two, or the text's second half, is there."""
     class_, type_ = FRAME_NAMES.get(text[0].upper()), FRAME_TYPES.get(text[1].upper())
     announced_frame = {"FRAME_CLASS": class_, "FRAME_TYPE": type_}
     lacking = {k: float(v) for k, v in announced_frame.items() if k not in parameters and v is not None}
@@ -55,10 +54,9 @@ def announced(parameters: dict[str, float], text: tuple[str, str]) -> list[str]:
 def outputs(
     parameters: Mapping[str, float], frame_class: int | None, pwm: Mapping[int, np.ndarray]
 ) -> tuple[dict[int, int], list[str]]:
-    """({rotor: servo output}, sentences on what had to be assumed), both numbered from 1.
+    """({rotor: servo output}, sentences on assumptions), both numbered from 1.
 
-    pwm: servo output -> its logged pulse widths [us]; only used when neither SERVOn_FUNCTION nor the frame are known.
-    """
+    pwm: servo output -> its logged pulse widths [us]; only used when neither SERVOn_FUNCTION nor the frame are known."""
     functions = {}
     for name, value in parameters.items():
         if (one := output_functions.function(name, value)) is not None and one.driver == output_functions.SERVO:
@@ -77,7 +75,7 @@ def outputs(
                 notes.append(f"Outputs of motors {_listed(extra)} are not part of this frame and were ignored.")
         if missing := [k for k in expected if k not in mapped]:
             free = {k: k for k in missing if not functions.get(k) or _one_bit_off(functions[k], k)}
-            # An output drives one rotor: one that is claimed twice is its own rotor's, and the other's name was damaged.
+            # An output drives one rotor: of two parameters for it, the one with a bit error is damaged.
             twice = {k: k for k, output in mapped.items() if output in free and not functions.get(k)}
             mapped |= free | twice
             notes.append(
@@ -107,9 +105,9 @@ def outputs(
 
 
 def left_out(parameters: Mapping[str, float], outputs: Mapping[int, int], pwm: Mapping[int, np.ndarray]) -> list[int]:
-    """Servo outputs (from 1) that move as motors do though no rotor of the frame is driven by them, so that the frame is not the one that
-    flew: outputs with a motor function that move, and, where no output's function is known, those that are made of the same demands as
-    the rotors' outputs.
+    """Servo outputs (from 1) that move like motors though they drive no rotor of the frame, which is then not the one that flew: outputs
+    with a motor function that move, and, without known functions, those that are combinations of the same demands as the rotors'
+    outputs.
 
     outputs: {rotor: servo output}, as of `outputs`. A tricopter's tail servo has a motor function too."""
     functions = {}
@@ -117,7 +115,7 @@ def left_out(parameters: Mapping[str, float], outputs: Mapping[int, int], pwm: M
         if (one := output_functions.function(name, value)) is not None and one.driver == output_functions.SERVO:
             functions[one.output] = int(value)
     rotors = [pwm[output] for output in outputs.values() if output in pwm]
-    found = []
+    extra = []
     for output, pulses in sorted(pwm.items()):
         function = functions.get(output, 0)
         if output in outputs.values() or len(rotors) < 3 or function == TAIL:
@@ -127,12 +125,12 @@ def left_out(parameters: Mapping[str, float], outputs: Mapping[int, int], pwm: M
         if fine.sum() < ENOUGH or np.unique(pulses[fine]).size < MOVES:
             continue
         if SERVO_MOTORS.get(function) if functions else _of_one_mixer(columns[fine]):
-            found.append(output)
-    return found
+            extra.append(output)
+    return extra
 
 
 def _of_one_mixer(columns: np.ndarray) -> bool:
-    """Is the last of the outputs (n, k) a combination of the others, as large as they are?"""
+    """True if the last of the outputs (n, k) is a combination of the others, of similar size."""
     sizes = columns.std(axis=0)
     if sizes[-1] < 0.5 * sizes[:-1].min():
         return False
@@ -142,7 +140,7 @@ def _of_one_mixer(columns: np.ndarray) -> bool:
 
 
 def follow(time: np.ndarray, pulses: np.ndarray, stamps: np.ndarray, throttle: np.ndarray) -> bool:
-    """Do these outputs, pulses (n, k) at `time`, rise and fall with the throttle at `stamps`? True where the throttle does not."""
+    """True if these outputs, pulses (n, k) at `time`, rise and fall with the throttle at `stamps`. True where the throttle does not."""
     mean = np.nanmean(np.where(pulses > 500, pulses, np.nan), axis=1)
     commanded = np.interp(time, stamps, throttle)
     fine = np.isfinite(mean) & np.isfinite(commanded)
@@ -152,7 +150,7 @@ def follow(time: np.ndarray, pulses: np.ndarray, stamps: np.ndarray, throttle: n
 
 
 def _one_bit_off(function: int, rotor: int) -> bool:
-    """Whether a logged SERVOn_FUNCTION is one wrong bit of a float32 away from that of the rotor."""
+    """True if a logged SERVOn_FUNCTION is one wrong bit of a float32 away from that of the rotor."""
     meant = next(f for f, k in SERVO_MOTORS.items() if k == rotor)
     a, b = np.array([function, meant], np.float32).view(np.uint32).tolist()
     return (a ^ b).bit_count() == 1

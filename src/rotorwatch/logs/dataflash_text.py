@@ -22,8 +22,8 @@ from rotorwatch.logs.dataflash_binary import Format, Numbers, Table, amount, mak
 TEXT_CODES = "nNZ"
 FIRST_LINE = re.compile(rb"^[ \t]*FMT[ \t]*,[ \t]*128[ \t]*,[ \t]*89[ \t]*,", re.MULTILINE)
 
-# What numbers stand for: Copter's flight modes, whose names ground stations write into text logs; AP_Logger's event numbers (EV.Id) and
-# error sources (ERR.Subsys) that matter for what a rotor did; what disarmed (ARM.Method, AP_Arming::Method).
+# Names of numbers: Copter's flight modes, which ground stations write into text logs; AP_Logger's events (EV.Id) and
+# error sources (ERR.Subsys) relevant here; reasons of disarming (ARM.Method, AP_Arming::Method).
 MODES, EVENTS, ERRORS, METHODS = (
     {int(number): name for number, name in table.items()}
     for table in json.loads(Path(__file__).with_name("dataflash_numbers.json").read_text("utf-8")).values()
@@ -41,7 +41,7 @@ class TextLog:
         self._starts: dict[str, array] = {}  # of each record's fields, after the name
         self._records: dict[str, array] = {}
         self.warnings: list[str] = []
-        self.preamble: list[str] = []  # what a ground station wrote before the first record: the firmware's name
+        self.preamble: list[str] = []  # lines of the ground station before the first record: the firmware's name
         self.record_count = 0
         bad = lines = 0
         start, size = 0, len(data)
@@ -61,7 +61,7 @@ class TextLog:
                     continue
                 self._formats[fmt.name] = fmt
             elif name not in self._formats:
-                # Ground stations put a few lines of their own first; later ones are damage.
+                # Ground stations write a few lines first; later ones are damage.
                 bad += comma >= 0 and bool(self._formats)
                 if not self._formats and len(self.preamble) < PREAMBLE:
                     self.preamble.append(data[at:end].decode("latin-1").strip())
@@ -104,7 +104,7 @@ class TextLog:
         return times
 
     def numbers(self, name: str, wanted: Sequence[str], where: tuple[str, int] | None = None) -> Numbers | None:
-        """As `table`, columns that hold numbers as one array."""
+        """`table` with numeric columns as one array."""
         table = self.table(name, wanted, where)
         return None if table is None else table.numbers(wanted)
 
@@ -113,8 +113,7 @@ class TextLog:
     ) -> Table | None:
         """Columns of all records called `name`; None when there are none. See `BinaryLog.table`.
 
-        Numbers are float64, NaN where a field is missing or not a number.
-        """
+        Numbers are float64, NaN where a field is missing or not a number."""
         fmt = self._formats.get(name)
         if fmt is None or not self._starts.get(name):
             return None

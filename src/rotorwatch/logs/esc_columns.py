@@ -1,7 +1,7 @@
-"""ESC telemetry as a Signal: what every log format makes of its own records.
+"""ESC telemetry as a Signal, for the readers of all log formats.
 
-Columns speed1 .. speedN [rad/s], current1 .. [A], voltage1 .. [V], temperature1 .. [degC, of the ESC], N rotors in the autopilot's
-order. What an ESC does not measure is invalid, and so is a row in which it did not report: a value never stands for an older one.
+Columns speed1 .. speedN [rad/s], current1 .. [A], voltage1 .. [V], temperature1 .. [degC, of the ESC], N rotors in the autopilot's order.
+Quantities that an ESC does not measure are invalid, and so are rows in which it did not report: values are never held.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ RPM = 2.0 * np.pi / 60.0
 """rad/s of a revolution per minute."""
 KELVIN = 273.15
 
-# Beyond these a number is damage; what is not measured is often sent as 0 V, or a temperature of -273 or 0 degC at 0 V.
+# Values outside are damage; unmeasured ones are often sent as 0 V, or a temperature of -273 or 0 degC at 0 V.
 LIMITS = {"speed": (0.0, 20_000.0), "current": (-200.0, 1000.0), "voltage": (0.5, 200.0), "temperature": (-60.0, 300.0)}
 
 
@@ -28,8 +28,7 @@ def build(time, measured: dict[str, np.ndarray], rotors: Sequence[int], source: 
     """The Signal `esc` from rows in which all ESCs report together; None when no speed or current in it is usable.
 
     time (m,) s; measured: quantity -> (m, N) in the units above, speeds of either sign; those left out are not measured. rotors: their
-    numbers. valid (m, N) bool: where an ESC reported. notes: sentences that this appends to.
-    """
+    numbers. valid (m, N) bool: where an ESC reported. notes: sentences that this appends to."""
     shape = (len(time), len(rotors))
     blocks, masks, wild = [], [], 0
     for quantity in QUANTITIES:
@@ -51,16 +50,15 @@ def build(time, measured: dict[str, np.ndarray], rotors: Sequence[int], source: 
 
 
 def numbered(time, table, prefix: str, fields: dict[str, str], order: Sequence[int], source, notes, valid=None):
-    """As `build`, from a table with a field of each quantity for each ESC, speeds in revolutions per minute.
+    """`build` from a table with a field of each quantity for each ESC, speeds in revolutions per minute.
 
-    prefix: of a field's name, "esc[{}]." of "esc[2].esc_rpm"; fields: quantity -> the rest of it; order: the ESCs, rotor after rotor.
-    """
+    prefix: of a field's name, "esc[{}]." of "esc[2].esc_rpm"; fields: quantity -> the rest of it; order: the ESCs, rotor after rotor."""
     measured = {
         quantity: series.stacked(table, [f"{prefix.format(k)}{field}" for k in order])
         for quantity, field in fields.items()
     }
     measured["speed"] = measured["speed"] * RPM
-    # A driver that does not know a quantity leaves it 0 for all.
+    # A driver without a quantity leaves it 0 for all.
     for quantity in ("current", "temperature"):
         if not np.nan_to_num(measured[quantity]).any():
             del measured[quantity]
@@ -75,11 +73,10 @@ def names(rotors: Sequence[int]) -> tuple[str, ...]:
 def together(
     reports: Sequence[tuple[np.ndarray, dict[str, np.ndarray]] | None], rotors, source, notes
 ) -> Signal | None:
-    """As `build`, from ESCs that report one after the other: for each rotor (time (m,) s, quantity -> (m,)) in order of time, or None.
+    """`build` from ESCs that report one after the other: for each rotor (time (m,) s, quantity -> (m,)) in order of time, or None.
 
-    Rows are the reports of the ESC that reports most; another's report goes into the row that is nearest in time, where that is no
-    further away than the rows are apart.
-    """
+    Rows are the reports of the ESC that reports most; another's report goes into the row nearest in time, within the interval between
+    rows."""
     reporting = [r for r in reports if r is not None and len(r[0])]
     if not reporting:
         return None

@@ -17,11 +17,11 @@ from rotorwatch.logs.mavlink_messages import Message, parts
 _STAMP = 8
 _V1, _V2 = 0xFE, 0xFD
 _SIGNED = 0x01
-_WINDOW = 1 << 20  # bytes that are looked through at once behind a damaged place
+_WINDOW = 1 << 20  # bytes searched at once behind a damaged place
 
 
 class Frames:
-    """Where each frame of a telemetry log is, by source and message type. skipped: bytes that belong to no frame."""
+    """Positions of the frames of a telemetry log, by source and message type. skipped: bytes outside frames."""
 
     def __init__(self, data, wanted, progress=None):
         """data: bytes-like; wanted: message ids to keep. Frames are kept unchecked; `decode` checks their sums."""
@@ -32,7 +32,7 @@ class Frames:
 
     def _scan(self, data, wanted, progress):
         at, size, count = 0, len(data), 0
-        places, seen = [], 0  # where the chain may go on, up to `seen`
+        places, seen = [], 0  # candidates for the continuation of the chain, up to `seen`
         found = self.found
         while at + _STAMP + 8 <= size:
             start = at + _STAMP
@@ -47,7 +47,7 @@ class Frames:
                 source, component, message = data[start + 3], data[start + 4], data[start + 5]
             else:
                 end = size + 1
-            # The next frame's magic is where this one says, or this one is damaged.
+            # The next frame's magic byte follows this frame, or this one is damaged.
             if end > size or (end + _STAMP < size and data[end + _STAMP] not in (_V1, _V2)):
                 later = size
                 while (k := bisect_left(places, start + 1)) == len(places) and seen < size:
@@ -70,7 +70,7 @@ class Frames:
         self.count = count
 
     def _places(self, at: int) -> list[int]:
-        """Where, from there on, a frame may begin that another one follows, and where too few bytes are left to tell."""
+        """Positions from there on of possible frames that another one follows, or with too few bytes left to decide."""
         data, size = self._bytes, self._bytes.size
         window = data[at : at + _WINDOW]
         start = at + np.flatnonzero((window == _V1) | (window == _V2))
@@ -85,10 +85,8 @@ class Frames:
         return np.concatenate([sure[follows & (end <= size)], start[sure.size :]]).tolist()
 
     def decode(self, source: int, component: int, layout: Message) -> tuple[np.ndarray, np.ndarray]:
-        """All sound messages of one type: (structured array, (n,) running number of the frame in the file).
-
-        Frames whose check sum is wrong are left out.
-        """
+        """All valid messages of one type: (structured array, (n,) running number of the frame in the file). Frames with a wrong check sum
+        are left out."""
         starts, order = (np.array(a, np.int64) for a in self.found.get((source, component, layout.id), ((), ())))
         kind = payload_type(layout)
         second = self._bytes[starts] == _V2
@@ -106,14 +104,14 @@ class Frames:
         return payload[sound].view(kind)[:, 0], order[sound]
 
     def received(self, source: int, component: int, layout: Message) -> np.ndarray:
-        """(n,) s since 1970 at which the ground station received each frame of one type, sound or not."""
+        """(n,) s since 1970 at which the ground station received each frame of one type, valid or not."""
         starts = np.array(self.found.get((source, component, layout.id), ((),))[0], np.int64)
         stamps = self._bytes[starts[:, None] - _STAMP + np.arange(_STAMP)]
         return stamps.copy().view(">u8")[:, 0].astype(float) * 1e-6
 
 
 def payload_type(layout: Message) -> np.dtype:
-    """numpy type of a message's payload as it is on the wire."""
+    """NumPy type of a message's payload on the wire."""
     codes = {"b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "q": "<i8", "Q": "<u8"}
     codes |= {"f": "<f4", "d": "<f8", "c": "S1"}
     fields = []

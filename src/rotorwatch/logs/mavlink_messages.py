@@ -1,4 +1,4 @@
-"""MAVLink's messages as they are on the wire.
+"""MAVLink messages on the wire.
 
 The table next to this file is made from pymavlink's ardupilotmega dialect (`tools/mavlink_messages.py`): all that is needed of 90 MB.
 https://mavlink.io/en/guide/serialization.html
@@ -23,7 +23,7 @@ class Message(NamedTuple):
     fields: tuple[str, ...]
 
     def payload(self, /, **values) -> bytes:
-        """The payload with these values, a sequence for an array, bytes for a text; fields that are left out are 0."""
+        """The payload with these values, a sequence for an array, bytes for a text; omitted fields are 0."""
         unknown = values.keys() - set(self.fields)
         if unknown:
             raise TypeError(f"{self.name} has no field {', '.join(sorted(unknown))}")
@@ -36,14 +36,14 @@ class Message(NamedTuple):
 
 def parts(form: str) -> list[tuple[str, int]]:
     """(code, count) of each field: "3H" is an array, "16s" a text; repeated single codes are fields of their own."""
-    found, number = [], ""
+    parts_, number = [], ""
     for c in form.lstrip("<"):
         if c.isdigit():
             number += c
         else:
-            found.append((c, int(number or 1)))
+            parts_.append((c, int(number or 1)))
             number = ""
-    return found
+    return parts_
 
 
 @cache

@@ -76,7 +76,7 @@ def place(topic: str, kind: str) -> tuple[str, str] | None:
 
 
 def has_outputs(found: Mapping[str, Table]) -> bool:
-    """Whether servo outputs are among these topics."""
+    """True if servo outputs are among these topics."""
     return any((at := place(name, kind)) and at[1] == _OUTPUTS for name, (kind, *_) in found.items())
 
 
@@ -110,7 +110,7 @@ def flight(found: Mapping[str, Table], notes: list[str], form: str) -> Flight:
 
 
 class _Log:
-    """One vehicle's topics: `get(name)` -> (time s, columns). start: s on ROS's clock that is second 0."""
+    """The topics of a vehicle: `get(name)` -> (time s, columns). start: s on ROS's clock that is second 0."""
 
     def __init__(self, found: Mapping[str, Table], notes: list[str]):
         self.notes = notes
@@ -134,21 +134,21 @@ class _Log:
         self.start = min(float(t[series.steady(t)[0]]) for t in flown.values())
 
     def get(self, name: str) -> tuple[np.ndarray, Mapping[str, np.ndarray]] | None:
-        found = self.topics.get(name)
-        return None if found is None else (found[0] - self.start, found[1])
+        topic = self.topics.get(name)
+        return None if topic is None else (topic[0] - self.start, topic[1])
 
     def signal(self, kind: str, name: str, read: Callable, source: str = "") -> Signal | None:
         """The Signal `kind` of a topic; None without it. read(columns): values, or (values, valid)."""
-        found = self.get(name)
-        if found is None:
+        sample = self.get(name)
+        if sample is None:
             return None
-        made = read(found[1])
-        values, valid = made if isinstance(made, tuple) else (made, None)
-        return series.signal(kind, found[0], values, source or name, self.notes, valid)
+        values = read(sample[1])
+        values, valid = values if isinstance(values, tuple) else (values, None)
+        return series.signal(kind, sample[0], values, source or name, self.notes, valid)
 
 
 def _time(columns, received) -> np.ndarray:
-    """(m,) s on ROS's clock: the header's, where it has none by the time of receipt."""
+    """(m,) s on ROS's clock: the header's, else the time of receipt."""
     stamp = columns["header.stamp.sec"].astype(np.float64) + 1e-9 * columns["header.stamp.nanosec"].astype(np.float64)
     known = stamp > 0
     received = received * 1e-9
@@ -168,8 +168,7 @@ def _quaternion(table, name: str) -> tuple[np.ndarray, np.ndarray]:
 def turned(q: np.ndarray) -> np.ndarray:
     """(n, 4) quaternion x, y, z, w of forward-left-up in east-north-up -> w, x, y, z of forward-right-down in north-east-down.
 
-    q' = e * q * b with e the turn of the world, (i + j) / sqrt 2, and b that of the body, i: half a turn about the nose.
-    """
+    q' = e * q * b with e the turn of the world, (i + j) / sqrt 2, and b that of the body, i: half a turn about the nose."""
     x, y, z, w = q.T
     return np.stack([w + z, x + y, x - y, w - z], axis=1) * np.sqrt(0.5)
 
@@ -209,7 +208,7 @@ def _signals(log: _Log, parameters, autopilot: str) -> tuple[dict, dict]:
 def _in_body(field: str) -> Callable:
     def read(table):
         values = _vector(table, field) * _FLU
-        return values, values.any(axis=1)  # all 0: not known
+        return values, values.any(axis=1)  # all 0: unknown
 
     return read
 
@@ -219,7 +218,7 @@ def _ned(field: str) -> Callable:
 
 
 def _odometry(table) -> tuple[np.ndarray, np.ndarray]:
-    """(velocity (n, 3) in north, east, down, valid): the odometry's is the body's."""
+    """(velocity (n, 3) in north, east, down, valid), from the odometry's body velocity."""
     q, fine = _quaternion(table, "pose.pose.orientation")
     return _rotated(q, _vector(table, "twist.twist.linear") * _FLU), fine
 
@@ -232,10 +231,10 @@ def _rotated(q: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def _motors(log: _Log, parameters, autopilot: str) -> tuple[Signal | None, dict]:
-    found = log.get(_OUTPUTS)
-    if found is None:
+    sample = log.get(_OUTPUTS)
+    if sample is None:
         return None, {}
-    time, table = found
+    time, table = sample
     names = [name for k in range(_CHANNELS) if (name := f"channels[{k}]") in table]
     if not names:
         return None, {}
@@ -262,7 +261,7 @@ def _motors(log: _Log, parameters, autopilot: str) -> tuple[Signal | None, dict]
 
 
 def _moves(column: np.ndarray) -> bool:
-    """Whether an output takes many values, as rotors' do: servos and spare outputs step between a few."""
+    """True if an output takes many values, as rotors' do: servos and spare outputs step between a few."""
     fine = column[np.isfinite(column) & (column > 500) & (column < 2600)]
     return np.unique(fine).size >= px4_outputs.LEAST_VALUES
 
@@ -278,36 +277,36 @@ def _first(moving: Mapping[int, np.ndarray]) -> dict[int, np.ndarray]:
 
 
 def _gps(log: _Log, name: str) -> Signal | None:
-    found = log.get(name)
-    if found is None:
+    sample = log.get(name)
+    if sample is None:
         return None
-    table = found[1]
+    table = sample[1]
     degrees = series.stacked(table, ["latitude", "longitude"])
     altitude = np.asarray(table["altitude"], float)
-    return series.gps(found[0], degrees, altitude, np.full(len(degrees), np.nan), table["status.status"] >= 0, name)
+    return series.gps(sample[0], degrees, altitude, np.full(len(degrees), np.nan), table["status.status"] >= 0, name)
 
 
 def _battery(table) -> tuple[np.ndarray, np.ndarray]:
-    values = series.stacked(table, ["voltage", "current"]) * [1.0, -1.0]  # a current that flows out is negative there
+    values = series.stacked(table, ["voltage", "current"]) * [1.0, -1.0]  # a discharge current is negative there
     return values, series.voltage_and_current(values)
 
 
 def _esc(log: _Log, count: int) -> Signal | None:
     """ESC telemetry, in the order of the motors' outputs."""
     for topic, field in (("esc_telemetry/telemetry", "esc_telemetry"), ("esc_status/status", "esc_status")):
-        found = log.get(topic) or log.get(field)
-        there = [k for k in range(px4_outputs.MOTOR_12) if f"{field}[{k}].rpm" in found[1]] if found else []
-        if found and there:
-            return esc_columns.numbered(*found, f"{field}[{{}}].", _ESC, there[: count or None], field, log.notes)
+        sample = log.get(topic) or log.get(field)
+        there = [k for k in range(px4_outputs.MOTOR_12) if f"{field}[{k}].rpm" in sample[1]] if sample else []
+        if sample and there:
+            return esc_columns.numbered(*sample, f"{field}[{{}}].", _ESC, there[: count or None], field, log.notes)
     return None
 
 
 def _parameters(log: _Log) -> dict[str, float]:
-    """Parameters of param/event, but for the simulator's: SIM_* would reveal a fault."""
-    found, out = log.get("param/event"), {}
-    if found is None:
+    """Parameters of param/event without the simulator's: SIM_* would disclose a fault."""
+    sample, out = log.get("param/event"), {}
+    if sample is None:
         return out
-    table = found[1]
+    table = sample[1]
     for i, name in enumerate(table.get("param_id", ())):
         column = table.get(f"value.{_NUMBERS.get(int(table['value.type'][i]), '')}")
         if column is None or not name or name.startswith("SIM_"):
@@ -319,13 +318,13 @@ def _parameters(log: _Log) -> dict[str, float]:
 
 
 def _autopilot(log: _Log, parameters) -> str:
-    """ArduPilot or PX4, by the names of parameters or of flight modes; "" where neither says."""
+    """ArduPilot or PX4, by the names of parameters or of flight modes; "" where unknown."""
     if "CA_ROTOR_COUNT" in parameters or "SYS_AUTOSTART" in parameters:
         return "PX4"
     if "FRAME_CLASS" in parameters or "SERVO1_FUNCTION" in parameters:
         return "ArduPilot"
-    found = log.get("state")
-    modes = [str(m) for m in found[1].get("mode", ())] if found is not None else []
+    sample = log.get("state")
+    modes = [str(m) for m in sample[1].get("mode", ())] if sample is not None else []
     if any(m.startswith(_PX4_MODES) and m != "STABILIZE" for m in modes):
         return "PX4"
     return "ArduPilot" if any(m in _ARDUPILOT_MODES for m in modes) else ""

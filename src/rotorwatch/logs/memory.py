@@ -1,5 +1,5 @@
-"""A Flight from arrays or a data frame in memory; the column names of our tables (docs/readers.md); and comma-separated numbers as named
-columns, for the readers of tables."""
+"""A Flight from arrays or a data frame in memory, with the column names of docs/readers.md; and comma-separated numbers as named columns,
+for the readers of tables."""
 
 from __future__ import annotations
 
@@ -71,8 +71,7 @@ def from_arrays(
     Signals of different rates share one table: one that is empty in most rows is taken at the rows where it has values.
     parameters: the autopilot's, by their names (MOT_THST_EXPO, CA_ROTOR0_PX ...).
 
-    Raises LogError naming the columns that are unknown, incomplete or of the wrong kind.
-    """
+    Raises LogError naming the columns that are unknown, incomplete or of the wrong kind."""
     table = _arrays(columns)
     notes: list[str] = []
     time = table.pop("time_s")
@@ -82,9 +81,9 @@ def from_arrays(
     time = time - start
     signals = {}
     for kind, ways in _GROUPS.items():
-        found = _group(kind, ways, time, table, notes)
-        if found is not None:
-            signals[kind] = found
+        signal = _group(kind, ways, time, table, notes)
+        if signal is not None:
+            signals[kind] = signal
     signals |= _rotors(time, table, notes)
     if not signals:
         raise LogError(
@@ -124,13 +123,13 @@ def _list(names, most=5) -> str:
 
 
 def _rows(values: np.ndarray) -> np.ndarray:
-    """Which rows are samples: all, unless most are empty; then the signal was logged more slowly than the table."""
+    """Indices of the rows that are samples: all, unless most are empty, when the signal was logged more slowly than the table."""
     filled = np.asarray(np.isfinite(values).any(axis=1))
     return filled if filled.mean() < 0.5 else np.ones(filled.size, bool)
 
 
 def _group(kind, ways, time, table, notes):
-    """One signal from whichever way its columns were given; a LogError names those missing from an incomplete set."""
+    """A signal from the columns in any of its forms; a LogError names those missing from an incomplete set."""
     for names, scale in ways:
         if all(n in table for n in names):
             values = np.stack([table[n] for n in names], axis=1) * scale
@@ -161,7 +160,7 @@ def _rotors(time, table, notes) -> dict:
     for names in numbered.values():
         if names and (sorted(names) != list(range(1, len(names) + 1)) or len(names) > _MOST_ROTORS):
             raise LogError(f"columns {_list(list(names.values()))} are not numbered 1, 2, 3 without gaps")
-    found = {}
+    signals = {}
     names = [numbered["motor"][k] for k in sorted(numbered["motor"])]
     if names:
         values = np.stack([table[n] for n in names], axis=1)
@@ -173,7 +172,7 @@ def _rotors(time, table, notes) -> dict:
             notes.append("motor_1 .. are taken as us because of their size; name them motor_1_us .. to say so")
             in_us = [True]
         rows = _rows(values)
-        found["motors"] = series.motors(time[rows], values[rows], "us" if in_us[0] else "1", names[0] + " ..", notes)
+        signals["motors"] = series.motors(time[rows], values[rows], "us" if in_us[0] else "1", names[0] + " ..", notes)
     if numbered["speed"]:
         count = range(1, len(numbered["speed"]) + 1)
         none = np.full(time.size, np.nan)
@@ -184,8 +183,8 @@ def _rotors(time, table, notes) -> dict:
         measured["speed"] = measured["speed"] * esc_columns.RPM
         rows = _rows(measured["speed"])
         measured = {quantity: values[rows] for quantity, values in measured.items()}
-        found["esc"] = esc_columns.build(time[rows], measured, count, "rpm_1 ..", notes)
-    return {k: v for k, v in found.items() if v is not None}
+        signals["esc"] = esc_columns.build(time[rows], measured, count, "rpm_1 ..", notes)
+    return {k: v for k, v in signals.items() if v is not None}
 
 
 def _messages(time, table) -> list[Message]:
@@ -211,11 +210,10 @@ def header(head: bytes) -> list[str]:
 
 
 def numbers(data, notes, name="", wanted: Callable[[str], bool] = lambda column: True) -> dict[str, np.ndarray]:
-    """Columns of a text table by name. Empty cells and what is no number become NaN; notes says how many lines it hit. wanted: whether a
-    column of that name is; others may hold anything.
+    """Columns of a text table by name. Empty cells and text become NaN; notes get the number of affected lines. wanted: whether a column of
+    that name is used; others may hold anything.
 
-    Raises LogError without a header line, with doubled names, or without any line of numbers.
-    """
+    Raises LogError without a header line, with doubled names, or without any line of numbers."""
     data = bytes(data).rstrip(b"\0")
     names = header(data[: 1 << 16])
     where = f"{name}: " if name else ""
@@ -247,7 +245,7 @@ def numbers(data, notes, name="", wanted: Callable[[str], bool] = lambda column:
 
 
 def _line_by_line(body: bytes, width: int, used: list[int], notes, where: str) -> np.ndarray:
-    """Slower than loadtxt, but takes damage: a wrong number of cells drops the line, a wrong cell becomes NaN."""
+    """Slower than loadtxt, but tolerates damage: a wrong number of cells drops the line, a wrong cell becomes NaN."""
     rows, dropped, cells = array("d"), 0, 0
     lines = io.TextIOWrapper(io.BytesIO(body.replace(b"\0", b"")), "utf-8", "replace", newline="")
     for line in csv.reader(lines):

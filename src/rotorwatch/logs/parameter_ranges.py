@@ -1,7 +1,7 @@
 """Possible ranges of the parameters that a diagnosis uses; a value out of range is damage of the log and is ignored.
 
 Ranges: ArduPilot's and PX4's parameter references (https://ardupilot.org/copter/docs/parameters.html,
-https://docs.px4.io/main/en/advanced_config/parameter_reference.html), widened where people are seen to go beyond.
+https://docs.px4.io/main/en/advanced_config/parameter_reference.html), widened where users exceed them.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ RANGES = (
 
 
 def checked(parameters: Mapping[str, float]) -> tuple[dict[str, float], list[str]]:
-    """(the parameters that can be true, sentences on those that cannot)."""
+    """(the possible parameters, sentences on the impossible ones)."""
     fine, notes = {}, []
     for name, value in parameters.items():
         if possible(name, value):
@@ -50,11 +50,11 @@ def checked(parameters: Mapping[str, float]) -> tuple[dict[str, float], list[str
 
 
 def possible(name: str, value: float) -> bool:
-    """Whether a parameter can have this value; True for names without a known range."""
-    found = _range(name)
-    if found is None:
+    """True if a parameter can have this value; True for names without a known range."""
+    limits = _range(name)
+    if limits is None:
         return True
-    _, low, high, whole = found
+    _, low, high, whole = limits
     return low <= value <= high and (not whole or float(value).is_integer())
 
 

@@ -1,7 +1,7 @@
-"""How much a Parquet file unfolds to, told by the heads of its pages before any of them is unpacked.
+"""The unpacked size of a Parquet file, from the headers of its pages before any of them is unpacked.
 
-What the file's end says of its columns is not enough: a page of some kB may say of itself that it holds 2 GB, and is believed.
-https://parquet.apache.org/docs/file-format/data-pages/ and Thrift's compact protocol, which the heads are written in.
+The file's footer is not enough: a page of some kB may declare 2 GB, and the reader allocates it.
+https://parquet.apache.org/docs/file-format/data-pages/ and Thrift's compact protocol, in which the headers are encoded.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ _DEEPEST = 10
 
 
 class Damaged(ValueError):
-    """No head of a page is where one has to be."""
+    """A page's header is missing where one has to be."""
 
 
 def unfolded(data, metadata, most: int) -> int:
@@ -38,8 +38,8 @@ def unfolded(data, metadata, most: int) -> int:
 def _head(data, at: int) -> tuple[int, int, int]:
     """(bytes of the page unpacked, bytes of it packed, the first of them)."""
     try:
-        found, at = _fields(data, at, 0)
-        unpacked, packed = found[_UNPACKED], found[_PACKED]
+        fields, at = _fields(data, at, 0)
+        unpacked, packed = fields[_UNPACKED], fields[_PACKED]
     except (IndexError, KeyError):
         raise Damaged from None
     if unpacked < 0 or packed < 0:
@@ -49,7 +49,7 @@ def _head(data, at: int) -> tuple[int, int, int]:
 
 def _fields(data, at: int, depth: int) -> tuple[dict[int, int], int]:
     """(number -> value of the whole numbers in the structure that begins here, byte after it)."""
-    found: dict[int, int] = {}
+    fields: dict[int, int] = {}
     number = 0
     if depth > _DEEPEST:
         raise Damaged
@@ -61,14 +61,14 @@ def _fields(data, at: int, depth: int) -> tuple[dict[int, int], int]:
         else:
             number, at = _integer(data, at)
         if kind in _INTEGERS:
-            found[number], at = _integer(data, at)
+            fields[number], at = _integer(data, at)
         else:
             at = _after(data, at, kind, depth)
-    return found, at + 1
+    return fields, at + 1
 
 
 def _integer(data, at: int) -> tuple[int, int]:
-    """A whole number, the lowest seven bits first, the sign last of all."""
+    """A zigzag-encoded integer, the lowest seven bits first."""
     value, at = _count(data, at)
     return (value >> 1) ^ -(value & 1), at
 
@@ -85,7 +85,7 @@ def _count(data, at: int) -> tuple[int, int]:
 
 
 def _after(data, at: int, kind: int, depth: int) -> int:
-    """The byte after a value that is no whole number. Heads have truths, texts and structures; anything else is damage."""
+    """The byte after a value that is no integer. Headers have booleans, texts and structures; anything else is damage."""
     if kind in (1, 2):  # true and false
         return at
     if kind == 8:

@@ -1,18 +1,18 @@
 """Outliers that are damage of the log, not of the vehicle: lone values far from their neighbours.
 
-A log's framing can be whole and a value in it wrong: one bit of one output is enough for a false fault. What a vehicle
-does leaves more than one sample: a step stays, a ramp goes on, an oscillation comes back. So a sample x_i (or two in a
-row) is held against the samples around it:
+A log's framing can be intact and a value in it wrong: one bit of one output is enough for a false fault. The motion of a vehicle leaves
+more than one sample: a step stays, a ramp goes on, an oscillation comes back. So a sample x_i (or two in a row) is compared with the
+samples around it:
 
     r_i = x_i - (the line between the samples before and after, at t_i),      D_i = the difference of these two
 
-It is `lone` when |r_i| > 3 D_i, the neighbours agree with each other and not with it, and |r_i| > SCALES s_i, with s_i
-the median |r| of the samples before, or of those on both sides, whichever is larger. Nothing later than `AHEAD` samples
-counts. Of white noise one value in 15,000 is lone by this, of smooth signals none.
+It is `lone` when |r_i| > 3 D_i, the neighbours agree with each other and not with it, and |r_i| > SCALES s_i, with s_i the median |r| of
+the samples before, or of those on both sides, whichever is larger. Nothing later than `AHEAD` samples counts. Of white noise one value in
+15,000 is lone by this, of smooth signals none.
 
-A knock, a kick of the stick or a gust leaves one sample, too, in a slow log, but never in one column alone: all motors
-answer, several axes shake. So a lone value is damage only when nothing else in its record, and none of the signals that
-are coupled with it, jumps at the same time.
+A knock, a stick input or a gust leaves a single sample, too, in a slow log, but never in one column alone: all motors respond, several axes
+shake. So a lone value is damage only when nothing else in its record, and none of the signals that are coupled with it, jumps at the same
+time.
 """
 
 from __future__ import annotations
@@ -34,21 +34,21 @@ AGREE = 3.0
 BEFORE = 24  # samples before, for the roughness of the signal
 AHEAD = 7  # samples on each side, for the roughness here; the nearest two share the value in question
 FAR = 6.0  # typical intervals; a neighbour further away is not used
-JUMPS = 0.4  # share of what makes a value lone, beyond which another one is seen to jump with it
-ALONE = 0.125  # ... and the same as a share of how far the lone value is off
+JUMPS = 0.4  # share of the limit for lone values beyond which another value jumps with it
+ALONE = 0.125  # ... and the same as a share of the lone value's deviation
 ALONE_IN_AXIS = 0.33  # ... among motors, which share every error of roll, pitch, yaw and thrust
-HABIT = 0.05  # share of a signal's values beyond which it is not damage but what the signal is like
-FITTED, FIT_EVERY = 512, 64  # samples that the mixer's matrix is fitted to, and how often
+HABIT = 0.05  # share of a signal's values beyond which it is not damage but the signal's nature
+FITTED, FIT_EVERY = 512, 64  # samples for the fit of the mixer's matrix, and its interval
 PARTNER_S = 0.1  # a command further than this from any output of the controller is not compared
 TINY = 1e-12
-PIECE, MARGIN = 1 << 15, 64  # samples that are looked at at a time; more on each side than any of them is compared with
-TOGETHER = 1 << 18  # values of columns that are looked at together
+PIECE, MARGIN = 1 << 15, 64  # samples processed at a time; margin on each side
+TOGETHER = 1 << 18  # values of columns processed together
 NAMED = 3  # times that a warning names
 # Share and number of lone values of a signal beyond which chance does not explain them; and number of impossible ones beside them
 HEAVY, LEAST_HEAVY = 0.002, 5
 
-# What no diagnosis would notice is left alone: the least |r|, in the unit of the signal. Signals not named are not judged on.
-# In this order: the outputs are held against a control signal that has been cleaned.
+# The least |r| that could affect a diagnosis, in the unit of the signal. Other signals are not checked.
+# In this order: the outputs are compared with a cleaned control signal.
 FLOORS = {
     "control": 0.01,
     "motors": 0.006,  # of the range; 6 us
@@ -68,8 +68,7 @@ def checked(flight: Flight, progress: Callable[[float], object] | None = None) -
     """The flight with impossible values and lone ones marked invalid, named in its warnings and counted in facts["damage"]; `checked`.
 
     facts["damage"]: {signal: share of its values that were lone}, only of signals that had any. Lone values of a flight that has been
-    checked before are left alone. progress: called with the finished share, 0..1.
-    """
+    checked before are left alone. progress: called with the finished share, 0..1."""
     flight = possible(flight)
     if flight.checked:
         return flight
@@ -85,21 +84,21 @@ def checked(flight: Flight, progress: Callable[[float], object] | None = None) -
         tell(0.7 * done / len(known))
     for done, (name, signal) in enumerate(known.items()):
         tell(0.7 + 0.3 * done / len(known))
-        found = _unsupported(name, signals, sizes)
+        wrong = _unsupported(name, signals, sizes)
         if name == "motors" and "control" in signals:
-            found |= _unasked(signals, found)
+            wrong |= _beyond_mixer(signals, wrong)
         if name == "battery":
-            found[:, 1:] = False  # current jumps in normal flight
-        count = int(np.count_nonzero(found))
+            wrong[:, 1:] = False  # current jumps in normal flight
+        count = int(np.count_nonzero(wrong))
         share = count / max(int(np.count_nonzero(signal.valid)), 1)
         if not count or share > HABIT:
             continue
-        signals[name], shares[name] = replace(signal, valid=signal.valid & ~found), share
+        signals[name], shares[name] = replace(signal, valid=signal.valid & ~wrong), share
         each = "value that does" if count == 1 else "values that do"
         warnings.append(f"{name} ({signal.source}): {count} {each} not fit the neighbouring values ignored.")
         if count >= LEAST_HEAVY and share > HEAVY:
             heavy.append(name)
-    # Vehicles that tumble, are tuned or lose a motor's step jolt as well: only what cannot be at all says that it is the log.
+    # Tumbling, tuning and desyncs cause jolts as well: only impossible values prove damage of the log.
     impossible = sum(warning.number for warning in flight.warnings if isinstance(warning, Impossible))
     if heavy and impossible >= LEAST_HEAVY:
         warnings.append(
@@ -113,7 +112,7 @@ def checked(flight: Flight, progress: Callable[[float], object] | None = None) -
 
 
 def _once(flight: Flight) -> Flight:
-    """The flight without samples that repeat the one before, time and all, of signals in which that is frequent: a bridge or a merge of
+    """The flight without samples that repeat the one before, including its time, in signals where that is frequent: a bridge or a merge of
     files has written records twice. Sampling rates and standard errors would count them twice."""
     signals, often = dict(flight.signals), []
     for name, signal in signals.items():
@@ -126,7 +125,7 @@ def _once(flight: Flight) -> Flight:
             keep = ~again
             signals[name] = signal.with_arrays(signal.time[keep], signal.values[keep], signal.valid[keep])
             often.append(name)
-    if not set(often) & set(COUPLED):  # counts and levels may well stand still
+    if not set(often) & set(COUPLED):  # counts and levels may be constant
         return flight
     warning = f"The log has duplicate records, with the same time and values ({', '.join(often)}): each was taken once."
     messages = tuple(m for k, m in enumerate(flight.messages) if not k or m != flight.messages[k - 1])
@@ -134,8 +133,8 @@ def _once(flight: Flight) -> Flight:
 
 
 def possible(flight: Flight) -> Flight:
-    """The flight without values that no sensor or autopilot could mean and with time that does not run back, as the readers of files leave
-    it; named in its warnings. A signal of which nothing is left is dropped."""
+    """The flight without values that no sensor or autopilot can mean and with non-decreasing time, as file readers return it, with
+    warnings. A signal with nothing left is dropped."""
     signals, notes = dict(flight.signals), list[str]()
     for name, signal in flight.signals.items():
         limit = _limit(name, signal)
@@ -157,7 +156,7 @@ def possible(flight: Flight) -> Flight:
 
 
 def _limit(name: str, signal: Signal):
-    """The largest absolute value that is taken seriously, of all columns or of each."""
+    """The largest plausible absolute value, of all columns or of each."""
     if name == "esc":
         return np.array(
             [max(map(abs, esc_columns.LIMITS.get(c.rstrip("0123456789"), (np.inf,)))) for c in signal.columns]
@@ -168,8 +167,7 @@ def _limit(name: str, signal: Signal):
 def _whole_records(motors: Signal) -> tuple[Signal, list[str]]:
     """The outputs without lone records in which most of them are no command (0: off, or impossible); and a warning.
 
-    Rotors that stop take longer, and outputs that are switched off stay off.
-    """
+    Rotors that stop take longer, and outputs that are switched off stay off."""
     valid = motors.valid
     if len(motors) < 3 or valid.shape[1] < 2:
         return motors, []
@@ -189,13 +187,10 @@ def _whole_records(motors: Signal) -> tuple[Signal, list[str]]:
 
 
 def _unsupported(name: str, signals: Mapping[str, Signal], sizes: Mapping[str, Lone]) -> np.ndarray:
-    """(n, k) bool: lone values of a signal at which nothing else jumps that would if it had happened.
-
-    sizes: `_size` of every signal.
-    """
+    """(n, k) bool: lone values of a signal without a jump in any coupled signal. sizes: `_size` of every signal."""
     signal, size = signals[name], sizes[name]
     rows, columns, off = size
-    if not rows.size or name == "attitude":  # one wrong angle moves all of a quaternion
+    if not rows.size or name == "attitude":  # one wrong angle changes the whole quaternion
         return size.marked(signal.values.shape)
     support = np.zeros(rows.size)
     for other in {name, *(COUPLED if name in COUPLED else ())} & signals.keys():
@@ -203,19 +198,18 @@ def _unsupported(name: str, signals: Mapping[str, Signal], sizes: Mapping[str, L
         if other != name and (partner.unit, partner.source) == (signal.unit, signal.source):
             continue  # the same numbers by another name
         at = rows if other == name else _nearest(partner.time, signal.time[rows])
-        own = columns if other == name else np.full(rows.size, -1)
-        jumps = _support(partner.time, partner.values, partner.valid, sizes[other], _floor(other, partner), at, own)
+        skip = columns if other == name else np.full(rows.size, -1)
+        jumps = _support(partner.time, partner.values, partner.valid, sizes[other], _floor(other, partner), at, skip)
         support = np.maximum(support, jumps)
     return size.part(support < np.maximum(JUMPS, off * ALONE)).marked(signal.values.shape)
 
 
-def _unasked(signals: Mapping[str, Signal], already: np.ndarray) -> np.ndarray:
-    """(n, k) bool: motor commands that are lone in what the rate controller's output does not explain of them.
+def _beyond_mixer(signals: Mapping[str, Signal], already: np.ndarray) -> np.ndarray:
+    """(n, k) bool: motor commands that are lone in the part that the rate controller's output does not explain.
 
-    In a turbulent flight the commands are rough, but the mixer makes all of them of the same four numbers: commands =
-    W (roll, pitch, yaw, thrust, thrust^2, 1), W by least squares for each `FIT_EVERY` samples and the `FITTED` before
-    them (without them, W is not yet known for what the vehicle does for the first time).
-    """
+    In a turbulent flight the commands are rough, but the mixer makes all of them from the same four numbers: commands = W (roll, pitch,
+    yaw, thrust, thrust^2, 1), W by least squares for each `FIT_EVERY` samples and the `FITTED` before them (without them, W is not yet
+    known for a manoeuvre's first occurrence)."""
     motors, control = signals["motors"], signals["control"]
     control = control.wholes()
     if len(control) < FIT_EVERY or len(motors) < FIT_EVERY:
@@ -244,8 +238,7 @@ def _without_others(time, values, valid, floor: float) -> np.ndarray:
 def lone(time, values, floor: float, valid=None) -> np.ndarray:
     """(n, k) bool: values (n, k) at times (n,) that fit neither the samples before nor those after; see above.
 
-    floor: the least deviation that counts. valid: (n, k) bool, the values to look at (default: all that are finite).
-    """
+    floor: the least deviation that counts. valid: (n, k) bool, the values to check (default: all that are finite)."""
     values = np.asarray(values, float)
     return _size(np.asarray(time, float), values, np.isfinite(values) if valid is None else valid, floor).marked(
         values.shape
@@ -253,8 +246,7 @@ def lone(time, values, floor: float, valid=None) -> np.ndarray:
 
 
 class Lone(NamedTuple):
-    """Lone values, few of many: their rows and columns (m,), in the order of rows, and how far each is off, as a multiple of what makes it
-    lone."""
+    """Lone values: their rows and columns (m,), in the order of rows, and the deviation of each, relative to the limit for lone values."""
 
     rows: np.ndarray
     columns: np.ndarray
@@ -266,27 +258,26 @@ class Lone(NamedTuple):
 
     def marked(self, shape: tuple[int, ...]) -> np.ndarray:
         """A table of that shape, True where a value is lone."""
-        found = np.zeros(shape, bool)
-        found[self.rows, self.columns] = True
-        return found
+        mask = np.zeros(shape, bool)
+        mask[self.rows, self.columns] = True
+        return mask
 
 
 def _size(time, values, valid, floor: float, alike: bool = False) -> Lone:
     """The lone ones of values (n, k).
 
-    alike: columns are as rough as each other, as the commands of motors are, which one mixer makes. One that stands still (a motor at
-    idle) does not show how rough it will be when it moves, so at least the mean of those that move is taken.
-    """
+    alike: columns have the same roughness, as motor commands of one mixer do. A constant one (a motor at idle) does not show its roughness
+    in motion, so at least the mean of the moving ones is taken."""
     if len(time) <= PIECE or not valid.all():
         return _size_of(time, values, valid, floor, alike)
-    near, found = _Times(time).near, []
+    near, parts = _Times(time).near, []
     for start in range(0, len(time), PIECE):
         first = max(start - MARGIN, 0)
         part = slice(first, start + PIECE + MARGIN)
-        one = _size_of(time[part], values[part], valid[part], floor, alike, near)
-        own = one.part((one.rows >= start - first) & (one.rows < start - first + PIECE))
-        found.append(own._replace(rows=own.rows + first))
-    return Lone(*map(np.concatenate, zip(*found, strict=True)))
+        piece = _size_of(time[part], values[part], valid[part], floor, alike, near)
+        inner = piece.part((piece.rows >= start - first) & (piece.rows < start - first + PIECE))
+        parts.append(inner._replace(rows=inner.rows + first))
+    return Lone(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _size_of(time, values, valid, floor: float, alike: bool, near: float | None = None) -> Lone:
@@ -316,8 +307,8 @@ def _size_of(time, values, valid, floor: float, alike: bool, near: float | None 
 
 
 def _groups(valid: np.ndarray) -> list[tuple[slice, Any]]:
-    """Columns of valid (n, k) that are known at the same times, next to each other, and the rows of these; of a long log each by itself,
-    for the sake of memory."""
+    """Adjacent columns of valid (n, k) that are known at the same times, and the rows of these; each column by itself in a long log, to
+    save memory."""
     n, k = valid.shape
     width = k if n * k <= TOGETHER else 1
     if (valid == valid[:, :1]).all():
@@ -332,8 +323,8 @@ def _columns(values: np.ndarray, columns: slice, where: Any) -> np.ndarray:
 
 
 class _Times:
-    """Times t (n,) of samples, and what follows from them alone. near: how far a neighbour may be [s]; single, pair: `_share` of all
-    samples between the one before and the next one, or the second after."""
+    """Times t (n,) of samples, and derived quantities. near: largest distance of a neighbour [s]; single, pair: `_share` of all samples
+    between the one before and the next one, or the second after."""
 
     def __init__(self, t: np.ndarray, near: float | None = None):
         self.t = t
@@ -354,12 +345,12 @@ class _Times:
 
 
 def _share(t: np.ndarray, first, middle, last) -> np.ndarray:
-    """How far on the way from the first to the last of three samples the middle one comes, 0 to 1; each by its places."""
+    """Position of the middle one of three samples between the first and the last, 0 to 1; each by its indices."""
     return np.clip((t[middle] - t[first]) / np.maximum(t[last] - t[first], 1e-9), 0.0, 1.0)
 
 
 def _alone(times: _Times, x: np.ndarray, rough: np.ndarray | None, floor: float) -> np.ndarray:
-    """(k, n) as `_size`, of columns x (k, n) without gaps in validity; rough: (k, n) |r| that say what is usual, None: their own."""
+    """(k, n) as `_size`, of columns x (k, n) without gaps in validity; rough: (k, n) |r| for the usual scale, None: their own."""
     t, near, n = times.t, times.near, len(times.t)
     least = max(floor, TINY)
 
@@ -368,12 +359,12 @@ def _alone(times: _Times, x: np.ndarray, rough: np.ndarray | None, floor: float)
         return np.flatnonzero((r > floor) & (r > AGREE * spread))
 
     def far(at: np.ndarray, before: int, after: int, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Those of the samples `at` that are lone, and how far off; r: `_residual` at these. Places in x, row after row."""
+        """The lone ones of the samples `at`, and their deviations; r: `_residual` at these. Places in x, row after row."""
         place, r = at % n, np.abs(r)
         some = (t[place] - t[place - before] <= near * before) & (t[place + after] - t[place] <= near * after)
         at, place, r = at[some], place[some], r[some]
         around = _around(usual, at, place, n)
-        some = r > np.maximum(SCALES * around, least)  # few are, and the other scale takes longer
+        some = r > np.maximum(SCALES * around, least)  # few pass, and the other scale is slower to compute
         at, place, r, around = at[some], place[some], r[some], around[some]
         size = r / np.maximum(SCALES * np.maximum(around, _before(usual, at, place, n)), least)
         return at[size > 1.0], size[size > 1.0]
@@ -384,7 +375,7 @@ def _alone(times: _Times, x: np.ndarray, rough: np.ndarray | None, floor: float)
     inner = candidates(r, spread)
     at, off = far(inner, 1, 1, r.reshape(-1)[inner])
     size[at] = off
-    # Two in a row: the first is held against the samples one before and two after it, the second the other way round.
+    # Two in a row: the first is compared with the samples one before and two after it, the second the other way round.
     r, spread = _residual(x, times.pair, 1, 2)
     inner = candidates(r, spread)
     first, off = far(inner, 1, 2, r.reshape(-1)[inner])
@@ -400,13 +391,11 @@ def _alone(times: _Times, x: np.ndarray, rough: np.ndarray | None, floor: float)
 
 
 def _support(time, values, valid, size: Lone, floor: float, at, own) -> np.ndarray:
-    """How far the samples `at` jump in any column but `own`, in the unit of `_size`.
-
-    Against the line between their neighbours where those are valid and not lone themselves; what is not valid does not jump.
-    """
+    """Jump of the samples `at` in any column but `own`, in the unit of `_size`: against the line between their neighbours where those are
+    valid and not lone themselves; invalid values do not jump."""
     if not at.size:
         return np.zeros(0)
-    # Nothing but what is near the samples is looked at; `_scale` reaches furthest.
+    # Only the surroundings of the samples are used; `_scale` reaches furthest.
     if len(time) > PIECE:
         rows = _around_them(valid, size, at)
         there = np.isin(size.rows, rows)
@@ -441,8 +430,8 @@ def _support(time, values, valid, size: Lone, floor: float, at, own) -> np.ndarr
 
 
 def _around_them(valid: np.ndarray, size: Lone, at: np.ndarray) -> np.ndarray:
-    """(m,) rows around the samples `at`, in order: as many that in each stretch of them the first and the last row are valid in every
-    column and not lone, or the table ends there."""
+    """(m,) rows around the samples `at`, in order: enough that in each stretch the first and the last row are valid in every column and not
+    lone, or the table ends there."""
     calm = np.asarray(valid.all(axis=1))
     calm[size.rows] = False
     n, reach = len(valid), BEFORE + 2
@@ -485,24 +474,23 @@ def _off(first: np.ndarray, middle: np.ndarray, last: np.ndarray, share: np.ndar
 
 
 def _scale(rough: np.ndarray, at: np.ndarray, place: np.ndarray, n: int) -> np.ndarray:
-    """How large a residual is usual at the samples `at`: the larger of what was before and what is around."""
+    """Usual residual at the samples `at`: the larger of those before and around."""
     return np.maximum(_around(rough, at, place, n), _before(rough, at, place, n))
 
 
 def _before(rough: np.ndarray, at: np.ndarray, place: np.ndarray, n: int) -> np.ndarray:
-    """How large a residual was usual before the samples `at`."""
+    """Usual residual before the samples `at`."""
     return median(_those(rough, at, place, n, np.arange(-BEFORE, -2)), axis=1)
 
 
 def _around(rough: np.ndarray, at: np.ndarray, place: np.ndarray, n: int) -> np.ndarray:
-    """How large a residual is usual around the samples `at`."""
+    """Usual residual around the samples `at`."""
     around = np.concatenate([np.arange(-AHEAD, -2), np.arange(3, AHEAD + 1)])
     return np.partition(_those(rough, at, place, n, around), around.size // 2, axis=1)[:, around.size // 2]
 
 
 def _those(rough: np.ndarray, at: np.ndarray, place: np.ndarray, n: int, offsets: np.ndarray) -> np.ndarray:
-    """(m, k) residuals at these offsets from the samples rough[at], on the other side of them where there are none: these are the samples
-    `place` of n."""
+    """(m, k) residuals at these offsets from the samples rough[at], mirrored where there are none: these are the samples `place` of n."""
     index = place[:, None] + offsets
     inside = (index >= 1) & (index <= n - 2)  # the first and the last sample have no residual
     if not inside.all():

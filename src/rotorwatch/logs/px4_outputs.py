@@ -1,14 +1,14 @@
-"""Which of PX4's actuator outputs drive rotors, in which order and unit.
+"""PX4's actuator outputs of the rotors, in their order and unit.
 
-Each output driver publishes an instance of `actuator_outputs`, and none says which driver it is. Pulses are logged in us,
-simulated outputs as shares (0..1 or -1..1), UAVCAN as the counts of its raw command (uavcan.equipment.esc.RawCommand,
-14 bit and sign: 8191 is full) and DShot as counts of its throttle field (1999 is full).
+Each output driver publishes an instance of `actuator_outputs`, without its name. Pulses are logged in us, simulated outputs as shares (0..1
+or -1..1), UAVCAN as the counts of its raw command (uavcan.equipment.esc.RawCommand, 14 bit and sign: 8191 is full) and DShot as counts of
+its throttle field (1999 is full).
 
-Two publishers in one instance: an experimental controller that bypasses the mixer publishes its outputs next to the autopilot's own;
-both are logged under the same name, alternate, and read as one series they make outputs jump to and fro. A sample belongs to the series
-whose last value it is nearer to (`tracks`, `flown`).
+Two publishers in one instance: an experimental controller that bypasses the mixer publishes its outputs next to the autopilot's own; both
+are logged under the same name, alternate, and read as one series they make outputs jump. A sample belongs to the series whose last value it
+is nearer to (`tracks`, `flown`).
 
-And which of the reports in the topic esc_status is which rotor's (`escs`):
+Also the rotor of each report in the topic esc_status (`escs`):
 
     esc[i].esc_rpm (negative: backwards), esc_voltage V, esc_current A, esc_temperature degC    as far as the driver knows them, else 0
     esc[i].actuator_function         101 is motor 1                                     1.13 and later
@@ -17,8 +17,8 @@ And which of the reports in the topic esc_status is which rotor's (`escs`):
 
 https://docs.px4.io/main/en/msg_docs/EscStatus.html and EscReport.html
 
-Logs before 1.13 may hold what the rate controller asked for and no outputs. Those of a quad follow (`mixed`), and are exact within half a
-microsecond wherever both are logged, but for outputs at their limits, which the mixer moves together.
+Logs before 1.13 may hold the rate controller's output without actuator outputs. Those of a quad are computed (`mixed`), exact within half a
+microsecond wherever both are logged, except for outputs at their limits, which the mixer moves together.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ from rotorwatch.logs import esc_columns
 CAN, PWM = "UAVCAN_EC", "PWM_MAIN"
 CAN_FULL, DSHOT_FULL = 8191.0, 1999.0
 TIMERS, DSHOT_TIMERS = 16, (-5, -4, -3, -2)  # PWM_MAIN_TIMn of DShot 150, 300, 600 and 1200
-PULSES_US = (800.0, 2500.0)  # what a motor gets when it gets anything
+PULSES_US = (800.0, 2500.0)  # pulses of a driven motor
 NO_COMMAND = 65535.0  # drivers that take counts log this while disarmed
-MOVING, MOVING_US = 0.01, 100.0  # an output that moves less, of full command and in us, need not be a rotor's
+MOVING, MOVING_US = 0.01, 100.0  # of full command, and in us: an output that moves less need not be a rotor's
 LEAST_VALUES = 10  # rotors move through many values, servos and spare outputs step between a few
-THERE_AND_BACK = 20  # jumps away and back again within three samples, before two publishers are believed
+THERE_AND_BACK = 20  # jumps away and back within three samples that indicate two publishers
 ALTERNATION = 4.0  # how many times nearer a sample has to be to the one before last than to the last
-AT_REST = 0.1  # of two series, one whose outputs move so much less than the other's is not what flew
+AT_REST = 0.1  # of two series, one that moves this much less than the other did not drive the motors
 MOST_ESCS = 12
 ESC_FIELDS = {"speed": "esc_rpm", "current": "esc_current", "voltage": "esc_voltage", "temperature": "esc_temperature"}
 
@@ -55,10 +55,9 @@ QUADS_X = (1001, 3010)  # SYS_AUTOSTART of simulated quads, beside the thousands
 
 
 class Reading(NamedTuple):
-    """One instance read as rotors: values (n, rotors) in us or shares, swing as a share of full, facts on limits.
+    """An instance read as rotors: values (n, rotors) in us or shares, swing as a share of full, facts on limits.
 
-    named: the log's output functions name these outputs as motors. outputs: of each rotor, from 1.
-    """
+    named: the log's output functions name these outputs as motors. outputs: of each rotor, from 1."""
 
     values: np.ndarray
     unit: str
@@ -72,23 +71,22 @@ class Reading(NamedTuple):
 def read(values: np.ndarray, parameters, count: int) -> Reading | None:
     """The rotors among the outputs of one instance, values (n, k); None when there are none.
 
-    count: rotors of the vehicle, 0 where the log does not say.
-    """
+    count: rotors of the vehicle, 0 where the log does not say."""
     values = np.where(values == NO_COMMAND, 0.0, values)
     functions = motor_outputs(parameters)
     for driver, outputs in functions.items():
         picked = [n - 1 for n in in_order(outputs)]
         if picked and max(picked) < values.shape[1]:
-            found = _scaled(values[:, picked], picked, driver, parameters)
-            if found is not None:
-                return found
+            reading = _scaled(values[:, picked], picked, driver, parameters)
+            if reading is not None:
+                return reading
     can = set(functions) == {CAN} or (not functions and parameters.get("UAVCAN_ENABLE", 0) >= 3)
     driver = CAN if can and not parameters.get("DSHOT_CONFIG", 0) > 0 else ""
     if 0 < count <= values.shape[1]:
         picked = list(range(count))
-        found = _scaled(values[:, picked], picked, driver, parameters)
-        if found is not None:
-            return found
+        reading = _scaled(values[:, picked], picked, driver, parameters)
+        if reading is not None:
+            return reading
     moving = [k for k in range(values.shape[1]) if _moves(values[:, k])]
     moving = [k for k in moving if _scaled(values[:, [k]], [k], driver, parameters, moving=True)]
     return _scaled(values[:, moving], moving, driver, parameters) if moving else None
@@ -96,12 +94,12 @@ def read(values: np.ndarray, parameters, count: int) -> Reading | None:
 
 def best(instances: Iterable[tuple[str, Any]], parameters, count: int) -> tuple[str, np.ndarray, Reading] | None:
     """(source, time, reading) of the instance that drives rotors; None when none does. instances: source -> (time, outputs) or None."""
-    found = [
+    readings = [
         (source, data[0], reading)
         for source, data in instances
         if data is not None and (reading := read(data[1], parameters, count)) is not None
     ]
-    return max(found, key=lambda one: (one[2].named, one[2].swing), default=None)
+    return max(readings, key=lambda one: (one[2].named, one[2].swing), default=None)
 
 
 def _moves(column: np.ndarray) -> bool:
@@ -112,10 +110,9 @@ def _moves(column: np.ndarray) -> bool:
 def _scaled(values, picked, driver, parameters, moving=False) -> Reading | None:
     """The picked outputs as pulses or shares, whichever their values and the log's parameters allow; None when neither.
 
-    moving: only when all of them move as rotors do.
-    """
-    found = _in_unit(values, picked, driver, parameters, moving)
-    return None if found is None else found._replace(outputs=tuple(k + 1 for k in picked))
+    moving: only when all of them move as rotors do."""
+    reading = _in_unit(values, picked, driver, parameters, moving)
+    return None if reading is None else reading._replace(outputs=tuple(k + 1 for k in picked))
 
 
 def _in_unit(values, picked, driver, parameters, moving) -> Reading | None:
@@ -200,8 +197,7 @@ def pulse_limits(parameters, driver: str, picked) -> dict:
 def tracks(values: np.ndarray, step: float) -> list[np.ndarray]:
     """Indices of the samples of each publisher in values (n, k), in order; a single one where they do not alternate.
 
-    step: a change from sample to sample below which nothing is a jump, in the unit of the values.
-    """
+    step: a change from sample to sample below which nothing is a jump, in the unit of the values."""
     everything = [np.arange(len(values))]
     if len(values) < 3 * THERE_AND_BACK or not np.isfinite(values).all():
         return everything
@@ -217,12 +213,12 @@ def tracks(values: np.ndarray, step: float) -> list[np.ndarray]:
         near, far = (max(abs(a - b) for a, b in zip(row, other)) for other in last)
         member[i] = far < near
         last[int(member[i])] = row
-    found = [np.flatnonzero(~member), np.flatnonzero(member)]
-    return found if min(len(f) for f in found) >= THERE_AND_BACK else everything
+    series = [np.flatnonzero(~member), np.flatnonzero(member)]
+    return series if min(len(f) for f in series) >= THERE_AND_BACK else everything
 
 
 def flown(values: np.ndarray, found: list[np.ndarray]) -> np.ndarray | None:
-    """The one of two series that moves while the other rests: what reached the motors. None when both move."""
+    """The one of two series that moves while the other rests: the motors' actual commands. None when both move."""
     if len(found) == 1:
         return found[0]
     moves = [float(median(np.abs(np.diff(values[i], axis=0)).max(axis=1))) for i in found]
@@ -230,7 +226,7 @@ def flown(values: np.ndarray, found: list[np.ndarray]) -> np.ndarray | None:
 
 
 def escs(time: np.ndarray, table: Mapping[str, np.ndarray], count: int, notes: list[str]) -> Signal | None:
-    """The signal `esc` of one esc_status topic; None where it says nothing. time (m,) s; count: rotors, 0 where not known."""
+    """The signal `esc` of one esc_status topic; None without data. time (m,) s; count: rotors, 0 where unknown."""
     there = [i for i in range(MOST_ESCS) if f"esc[{i}].esc_rpm" in table]
     if not there or not time.size:
         return None
@@ -266,8 +262,7 @@ def mixed(control: np.ndarray, parameters: Mapping[str, float]) -> np.ndarray | 
 
     control: (n, 4), roll, pitch, yaw -1 to 1 and throttle 0 to 1. None where SYS_AUTOSTART names no quad of X or plus shape.
 
-        y = M c, cut to 0..1;    u = y,  or with f = THR_MDL_FAC > 0 what gives y by  (1 - f) u + f u^2 = y
-    """
+        y = M c, cut to 0..1;    u = y,  or with f = THR_MDL_FAC > 0 the solution of  (1 - f) u + f u^2 = y"""
     start, f = (int(parameters.get("SYS_AUTOSTART", 0)), float(parameters.get("THR_MDL_FAC", 0.0)))
     mixer = QUAD_X if start // 1000 == 4 or start in QUADS_X else QUAD_PLUS if start // 1000 == 5 else None
     if mixer is None:

@@ -1,7 +1,7 @@
-"""What PX4 itself reports in its topics: failsafe flags, its failure detector, warnings of its batteries, why it disarmed; and what its own
-limits are compared with. Texts of `Message`s are ours; `witnesses/reports.py` says what they mean.
+"""PX4's reports in its topics: failsafe flags, failure detector, battery warnings, reasons of disarming; and quantities for its limits. The
+texts of `Message`s are ours; `witnesses/reports.py` interprets them.
 
-Flags count where they rise: one that is up when the log begins tells of nothing that happened in flight.
+Flags count where they rise: one that is up when the log begins shows no event in flight.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rotorwatch.logs.px4_topics import Topics
 
 TOPICS = ("failsafe_flags", "failure_detector_status", "vehicle_imu_status", "estimator_status")
-EVENTS = "event"  # decoded by what the log itself says of its numbers
+EVENTS = "event"  # decoded by the log's own definitions
 FLAGS = {
     **{f"{what}_invalid": f"{what.replace('_', ' ')} invalid" for what in ("angular_velocity", "attitude")},
     **{f"{what}_invalid": f"{what.replace('_', ' ')} invalid" for what in ("local_position", "local_velocity", "global_position")},
@@ -46,13 +46,13 @@ LONGEST = 1 << 24  # bytes of the definitions of events; PX4's have 400,000
 
 def messages(topics: Topics) -> list[Message]:
     """Reports of all topics, in any order of time."""
-    return [Message(time, kind, text, value) for time, kind, text, value in _told(topics)]
+    return [Message(time, kind, text, value) for time, kind, text, value in _reports(topics)]
 
 
-def _told(topics: Topics) -> Iterator[tuple[float, str, str, float]]:
+def _reports(topics: Topics) -> Iterator[tuple[float, str, str, float]]:
     def rises(name: str, field: str) -> list[tuple[float, float]]:
-        found = topics.table(name, field)
-        return [] if found is None else series.rises(found[0], found[1][field])
+        sample = topics.table(name, field)
+        return [] if sample is None else series.rises(sample[0], sample[1][field])
 
     for field, text in FLAGS.items():
         for time, value in rises("failsafe_flags", field):
@@ -70,41 +70,41 @@ def _told(topics: Topics) -> Iterator[tuple[float, str, str, float]]:
         yield time, "error", "manual control lost", value
     for time, value in rises("vehicle_status", "failsafe"):
         yield time, "event", "failsafe begins", value
-    found = topics.table("battery_status", "warning")
-    for time, value in series.changes(found[0], found[1]["warning"])[1:] if found is not None else ():
+    sample = topics.table("battery_status", "warning")
+    for time, value in series.changes(sample[0], sample[1]["warning"])[1:] if sample is not None else ():
         if int(value) in WARNINGS:
             yield time, "error", f"battery warning: {WARNINGS[int(value)]}", value
-    found = topics.table("vehicle_status", "latest_disarming_reason", "arming_state")
-    if found is not None:
-        armed = np.asarray(found[1]["arming_state"]) == 2
+    sample = topics.table("vehicle_status", "latest_disarming_reason", "arming_state")
+    if sample is not None:
+        armed = np.asarray(sample[1]["arming_state"]) == 2
         for k in np.flatnonzero(armed[:-1] & ~armed[1:]) + 1:
-            reason = int(found[1]["latest_disarming_reason"][k])
+            reason = int(sample[1]["latest_disarming_reason"][k])
             if reason in DISARMED:
-                yield float(found[0][k]), "event", f"disarmed: {DISARMED[reason]}", float(reason)
+                yield float(sample[0][k]), "event", f"disarmed: {DISARMED[reason]}", float(reason)
 
 
 def limited(topics: Topics) -> dict[str, Signal | None]:
     """The signals that are compared with the autopilot's limits: of the first IMU and the first estimator."""
     axes = [f"accel_clipping[{k}]" for k in range(3)]
-    found: dict[str, Signal | None] = {}
+    signals: dict[str, Signal | None] = {}
     imu = topics.table("vehicle_imu_status", "accel_vibration_metric", *axes)
     if imu is not None and imu[0].size:
         time, table = imu
         level, counts = series.stacked(table, ["accel_vibration_metric"]), series.stacked(table, axes)
-        found["vibration"] = series.signal("vibration", time, level, "vehicle_imu_status", [])
-        found["clipping"] = series.signal("clipping", time, counts.sum(axis=1), "vehicle_imu_status", [])
+        signals["vibration"] = series.signal("vibration", time, level, "vehicle_imu_status", [])
+        signals["clipping"] = series.signal("clipping", time, counts.sum(axis=1), "vehicle_imu_status", [])
     ratios = topics.table("estimator_status", "vel_test_ratio", "pos_test_ratio", "hgt_test_ratio")
     if ratios is not None and ratios[0].size:
         time, table = ratios
         heading = "hdg_test_ratio" if "hdg_test_ratio" in table else "mag_test_ratio"
         values = series.stacked(table, ["vel_test_ratio", "pos_test_ratio", "hgt_test_ratio", heading])
-        found["innovations"] = series.signal("innovations", time, values, "estimator_status", [])
-    return found
+        signals["innovations"] = series.signal("innovations", time, values, "estimator_status", [])
+    return signals
 
 
 def events(log: Any, start_us: int) -> list[Message]:
-    """Warnings and errors of the topic `event` of a pyulog ULog, in the words of definitions that the log carries; none without them."""
-    with contextlib.suppress(Exception):  # damaged definitions say nothing; an old pyulog has no parser
+    """Warnings and errors of the topic `event` of a pyulog ULog, decoded by the definitions in the log; none without them."""
+    with contextlib.suppress(Exception):  # definitions may be damaged; an old pyulog has no parser
         from pyulog.libevents_parse.parser import Parser
 
         packed = b"".join(log.msg_info_multiple_dict["metadata_events"][0])
@@ -117,9 +117,9 @@ def events(log: Any, start_us: int) -> list[Message]:
         out = []
         for k, number in enumerate(table["id"]):
             level = int(table["log_levels"][k]) >> 4
-            found = parser.parse(int(number), bytes(int(a[k]) for a in arguments)) if level <= WARNS else None
-            if found is not None and found.group() == "default":
+            event = parser.parse(int(number), bytes(int(a[k]) for a in arguments)) if level <= WARNS else None
+            if event is not None and event.group() == "default":
                 time = max(0.0, (int(table["timestamp"][k]) - start_us) * 1e-6)
-                out.append(Message(time, "error" if level <= FAILS else "text", " ".join(found.message().split())))
+                out.append(Message(time, "error" if level <= FAILS else "text", " ".join(event.message().split())))
         return out
     return []

@@ -1,7 +1,7 @@
-"""PX4's topics -> signals, whatever file they came from (ULog, ulog2csv tables).
+"""PX4's topics -> signals, from any file format (ULog, ulog2csv tables).
 
-Topics are {(name, instance): {field: (n,) array}} with fields named as PX4 flattens them ("control[0]") and `timestamp`
-in us. Message definitions: https://docs.px4.io/main/en/msg_docs/
+Topics are {(name, instance): {field: (n,) array}} with fields named as PX4 flattens them ("control[0]") and `timestamp` in us. Message
+definitions: https://docs.px4.io/main/en/msg_docs/
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ _ARMED = 2  # vehicle_status.arming_state
 
 
 class Topics:
-    """Read access to one log's topics. start_us: time stamp that is second 0; notes: sentences on what was damaged."""
+    """Read access to one log's topics. start_us: time stamp that is second 0; notes: sentences on damage."""
 
     def __init__(self, tables, start_us: int):
         self.tables, self.start_us, self.notes = tables, start_us, []
@@ -66,8 +66,7 @@ class Topics:
     def table(self, name, *fields, instance=0, early=False):
         """(time s (n,), table) of a topic that has all `fields`, else None.
 
-        Samples from before the start (states latched there) are left out, or counted as second 0 with `early`.
-        """
+        Samples from before the start (states latched there) are left out, or counted as second 0 with `early`."""
         table = self.tables.get((name, instance))
         if table is None and instance == 0:  # loggers may count instances from 1
             numbers = [number for topic, number in self.tables if topic == name]
@@ -86,10 +85,10 @@ class Topics:
 
     def signal(self, kind, name, fields, valid=None):
         """The Signal `kind` from the given fields of a topic, or None. valid: 0/1 fields, one for each, or None."""
-        found = self.table(name, *fields)
-        if found is None:
+        data = self.table(name, *fields)
+        if data is None:
             return None
-        time, table = found
+        time, table = data
         fine = series.stacked(table, valid) != 0 if valid and all(v in table for v in valid) else None
         return series.signal(kind, time, series.stacked(table, fields), name, self.notes, fine)
 
@@ -105,7 +104,7 @@ def signals(topics: Topics, parameters) -> tuple[dict, dict]:
         "rates", "vehicle_attitude", ["rollspeed", "pitchspeed", "yawspeed"]
     )
     battery = _battery(topics)
-    found = {
+    signals_ = {
         "control": _control(topics),
         "gyro": series.fastest(rates, topics.signal("gyro", "sensor_combined", numbered("gyro_rad", 3))),
         "rates": rates,
@@ -128,29 +127,29 @@ def signals(topics: Topics, parameters) -> tuple[dict, dict]:
         **px4_reports.limited(topics),
     }
     motors, facts = _motors(topics, parameters)
-    found["motors"] = motors
+    signals_["motors"] = motors
     facts |= _kind(topics)
-    if found["control"] is not None:
-        thrust = found["control"]
+    if signals_["control"] is not None:
+        thrust = signals_["control"]
         valid = None if thrust.valid is None else thrust.valid[:, 3:]
-        found["throttle"] = series.signal(
+        signals_["throttle"] = series.signal(
             "throttle", thrust.time, thrust.values[:, 3:], thrust.source, topics.notes, valid
         )
-    return {k: v for k, v in found.items() if v is not None}, facts | {"utc_start": _utc_start(topics)}
+    return {k: v for k, v in signals_.items() if v is not None}, facts | {"utc_start": _utc_start(topics)}
 
 
 def rotor_count(parameters) -> int:
-    """Number of rotors by parameter (CA_ROTOR_COUNT, else MAV_TYPE); 0 when neither says."""
+    """Number of rotors by parameter (CA_ROTOR_COUNT, else MAV_TYPE); 0 when unknown."""
     count = int(parameters.get("CA_ROTOR_COUNT", 0))
     return count if 0 < count <= 12 else MAV_TYPES.get(int(parameters.get("MAV_TYPE", 0)), ("", 0))[1]
 
 
 def _kind(topics: Topics) -> dict:
     """Fact mav_type, from vehicle_status: its system_type (MAV_TYPE), else is_vtol and vehicle_type (1.10 and later)."""
-    found = topics.table("vehicle_status", early=True)
-    if found is None or not found[0].size:
+    data = topics.table("vehicle_status", early=True)
+    if data is None or not data[0].size:
         return {}
-    usual = {k: float(median(found[1][k])) for k in ("system_type", "is_vtol", "vehicle_type") if k in found[1]}
+    usual = {k: float(median(data[1][k])) for k in ("system_type", "is_vtol", "vehicle_type") if k in data[1]}
     if usual.get("system_type", 0) > 0:
         return {"mav_type": int(usual["system_type"])}
     if usual.get("is_vtol", 0) > 0:
@@ -162,9 +161,9 @@ def _kind(topics: Topics) -> dict:
 def _motors(topics: Topics, parameters):
     """Rotor commands and facts. actuator_motors (1.13+) is in rotor order; actuator_outputs may need mapping."""
     count = rotor_count(parameters)
-    found = topics.table("actuator_motors", "control[0]")
-    if found is not None and found[0].size:
-        time, table = found
+    data = topics.table("actuator_motors", "control[0]")
+    if data is not None and data[0].size:
+        time, table = data
         fields = [f for f in numbered("control", 12) if f in table]
         values = series.stacked(table, fields)
         finite = np.isfinite(values).mean(axis=0)
@@ -175,10 +174,10 @@ def _motors(topics: Topics, parameters):
             return series.motors(time, values, "1", "actuator_motors", topics.notes), {"outputs_left_out": left}
 
     def outputs(instance):
-        found = topics.table("actuator_outputs", "output[0]", instance=instance)
-        if found is None:
+        data = topics.table("actuator_outputs", "output[0]", instance=instance)
+        if data is None:
             return None
-        return found[0], series.stacked(found[1], [f for f in numbered("output", 16) if f in found[1]])
+        return data[0], series.stacked(data[1], [f for f in numbered("output", 16) if f in data[1]])
 
     instances = ((f"actuator_outputs[{k}]" if k else "actuator_outputs", outputs(k)) for k in range(4))
     best = px4_outputs.best(instances, parameters, count)
@@ -192,28 +191,28 @@ def _motors(topics: Topics, parameters):
 
 
 def _mixed(topics: Topics, parameters):
-    """Outputs that a quad's mixer made of the rate controller's output, where the log holds that alone."""
-    found = topics.table("actuator_controls_0", *numbered("control", 4))
-    values = None if found is None else px4_outputs.mixed(series.stacked(found[1], numbered("control", 4)), parameters)
-    if found is None or values is None:
+    """Outputs computed from the rate controller's output by a quad's mixer, where the log holds that alone."""
+    data = topics.table("actuator_controls_0", *numbered("control", 4))
+    values = None if data is None else px4_outputs.mixed(series.stacked(data[1], numbered("control", 4)), parameters)
+    if data is None or values is None:
         return None
     topics.notes.append(
         "the log has no motor outputs: they were computed by the quad's mixer from what the rate controller asked for, so that an output "
         "that did not follow the mixer is not seen"
     )
-    return series.motors(found[0], values, "1", "actuator_controls_0", topics.notes)
+    return series.motors(data[0], values, "1", "actuator_controls_0", topics.notes)
 
 
 def _one_publisher(topics: Topics, time, reading: px4_outputs.Reading, source, facts):
     """The samples of the publisher whose outputs reached the motors; `facts` holds their number where none can be chosen."""
     values = reading.values
-    found = px4_outputs.tracks(values, 0.01 * (1000.0 if reading.unit == "us" else 1.0))
-    if len(found) == 1:
+    series_ = px4_outputs.tracks(values, 0.01 * (1000.0 if reading.unit == "us" else 1.0))
+    if len(series_) == 1:
         return time, values
-    keep = px4_outputs.flown(values, found)
+    keep = px4_outputs.flown(values, series_)
     sentence = f"{source}: the outputs of two publishers alternate in one instance"
     if keep is None:
-        facts["publishers"] = len(found)
+        facts["publishers"] = len(series_)
         topics.notes.append(f"{sentence}, and both move")
         return time, values
     topics.notes.append(f"{sentence}; the {keep.size} of {len(values)} samples that move were taken")
@@ -235,47 +234,45 @@ def _control(topics: Topics):
 
 
 def _attitude(topics: Topics, kind, name, field):
-    found = topics.table(name, *numbered(field, 4))
-    if found is None:
+    data = topics.table(name, *numbered(field, 4))
+    if data is None:
         return None
-    q, fine = series.unit_quaternion(series.stacked(found[1], numbered(field, 4)))
-    return series.signal(kind, found[0], q, name, topics.notes, fine)
+    q, fine = series.unit_quaternion(series.stacked(data[1], numbered(field, 4)))
+    return series.signal(kind, data[0], q, name, topics.notes, fine)
 
 
 def _utc_start(topics: Topics) -> str | None:
-    """UTC of second 0, as the GPS says."""
+    """UTC of second 0, by the GPS."""
     for name in ("vehicle_gps_position", "sensor_gps"):
-        found = topics.table(name, "time_utc_usec")
-        if found is not None:
-            return wall_clock.start(found[0], np.asarray(found[1]["time_utc_usec"], float) * 1e-6)
+        data = topics.table(name, "time_utc_usec")
+        if data is not None:
+            return wall_clock.start(data[0], np.asarray(data[1]["time_utc_usec"], float) * 1e-6)
     return None
 
 
 def _gps(topics: Topics):
     for name in ("vehicle_gps_position", "sensor_gps"):
         for fields, units in ((("lat", "lon", "alt"), (1e-7, 1e-7, 1e-3)), (_GPS_DEGREES, (1.0, 1.0, 1.0))):
-            found = topics.table(name, *fields, "vel_m_s", "fix_type")
-            if found is not None and found[0].size:
-                latitude, longitude, altitude = (series.stacked(found[1], fields) * units).T
-                speed, fix = series.stacked(found[1], ("vel_m_s", "fix_type")).T
+            data = topics.table(name, *fields, "vel_m_s", "fix_type")
+            if data is not None and data[0].size:
+                latitude, longitude, altitude = (series.stacked(data[1], fields) * units).T
+                speed, fix = series.stacked(data[1], ("vel_m_s", "fix_type")).T
                 degrees = np.column_stack([latitude, longitude])
-                return series.gps(found[0], degrees, altitude, speed, fix >= _FIX_3D, name)
+                return series.gps(data[0], degrees, altitude, speed, fix >= _FIX_3D, name)
     return None
 
 
 def _battery(topics: Topics):
-    found = topics.table("battery_status", "voltage_v", "current_a")
-    if found is None:
+    data = topics.table("battery_status", "voltage_v", "current_a")
+    if data is None:
         return None
-    values = series.stacked(found[1], ["voltage_v", "current_a"])
-    return series.signal(
-        "battery", found[0], values, "battery_status", topics.notes, series.voltage_and_current(values)
-    )
+    values = series.stacked(data[1], ["voltage_v", "current_a"])
+    return series.signal("battery", data[0], values, "battery_status", topics.notes, series.voltage_and_current(values))
 
 
 def _esc(topics: Topics, parameters):
-    found = topics.table("esc_status", "esc[0].esc_rpm")
-    return None if found is None else px4_outputs.escs(*found, rotor_count(parameters), topics.notes)
+    data = topics.table("esc_status", "esc[0].esc_rpm")
+    return None if data is None else px4_outputs.escs(*data, rotor_count(parameters), topics.notes)
 
 
 def modes(time, nav_state) -> list[Message]:
@@ -290,11 +287,11 @@ def custom_mode(number: int) -> str:
 
 
 def messages(topics: Topics) -> list[Message]:
-    """State changes: landed, armed, flight mode; and what the autopilot itself reports."""
+    """State changes: landed, armed, flight mode; and the autopilot's own reports."""
     out = px4_reports.messages(topics)
-    found = topics.table("vehicle_land_detected", "landed", early=True)
-    if found is not None:
-        out += series.states("landed", found[0], found[1]["landed"])
+    data = topics.table("vehicle_land_detected", "landed", early=True)
+    if data is not None:
+        out += series.states("landed", data[0], data[1]["landed"])
     status = topics.table("vehicle_status", "arming_state", early=True)
     armed = topics.table("actuator_armed", "armed", early=True)
     if armed is not None:

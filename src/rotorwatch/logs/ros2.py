@@ -32,11 +32,11 @@ ENDINGS = (".mcap", ".db3")
 _ENOUGH = 20  # samples of a topic that is published all the time
 _UNIX_US = 1e14  # larger stamps count from 1970, smaller ones from the autopilot's start
 _TOPIC = re.compile(r"(?P<name>[a-z0-9_]*?[a-z])(?P<instance>_?\d)?(?P<version>_v\d+)?")
-_OWN = "/rotorwatch/"  # topics of a diagnosis, which this program writes
+_OWN = "/rotorwatch/"  # topics of a diagnosis, written by this program
 
 
 def sniff(head: bytes, name: str) -> bool:
-    """True for an MCAP file and for an SQLite database with topics, or named as bags are: other programs keep theirs in SQLite, too."""
+    """True for an MCAP file and for an SQLite database with topics, or with a bag's name: other programs use SQLite, too."""
     if head.startswith(bag_storage.SQLITE):
         return b"topics" in head or name.lower().endswith(".db3")
     return head.startswith(bag_storage.MCAP)
@@ -91,8 +91,8 @@ def _files(path: Path) -> list[Path]:
     """The bag's files, in the order of the numbers in their names."""
 
     def number(file: Path) -> tuple[int, str]:
-        found = re.search(r"_(\d+)\.\w+(?:\.\w+)?$", file.name)
-        return (int(found[1]) if found else -1), file.name
+        match = re.search(r"_(\d+)\.\w+(?:\.\w+)?$", file.name)
+        return (int(match[1]) if match else -1), file.name
 
     endings = tuple(ending + packed for ending in ENDINGS for packed in ("", *container.PACKED))
     return sorted((p for p in path.iterdir() if p.name.lower().endswith(endings) and p.is_file()), key=number)
@@ -101,9 +101,8 @@ def _files(path: Path) -> list[Path]:
 def place(topic: str) -> tuple[str, str, int, bool] | None:
     """(name space, PX4's name, instance, out) of a topic of PX4, None for others: ("/drone_1", "actuator_outputs", 1, True).
 
-    out: it comes from the autopilot, and is not a companion computer's to it. Of PX4 before 1.14 too: /fmu/vehicle_attitude/out,
-    VehicleAttitude_PubSubTopic.
-    """
+    out: published by the autopilot, not sent to it by a companion computer. Of PX4 before 1.14 too: /fmu/vehicle_attitude/out,
+    VehicleAttitude_PubSubTopic."""
     parts = topic.strip("/").split("/")
     for at in range(len(parts) - 1, -1, -1):
         word = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", parts[at].removesuffix("_PubSubTopic")).lower()
@@ -130,7 +129,7 @@ def _wanted(topic: str, kind: str) -> bool:
 
 
 def tables(bag: bag_storage.Bag) -> dict[str, tuple[np.ndarray, dict[str, np.ndarray]]]:
-    """Topic -> (stamps of receipt (m,) ns, columns) of all that could be decoded; `bag.notes` says what could not."""
+    """Topic -> (stamps of receipt (m,) ns, columns) of all decodable topics; `bag.notes` names the others."""
     out = {}
     for topic in bag.topics.values():
         if not topic.payloads:
@@ -153,7 +152,7 @@ def tables(bag: bag_storage.Bag) -> dict[str, tuple[np.ndarray, dict[str, np.nda
 
 
 def _decoded(topic: bag_storage.Topic):
-    """(columns, rows): by the bag's own definition, else by the form of ours that the values fit."""
+    """(columns, rows): by the bag's own definition, else by the stored form that the values fit."""
     wanted = mavros.FIELDS.get(topic.kind)
     for text in (topic.definition,) if topic.definition else ros2_definitions.forms(topic.kind):
         try:
@@ -166,9 +165,9 @@ def _decoded(topic: bag_storage.Topic):
 
 
 def _flight(bag: bag_storage.Bag) -> Flight:
-    found = tables(bag)
-    px4 = {name: t for name, t in found.items() if bag.topics[name].kind.startswith("px4_msgs/")}
-    rest = {name: (bag.topics[name].kind, *t) for name, t in found.items() if name not in px4}
+    topics = tables(bag)
+    px4 = {name: t for name, t in topics.items() if bag.topics[name].kind.startswith("px4_msgs/")}
+    rest = {name: (bag.topics[name].kind, *t) for name, t in topics.items() if name not in px4}
     moving = any((at := place(name)) and at[1] in ("actuator_motors", "actuator_outputs") for name in px4)
     if px4 and (moving or not mavros.has_outputs(rest)):
         return _px4_flight(px4, bag.notes)
@@ -190,7 +189,7 @@ def _px4_flight(found, notes: list[str]) -> Flight:
     spaces: dict[str, dict] = {}
     for name in sorted(found, key=lambda n: not place(n)[3]):  # pyright: ignore[reportOptionalSubscript]: all are PX4's
         space, topic, instance, out = place(name)  # pyright: ignore[reportGeneralTypeIssues]
-        # Of what is sent to the autopilot only the motors' commands are read, where they do not come back from it.
+        # Of the topics sent to the autopilot only motor commands are read, where the autopilot does not publish them.
         if "timestamp" in found[name][1] and (out or topic == "actuator_motors"):
             if spaces.setdefault(space, {}).setdefault((topic, instance), name) == name and not out:
                 notes.append(f"motor commands are those sent to the autopilot ({name}); it does not publish its own")
@@ -232,7 +231,7 @@ def _driven(topics) -> bool:
 
 
 def _utc(gps_start: str | None, start: int, stamps, parts) -> str | None:
-    """UTC of second 0: as the GPS says, else the stamps themselves where PX4 keeps ROS's time, else by the times of receipt."""
+    """UTC of second 0: by the GPS, else the stamps themselves where PX4 uses ROS's time, else the times of receipt."""
     if gps_start is not None:
         return gps_start
     if start > _UNIX_US:

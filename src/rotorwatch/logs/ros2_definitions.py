@@ -1,7 +1,7 @@
-"""Definitions of the messages that are read, from the file next to this one, for bags that do not carry their own.
+"""Definitions of the messages that are read, from the file next to this one, for bags without their own.
 
-Where releases of PX4 differ in the fields that are used, each form is there, and the values decide which it is (`fits`): quaternions
-have length 1, flags are 0 or 1, a sample is not younger than its message.
+Where releases of PX4 differ in the fields that are used, each form is there, and the values decide between them (`fits`): quaternions have
+length 1, flags are 0 or 1, a sample is not younger than its message.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ import numpy as np
 @cache
 def _definitions() -> dict[str, list[str]]:
     """Type, as `package/Type` -> its definition in each of its forms, with those of the types inside it."""
-    own, _, inside = Path(__file__).with_suffix(".msg").read_text("utf-8").partition("INSIDE OTHERS")
-    found: dict[str, list[str]] = {}
-    for part in own.split("\nMSG: ")[1:]:
+    outer, _, inside = Path(__file__).with_suffix(".msg").read_text("utf-8").partition("INSIDE OTHERS")
+    by_kind: dict[str, list[str]] = {}
+    for part in outer.split("\nMSG: ")[1:]:
         kind, _, fields = part.partition("\n")
-        found.setdefault(kind, []).append(fields + inside.replace("\nMSG: ", "\n=\nMSG: "))
-    return found
+        by_kind.setdefault(kind, []).append(fields + inside.replace("\nMSG: ", "\n=\nMSG: "))
+    return by_kind
 
 
 def forms(kind: str) -> tuple[str, ...]:
@@ -30,7 +30,7 @@ def forms(kind: str) -> tuple[str, ...]:
 
 
 def fits(kind: str, columns: Mapping[str, np.ndarray]) -> bool:
-    """Whether these values can be those of a px4_msgs message of this type; True for all others."""
+    """True if these values can be those of a px4_msgs message of this type; True for all others."""
     if not kind.startswith("px4_msgs/"):
         return True
     if "timestamp_sample" in columns:

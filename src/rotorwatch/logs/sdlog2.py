@@ -34,8 +34,7 @@ def sniff(head: bytes, name: str) -> bool:
 def read(data, name: str, progress=None) -> Flight:
     """Read an sdlog2 file from bytes or a memory map. Times count from the first TIME record.
 
-    Raises LogError when it holds no time or nothing that is read here.
-    """
+    Raises LogError when it holds no time or nothing that is read here."""
     log = BinaryLog(data, progress)
     times = log.table("TIME", ("StartTime",))
     if times is None or "StartTime" not in times or times["StartTime"].ndim != 1:
@@ -67,7 +66,7 @@ def read(data, name: str, progress=None) -> Flight:
 
 
 class _Tables:
-    """Read access to one log's messages. notes: sentences on what was damaged."""
+    """Read access to one log's messages. notes: sentences on damage."""
 
     def __init__(self, log, clock):
         self.log, self.clock = log, clock
@@ -85,16 +84,16 @@ class _Tables:
         return (time[good], values[good]) if good.any() else None
 
     def signal(self, kind, message, *columns, valid=None):
-        found = self.get(message, *columns)
-        if found is None:
+        sample = self.get(message, *columns)
+        if sample is None:
             return None
-        return series.signal(kind, *found, message, self.notes, None if valid is None else valid(found[1]))
+        return series.signal(kind, *sample, message, self.notes, None if valid is None else valid(sample[1]))
 
 
 def _signals(tables: _Tables, parameters) -> tuple[dict, dict]:
     rates = tables.signal("rates", "ATT", "RollRate", "PitchRate", "YawRate")
     motors, facts = _motors(tables, parameters)
-    found = {
+    signals = {
         "motors": motors,
         "control": tables.signal("control", "ATTC", "Roll", "Pitch", "Yaw", "Thrust"),
         "throttle": tables.signal("throttle", "ATTC", "Thrust"),
@@ -106,7 +105,7 @@ def _signals(tables: _Tables, parameters) -> tuple[dict, dict]:
         "position": tables.signal("position", "LPOS", "X", "Y", "Z"),
         "battery": tables.signal("battery", "BATT", "V", "C", valid=series.voltage_and_current),
     }
-    return {k: v for k, v in found.items() if v is not None}, facts
+    return {k: v for k, v in signals.items() if v is not None}, facts
 
 
 def _motors(tables: _Tables, parameters):
@@ -123,17 +122,17 @@ def _motors(tables: _Tables, parameters):
 
 
 def _attitude(tables: _Tables):
-    found = tables.get("ATT", *_QUATERNION)
-    if found is not None:
-        q, fine = series.unit_quaternion(found[1])
+    sample = tables.get("ATT", *_QUATERNION)
+    if sample is not None:
+        q, fine = series.unit_quaternion(sample[1])
         if fine.any():
-            return series.signal("attitude", found[0], q, "ATT", tables.notes, fine)
-    found = tables.get("ATT", *_ANGLES)
-    if found is None:
+            return series.signal("attitude", sample[0], q, "ATT", tables.notes, fine)
+    sample = tables.get("ATT", *_ANGLES)
+    if sample is None:
         return None
-    fine = np.all(np.abs(found[1]) < 7.0, axis=1)
+    fine = np.all(np.abs(sample[1]) < 7.0, axis=1)
     return series.signal(
-        "attitude", found[0], series.quaternion(*np.where(fine[:, None], found[1], 0.0).T), "ATT", tables.notes, fine
+        "attitude", sample[0], series.quaternion(*np.where(fine[:, None], sample[1], 0.0).T), "ATT", tables.notes, fine
     )
 
 
@@ -141,12 +140,12 @@ def _messages(tables: _Tables) -> tuple[Message, ...]:
     """Arming, landing and flight mode, in time order."""
     out = []
     for column in ("ArmS", "ArmState"):
-        if (found := tables.get("STAT", column)) is not None:
-            out += series.states("armed", found[0], found[1][:, 0] == _ARMED)
-    if (found := tables.get("LAND", "Landed") or tables.get("STAT", "Landed")) is not None:
-        out += series.states("landed", found[0], found[1][:, 0])
-    if (found := tables.get("STAT", "NavState")) is not None:
-        out += px4_topics.modes(found[0], found[1][:, 0])
+        if (sample := tables.get("STAT", column)) is not None:
+            out += series.states("armed", sample[0], sample[1][:, 0] == _ARMED)
+    if (sample := tables.get("LAND", "Landed") or tables.get("STAT", "Landed")) is not None:
+        out += series.states("landed", sample[0], sample[1][:, 0])
+    if (sample := tables.get("STAT", "NavState")) is not None:
+        out += px4_topics.modes(sample[0], sample[1][:, 0])
     return tuple(sorted(out, key=lambda m: m.time))
 
 

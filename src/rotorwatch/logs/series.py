@@ -1,4 +1,4 @@
-"""From raw columns to a Signal: canonical columns and units, steady time, wild values masked.
+"""From raw columns to a Signal: canonical columns and units, non-decreasing time, implausible values masked.
 
 Shared by the readers; knows nothing about any file format.
 """
@@ -22,10 +22,8 @@ LARGEST = np.finfo(np.float64).max
 
 
 class Impossible(str):
-    """A warning of what only damage explains: values, time stamps and places in the file that no vehicle and no autopilot can have made.
-
-    number: of these.
-    """
+    """A warning that only damage explains: values, time stamps and file positions that no vehicle and no autopilot can have produced.
+    number: of these."""
 
     number: int
 
@@ -42,7 +40,7 @@ FEW, END_GAPS = 5, 20.0
 """So few samples beyond a gap of so many typical intervals at an end of a signal may have damaged time stamps."""
 LEAST_GAP_S, LONG_GAP_S, BIT_WITHIN_S = 4.0, 600.0, 0.2
 
-# name: columns, unit, frame, largest absolute value that any sensor or autopilot could mean.
+# name: columns, unit, frame, largest plausible absolute value.
 SHAPES = {
     "control": (("roll", "pitch", "yaw", "thrust"), "1", "FRD", 10.0),
     "gyro": (("x", "y", "z"), "rad/s", "FRD", 100.0),
@@ -69,9 +67,8 @@ MOTORS = {"us": 3000.0, "1": 1.5}
 def signal(name, time, values, source, notes, valid=None) -> Signal | None:
     """The Signal `name` of SHAPES from time (n,) s and values (n, k); None when no usable sample is left.
 
-    valid: (n,) or (n, k) bool or None. Values beyond what can be meant become invalid; damaged time stamps are dropped;
-    both are reported in `notes`, a list of sentences that this appends to.
-    """
+    valid: (n,) or (n, k) bool or None. Implausible values become invalid; damaged time stamps are dropped; both are reported in `notes`, a
+    list of sentences that this appends to."""
     columns, unit, frame, limit = SHAPES[name]
     return build(time, values, columns, unit, frame, source, limit, notes, valid)
 
@@ -84,13 +81,13 @@ def motors(time, values, unit, source, notes, valid=None) -> Signal | None:
 
 
 def floats(values) -> np.ndarray:
-    """As float64. A damaged 32-bit float may be a signalling NaN, which becomes a NaN as any other, without a warning."""
+    """The values as float64. A damaged 32-bit float may be a signalling NaN, which becomes a regular NaN without a warning."""
     with np.errstate(invalid="ignore"):
         return np.asarray(values, np.float64)
 
 
 def build(time, values, columns, unit, frame, source, limit, notes, valid=None) -> Signal | None:
-    """A Signal with any columns; see `make`. limit: largest absolute value taken seriously, of all columns or of each."""
+    """A Signal with any columns; see `signal`. limit: largest plausible absolute value, of all columns or of each."""
     time, values = floats(time), floats(values)
     if values.ndim == 1:
         values = values[:, None]
@@ -116,11 +113,10 @@ def build(time, values, columns, unit, frame, source, limit, notes, valid=None) 
 def steady(time: np.ndarray) -> np.ndarray:
     """Indices of the most samples that form non-decreasing times without a gap of more than a day.
 
-    The longest non-decreasing subsequence, so that a single wild stamp costs one sample, not all that follow it. At
-    either end order does not help: there a few samples beyond a gap are not believed (`within_ends`).
-    """
+    The longest non-decreasing subsequence, so that a single wild stamp costs one sample, not all that follow it. Order does not help at
+    either end: there a few samples beyond a gap are rejected (`within_ends`)."""
     step = time[1:] - time[:-1]
-    if ((step >= 0.0) & (step <= DAY_S)).all() and np.isfinite(time[:1]).all():  # the rule; NaN fails
+    if ((step >= 0.0) & (step <= DAY_S)).all() and np.isfinite(time[:1]).all():  # the usual case; NaN fails
         return np.arange(time.size)[within_ends(time)]
     index = np.flatnonzero(np.isfinite(time))
     t = time[index]
@@ -135,7 +131,7 @@ def steady(time: np.ndarray) -> np.ndarray:
 
 
 def within_ends(t: np.ndarray) -> slice:
-    """The part of non-decreasing times t [s] that is left without up to `FEW` samples beyond a `wrong_gap` at either end."""
+    """Slice of non-decreasing times t [s] without up to `FEW` samples beyond a `wrong_gap` at either end."""
     if t.size < 4 * FEW:
         return slice(None)
     steps = np.diff(t)
@@ -146,12 +142,10 @@ def within_ends(t: np.ndarray) -> slice:
 
 
 def wrong_gap(gap_s: float) -> bool:
-    """Whether a silence before the last few stamps of a log, or after the first, is more likely damage than silence.
+    """True if a gap before the last few stamps of a log, or after the first, is more likely damage than a real gap.
 
-    It is when it is long, or when one bit of a stamp in us, ms or decimal digits makes it: one bit too many in the last
-    stamp makes minutes or days of flight. Logs that are closed long after the last sample, with a few records more, are
-    common: their gap is of any length.
-    """
+    It is when it is long, or when one bit of a stamp in us, ms or decimal digits makes it: one wrong bit in the last stamp makes minutes or
+    days of flight. Logs that are closed long after the last sample, with a few records more, are common: their gap is of any length."""
     if not gap_s > LEAST_GAP_S:
         return False
     if gap_s > LONG_GAP_S:
@@ -227,9 +221,9 @@ def states(kind: str, time, state) -> list[Message]:
 
 
 def rises(time, state) -> list[tuple[float, float]]:
-    """(time, value) of each sample at which a state that was 0 is not 0 any more; one that never was 0 tells of nothing that happened."""
-    told = changes(time, state)
-    return [after for before, after in pairwise(told) if before[1] == 0.0 and np.isfinite(after[1])]
+    """(time, value) of each sample at which a state leaves 0; a state that never was 0 shows no event."""
+    changes_ = changes(time, state)
+    return [after for before, after in pairwise(changes_) if before[1] == 0.0 and np.isfinite(after[1])]
 
 
 def stacked(table, fields) -> np.ndarray:
@@ -241,9 +235,8 @@ def stacked(table, fields) -> np.ndarray:
 def gps(time, degrees, altitude, speed, fixed, source) -> Signal | None:
     """The Signal `gps` from latitude and longitude [degrees] (n, 2), altitude [m] and ground speed [m/s], (n,) each, NaN where unknown.
 
-    fixed (n,) bool: while there was a fix. Places are metres from the first one, so that no signal tells where on earth it was. Damage is
-    dropped without a note: no verdict depends on this signal.
-    """
+    fixed (n,) bool: while there was a fix. Positions are metres from the first one, so that no signal discloses the location on earth.
+    Damage is dropped without a note: no verdict depends on this signal."""
     degrees, fixed = np.asarray(degrees, float), np.asarray(fixed, bool)
     with np.errstate(invalid="ignore"):
         fixed = fixed & (np.abs(degrees) <= [90.0, 180.0]).all(axis=1) & degrees.any(axis=1)
@@ -277,5 +270,5 @@ SHOWN = ("gps", "baro", "vibration", "clipping", "innovations")
 
 
 def end_of(signals) -> float:
-    """Time of the last sample of any signal that is not only shown, s; 0 without signals."""
+    """Time of the last sample of any signal that is used beyond display, s; 0 without signals."""
     return max((float(s.time[-1]) for name, s in signals.items() if len(s) and name not in SHOWN), default=0.0)

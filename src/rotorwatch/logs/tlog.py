@@ -33,7 +33,7 @@ ENDINGS = (".tlog",)
 _AUTOPILOTS = {3: "ArduPilot", 12: "PX4"}
 _NO_AUTOPILOT = 8
 _ARMED = 0x80  # HEARTBEAT.base_mode
-_SIMULATOR = {"SIMSTATE", "SIM_STATE", "HIL_STATE", "HIL_STATE_QUATERNION"}  # hold the simulator's truth: never decoded
+_SIMULATOR = {"SIMSTATE", "SIM_STATE", "HIL_STATE", "HIL_STATE_QUATERNION"}  # ground truth: never decoded
 UNTIMED = {
     *{
         "HEARTBEAT",
@@ -69,8 +69,7 @@ def sniff(head: bytes, name: str) -> bool:
 def read(data, name: str, progress=None) -> Flight:
     """Read the autopilot's side of a telemetry log. Times count from the smallest boot time of any of its messages.
 
-    Raises LogError when no autopilot's heartbeat is in it.
-    """
+    Raises LogError when no autopilot's heartbeat is in it."""
     log = _Log(data, progress)
     signals, facts = _signals(log)
     parameters, changes = parameters_of(log)
@@ -99,7 +98,7 @@ def layouts() -> dict[str, mavlink_messages.Message]:
 
 
 class _Log:
-    """One vehicle's messages: `get(name)` -> (time s, structured array). notes: sentences on what was damaged."""
+    """The messages of a vehicle: `get(name)` -> (time s, structured array). notes: sentences on damage."""
 
     def __init__(self, data, progress):
         self.layouts = layouts()
@@ -186,7 +185,7 @@ class _Log:
         return ((stamp[known] - self.start_us) * 1e-6, table[known]) if known.any() else None
 
     def clock(self, name) -> np.ndarray:
-        """(n,) time s of each sound frame of a message that has a clock, NaN where it does not say."""
+        """(n,) time s of each valid frame of a message that has a clock, NaN where unknown."""
         return (self._stamps[name] - self.start_us) * 1e-6
 
 
@@ -206,7 +205,7 @@ def _columns(table, fields) -> np.ndarray:
     return series.floats([table[f] for f in fields]).T
 
 
-# Signals that several messages may carry: the fastest counts. Of the others the first one that there is.
+# Signals of several messages: the fastest counts. For the others, the first available one.
 FASTEST = ("motors", "gyro", "rates", "accel", "attitude")
 MOTORS, STATUS = "SERVO_OUTPUT_RAW", "ACTUATOR_OUTPUT_STATUS"
 BY_NUMBER = "no parameter says which output drives which rotor: rotor k was taken to be output k"
@@ -224,14 +223,14 @@ PARTS = {
     0x2000000: "battery",
 }
 """Bits of MAV_SYS_STATUS_SENSOR that are read."""
-CRITICAL = 5  # MAV_STATE: a failsafe goes on
+CRITICAL = 5  # MAV_STATE: a failsafe is active
 VIBES = ("vibration_x", "vibration_y", "vibration_z")
 VARIANCES = ("velocity_variance", "pos_horiz_variance", "pos_vert_variance", "compass_variance")
 RATIOS = ("vel_ratio", "pos_horiz_ratio", "pos_vert_ratio", "mag_ratio")
 
 
 class Messages(Protocol):
-    """Messages of one vehicle, of a file or of a link. notes: sentences on what was damaged."""
+    """Messages of one vehicle, of a file or of a link. notes: sentences on damage."""
 
     autopilot: str
     vehicle: int
@@ -243,15 +242,15 @@ class Messages(Protocol):
 
 
 class Reading(NamedTuple):
-    """One message that carries a signal. make(log): the signal, or None where the log has nothing usable of it."""
+    """A message that carries a signal. make(log): the signal, or None without usable data."""
 
     source: str
     make: Callable[[Messages], Signal | None]
 
 
 class Outputs(NamedTuple):
-    """Where the commands of the rotors are. numbers: output of each rotor, from 1; driver: of PX4, who drives them. least, most: of its
-    counts, where its driver takes counts; empty where the outputs are pulses in us."""
+    """Location of the rotors' commands. numbers: output of each rotor, from 1; driver: PX4's output driver. least, most: of its counts,
+    where its driver takes counts; empty where the outputs are pulses in us."""
 
     numbers: tuple[int, ...]
     driver: str = ""
@@ -264,16 +263,16 @@ def readings(outputs: Outputs) -> dict[str, tuple[Reading, ...]]:
     """Signal -> the messages that carry it, in order of preference: of a file and of a link. outputs: of `rotor_outputs`."""
 
     def by(kind, name, read, rows=lambda table: slice(None)):
-        """A message's values, or (values, valid), as read(table) makes them of its `rows`."""
+        """Values, or (values, valid), that read(table) makes of a message's `rows`."""
 
         def make(log: Messages) -> Signal | None:
-            found = log.get(name)
-            if found is None:
+            sample = log.get(name)
+            if sample is None:
                 return None
-            own = rows(found[1])
-            made = read(found[1][own])
-            values, valid = made if isinstance(made, tuple) else (made, None)
-            return series.signal(kind, found[0][own], values, name, log.notes, valid)
+            selected = rows(sample[1])
+            values = read(sample[1][selected])
+            values, valid = values if isinstance(values, tuple) else (values, None)
+            return series.signal(kind, sample[0][selected], values, name, log.notes, valid)
 
         return Reading(name, make)
 
@@ -325,39 +324,39 @@ def readings(outputs: Outputs) -> dict[str, tuple[Reading, ...]]:
 def _signals(log: _Log) -> tuple[dict, dict]:
     parameters = parameters_of(log)[0]
     outputs = rotor_outputs(log, parameters)
-    found: dict[str, Signal | None] = {}
+    signals: dict[str, Signal | None] = {}
     for name, options in readings(outputs).items():
         if name == "motors" and log.autopilot == "PX4":
             continue
         there = [signal for option in options if (signal := option.make(log)) is not None]
-        found[name] = series.fastest(*there) if name in FASTEST else (there or [None])[0]
+        signals[name] = series.fastest(*there) if name in FASTEST else (there or [None])[0]
     facts: dict = {}
     if log.autopilot == "PX4":
-        found["motors"], facts = _px4_motors(log, parameters)
-    if found["motors"] is not None:
+        signals["motors"], facts = _px4_motors(log, parameters)
+    if signals["motors"] is not None:
         facts.setdefault("outputs", outputs.numbers)
         if not motor_outputs(parameters):
             log.notes.append(BY_NUMBER)
-    found["esc"] = mavlink_esc.read(log.get, facts.get("outputs", ()), log.notes)
-    return {k: v for k, v in found.items() if v is not None}, facts
+    signals["esc"] = mavlink_esc.read(log.get, facts.get("outputs", ()), log.notes)
+    return {k: v for k, v in signals.items() if v is not None}, facts
 
 
 def rotor_count(log: Messages, parameters: Mapping[str, float]) -> int:
-    """Rotors of a vehicle: of PX4 by its parameters, as its heartbeat may tell of another kind; 0 for an unknown one."""
-    told = MAV_TYPES.get(log.vehicle, ("", 0))[1]
+    """Number of rotors: of PX4 by its parameters, as its heartbeat may name another kind of vehicle; 0 where unknown."""
+    by_type = MAV_TYPES.get(log.vehicle, ("", 0))[1]
     if log.autopilot != "PX4":
-        return told
+        return by_type
     if "CA_ROTOR_COUNT" in parameters:
-        return px4_rotor_count(parameters) or told
+        return px4_rotor_count(parameters) or by_type
     named = max((len(in_order(one)) for one in motor_outputs(parameters).values()), default=0)
-    return named or px4_rotor_count(parameters) or told
+    return named or px4_rotor_count(parameters) or by_type
 
 
 def rotor_outputs(log: Messages, parameters: Mapping[str, float], rotors: int = 0) -> Outputs:
-    """Where the rotors' commands are: by the outputs' functions (`output_functions`) where those are known, else the first outputs; empty
-    for an unknown vehicle. rotors: number of them, where more is known than the log says.
+    """Outputs of the rotors: by the outputs' functions (`output_functions`) where known, else the first outputs; empty for an unknown
+    vehicle. rotors: number of them, where known from elsewhere.
 
-    Of several drivers of PX4 that have all motors the first counts; a whole log is asked which of them moves (`px4_outputs.best`)."""
+    Of several PX4 drivers with all motors the first counts; in a whole log the one that moves (`px4_outputs.best`)."""
     count = rotors or rotor_count(log, parameters)
     numbers, driver = tuple(range(1, count + 1)), px4_outputs.PWM if log.autopilot == "PX4" else ""
     for name, outputs in motor_outputs(parameters).items():
@@ -369,17 +368,17 @@ def rotor_outputs(log: Messages, parameters: Mapping[str, float], rotors: int = 
 
 
 def output_limits(log: Messages, parameters: Mapping[str, float], outputs: Outputs) -> dict:
-    """Facts pwm_min and pwm_max of PX4's pulses, where its parameters say them."""
+    """Facts pwm_min and pwm_max of PX4's pulses, by its parameters."""
     if log.autopilot != "PX4" or outputs.least:
         return {}
     return px4_outputs.pulse_limits(parameters, outputs.driver, [n - 1 for n in outputs.numbers])
 
 
 def _px4_motors(log: _Log, parameters: Mapping[str, float]) -> tuple[Signal | None, dict]:
-    """Rotor commands of a whole log of PX4 and the facts about them, as its ULog has them: each port is an instance of its outputs.
+    """Rotor commands of a whole PX4 log and the facts about them, as from its ULog: each port is an instance of its outputs.
 
-    Where no parameter says how many rotors there are, those are counted that move: a heartbeat may tell of another kind of vehicle."""
-    count, found = rotor_count(log, parameters), []
+    Without a parameter for the number of rotors, the moving outputs are counted: a heartbeat may name another kind of vehicle."""
+    count, readings_ = rotor_count(log, parameters), []
     known = "CA_ROTOR_COUNT" in parameters or bool(motor_outputs(parameters))
     for source, instances in ((MOTORS, _ports(log)), (STATUS, [_status(log)])):
         tried = (
@@ -393,9 +392,9 @@ def _px4_motors(log: _Log, parameters: Mapping[str, float]) -> tuple[Signal | No
         driven = reading.values > 0 if reading.unit == "us" else None
         signal = series.motors(time, reading.values, reading.unit, source, log.notes, driven)
         if signal is not None:
-            found.append((signal, reading))
-    motors = series.fastest(*(signal for signal, _ in found))
-    reading = next((reading for signal, reading in found if signal is motors), None)
+            readings_.append((signal, reading))
+    motors = series.fastest(*(signal for signal, _ in readings_))
+    reading = next((reading for signal, reading in readings_ if signal is motors), None)
     if reading is None:
         return None, {}
     log.notes += [reading.note] if reading.note else []
@@ -404,35 +403,35 @@ def _px4_motors(log: _Log, parameters: Mapping[str, float]) -> tuple[Signal | No
 
 def _ports(log: Messages) -> list[tuple[np.ndarray, np.ndarray]]:
     """(time, outputs (m, 16)) of each port of SERVO_OUTPUT_RAW."""
-    found = log.get(MOTORS)
-    if found is None:
+    sample = log.get(MOTORS)
+    if sample is None:
         return []
-    time, table = found
+    time, table = sample
     rows = [table["port"] == port for port in np.unique(table["port"])]
     fields = [f"servo{k + 1}_raw" for k in range(BANK)]
-    return [(time[own], _columns(table[own], fields)) for own in rows]
+    return [(time[on_port], _columns(table[on_port], fields)) for on_port in rows]
 
 
 def _status(log: Messages) -> tuple[np.ndarray, np.ndarray] | None:
-    """(time, outputs (m, k)) of ACTUATOR_OUTPUT_STATUS, as many as are active."""
-    found = log.get(STATUS)
-    if found is None:
+    """(time, outputs (m, k)) of ACTUATOR_OUTPUT_STATUS, for the active outputs."""
+    sample = log.get(STATUS)
+    if sample is None:
         return None
-    return found[0], series.floats(found[1]["actuator"][:, : int(found[1]["active"].max())])
+    return sample[0], series.floats(sample[1]["actuator"][:, : int(sample[1]["active"].max())])
 
 
 def _motors(log: Messages, outputs: Outputs) -> Signal | None:
     """Rotor commands from SERVO_OUTPUT_RAW: outputs 1 to 16 are on port 0, 17 to 32 on port 1."""
-    found = log.get(MOTORS)
+    sample = log.get(MOTORS)
     numbers = outputs.numbers
-    if found is None or not numbers:
+    if sample is None or not numbers:
         return None
     bank = int(min(numbers) > BANK)
     if max(numbers) > BANK * (bank + 1):
         log.notes.append(f"{MOTORS}: rotors on both banks of outputs (port 0 and 1) are not read")
         return None
-    own = found[1]["port"] == bank
-    time, table = found[0][own], found[1][own]
+    on_port = sample[1]["port"] == bank
+    time, table = sample[0][on_port], sample[1][on_port]
     if not time.size:
         return None
     values = _columns(table, [f"servo{n - BANK * bank}_raw" for n in numbers])
@@ -441,13 +440,13 @@ def _motors(log: Messages, outputs: Outputs) -> Signal | None:
 
 def _actuators(log: Messages, outputs: Outputs) -> Signal | None:
     """Rotor commands from ACTUATOR_OUTPUT_STATUS, in the units of SERVO_OUTPUT_RAW."""
-    found = log.get(STATUS)
-    if found is None or not outputs.numbers:
+    sample = log.get(STATUS)
+    if sample is None or not outputs.numbers:
         return None
-    values = series.floats(found[1]["actuator"][:, [n - 1 for n in outputs.numbers]])
+    values = series.floats(sample[1]["actuator"][:, [n - 1 for n in outputs.numbers]])
     with np.errstate(invalid="ignore"):
-        driven = (values > 0) & (np.array(outputs.numbers) <= found[1]["active"][:, None])
-    return _commands(log, found[0], values, outputs, STATUS, driven)
+        driven = (values > 0) & (np.array(outputs.numbers) <= sample[1]["active"][:, None])
+    return _commands(log, sample[0], values, outputs, STATUS, driven)
 
 
 def _commands(log: Messages, time, values, outputs: Outputs, source: str, driven) -> Signal | None:
@@ -468,9 +467,9 @@ def _quaternions(table):
 
 
 def _utc_start(log: _Log) -> str | None:
-    """UTC of second 0: as the autopilot says, else from the times at which the ground station received its attitude."""
-    found = log.get("SYSTEM_TIME")
-    utc = wall_clock.start(found[0], found[1]["time_unix_usec"] * 1e-6) if found is not None else None
+    """UTC of second 0: by the autopilot, else from the times at which the ground station received its attitude."""
+    sample = log.get("SYSTEM_TIME")
+    utc = wall_clock.start(sample[0], sample[1]["time_unix_usec"] * 1e-6) if sample is not None else None
     if utc is None and "ATTITUDE" in log.tables:
         received = log.frames.received(log.system, log.component, log.layouts["ATTITUDE"])
         time = log.clock("ATTITUDE")
@@ -486,16 +485,16 @@ def _height(table):
 
 def _gps(log: Messages, name: str) -> Signal | None:
     """The GPS's own message, or the estimate that follows it."""
-    found = log.get(name)
-    if found is None:
+    sample = log.get(name)
+    if sample is None:
         return None
-    table = found[1]
+    table = sample[1]
     if "fix_type" in (table.dtype.names or ()):
         fixed, speed = table["fix_type"] >= _FIX_3D, np.where(table["vel"] < _UNKNOWN, table["vel"] * 1e-2, np.nan)
     else:
         fixed, speed = np.ones(table.size, bool), np.hypot(table["vx"] * 1e-2, table["vy"] * 1e-2)
     degrees = _columns(table, ("lat", "lon")) * 1e-7
-    return series.gps(found[0], degrees, table["alt"] * 1e-3, speed, fixed, name)
+    return series.gps(sample[0], degrees, table["alt"] * 1e-3, speed, fixed, name)
 
 
 def _battery(table):
@@ -518,12 +517,12 @@ def _cells(table):
 
 
 def parameters_of(log: Messages):
-    """(parameters, changes) from PARAM_VALUE, but for the simulator's: SIM_* can give a fault away."""
+    """(parameters, changes) from PARAM_VALUE without the simulator's: SIM_* can disclose a fault."""
     values, changes = {}, []
-    found = log.get("PARAM_VALUE")
-    if found is None:
+    sample = log.get("PARAM_VALUE")
+    if sample is None:
         return values, changes
-    for time, row in zip(found[0], found[1]):
+    for time, row in zip(sample[0], sample[1]):
         name = row["param_id"].decode("ascii", "replace")
         value = row["param_value"]
         if log.autopilot == "PX4" and row["param_type"] == 6:  # PX4 sends the bytes of an int32 as they are
@@ -565,7 +564,7 @@ def messages_of(log: Messages) -> list[Message]:
 
 
 def _health(log: Messages) -> list[Message]:
-    """Changes of the health of each part, value 1 where it is not well, and its first state; and whether a failsafe goes on."""
+    """Changes of the health of each part, value 1 where unhealthy, and its first state; and whether a failsafe is active."""
     out, status, beats = [], log.get("SYS_STATUS"), log.get("HEARTBEAT")
     if status is not None:
         time, table = status
@@ -582,7 +581,7 @@ def _health(log: Messages) -> list[Message]:
 
 
 def _firmware(log: _Log) -> str:
-    """From the version that the autopilot announces in text on a parameter download, where that is in the log."""
+    """From the version text that the autopilot announces on a parameter download, where that is in the log."""
     texts = log.get("STATUSTEXT")
     if texts is not None:
         for row in texts[1]["text"]:

@@ -18,7 +18,7 @@ ENDINGS = (".ulg",)
 
 _MAGIC = b"ULog\x01\x12\x35"
 _BUFFER = 1 << 18  # bytes
-_CIRCLES = 1000  # times that a parser may go back to where it has been
+_CIRCLES = 1000  # times that a parser may return to an earlier position
 _ENOUGH = 20  # samples of a topic that is logged all the time
 _BEGINS_WITHIN_US = 30e6  # some topic after the header
 _MOST_FIELDS = 20_000  # flattened; PX4's largest message has about 400
@@ -32,8 +32,7 @@ def sniff(head: bytes, name: str) -> bool:
 def read(data, name: str, progress=None) -> Flight:
     """Read a ULog of any PX4 from 1.6 on. Times count from the log's own start time stamp.
 
-    Raises LogError when the definitions are damaged or no topic of interest is left.
-    """
+    Raises LogError when the definitions are damaged or no topic of interest is left."""
     from pyulog import ULog
 
     log, damaged, cut = _whole(ULog, data, progress)
@@ -77,7 +76,7 @@ def _board(log) -> dict:
 
 
 def _pyulog(ulog, file, **options):
-    """(log, damaged): pyulog with its prints caught and its stumbles turned into a LogError."""
+    """(log, damaged): pyulog with its prints suppressed and its exceptions turned into a LogError."""
     printed = io.StringIO()
     try:
         with contextlib.redirect_stdout(printed):
@@ -89,14 +88,14 @@ def _pyulog(ulog, file, **options):
 
 
 def _whole(ulog, data, progress):
-    """(log, damaged, cut): all topics of interest. Of a sound log pyulog reads what is no data, and `ulog_data` that."""
+    """(log, damaged, cut): all topics of interest. Of an intact log pyulog reads all but the data, and `ulog_data` that."""
     topics = [*px4_topics.TOPICS, px4_reports.EVENTS]
-    found = ulog_data.messages(data, topics)
-    if found is not None:
-        _check_definitions(found.formats)
-        log, damaged = _pyulog(ulog, _File(found.rest, progress), message_name_filter_list=topics)
-        if not damaged and found.fill(log):
-            return log, False, found.cut
+    data_messages = ulog_data.messages(data, topics)
+    if data_messages is not None:
+        _check_definitions(data_messages.formats)
+        log, damaged = _pyulog(ulog, _File(data_messages.rest, progress), message_name_filter_list=topics)
+        if not damaged and data_messages.fill(log):
+            return log, False, data_messages.cut
     else:
         header = _pyulog(ulog, _File(data), parse_header_only=True)[0]
         _check_definitions({name: kind.fields for name, kind in header.message_formats.items()})
@@ -105,7 +104,7 @@ def _whole(ulog, data, progress):
 
 
 def _check_definitions(formats: Mapping[str, Sequence[tuple[str, int, str]]]) -> None:
-    """Refuse message definitions that nest endlessly or flatten to absurd sizes: only damage makes such. formats: name -> (type, count,
+    """Refuse message definitions that are recursive or flatten to absurd sizes: only damage causes that. formats: name -> (type, count,
     name) of each field."""
     sizes: dict[str, int] = {}
 
@@ -126,10 +125,9 @@ def _check_definitions(formats: Mapping[str, Sequence[tuple[str, int, str]]]) ->
 
 
 def _start(log, tables) -> tuple[int, list[str]]:
-    """(us of second 0, warnings): the header's time stamp, or the earliest data where the header's cannot be right.
+    """(us of second 0, warnings): the header's time stamp, or the earliest data where the header's is impossible.
 
-    Data begins within a second of the header; topics that are logged when they change may begin before or after it.
-    """
+    Data begins within a second of the header; topics that are logged when they change may begin before or after it."""
     start, first = int(log.start_timestamp), []
     for table in tables.values():
         stamp = np.asarray(table.get("timestamp", ()), np.float64)
@@ -141,7 +139,7 @@ def _start(log, tables) -> tuple[int, list[str]]:
 
 
 def _is_parameter(name, value) -> bool:
-    """Numbers only, and nothing of the simulator's: SIM_* parameters can give a fault away."""
+    """Numbers only, and none of the simulator's: SIM_* parameters can disclose a fault."""
     return isinstance(value, (int, float)) and math.isfinite(value) and not name.startswith("SIM_")
 
 
@@ -172,12 +170,10 @@ def _log_messages(log, start) -> list[Message]:
 
 
 class _File:
-    """A read-only file over bytes that need not be copied, and that ends for good when a parser runs in circles.
+    """A read-only file over bytes without a copy, which ends for good when a parser runs in circles.
 
-    Where the parser meets damage it goes back to one byte after the place where it was. One that goes back to where it has been before,
-    again and again, is lost, as is one that seeks more often than one time in eight bytes. Then this file stays at its end. cut: a read
-    got less than it requested.
-    """
+    At damage the parser goes back to one byte after its last position. A parser that repeatedly goes back to a position, or that seeks more
+    often than once in eight bytes, is stuck. Then this file stays at its end. cut: a read got less than it requested."""
 
     def __init__(self, data, progress=None):
         self._size = len(data)
@@ -187,10 +183,10 @@ class _File:
         self.cut = False
 
     def read(self, count=-1) -> bytes:
-        found = self._read(count)
-        if len(found) < count and (found or count != 3):
+        block = self._read(count)
+        if len(block) < count and (block or count != 3):
             self.cut = True
-        return found
+        return block
 
     def seek(self, offset, whence=0) -> int:
         self._left -= 1
@@ -202,7 +198,7 @@ class _File:
         return self._file.seek(at if self._left >= 0 and self._circles >= 0 else max(at, self._size))
 
     def close(self) -> None:
-        """Nothing to close: the data belongs to the caller."""
+        """The data belongs to the caller and stays open."""
 
 
 class _Bytes(io.RawIOBase):

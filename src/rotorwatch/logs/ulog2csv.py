@@ -44,8 +44,7 @@ def sniff_folder(path: Path) -> bool:
 def read_folder(path: Path, progress=None) -> Flight:
     """Read the tables of one log from a folder.
 
-    Raises LogError when the folder holds tables of several logs.
-    """
+    Raises LogError when the folder holds tables of several logs."""
     files = {p: m for p in sorted(path.iterdir()) if p.is_file() and (m := _TOPIC.fullmatch(p.name))}
     logs = sorted({m["log"] or "" for m in files.values()})
     if len(logs) > 1:

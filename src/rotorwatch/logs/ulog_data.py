@@ -1,8 +1,8 @@
-"""The data messages of a sound ULog, read as tables at once; what is left is small, and pyulog's.
+"""The data messages of an intact ULog, read as tables at once; the small rest is left to pyulog.
 
-pyulog reads one message after the other, and nearly all of a log are data messages. Here each topic's are found by their places, and seen
-as one structured array. A log that is not sound from its first message to the last whole one - damaged, with unknown messages, topics
-that are announced again, or data behind the end - is none of this file's: pyulog finds its way through it.
+pyulog reads message by message, and nearly all of a log are data messages. Here each topic's are found by their places, and viewed as one
+structured array. A log that is not intact from its first message to the last complete one - damaged, with unknown messages, topics that are
+announced again, or data behind the end - is left to pyulog, which recovers from damage.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from rotorwatch.logs import ulog_messages
 ULOG = Definition("ulog", (ulog_messages,), (), ["logs/ulog_messages.py"])
 HEADER = 16  # bytes before the first message
 ROOM = 1 << 20  # messages in one call
-ROWS = 4096  # messages that are copied at once
+ROWS = 4096  # messages copied at once
 DEFINES, DATA, ADDED = frozenset(b"BFIMPQ"), ord("D"), ord("A")
 KNOWN = DEFINES | frozenset(b"ADLCSOR")
-BEGINS = frozenset(b"ALC")  # what ends the definitions
-ONLY_BEFORE = frozenset(b"BF")  # what stands among the definitions alone
+BEGINS = frozenset(b"ALC")  # the end of the definitions
+ONLY_BEFORE = frozenset(b"BF")  # only among the definitions
 
 
 class Messages(NamedTuple):
@@ -40,7 +40,7 @@ class Messages(NamedTuple):
     formats: dict[str, list[tuple[str, int, str]]]
 
     def fill(self, log: Any) -> bool:
-        """Give `log`, which pyulog has made of `rest`, all data; False where a message has not the size that its topic has."""
+        """Give `log`, which pyulog made of `rest`, all data; False where a message's size differs from its topic's."""
         seen, latest = {d.msg_id for d in log.data_list}, np.zeros(len(self.kinds), np.uint64)
         for d in log.data_list:
             kind = np.dtype([(f.field_name, d.data[f.field_name].dtype) for f in d.field_data])
@@ -52,7 +52,7 @@ class Messages(NamedTuple):
             latest[mine] = rows["timestamp"] if "timestamp" in d.data else 0
         if set(np.unique(self.ids[self.ids >= 0]).tolist()) - seen:
             return False
-        # What has no time of its own happened at the latest one before.
+        # Messages without a time have that of the latest one before.
         latest = np.maximum(np.maximum.accumulate(latest), np.uint64(log.start_timestamp))
         begins = int(np.flatnonzero(np.isin(self.kinds, [*BEGINS]))[0])
         place = np.arange(len(self.kinds)) > begins
@@ -71,7 +71,7 @@ class Messages(NamedTuple):
 
 
 def messages(data: Any, wanted: Collection[str]) -> Messages | None:
-    """The messages of a log, data messages of the topics `wanted` alone; None where pyulog has to read all of it."""
+    """The messages of a log, with data messages of the topics `wanted` alone; None where pyulog has to read all of it."""
     if ULOG.library is None or len(data) >= 1 << 31:
         return None
     raw = np.frombuffer(data, np.uint8)
@@ -98,19 +98,19 @@ def messages(data: Any, wanted: Collection[str]) -> Messages | None:
     topics = {int(raw[places[k] + 1]) + 256 * int(raw[places[k] + 2]): k for k in added}
     if len(topics) < len(added):
         return None
-    found, first = np.unique(ids, return_index=True)
-    if any(i >= 0 and (i not in topics or topics[i] > k) for i, k in zip(found.tolist(), first.tolist())):
+    unique, first = np.unique(ids, return_index=True)
+    if any(i >= 0 and (i not in topics or topics[i] > k) for i, k in zip(unique.tolist(), first.tolist())):
         return None
     names = {i: bytes(raw[places[k] + 3 : places[k] + sizes[k]]).decode("latin-1") for i, k in topics.items()}
     ids[~np.isin(ids, [i for i, name in names.items() if name in wanted])] = -1
     kept = ~is_data
-    kept[[k for i, k in zip(found.tolist(), first.tolist()) if i >= 0]] = True
+    kept[[k for i, k in zip(unique.tolist(), first.tolist()) if i >= 0]] = True
     parts = [raw[p - 3 : p + s].tobytes() for p, s in zip(places[kept].tolist(), sizes[kept].tolist())]
     return Messages(raw, kinds, sizes, places, ids, raw[:HEADER].tobytes() + b"".join(parts), end < len(raw), formats)
 
 
 def _format(text: bytes) -> tuple[str, list[tuple[str, int, str]]]:
-    """(name, fields) of a definition. Raises ValueError for what is none."""
+    """(name, fields) of a definition. Raises ValueError for an invalid one."""
     name, rest = text.decode("latin-1").split(":")
     fields = []
     for field in filter(None, rest.split(";")):
@@ -136,6 +136,6 @@ def _walked(raw: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
 
 
 def _number(raw: np.ndarray, places: np.ndarray, here: np.ndarray) -> np.ndarray:
-    """The 16 bits at places, where `here`; 0 elsewhere."""
+    """The 16-bit numbers at places, where `here`; 0 elsewhere."""
     at = np.where(here, places, 0)
     return np.where(here, raw[at] + 256 * raw[at + 1].astype(np.int64), 0)

@@ -1,4 +1,4 @@
-"""Where the messages of a ULog lie, one after the other: a definition (docs/one-definition.md), for there are millions of them."""
+"""Positions of the messages of a ULog: a definition (docs/one-definition.md), as there are millions of them."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from rotorwatch.base.compiling.structs import Bytes, Ints, Struct
 
 
 class Walk(Struct):
-    """How far a walk has come: at: the next message; count: messages that the last call has found."""
+    """Progress of a walk. at: position of the next message; count: messages found by the last call."""
 
     at: int = 0
     count: int = 0
 
 
 def walk(w: Walk, data: Bytes, end: int, kinds: Ints, sizes: Ints, places: Ints, room: int) -> None:
-    """The whole messages from w.at on, before `end`, as many as there is room for: kind, bytes, and place of the first of these."""
+    """The complete messages from w.at on, before `end`, up to `room` of them: kind, size in bytes, and position of each."""
     w.count = 0
     while w.count < room and w.at + 3 <= end:
         size = data[w.at] + 256 * data[w.at + 1]

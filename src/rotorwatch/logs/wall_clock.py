@@ -1,4 +1,4 @@
-"""When second 0 of a log was in Coordinated Universal Time, from the times of its GPS or ground station."""
+"""UTC of second 0 of a log, from the times of its GPS or ground station."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rotorwatch.base.arrays import median
 
 GPS_EPOCH = datetime(1980, 1, 6, tzinfo=timezone.utc)
 WEEK_S = 604_800.0
-# GPS time has no leap seconds: so many it is ahead of UTC from that day on (IERS Bulletin C).
+# GPS time has no leap seconds: lead over UTC in s from that day on (IERS Bulletin C).
 LEAP = (
     (datetime(2006, 1, 1, tzinfo=timezone.utc), 14),
     (datetime(2009, 1, 1, tzinfo=timezone.utc), 15),
@@ -22,7 +22,7 @@ EARLIEST, LATEST = (
     datetime(2008, 1, 1, tzinfo=timezone.utc).timestamp(),
     datetime(2100, 1, 1, tzinfo=timezone.utc).timestamp(),
 )
-AGREE_S = 2.0  # most samples agree on the start so well, or none is believed
+AGREE_S = 2.0  # most samples must agree on the start within this
 
 
 def of_gps(week, milliseconds) -> np.ndarray:
@@ -35,8 +35,8 @@ def of_gps(week, milliseconds) -> np.ndarray:
 
 
 def start(time, unix) -> str | None:
-    """UTC of second 0, ISO 8601 to the millisecond, from samples of log time [s] and UTC [s since 1970]; None when they do not agree on
-    one or name a day that cannot be."""
+    """UTC of second 0, ISO 8601 to the millisecond, from samples of log time [s] and UTC [s since 1970]; None when they disagree or give an
+    impossible day."""
     time, unix = np.asarray(time, float), np.asarray(unix, float)
     fine = np.isfinite(time) & np.isfinite(unix) & (unix > EARLIEST) & (unix < LATEST)
     if not fine.any():

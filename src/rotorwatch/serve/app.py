@@ -27,17 +27,17 @@ from rotorwatch.serve.live import Feed
 from rotorwatch.serve.security import Guard, refused
 from rotorwatch.serve.uploads import Limits, Refused, Uploads
 
-MOST_ROWS, MOST_LETTERS = 200, 200  # of one answer; of a filter
+MOST_ROWS, MOST_LETTERS = 200, 200  # rows of one answer; letters of a filter
 FILTERS = tuple(field.name for field in fields(Filters))
 UNKNOWN = "No such flight."
 NO_DELETION = "This server does not delete flights; start it with --allow-delete, or use `rotorwatch fleet delete`."
-# Scripts of a report are inline; in a sandbox they are of no origin, so that they could ask this server for nothing.
+# Scripts of a report are inline; in a sandbox they have no origin, and so no access to this server.
 SANDBOX = f"{REPORT_POLICY}; frame-ancestors 'none'; base-uri 'none'; form-action 'none'; sandbox allow-scripts allow-downloads"
 NAME = "x-rotorwatch-name"  # header with an upload's name; no page of another site may send it
 
 
 def application(feed: Feed, flights: Flights, limits: Limits, host: str, token: str, allow_delete: bool = False) -> Any:
-    """The ASGI application. feed: started and stopped with it. allow_delete: whether who may open the page may delete flights."""
+    """The ASGI application. feed: started and stopped with it. allow_delete: whether users of the page may delete flights."""
 
     def publish(row: dict[str, Any]) -> None:
         feed.hub.publish("flight", row)
@@ -87,10 +87,10 @@ async def _index(_: Request) -> Response:
 
 
 async def _file(request: Request) -> Response:
-    found = pages.file(request.path_params["name"])
-    if found is None:
+    content = pages.file(request.path_params["name"])
+    if content is None:
         raise HTTPException(404)
-    return Response(found[0], media_type=found[1], headers={"Cache-Control": "no-cache"})
+    return Response(content[0], media_type=content[1], headers={"Cache-Control": "no-cache"})
 
 
 async def _icon(_: Request) -> Response:
@@ -146,12 +146,12 @@ async def _upload(request: Request) -> Response:
 
 
 async def _of_flight(request: Request, find: Callable[[str], Any]) -> Any:
-    """What is known of the flight of a request. Raises HTTPException."""
+    """The result of `find` for the flight of a request. Raises HTTPException."""
     digest = request.path_params["digest"]
-    found = await asyncio.to_thread(find, digest) if DIGEST.fullmatch(digest) else None
-    if found is None:
+    result = await asyncio.to_thread(find, digest) if DIGEST.fullmatch(digest) else None
+    if result is None:
         raise HTTPException(404, UNKNOWN)
-    return found
+    return result
 
 
 async def _flight(request: Request) -> Response:
@@ -179,7 +179,7 @@ async def _aircraft(request: Request) -> Response:
 
 
 async def _compared(request: Request) -> Comparison:
-    """The comparison that a request asks for. Raises HTTPException."""
+    """The requested comparison. Raises HTTPException."""
     a, b = (request.query_params.get(name, "") for name in "ab")
     if not a or not b or a == b:
         raise HTTPException(400, "Choose two different flights to compare: /compare?a=HASH&b=HASH.")

@@ -1,4 +1,4 @@
-"""The page of two flights next to each other."""
+"""The page of two flights side by side."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LETTERS = "AB"
 
 
 def page(found: Comparison) -> str:
-    """The page, as text. Colours of the drawings are set by its script: styles inside a page of this server are forbidden."""
+    """The page, as text. Its script sets the colours of the drawings: inline styles are forbidden on this server's pages."""
     swap = f"/compare?a={found.flights[1]['hash']}&amp;b={found.flights[0]['hash']}"
     body = (
         '<header class="masthead"><nav aria-label="rotorwatch"><a href="/">All flights</a></nav>'

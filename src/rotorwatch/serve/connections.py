@@ -1,4 +1,4 @@
-"""Connections to the server: how long one may be without a request, and how many there are at once."""
+"""Limits on connections to the server: time without a request, and their number."""
 
 from __future__ import annotations
 
@@ -7,17 +7,16 @@ from typing import Any
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-HEADER_S = 10.0  # from its beginning, or the end of an answer, to the end of the next header, however it trickles in
+HEADER_S = 10.0  # from its beginning, or the end of an answer, to the end of the next header
 MOST, PER_ADDRESS = 512, 256
-LET_IN = "rotorwatch.let_in"  # key of a request's scope: whether it may pass
+LET_IN = "rotorwatch.let_in"  # key of a request's scope: whether it has access
 
 
 class Connection(H11Protocol):
     """uvicorn's connection with these limits, of which it has only one: a pause after an answer, which every byte ends.
 
-    A new connection is worth more than one without a request, or with one that is not let in and does not end: where there are too many,
-    the one that has waited longest goes. Only where all have requests under way the new one is answered 503.
-    """
+    A new connection has priority over one without a request, or with one that lacks access and does not end: where there are too many, the
+    one that has waited longest is closed. Only where all have requests under way the new one is answered 503."""
 
     waits: asyncio.TimerHandle | None = None  # while no request is under way: closes the connection
     since = 0.0  # when it began to wait
@@ -51,8 +50,8 @@ class Connection(H11Protocol):
 
     @property
     def _idle(self) -> bool:
-        """Whether nothing is lost with it: no request is under way, or one of somebody without the token whose end has not come, as the
-        form's. One with something left to write has an answer under way."""
+        """True if closing it loses nothing: no request is under way, or an incomplete one without the token, such as the form's. One with
+        something left to write has an answer under way."""
         unknown = self.cycle is not None and self.cycle.more_body and not self.cycle.scope.get(LET_IN)
         return (self.waits is not None or unknown) and not self.transport.get_write_buffer_size()
 

@@ -29,14 +29,14 @@ SHOWN = ("hash", "name", "utc", "verdict", "headline", "frame", "duration_s", "a
 
 
 class Flights:
-    """The store, and the folder of pages. url: as for `Store`. Raises StoreError or ConfigError where they cannot be had."""
+    """The store, and the folder of pages. url: as for `Store`. Raises StoreError or ConfigError where unavailable."""
 
     def __init__(self, url: str | None = None):
         self._store = Store(url)
         self._folder = files.folder(self._store.reports.folder, "--store")
 
     def folder(self, name: str) -> Path:
-        """A folder of that name next to the store, made when it is missing."""
+        """A folder of that name next to the store, created when missing."""
         return files.folder(self._folder / name, "--store")
 
     def page(self, digest: str) -> Path:
@@ -45,52 +45,52 @@ class Flights:
 
     def rows(self, limit: int, offset: int = 0, sort: str = NEWEST, **filters: Any) -> dict[str, Any]:
         """{total, flights}. sort, filters: as for `Store.flights`. Raises as that does."""
-        found = self._store.flights(sort, limit, offset, **filters)
-        return {"total": self._store.count(**filters), "flights": [_shown(row) for row in found]}
+        flights = self._store.flights(sort, limit, offset, **filters)
+        return {"total": self._store.count(**filters), "flights": [_listed(row) for row in flights]}
 
     def aircraft(self) -> list[dict[str, Any]]:
-        """All aircraft by name: key, name and how many flights."""
+        """All aircraft by name: key, name and number of flights."""
         return self._store.aircraft_names()
 
     def compared(self, a: str, b: str) -> Comparison:
-        """Two flights next to each other. Raises as `compare` does."""
+        """Two flights side by side. Raises as `compare` does."""
         return compare(self._store, a, b)
 
     def delete(self, digest: str) -> dict[str, Any]:
-        """Delete a flight with its report; what the list showed of it. Raises NotInStore."""
-        return _shown(self._store.delete(digest))
+        """Delete a flight with its report; returns its row of the list. Raises NotInStore."""
+        return _listed(self._store.delete(digest))
 
     def row(self, digest: str) -> dict[str, Any] | None:
-        """One flight; None when it is not known."""
-        found = self._store.flight(digest)
-        return None if found is None else _shown(found)
+        """A flight; None when unknown."""
+        flight = self._store.flight(digest)
+        return None if flight is None else _listed(flight)
 
     def keep(self, entry: Entry) -> dict[str, Any]:
         """Put a flight into the store, once; its row there."""
         self._store.add(entry)
-        found = self.row(entry.hash)
-        assert found is not None
-        return found
+        stored = self.row(entry.hash)
+        assert stored is not None
+        return stored
 
     def store_writer(self, on_stored: Callable[[dict[str, Any]], None], trouble: Callable[[str], None]) -> StoreWriter:
         """A thread that stores flights. on_stored: called with the row of each; trouble: called with a sentence on failure."""
         return StoreWriter(self, on_stored, trouble, self.folder("heard"))
 
     def diagnosis(self, digest: str) -> dict[str, Any] | None:
-        """What is known of a flight, as docs/json.md has it."""
-        found = self._store.flight(digest)
-        return None if found is None else found["diagnosis"]
+        """The diagnosis of a flight, as in docs/json.md."""
+        flight = self._store.flight(digest)
+        return None if flight is None else flight["diagnosis"]
 
     def report(self, digest: str) -> str | None:
-        """The page of a flight: as it was written, or, where a flight came into the store another way, made of what is stored, without the
+        """The page of a flight: as written, or, for a flight that came into the store another way, made from the stored answer, without
         plots."""
-        found = self.diagnosis(digest)
-        if found is None:
+        diagnosis = self.diagnosis(digest)
+        if diagnosis is None:
             return None
         try:
             return self.page(digest).read_text(encoding="utf-8")
         except OSError:
-            return page(Diagnosis.from_dict(found))
+            return page(Diagnosis.from_dict(diagnosis))
 
     def close(self) -> None:
         """Close the store."""
@@ -98,9 +98,9 @@ class Flights:
 
 
 class StoreWriter:
-    """A thread that puts flights into the store, and goes on trying while the store cannot be reached.
+    """A thread that writes flights to the store, and retries while the store cannot be reached.
 
-    waiting: folder for those that a store has not taken yet; the next server begins with them."""
+    waiting: folder for flights not yet stored; the next server begins with them."""
 
     def __init__(self, flights: Flights, on_stored: Callable, trouble: Callable[[str], None], waiting: Path):
         self._flights, self._on_stored, self._trouble, self._waiting = flights, on_stored, trouble, waiting
@@ -113,7 +113,7 @@ class StoreWriter:
         self._thread.start()
 
     def keep(self, entry: Entry) -> None:
-        """Keep a flight soon."""
+        """Queue a flight."""
         self._queue.put(entry)
 
     def stop(self) -> None:
@@ -127,14 +127,14 @@ class StoreWriter:
             while True:
                 try:
                     row = self._flights.keep(entry)
-                except Exception as why:  # whatever a store does: it is tried again
+                except Exception as why:  # any error of a store: retried
                     with suppress(Exception):
                         self._trouble(f"The flight of {entry.name} is not in the list yet. {wrong(why)[1]}")
                     self._put_by(entry)
                     if self._leaving.wait(AGAIN_S):
                         break
                     continue
-                with suppress(Exception):  # it is stored, whether the pages are notified or not
+                with suppress(Exception):  # stored, whether the pages are notified or not
                     self._on_stored(row)
                 with suppress(OSError):
                     self._path(entry).unlink(missing_ok=True)
@@ -144,19 +144,19 @@ class StoreWriter:
         return self._waiting / f"{entry.hash}.json"
 
     def _put_by(self, entry: Entry) -> None:
-        """Write the entry to disk, once. Where that fails too, storing is only tried again."""
+        """Write the entry to disk, once. Where that fails too, storing is only retried."""
         if not self._path(entry).exists():
             with suppress(Exception), files.replacing(self._path(entry)) as part:
                 part.write_text(as_json(asdict(entry)), "utf-8")
 
 
 def wrong(why: Exception) -> tuple[int, str]:
-    """(code of an answer, sentence) for what is wrong here. Paths and other details are for whoever runs the server, on standard error."""
+    """(status code, sentence) for an error. Paths and other details go to the operator, on standard error."""
     if os.environ.get("ROTORWATCH_DEBUG"):
         import traceback
 
         traceback.print_exception(why)
-    with suppress(OSError, ValueError, AttributeError):  # nobody reads it
+    with suppress(OSError, ValueError, AttributeError):  # standard error may be closed
         text = files.public(files.printable(f"{type(why).__name__}: {why}"))
         print(f"rotorwatch: {text}", file=sys.stderr, flush=True)
     mine = f"Internal error of rotorwatch ({type(why).__name__}); please report it with the server's output."
@@ -164,10 +164,10 @@ def wrong(why: Exception) -> tuple[int, str]:
         ((StoreFull, OSError), 507, "The server's disk is full or not writable; free some space."),
         (StoreError, 503, "The list of flights cannot be read or written; check the server's store."),
         (WorkerError, 503, "The diagnosis process is not running; try again."),
-        (RotorwatchError, 503, str(why)),  # of what a flight says, not of where it lies
+        (RotorwatchError, 503, str(why)),  # on a flight's content, not its location
     )
     return next(((code, text) for kind, code, text in causes if isinstance(why, kind)), (500, mine))
 
 
-def _shown(row: dict[str, Any]) -> dict[str, Any]:
+def _listed(row: dict[str, Any]) -> dict[str, Any]:
     return {name: row.get(name) for name in SHOWN}

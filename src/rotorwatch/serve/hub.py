@@ -11,21 +11,20 @@ from typing import Any
 
 from rotorwatch.live.guard import as_json
 
-RECENT = 400  # messages for a page that was away for a while: 100 s of them while something is watched
-BEAT_S = 10.0  # an empty line so often keeps a quiet connection open, and shows when it is closed
+RECENT = 400  # messages kept for pages that reconnect: 100 s of them while a vehicle is watched
+BEAT_S = 10.0  # interval of empty lines that keep a quiet connection open, and show when it is closed
 
 
 class Hub:
-    """Messages to any number of readers, none of which is waited for: one that has missed too many gets the whole state again.
+    """Messages to any number of readers without waiting for any: one that has missed too many gets the whole state again.
 
-    state: what is to be known without any earlier message (the key "live" of a new page); called with `lock` held, which whoever changes
-    that state holds, too. Thread-safe but for `follow`, which belongs to the server's loop.
-    """
+    state: the complete state (the key "live" of a new page); called with `lock` held, which must be held for changes of that state, too.
+    Thread-safe except `follow`, which belongs to the server's loop."""
 
     def __init__(self, state: Callable[[], dict[str, Any]]):
         self.lock = threading.RLock()
         self._state = state
-        self._run = secrets.token_hex(4)  # numbers of an earlier run of the server mean nothing in this one
+        self._run = secrets.token_hex(4)  # distinguishes message numbers of an earlier run of the server
         self._recent: deque[tuple[int, str]] = deque(maxlen=RECENT)
         self._last = 0
         self._bells: set[asyncio.Event] = set()
@@ -48,7 +47,7 @@ class Hub:
             self._loop.call_soon_threadsafe(self._ring)
 
     async def follow(self, after: str = "") -> AsyncIterator[str]:
-        """Server-sent events from now on. after: the identity of the last one that the reader has, empty for none."""
+        """Server-sent events from now on. after: the identity of the last one that the reader has, or empty."""
         self._loop = asyncio.get_running_loop()
         bell = asyncio.Event()
         self._bells.add(bell)

@@ -1,4 +1,4 @@
-"""A flight that was watched and has ended: the answer of the live judge, as it goes into the list of flights."""
+"""A watched flight that has ended: the live answer, for the list of flights."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from rotorwatch.flight import identity
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.live.session import Session
 
-LEAST_S = 5.0  # in the air: less is a test of the motors, where control was not lost
-FINAL_S = 5.0  # after a landing: until then announced events may be withdrawn
-GAP_S = 1.5  # between two points of a band; more is a gap, in which nothing was judged
+LEAST_S = 5.0  # in the air: less is a motor test, unless control was lost
+FINAL_S = 5.0  # after a landing, within which announced events may be withdrawn
+GAP_S = 1.5  # between two points of a band; more is an unjudged gap
 
 
 class Landings:
-    """Which flights of a vehicle have ended and are not listed yet."""
+    """Flights of a vehicle that have ended and are not listed yet."""
 
     def __init__(self):
         self._listed: list[float] = []
 
     def over(self, session: Session, all_is_over: bool) -> list[tuple[float, float]]:
-        """(start, end) [s] of each that is new. all_is_over: the session has ended."""
-        found = []
+        """(start, end) [s] of each new one. all_is_over: the session has ended."""
+        hops = []
         for start, end in session.spans:
             end = min(end, session.now)
             sure = all_is_over or (end < session.now - FINAL_S and np.isfinite(end))
             flown = end - start >= LEAST_S or any(start <= lost <= end + FINAL_S for lost in session.lost)
             if sure and flown and not any(abs(start - known) < LEAST_S for known in self._listed):
                 self._listed.append(start)
-                found.append((start, end))
-        return found
+                hops.append((start, end))
+        return hops
 
 
 def answer(name: str, session: Session, rows: Sequence[tuple], hop: tuple[float, float]) -> Diagnosis:
@@ -46,10 +46,10 @@ def answer(name: str, session: Session, rows: Sequence[tuple], hop: tuple[float,
     assert session.vehicle is not None
     start, end = hop
     vehicle, about = session.vehicle, session.about
-    judged = [row for row in rows if len(row) > 1 and start <= row[0] <= end]
-    steps = np.diff([row[0] for row in judged])
+    rows_judged = [row for row in rows if len(row) > 1 and start <= row[0] <= end]
+    steps = np.diff([row[0] for row in rows_judged])
     hidden = np.ones(len(vehicle.rotors))
-    for row in judged:  # the bound of a healthy rotor is of all that was flown until then
+    for row in rows_judged:  # the bound of a healthy rotor covers the flight up to then
         hidden = np.where(np.asarray(row[1]) > 0.0, hidden, row[3])
     events, claims = session.weighed([e for e in session.events() if start <= e.detected_s <= end + FINAL_S])
     names = places.names(vehicle.rotors)
@@ -63,7 +63,7 @@ def answer(name: str, session: Session, rows: Sequence[tuple], hop: tuple[float,
         places=names,
         hops=(hop,),
         missing=[gap for gap in session.missing if start <= gap.start <= end],
-        blind_s=judged[0][0] - start if judged else 0.0,
+        blind_s=rows_judged[0][0] - start if rows_judged else 0.0,
     )
     end_of = conclusion.conclude(seen)
     began = datetime.fromtimestamp(time.time() - session.now, timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ")
@@ -85,7 +85,7 @@ def answer(name: str, session: Session, rows: Sequence[tuple], hop: tuple[float,
 
 
 def entry(session: Session, found: Diagnosis) -> Entry:
-    """The same for the store. There is no log: the hash is that of the answer."""
+    """The store entry. There is no log: the hash is that of the answer."""
     content = {k: v for k, v in found.to_dict().items() if k != "timing"}
     who = identity.identify(session.about)
     name, start, end = str(found.flight["name"]), *found.flight["airborne_s"]

@@ -1,4 +1,4 @@
-"""The watch loop in a thread of its own, and what the page shows of it: rotors, bands over time, events, links."""
+"""The watch loop in a thread of its own, and its data for the page: rotors, bands over time, events, links."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ from rotorwatch.serve import landed
 from rotorwatch.serve.hub import Hub
 from rotorwatch.serve.landed import Landings
 
-STEP_S = 0.2  # between two points of a band, of the vehicle's time, until there are too many
-POINTS = 600  # of a band; when there are twice as many every second one goes, so that the whole flight stays in view
-MESSAGES = 100  # of the latest messages that a new page gets
-LAST_WORD_S = 60.0  # for received messages that are not judged yet, when the server is stopped
-LASTS_S = 60.0  # a loop that has gone on for so long begins again at once after an error
+STEP_S = 0.2  # between two points of a band, in the vehicle's time, until there are too many
+POINTS = 600  # of a band; at twice as many every second one is dropped, so that the whole flight stays in view
+MESSAGES = 100  # latest messages sent to a new page
+LAST_WORD_S = 60.0  # for unprocessed messages when the server is stopped
+LASTS_S = 60.0  # after running this long, a loop restarts at once after an error
 COUNTS = ("taken", "lost", "twice", "damaged", "reboots", "jumps")
-EVENTS = 30  # of a vehicle that are shown, the newest
+EVENTS = 30  # newest events shown of a vehicle
 
 
 def open_source(
     endpoint: str, notify: Notify, vehicle: Vehicle | None, speed: float, record: Path | None, listen_only: bool
 ) -> Source:
-    """An endpoint of `rotorwatch watch`, or a log that is replayed. Raises RotorwatchError with a sentence."""
+    """An endpoint of `rotorwatch watch`, or a replayed log. Raises RotorwatchError with a sentence."""
     if is_endpoint(endpoint):
         return Link(open_endpoint(endpoint), notify, vehicle, record, not listen_only, math.inf)
     from rotorwatch.base.files import no_address
@@ -65,7 +65,7 @@ class Band:
         self._step, self._blind = STEP_S, False
 
     def add(self, time_s: float, losses: tuple[np.ndarray, np.ndarray, np.ndarray] | None) -> tuple | None:
-        """What is new to be drawn, or None. losses: loss, lower, upper, each (n,); None when nothing is judged."""
+        """The new point to draw, or None. losses: loss, lower, upper, each (n,); None when nothing is judged."""
         if losses is None:
             if self._blind or not self.rows:
                 return None
@@ -82,7 +82,7 @@ class Band:
 
 
 class Shown:
-    """One vehicle as the page shows it."""
+    """A vehicle as shown on the page."""
 
     def __init__(self, key: int, watched: Watched):
         self.key, self.watched = key, watched
@@ -95,7 +95,7 @@ class Shown:
         self._sampled = -np.inf
 
     def over(self, all_is_over: bool = False) -> list[Entry]:
-        """Flights that have ended since the last call, for the list. all_is_over: the session has ended."""
+        """Entries of flights that have ended since the last call. all_is_over: the session has ended."""
         session = self._session
         if session is None or session.vehicle is None:
             return []
@@ -104,11 +104,11 @@ class Shown:
 
     @property
     def another(self) -> bool:
-        """Whether another flight has begun that `sample` has not seen yet."""
+        """True if a flight has begun that `sample` has not processed yet."""
         return self.watched.session is not self._session
 
     def sample(self) -> bool:
-        """Keep the losses of this moment when there are new ones; whether this is another flight than before."""
+        """Store the current losses when there are new ones; return whether this is another flight than before."""
         session = self.watched.session
         another = self.another
         if another:
@@ -126,7 +126,7 @@ class Shown:
         return another
 
     def changes(self) -> dict[str, Any]:
-        """What is new since the last message: points of the band, and where its rotors are."""
+        """Changes since the last message: points of the band, and the rotors' places."""
         changes: dict[str, Any] = {"points": self._fresh}
         self._fresh = []
         if self._due:
@@ -135,7 +135,7 @@ class Shown:
         return changes
 
     def _placed(self) -> None:
-        """Where its rotors are, once that is known."""
+        """Set the rotors' places, once known."""
         vehicle = None if self._session is None else self._session.vehicle
         if vehicle is None or self.frame is not None:
             return
@@ -149,7 +149,7 @@ class Shown:
         self._due = True
 
     def now(self, waits_for: str) -> dict[str, Any]:
-        """Its state at this moment, as the page shows it."""
+        """Its current state, as shown on the page."""
         line, session, health = view.line(self.watched, waits_for), self.watched.session, self.watched.health
         self._placed()
         frame = self.frame
@@ -185,26 +185,26 @@ class Shown:
 
 
 class Guarded(loop.Guarded):
-    """As in the terminal; after each step the feed samples what is drawn."""
+    """The terminal's source; after each step the feed samples the drawn data."""
 
     def __init__(self, name: str, source: Source, feed: Feed, make: Callable[[], Source] | None = None):
-        """make: opens it again; None for one that cannot be."""
+        """make: reopens it; None where that is impossible."""
         super().__init__(name, source, feed.notify)
         self._feed, self._make = feed, make
-        self.lists = isinstance(source, Link)  # a log that is replayed can be dropped into the list
+        self.lists = isinstance(source, Link)  # a replayed log can be uploaded to the list
 
     def poll(self, wait_s: float) -> bool:
-        more = not self._feed.stopped and super().poll(wait_s)
-        self.ended = not more
+        continues = not self._feed.stopped and super().poll(wait_s)
+        self.ended = not continues
         self._feed.sample(self)
-        return more
+        return continues
 
     def leave(self) -> None:
         super().leave()
         self._feed.sample(self, all_is_over=True)
 
     def again(self) -> None:
-        """Open it again, after it was left because of an error."""
+        """Reopen it, after it was closed because of an error."""
         if self._make is None or (self.ended and isinstance(self.why, RotorwatchError)):
             return
         try:
@@ -213,7 +213,7 @@ class Guarded(loop.Guarded):
             self._fail(why)
 
     def about(self) -> dict[str, str]:
-        """The endpoint's name and state, as the page shows them."""
+        """The endpoint's name and state, as shown on the pages."""
         count = len(self.vehicles)
         state = "has ended" if self.ended else "is watched" if count else "waits for a vehicle"
         if isinstance(self.source, Link):
@@ -225,8 +225,8 @@ class Guarded(loop.Guarded):
 
 
 class Feed:
-    """All endpoints, watched from `start` to `stop`; hub: sends it to the pages. ended: called with each flight that was received over a
-    link and has ended; it must not wait."""
+    """All endpoints, watched from `start` to `stop`; hub: sends to the pages. ended: called with each flight that was received over a link
+    and has ended; it must not block."""
 
     def __init__(self, ended: Callable[[Entry], None] = lambda entry: None):
         self.ended = ended
@@ -240,7 +240,7 @@ class Feed:
         self._vehicles: list[tuple[Shown, dict[str, Any]]] = []
         self._thread: threading.Thread | None = None
         self._keys = 0
-        self.failed = ""  # why the loop has ended by itself, if it has
+        self.failed = ""  # reason why the loop ended by itself
 
     def open(self, endpoint: str, *about: Any) -> None:
         """Add an endpoint; `about`: the rest of `open_source`'s arguments. Raises RotorwatchError."""
@@ -249,14 +249,14 @@ class Feed:
         self._sources.append(Guarded(name, make(), self, make if is_endpoint(endpoint) else None))
 
     def start(self) -> None:
-        """Watch in a thread, if there is anything to be watched."""
+        """Start watching in a thread, if there are endpoints."""
         if self._sources and self._thread is None:
             self._endpoints = [source.about() for source in self._sources]
             self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
             self._thread.start()
 
     def _run(self) -> None:
-        """The loop. An error that gets through it is published, and links are opened again: flights until then have been listed."""
+        """The loop. An error that escapes it is published, and links are reopened: flights until then have been listed."""
         pause = loop.FIRST_S
         while True:
             began = time.monotonic()
@@ -276,13 +276,13 @@ class Feed:
                 source.again()
 
     def _error(self, text: str) -> None:
-        """An error outside the diagnosis: in the log, and on the pages."""
-        with suppress(Exception):  # nobody reads it
+        """Report an error outside the diagnosis in the log and on the pages."""
+        with suppress(Exception):  # standard error may be closed
             print(f"rotorwatch: {text}", file=sys.stderr, flush=True)
         self.notify({"type": "error", "vehicle": "rotorwatch", "text": text})
 
     def stop(self) -> None:
-        """Stop watching: links are left as they were found, pages are disconnected."""
+        """Stop watching: links are left in their original state, pages are disconnected."""
         if self.stopped:
             return
         self.stopped = True
@@ -294,7 +294,7 @@ class Feed:
         self.hub.close()
 
     def notify(self, alert: dict[str, Any]) -> None:
-        """An alert of `watch`, as a sentence in the list of messages."""
+        """Show an alert of `watch` in the list of messages."""
         if alert["type"] == "event":
             text = view.announced(alert)
         elif alert["type"] == "vehicle":
@@ -307,16 +307,16 @@ class Feed:
             self.background.run("the page", self.hub.publish, "said", line)
 
     def sample(self, source: Guarded, all_is_over: bool = False) -> None:
-        """Keep what is drawn over time of its vehicles, and the flights of links that have ended."""
+        """Store the time series of its vehicles, and the ended flights of links."""
         with self.hub.lock:
             for watched in source.vehicles:
-                shown = self._shown.get(id(watched))
-                if shown is None:
+                view = self._shown.get(id(watched))
+                if view is None:
                     self._keys += 1
-                    shown = self._shown[id(watched)] = Shown(self._keys, watched)
+                    view = self._shown[id(watched)] = Shown(self._keys, watched)
                 if source.lists:
-                    self.background.run(f"the list of flights of {watched.name}", self._list, shown, all_is_over)
-                self.background.run(f"what is drawn of {watched.name}", self._sample, shown)
+                    self.background.run(f"the list of flights of {watched.name}", self._list, view, all_is_over)
+                self.background.run(f"what is drawn of {watched.name}", self._sample, view)
 
     def _list(self, shown: Shown, all_is_over: bool) -> None:
         for entry in shown.over(all_is_over or shown.another):
@@ -330,20 +330,20 @@ class Feed:
         with self.hub.lock:
             vehicles: list[tuple[Shown, dict[str, Any]]] = []
             there = {id(watched) for source in self._sources for watched in source.vehicles}
-            self._shown = {key: shown for key, shown in self._shown.items() if key in there}
+            self._shown = {key: view for key, view in self._shown.items() if key in there}
             for source in self._sources:
                 for watched, waits_for in source.shown():
-                    shown = self._shown.get(id(watched))
-                    if shown is not None:
-                        # One that cannot be shown does not hide the others.
-                        what = partial(lambda one, why: vehicles.append((one, one.now(why))), shown, waits_for)
+                    view = self._shown.get(id(watched))
+                    if view is not None:
+                        # An error in one must not affect the others.
+                        what = partial(lambda one, why: vehicles.append((one, one.now(why))), view, waits_for)
                         self.background.run(f"what is shown of {watched.name}", what)
             self._endpoints = [source.about() for source in self._sources]
             self._vehicles = vehicles
-            vehicles_now = [{**now, **shown.changes()} for shown, now in vehicles]
+            vehicles_now = [{**now, **view.changes()} for view, now in vehicles]
             self.hub.publish("tick", {"endpoints": self._endpoints, "vehicles": vehicles_now})
 
     def state(self) -> dict[str, Any]:
-        """The whole state for a new page; as of the last tick, since the thread that watches is at work meanwhile."""
-        vehicles = [{**now, "frame": shown.frame, "points": shown.band.rows} for shown, now in self._vehicles]
+        """The whole state for a new page, as of the last tick, since the watching thread is at work meanwhile."""
+        vehicles = [{**now, "frame": view.frame, "points": view.band.rows} for view, now in self._vehicles]
         return {"endpoints": self._endpoints, "vehicles": vehicles, "said": list(self._messages)}

@@ -9,7 +9,7 @@ from pathlib import Path
 from rotorwatch import report
 
 OWN, SHARED = Path(__file__).parent / "page", Path(report.__file__).parent
-# All that is served as it lies in the package: by name from this table, never by a path.
+# Files served from the package: by name from this table, never by a path.
 FILES = {"page.css": SHARED / "page.css"} | {
     path.name: path for path in OWN.iterdir() if path.suffix in (".css", ".js", ".svg")
 }
@@ -31,7 +31,7 @@ def index() -> str:
 
 
 def message(text: str, with_form: bool = False) -> str:
-    """A page with one sentence; with_form: and a form for the token, sent to the address that was asked for."""
+    """A page with one sentence; with_form: and a form for the token, sent to the requested address."""
     form = (
         '<form method="post"><label for="token">Token</label> '
         '<input id="token" name="token" type="password" autocomplete="current-password" required> <button>Open</button></form>'

@@ -1,4 +1,4 @@
-"""Access control: the token, the host that is named, where a request comes from, and what a browser may do with the answers."""
+"""Access control: token, host and origin of a request, and security headers of the answers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from rotorwatch.errors import ConfigError
 from rotorwatch.serve.connections import LET_IN
 
-# The page runs its own files and nothing else: nothing inline, nothing of another host, in nobody's frame.
+# The page runs its own files alone: nothing inline, nothing of another host, in no frame.
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; form-action 'self'; "
     "base-uri 'none'; frame-ancestors 'none'"
@@ -25,14 +25,14 @@ POLICY = (
 ALWAYS = {"X-Content-Type-Options": "nosniff", "X-Frame-Options": "DENY"} | dict.fromkeys(
     ("Referrer-Policy", "Cross-Origin-Resource-Policy", "Cross-Origin-Opener-Policy"), "same-origin"
 )
-LEAST = 16  # letters of a token: nobody guesses one of them over a network
+LEAST = 16  # letters of a token, too many to guess over a network
 MOST_FORM, FORM_S = 4096, 10.0  # bytes of the login form; s for sending it
 NEEDED, WRONG = (f"{what}: give the one rotorwatch was started with." for what in ("A token is needed", "Wrong token"))
 OPEN = ("/static/page.css", "/static/serve.css")  # the login form looks like the page
 
 
 def loopback(host: str) -> bool:
-    """Whether only this computer can reach that address."""
+    """True if only this computer can reach that address."""
     if host.lower() == "localhost":
         return True
     try:
@@ -42,7 +42,7 @@ def loopback(host: str) -> bool:
 
 
 def checked(host: str, token: str) -> str:
-    """The token, if it will do for a server on that host. Raises ConfigError."""
+    """The token, if it is sufficient for a server on that host. Raises ConfigError."""
     if token and (len(token) < LEAST or not token.isascii() or not token.isprintable()):
         raise ConfigError(
             f"--token: give at least {LEAST} plain letters and digits, for instance what `openssl rand -hex 16` prints."
@@ -56,7 +56,7 @@ def checked(host: str, token: str) -> str:
 
 
 class Guard:
-    """Around the whole application. host: that it listens on; token: empty where none is required."""
+    """Middleware around the whole application. host: that it listens on; token: empty where none is required."""
 
     def __init__(self, app: ASGIApp, host: str, token: str):
         self._app, self._token = app, token
@@ -81,9 +81,9 @@ class Guard:
         await (answer or self._app)(scope, receive, guarded)
 
     async def _refusal(self, request: Request) -> Response | None:
-        """What is answered instead, or None for a request that may pass."""
+        """The answer to a refused request, or None for one with access."""
         headers = request.headers
-        if len(headers.getlist("host")) != 1 or not self._known(headers["host"]):
+        if len(headers.getlist("host")) != 1 or not self._own_host(headers["host"]):
             why = "This is not the server's address; use the name or address it was started with."
             return refused(request, 421, why)
         if request.method not in ("GET", "HEAD") and not from_here(headers):
@@ -97,13 +97,14 @@ class Guard:
             return None
         token = request.query_params.get("token")
         if token is not None and self._same(token):
-            if request.method != "GET":  # a program's; a browser gets a cookie
+            if request.method != "GET":  # of a program; a browser gets a cookie
                 return None
             return self._let_in(request)
         return refused(request, 401, WRONG if token is not None or "authorization" in headers else NEEDED)
 
-    def _known(self, host: str) -> bool:
-        """An address, or a name of this computer. Any other name has been turned towards us by somebody else's name server."""
+    def _own_host(self, host: str) -> bool:
+        """True if the host is an address, or a name of this computer. Any other name points here by a foreign name server (DNS
+        rebinding)."""
         try:
             name = urlsplit(f"//{host}").hostname or ""
             urlsplit(f"//{host}").port  # noqa: B018 - raises for what is no port
@@ -140,7 +141,7 @@ class Guard:
         return self._let_in(request)
 
     def _let_in(self, request: Request) -> Response:
-        """Back to what was asked for. Browsers keep what stands behind a #, which no server sees."""
+        """Redirect to the requested page. Browsers keep the part behind a #, which no server sees."""
         rest = urlencode([(k, v) for k, v in request.query_params.multi_items() if k != "token"])
         path = "/" if request.url.path == "/login" else request.url.path + (f"?{rest}" if rest else "")
         answer = RedirectResponse("/" + path.lstrip("/\\"), 303)
@@ -161,18 +162,18 @@ async def _form(request: Request) -> bytes:
 
 
 def _cookie(request: Request) -> str:
-    """Browsers give cookies to all ports of a host."""
+    """Name of the cookie, by port, as browsers send cookies to all ports of a host."""
     return f"rotorwatch-{request.url.port or 80}"
 
 
 def from_here(headers: Headers) -> bool:
-    """Whether a request that changes something was not made by the page of another site."""
+    """True if a request that changes something was not made by the page of another site."""
     origin = headers.get("origin")
     if headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none"):
         return False
     try:
         return origin is None or urlsplit(origin).netloc.lower() == headers.get("host", "").lower()
-    except ValueError:  # no address at all
+    except ValueError:  # not an address
         return False
 
 

@@ -15,7 +15,7 @@ from typing import Any
 from rotorwatch.base import checks, optional
 from rotorwatch.errors import ConfigError, LinkError
 
-GIVE_UP_S = 2  # for connections that do not end by themselves when the server is stopped
+GIVE_UP_S = 2  # for open connections when the server is stopped
 
 
 def serve(
@@ -37,13 +37,12 @@ def serve(
 ) -> None:
     """Serve the page until interrupted: vehicles at `endpoints` while they fly, uploaded logs, and the list of flights.
 
-    endpoints: those of `rotorwatch watch`, or recorded logs. speed: recorded logs are replayed so many times as fast as flown. host: to
-    listen on; any but a loopback address needs a token. token: 16 letters or more; default: the environment variable ROTORWATCH_TOKEN.
-    port: 0 for any that is free. store: of the fleet, a SQLite file or a URL. max_upload [MB], max_seconds [s], max_memory [MB]: limits
-    of each uploaded log; jobs: logs judged at once. allow_delete: who may open the page may delete flights. vehicle: a Vehicle, or a
-    vehicle file, of all that are watched; record: folder to record links in; listen_only: nothing is sent to vehicles. ready: called with
-    the page's address once it can be opened; every RotorwatchError is raised before that.
-    """
+    endpoints: those of `rotorwatch watch`, or recorded logs. speed: of replayed logs, relative to real time. host: to listen on; any but a
+    loopback address needs a token. token: 16 letters or more; default: the environment variable ROTORWATCH_TOKEN. port: 0 for any that is
+    free. store: of the fleet, a SQLite file or a URL. max_upload [MB], max_seconds [s], max_memory [MB]: limits of each uploaded log; jobs:
+    logs judged at once. allow_delete: whether users of the page may delete flights. vehicle: a Vehicle, or a vehicle file, of all that are
+    watched; record: folder to record links in; listen_only: nothing is sent to vehicles. ready: called with the page's address once it can
+    be opened; every RotorwatchError is raised before that."""
     for name in ("starlette", "uvicorn"):
         optional.library(name, "The page")
     from rotorwatch.serve import security
@@ -53,7 +52,7 @@ def serve(
     from rotorwatch.serve.uploads import Limits
     from rotorwatch.witnesses.healthy.baselines import vehicle_of
 
-    known = security.checked(host, os.environ.get("ROTORWATCH_TOKEN", "") if token is None else token)
+    checked_token = security.checked(host, os.environ.get("ROTORWATCH_TOKEN", "") if token is None else token)
     most = int(checks.positive("max_upload", max_upload) * 2**20)
     judge_s, memory_mb = checks.positive("max_seconds", max_seconds), checks.positive("max_memory", max_memory)
     limits = Limits(most, judge_s, memory_mb, max(int(jobs), 1))
@@ -64,10 +63,10 @@ def serve(
         craft = vehicle_of(vehicle)
         for endpoint in endpoints:
             feed.open(os.fspath(endpoint), craft, speed, None if record is None else Path(record), listen_only)
-        # Where all addresses are listened on, this computer's name stands in the page's.
+        # When listening on all addresses, the page's address has this computer's name.
         name = socket.gethostname() if host in ("0.0.0.0", "::", "") else f"[{host}]" if ":" in host else host
         address = f"http://{name}:{listening.getsockname()[1]}/"
-        app = application(feed, flights, limits, host, known, allow_delete)
+        app = application(feed, flights, limits, host, checked_token, allow_delete)
         server = http_server(app, lambda: ready(address) if ready else None, feed.hub.close)
         asyncio.run(server.serve([listening]))
         if not server.started:
@@ -81,10 +80,10 @@ def serve(
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """A socket that listens there. Raises ConfigError with a sentence, so for a port in use."""
+    """A listening socket. Raises ConfigError with a sentence, as for a port in use."""
     try:
-        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
-        family, kind, proto, _, address = found[0]
+        addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+        family, kind, proto, _, address = addresses[0]
     except (OSError, UnicodeError) as why:
         reason = getattr(why, "strerror", None) or why
         raise ConfigError(f"--host {host}: not an address of this computer ({reason}).") from None
@@ -117,7 +116,7 @@ def http_server(app: Any, ready: Callable[[], None], stopping: Callable[[], None
     from rotorwatch.serve.connections import Connection
 
     class Server(uvicorn.Server):
-        """Says when it is ready, and lets the pages' streams end when it is stopped."""
+        """uvicorn's server with callbacks when it is ready and when it is stopped."""
 
         async def startup(self, sockets: list[socket.socket] | None = None) -> None:
             await super().startup(sockets)
@@ -126,7 +125,7 @@ def http_server(app: Any, ready: Callable[[], None], stopping: Callable[[], None
 
         @contextmanager
         def capture_signals(self):
-            """A signal is the normal end: none is raised again afterwards."""
+            """A signal is the normal end: it is not raised again afterwards."""
             if threading.current_thread() is not threading.main_thread():
                 yield
                 return

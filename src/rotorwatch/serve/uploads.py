@@ -1,4 +1,4 @@
-"""Uploaded logs: received within limits of size and time, judged in processes of their own, and stored as flights."""
+"""Uploaded logs: received within limits of size and time, judged in separate processes, and stored as flights."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from rotorwatch.serve import names
 from rotorwatch.serve.flights import Flights, wrong
 
 IDLE_S, MOST_S = 30.0, 900.0  # without a byte; for the whole of an upload
-DRAIN_S = 10.0  # what is too large is read on for so long, that the answer is seen and not a broken connection
-RECEIVING, WAITING = 8, 50  # uploads that are taken at once; logs on the disk that wait for being judged
-PATIENCE_S = 60.0  # an upload beyond these waits so long for its turn; its bytes stay with the sender meanwhile
-AGAIN_S, LONGEST_S = 30.0, 3600.0  # pauses between attempts to judge what was received, doubled each time
+DRAIN_S = 10.0  # for reading on a too large upload, so that the client sees the answer and not a broken connection
+RECEIVING, WAITING = 8, 50  # uploads received at once; logs on disk waiting to be judged
+PATIENCE_S = 60.0  # longest wait of a further upload for its turn, with its bytes unread
+AGAIN_S, LONGEST_S = 30.0, 3600.0  # pauses between attempts to judge a log, doubled each time
 LOADS = ("rotorwatch.fleet.judge", "rotorwatch.diagnose", "rotorwatch.report.html", "bokeh.embed")
 
 
 class Refused(RotorwatchError):
-    """An upload that is not taken. code: of the HTTP answer."""
+    """A refused upload. code: of the HTTP answer."""
 
     def __init__(self, code: int, why: str):
         super().__init__(why)
@@ -37,7 +37,7 @@ class Refused(RotorwatchError):
 
 
 class Later(Refused):
-    """An upload that was received, but cannot be judged or kept as a flight now. The log stays, and it is tried again."""
+    """A received upload that cannot be judged or stored now. The log stays, and is retried."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Log:
-    """An upload that is complete. path: alone in a folder of its own; digest: SHA-256 of its bytes."""
+    """A complete upload. path: alone in a folder of its own; digest: SHA-256 of its bytes."""
 
     path: Path
     name: str
@@ -61,8 +61,8 @@ class Log:
 
 
 def judge(what: tuple[Log, str]) -> Entry | str:
-    """A worker's job on (log, path of the page): writes the page, returns the flight for the store, or why the log holds none.
-    Raises what the log is not to blame for."""
+    """A worker's job on (log, path of the page): writes the page, returns the flight for the store, or why the log holds none. Raises
+    errors that are not due to the log."""
     from rotorwatch.diagnose import diagnose
     from rotorwatch.fleet.judge import of_flight
     from rotorwatch.logs import read
@@ -71,12 +71,12 @@ def judge(what: tuple[Log, str]) -> Entry | str:
     log, page = what
     try:
         flight = replace(read(log.path), name=log.name)
-        found = diagnose(flight)
-        entry = of_flight(flight, log.digest, log.name, log.size, found=found)
+        diagnosis = diagnose(flight)
+        entry = of_flight(flight, log.digest, log.name, log.size, found=diagnosis)
     except (LogError, VehicleError) as why:
         return str(why).replace(str(log.path), log.name).replace(log.path.name, log.name)
     try:
-        write(found, page)
+        write(diagnosis, page)
     except ConfigError as why:
         raise OSError(str(why)) from None
     return entry
@@ -85,8 +85,7 @@ def judge(what: tuple[Log, str]) -> Entry | str:
 class Uploads:
     """Uploaded logs. on_stored: called with each new flight, once it is stored; trouble: with a sentence when a log has to wait.
 
-    A log lies in a folder of its own until it is in the store or was refused; whatever else happens, it is tried again.
-    """
+    A log stays in a folder of its own until it is in the store or was refused; any other failure is retried."""
 
     def __init__(
         self,
@@ -107,19 +106,19 @@ class Uploads:
         self._workers = Workers(judge, limits.judge_s, limits.memory_mb, LOADS)
 
     def start(self) -> None:
-        """Make a worker ready, and judge what was complete when an earlier server was stopped."""
+        """Prepare a worker, and judge complete logs left by an earlier server."""
         self._workers.start()
         for log in _left(self._incoming, self._run):
             self._begin(log)
 
     def stop(self) -> None:
-        """End the workers; logs that are not judged yet stay for the next start."""
+        """End the workers; unprocessed logs stay for the next start."""
         self._stopping = True
         self._workers.stop()
         self._lock.close()
 
     def waiting(self, digest: str) -> bool:
-        """Whether a log was received and neither stored nor refused yet."""
+        """True if a log was received and neither stored nor refused yet."""
         return digest in self._logs
 
     async def take(self, encoded_name: str, length: int | None, body: AsyncIterator[bytes]) -> tuple[dict, bool]:
@@ -145,7 +144,7 @@ class Uploads:
 
     @asynccontextmanager
     async def _place(self) -> AsyncIterator[None]:
-        """One of the uploads that are taken at once. Raises TimeoutError when none is free in time."""
+        """A slot for receiving an upload. Raises TimeoutError when none is free in time."""
         async with self._freed:
             free = self._freed.wait_for(lambda: self._receiving < RECEIVING and len(self._logs) < WAITING)
             await asyncio.wait_for(free, PATIENCE_S)
@@ -158,7 +157,7 @@ class Uploads:
                 self._freed.notify()
 
     async def _receive(self, name: str, body: AsyncIterator[bytes]) -> Log:
-        """The whole of a body in a file."""
+        """Write the whole body to a file."""
         try:
             folder = Path(tempfile.mkdtemp(dir=self._run))
             path, size, digest = folder / names.on_disk(name), 0, hashlib.sha256()
@@ -190,7 +189,7 @@ class Uploads:
         return Log(path, name, digest.hexdigest(), size)
 
     def _begin(self, log: Log, waited_s: float = 0.0) -> asyncio.Task[tuple[dict[str, Any], bool]]:
-        """Judge it, once for all who have sent it. waited_s: since the attempt before this one."""
+        """Judge it, once for all who sent it. waited_s: since the attempt before this one."""
         known = self._logs.setdefault(log.digest, log)
         if known.path != log.path:
             shutil.rmtree(log.path.parent, ignore_errors=True)
@@ -201,7 +200,7 @@ class Uploads:
         return task
 
     async def _judge(self, log: Log, waited_s: float) -> tuple[dict[str, Any], bool]:
-        """(the flight, stored before on_stored is called; whether it is new). Raises Refused for what is no flight, Later."""
+        """(the flight, stored before on_stored is called; whether it is new). Raises Refused for a log without a flight, Later."""
         new = False
         try:
             row = await asyncio.to_thread(self._attempt, log, self._flights.row, log.digest)
@@ -233,7 +232,7 @@ class Uploads:
             self._freed.notify()
 
     def _attempt(self, log: Log, do: Callable[..., Any], *what: Any) -> Any:
-        """do(*what). Raises Refused as it comes, and all else, which the log is not to blame for, as Later."""
+        """do(*what). Raises Refused unchanged, and any other error, which is not due to the log, as Later."""
         try:
             return do(*what)
         except Refused:
@@ -244,10 +243,10 @@ class Uploads:
 
     def _into_store(self, log: Log) -> dict[str, Any]:
         """The flight, judged and put into the store."""
-        found = self._answer(log)
-        if isinstance(found, str):
-            raise Refused(422, found)
-        return self._flights.keep(found)
+        entry = self._answer(log)
+        if isinstance(entry, str):
+            raise Refused(422, entry)
+        return self._flights.keep(entry)
 
     def _answer(self, log: Log) -> Entry | str:
         """A worker's result."""
@@ -273,7 +272,7 @@ async def _drain(body: AsyncIterator[bytes]) -> None:
 
 
 def _own(incoming: Path) -> tuple[Path, Any]:
-    """A folder for the uploads of this run, and the lock that says that it is in use."""
+    """A folder for the uploads of this run, and the lock that marks it as in use."""
     run = Path(tempfile.mkdtemp(dir=incoming, prefix="run-"))
     lock = (run / "lock").open("wb")
     _locked(lock)
@@ -281,7 +280,7 @@ def _own(incoming: Path) -> tuple[Path, Any]:
 
 
 def _locked(file: Any) -> bool:
-    """Whether the lock could be had; where the system has none, it could not."""
+    """True if the lock was acquired; False where the system has none."""
     try:
         import fcntl
 
@@ -293,7 +292,7 @@ def _locked(file: Any) -> bool:
 
 def _left(incoming: Path, own: Path) -> list[Log]:
     """Logs that earlier servers had received and not judged, moved to the folder of this run; the rest of theirs is removed."""
-    found = []
+    logs = []
     for run in incoming.glob("run-*"):
         if run == own:
             continue
@@ -301,12 +300,12 @@ def _left(incoming: Path, own: Path) -> list[Log]:
             if not _locked(lock):
                 continue
             for note in run.glob("*/complete.json"):
-                with suppress(ValueError, KeyError, TypeError):  # half-written: the upload was not complete
+                with suppress(ValueError, KeyError, TypeError):  # half-written: an incomplete upload
                     about = json.loads(note.read_text())
                     folder = own / note.parent.name
                     path = folder / Path(about["file"]).name
                     log = Log(path, str(about["name"]), str(about["digest"]), int(about["size"]))
-                    note.parent.rename(folder)  # where this fails, all stays as it is for the next start
-                    found.append(log)
+                    note.parent.rename(folder)  # on failure, all stays for the next start
+                    logs.append(log)
             shutil.rmtree(run, ignore_errors=True)
-    return found
+    return logs

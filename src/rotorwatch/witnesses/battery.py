@@ -1,4 +1,4 @@
-"""The battery's voltage: whether it fell, and whether by more than its current explains."""
+"""Battery voltage: whether it fell, and whether by more than its current explains."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.flight import Flight, Signal
 
 SAG = 0.85  # share of the usual voltage below which the power fails
-BATTERY_S = 60.0  # of flight before, from which it is learned how the voltage follows the current
-RESISTANCE = 0.05, 0.05  # share of the voltage that the usual current costs, and by how much batteries differ
-LASTS_S, FEWEST = 3.0, 3  # for which a voltage stays low before that is told, and samples that tell it
+BATTERY_S = 60.0  # of flight before, to which the dependence of voltage on current is fitted
+RESISTANCE = 0.05, 0.05  # voltage drop at the usual current, as a share of the voltage: mean and sd over batteries
+LASTS_S, FEWEST = 3.0, 3  # time and samples for which a voltage must stay low to be reported
 PINNED = 0.995  # of the largest current
-BEFORE_S, NEAR_S = 1.0, 1.5  # of a moment: what was usual ends so long before it, and what happens then is so near
+BEFORE_S, NEAR_S = 1.0, 1.5  # the usual voltage is taken up to BEFORE_S before a moment, the drop within NEAR_S of it
 
 
 def fell(flight: Flight, moment: float) -> bool | None:
-    """Did the voltage fall far about `moment` s? None where it is not known."""
+    """True if the voltage fell below SAG of its usual value within NEAR_S of `moment` s; None without enough samples."""
     if not flight.has("battery"):
         return None
     battery = flight["battery"]
@@ -29,7 +29,7 @@ def fell(flight: Flight, moment: float) -> bool | None:
 
 
 def sagged(flight: Flight, moment: float) -> bool | None:
-    """Did it fall by more than its current explains? None where that is not known."""
+    """True if it fell there by more than its current explains; None where that is unknown."""
     if not fell(flight, moment):
         return fell(flight, moment)
     beyond = unexplained(flight, moment, moment - NEAR_S, moment + NEAR_S)
@@ -37,37 +37,36 @@ def sagged(flight: Flight, moment: float) -> bool | None:
 
 
 def unexplained(flight: Flight, moment: float, start: float, end: float) -> np.ndarray | None:
-    """V by which the voltage of each sample between `start` and `end` s lies below all that its current explains and the limit SAG allows,
-    by what was flown before `moment` s; None where no current is known.
+    """Voltage deficit [V] of each sample between `start` and `end` s, beyond its current and the limit SAG, by a fit to the flight before
+    `moment` s; None where no current is logged.
 
-    Before, the voltage is E + D t - R I: a controller that fights for a dead rotor draws twice the current, and the voltage sags by that.
-    """
+    The fit is E + D t - R I: a controller that compensates a dead rotor draws twice the current, and the voltage sags by that."""
     battery = flight["battery"]
     time, volts = battery.time, np.where(battery.valid[:, 0], battery.values[:, 0], np.nan)
     before, now = time < moment - BEFORE_S, (time > start) & (time < end)
     usual = float(np.nanmedian(volts[before]))
     logged = battery.values.shape[1] > 1 and battery.valid[:, 1]
     amps = np.where(logged, battery.values[:, -1], np.nan)
-    known = np.isfinite(volts) & np.isfinite(amps)
-    if (known & before).sum() < 3 or not (known & now).any() or not np.nanmedian(amps[before]) > 0.0:
+    valid = np.isfinite(volts) & np.isfinite(amps)
+    if (valid & before).sum() < 3 or not (valid & now).any() or not np.nanmedian(amps[before]) > 0.0:
         return None
     load = amps / np.nanmedian(amps[before])
     X = np.column_stack([np.ones(time.size), (time - moment) / BATTERY_S, -load])
-    lately = known & before & (time > moment - BATTERY_S)
-    lately = lately if lately.sum() > 2 else known & before
-    noise = max(float(np.diff(volts[lately]).std()), 0.002 * usual)
-    # How much the voltage falls with the current is open where the current has hardly changed: by RESISTANCE of the usual, or so.
+    recent = valid & before & (time > moment - BATTERY_S)
+    recent = recent if recent.sum() > 2 else valid & before
+    noise = max(float(np.diff(volts[recent]).std()), 0.002 * usual)
+    # Where the current has hardly changed, the resistance is not observable: its prior is RESISTANCE.
     mean, sd = np.array([usual, 0.0, RESISTANCE[0] * usual]), np.array([usual, usual, RESISTANCE[1] * usual])
-    P = np.linalg.inv(X[lately].T @ X[lately] / noise**2 + np.diag(sd**-2.0))
-    fit = P @ (X[lately].T @ volts[lately] / noise**2 + mean / sd**2)
-    x = X[known & now]
+    P = np.linalg.inv(X[recent].T @ X[recent] / noise**2 + np.diag(sd**-2.0))
+    fit = P @ (X[recent].T @ volts[recent] / noise**2 + mean / sd**2)
+    x = X[valid & now]
     least = x @ fit - 2.0 * np.sqrt(np.einsum("ij,jk,ik->i", x, P, x) + noise**2)
-    return (SAG - 1.0) * usual + least - volts[known & now]
+    return (SAG - 1.0) * usual + least - volts[valid & now]
 
 
 def collapse(flight: Flight, air: Spans) -> tuple[float, float, float] | None:
-    """(since when [s], least voltage, usual one [V]) of the first time in the flights `air` that the voltage fell by more than its current
-    explains and did not come back within LASTS_S, or before the flight ended; None where it never did, or nobody knows."""
+    """(onset [s], lowest voltage, usual voltage [V]) of the first unexplained voltage drop in the flights `air` that lasted LASTS_S or to
+    the flight's end; None where there was none, or it is unknown."""
     for start, end in air if flight.has("battery") else ():
         battery = flight["battery"].between(start, end)
         ok = battery.valid[:, 0]
@@ -90,13 +89,13 @@ def collapse(flight: Flight, air: Spans) -> tuple[float, float, float] | None:
                 continue
             beyond = unexplained(part, moment, moment - 1e-6, min(moment + LASTS_S, float(time[last]) + 1e-6))
             if beyond is not None and beyond.size >= FEWEST and float(median(beyond)) > 0.0:
-                own = (time < moment - BEFORE_S) & (time > moment - BATTERY_S)
-                return moment, float(volts[first : last + 1].min()), float(median(volts[own]))
+                before = (time < moment - BEFORE_S) & (time > moment - BATTERY_S)
+                return moment, float(volts[first : last + 1].min()), float(median(volts[before]))
     return None
 
 
 def _measured(battery: Signal) -> Signal:
-    """The battery without currents at the end of the sensor's range, which may have been any larger."""
+    """The battery without currents at the end of the sensor's range, where the true current may be larger."""
     if battery.values.shape[1] < 2 or not battery.valid[:, 1].any():
         return battery
     amps = np.where(battery.valid[:, 1], battery.values[:, 1], -np.inf)

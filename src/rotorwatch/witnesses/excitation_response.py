@@ -1,23 +1,24 @@
-"""What the response to an excitation of the commands shows of events that are ambiguous without it.
+"""Evidence from the response to an excitation of the commands, for events that are ambiguous without it.
 
-Commands in the null space of the geometry (null_space.py) move nothing while all rotors are well; a flight in which they were excited is
-an experiment. The commanded thrust that the motion does not show, e = y - G m of the thrust channel (plant.py), then holds
+Commands in the null space of the geometry (null_space.py) cause no motion while all rotors are healthy; a flight in which
+they were excited is an experiment. The commanded thrust that the motion does not show, e = y - G m of the thrust channel (plant.py), then
+is
 
-    e(t) = sum_i phi_i(t) theta_i + noise,        phi_i = B_i q_i,        q: the part of the thrusts that nobody needed
+    e(t) = sum_i phi_i(t) theta_i + noise,        phi_i = B_i q_i,        q: the excess part of the thrusts
 
-q is what the thrusts (n,) have in ker B, less what follows from the commanded wrench (mixers that are no pseudo-inverse have such a
-part at all times). It is chosen by whoever designs the excitation, independently of gusts and of the controller's answers to them: unlike
-the evidence of a jump, which grows old while errors of the model go on (posterior.py), this evidence counts in full. With the noise
-as it was learned before, Sigma, the information and vector of theta are
+q is the component of the thrusts (n,) in ker B, less what follows from the commanded wrench (mixers that are no pseudo-inverse always have
+such a part). It is chosen by the designer of the excitation, independently of gusts and of the controller's response to them: unlike the
+evidence of a jump, which ages while model errors continue (posterior.py), this evidence counts in full. With the noise covariance Sigma
+learned before, the information matrix and vector of theta are
 
     J = phi' Sigma^-1 phi,        z = phi' Sigma^-1 e
 
-and the evidence of a set S of weak rotors is that of a Gaussian: their losses have the mean m that explains what lacks in hover, all
-others are as unlike as healthy rotors are (sd UNLIKE), W the diagonal of the variances:
+and the evidence of a set S of weak rotors is Gaussian: their losses have the mean m that explains the deficit in hover, all others scatter
+as healthy rotors do (sd UNLIKE), W the diagonal of the variances:
 
     log BF_S = m' z - m' J m / 2 + (z - J m)' (J + W^-1)^-1 (z - J m) / 2 - log det(1 + W J) / 2
 
-times the probability that the losses of S are above 0, over what it was before.
+times the ratio of the posterior to the prior probability that the losses of S are above 0.
 """
 
 from __future__ import annotations
@@ -47,18 +48,18 @@ from rotorwatch.witnesses import null_space
 from rotorwatch.witnesses.witness import Events, Stage, View, Witness
 
 SOURCE = Source("excitation", 2, ESTIMATOR.explained)
-LEAST = 0.05  # hover thrusts of one rotor, off the mixer's own way of making a wrench: an excitation, no rounding
-SHORTEST_S, GAP_S, ASIDE_S = 0.5, 1.0, 1.0  # of an excitation; between two; of flight looked at before and after
-HOVER_S = 3.0  # over which hover's commands are averaged
-LONGEST = 400  # ticks looked at together
-UNLIKE = 0.03  # by what share healthy rotors differ in what a command changes
-LOSS_SD = 0.05  # of what hover says of a loss, besides RECOVERY_SHARE of it
+LEAST = 0.05  # hover thrusts of one rotor, beyond the mixer's own allocation: an excitation, not rounding
+SHORTEST_S, GAP_S, ASIDE_S = 0.5, 1.0, 1.0  # of an excitation; between two; of flight used before and after
+HOVER_S = 3.0  # over which the commands of hover are averaged
+LONGEST = 400  # ticks used together
+UNLIKE = 0.03  # relative scatter of healthy rotors' response to a command
+LOSS_SD = 0.05  # sd of a loss derived from hover, besides RECOVERY_SHARE of it
 EXPLAINED = 4.0  # standard deviations of trim that a set of rotors may leave unexplained to be suspected
 LEAST_LOSS = 0.1  # ... and the smallest loss in it
 OTHER = 1e-4  # prior weight of a set that no event names, relative to one that is named and to none
-CONTAINS = 0.1  # ... of one that contains another that it named: the smaller says it all
+CONTAINS = 0.1  # ... of one that contains a named one: the smaller one is sufficient
 AFTER_S = 2.0  # for which an excitation still shows in the evidence of jumps
-DELAYS_S = (0.0, 0.02, 0.04, 0.07, 0.1)  # of a rotor behind what the ticks take for granted
+DELAYS_S = (0.0, 0.02, 0.04, 0.07, 0.1)  # of a rotor, beyond the lag assumed for the ticks
 
 
 class ExcitationEvidence(NamedTuple):
@@ -74,10 +75,10 @@ def find(
     table: Ticks, B: np.ndarray, dynamics=None
 ) -> tuple[tuple[ExcitationEvidence, ...], ExcitationEvidence | None, tuple[Event, ...]]:
     """The excitations of a flight, in order; `trim` before the first of them; and the losses known by then. table: its ticks; B (4, n);
-    dynamics: what was learned of the vehicle from healthy flights.
+    dynamics: learned from the vehicle's healthy flights.
 
-    What the vehicle is like, and how noisy, is what the default estimator knew when the first of them began: from the answers of
-    weak rotors it would learn wrong gains."""
+    Gains and noise are those of the default estimator when the first excitation began: from the response of weak rotors it would learn
+    wrong gains."""
     N = null_space.null_space(B)
     full = table.thrust * table.hover[:, None]
     usable = (table.mode == JUDGE) & table.valid[:, 3] & (full < AT_LIMIT).all(axis=1) & (full > 0.0).all(axis=1)
@@ -90,19 +91,19 @@ def find(
     before = until(table, spans[0][0])
     carry, out = estimate(before, B, dynamics)
     model = _model(carry, table, B)
-    found = []
+    responses = []
     for a, b in spans:
         near = (table.time > table.time[a] - ASIDE_S) & (table.time < table.time[b] + ASIDE_S) & usable
         rows = np.flatnonzero(near)[:LONGEST]
         if rows.size * table.dt >= SHORTEST_S:
             span = float(table.command_time[a]), float(table.time[b])
-            found.append(_response(rows, span, q, model, table, B))
-    return tuple(found), trim(carry, out, before, B), read(out, before, B)
+            responses.append(_response(rows, span, q, model, table, B))
+    return tuple(responses), trim(carry, out, before, B), read(out, before, B)
 
 
 def trim(carry, out, table: Ticks, B: np.ndarray) -> ExcitationEvidence | None:
-    """What the wrench of trim has changed by since the flight was first judged, as information on losses that began since then; its
-    uncertainty is that of what a loss leaves behind, and of how much this flight's disturbances wander. None where it was not judged."""
+    """Change of the trim wrench since the flight was first judged, as information on losses that began since then; its uncertainty is that
+    of the wrench after a loss, and of this flight's random disturbances. None where nothing was judged."""
     lacking, sd = shift(carry, out, table)
     if lacking is None:
         return None
@@ -112,7 +113,7 @@ def trim(carry, out, table: Ticks, B: np.ndarray) -> ExcitationEvidence | None:
 
 
 def shift(carry, out, table: Ticks) -> tuple[np.ndarray | None, np.ndarray]:
-    """By how much the commanded wrench of trim (4,) has grown since the hop was first judged, and its standard deviation (4,)."""
+    """Growth of the commanded trim wrench (4,) since the hop was first judged, and its standard deviation (4,)."""
     sd = np.sqrt(TRIM_SD**2 + carry.spread)
     starts = np.flatnonzero(table.restart)
     judged = (table.mode == JUDGE) & (np.arange(len(table.time)) >= (starts[-1] if starts.size else 0))
@@ -123,18 +124,18 @@ def shift(carry, out, table: Ticks) -> tuple[np.ndarray | None, np.ndarray]:
 
 
 def suspects(carry, out, table: Ticks, B: np.ndarray) -> dict[tuple[int, ...], np.ndarray]:
-    """Single rotors and pairs (0-based) whose losses (n,) explain by how much trim has changed, whatever was announced."""
+    """Single rotors and pairs (0-based) whose losses (n,) explain the change of trim, whatever was announced."""
     lacking, sd = shift(carry, out, table)
-    n, found = B.shape[1], {}
+    n, sets = B.shape[1], {}
     if lacking is None:
-        return found
+        return sets
     for who in (*combinations(range(n), 1), *combinations(range(n), 2)):
         losses = np.zeros(n)
         losses[list(who)], left = least_squares(B[:, who] / sd[:, None], lacking / sd)
         least = losses[list(who)].min()
         if left < EXPLAINED and LEAST_LOSS < least and losses.max() <= 1.0:
-            found[who] = losses
-    return found
+            sets[who] = losses
+    return sets
 
 
 def until(table: Ticks, k: int) -> Ticks:
@@ -144,15 +145,15 @@ def until(table: Ticks, k: int) -> Ticks:
 
 
 def _unneeded(table: Ticks, N: np.ndarray, usable: np.ndarray) -> np.ndarray:
-    """q (T, n): thrusts in the null space, less what the commanded wrench says of them (twice: at first with excitations in it)."""
-    own = table.thrust @ N
-    inputs = np.column_stack([table.wrench, np.ones(len(own))])
-    calm, q = usable, (own - median(own[usable], axis=0)) @ N.T
+    """q (T, n): thrusts in the null space, less their regression on the commanded wrench (twice: the first one includes excitations)."""
+    excess = table.thrust @ N
+    inputs = np.column_stack([table.wrench, np.ones(len(excess))])
+    calm, q = usable, (excess - median(excess[usable], axis=0)) @ N.T
     for _ in range(2):
         if calm.sum() < 4 * inputs.shape[1]:
             break
-        K = np.linalg.lstsq(inputs[calm], own[calm], rcond=None)[0]
-        q = (own - inputs @ K) @ N.T
+        K = np.linalg.lstsq(inputs[calm], excess[calm], rcond=None)[0]
+        q = (excess - inputs @ K) @ N.T
         calm = usable & (np.abs(q).max(axis=1) < 0.5 * LEAST)
     return q
 
@@ -168,8 +169,8 @@ def _spans(table: Ticks, responses: np.ndarray) -> list[tuple[int, int]]:
 
 
 class _Model(NamedTuple):
-    """left (T,): e; more (T, n): q times this is what the lower rotors of coaxial arms add, per unit of the share of which nobody knows
-    more than its standard deviation sd; noise."""
+    """left (T,): e; more (T, n): factor on q of the thrust that the lower rotors of coaxial arms add, per unit of their uncertain share,
+    whose standard deviation is sd; noise."""
 
     left: np.ndarray
     more: np.ndarray
@@ -182,11 +183,11 @@ def _model(carry, table: Ticks, B: np.ndarray) -> _Model:
     n, lower = B.shape[1], lower_rotors(B)
     s, P = np.asarray(carry.s), np.asarray(carry.P)
     left = table.wrench[:, 3] - s[3 * PER_AXIS + GAIN] * n * table.load
-    more, sd = np.zeros(n), 0.0
+    extra, sd = np.zeros(n), 0.0
     if lower is not None:
-        more = B[3] * (lower - (B[3] * lower).mean())
-        left, sd = left + s[SHARE] * (table.thrust @ more), float(np.sqrt(P[SHARE, SHARE]))
-    return _Model(left, more, sd, null_space.Noise(np.asarray(carry.variances)[:, 3], np.array(TAU)))
+        extra = B[3] * (lower - (B[3] * lower).mean())
+        left, sd = left + s[SHARE] * (table.thrust @ extra), float(np.sqrt(P[SHARE, SHARE]))
+    return _Model(left, extra, sd, null_space.Noise(np.asarray(carry.variances)[:, 3], np.array(TAU)))
 
 
 def _response(rows, span, q, model: _Model, table: Ticks, B: np.ndarray) -> ExcitationEvidence:
@@ -207,39 +208,39 @@ def _response(rows, span, q, model: _Model, table: Ticks, B: np.ndarray) -> Exci
 
 
 def _unexplained(phi: np.ndarray, e: np.ndarray) -> float:
-    """Mean square of what is left of e (T,) after its best fit by phi (T, k): one, where the noise is what it was."""
+    """Mean square of the residual of e (T,) after its best fit by phi (T, k): one where the noise is as modelled."""
     fit = phi @ np.linalg.lstsq(phi, e, rcond=1e-6)[0]
     return float(((e - fit) ** 2).sum() / max(len(e) - min(phi.shape), 1))
 
 
 class Prior(NamedTuple):
-    """Losses of the rotors of a set, before the excitation: mean (n,) and sd (n,), others 0 and UNLIKE."""
+    """Losses of the rotors of a set before the excitation: mean (n,) and sd (n,); the others have 0 and UNLIKE."""
 
     mean: np.ndarray
     sd: np.ndarray
 
 
 def prior(rotors: Sequence[int], n: int, losses: np.ndarray | None = None) -> Prior:
-    """Of a set (0-based) that anybody might name, or of one whose losses (n,) hover has shown."""
-    own = np.isin(np.arange(n), list(rotors))
+    """Prior of a set (0-based): with the losses (n,) that hover has shown, or a general one."""
+    named = np.isin(np.arange(n), list(rotors))
     if losses is None:
-        return Prior(np.zeros(n), np.where(own, hypotheses.LOSS_WIDTH, UNLIKE))
+        return Prior(np.zeros(n), np.where(named, hypotheses.LOSS_WIDTH, UNLIKE))
     spread = hypotheses.RECOVERY_SHARE * np.max(losses, initial=0.0) + LOSS_SD
-    return Prior(np.where(own, losses, 0.0), np.where(own, spread, UNLIKE))
+    return Prior(np.where(named, losses, 0.0), np.where(named, spread, UNLIKE))
 
 
 def evidence(
     responses: Sequence[ExcitationEvidence], rotors: Sequence[int], before: Prior
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """Log evidence that these rotors (0-based) are weak, against none; and mean (n,) and covariance (n, n) of all losses then."""
-    n, own = len(before.mean), list(rotors)
-    J, z = (np.sum([getattr(one, name) for one in responses], axis=0) for name in ("J", "z"))
+    """Log evidence that these rotors (0-based) are weak, against none; and the posterior mean (n,) and covariance (n, n) of all losses."""
+    n, named = len(before.mean), list(rotors)
+    J, z = (np.sum([getattr(response, name) for response in responses], axis=0) for name in ("J", "z"))
     total, base, mean, cov = [], [], [], []
     none = np.full(n, UNLIKE)
     for own_J, own_z in zip(J, z, strict=True):
         log, m, P = _gaussian(own_J, own_z, before.mean, before.sd)
-        above = _positive(m[own], P[np.ix_(own, own)])
-        above /= _positive(before.mean[own], np.diag(before.sd[own] ** 2))
+        above = _positive(m[named], P[np.ix_(named, named)])
+        above /= _positive(before.mean[named], np.diag(before.sd[named] ** 2))
         total.append(log + np.log(max(above, 1e-300)))
         base.append(_gaussian(own_J, own_z, np.zeros(n), none)[0])
         mean.append(m)
@@ -278,8 +279,8 @@ def shares(
     n: int,
     before: ExcitationEvidence | None = None,
 ) -> dict[tuple[int, ...], float]:
-    """Probability of each set of weak rotors (0-based; (): none): of those named, with the losses (n,) that hover gives them, of all single
-    rotors and of all pairs. before: the trim, which a loss since then has changed and an older one has not."""
+    """Probability of each set of weak rotors (0-based; (): none): the named ones, with the losses (n,) that hover gives them, all single
+    rotors and all pairs. before: the trim, which a loss since then has changed and an older one has not."""
     logs: dict[tuple[int, ...], float] = {(): 0.0}
     for who in (*combinations(range(n), 1), *combinations(range(n), 2)):
         old = evidence(responses, who, prior(who, n))[0]
@@ -297,23 +298,25 @@ def shares(
 
 
 def candidates(event: Event, B: np.ndarray) -> dict[tuple[int, ...], np.ndarray]:
-    """The sets of rotors (0-based) that may explain an event, each with the losses (n,) with which it does so in hover: what lacks of
-    thrust and moment, by non-negative least squares. B (4, n)."""
+    """The sets of rotors (0-based) that may explain an event, each with the losses (n,) that explain the deficit of thrust and moment in
+    hover, by non-negative least squares. B (4, n)."""
     n = B.shape[1]
     lacking = B[:, [r - 1 for r in event.rotors]] @ np.array(event.loss)
-    found = {}
+    sets = {}
     for who in (event.rotors, *event.alternatives):
-        own = sorted(r - 1 for r in who)
+        members = sorted(r - 1 for r in who)
         losses = np.zeros(n)
-        losses[own] = np.minimum(least_squares(B[:, own], lacking)[0], 1.0)
-        if who is event.rotors or losses.max() > hypotheses.NONE:  # what explains nothing in hover is no candidate
-            found[tuple(own)] = losses
-    return found
+        losses[members] = np.minimum(least_squares(B[:, members], lacking)[0], 1.0)
+        if (
+            who is event.rotors or losses.max() > hypotheses.NONE
+        ):  # a set that explains nothing in hover is no candidate
+            sets[tuple(members)] = losses
+    return sets
 
 
 class Question(NamedTuple):
-    """What an excitation is designed from, as a log has shown it. candidates: sets of rotors (0-based; (): none) and their losses (n,);
-    hover (n,): commands, shares of full thrust; noise and gain (3,) as `rotorwatch.control.excitation.design` takes
+    """Input to the design of an excitation, from a log. candidates: sets of rotors (0-based; (): none) and their losses (n,); hover (n,):
+    commands, shares of full thrust; noise and gain (3,) as `rotorwatch.control.excitation.design` takes
     them; dt [s] of a tick."""
 
     candidates: dict[tuple[int, ...], np.ndarray]
@@ -324,23 +327,26 @@ class Question(NamedTuple):
 
 
 def question(sets: dict[tuple[int, ...], np.ndarray], carry, table: Ticks, B: np.ndarray) -> Question:
-    """What an excitation has to distinguish: sets of rotors (`candidates` or `suspects`), or none. carry: of the default estimator after
+    """The sets of rotors (`candidates` or `suspects`, or none) that an excitation has to distinguish. carry: of the default estimator after
     the ticks of `table`."""
     flying = table.mode == JUDGE
     late = flying & (table.time > table.time[flying][-1] - HOVER_S)
     hover = (table.thrust * table.hover[:, None])[late].mean(axis=0)
     gain = np.asarray(carry.s)[:AXIS_STATES].reshape(4, PER_AXIS)[:3, GAIN]
-    found = {**sets, (): np.zeros(B.shape[1])}
-    return Question(found, hover, null_space.Noise(np.asarray(carry.variances)[:, 3], np.array(TAU)), gain, table.dt)
+    candidates_ = {**sets, (): np.zeros(B.shape[1])}
+    return Question(
+        candidates_, hover, null_space.Noise(np.asarray(carry.variances)[:, 3], np.array(TAU)), gain, table.dt
+    )
 
 
 def resolve(
     events: Sequence[Event], table: Ticks, B: np.ndarray, dynamics=None
 ) -> tuple[tuple[Event, ...], tuple[str, ...]]:
-    """The losses of a flight with what its excitations say of them: ambiguous ones are resolved where an excitation after them says which
-    rotors it was, so are those that were announced while one was going on (weak rotors answer it by what looks like jumps of others), and
-    losses that nothing else has shown are added; and sentences on what it says no rotor made. Without an excitation the events are what
-    they were. table, B, dynamics: as for `find`."""
+    """The losses of a flight, updated by the evidence of its excitations, and sentences on events that no rotor caused.
+
+    Ambiguous events are resolved where an excitation after them shows which rotors it was, and so are those announced during an excitation
+    (weak rotors respond to it by apparent jumps of others); losses that only an excitation shows are added. Without an excitation the
+    events are unchanged. table, B, dynamics: as for `find`."""
     responses, before, known = find(table, B, dynamics)
     if not responses:
         return tuple(events), ()
@@ -348,9 +354,7 @@ def resolve(
     result, notes = [], []
     for e in events:
         if not e.alternatives and e.detected_s in open_ and e.end_s is None:
-            e = open_[
-                e.detected_s
-            ]  # what has become of its explanations since is what the excitation did to their weights
+            e = open_[e.detected_s]  # the excitation has distorted the weights of its explanations since
         during = [q for q in responses if q.start < e.detected_s < q.end + AFTER_S]
         later = [q for q in responses if q.start > e.onset_s and (e.end_s is None or q.end < e.end_s)]
         if not during and (not e.alternatives or not later):
@@ -361,19 +365,19 @@ def resolve(
         result += [resolved] if resolved else []
         notes += [note] if note else []
     if not result:
-        found, note = _unseen(responses, before, B)
-        result += [found] if found and not notes else []
+        loss, note = _unseen(responses, before, B)
+        result += [loss] if loss and not notes else []
         notes += [note] if note and not notes else []
     return tuple(result), tuple(notes)
 
 
-def _unsure(event: Event, found: dict[tuple[int, ...], float], extra: dict) -> Event:
-    """The event with all sets named that are left, those of the event first: it stays, or becomes, ambiguous."""
+def _unsure(event: Event, posterior: dict[tuple[int, ...], float], extra: dict) -> Event:
+    """The event with all remaining sets as alternatives, its own first: it stays, or becomes, ambiguous."""
     if event.alternatives:
         return replace(event, extra=extra)
-    own = tuple(sorted(event.rotors))
-    left = [tuple(k + 1 for k in who) for who, p in found.items() if who and p >= CREDIBLE]
-    others = tuple(who for who in left if who != own)
+    named = tuple(sorted(event.rotors))
+    left = [tuple(k + 1 for k in who) for who, p in posterior.items() if who and p >= CREDIBLE]
+    others = tuple(who for who in left if who != named)
     names = ", ".join("+".join(map(str, who)) for who in others)
     reason = (
         f"during the excitation, commands and motion changed as if rotor {' and '.join(map(str, event.rotors))} had lost thrust, "
@@ -385,25 +389,25 @@ def _unsure(event: Event, found: dict[tuple[int, ...], float], extra: dict) -> E
 def _unseen(
     responses: Sequence[ExcitationEvidence], before: ExcitationEvidence | None, B: np.ndarray
 ) -> tuple[Event | None, str]:
-    """The loss that only the excitations show, if there is one, since the flight was judged (then the trim `before` has changed as well) or
-    from before; else, if so, that there is none."""
+    """The loss that only the excitations show, from since the flight was judged (the trim `before` has then changed as well) or from
+    before; otherwise None and, where that is certain, the sentence that there is none."""
     n = B.shape[1]
-    found = shares(responses, {}, n, before)
-    best, share = next(iter(found.items()))
+    posterior = shares(responses, {}, n, before)
+    best, share = next(iter(posterior.items()))
     when = _when(responses)
     if not best:
         well = f"the excitation of the commands from {when} drew the response of a vehicle with healthy rotors"
         return None, well if share > CERTAIN else ""
     whole = [responses, *([[*responses, before]] if before else [])]
-    _, mean, cov = max((evidence(some, best, prior(best, n)) for some in whole), key=lambda one: one[0])
+    _, mean, cov = max((evidence(some, best, prior(best, n)) for some in whole), key=lambda weighed: weighed[0])
     loss, bounds = _losses(best, mean, cov, B)
-    if found[()] > 1.0 - CERTAIN or max(low for low, _ in bounds) < UNLIKE:
+    if posterior[()] > 1.0 - CERTAIN or max(low for low, _ in bounds) < UNLIKE:
         return None, ""
-    others = tuple(tuple(k + 1 for k in who) for who, p in found.items() if who != best and p >= CREDIBLE)
+    others = tuple(tuple(k + 1 for k in who) for who, p in posterior.items() if who != best and p >= CREDIBLE)
     who = tuple(k + 1 for k in best)
     reason = f"the excitation of the commands from {when} drew the response of a vehicle with weak rotor {' and '.join(map(str, who))}"
     reason += f", but {', '.join('+'.join(map(str, o)) for o in others)} would look the same" if others else ""
-    extra = {"asked": _extra(responses, found)}
+    extra = {"asked": _extra(responses, posterior)}
     start, end = responses[0].start, responses[-1].end
     return Event(LOSS, who, start, end, None, loss, bounds, share, others, reason, extra, SOURCE), ""
 
@@ -412,17 +416,17 @@ def _when(responses: Sequence[ExcitationEvidence]) -> str:
     return f"{responses[0].start:.1f} to {responses[-1].end:.1f} s"
 
 
-def _extra(responses: Sequence[ExcitationEvidence], found: dict[tuple[int, ...], float]) -> dict:
-    """For an event's `extra`: when it was excited, and the probabilities of the sets that are left."""
-    left = {"+".join(str(k + 1) for k in who) or "none": round(p, 6) for who, p in found.items() if p > 1e-3}
+def _extra(responses: Sequence[ExcitationEvidence], posterior: dict[tuple[int, ...], float]) -> dict:
+    """For an event's `extra`: the time of the excitation, and the probabilities of the remaining sets."""
+    left = {"+".join(str(k + 1) for k in who) or "none": round(p, 6) for who, p in posterior.items() if p > 1e-3}
     return {"start_s": responses[0].start, "end_s": responses[-1].end, "probability": left}
 
 
 def _losses(who: tuple[int, ...], mean: np.ndarray, cov: np.ndarray, B: np.ndarray) -> tuple[tuple, tuple]:
     """Losses of the rotors `who` (0-based) and their 95 % intervals."""
-    own = list(who)
-    loss = np.clip(mean[own], 0.0, 1.0)
-    sd = sd_of(loss, np.sqrt(np.diag(cov)[own]), B)
+    index = list(who)
+    loss = np.clip(mean[index], 0.0, 1.0)
+    sd = sd_of(loss, np.sqrt(np.diag(cov)[index]), B)
     bounds = tuple(
         (max(0.0, float(v - 1.96 * s)), min(1.0, float(v + 1.96 * s))) for v, s in zip(loss, sd, strict=True)
     )
@@ -432,11 +436,11 @@ def _losses(who: tuple[int, ...], mean: np.ndarray, cov: np.ndarray, B: np.ndarr
 def _resolved(event: Event, responses: Sequence[ExcitationEvidence], B: np.ndarray) -> tuple[Event | None, str]:
     named = candidates(event, B)
     n = B.shape[1]
-    found = shares(responses, named, n)
-    best, share = next(iter(found.items()))
-    when, extra = _when(responses), {**event.extra, "asked": _extra(responses, found)}
+    posterior = shares(responses, named, n)
+    best, share = next(iter(posterior.items()))
+    when, extra = _when(responses), {**event.extra, "asked": _extra(responses, posterior)}
     if share < CERTAIN:
-        return _unsure(event, found, extra), ""
+        return _unsure(event, posterior, extra), ""
     if not best:
         return None, (
             f"a shift of thrust at {event.onset_s:.1f} s might have come from rotors {'+'.join(map(str, event.rotors))} or others; the "

@@ -1,13 +1,13 @@
-"""Losses in the blind time after take-off, found afterwards: a flight shows its gains and noise, and with these its start is judged again.
+"""Losses in the blind time after take-off, found after the flight with the gains and noise that it shows.
 
-The estimator learns a vehicle's trim, gains and noise in the blind time and so takes a rotor that fails there as normal. After the
-flight gains and noise are known. The same estimator then runs again over the first seconds of each hop, judging from the end of the first
-second in the air on, with the biases open as for any multirotor. Nothing else differs: a loss announced there is an event like any.
+The estimator learns a vehicle's trim, gains and noise in the blind time and so takes a rotor that fails there as normal. After the flight
+gains and noise are known. The same estimator then runs again over the first seconds of each hop, judging from the end of the first second
+in the air on, with the biases open as for any multirotor. Nothing else differs: a loss announced there is a regular event.
 
-Four conditions are physics. What a knock broke looks like any loss, and motion after it is the knock's: the second look ends there, and
-where the vehicle is upset. A loss lasts: one that is over again before the second look ends was a gust, or the ground that was left. A hop
-that hovers at less than half of the command of another stands on the ground. And while the rotors give clearly less than what carries the
-vehicle later, the ground carries the rest, and takes torques as well: the second look begins when they carry all of it.
+Four conditions are physics. Damage by a knock looks like any loss, and the motion after it is the knock's: the second pass ends there, and
+where the vehicle is upset. A loss lasts: one that ends before the second pass does was a gust, or the end of ground effect. A hop that
+hovers at less than half of the command of another is on the ground. And while the rotors give clearly less thrust than carries the vehicle
+later, the ground carries the rest, and takes torques as well: the second pass begins when they carry all of it.
 """
 
 from __future__ import annotations
@@ -29,18 +29,15 @@ from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.witnesses.witness import Stage, View, Witness, adding
 
 SOURCE = Source(events.HINDSIGHT, 3)
-LOOK_S = 7.0  # beyond the blind time: a loss just before its end is announced in it, and has lasted
-REST_S = 20.0  # of flight after the blind time, from which gains and noise are learned without it
-LEAST = 0.05  # of a loss, by its interval: after few seconds the trim of a healthy rotor is not known better
-CARRIES, CARRIES_S = (
-    0.85,
-    1.0,
-)  # share of the thrust per load of later flight, in the mean of so many seconds: ground effect saves less
-STANDS = 0.5  # of the hover command of another hop: so much weight is not dropped in flight
+LOOK_S = 7.0  # beyond the blind time: long enough to announce a loss at its end, and to show that it lasts
+REST_S = 20.0  # of flight after the blind time, to learn gains and noise without it
+LEAST = 0.05  # lower end of a loss: after a few seconds the trim of a healthy rotor is not known better
+CARRIES, CARRIES_S = 0.85, 1.0  # of later thrust per load, in a mean of so many s: ground effect saves less
+STANDS = 0.5  # of the hover command of another hop: no vehicle drops so much weight in flight
 
 
 def learned(carry, B: np.ndarray) -> dict:
-    """`program.parameters`' dynamics of one flight, from the last carry of its own pass: its gains, damping and noise; biases open."""
+    """Dynamics for `program.parameters` from the last carry of the flight's first pass: its gains, damping and noise; biases open."""
     rows = (np.arange(4)[:, None] * PER_AXIS + np.array([GAIN, DAMPING])).reshape(-1)
     s, P = np.asarray(carry.s), np.asarray(carry.P)
     x0, P0 = (a.copy() for a in any_multirotor(B.shape[1]))
@@ -54,9 +51,8 @@ def learned(carry, B: np.ndarray) -> dict:
 
 
 def beginnings(ticks: Ticks) -> Ticks | None:
-    """The first ticks of each hop from when it is clear of the ground, all of them judged: its blind time and LOOK_S more, up to a knock or
-    an upset. A hop that has no tick after its blind time is left out: nothing shows that what happened in it lasted. None when there is
-    none."""
+    """The first ticks of each hop once it is clear of the ground, all judged: its blind time and LOOK_S more, up to a knock or an upset;
+    None without any. A hop without ticks after its blind time is left out: nothing shows that an event in it lasted."""
     stops = ticks.upset if ticks.contact is None else ticks.upset | ticks.contact
     keep, restart = np.zeros(len(ticks.time), bool), np.zeros(len(ticks.time), bool)
     for flying, blind in _hops(ticks):
@@ -70,7 +66,7 @@ def beginnings(ticks: Ticks) -> Ticks | None:
 
 
 def _clear(ticks: Ticks, flying: np.ndarray, blind: int) -> int:
-    """From which of the ticks `flying` of a hop on its rotors carry the vehicle; `blind`: how many are blind."""
+    """Index in the ticks `flying` of a hop from which its rotors carry the vehicle; `blind`: number of blind ticks."""
     carried = ticks.thrust[flying].sum(axis=1) / np.maximum(ticks.load[flying], 0.1)
     known = ticks.valid[flying, 3]
     if not known[blind:].any():
@@ -83,7 +79,7 @@ def _clear(ticks: Ticks, flying: np.ndarray, blind: int) -> int:
 
 
 def rest(ticks: Ticks) -> Ticks | None:
-    """The ticks of each hop from its blind time on, for REST_S: to learn from; None when there is none."""
+    """The ticks of each hop from its blind time on, for REST_S, to learn from; None when there are none."""
     keep, restart = np.zeros(len(ticks.time), bool), np.zeros(len(ticks.time), bool)
     for flying, blind in _hops(ticks):
         keep[flying[blind : blind + round(REST_S / ticks.dt)]] = True
@@ -92,15 +88,15 @@ def rest(ticks: Ticks) -> Ticks | None:
 
 
 def _hops(ticks: Ticks) -> list[tuple[np.ndarray, int]]:
-    """(ticks in the air, how many of them are blind) of every hop that is one and goes on after its blind time."""
+    """(ticks in the air, number of blind ones) of every hop that is airborne and continues after its blind time."""
     first = np.flatnonzero(ticks.restart)
-    found = []
+    hops = []
     for start, end in zip(first, [*first[1:], len(ticks.time)]):
         flying = np.flatnonzero(ticks.mode[start:end] > GROUND) + start
         seen = np.flatnonzero(ticks.mode[flying] != LEARN)
         if seen.size and ticks.hover[start] >= STANDS * ticks.hover[first].max():
-            found.append((flying, int(seen[0])))
-    return found
+            hops.append((flying, int(seen[0])))
+    return hops
 
 
 def _cut(ticks: Ticks, keep: np.ndarray, restart: np.ndarray, mode: int) -> Ticks | None:
@@ -111,29 +107,29 @@ def _cut(ticks: Ticks, keep: np.ndarray, restart: np.ndarray, mode: int) -> Tick
 
 
 def find(carry, ticks: Ticks, B: np.ndarray) -> tuple[Event, ...]:
-    """Losses that began in the blind time of a hop and last; `detected_s` is the end of what was looked at again, `live` is False.
+    """Losses that began in the blind time of a hop and last; `detected_s` is the end of the second pass, `live` is False.
 
-    carry: the last of the flight's own pass over `ticks`; B (4, n): effectiveness."""
+    carry: the last of the first pass over `ticks`; B (4, n): effectiveness."""
     again = beginnings(ticks)
     if again is None:
         return ()
     _, out = estimate(again, B, learned(carry, B))
     if not out.announced.any() and float(out.statistic.max()) > -hypotheses.CLEAR:
-        # As likely as any disturbance, not ten times so: a loss in the blind time is in the noise that was learned there, as disturbances
-        # that would explain it.
+        # As likely as the disturbances, but not ten times: a loss in the blind time is part of the noise learned there, as disturbances
+        # that explain it. The noise is learned again without it.
         later, _ = estimate(rest(ticks) or again, B)
         _, out = estimate(again, B, learned(later, B))
     starts = again.time[again.restart]
     ends = np.append(again.time[np.flatnonzero(again.restart)[1:] - 1], again.time[-1])
-    found = []
+    losses = []
     for event in events.read(out, again, B):
         hop = max(int(np.searchsorted(starts, event.detected_s, "right")) - 1, 0)
         later = ticks.time[(ticks.mode == JUDGE) & (ticks.time >= starts[hop])]
         least = max(low for low, _ in event.interval)
         if event.end_s is None and event.onset_s < later[0] and (least > LEAST or event.alternatives):
             extra = {**event.extra, "live": False}
-            found.append(replace(event, detected_s=float(ends[hop]), extra=extra, source=SOURCE))
-    return tuple(found)
+            losses.append(replace(event, detected_s=float(ends[hop]), extra=extra, source=SOURCE))
+    return tuple(losses)
 
 
 def _claims(view: View) -> tuple[Event, ...]:

@@ -1,8 +1,8 @@
-"""A vehicle that leans on something: a lasting force in the plane of its rotors, and a lasting torque, that neither air nor a rotor makes.
+"""Contact with an obstacle: a lasting force in the rotor plane, and a lasting torque, that neither air nor a rotor causes.
 
-A knock begins within a tick; an obstacle that a vehicle is flown against, a tether or a hand may take seconds. Air pushes a vehicle that
-stands still, too, but it does not turn it by more than two rotors' thrust; a rotor that is lost turns it, by less, and pushes it nowhere.
-Compared are medians of `LASTS_S` with those of the minute before, at rest over ground.
+A knock begins within a tick; an obstacle that a vehicle is flown against, a tether or a hand may take seconds. Air pushes a hovering
+vehicle, too, but without a torque of more than two rotors' thrust; a lost rotor causes a smaller torque and no lateral force. Medians over
+`LASTS_S` are compared with those of `BEFORE_S` before, at rest over ground.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from rotorwatch.flight.kinds import CONTACT, LOSS, TURNED
 from rotorwatch.witnesses.witness import Events, Stage, View, Witness
 
 LEANS_S = 15.0  # before a lasting push is that large, it turns the vehicle as well
-LASTS_S, BEFORE_S, LEAST_S = 3.0, 40.0, 10.0  # compared with so much before, of which there is at least
+LASTS_S, BEFORE_S, LEAST_S = 3.0, 40.0, 10.0  # s: of the force; of the comparison before it, and its least
 SIDEWAYS, TORQUE = 0.3 * G0, 2.0  # m/s^2; hover thrusts of one rotor, on any axis
 AT_REST = 1.0  # m/s over ground
-BEGINS = 0.3  # share of the force, with which it began
+BEGINS = 0.3  # share of the force that marks its onset
 
 
 def find(flight: Flight, table: Ticks) -> Event | None:
-    """The contact, from when the force began to the end of the flight; None where there is none, or speed or force are not known."""
+    """The contact, from the onset of the force to the end of the flight; None where there is none, or speed or force are unknown."""
     if table.side is None or not flight.has("velocity"):
         return None
     velocity = flight["velocity"].wholes()

@@ -1,4 +1,4 @@
-"""Near the ground a loss cannot be told from ground effect, which leaning makes uneven, nor from a leg that catches."""
+"""Losses near the ground: ground effect, uneven when the vehicle leans, and a leg that catches look the same."""
 
 from __future__ import annotations
 
@@ -13,14 +13,12 @@ from rotorwatch.witnesses.witness import Events, Stage, View, Witness
 # m above the place of take-off: a rotor's diameter or two of most vehicles, and a leg. Ground effect is below 5 % of the thrust from one
 # diameter on (Cheeseman and Bennett, ARC R&M 3021), but differs from rotor to rotor where the vehicle leans.
 NEAR_M = 0.5
-FRESH_S = 2.0  # a height that is older is not known
-MOVES_M = (
-    0.02  # a height that moves less from before take-off on is not measured: links send zeros for what they do not know
-)
+FRESH_S = 2.0  # greatest age of a height
+MOVES_M = 0.02  # a height that changes less since before take-off is not measured: links send zeros for unknown values
 
 
 def explains(flight: Flight, air: Spans, loss: Event) -> bool:
-    """Whether a loss began and was announced so near the place of take-off that the ground explains it as well."""
+    """True if a loss began and was announced so near the height of take-off that the ground explains it as well."""
     if not flight.has("position"):
         return False
     start = next((a for a, b in air if a <= loss.onset_s <= b + FRESH_S), None)

@@ -1,8 +1,8 @@
-"""What the autopilot itself wrote while it flew: failsafes, and what its own checks found; what it measured beyond limits; and a log that
-ends in the air.
+"""Reports of the autopilot in flight: failsafes and results of its own checks; measured quantities beyond limits; and a log that ends in
+the air.
 
-Each trouble is one claim, at its first report. It accuses no rotor and clears none: it is told beside what rotors did, in the order of
-time, and where control was lost those before it compete as causes (answer/falls.py). The texts and numbers are those of ArduPilot
+Each trouble is one claim, at its first report. It implicates no rotor and clears none: it is reported beside the events of the rotors, in
+order of time, and where control was lost those before it compete as causes (answer/falls.py). The texts and numbers are those of ArduPilot
 (subsystems and codes of ERR, events, texts of MSG), PX4 (its log messages, events and flags), Betaflight and INAV (phases of the failsafe,
 reasons of disarming), and MAVLink (texts, health of sensors, state of the system).
 """
@@ -30,14 +30,14 @@ register(
         advice=Words("", nameless="At {at} {why}: find the cause before the next flight."),
     )
 )  # fmt: skip
-LATE_S = 1.0  # after a flight: what ended it is written down a moment later
-CRASHED_S = 5.0  # the same, of a check that looks for seconds whether the vehicle lies on its side (ArduPilot's: 2)
-LASTS_S = 3.0  # for which something is beyond its limit before it is told: a knock shakes for a second or two
-SAME_S = 1.0  # reports so near to each other are of one moment
+LATE_S = 1.0  # after a flight: the reason for its end is logged a moment later
+CRASHED_S = 5.0  # the same, for a check that takes seconds to find the vehicle on its side (ArduPilot's: 2)
+LASTS_S = 3.0  # time beyond a limit before it is reported: a knock shakes for a second or two
+SAME_S = 1.0  # reports this close belong together
 EVERY_S = 1.0  # on a link, between two looks
 WRITES = ("error", "text", "event", "health")
 
-# Limits, each of the autopilot whose measure it is.
+# Limits of each autopilot for its own measure.
 # ArduPilot, https://ardupilot.org/copter/docs/common-measuring-vibration.html: vibration "below 30m/s/s" is "normally acceptable"; of
 # samples that clip "low numbers (<100) are likely ok".
 # PX4: red in Flight Review's plot of vehicle_imu_status.accel_vibration_metric; 1000 samples more are what VehicleIMU.cpp calls
@@ -50,8 +50,8 @@ INNOVATIONS = 1.0
 
 
 class Trouble(NamedTuple):
-    """name: in `extra.trouble`. words: a clause that follows "the autopilot". says: its reports. late_s: after a flight that may still be
-    of it."""
+    """name: in `extra.trouble`. words: a clause that follows "the autopilot". says: pattern of its reports. late_s: time after a flight
+    within which a report still belongs to it."""
 
     name: str
     words: str
@@ -63,7 +63,7 @@ def _of(name: str, words: str, *says: str, late_s: float = LATE_S) -> Trouble:
     return Trouble(name, words, re.compile("|".join(says), re.IGNORECASE), late_s)
 
 
-# A report is of the first that it matches.
+# A report belongs to the first pattern that it matches.
 TROUBLES = (
     _of("crash", "detected a crash", r"^crash check: error", r"^crash: disarming", late_s=CRASHED_S),
     _of(
@@ -117,38 +117,38 @@ TROUBLES = (
 
 
 def claims(flight: Flight, air: Spans, lost: Sequence[float] = ()) -> tuple[Event, ...]:
-    """The reports in the flights `air` ((start, end), ...) s, and what was beyond limits in them until control was lost (`lost` [s])."""
-    told = _reports(flight.messages, air)
-    until = {event.extra["trouble"]: event.onset_s for event in told}
+    """The reports in the flights `air` ((start, end), ...) s, and quantities beyond limits in them until control was lost (`lost` [s])."""
+    reported = _reports(flight.messages, air)
+    until = {event.extra["trouble"]: event.onset_s for event in reported}
     held = tuple((start, min([end, *(t for t in lost if start <= t <= end)])) for start, end in air)
-    known = (e for e in _limits(flight, held) if e.detected_s < until.get(e.extra["trouble"], np.inf))
-    return tuple(sorted((*told, *known), key=lambda e: e.onset_s))
+    beyond = (e for e in _limits(flight, held) if e.detected_s < until.get(e.extra["trouble"], np.inf))
+    return tuple(sorted((*reported, *beyond), key=lambda e: e.onset_s))
 
 
 def trouble(message: Message) -> Trouble | None:
-    """Which a message reports."""
+    """The trouble that a message reports, or None."""
     return next((t for t in TROUBLES if t.says.search(message.text)), None)
 
 
 def _reports(messages: Iterable[Message], air: Spans) -> list[Event]:
-    found: dict[str, list[Message]] = {}
+    by_name: dict[str, list[Message]] = {}
     for m in _happened(messages):
-        own = trouble(m)
-        if own is not None and any(start <= m.time <= end + own.late_s for start, end in air):
-            found.setdefault(own.name, []).append(m)
-    made, words = [], {t.name: t.words for t in TROUBLES}
-    for name, all_ in found.items():
+        matched = trouble(m)
+        if matched is not None and any(start <= m.time <= end + matched.late_s for start, end in air):
+            by_name.setdefault(matched.name, []).append(m)
+    events, words = [], {t.name: t.words for t in TROUBLES}
+    for name, all_ in by_name.items():
         first = all_[0]
-        said = next((m for m in all_ if m.kind == "text" and m.time < first.time + SAME_S), first)
+        quoted = next((m for m in all_ if m.kind == "text" and m.time < first.time + SAME_S), first)
         again = f", and {len(all_) - 1} more" if len(all_) > 1 else ""
-        reason = f'the autopilot {words[name]} ("{said.text}"{again})'
-        texts = list(dict.fromkeys(m.text for m in (said, *all_)))[:5]
-        made.append(_event(first.time, first.time, reason, {"trouble": name, "texts": texts}))
-    return made
+        reason = f'the autopilot {words[name]} ("{quoted.text}"{again})'
+        texts = list(dict.fromkeys(m.text for m in (quoted, *all_)))[:5]
+        events.append(_event(first.time, first.time, reason, {"trouble": name, "texts": texts}))
+    return events
 
 
 def _happened(messages: Iterable[Message]) -> Iterable[Message]:
-    """What was written. Of the health of a part only that it was lost: one that is not there was not well from the start."""
+    """Messages of an occurrence. Health messages count only on a loss of health: a part that was never healthy is not present."""
     well: dict[str, bool] = {}
     for m in messages:
         if m.kind == "health":
@@ -161,9 +161,9 @@ def _happened(messages: Iterable[Message]) -> Iterable[Message]:
 
 
 def _limits(flight: Flight, air: Spans) -> list[Event]:
-    """What was beyond a limit, at the first time of each."""
-    found = (_low_voltage(flight, air), _collapse(flight, air), _vibration(flight, air), _clipping(flight, air))
-    return [event for event in (*found, *_innovations(flight, air)) if event is not None]
+    """Quantities beyond a limit, each at its first time."""
+    events = (_low_voltage(flight, air), _collapse(flight, air), _vibration(flight, air), _clipping(flight, air))
+    return [event for event in (*events, *_innovations(flight, air)) if event is not None]
 
 
 def _low_voltage(flight: Flight, air: Spans) -> Event | None:
@@ -171,9 +171,9 @@ def _low_voltage(flight: Flight, air: Spans) -> Event | None:
     set_ = flight.parameters
     limits = {"BATT_LOW_VOLT": 1.0, "BATT_CRT_VOLT": 1.0, "BAT1_V_EMPTY": set_.get("BAT1_N_CELLS", 0.0)}
     name, limit = next(((k, set_[k] * n) for k, n in limits.items() if set_.get(k, 0.0) * n > 0.0), ("", 0.0))
-    if not limit or (found := _aloft(flight, "battery", air)) is None:
+    if not limit or (samples := _aloft(flight, "battery", air)) is None:
         return None
-    time, volts = found[0], found[1][:, 0]
+    time, volts = samples[0], samples[1][:, 0]
     low = (volts > 0.0) & (volts < limit)
     since = _lasts(time, low)
     if since is None:
@@ -186,19 +186,19 @@ def _low_voltage(flight: Flight, air: Spans) -> Event | None:
 
 def _collapse(flight: Flight, air: Spans) -> Event | None:
     """The battery's voltage fell by more than its current explains."""
-    found = battery.collapse(flight, air)
-    if found is None:
+    collapse_ = battery.collapse(flight, air)
+    if collapse_ is None:
         return None
-    time, least, usual = found
+    time, least, usual = collapse_
     reason = f"the battery's voltage fell by {usual - least:.1f} V to {least:.1f} V, more than its current explains"
     return _event(time, time, reason, {"trouble": "power", "least_v": round(least, 2), "usual_v": round(usual, 2)})
 
 
 def _vibration(flight: Flight, air: Spans) -> Event | None:
-    found, limit = _aloft(flight, "vibration", air), VIBRATION.get(flight.autopilot)
-    if found is None or limit is None:
+    samples, limit = _aloft(flight, "vibration", air), VIBRATION.get(flight.autopilot)
+    if samples is None or limit is None:
         return None
-    time, level = found[0], found[1][:, 0]
+    time, level = samples[0], samples[1][:, 0]
     since = _lasts(time, level > limit)
     if since is None:
         return None
@@ -210,35 +210,37 @@ def _vibration(flight: Flight, air: Spans) -> Event | None:
 def _clipping(flight: Flight, air: Spans) -> Event | None:
     limit = CLIPPING.get(flight.autopilot)
     for span in air if limit is not None else ():
-        found = _aloft(flight, "clipping", (span,))
-        if found is None:
+        samples = _aloft(flight, "clipping", (span,))
+        if samples is None:
             continue
-        counts = np.minimum.accumulate(found[1][::-1, 0])[::-1]  # no count falls: what is above a later one is damage
-        more = counts - counts[0]
-        if more[-1] > limit:
-            at = float(found[0][int(np.argmax(more > limit))])
-            reason = f"the accelerometer clipped in {more[-1]:.0f} samples, more than {limit:.0f}"
-            return _event(at, at, reason, {"trouble": "clipping", "most": float(more[-1]), "limit": limit})
+        counts = np.minimum.accumulate(samples[1][::-1, 0])[
+            ::-1
+        ]  # counts never fall: a value above a later one is damaged data
+        increase = counts - counts[0]
+        if increase[-1] > limit:
+            at = float(samples[0][int(np.argmax(increase > limit))])
+            reason = f"the accelerometer clipped in {increase[-1]:.0f} samples, more than {limit:.0f}"
+            return _event(at, at, reason, {"trouble": "clipping", "most": float(increase[-1]), "limit": limit})
     return None
 
 
 def _innovations(flight: Flight, air: Spans) -> list[Event]:
     """Measurements that the autopilot's estimator rejected."""
-    found = _aloft(flight, "innovations", air)
-    made: dict[str, Event] = {}
-    for k, column in enumerate(flight["innovations"].columns if found is not None else ()):
-        assert found is not None
-        ratio = found[1][:, k]
-        since = _lasts(found[0], ratio > INNOVATIONS)
+    samples = _aloft(flight, "innovations", air)
+    events: dict[str, Event] = {}
+    for k, column in enumerate(flight["innovations"].columns if samples is not None else ()):
+        assert samples is not None
+        ratio = samples[1][:, k]
+        since = _lasts(samples[0], ratio > INNOVATIONS)
         if since is None:
             continue
         name = "compass" if column == "compass" else "estimator"
         most = float(ratio[ratio > INNOVATIONS].max())
         reason = f"the autopilot's estimator rejected its {column}: the innovation was up to {most:.1f} times its limit"
         event = _event(since, since + LASTS_S, reason, {"trouble": name, "most": round(most, 2), "limit": INNOVATIONS})
-        if name not in made or since < made[name].onset_s:
-            made[name] = event
-    return list(made.values())
+        if name not in events or since < events[name].onset_s:
+            events[name] = event
+    return list(events.values())
 
 
 def _aloft(flight: Flight, name: str, air: Spans) -> tuple[np.ndarray, np.ndarray] | None:
@@ -251,7 +253,7 @@ def _aloft(flight: Flight, name: str, air: Spans) -> tuple[np.ndarray, np.ndarra
 
 
 def _lasts(time: np.ndarray, over: np.ndarray) -> float | None:
-    """Since when (n,) samples were `over` for LASTS_S, the first time; None where they never were."""
+    """Time [s] at which (n,) samples were first `over` for LASTS_S; None where they never were."""
     gap = np.diff(time, prepend=time[:1]) > LASTS_S
     begins = over & (gap | ~np.append(False, over[:-1]))
     since = np.maximum.accumulate(np.where(begins, time, -np.inf))
@@ -264,7 +266,7 @@ def _event(time: float, certain: float, reason: str, extra: dict) -> Event:
 
 
 def end(flight: Flight, air: Spans) -> tuple[str, ...]:
-    """A sentence where the log ends in the air: nothing comes after its last flight, neither a landing nor disarmed motors."""
+    """A sentence where the log ends in the air: neither a landing nor disarmed motors follow its last flight."""
     if not air or air[-1][1] < flight.duration - LATE_S:
         return ()
     last = air[-1][1]

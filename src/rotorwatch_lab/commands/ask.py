@@ -1,4 +1,4 @@
-"""The commands that design an excitation to find out which of several sets of rotors is weak, and that fly it in the simulator."""
+"""The commands that design an excitation to decide which of several sets of rotors is weak, and that fly it in the simulator."""
 
 from __future__ import annotations
 

@@ -150,5 +150,5 @@ def closed_loop(plan, flights, drivers, by, jobs, scheduler, out, as_json, quiet
 
 
 def flying(quiet: bool):
-    """How far the flights have come. Yields work.Progress."""
+    """Progress of the flights. Yields work.Progress."""
     return counting(quiet, "flights")

@@ -1,4 +1,4 @@
-"""The command that runs published methods on a log and writes what they themselves say."""
+"""The command that runs published methods on a log and writes their own estimates."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import click
 from rotorwatch.errors import ConfigError
 from rotorwatch.toolkit.commands import JSON, LOG, OUT, common, findable, option, print_json, progress, say, vehicle_of
 
-TIMES = 6  # of the way to the end that are printed
+TIMES = 6  # printed times
 HELICOPTER = "aesmf"  # the method for helicopters when none is named
 
 
@@ -74,14 +74,14 @@ def estimate(log, methods, outs, vehicle, baselines, plant, tuning, truth, airfr
 
 
 def _texts(found: Any) -> list[str]:
-    """What is printed: a table for each method."""
+    """The printed output: a table for each method."""
     texts = [_of(found, one) for one in found.series]
     texts.append("\n".join(f"{who}: {note}." for note, who in found.notes().items()))
     return texts + [f"{name} could not run: {why}" for name, why in found.failed.items()]
 
 
 def _of(found: Any, series: Any) -> str:
-    """One method's way to the end."""
+    """A method's estimates over time."""
     first, last = float(series.time[0]), float(series.time[-1])
     lines = [
         f"{series.title}: {len(series.time)} steps of {series.dt:g} s, {first:.1f} to {last:.1f} s. {series.whose}"

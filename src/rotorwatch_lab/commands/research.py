@@ -1,4 +1,4 @@
-"""Commands for estimation research: which losses can be distinguished on an airframe, and published experiments run again."""
+"""Commands for estimation research: losses that can be distinguished on an airframe, and published experiments run again."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.toolkit.commands import OUT, common, drawable, live, progress, say, show, spread
 
 FIGURES = "Redraw the paper's figures as SVG files in this folder."
-EVERY_S = 120.0  # between two lines of a run that no bar shows
+EVERY_S = 120.0  # between two progress lines of a run without a bar
 KEPT = "Keep each paper's result in this folder, and skip papers whose result is kept there."
 
 
@@ -51,7 +51,7 @@ def observability(vehicle, figure, as_json, quiet) -> None:
 
 
 def _vehicle(name: str):
-    """What --vehicle names: a file, an autopilot's airframe, or a paper's."""
+    """The vehicle of --vehicle: from a file, an autopilot's airframe, or a paper's."""
     from rotorwatch import airframes
     from rotorwatch.flight import vehicle_file
 
@@ -127,7 +127,7 @@ def reproduce(paper, every, seeds, literal, figures, output, jobs, scheduler, as
 
 @contextmanager
 def _lines(quiet: bool, due: Sequence[str]) -> Iterator[None]:
-    """Lines on standard error where no bar can move: what is run and how long it may take, and every now and then that it is."""
+    """Context with lines on standard error where no bar can move: the current study and its expected time, repeated while it runs."""
     if quiet or live() or not due:
         yield
         return
@@ -150,7 +150,7 @@ def _lines(quiet: bool, due: Sequence[str]) -> Iterator[None]:
 
 
 def _results(modules, kept, due, together, seeds, literal, figures, output, as_json, quiet, lines) -> list:
-    """Every study's result, run or read, shown and drawn as soon as it is there."""
+    """Every study's result, run or read, shown and drawn as soon as it is available."""
     from rotorwatch_lab.experiments.studies import reproduction
 
     results = []

@@ -64,7 +64,7 @@ def simulate(scenario, out, seed, quiet) -> None:
 
 @contextmanager
 def _all_or_none(out: Path) -> Iterator[Path]:
-    """A hidden folder beside `out`, whose files are moved to where `out` is when all are written."""
+    """A hidden folder beside `out`, whose files are moved there when all are written."""
     folder = out.absolute().parent
     with tempfile.TemporaryDirectory(prefix=".rotorwatch-", dir=folder) as hidden:
         yield Path(hidden)
@@ -73,7 +73,7 @@ def _all_or_none(out: Path) -> Iterator[Path]:
 
 
 def _endings(out: Path, helicopter: bool) -> list[str]:
-    """What to write, by the file's ending; without one all there is of an autopilot, .csv of a helicopter."""
+    """File formats to write, by the file's ending; without one all of an autopilot, .csv of a helicopter."""
     from rotorwatch_lab import simulation
 
     known = simulation.helicopter.table.SUFFIXES if helicopter else tuple(simulation.SUFFIXES)

@@ -1,9 +1,9 @@
-"""Definitions in a part of Python that is also C (the engine is made of them). Knows no method, no plant and no log.
+"""Definitions in a subset of Python that translates to C (the engine is made of them). Knows no method, no plant and no log.
 
-structs.py    the types that they are written in
-body.py       functions of them as C
-translate.py  modules of them as one header and one source
-running.py    runs them, by Python or as machine code
-shipped.py    libraries that come with the package
-toolchain.py  the C compiler, and where results are kept
+structs.py    the types for definitions
+body.py       translation of functions to C
+translate.py  translation of modules to one header and one source
+running.py    execution by Python or as machine code
+shipped.py    libraries shipped with the package
+toolchain.py  the C compiler, and the folder of results
 """

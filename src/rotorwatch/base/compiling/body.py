@@ -38,7 +38,7 @@ WIDE: dict[Any, Any] = {
     "small": "int",
     "letter": "int",
     "byte": "int",
-}  # as what stored numbers are read
+}  # types of stored numbers when read
 FIRST = {"lit": "real", "ilit": "int", **WIDE}  # type of a variable by its first value
 OPEN, CLOSE = "\x02", "\x03"  # around a number in a text, as long as its precision is open
 BINARY = {
@@ -52,7 +52,7 @@ BINARY = {
 BITS = {ast.BitAnd: "&", ast.BitOr: "|", ast.BitXor: "^", ast.LShift: "<<", ast.RShift: ">>"}  # of whole numbers
 MODULO = {"sum32": "+", "difference32": "-", "shift32": "<<"}  # of whole numbers, of 32 bits
 ROUNDED = {"sqrt": "RW_ROOT", "exp": "RW_EXP", "log": "RW_LOG"}  # of a number in the library's precision
-EACH = {"sqrt": "root_each", "exp": "exp_each", "log": "log_each"}  # the same of each that stand side by side
+EACH = {"sqrt": "root_each", "exp": "exp_each", "log": "log_each"}  # the same for each lane
 COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 BUILTIN = (
     *ROUNDED, "isnan", "floor", "abs", "min", "max", "int", "float", "real", "len", "ord", "reset", "copy", "local", "each", "one",
@@ -63,7 +63,7 @@ BUILTIN = (
 @dataclass(frozen=True)
 class Type:
     """base: real, time, each, int, flag, which (a comparison of `each`), byte, lit, ilit, none, or a Struct; dims: of an array, in C, the
-    first empty where it is not known."""
+    first empty where unknown."""
 
     base: Any
     dims: tuple[str, ...] = ()
@@ -97,7 +97,7 @@ class Code:
 
 @dataclass
 class Function:
-    """One method or function. const: parameters that it does not change."""
+    """A method or function. const: parameters that it does not change."""
 
     name: str
     node: ast.FunctionDef
@@ -139,8 +139,8 @@ def number(value: Any, base: str) -> str:
 
 
 def exact(value: float) -> str:
-    """A finite number in double precision, also where the compiler is told that constants are of single precision: a whole number over a
-    power of ten is rounded once, as the number itself would be."""
+    """A finite number in double precision, also where the compiler treats constants as single precision: an integer over a power of ten is
+    rounded once, as the number itself would be."""
     with np.errstate(over="ignore"):
         if float(np.float32(value)) == value:
             return f"(rw_time){value!r}"
@@ -153,12 +153,12 @@ def exact(value: float) -> str:
 
 
 def settled(text: str, time: bool) -> str:
-    """Numbers whose precision was open until they met others, in double precision or as they stand."""
+    """The text with numbers of open precision in double precision, or as they are."""
     return re.sub(f"{OPEN}(.*?){CLOSE}", lambda m: exact(float(m[1])) if time else m[1], text)
 
 
 class Body:
-    """One function in C."""
+    """A function in C."""
 
     def __init__(self, all_: Translation, function: Function):
         self.all, self.function, self.module = all_, function, function.module

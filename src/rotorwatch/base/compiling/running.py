@@ -1,12 +1,12 @@
-"""Definitions of `structs`, run: as machine code where it came with the package or can be built, else by Python as they stand.
+"""Execution of `structs` definitions: as machine code where it was shipped or can be built, else by Python.
 
     definition = Definition("front", modules, sizes)
     one = definition.new(Airborne)
     definition.call(whole.fly, one, vehicle, n, kinds, times, ...)
     one["ended"]                      # a field; rows["time"] of an array of structs
 
-Arguments: structs and arrays of them made here; NumPy arrays of the type that the function names, without gaps; numbers. A function may
-write into arrays of whole numbers, and into structs. Both ways give the same bits.
+Arguments: structs and arrays of them made here; contiguous NumPy arrays of the type that the function declares; numbers. A function may
+write into arrays of integers, and into structs. Both ways give the same bits.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ TYPES = {
     "byte": np.uint8,
 }
 WHOLE = "int", "mask", "small"  # kinds of numbers that are int32 as arguments
-# How many are calculated at once in machine code (`structs.Each`), by level of the processor: as many as its vectors hold.
+# Lanes calculated at once in machine code (`structs.Each`), by level of the processor: the width of its vectors.
 LANES, OTHER_LANES = {"x86-64-v3": 4}, 2
 # No fused multiply and add: the same operations as Python's.
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-shared")
-# ... many of them at once, for what is mostly arithmetic: as wide as the processor has it.
+# ... for several lanes at once, at the processor's full width.
 VECTORS = ("-O3", "-fno-trapping-math", "-fno-semantic-interposition")
 
 TRANSLATOR = tuple(f"base/compiling/{name}.py" for name in ("structs", "body", "translate"))
@@ -53,7 +53,7 @@ TRANSLATOR = tuple(f"base/compiling/{name}.py" for name in ("structs", "body", "
 
 
 class Rows:
-    """An array of structs, or one of them: fields by name, as NumPy arrays."""
+    """An array of structs, or a single one, with fields by name as NumPy arrays."""
 
     def __init__(self, kind: type[Struct], native: np.ndarray | None, plain: list | None, many: bool = False):
         self.kind, self.native, self.plain, self.many = kind, native, plain, many
@@ -76,13 +76,13 @@ class Rows:
         return Rows(kind, None, inner[0] if several else inner)
 
     def row(self, number: int) -> Rows:
-        """One of them, counted from 0."""
+        """The struct at an index, from 0."""
         if self.native is not None:
             return Rows(self.kind, self.native[number : number + 1], None)
         return Rows(self.kind, None, (self.plain or [])[number : number + 1])
 
     def cut(self, count: int) -> Rows:
-        """The first of them, copied."""
+        """A copy of the first `count` structs."""
         if self.native is not None:
             return Rows(self.kind, self.native[:count].copy(), None, many=True)
         copies = [type(one)() for one in (self.plain or ())[:count]]
@@ -91,9 +91,9 @@ class Rows:
         return Rows(self.kind, None, copies, many=True)
 
     def copy(self) -> Rows:
-        """One of them, of its own."""
-        made = self.cut(1)
-        return Rows(self.kind, made.native, made.plain)
+        """A copy of a single struct."""
+        copied = self.cut(1)
+        return Rows(self.kind, copied.native, copied.plain)
 
     def assign(self, other: Rows) -> None:
         """Overwrite the first one with a copy of the first of `other`, in place."""
@@ -105,7 +105,7 @@ class Rows:
 
     @staticmethod
     def joined(parts: Sequence[Rows]) -> Rows:
-        """Arrays one after the other."""
+        """Concatenation of arrays."""
         first = parts[0]
         if first.native is not None:
             return Rows(
@@ -114,7 +114,7 @@ class Rows:
         return Rows(first.kind, None, [x for one in parts for x in one.plain or ()], many=True)
 
     def fill(self, **columns: Any) -> None:
-        """Write fields of as many as there are rows of values; arrays fill as much of a field as they have."""
+        """Write fields, one row of values per struct; arrays fill the first part of a field."""
         for name, values in columns.items():
             if self.native is not None:
                 self.native[name][tuple(slice(0, s) for s in np.shape(values))] = values
@@ -123,7 +123,7 @@ class Rows:
                     _fill(one, name, value)
 
     def put(self, **fields: Rows) -> None:
-        """Write fields of the first one that are structs, as those of the first of these are."""
+        """Copy struct fields from the first struct of the given rows into the first one here."""
         for name, rows in fields.items():
             if self.native is not None and rows.native is not None:
                 self.native[name][0] = rows.native[0]
@@ -132,7 +132,7 @@ class Rows:
                 structs.copy(getattr(self.plain[0], name), rows.plain[0])
 
     def set(self, **fields: Any) -> None:
-        """Write fields of the first one; arrays fill as much of a field as they have."""
+        """Write fields of the first struct; arrays fill the first part of a field."""
         for name, value in fields.items():
             if self.native is not None:
                 place = self.native[name][0]
@@ -158,8 +158,8 @@ def _fill(one: Any, name: str, value: Any) -> None:
 
 
 class Definition:
-    """Modules of definitions. name: what the library is called; sizes: the modules with the sizes of arrays; files: of the package, that
-    these are, by default all in the room of that name; vectors: built for each level of processors (shipped.LEVELS), not once for all."""
+    """Modules of definitions. name: of the library; sizes: the modules with the sizes of arrays; files: of the package, from which these
+    are made, by default all in the folder of that name; vectors: built for each level of processors (shipped.LEVELS), not once for all."""
 
     def __init__(
         self,
@@ -177,7 +177,7 @@ class Definition:
 
     @functools.cached_property
     def library(self) -> ctypes.CDLL | None:
-        """Machine code; None where there is none and no compiler to make it, or $ROTORWATCH_DEFINITIONS is python."""
+        """Machine code; None without any and without a compiler, or where $ROTORWATCH_DEFINITIONS is python."""
         if os.environ.get("ROTORWATCH_DEFINITIONS") == "python":
             return None
         path = None if self._other else self._shipped()
@@ -189,12 +189,12 @@ class Definition:
 
     @property
     def lanes(self) -> int:
-        """How many stand side by side."""
+        """Number of lanes calculated side by side."""
         return 1 if self.library is None else ctypes.c_int32.in_dll(self.library, "rw_lanes").value
 
     @contextmanager
     def changed(self, values: Mapping[str, float]) -> Iterator[None]:
-        """While this lasts, constants of the modules have other values: "losses.HIDDEN" -> value. Machine code with them is built once."""
+        """Context in which constants of the modules have other values: "losses.HIDDEN" -> value. Machine code with them is built once."""
         places = []  # of a name: its own module, and those that import it
         for key, value in values.items():
             home, _, name = key.partition(".")
@@ -203,7 +203,7 @@ class Definition:
         others, usual = self._other, self.library
         self._other = {**others, **values}
         if usual is not None:
-            del self.__dict__["library"]  # another one, with these values
+            del self.__dict__["library"]  # rebuilt with these values
         try:
             for module, name, _, value in places:
                 setattr(module, name, value)
@@ -216,11 +216,11 @@ class Definition:
 
     @property
     def digest(self) -> str:
-        """Of the files that it is made of."""
+        """Hash of its source files."""
         return shipped.digest(self.files)
 
     def _shipped(self) -> Path | None:
-        """The library that came with the package, if it is of these files and whole."""
+        """The shipped library, if it was made from these files and is intact."""
         try:
             known = json.loads((shipped.FOLDER / shipped.DEFINITIONS).read_text(encoding="utf-8"))[self.name]
             libraries = (
@@ -237,8 +237,8 @@ class Definition:
         return shipped.levels() if self.vectors else (shipped.BASELINE,)
 
     def ship(self, folder: Path, levels: Sequence[str] = (shipped.BASELINE,)) -> None:
-        """Put the library into the folder of what comes with the package, beside those of other definitions. levels: of processors, where
-        each has its own."""
+        """Put the library into the folder of shipped code, beside those of other definitions. levels: of processors, where each has its
+        own."""
         import shutil
 
         libraries = {}
@@ -264,7 +264,7 @@ class Definition:
         return config, whole.header("For this computer.", name=self.name), source
 
     def build(self, folder: Path, level: str = shipped.BASELINE) -> Path:
-        """The library in a folder, built unless it is there. level: of processors that it is for. Raises toolchain.Unavailable."""
+        """The library in a folder, built unless present. level: of processors that it is for. Raises toolchain.Unavailable."""
         compiler = toolchain.compiler()
         flags = (*FLAGS, *(VECTORS if self.vectors else ()), *([f"-march={level}"] if level else ()))
         key = hashlib.sha256(
@@ -282,13 +282,13 @@ class Definition:
             place = Path(scratch)
             for name, text in zip(("rw_config.h", f"rw_{self.name}.h", f"rw_{self.name}.c"), self.translated(level)):
                 (place / name).write_text(text, encoding="utf-8")
-            made = place / "made.so"
-            command = [compiler, *flags, "-o", str(made), str(place / f"rw_{self.name}.c"), "-lm"]
-            done = subprocess.run(command, capture_output=True, text=True, check=False)
-            if done.returncode:
-                message = (done.stderr.strip().splitlines() or ["nothing said"])[0]
+            library = place / "made.so"
+            command = [compiler, *flags, "-o", str(library), str(place / f"rw_{self.name}.c"), "-lm"]
+            run = subprocess.run(command, capture_output=True, text=True, check=False)
+            if run.returncode:
+                message = (run.stderr.strip().splitlines() or ["nothing said"])[0]
                 raise toolchain.Unavailable(f"{compiler} cannot build native code: {message}.")
-            for to, data in ((goal, made.read_bytes()), (seal, shipped.digest_of(made).encode())):
+            for to, data in ((goal, library.read_bytes()), (seal, shipped.digest_of(library).encode())):
                 part = to.with_suffix(f".{os.getpid()}")
                 part.write_bytes(data)
                 os.replace(part, to)
@@ -317,7 +317,7 @@ class Definition:
         return np.dtype((TYPES[kind], (self.lanes,))) if kind == structs.EACH else TYPES[kind]
 
     def new(self, kind: type[Struct]) -> Rows:
-        """A struct with the values that it has at first."""
+        """A struct with its initial values."""
         if self.library is None:
             return Rows(kind, None, [kind()])
         rows = np.zeros(1, self.type_of(kind))
@@ -325,13 +325,13 @@ class Definition:
         return Rows(kind, rows, None)
 
     def array(self, kind: type[Struct], count: int) -> Rows:
-        """Structs to be written."""
+        """Uninitialised structs."""
         if self.library is None:
             return Rows(kind, None, [kind() for _ in range(count)], many=True)
         return Rows(kind, np.zeros(count, self.type_of(kind)), None, many=True)
 
     def call(self, function: Callable, *arguments: Any) -> Any:
-        """Call a free function of the modules. Raises TypeError for arguments that are not of its types: C would read what lies there."""
+        """Call a free function of the modules. Raises TypeError for arguments of other types, which C would misread."""
         taken = _taken(function)
         if len(taken) != len(arguments):
             raise TypeError(f"{function.__name__} takes {len(taken)} arguments, not {len(arguments)}.")
@@ -341,9 +341,9 @@ class Definition:
         if self.library is None:
             plain = [_plain(x) for x in arguments]
             result = function(*plain)
-            for x, made in zip(arguments, plain):
-                if isinstance(made, list) and isinstance(x, np.ndarray) and x.flags.writeable:
-                    x.reshape(-1)[:] = made  # a function may write them
+            for x, argument in zip(arguments, plain):
+                if isinstance(argument, list) and isinstance(x, np.ndarray) and x.flags.writeable:
+                    x.reshape(-1)[:] = argument  # a function may write them
             return result
         name = f"rw_{function.__module__.rpartition('.')[2]}_{function.__name__}"
         called = getattr(self.library, name)
@@ -387,7 +387,7 @@ def _called(x: Any) -> str:
 
 
 def _native(kind: Any, x: Any) -> Any:
-    """An argument that fits, as C takes it."""
+    """A valid argument in the form that C takes."""
     if isinstance(x, Rows):
         assert x.native is not None
         return ctypes.c_void_p(x.native.ctypes.data)
@@ -406,5 +406,5 @@ def _plain(x: Any) -> Any:
         return x.plain if x.many else x.plain[0]
     if not isinstance(x, np.ndarray):
         return x
-    # Row by row, as C has it. Whole numbers where they lie: bytes are many.
+    # Row by row, as in C. Integers without a copy: byte arrays are long.
     return x.reshape(-1).data if x.dtype in (np.int32, np.uint8) else x.ravel().tolist()

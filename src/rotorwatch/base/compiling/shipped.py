@@ -1,7 +1,7 @@
-"""Machine code that comes with the package: made when the package is, known by the definitions that it was made of.
+"""Machine code shipped with the package, identified by the digest of its source definitions.
 
-Where a file of a definition has changed since, nothing of it is used: code that is older than its definition, or not what was made, never
-runs (`compiling.running`).
+Where a file of a definition has changed since, its library is not used: code older than its definition, or altered, never runs
+(`compiling.running`).
 """
 
 from __future__ import annotations
@@ -15,9 +15,7 @@ from pathlib import Path
 
 HOME = Path(__file__).parents[2]
 FOLDER = Path(__file__).parent / "built"
-DEFINITIONS = (
-    "definitions.json"  # what `compiling.running` runs: room -> digest of its files, target, library and its SHA-256
-)
+DEFINITIONS = "definitions.json"  # for `compiling.running`: folder -> digest of its files, target, library, its SHA-256
 FORMAT = 3
 
 # Levels of processors, best first: the compiler's -march and the flags of /proc/cpuinfo that code of that level needs
@@ -41,29 +39,29 @@ def levels() -> tuple[str, ...]:
     try:
         with open("/proc/cpuinfo", encoding="ascii", errors="replace") as file:
             flags = next((set(line.split()) for line in file if line.startswith("flags")), set())
-    except OSError:  # another system: what every such processor runs
+    except OSError:  # another system: the baseline
         flags = set()
     return tuple(name for name, needs in LEVELS.items() if flags.issuperset(needs))
 
 
 def files_in(room: str) -> list[str]:
-    """Files of the package that the definitions of a room are translated from."""
+    """Source files of a folder's definitions."""
     folder = HOME / room
-    own = [f"{room}/{name}" for name in os.listdir(folder) if name.endswith(".py")] if folder.is_dir() else []
-    return sorted([*own, *(f"base/compiling/{name}.py" for name in ("structs", "body", "translate"))])
+    sources = [f"{room}/{name}" for name in os.listdir(folder) if name.endswith(".py")] if folder.is_dir() else []
+    return sorted([*sources, *(f"base/compiling/{name}.py" for name in ("structs", "body", "translate"))])
 
 
 def digest(files: Iterable[str]) -> str:
-    """Hash of files of the package as they are now; of a file that is gone, that it is."""
-    made = hashlib.sha256(str(FORMAT).encode())
+    """Hash of files of the package as they are now; a missing file counts as such."""
+    hash_ = hashlib.sha256(str(FORMAT).encode())
     for name in files:
         try:
             with open(f"{HOME}/{name}", "rb") as file:
                 text = file.read()
         except FileNotFoundError:
             text = b"\1"
-        made.update(name.encode() + b"\0" + text + b"\0")
-    return made.hexdigest()
+        hash_.update(name.encode() + b"\0" + text + b"\0")
+    return hash_.hexdigest()
 
 
 def digest_of(path: Path) -> str:

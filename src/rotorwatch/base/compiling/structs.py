@@ -31,7 +31,7 @@ from typing import Any, ClassVar, TypeVar
 
 Real = float
 Time = float
-Each = float  # of each of LANES that stand side by side
+Each = float  # of each of LANES lanes
 Reals = list[float]
 Eaches = list[float]
 Times = list[float]
@@ -78,11 +78,11 @@ S = TypeVar("S", bound="Struct")
 
 
 class Packed(int):
-    """So many, LANES of them in one element of an array."""
+    """A count, with LANES of them in one element of an array."""
 
 
 def packed(count: int) -> int:
-    """The size of an array whose elements hold LANES each, of `count` in all."""
+    """The size of an array whose elements hold LANES each, for `count` in all."""
     return Packed(count)
 
 
@@ -115,7 +115,7 @@ def local(kind: Any, *shape: int) -> Any:
 
 
 class Struct:
-    """Base of all definitions: an instance has a copy of every field's first value."""
+    """Base of all definitions: an instance has a copy of every field's initial value."""
 
     _plain: ClassVar[dict[str, Any]] = {}
     _deep: ClassVar[dict[str, Any]] = {}
@@ -145,12 +145,12 @@ def embedded(kind: type[S]) -> S:
 
 
 def reset(what: Struct) -> None:
-    """All fields as they are at first."""
+    """Reset all fields to their initial values."""
     what.__init__()
 
 
 def copy(to: S, source: S) -> None:
-    """All fields of `to` as those of `source` are."""
+    """Copy all fields of `source` to `to`."""
     for name, value in source.__dict__.items():
         to.__dict__[name] = _copied(value)
 
@@ -169,22 +169,22 @@ sqrt, exp, log, isnan, floor = math.sqrt, math.exp, math.log, math.isnan, math.f
 
 
 def real(value: float) -> Real:
-    """A number in the library's precision: for what is known better than that."""
+    """A number in the library's precision, from one in double precision."""
     return value
 
 
 def each(value: Real) -> Each:
-    """The same number for each that stand side by side."""
+    """The same number in every lane."""
     return value
 
 
 def one(value: Each, lane: int) -> Real:
-    """That of one lane."""
+    """The value of one lane."""
     return value
 
 
 def replaced(value: Each, lane: int, other: Real) -> Each:
-    """With another number in one lane."""
+    """The value with another number in one lane."""
     return other
 
 

@@ -1,6 +1,6 @@
-"""What makes native code on this computer: the C compiler, the processor, and the folder where results are kept.
+"""The C compiler and processor of this computer, and the folder of built libraries.
 
-Python's own library is enough for this file: the build of the package asks it before anything is installed.
+Uses Python's standard library alone: the build of the package needs it before anything is installed.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ waiting: Callable[[str], None] | None = None
 
 
 def building(what: str) -> None:
-    """Tell who waits."""
+    """Warn a waiting user that native code is being built."""
     if waiting is not None:
         waiting(what)
 
@@ -38,21 +38,21 @@ def compiler() -> str:
 
     candidates = [os.environ["CC"]] if os.environ.get("CC") else ["cc", "gcc", "clang"]
     for name in candidates:
-        found = shutil.which(shlex.split(name)[0])
-        if found:
-            return found
+        path = shutil.which(shlex.split(name)[0])
+        if path:
+            return path
     raise Unavailable(f"There is no C compiler ({', '.join(candidates)}): install gcc or clang, or set CC.")
 
 
 @functools.cache
 def processor() -> str:
-    """The kind of processor that the compiler builds for, as in `platform.machine()`: another one than this computer's when it is a cross
-    compiler (CC=aarch64-linux-gnu-gcc). Raises Unavailable without a compiler."""
+    """The kind of processor that the compiler builds for, as in `platform.machine()`: another one than this computer's for a cross compiler
+    (CC=aarch64-linux-gnu-gcc). Raises Unavailable without a compiler."""
     import subprocess
 
-    done = subprocess.run([compiler(), "-dumpmachine"], capture_output=True, text=True, check=False)
-    target = done.stdout.strip().partition("-")[0]
-    same = not target or done.returncode or {target, platform.machine().lower()} == {"x86_64", "amd64"}
+    run = subprocess.run([compiler(), "-dumpmachine"], capture_output=True, text=True, check=False)
+    target = run.stdout.strip().partition("-")[0]
+    same = not target or run.returncode or {target, platform.machine().lower()} == {"x86_64", "amd64"}
     return platform.machine() if same else target
 
 
@@ -70,7 +70,7 @@ def machine() -> str:
 
 
 def folder() -> Path:
-    """Where libraries are kept; a folder for this process only where the cache cannot be written, or could have been by others."""
+    """Folder of built libraries; one for this process only where the cache is not writable, or other users can write to it."""
     try:
         return code_folder("native")
     except PermissionError as why:

@@ -1,6 +1,7 @@
-"""Definitions of `structs` as C99: structs and functions of one header and one source, without allocation and without a library but libm.
+"""Translation of `structs` definitions to C99: structs and functions in one header and one source, without allocation and with libm
+alone.
 
-What is not understood raises ConfigError with the file and the line: the part of Python that is also C stays small and named.
+Unsupported code raises ConfigError with the file and the line: the subset of Python stays small and explicit.
 """
 
 from __future__ import annotations
@@ -103,8 +104,8 @@ static inline int32_t abs_int(int32_t a) { return a < 0 ? -a : a; }
 
 
 class Translation:
-    """All definitions of some modules, in the order in which they are to stand. sizes: modules of whole numbers that become macros; given:
-    translations of what these build on, which stand in files of their own."""
+    """All definitions of some modules, in order of output. sizes: modules of integers that become macros; given: translations that these
+    build on, which are in files of their own."""
 
     def __init__(self, modules: Sequence[ModuleType], *sizes: ModuleType, given: Sequence[Translation] = ()):
         self.modules = modules
@@ -192,7 +193,7 @@ class Translation:
         )  # fmt: skip
 
     def _mark(self, function: Function) -> bool:
-        """Find parameters that are changed; whether one more was found."""
+        """Mark parameters that are changed; return whether one more was found."""
         before = len(function.changed)
         body = Body(self, function)
         body.emit()
@@ -201,13 +202,13 @@ class Translation:
 
     @property
     def side_by_side(self) -> bool:
-        """Whether anything is calculated for several things at once."""
+        """True if anything is calculated in several lanes."""
         return any(what.base == EACH_KIND for fields in self.fields.values() for what, _ in fields.values())
 
     # Text
 
     def header(self, about: str, includes: Sequence[str] = ("rw_config.h",), name: str = "front") -> str:
-        """The header: types, structs, functions. name: of the definition, for what keeps it from being included twice."""
+        """The header: types, structs, functions. name: of the definition, for the include guard."""
         guard = f"RW_{name.upper()}_H"
         included = [f'#include "{file}"' for file in includes]
         head = HEAD.replace("@EACH@", EACH.lstrip() if self.side_by_side else "")
@@ -252,7 +253,7 @@ class Translation:
         return "\n".join([*parts, "", *bodies])
 
     def _helpers(self, bodies: Iterable[str]) -> list[str]:
-        """Of the helpers, those that are called: others would be a warning."""
+        """The helper functions that are called: unused ones would cause a warning."""
         lines = [*HELPERS.splitlines(), *(SIDE_BY_SIDE.splitlines() if self.side_by_side else [])]
         called = set(re.findall(r"\w+", "\n".join([*bodies, *map(self._init, self.home)])))
         kept: list[str] = []
@@ -302,7 +303,7 @@ class Translation:
 
 
 def _enumerated(tree: ast.Module) -> Iterable[str]:
-    """Names of module-level constants that are whole numbers in a row: A, B, C = 0, 1, 2."""
+    """Names of module-level constants that are successive integers: A, B, C = 0, 1, 2."""
     for node in tree.body:
         if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Tuple):
             values = node.value.elts if isinstance(node.value, ast.Tuple) else []

@@ -1,10 +1,10 @@
-"""The same function over many items: in this process, in processes of this computer, or on a Dask cluster.
+"""A function over many items: in this process, in processes of this computer, or on a Dask cluster.
 
 spread.py         `run`, `in_order`, `ordered`: the interface; they choose between the three
-result_cache.py   values of finished items in a folder, for a call that was interrupted
+result_cache.py   values of finished items in a folder, to resume an interrupted call
 done.py           the result of an item, and errors that can be sent between processes
 processes.py      processes of this computer, by the standard library alone
-limited.py        a job on files of strangers: processes with limits of time and memory
+limited.py        a job on untrusted files: processes with limits of time and memory
 cluster.py        the workers of a Dask scheduler (the extra `cluster`)
 """
 

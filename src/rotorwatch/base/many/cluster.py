@@ -1,8 +1,8 @@
-"""Work for the workers of a Dask scheduler (the package `distributed`). They may come, go and be killed; so may the scheduler.
+"""Work for the workers of a Dask scheduler (the package `distributed`), which may come, go and be killed; so may the scheduler.
 
-The client holds what is in flight: twice as many items as there are workers. Each result comes back as soon as it is there and is then
-forgotten by the cluster, so that nobody has to keep results and nothing is shuffled. An item whose worker is lost is begun again
-elsewhere by the scheduler; when the scheduler itself is lost, all that is in flight is handed to the one that answers next.
+The client holds the items in flight: twice as many as there are workers. Each result is fetched as soon as it is ready and then released by
+the cluster, so that nothing is stored or shuffled there. The scheduler restarts an item whose worker is lost; when the scheduler itself is
+lost, all items in flight go to the next one that answers.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def address(scheduler: str) -> str:
 
 
 def run(function: Callable, tasks: Iterator[Task], scheduler: str) -> Iterator[Done]:
-    """As `spread.run`, by the workers of this scheduler."""
+    """`spread.run`, by the workers of this scheduler."""
     import distributed
     from distributed.protocol import pickle as dask_pickle
 
@@ -96,7 +96,7 @@ def run(function: Callable, tasks: Iterator[Task], scheduler: str) -> Iterator[D
 
 
 def _connected(scheduler: str, patience_s: float) -> Any:
-    """A client of the scheduler. Raises ConfigError when none answers for so long."""
+    """A client of the scheduler. Raises ConfigError when none answers in time."""
     import distributed
 
     until = time.monotonic() + patience_s
@@ -113,13 +113,13 @@ def _connected(scheduler: str, patience_s: float) -> Any:
 
 
 def _close(client: Any, timeout: float) -> None:
-    """Leave the scheduler. A client whose scheduler is lost may be connecting again meanwhile, which then fails; that error is ignored."""
+    """Leave the scheduler, ignoring the error of a client that is reconnecting to a lost scheduler."""
     with suppress(OSError, asyncio.TimeoutError, RuntimeError):
         client.close(timeout=timeout)
 
 
 class _Room:
-    """How many items may be in flight; workers are counted now and then, and missed when there are none for long."""
+    """Capacity for items in flight; workers are counted periodically, and a lasting absence is an error."""
 
     def __init__(self, client: Any, scheduler: str):
         self.client, self.scheduler = client, scheduler
@@ -151,7 +151,7 @@ def _error(why: Exception) -> Exception:
 
 @functools.lru_cache(maxsize=4)
 def _function(work: bytes) -> Callable:
-    """The function, made once in each worker with all that it keeps."""
+    """The function, loaded once in each worker with its state."""
     os.environ.setdefault("NPROC", "1")  # XLA's threads: there are as many workers as processors
     return pickle.loads(work)
 

@@ -1,4 +1,4 @@
-"""The result of one item: its value, or the exception that it ended with."""
+"""The result of an item: its value, or the exception that it ended with."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Done:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """An item that is worked on. tries: how often a worker has died of it."""
+    """An item in work. tries: number of workers that died of it."""
 
     index: int
     item: Any
@@ -44,7 +44,7 @@ def attempt(function: Callable, item: Any) -> tuple[Any, Exception | None]:
 
 
 def packed(value: Any, error: Exception | None) -> bytes:
-    """(value, error) as bytes; what cannot be packed becomes an error that says so."""
+    """(value, error) as bytes; a value that cannot be pickled becomes an error that says so."""
     try:
         return pickle.dumps((value, None if error is None else portable(error)))
     except Exception as why:
@@ -52,7 +52,7 @@ def packed(value: Any, error: Exception | None) -> bytes:
 
 
 def portable(why: Exception) -> Exception:
-    """The exception as it can travel to another process. One that nobody expected takes its traceback along, as a note."""
+    """The exception in a form that can be sent to another process. An unexpected one carries its traceback as a note."""
     where = "".join(traceback.format_exception(why))
     try:
         if type(pickle.loads(pickle.dumps(why))) is not type(why):

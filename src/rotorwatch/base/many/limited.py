@@ -1,4 +1,4 @@
-"""A job on files of strangers, in processes of this computer with limits of time and memory. A process that dies or hangs is replaced."""
+"""A job on untrusted files, in processes of this computer with limits of time and memory. A process that dies or hangs is replaced."""
 
 from __future__ import annotations
 
@@ -34,11 +34,10 @@ class _Limited:
 
 
 class Workers:
-    """Processes that do one job. As many are there as threads call at once; each is used again.
+    """Processes that run one job, as many as threads call at once; each is reused.
 
-    job: importable, called with one item. judge_s [s], memory_mb [MB beyond what the process has after loading]: for one item. loads:
-    modules that a process loads first; prepare: what it calls after that.
-    """
+    job: importable, called with one item. judge_s [s], memory_mb [MB beyond the process after loading]: for one item. loads: modules that a
+    process loads first; prepare: called after that."""
 
     def __init__(
         self,
@@ -57,17 +56,17 @@ class Workers:
         self._all: list[Worker] = []
 
     def start(self) -> None:
-        """Make a process ready before the first item comes."""
+        """Start a process before the first item comes."""
         self._idle.append(self._worker())
 
     def stop(self) -> None:
-        """End all processes, also those that are at work."""
+        """End all processes, also busy ones."""
         self._stopping = True
         for worker in list(self._all):
             worker.stop()
 
     def call(self, item: Any) -> Any:
-        """job(item), waited for. Raises what the job raises, TooMuch, and WorkerError where no process can be started.
+        """job(item). Raises what the job raises, TooMuch, and WorkerError where no process can be started.
 
         After a process that died it is tried a second time: something else may have ended the first."""
         for last in (False, True):

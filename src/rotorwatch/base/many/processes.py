@@ -33,7 +33,7 @@ READY = b"ready"
 
 
 def run(function: Callable, tasks: Iterator[Task], jobs: int, tries: int) -> Iterator[Done]:
-    """As `spread.run`. One item at a time in each process: as many items are in flight as there are processes."""
+    """`spread.run`, with one item at a time in each process."""
     work = pickle.dumps((function, None))
     again: deque[Task] = deque()
     team: list[Worker] = []
@@ -51,7 +51,7 @@ def run(function: Callable, tasks: Iterator[Task], jobs: int, tries: int) -> Ite
                     never_started = 0
                     worker.begin()
                     continue
-                if received is None:  # it died or hangs
+                if received is None:  # dead or hanging
                     team.remove(worker)
                     how = worker.ended()
                     if not worker.ready:
@@ -79,7 +79,7 @@ def run(function: Callable, tasks: Iterator[Task], jobs: int, tries: int) -> Ite
                 else:
                     worker.task = following
                     worker.begin()
-            yield from finished  # after everybody has got something to do
+            yield from finished  # after every worker has a task
     finally:
         for worker in team:
             worker.stop()
@@ -105,22 +105,22 @@ NOTHING = Task(0, None)
 
 
 class Worker:
-    """A process, our end of its pipe, and the task that it is busy with."""
+    """A process, this end of its pipe, and its current task."""
 
     def __init__(self, work: bytes, limit_s: float | None, task: Task = NOTHING):
         """work: (function, prepare), packed. limit_s: for one item."""
-        context, told = get_context("spawn"), _shown(FirstUse)
-        place = str(incoming.spool())  # one that is killed removes nothing
+        context, reports = get_context("spawn"), _warns(FirstUse)
+        place = str(incoming.spool())  # a killed process cleans up nothing
         self.task, self.limit_s, self.ready, self.hung = task, limit_s, False, False
         self.pipe, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs, work, place, told), daemon=True)
+        self.process = context.Process(target=_serve, args=(theirs, work, place, reports), daemon=True)
         with _one_thread():
             self.process.start()
         theirs.close()
         self.deadline = time.monotonic() + START_S
 
     def call(self, item: Any) -> Any:
-        """function(item), waited for. Raises what the function raises; WorkerError when the process dies or hangs; it has ended then."""
+        """function(item). Raises what the function raises; WorkerError when the process dies or hangs; it has ended then."""
         self.task = Task(0, item)
         value, error = None, None
         if not self.ready:
@@ -146,10 +146,10 @@ class Worker:
         return self.process.is_alive()
 
     def begin(self) -> None:
-        """Send the task; its time begins."""
+        """Send the task and start its time limit."""
         self.ready = True
         self.deadline = float("inf") if self.limit_s is None else time.monotonic() + self.limit_s
-        with suppress(OSError):  # it is dead, as the next look at it will show
+        with suppress(OSError):  # dead, as the next poll will show
             self.pipe.send_bytes(pickle.dumps(self.task.item))
 
     def receive(self) -> bytes | None:
@@ -161,9 +161,9 @@ class Worker:
             return None
 
     def ended(self) -> str:
-        """How it ended without a message: "died (exit code ..)" or "hung for .. s and more"."""
+        """The way it ended without a message: "died (exit code ..)" or "hung for .. s and more"."""
         if not self.hung:
-            self.process.join(EXIT_S)  # its pipe is closed, its exit code not known yet
+            self.process.join(EXIT_S)  # the pipe is closed, the exit code not yet known
         self.stop()
         limit_s = self.limit_s or 0.0 if self.ready else START_S
         return f"hung for {limit_s:g} s and more" if self.hung else f"died (exit code {self.process.exitcode})"
@@ -175,7 +175,7 @@ class Worker:
         self.pipe.close()
 
     def dismiss(self) -> None:
-        """There is nothing more to do for it."""
+        """Let the process exit."""
         self.pipe.close()
         self.process.join()
 
@@ -192,8 +192,8 @@ def _one_thread() -> Iterator[None]:
             os.environ.pop(name, None)
 
 
-def _shown(kind: type[Warning]) -> bool:
-    """Whether warnings of a kind are shown by this process."""
+def _warns(kind: type[Warning]) -> bool:
+    """True if warnings of a kind are shown by this process."""
     of_all = (
         action for action, text, of, module, _ in warnings.filters if not (text or module) and issubclass(kind, of)
     )
@@ -201,13 +201,13 @@ def _shown(kind: type[Warning]) -> bool:
 
 
 def _serve(pipe: Any, work: bytes, place: str, told: bool) -> None:
-    """A process: sends READY, then items in, packed results out, until the pipe closes. place: for its temporary files. told: whether the
-    user hears of native code that it builds."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # who started it decides when to stop
+    """Main loop of a process: sends READY, then items in, packed results out, until the pipe closes. place: for its temporary files. told:
+    whether it reports native code that it builds to the user."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
     tempfile.tempdir = place
     if not os.environ.get("ROTORWATCH_DEBUG"):
-        warnings.simplefilter("ignore")  # of numerical libraries; each process would say the same
-        if told:  # as one process of all does
+        warnings.simplefilter("ignore")  # of numerical libraries; each process would repeat them
+        if told:  # in one process only
             warnings.filterwarnings("once", category=FirstUse)
             warnings.showwarning = lambda message, *where, **more: print(f"rotorwatch: {message}", file=sys.stderr)
     parent = parent_process()

@@ -1,7 +1,7 @@
-"""Values of finished items in a folder, so that a call that was interrupted goes on where it was.
+"""Values of finished items in a folder, to resume an interrupted call.
 
-One file an item, named by the hash of what it depends on: version, function with its arguments, the item, and size and time of the logs
-it names. Files appear whole or not at all.
+One file an item, named by the hash of its inputs: version, function with its arguments, the item, and size and time of the logs it names.
+Files are written atomically.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The same function over many items: in this process, in several, or on a cluster."""
+"""A function over many items: in this process, in several, or on a cluster."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ TRIES = 2
 
 
 def processors() -> int:
-    """How many processors this process may use."""
+    """Number of processors that this process may use."""
     try:
         return len(os.sched_getaffinity(0))
-    except AttributeError:  # only some systems have it
+    except AttributeError:  # not on all systems
         return os.cpu_count() or 1
 
 
 def useful_jobs(count: int) -> int:
-    """Processes that judging so many logs is worth: one more for every EACH of them, as many as there are processors at most."""
+    """Number of processes worth starting for so many logs: one more for every EACH of them, at most the number of processors."""
     return max(1, min(processors(), count // EACH))
 
 
@@ -45,8 +45,7 @@ def run(
 
     A process that dies is replaced; its item is begun TRIES times in all, then its error is a WorkerError. On a cluster the scheduler
     decides how often (docs/cluster.md). When the iterator is closed, or left by an exception (Ctrl-C), all work ends. Raises ConfigError
-    for arguments that do not fit together and for a scheduler that does not answer, WorkerError where processes do not start.
-    """
+    for arguments that do not fit together and for a scheduler that does not answer, WorkerError where processes do not start."""
     if jobs is not None and jobs < 1:
         raise ConfigError(f"jobs must be at least 1, not {jobs}.")
     if scheduler is not None:
@@ -75,9 +74,9 @@ def in_order(
     progress: Callable[[int], None] | None = None,
     keep: str | os.PathLike | None = None,
 ) -> Iterator[Done]:
-    """A `Done` of every item in their order, as soon as it is its turn; those that come early are kept until then. Arguments as for
-    `run`; progress: called with the number of finished items. keep: a folder for values, of which the same call takes what is there
-    (result_cache.py); ConfigError where it cannot be written."""
+    """A `Done` of every item, in order; early ones are kept until their turn. Arguments as for `run`; progress: called with the number of
+    finished items. keep: a folder for values, from which the same call resumes (result_cache.py); ConfigError where it cannot be
+    written."""
     early: dict[int, Done] = {}
     following = 0
     for finished, done in enumerate(_results(function, items, jobs, scheduler, keep), start=1):
@@ -90,7 +89,7 @@ def in_order(
 
 
 def _results(function: Callable, items: Iterable[Any], jobs, scheduler, keep) -> Iterator[Done]:
-    """As `run`; what was kept comes first."""
+    """`run`, with cached results first."""
     if keep is None:
         yield from run(function, items, jobs, scheduler)
         return
@@ -116,7 +115,7 @@ def ordered(
     progress: Callable[[int], None] | None = None,
     keep: str | os.PathLike | None = None,
 ) -> Iterator[Any]:
-    """The values of all items in their order; as `in_order`. Raises the first error when it is its turn."""
+    """The values of all items in order; as `in_order`. Raises the first error at its turn."""
     return (done.result() for done in in_order(function, items, jobs, scheduler, progress, keep))
 
 

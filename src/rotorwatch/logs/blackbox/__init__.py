@@ -1,12 +1,12 @@
 """Blackbox logs of Betaflight, INAV, EmuFlight, Cleanflight and their relatives (`.bbl`, `.bfl`, `.txt`) -> Flight.
 
-header.py      lines before the frames: settings, and how frames are laid out
-encodings.py   how numbers are written, as a definition that is also machine code
-frames.py      frames out of bytes, likewise
+header.py      lines before the frames: settings, and the layout of frames
+encodings.py   the encoding of numbers, as a definition that is also machine code
+frames.py      frames from bytes, likewise
 sizes.py       sizes of the arrays in both
 decoder.py     a session as tables
 modes.py       flight modes by name
-flight.py      tables as signals: units, axes, ranges; what is read from which field
+flight.py      tables as signals: units, axes, ranges; which signal comes from which field
 decoded.py     tables that blackbox_decode made of such logs
 
 A file holds a session for each time the vehicle was armed. LOG.BFL#2 is its second one; LOG.BFL alone is the longest.
@@ -68,15 +68,14 @@ def parts(data) -> list[int]:
 def read(data, name: str, progress=None, part: int | None = None) -> Flight:
     """Read a session, by default the longest. Times count from its first main frame.
 
-    Raises LogError where the file holds no such session, or none with frames that can be read.
-    """
+    Raises LogError where the file holds no such session, or none with frames that can be read."""
     starts = [*header.starts(data), len(data)]
     if len(starts) == 1:
         raise LogError(f"{name}: no session of this Blackbox log has a valid beginning; copy it from the vehicle again")
     if part is not None and not 1 <= part < len(starts):
         raise LogError(f"{name}: this Blackbox log holds {len(starts) - 1} sessions, not one of number {part}")
     there = parts(data)
-    wanted = [part] if part is not None else there or [1]  # where none can be read, the first says why
+    wanted = [part] if part is not None else there or [1]  # where none is readable, the first gives the error
     notes: list[str] = []
     for number in wanted:
         try:
@@ -89,9 +88,9 @@ def read(data, name: str, progress=None, part: int | None = None) -> Flight:
         others = [k for k in there if k != number]
         if part is None and others:
             named = ", ".join(f"#{k}" for k in others[:NAMED])
-            more = f" and {len(others) - NAMED} more" if len(others) > NAMED else ""
+            others_more = f" and {len(others) - NAMED} more" if len(others) > NAMED else ""
             notes.append(
-                f"This is session {number} of {len(starts) - 1}, the longest; also in this file: {named}{more}."
+                f"This is session {number} of {len(starts) - 1}, the longest; also in this file: {named}{others_more}."
             )
         return _flight(session, name, number, notes)
     raise AssertionError
@@ -109,30 +108,30 @@ def _flight(session: decoder.Session, name: str, number: int, notes: list[str]) 
         "event": len(session.events),
     }
     facts = {"session": number, "log_messages": {key: value for key, value in counts.items() if value}}
-    made = flight.assembled(
+    flown = flight.assembled(
         columns, FORMAT, name, facts=facts, signals=_gps(session, first, notes), messages=_messages(session, first),
         start_us=int(first),
     )  # fmt: skip
-    return replace(made, warnings=tuple(notes))
+    return replace(flown, warnings=tuple(notes))
 
 
 def _damage(session: decoder.Session) -> list[str]:
-    """What was passed over, as sentences."""
-    found = []
+    """Sentences on skipped data."""
+    sentences = []
     lost = session.corrupt + session.orphans
     if lost or session.garbage:
         what = f"{session.corrupt} damaged frame{'s' if session.corrupt != 1 else ''}"
-        found.append(
+        sentences.append(
             f"{what}, {session.orphans} more that need them, and {session.garbage} bytes between frames were skipped."
         )
     if session.header.lost:
         kinds = " and ".join(session.header.lost)
-        found.append(f"The header's list of fields of {kinds} frames is damaged: those frames were skipped.")
+        sentences.append(f"The header's list of fields of {kinds} frames is damaged: those frames were skipped.")
     if session.cut:
-        found.append(f"The log continues after {len(session.main)} frames, which is more than is read.")
+        sentences.append(f"The log continues after {len(session.main)} frames, which is more than is read.")
     elif not session.ended:
-        found.append("The log has no end marker of the firmware: power was lost, or the file is incomplete.")
-    return found
+        sentences.append("The log has no end marker of the firmware: power was lost, or the file is incomplete.")
+    return sentences
 
 
 def _gps(session: decoder.Session, first: int, notes: list[str]) -> dict[str, Signal]:
@@ -142,23 +141,23 @@ def _gps(session: decoder.Session, first: int, notes: list[str]) -> dict[str, Si
         return {}
     stamp = table.columns.get("time", session.main.columns["time"][np.clip(table.before - 1, 0, None)])
     time = (session.clock(stamp, table.before) - first) * 1e-6
-    found: dict[str, Signal | None] = {}
+    signals: dict[str, Signal | None] = {}
     if all(n in table.columns for n in VELOCITY):
         values = np.stack([table.columns[n].astype(float) for n in VELOCITY], axis=1) / 100.0
-        found["velocity"] = series.signal("velocity", time, values, "GPS_velned", notes)
+        signals["velocity"] = series.signal("velocity", time, values, "GPS_velned", notes)
     if all(n in table.columns for n in PLACE):
         degrees = np.stack([table.columns[n] * 1e-7 for n in PLACE], axis=1)
         unknown = np.full(len(table), np.nan)
         altitude, speed = (np.asarray(table.columns.get(f"GPS_{n}", unknown), float) for n in ("altitude", "speed"))
         fixed = np.asarray(table.columns.get("GPS_numSat", np.full(len(table), LEAST_SATELLITES))) >= LEAST_SATELLITES
         altitude = altitude * flight.altitude_unit(session.header)
-        found["gps"] = series.gps(time, degrees, altitude, speed / 100.0, fixed, "GPS_coord")
-    return {name: signal for name, signal in found.items() if signal is not None}
+        signals["gps"] = series.gps(time, degrees, altitude, speed / 100.0, fixed, "GPS_coord")
+    return {name: signal for name, signal in signals.items() if signal is not None}
 
 
 def _messages(session: decoder.Session, first: int) -> tuple[Message, ...]:
     """Events, and changes of the failsafe's phase, in order of time."""
-    found: list[Message] = []
+    messages: list[Message] = []
     firmware = flight.autopilot(session.header)
     reasons, phases = (table.get(firmware, table[""]) for table in (REASONS, FAILSAFE))
     named = modes.messages(session, first)
@@ -167,22 +166,22 @@ def _messages(session: decoder.Session, first: int) -> tuple[Message, ...]:
     for time, kind, (a, b) in zip(times.tolist(), kinds.tolist(), session.events[:, 3:].tolist()):
         if kind == frames.DISARM:
             reason = reasons[a] if 0 <= a < len(reasons) else f"reason {a}"
-            found += [
+            messages += [
                 Message(0.0, "armed", "armed", 1.0),
                 Message(time, "armed", "disarmed", 0.0),
                 Message(time, "event", f"disarmed: {reason}", a),
             ]
         elif kind == frames.MODES:
             text = f"modes 0x{a & 0xFFFFFFFF:x}, before 0x{b & 0xFFFFFFFF:x}"
-            found.append(Message(time, "event" if named else "mode", text, a & 0xFFFFFFFF))
+            messages.append(Message(time, "event" if named else "mode", text, a & 0xFFFFFFFF))
         elif kind == frames.ADJUSTMENT:
-            found.append(Message(time, "event", f"adjustment {a & 127} in flight", b))
+            messages.append(Message(time, "event", f"adjustment {a & 127} in flight", b))
         elif kind == frames.IMU_FAILURE:
-            found.append(Message(time, "error", f"IMU failure {a}", a))
+            messages.append(Message(time, "error", f"IMU failure {a}", a))
         elif kind == frames.RESUME:
-            found.append(Message(time, "dropout", "logging goes on after a pause"))
+            messages.append(Message(time, "dropout", "logging goes on after a pause"))
         elif kind == frames.LOG_END:
-            found.append(Message(time, "event", "end of log"))
+            messages.append(Message(time, "event", "end of log"))
     phase = session.slow.columns.get("failsafePhase")
     if phase is not None and len(session.slow):
         at = np.clip(session.slow.before, 0, len(session.time) - 1)
@@ -191,5 +190,5 @@ def _messages(session: decoder.Session, first: int) -> tuple[Message, ...]:
             if value or time > when[0]:
                 known = int(value) if 0 < value < len(phases) else 0
                 text = phases[known] if known else f"phase {int(value)}" if value else "over"
-                found.append(Message(time, "error" if value else "event", f"failsafe: {text}", value))
-    return tuple(sorted((*found, *named), key=lambda m: m.time))
+                messages.append(Message(time, "error" if value else "event", f"failsafe: {text}", value))
+    return tuple(sorted((*messages, *named), key=lambda m: m.time))

@@ -1,7 +1,7 @@
 """Tables that blackbox_decode made of Blackbox logs: a line for each main frame, names and units in the first one.
 
-They do not hold the header. So the gyro is taken as deg/s where no unit is named, as Betaflight logs it; outputs as DShot's numbers or as
-pulses by their size; and the accelerometer is used where the table gives it in g or m/s^2 (--unit-acceleration).
+They lack the header. So the gyro is taken as deg/s where no unit is named, as Betaflight logs it; outputs as DShot values or as pulses by
+their size; and the accelerometer is used where the table gives it in g or m/s^2 (--unit-acceleration).
 """
 
 from __future__ import annotations
@@ -66,5 +66,5 @@ def read(data, name: str, progress=None) -> Flight:
         "This is a table of blackbox_decode without the log's header: give the log itself, which has more data."
     )
     columns = flight.Columns(table, time - start, Header(0, settings), notes)
-    made = flight.assembled(columns, FORMAT, name, start_us=round(start * 1e6))
-    return Flight(**{**vars(made), "parameters": {}, "autopilot": "Betaflight", "warnings": tuple(notes)})
+    flown = flight.assembled(columns, FORMAT, name, start_us=round(start * 1e6))
+    return Flight(**{**vars(flown), "parameters": {}, "autopilot": "Betaflight", "warnings": tuple(notes)})

@@ -1,4 +1,4 @@
-"""Sessions of a Blackbox log as tables of whole numbers: the definition in `frames`, fed and emptied."""
+"""Sessions of a Blackbox log as integer tables: runs the definition in `frames`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MOST_CELLS = 200_000_000
 
 @dataclass(frozen=True)
 class Table:
-    """Frames of one kind. columns: name -> (n,) whole numbers; before (n,): how many main frames were before each."""
+    """Frames of one kind. columns: name -> (n,) integers; before (n,): number of main frames before each."""
 
     columns: Mapping[str, np.ndarray]
     before: np.ndarray
@@ -34,9 +34,9 @@ class Table:
 
 
 class Session(NamedTuple):
-    """One session. main, slow, gps: its frames; time (n,) of main frames, us, does not begin again where their clock does. events (m, 5):
-    main frames before, kind, time, and two numbers. corrupt: frames that were not whole; orphans: P frames without an I frame before
-    them; garbage: bytes between frames; ended: whether the end that the firmware writes is there; cut: whether not all was read."""
+    """A session. main, slow, gps: its frames; time (n,) of main frames, us, unwrapped. events (m, 5): main frames before, kind, time, and
+    two numbers. corrupt: incomplete frames; orphans: P frames without an I frame before them; garbage: bytes between frames; ended: whether
+    the firmware's end mark is there; cut: whether not all was read."""
 
     header: Header
     main: Table
@@ -51,7 +51,7 @@ class Session(NamedTuple):
     cut: bool
 
     def clock(self, stamp: np.ndarray, before: np.ndarray) -> np.ndarray:
-        """Times (k,) us on the scale of `time`, of stamps that 32 bits of the same clock gave after so many main frames."""
+        """Times (k,) us on the scale of `time`, from 32-bit stamps of the same clock after so many main frames."""
         if not self.time.size:
             return np.asarray(stamp, np.int64)
         near = np.clip(np.asarray(before) - 1, 0, self.time.size - 1)
@@ -66,10 +66,10 @@ def decode(
     progress: Callable[[float], None] | None = None,
     wanted: Callable[[str], bool] = lambda name: True,
 ) -> Session:
-    """The session whose header begins at byte `start`; it ends before `end`. wanted: whether a field of main frames is kept, besides time.
+    """The session whose header begins at byte `start`; it ends before `end`. wanted: whether a field of main frames is kept, besides
+    time.
 
-    Raises LogError where the header is too damaged, or no main frame can be read.
-    """
+    Raises LogError where the header is too damaged, or no main frame is readable."""
     about = header.read(data, start, end)
     size = end - about.start
     raw = np.zeros(size + sizes.PADDING, np.uint8)
@@ -79,7 +79,7 @@ def decode(
     stream.set(end=size)
     widths = [len(about.layouts[k].names) if k in about.layouts else 0 for k in "ISG"]
     room = max(min(CELLS // widths[0], size // 8), 64)
-    main = np.zeros((room + 1, widths[0]), np.int32)  # a frame is read before it is known to be one
+    main = np.zeros((room + 1, widths[0]), np.int32)  # a frame is decoded before it is validated
     slow, gps = (np.zeros((FEW + 1, width + 1), np.int32) for width in widths[1:])
     events = np.zeros((FEW + 1, sizes.WIDTH), np.int32)
     chunks: list[list[np.ndarray]] = [[], [], [], []]
@@ -94,26 +94,26 @@ def decode(
             some = slice(first, count) if table is main else slice(count)
             pieces.append(table[some, used] if table is main and used.size < len(names) else table[some].copy())
         cells += sum(pieces[-1].size for pieces in chunks)
-        # The two last frames go first: the next ones are coded as differences to them.
+        # Keep the two last frames at the front: the next ones are coded as differences to them.
         two = [int(stream["before"][0]), int(stream["previous"][0])]
         main[:2], first = main[two].copy(), 2
         stream.set(rows=2, before=0, previous=1, slow_rows=0, gps_rows=0, event_rows=0)
         if progress:
             progress(float(stream["at"][0]) / max(size, 1))
     rows = [pieces[0] if len(pieces) == 1 else np.concatenate(pieces) for pieces in chunks]
-    found = _table(about, "I", used, rows[0], 0)
+    whole = _table(about, "I", used, rows[0], 0)
     slow_frames, gps_frames = (
         _table(about, kind, np.arange(table.shape[1] - 1), table, 1) for kind, table in zip("SG", rows[1:])
     )
-    if not len(found):
+    if not len(whole):
         raise LogError("the session holds no frames that can be read")
     corrupt, orphans, garbage = (int(stream[name][0]) for name in ("corrupt", "orphans", "garbage"))
-    time, ended = _unwrapped(found.columns["time"]), bool(stream["ended"][0])
-    return Session(about, found, slow_frames, gps_frames, rows[3], time, corrupt, orphans, garbage, ended, not done)
+    time, ended = _unwrapped(whole.columns["time"]), bool(stream["ended"][0])
+    return Session(about, whole, slow_frames, gps_frames, rows[3], time, corrupt, orphans, garbage, ended, not done)
 
 
 def _table(about: Header, kind: str, used: np.ndarray, rows: np.ndarray, prefix: int) -> Table:
-    """used: which fields the rows hold; prefix: of how many numbers before them."""
+    """used: fields in the rows; prefix: count of numbers before them."""
     if kind not in about.layouts:
         return Table({}, np.zeros(0, np.int32))
     layout = about.layouts[kind]
@@ -125,7 +125,7 @@ def _table(about: Header, kind: str, used: np.ndarray, rows: np.ndarray, prefix:
 
 
 def _unwrapped(stamps: np.ndarray) -> np.ndarray:
-    """(n,) int64 us: a clock of 32 bits that went on counting where it began again."""
+    """(n,) int64 us: an unwrapped 32-bit clock."""
     steps = np.diff(stamps.astype(np.uint32)).astype(np.int32)  # of unsigned numbers, modulo 2^32
     first = int(stamps[:1].astype(np.uint32)[0]) if stamps.size else 0
     return first + np.r_[0, np.cumsum(steps, dtype=np.int64)][: stamps.size]

@@ -1,7 +1,7 @@
-"""How numbers are written in a Blackbox log, as a definition (`compiling.structs`): each function reads fields from bytes.
+"""Encoding of numbers in Blackbox logs, as a definition (`compiling.structs`): each function decodes fields from bytes.
 
-All take the bytes, where to read, and where to write; all return where to read on. Numbers have 32 bits; unsigned ones from 2^31 on are
-negative here, which `header` puts right. Sources: blackbox_encoding.c of Betaflight for what is written, docs/development/Blackbox of
+All take the bytes, the read position and the write position, and return the next read position. Numbers have 32 bits; unsigned ones from
+2^31 on are negative here, which `header` corrects. Sources: blackbox_encoding.c of Betaflight for the encoder, docs/development/Blackbox of
 Cleanflight for the rest.
 """
 
@@ -172,7 +172,7 @@ def tag8_4s16_v1(data: Bytes, at: int, out: Ints, place: int) -> int:
 
 
 def elias(data: Bytes, bit: int, out: Ints, place: int, encoding: int) -> int:
-    """One number of an Elias code; `bit` counts from the first bit of data, the highest bit of a byte first, and so does the result."""
+    """A number in an Elias code; `bit` counts from the first bit of data, the highest bit of a byte first, and so does the result."""
     length = 0
     while length < 32 and not _bits(data, bit, 1):
         length += 1
@@ -188,7 +188,7 @@ def elias(data: Bytes, bit: int, out: Ints, place: int, encoding: int) -> int:
         length = 31
     value = shift32(1, length) | _bits(data, bit, length)
     bit += length
-    if value == -1:  # stands for itself and for the number before: a bit says which
+    if value == -1:  # an escape for two numbers, told apart by one bit
         value = sum32(value, _bits(data, bit, 1))
         bit += 1
     value = sum32(value, -1)
@@ -206,12 +206,12 @@ def _bits(data: Bytes, bit: int, count: int) -> int:
 def _whole_bytes(data: Bytes, at: int, out: Ints, place: int, sizes: int) -> int:
     """Three numbers of as many bytes as the two lowest bits say, and so on."""
     for k in range(3):
-        more = sizes >> 2 * k & 3
+        size = sizes >> 2 * k & 3
         value = data[at]
-        for j in range(1, more + 1):
+        for j in range(1, size + 1):
             value |= shift32(data[at + j], 8 * j)
-        out[place + k] = value if more == 3 else _extended(value, 8 * more + 8)
-        at += more + 1
+        out[place + k] = value if size == 3 else _extended(value, 8 * size + 8)
+        at += size + 1
     return at
 
 

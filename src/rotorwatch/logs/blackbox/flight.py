@@ -1,4 +1,4 @@
-"""From the columns of Blackbox frames to a Flight: units, axes, ranges, and what the firmware's mixer does.
+"""From the columns of Blackbox frames to a Flight: units, axes, ranges, and the firmware's mixer.
 
     motors        motor[0] ..: pulses in us as logged; DShot's 48 .. 2047 as shares of full command, (value - 47) / 2000
     gyro, rates   gyroUnfilt or gyroRaw, else gyroADC; gyroADC, which the controller used
@@ -12,9 +12,9 @@
     battery       vbatLatest or vbat, amperageLatest or amperage
     esc           eRPM[0] .. (hundreds of electrical revolutions a minute, by motor_poles), escRPM[0] ..
 
-Betaflight and its relatives have x forward, y left, z up, both in the body and in the world (north, west, up), and all axes turn by the
-right hand: their pitch is positive nose down, their yaw to the left (imu.c: `rMat`, `imuUpdateEulerAngles`). The attitude angles are those
-of aircraft but for the sign of pitch. INAV's navigation is north, east, up.
+Betaflight and its relatives have x forward, y left, z up, both in the body and in the world (north, west, up), with right-handed rotations:
+their pitch is positive nose down, their yaw to the left (imu.c: `rMat`, `imuUpdateEulerAngles`). The attitude angles are those of aircraft
+except for the sign of pitch. INAV's navigation is north, east, up.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from rotorwatch.logs import esc_columns, series, wall_clock
 from rotorwatch.logs.blackbox.header import Header
 
 FLIP = np.array([1.0, -1.0, -1.0])  # forward, left, up -> forward, right, down; and back
-DSHOT_BELOW = 700.0  # an idle output below that is one of DShot's numbers
+DSHOT_BELOW = 700.0  # an idle output below this is a DShot value
 DSHOT_OFF, DSHOT_SPAN = 47.0, 2000.0
 MIXED = 1000.0  # of the controller's output, full range of an output
 POLES = 14.0
-BARO_HZ = 50.0  # barometers say nothing new more often
+BARO_HZ = 50.0  # barometers do not update faster
 MOST_ROTORS = 16
-ENOUGH = 20_000  # rows that the mixer is fitted to
+ENOUGH = 20_000  # rows for the fit of the mixer
 LEAST_ROWS, LEAST_STD, FITS = 200, 2.0, 0.8
 USED = re.compile(
     r"(time|(gyroADC|gyroUnfilt|gyroRaw|accSmooth|setpoint|axisRate|axis[PIDFS]|rcCommand|motor|eRPM|escRPM|imuQuaternion|attitude|navVel"
@@ -65,17 +65,17 @@ class Columns:
 
     def numbered(self, name: str) -> tuple[str, ...]:
         """name[0], name[1] .. as far as they go without a gap."""
-        found: list[str] = []
-        while f"{name}[{len(found)}]" in self.table and len(found) < MOST_ROTORS:
-            found.append(f"{name}[{len(found)}]")
-        return tuple(found)
+        names: list[str] = []
+        while f"{name}[{len(names)}]" in self.table and len(names) < MOST_ROTORS:
+            names.append(f"{name}[{len(names)}]")
+        return tuple(names)
 
     def signal(self, kind: str, values: np.ndarray | None, source: str, valid=None) -> Signal | None:
         return None if values is None else series.signal(kind, self.time, values, source, self.notes, valid)
 
 
 def used(name: str) -> bool:
-    """Whether a field of main frames is read."""
+    """True if a field of main frames is read."""
     return USED.fullmatch(name) is not None
 
 
@@ -113,7 +113,7 @@ def signals(columns: Columns) -> tuple[dict[str, Signal], dict[str, Any]]:
     demand = _demand(columns)
     if share is not None and demand is not None:
         facts |= _mixer(share, demand)
-    found = {
+    signals_ = {
         "motors": motors,
         "control": _control(columns, demand),
         "gyro": gyro,
@@ -128,7 +128,7 @@ def signals(columns: Columns) -> tuple[dict[str, Signal], dict[str, Any]]:
         "battery": _battery(columns),
         "esc": _esc(columns),
     }
-    return {name: signal for name, signal in found.items() if signal is not None}, facts
+    return {name: signal for name, signal in signals_.items() if signal is not None}, facts
 
 
 def _motors(columns: Columns) -> tuple[Signal | None, np.ndarray | None, dict[str, Any]]:
@@ -181,8 +181,8 @@ def _control(columns: Columns, demand: np.ndarray | None) -> Signal | None:
 
 
 def _mixer(share: np.ndarray, demand: np.ndarray) -> dict[str, Any]:
-    """facts["mixer"]: n rows of what roll, pitch and yaw demands add to each output, by least squares, where outputs are between idle and
-    full; nothing where that does not explain them. The sums that the firmware logs make the outputs but for rounding."""
+    """facts["mixer"]: n rows of the roll, pitch and yaw factors of each output, by least squares, where outputs are between idle and full;
+    empty where that does not explain them. The logged sums determine the outputs up to rounding."""
     step = max(1, len(share) // ENOUGH)
     share, demand = share[::step], demand[::step]
     inner = np.asarray(((share > 0.005) & (share < 0.995)).all(axis=1))
@@ -295,7 +295,7 @@ def _esc(columns: Columns) -> Signal | None:
 
 
 def utc_start(header: Header) -> str | None:
-    """When the log began, by the firmware's clock; None where that was not set."""
+    """UTC of the log's start, by the firmware's clock; None where that was not set."""
     text = header.settings.get("Log start datetime", "")
     if not re.fullmatch(r"[\d:T.+Z-]{19,35}", text):
         return None
@@ -308,9 +308,9 @@ def utc_start(header: Header) -> str | None:
 
 
 def assembled(columns: Columns, form: str, name: str, **more: Any) -> Flight:
-    """The Flight of main frames; more: what else it says."""
+    """The Flight of main frames; more: further fields."""
     header = columns.header
-    found, facts = signals(columns)
+    signals_, facts = signals(columns)
     facts |= more.pop("facts", {})
     begun = utc_start(header)
     if begun:
@@ -319,8 +319,8 @@ def assembled(columns: Columns, form: str, name: str, **more: Any) -> Flight:
         if header.settings.get(label, "").strip():
             facts[key] = header.settings[label].strip()
     extra = more.pop("signals", {})
-    found |= {key: value for key, value in extra.items() if key not in found}
+    signals_ |= {key: value for key, value in extra.items() if key not in signals_}
     return Flight(
-        format=form, autopilot=autopilot(header), signals=found, duration=series.end_of(found),
+        format=form, autopilot=autopilot(header), signals=signals_, duration=series.end_of(signals_),
         firmware=header.settings.get("Firmware revision", "").strip(), parameters=header.parameters(), facts=facts, name=name, **more,
     )  # fmt: skip

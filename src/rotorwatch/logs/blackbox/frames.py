@@ -1,10 +1,10 @@
-"""Frames of a Blackbox log, as a definition (`compiling.structs`): bytes in, rows of whole numbers out.
+"""Frames of a Blackbox log, as a definition (`compiling.structs`): bytes in, rows of integers out.
 
-A session's header lists for each kind of frame its fields, their encodings and their predictors. I frames stand
-alone; P frames hold the difference to a prediction from the frames before. S: slow-changing states, G: GPS, H: its home, E: events.
+A session's header lists for each kind of frame its fields, their encodings and their predictors. I frames stand alone; P frames hold the
+difference to a prediction from the frames before. S: slow-changing states, G: GPS, H: its home, E: events.
 
-Only its fields show where a frame ends, and there is no checksum. So a frame counts if another begins where it
-ends, or the log ends there. After one that does not, or garbage, P frames are worth nothing until the next I frame.
+A frame has neither a length nor a checksum. So a frame is valid if another begins where it ends, or the log ends there. After an invalid
+one, or garbage, P frames are unusable until the next I frame.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ INCREMENT, HOME_COORDINATE, FIFTEEN_HUNDRED, VBATREF, LAST_TIME, MINMOTOR = 6, 7
 SYNC_BEEP, ADJUSTMENT, RESUME, DISARM, MODES, IMU_FAILURE, LOG_END = 0, 13, 14, 15, 30, 40, 255
 
 _LONGEST = 1024  # bytes of a frame; real ones have some 30, INAV's I frames up to 300
-_LONGEST_GAP_US = 10000000  # of the main frames; a longer one is believed when two I frames agree about it
+_LONGEST_GAP_US = 10000000  # of the main frames; a longer one is accepted when two I frames agree about it
 _END = (69, 110, 100, 32, 111, 102, 32, 108, 111, 103, 0)  # End of log
 
 
 class Layout(Struct):
-    """How one kind of frame is written."""
+    """Encoding of one kind of frame."""
 
     fields: int = 0  # 0: the header does not define it
     encoding = array(INT, FIELDS)  # of each field
@@ -97,8 +97,7 @@ def decode(s: Stream, data: Bytes, main: Ints, slow: Ints, gps: Ints, events: In
     """Read on until the session ends (True) or one of the buffers is full (False).
 
     main: rows of as many numbers as I frames have fields, up to `room` of them. slow, gps: likewise, with the number of main frames before
-    them in front, up to `few`. events: rows of `WIDTH`.
-    """
+    them in front, up to `few`. events: rows of `WIDTH`."""
     while s.at < s.end:
         if s.rows >= room or s.slow_rows >= few or s.gps_rows >= few or s.event_rows >= few:
             return False
@@ -128,7 +127,7 @@ def decode(s: Stream, data: Bytes, main: Ints, slow: Ints, gps: Ints, events: In
             s.at += 1
             continue
         if at == 0 or at > s.end or at - s.at > _LONGEST or not (at == s.end or _begins(data[at])):
-            # Its length cannot be believed either: the next frame may begin within it.
+            # Its length is unreliable, too: the next frame may begin within it.
             s.synced = False
             s.corrupt += 1
             s.at += 1
@@ -159,7 +158,7 @@ def decode(s: Stream, data: Bytes, main: Ints, slow: Ints, gps: Ints, events: In
 
 
 def _begins(byte: int) -> bool:
-    """Whether a frame begins with it."""
+    """True if a frame begins with it."""
     return byte == _P or byte == _I or byte == _S or byte == _G or byte == _E or byte == _H
 
 
@@ -244,7 +243,7 @@ def _keep(s: Stream, time: int) -> None:
 
 
 def _follows(time: int, last: int) -> bool:
-    """Whether a main frame can come after another; their clocks begin again after 71 minutes."""
+    """True if a main frame can come after another; their clocks begin again after 71 minutes."""
     return 0 <= difference32(time, last) < _LONGEST_GAP_US
 
 
@@ -277,21 +276,21 @@ def _predict(s: Stream, layout: Layout, out: Ints, place: int, previous: int, be
             for i in range(first, last):
                 out[place + i] = sum32(out[place + i], s.home[i - first])
         else:
-            more = 0
+            offset = 0
             if what == MINTHROTTLE:
-                more = s.minthrottle
+                offset = s.minthrottle
             elif what == MINMOTOR:
-                more = s.motor_low
+                offset = s.motor_low
             elif what == MOTOR_0:
-                more = out[place + s.motor]
+                offset = out[place + s.motor]
             elif what == FIFTEEN_HUNDRED:
-                more = 1500
+                offset = 1500
             elif what == VBATREF:
-                more = s.vbatref
+                offset = s.vbatref
             elif what == LAST_TIME:
-                more = s.last
+                offset = s.last
             for i in range(first, last):
-                out[place + i] = sum32(out[place + i], more)
+                out[place + i] = sum32(out[place + i], offset)
 
 
 def _event(s: Stream, data: Bytes, at: int, out: Ints, place: int) -> int:

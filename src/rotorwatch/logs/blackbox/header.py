@@ -42,8 +42,8 @@ class Layout(NamedTuple):
 
 
 class Header(NamedTuple):
-    """One session. start: byte at which its frames begin; settings: name -> value, as written; layouts: kind of frame -> fields;
-    lost: kinds whose fields are damaged."""
+    """The header of a session. start: byte at which its frames begin; settings: name -> value, as written; layouts: kind of frame ->
+    fields; lost: kinds whose fields are damaged."""
 
     start: int
     settings: Mapping[str, str]
@@ -57,8 +57,8 @@ class Header(NamedTuple):
 
     def number(self, name: str, otherwise: float = 0.0) -> float:
         """The first of them."""
-        found = self.numbers(name)
-        return found[0] if found else otherwise
+        values = self.numbers(name)
+        return values[0] if values else otherwise
 
     def whole(self, name: str, otherwise: int = 0) -> int:
         """The same as a whole number of 32 bits."""
@@ -67,7 +67,7 @@ class Header(NamedTuple):
 
     @property
     def gyro_scale(self) -> float:
-        """deg/s of one count of the gyro; 0 where the header does not say. Baseflight's is in rad/us."""
+        """deg/s of one count of the gyro; 0 where unknown. Baseflight's is in rad/us."""
         text = self.settings.get("gyro_scale") or self.settings.get("gyro.scale") or ""
         if not re.fullmatch(r"0x[0-9a-fA-F]{1,8}", text):
             return 0.0
@@ -78,12 +78,12 @@ class Header(NamedTuple):
 
     @property
     def resolution(self) -> float:
-        """Counts of a degree per second in setpoints, and of a unit of the sticks."""
+        """Counts per degree per second in setpoints, and per unit of the sticks."""
         return HIGH_RESOLUTION if self.number("blackbox_high_resolution") > 0 else 1.0
 
     @property
     def motor_range(self) -> tuple[float, float]:
-        """Outputs at idle and at full command; (0, 0) where the header does not say."""
+        """Outputs at idle and at full command; (0, 0) where unknown."""
         low, high = ([*self.numbers("motorOutput"), 0.0, 0.0])[:2]
         if not 0 < low < high:
             low, high = self.number("minthrottle"), self.number("maxthrottle")
@@ -91,22 +91,22 @@ class Header(NamedTuple):
 
     def parameters(self) -> dict[str, float]:
         """All settings that are numbers; of lists each as name[0], name[1] .."""
-        found = {}
+        parameters_ = {}
         for name in self.settings:
             values = self.numbers(name)
             if len(values) == 1:
-                found[name] = values[0]
+                parameters_[name] = values[0]
             else:
-                found |= {f"{name}[{k}]": value for k, value in enumerate(values)}
-        return found
+                parameters_ |= {f"{name}[{k}]": value for k, value in enumerate(values)}
+        return parameters_
 
 
 def starts(data) -> list[int]:
     """Bytes at which sessions begin: a log is appended to the file each time the vehicle is armed. A session whose first line is damaged
     begins at the fields of its I frames."""
-    found = sorted({*_places(data, START), *_places(data, FIELDS_START)})
+    candidates = sorted({*_places(data, START), *_places(data, FIELDS_START)})
     places: list[int] = []
-    for at in found:
+    for at in candidates:
         first = bytes(data[at : at + len(START)]) == START
         if first or not places or at - places[-1] > BETWEEN:
             places.append(at)
@@ -114,16 +114,16 @@ def starts(data) -> list[int]:
 
 
 def _places(data, text: bytes) -> list[int]:
-    found: list[int] = []
+    places: list[int] = []
     at = data.find(text)
-    while at >= 0 and len(found) < MOST_SESSIONS:
-        found.append(at)
+    while at >= 0 and len(places) < MOST_SESSIONS:
+        places.append(at)
         at = data.find(text, at + len(text))
-    return found
+    return places
 
 
 def read(data, start: int, end: int) -> Header:
-    """The header that begins at a byte. Raises LogError where it does not lay frames out, or in a way that makes no sense."""
+    """The header that begins at a byte. Raises LogError where its layout of frames is missing or invalid."""
     settings: dict[str, str] = {}
     fields: dict[tuple[str, str], str] = {}
     at = start
@@ -148,7 +148,7 @@ def read(data, start: int, end: int) -> Header:
 
 def _layouts(fields: Mapping[tuple[str, str], str]) -> tuple[dict[str, Layout], tuple[str, ...]]:
     """(layouts, kinds of frames that cannot be read). Raises LogError where I frames cannot."""
-    found: dict[str, Layout] = {}
+    layouts: dict[str, Layout] = {}
     lost: list[str] = []
     for kind in KINDS:
         names = fields.get(("I" if kind == "P" else kind, "name"), "").split(",")
@@ -168,10 +168,10 @@ def _layouts(fields: Mapping[tuple[str, str], str]) -> tuple[dict[str, Layout], 
                 raise
             lost.append(kind)
         else:
-            found[kind] = layout
-    if "I" not in found or "time" not in found["I"].names:
+            layouts[kind] = layout
+    if "I" not in layouts or "time" not in layouts["I"].names:
         raise LogError("the header does not list the fields of its frames")
-    return found, tuple(lost)
+    return layouts, tuple(lost)
 
 
 def _numbers(text: str) -> tuple[int, ...]:
@@ -200,7 +200,7 @@ def fill(stream: Rows, header: Header) -> None:
 
 
 def laid_out(kind: str, layout: Layout) -> tuple[list[int], list[tuple[int, int]], list[tuple[int, int, int]]]:
-    """(encodings, runs: from, to; steps: predictor, from, to) of `frames.Layout`. Raises LogError for what makes no sense."""
+    """(encodings, runs: from, to; steps: predictor, from, to) of `frames.Layout`. Raises LogError for an invalid layout."""
     known = range(12)
     if any(e not in known or e == encodings.UNUSED for e in layout.encoding) or any(
         p not in known for p in layout.predictor

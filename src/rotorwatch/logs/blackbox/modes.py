@@ -1,7 +1,7 @@
 """Flight modes by name, from the flags of slow frames.
 
-Betaflight and EmuFlight log which boxes of the modes tab are on; of these arming, angle and horizon have had the same bits since 3.0.
-INAV logs which modes it flies (`activeFlightModeFlags`, runtime_config.h). Of other firmware the flags are not known.
+Betaflight and EmuFlight log which boxes of the modes tab are on; of these arming, angle and horizon have had the same bits since 3.0. INAV
+logs its active modes (`activeFlightModeFlags`, runtime_config.h). The flags of other firmware are unknown.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ def sentence(diagnosis: Diagnosis) -> str:
     if low <= 0.0 <= high or within < SMALL_SHIFT:
         if within > VARIED:
             return "The total thrust varied too much in this flight to compare its end with its beginning."
-            same = "The total commanded thrust was the same at the end as at the beginning"
+        same = "The total commanded thrust was the same at the end as at the beginning"
         return f"{same}, within {percent(max(within, SMALL_SHIFT))}."
     more, why = "less", "a lighter vehicle, denser air or a fresher battery"
     if share > 0:

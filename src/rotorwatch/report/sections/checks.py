@@ -42,5 +42,5 @@ def _other_checks(autopilot: str) -> tuple[str, str, str, str]:
     names = ", ".join(module.name for module in detectors.for_autopilot(autopilot))
     if names:
         return names, "nothing", seconds(None), "as far as this log allows"
-        why = f"no built-in check of {autopilot or 'this autopilot'} is available here"
+    why = f"no built-in check of {autopilot or 'this autopilot'} is available here"
     return "other checks", "none made", seconds(None), why

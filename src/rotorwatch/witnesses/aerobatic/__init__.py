@@ -1,10 +1,10 @@
 """Vehicles that never hover: rolls, flips, dives, thrust from idle to full (docs/aerobatic.md). In the order of the data:
 
 firmware.py    whose pilots command rates
-response.py    outputs -> angular acceleration: lag of the motors, gain of each axis, damping; what is missing, in windows of 20 ms
-judge.py       what is missing over seconds -> which rotor has lost effectiveness
-innovation.py  what comes as a surprise in windows of 4 ms, in the motion and in the motors' speeds
-desync.py      surprises that a motor makes which gives nothing for 30 to 500 ms
+response.py    outputs -> angular acceleration: motor lag, gain of each axis, damping; residual torque in windows of 20 ms
+judge.py       residual torque over seconds -> which rotor has lost effectiveness
+innovation.py  innovations of the motion and of the motor speeds in windows of 4 ms
+desync.py      innovations that match a motor giving no thrust for 30 to 500 ms
 """
 
 from rotorwatch.witnesses.aerobatic.firmware import flown_by_rates

@@ -1,18 +1,18 @@
-"""Motors that lose step for a moment: commanded up, they give nothing for 30 to 500 ms, and come back. Events `desync`.
+"""Motors that lose step (desync): commanded up, they give no thrust for 30 to 500 ms, and recover. Events `desync`.
 
-In windows of 4 ms each axis, and each motor's speed where it is logged, follows what is commanded with a lag (innovation.py). Where rotor i
-gives nothing from s to e, what comes as a surprise is
+In windows of 4 ms each axis, and each motor speed that is logged, follows its command with a lag (innovation.py). Where rotor i gives
+nothing from s to e, the innovation is
 
-    z = - theta answer * (drive_i inside [s, e)) / scale + noise,      theta about 1, noise as Student's t
+    z = - theta answer * (drive_i inside [s, e)) / scale + noise,      theta about 1, noise Student's t
 
-of all channels at once: the direction must be the rotor's, the size what was commanded, the shape that of its command. Two steps: a matched
-filter over (rotor, start, length) finds candidates; each gets its exact log likelihood ratio, theta by its prior, and how rough the air was
-just then by what the axes show. If the noise is as described, exp of that has the mean 1 in a healthy flight, so that a threshold of
-log(windows in ten hours x rotors x lengths) is passed there once in ten hours at most (the bound of Markov and Boole).
+in all channels at once: its direction must be the rotor's, its size the command's, its shape the command's shape. A matched filter over
+(rotor, start, length) finds candidates; each gets its exact log likelihood ratio, with theta marginalized by its prior and the roughness of
+the air at that time estimated from the axes. With noise as modelled, exp of that ratio has mean 1 in a healthy flight, so a threshold of
+log(windows in ten hours x rotors x lengths) is exceeded at most once in ten hours (bounds of Markov and Boole).
 
-A knock pushes in any direction: each axis with a size of its own must not explain much more. A dead or weak motor is none: it works
-before and after. One in which it was commanded up for less than 100 ms counts only where the motor's speed shows it, or where it did it
-again: so long a motor takes from rest to full thrust.
+A knock pushes in any direction: a separate size for each axis must not explain much more. A dead or weak motor is no desync: the rotor must
+work before and after. A desync with less than 100 ms of commanded thrust counts only where the motor's speed shows it or where it recurs: a
+motor takes that long from rest to full thrust.
 """
 
 from __future__ import annotations
@@ -47,29 +47,27 @@ def _falls(claim: Event, known: Event) -> bool:
 
 SOURCE = Source("lost steps", 9, _falls)
 
-SHORTEST_S, LONGEST_S = 0.025, 0.65  # 30 to 500 ms, as well as ends are known
-LENGTHS_S = 0.03 * 10.0 ** (0.1 * np.arange(15))  # 30 to 750 ms: what lasts longer is none, and must be seen to
-SCREEN = 9.0  # nats, from which the matched filter's peaks are looked at
+SHORTEST_S, LONGEST_S = 0.025, 0.65  # 30 to 500 ms, with the uncertainty of both ends
+LENGTHS_S = 0.03 * 10.0 ** (0.1 * np.arange(15))  # 30 to 750 ms: longer ones are searched for, to be ruled out
+SCREEN = 9.0  # nats: peaks of the matched filter below are ignored
 REFINED = 20.0  # nats that moves of single windows may add to the best start and length on a line
 ALONG, POINTS = 8, 16  # windows by which a short one's ends are moved at least; moves each way of a longer one's
 SIZES = np.linspace(-1.2, 2.4, 19)  # theta
 LEAST_SIZE, MOST_SIZE = 0.5, 1.4
 ROUGHER = (1.0, 1.4, 2.0, 2.8)  # times the scale within a second: propwash lasts less
-SLOWER_S = (0.0, 0.015, 0.03)  # than a motor that is commanded to
+SLOWER_S = (0.0, 0.015, 0.03)  # than a commanded change of speed
 YAW = 2
-UNEVEN = 0.3  # of all that is explained, that roll and pitch may explain more with sizes of their own: gains are known to some 20 %
-RETURNS_S = (0.15, 0.3)  # after its end: by then it is clear that the motor is back
-AROUND_S, LEFT = 0.3, 0.5  # before and after: the rotor works there, and lacks less than that
-IDLE = 0.03  # share of full thrust: below, a motor gives next to nothing anyway
-KNOCK_S = (
-    0.1  # without its speed, a motor that is missed once for less may as well have come from idle, or been a knock
-)
-APART_S = 0.06  # two that are nearer are one
+UNEVEN = 0.3  # of the ratio: gain allowed to separate sizes of roll and pitch; gains are known to about 20 %
+RETURNS_S = (0.15, 0.3)  # after its end: interval in which the motor must have recovered
+AROUND_S, LEFT = 0.3, 0.5  # s before and after; the rotor lacks less than this share there
+IDLE = 0.03  # share of full thrust below which a motor gives almost nothing
+KNOCK_S = 0.1  # s: without its speed, a shorter single one may be a spin-up from idle, or a knock
+APART_S = 0.06  # closer ones are merged
 
 
 class Desync(NamedTuple):
-    """One of rotor `rotor` (from 0), from start to end [s]. ratio: log likelihood ratio, above the threshold; size: of what was commanded;
-    commanded: how long of it the motor was to give more than idle [s]; others: rotors that explain it as well."""
+    """A desync of rotor `rotor` (from 0), from start to end [s]. ratio: log likelihood ratio, above the threshold; size: share of the
+    command; commanded: time for which the motor was commanded above idle [s]; others: rotors that explain it as well."""
 
     rotor: int
     start: float
@@ -93,8 +91,8 @@ def find(flight: Flight, vehicle: Vehicle, air: Spans, known: tuple[Event, ...] 
     seen = channels(flight, vehicle, air)
     if not seen:
         return ()
-    found = [d for d in search(seen) if not explained(_claim(d), known)]
-    return events(found, any(c.rotor is not None for c in seen))
+    desyncs = [d for d in search(seen) if not explained(_claim(d), known)]
+    return events(desyncs, any(c.rotor is not None for c in seen))
 
 
 def _claim(d: Desync) -> Event:
@@ -102,10 +100,10 @@ def _claim(d: Desync) -> Event:
 
 
 def events(found: list[Desync], rpm: bool) -> tuple[Event, ...]:
-    """One event a motor, or a set of motors that nothing tells apart. rpm: speeds are logged."""
+    """An event for each motor, or for each set of motors that the log cannot distinguish. rpm: whether speeds are logged."""
     sets: dict[tuple[int, ...], list[Desync]] = {}
     sure = {d.rotor for d in found if not d.others}
-    for d in found:  # a motor that certainly lost step once did it again
+    for d in found:  # a motor with one certain desync explains the ambiguous ones
         again = [r for r in (d.rotor, *d.others) if r in sure]
         d = d._replace(rotor=again[0], others=()) if d.others and len(again) == 1 else d
         sets.setdefault(tuple(sorted((d.rotor, *d.others))), []).append(d)
@@ -132,23 +130,23 @@ def _span(length: list[float]) -> str:
 
 
 def search(seen: list[Channel]) -> list[Desync]:
-    """All desyncs in the channels of a flight, in the order of time."""
+    """All desyncs in the channels of a flight, in order of time."""
     dt = seen[0].width
     lengths = np.unique(np.maximum(2, np.round(LENGTHS_S / dt).astype(int)))
     rotors = [i for i in range(seen[0].drive.shape[1])]
     limit = float(np.log(FALSE_ALARM_PERIOD_S / dt * len(rotors) * len(lengths)))
-    found: list[Desync] = []
+    desyncs: list[Desync] = []
     for i in rotors:
         for start, length in _peaks(seen, i, lengths, dt):
-            best = _judged(seen, i, start, length, lengths, rotors, limit)
+            best = _evaluated(seen, i, start, length, lengths, rotors, limit)
             if best is not None:
-                found.append(best)
+                desyncs.append(best)
     separate: list[Desync] = []
-    for d in sorted(found, key=lambda d: -d.ratio):
+    for d in sorted(desyncs, key=lambda d: -d.ratio):
         if all(d.start > k.end + APART_S or d.end < k.start - APART_S for k in separate):
             separate.append(d)
     spun = {c.rotor for c in seen}
-    long = KNOCK_S - 2.0 * dt  # both ends are known to a window
+    long = KNOCK_S - 2.0 * dt  # both ends are uncertain by one window
     often = {d.rotor for d in separate if d.commanded > long or sum(e.rotor == d.rotor for e in separate) > 1}
     return sorted((d for d in separate if d.rotor in spun or d.rotor in often), key=lambda d: d.start)
 
@@ -177,7 +175,7 @@ def _peaks(seen: list[Channel], i: int, lengths: np.ndarray, dt: float) -> list[
         m = M[length : length + stop] - M[:stop]
         info = sum(S[d, length - d : length - d + stop] - S[d, :stop] for d in range(min(LAGS, length)))
         value = np.where(m > 0.0, 0.5 * m**2 / np.maximum(info, 1e-9), 0.0)
-        value[info < SCREEN] = 0.0  # too little commanded to be missed
+        value[info < SCREEN] = 0.0  # too little thrust commanded to detect its absence
         value[~seen[0].flies[:stop] | ~seen[0].flies[length : length + stop]] = 0.0
         better = value > score[:stop]
         score[:stop][better], which[:stop][better] = value[better], length
@@ -193,10 +191,10 @@ def _peaks(seen: list[Channel], i: int, lengths: np.ndarray, dt: float) -> list[
     return out
 
 
-def _judged(
+def _evaluated(
     seen: list[Channel], i: int, start: int, length: int, lengths: np.ndarray, rotors: list[int], limit: float
 ) -> Desync | None:
-    """The desync of rotor i near (start, length); None where it is none."""
+    """The desync of rotor i near (start, length); None where the evidence is not sufficient."""
     dt = seen[0].width
     start, length = _refined(seen, i, start, length, lengths, limit - REFINED)
     if not SHORTEST_S <= length * dt <= LONGEST_S:
@@ -212,11 +210,11 @@ def _judged(
     firm = np.delete(each, YAW, axis=0)
     together = firm.sum(axis=0)
     size = float(SIZES[np.argmax(together)])
-    turning = each[:YAW]  # that a speed has a size of its own makes it no knock
+    turning = each[:YAW]  # a separate size of a speed channel is no sign of a knock
     uneven = turning.max(axis=1).sum() - turning.sum(axis=0).max()
     if not LEAST_SIZE - 1e-9 <= size <= MOST_SIZE + 1e-9 or uneven > UNEVEN * firm.max(axis=1).sum():
         return None
-    if _works_not(seen, i, start, length) or not _returns(seen, i, start, length):
+    if _weak_around(seen, i, start, length) or not _returns(seen, i, start, length):
         return None
     others = []
     for j in rotors:
@@ -236,9 +234,10 @@ def _judged(
 def _refined(
     seen: list[Channel], i: int, start: int, length: int, lengths: np.ndarray, least: float
 ) -> tuple[int, int]:
-    """The likeliest start and length near these: first the start, then the end, over half the length and over all of `lengths`, as a speed
-    that falls makes the likelihood a narrow ridge, and a part of a desync, or more than it, may be the peak; then both by ever smaller
-    steps, where that may come to `least`. (0, 0) where it does not."""
+    """The most likely start and length near these, in windows; (0, 0) where no refinement can reach `least`.
+
+    First the start, then the end, over half the length and over all of `lengths`: a falling speed makes the likelihood a narrow ridge, and
+    its peak may be a part of a desync, or more than it. Then both by ever smaller steps."""
 
     @functools.cache  # steps come by the same places again
     def value(s: int, n: int) -> float:
@@ -266,7 +265,8 @@ def _refined(
 def _ratios(
     seen: list[Channel], i: int, start: int, length: int, until: int | None = None, rougher: tuple[float, ...] = ROUGHER
 ) -> Ratios:
-    """Of a desync of rotor i from its start until the last answer, or `until`. rougher: the air may be, just then."""
+    """Likelihood ratios of a desync of rotor i from its start until the last response, or `until`. rougher: factors on the scale of the
+    noise."""
     each = np.zeros((len(SLOWER_S), len(rougher), len(seen), len(SIZES)))
     none = np.zeros(len(rougher))
     kernels = _kernels(seen[0].width)
@@ -290,16 +290,16 @@ def _ratios(
 
 
 def _likelihood(z: np.ndarray, times: float) -> np.ndarray:
-    """Log likelihood of surprises z (..., K) over their scale, by Student's t that is so many times as wide."""
+    """Log likelihood of innovations z (..., K) in units of their scale, by Student's t of `times` that width."""
     wide = z * z
     wide *= 1.0 / (times * times * DOF)
-    wide += 1.0  # what log1p would keep of small ones is far below what counts, and takes several times as long
+    wide += 1.0  # log1p would be several times slower, for digits that do not matter
     return -0.5 * (DOF + 1.0) * np.log(wide, out=wide).sum(axis=-1) - z.shape[-1] * np.log(times)
 
 
 @functools.cache
 def _kernels(width: float) -> tuple[np.ndarray, ...]:
-    """How a motor that lost step runs down and up, against one that is commanded to: so much slower."""
+    """Spin-down and spin-up of a motor that lost step, relative to a commanded change: slower by each of SLOWER_S."""
     out = []
     for slower in SLOWER_S:
         x = np.exp(-np.arange(max(1, round(3.0 * slower / width))) * width / max(slower, 1e-9))
@@ -316,20 +316,20 @@ _OF_ALL, _OF_YAW = _log_prior(0.9, 0.25), _log_prior(0.8, 0.5)
 
 
 def _marginal(ratios: Ratios) -> float:
-    """Log likelihood ratio with shape, roughness and sizes by their priors."""
+    """Log likelihood ratio, marginalized over shape, roughness and sizes."""
     return float(np.logaddexp.reduce(_by_case(ratios)))
 
 
 def _by_case(ratios: Ratios) -> np.ndarray:
-    """(cases,) log likelihood ratios: yaw has a size of its own, as motors that lose step jerk."""
+    """(cases,) log likelihood ratios. Yaw has a size of its own, as motors that lose step jerk."""
     each = ratios.each
     firm = each[:, [k for k in range(each.shape[1]) if k != YAW]].sum(axis=1)
     of_yaw = np.logaddexp.reduce(each[:, YAW] + _OF_YAW, axis=-1)
     return np.logaddexp.reduce(firm + _OF_ALL, axis=-1) + of_yaw + ratios.weight
 
 
-def _works_not(seen: list[Channel], i: int, start: int, length: int) -> bool:
-    """Whether the rotor lacks much before or after as well."""
+def _weak_around(seen: list[Channel], i: int, start: int, length: int) -> bool:
+    """True if the rotor lacks much thrust before or after as well."""
     around = int(AROUND_S / seen[0].width)
     for first, count in ((start - around - LAGS, around), (start + length + LAGS // 2, around)):
         first, count = max(first, 0), min(count, len(seen[0].left) - LAGS - first)
@@ -342,7 +342,7 @@ def _works_not(seen: list[Channel], i: int, start: int, length: int) -> bool:
 
 
 def _returns(seen: list[Channel], i: int, start: int, length: int) -> bool:
-    """Whether the rotor came back, rather than giving nothing any more."""
+    """True if the rotor recovered, rather than giving no thrust from then on."""
     for later in RETURNS_S:
         until = start + length + round(later / seen[0].width)
         if until >= len(seen[0].left):

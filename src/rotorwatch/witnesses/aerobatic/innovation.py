@@ -1,10 +1,10 @@
-"""What comes as a surprise in the angular motion and the motors' speeds, in windows of 4 ms, given what was commanded and how it had been.
+"""Innovations of the angular motion and the motor speeds, in windows of 4 ms: what commands and the past do not predict.
 
     y_k = sum_l answer_l x_{k-l} + sum_l past_l y_{k-l} + motion + e_k
 
-y: angular acceleration of an axis (x: its torque, sum_i B_ai T_i) or speed of a motor (x: root of its thrust). All is fitted to the flight,
-as an autoregression with inputs. Motors answer late, so that what a controller does about a surprise comes after it: unlike torque over
-acceleration at once, which reads a controller's answer to the air as a weak motor, this fit stays right in closed loop (Ljung, System
+y: angular acceleration of an axis (x: its torque, sum_i B_ai T_i) or speed of a motor (x: root of its thrust), an autoregression with
+inputs fitted to the flight. Motors respond late, so that a controller's reaction to an innovation comes after it: unlike torque over
+acceleration at the same time, which reads a reaction to the air as a weak motor, this fit stays consistent in closed loop (Ljung, System
 Identification, 2nd ed., 13.4).
 """
 
@@ -21,24 +21,23 @@ from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.stats import huber
 
 WIDTH_S = 0.004
-LEAST_HZ = 90.0  # of logging: slower, 30 ms are not seen
+LEAST_HZ = 90.0  # sample rate; slower logs do not resolve 30 ms
 LAGS, PAST = 14, 10  # windows: 56 and 40 ms
 LEAST_S = 8.0  # of flight
 EDGE_S = 0.5  # after lift-off and before landing
-LOCAL_S = 1.0  # the air changes: a surprise is as rare as it was within that
+LOCAL_S = 1.0  # the air changes: innovations are compared with those within this time
 CALMEST = 0.6  # of the flight's scale
 DOF, QUARTILE = 7.0, 0.711  # of Student's t
-TURNING_S = 0.05  # motors take so long to a new speed, from idle longer than the fit says
-UNSURE = 1.0  # share that is doubted until then
-SPEEDS = 0.7  # share of the time that a motor's speed is reported
+TURNING_S = 0.05  # time constant of motors, from idle longer than the fit gives
+UNSURE = 1.0  # share of the change that is uncertain until then
+SPEEDS = 0.7  # share of the time for which a motor's speed must be reported
 
 
 class Channel(NamedTuple):
     """K windows of an axis or of a motor's speed. rotor: the motor, None for an axis.
 
     time (K,) s, of their beginnings; width s; flies (K,) bool; thrust (K, n): commanded share of full thrust, without lag; left (K,):
-    surprises over their scale; scale (K,): of y; drive (K, n): what of x is each rotor's; answer (LAGS,).
-    """
+    innovations over their scale; scale (K,): of y; drive (K, n): each rotor's part of x; answer (LAGS,)."""
 
     rotor: int | None
     time: np.ndarray
@@ -81,10 +80,10 @@ def channels(flight: Flight, vehicle: Vehicle, air: Spans) -> list[Channel]:
     for a in range(3):
         others = rate[:, (a + 1) % 3] * rate[:, (a + 2) % 3]
         motion = np.column_stack([np.ones(len(rate)), rate[:, a], others])
-        found = _surprise(turning[:, a], thrust * B[a], motion, flies, width)
-        if found is None:
+        fit = _surprise(turning[:, a], thrust * B[a], motion, flies, width)
+        if fit is None:
             return []
-        out.append(Channel(None, start, width, flies, thrust, *found[:2], thrust * B[a], found[2]))
+        out.append(Channel(None, start, width, flies, thrust, *fit[:2], thrust * B[a], fit[2]))
     return out + _speeds(flight, start, width, flies, thrust)
 
 
@@ -112,14 +111,14 @@ def _speeds(flight: Flight, start: np.ndarray, width: float, flies: np.ndarray, 
         speed = np.interp(start + 0.5 * width, esc.time[ok], esc.values[ok, column])
         drive = np.zeros_like(thrust)
         drive[:, i] = np.sqrt(np.maximum(thrust[:, i], 0.0))
-        found = _surprise(speed, drive, np.ones((len(start), 1)), flies, width)
-        if found is not None:
-            out.append(Channel(i, start, width, flies, thrust, *found[:2], drive, found[2]))
+        fit = _surprise(speed, drive, np.ones((len(start), 1)), flies, width)
+        if fit is not None:
+            out.append(Channel(i, start, width, flies, thrust, *fit[:2], drive, fit[2]))
     return out
 
 
 def _late(x: np.ndarray, lags: range) -> np.ndarray:
-    """(K, lags): x (K,), so many windows earlier."""
+    """(K, lags): x (K,) delayed by each number of windows in `lags`."""
     return np.column_stack([np.concatenate([np.full(lag, x[0]), x[: len(x) - lag]]) for lag in lags])
 
 
@@ -136,7 +135,7 @@ def _surprise(y, drive, motion, flies, width) -> tuple[np.ndarray, np.ndarray, n
 
 
 def _unsure(drive: np.ndarray, answer: np.ndarray, width: float) -> np.ndarray:
-    """(K,) how much of y is in doubt because motors are still turning to what was commanded."""
+    """(K,) uncertainty of y while motors are still changing to the commanded speed."""
     total = np.zeros(len(drive))
     for turning in (UNSURE * (drive - _slow(drive, width))).T:
         total += np.convolve(turning, answer)[: len(total)] ** 2
@@ -145,14 +144,14 @@ def _unsure(drive: np.ndarray, answer: np.ndarray, width: float) -> np.ndarray:
 
 
 def _slow(x: np.ndarray, width: float) -> np.ndarray:
-    """x (K, n) with a lag of TURNING_S: its impulse response, to where it is 1e-9."""
+    """x (K, n) with a lag of TURNING_S, by its impulse response down to 1e-9."""
     keep = np.exp(-width / TURNING_S)
     response = (1.0 - keep) * keep ** np.arange(round(20.0 * TURNING_S / width))
     return x[0] + np.column_stack([np.convolve(column, response)[: len(x)] for column in (x - x[0]).T])
 
 
 def _scale(error: np.ndarray, flies: np.ndarray, width: float) -> np.ndarray:
-    """(K,) scale of Student's t: that within LOCAL_S, but not much less than the flight's, by medians."""
+    """(K,) scale of Student's t: that within LOCAL_S, at least CALMEST of the flight's, by medians."""
     overall = float(median(error[flies])) / QUARTILE
     half = max(1, round(0.5 * LOCAL_S / width))
     blocks = len(error) // half + 1

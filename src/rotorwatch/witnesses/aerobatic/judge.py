@@ -1,12 +1,12 @@
-"""Which rotor of a vehicle that never hovers has lost effectiveness, from what its angular motion lacks over seconds.
+"""Loss of effectiveness of a vehicle that never hovers, from its residual torque over seconds.
 
-Windows become blocks of BLOCK_S: missing torque z (3,), thrust T (n,). A loss theta of rotor i since block j makes
+Windows become blocks of BLOCK_S: residual torque z (3,), thrust T (n,). A loss theta of rotor i since block j makes
 
     z_a = trim_a + slope_a (sum T - mean) + B_ai T_i theta [k >= j] + noise_a
 
-Noise: each axis as wide as the flight's own blocks scatter, blocks that follow each other alike (ALIKE). Against the losses stand steps of
-the trim in any direction, which air and payload make. Each onset of each rotor has its marginal likelihood ratio; their sum is held
-against the Shiryaev-Roberts threshold (engine/estimator/announcement.py), and must be CLEAR above that of the steps.
+Noise: as wide on each axis as the flight's own blocks scatter, with correlation ALIKE from block to block. The alternatives are steps of
+the trim in any direction, as air and payload cause. Each onset of each rotor has its marginal likelihood ratio; their sum is compared with
+the Shiryaev-Roberts threshold (engine/estimator/announcement.py), and must be CLEAR above that of the steps.
 """
 
 from __future__ import annotations
@@ -38,26 +38,21 @@ from rotorwatch.witnesses.aerobatic.response import EDGE_S, WINDOW_S, Response, 
 BLOCK_S = 1.0
 LEAST_HZ = 100.0  # of motors and gyro, for two samples in a window
 CARRIES = (0.5, 2.0)  # times the thrust of hover
-HOVERING = 0.8  # share of the ticks in the air in which a flight that hovers is carried by it, and does not tumble
-LEARN, LEARN_LEAST = (
-    10,
-    4,
-)  # blocks of a flight in which its trim and scatter are learned; of a short one half of them, but so many
+HOVERING = 0.8  # share of ticks in the air for which a hovering flight is carried, and does not tumble
+LEARN, LEARN_LEAST = 10, 4  # blocks for learning trim and scatter; of a short flight half, at least the second
 FIRM = 10  # blocks before and after an onset
-READY_S = LEARN_LEAST * BLOCK_S + 2.0 * EDGE_S  # in the air, of which nothing is judged
-ALIKE = (
-    0.35  # correlation of a block's noise with the next one's: 0.1 to 0.75 in roll, 0.0 to 0.3 else (docs/aerobatic.md)
-)
+READY_S = LEARN_LEAST * BLOCK_S + 2.0 * EDGE_S  # in the air, before anything is judged
+ALIKE = 0.35  # correlation of successive blocks' noise: 0.1 to 0.75 in roll, 0.0 to 0.3 else (docs/aerobatic.md)
 LOSS_SD, STEP_SD = 0.25, 0.08  # prior of a loss; of a step of the trim, full thrusts of a rotor
 SCATTER, PRIOR_BLOCKS = (
     (0.3, 0.25, 0.2),
     5.0,
-)  # of the mean thrust: what is expected of the noise, and how many blocks that is worth
+)  # of the mean thrust: prior of the noise, and its weight in blocks
 OUTLIER = 3.0  # standard deviations, from which a block counts less
 LOOK_BACK = 60  # blocks
 WHOLE = 0.9  # share of a block's windows that fly
-NOTHING = -20.0  # the statistic where nothing is known
-CURVE_SD = 0.2  # of theta (1 - theta): the thrust curve is assumed; what curves from linear to quadratic in the command make of a loss
+NOTHING = -20.0  # the statistic without data
+CURVE_SD = 0.2  # of theta (1 - theta): error by the assumed thrust curve, from linear to quadratic in the command
 
 
 class Blocks(NamedTuple):
@@ -83,7 +78,7 @@ def blocks(seen: Response, air: Spans) -> Blocks:
 
 
 class Weak(NamedTuple):
-    """A rotor that is known to be weak from block `onset` on, up to block `end`; None: still."""
+    """A rotor with a known loss from block `onset` up to block `end`; None: it still lasts."""
 
     rotor: int
     onset: int
@@ -91,8 +86,8 @@ class Weak(NamedTuple):
 
 
 class Look(NamedTuple):
-    """What the blocks up to one say: statistic (above 0: announced); rotor, onset (block) of the likeliest loss; share (n,) of each
-    rotor; loss, sd (n,) of the rotors that are known to be weak; most (n,): the largest loss of each that the blocks leave possible."""
+    """Result of the blocks up to the last: statistic (above 0: announced); rotor, onset (block) of the most likely loss; share (n,) of each
+    rotor; loss, sd (n,) of the rotors known to be weak; most (n,): upper bound of each rotor's loss."""
 
     statistic: float
     rotor: int
@@ -104,8 +99,8 @@ class Look(NamedTuple):
 
 
 def applies(flight: Flight, table: Ticks | None) -> bool:
-    """Whether a flight of these ticks does not hover, so that it is judged here: its rotors hardly ever carry its weight, or it tumbles,
-    and its log is fast enough to show how it turns. One of which no motion is known is taken to be flown as is usual for its firmware."""
+    """True if a flight of these ticks does not hover: its rotors hardly ever carry its weight, or it tumbles, and its log is fast enough to
+    show its rotation. Without any motion in the log, the firmware decides."""
     if not flight.has("gyro") or table is None:
         return flown_by_rates(flight)
     fast = min(flight[name].rate_hz for name in ("motors", "gyro")) >= LEAST_HZ
@@ -118,8 +113,8 @@ def applies(flight: Flight, table: Ticks | None) -> bool:
 
 
 def decline(flight: Flight, why: str, vehicle: Vehicle | None = None) -> None:
-    """Raise ConfigError where a way that is made for hover is asked to judge a flight that is judged here. why: the sentence goes on;
-    vehicle: that was given, None: as the log says."""
+    """Raise ConfigError where a method made for hover is applied to a flight that does not. why: end of the sentence; vehicle: as given,
+    None: as the log names it."""
     if (
         flown_by_rates(flight)
         or min((flight[n].rate_hz for n in ("motors", "gyro") if flight.has(n)), default=0.0) >= LEAST_HZ
@@ -130,7 +125,7 @@ def decline(flight: Flight, why: str, vehicle: Vehicle | None = None) -> None:
 
 
 def lacks(flight: Flight) -> tuple[str, ...]:
-    """What the log of such a vehicle lacks without which nothing can be judged, a sentence; empty where it lacks nothing."""
+    """Sentences on signals that such a flight's log lacks and that the analysis needs; empty where it lacks none."""
     if flight.angular_rate() is not None:
         return ()
     return (
@@ -140,7 +135,7 @@ def lacks(flight: Flight) -> tuple[str, ...]:
 
 
 def learning(known: Blocks) -> int:
-    """How many of the blocks of a whole flight are learned from."""
+    """Number of blocks at the beginning of a whole flight from which trim and scatter are learned."""
     return min(LEARN, max(LEARN_LEAST, len(known.end) // 2))
 
 
@@ -149,22 +144,22 @@ def examine(known: Blocks, B: np.ndarray, variance: np.ndarray, weak: list[Weak]
     z, T = known.missing, known.thrust
     K, n = T.shape
     precision = _precision(z, variance)
-    shape = B[:3].T[None, :, :] * T[:, :, None]  # (K, n, 3): what a loss of all of a rotor takes
-    # Trim and slope of each axis, and what is known to be weak, are fitted with every loss.
+    shape = B[:3].T[None, :, :] * T[:, :, None]  # (K, n, 3): torque lost with the whole rotor
+    # Trim and slope of each axis, and the known losses, are fitted with every hypothesis.
     total = T.sum(axis=1) - T.sum(axis=1).mean()
     X = np.zeros((K, 3, 6 + len(weak)))
     for a in range(3):
         X[:, a, 2 * a], X[:, a, 2 * a + 1] = 1.0, total
-    for m, one in enumerate(weak):
-        X[one.onset : one.end, :, 6 + m] = shape[one.onset : one.end, one.rotor]
-    own = np.r_[[1e-3] * 6, np.full(len(weak), 1.0 / LOSS_SD**2)]
-    Q = np.linalg.inv(np.einsum("kaq,ka,kap->qp", X, precision, X) + np.diag(own))
+    for m, past in enumerate(weak):
+        X[past.onset : past.end, :, 6 + m] = shape[past.onset : past.end, past.rotor]
+    prior_precision = np.r_[[1e-3] * 6, np.full(len(weak), 1.0 / LOSS_SD**2)]
+    Q = np.linalg.inv(np.einsum("kaq,ka,kap->qp", X, precision, X) + np.diag(prior_precision))
     fitted = Q @ np.einsum("kaq,ka,ka->q", X, precision, z)
 
     def since(x: np.ndarray) -> np.ndarray:
         return np.cumsum(x[::-1], axis=0)[::-1]
 
-    # Of a signature from block j on: information and moment, what the nuisances explain taken out.
+    # Information and moment of a signature from block j on, with the nuisance parameters projected out.
     weighted = precision[:, None, :] * shape
     left = z - X @ fitted
     information = since(np.einsum("kia,kia->ki", weighted, shape))
@@ -172,8 +167,8 @@ def examine(known: Blocks, B: np.ndarray, variance: np.ndarray, weak: list[Weak]
     information -= np.einsum("kiq,qp,kip->ki", crossed, Q, crossed)
     moment = since(np.einsum("kia,ka->ki", weighted, left))
     ratio, size = _ratio(moment, information, LOSS_SD)
-    active = {one.rotor for one in weak if one.end is None}
-    for i in range(n):  # of a weak rotor only that it works again
+    active = {past.rotor for past in weak if past.end is None}
+    for i in range(n):  # for a weak rotor, the hypothesis is recovery
         wrong = size[:, i] > 0.0 if i in active else size[:, i] < 0.0
         ratio[wrong, i] = np.minimum(ratio[wrong, i], -5.0)
     steps = since(precision)
@@ -188,9 +183,9 @@ def examine(known: Blocks, B: np.ndarray, variance: np.ndarray, weak: list[Weak]
     statistic = min(fault - limit, fault - float(np.logaddexp.reduce(other)) - hypotheses.CLEAR)
     rotor = int(np.argmax(each))
     loss, sd = np.zeros(n), np.zeros(n)
-    for m, one in enumerate(weak):
-        if one.end is None:
-            loss[one.rotor], sd[one.rotor] = np.clip(fitted[6 + m], 0.0, 1.0), np.sqrt(Q[6 + m, 6 + m])
+    for m, past in enumerate(weak):
+        if past.end is None:
+            loss[past.rotor], sd[past.rotor] = np.clip(fitted[6 + m], 0.0, 1.0), np.sqrt(Q[6 + m, 6 + m])
     share = np.exp(each - each.max())
     onset = first + int(np.argmax(ratio[:, rotor]))
     return Look(statistic, rotor, onset, share / share.sum(), loss, sd, _most(moment, information))
@@ -205,7 +200,7 @@ def _most(moment: np.ndarray, information: np.ndarray) -> np.ndarray:
 
 
 def scatter(known: Blocks) -> np.ndarray:
-    """(3,) variance of the noise of a block: of neighbours' differences, which steps do not widen, and what is expected."""
+    """(3,) noise variance of a block, from differences of neighbours, which steps do not widen, and a prior."""
     change = np.diff(known.missing, axis=0)
     seen = (1.4826 * median(np.abs(change), axis=0)) ** 2 / (2.0 * (1.0 - ALIKE)) if len(change) else np.zeros(3)
     expected = (np.array(SCATTER) * known.thrust.mean()) ** 2
@@ -213,7 +208,7 @@ def scatter(known: Blocks) -> np.ndarray:
 
 
 def _precision(z: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """(K, 3) weight of each block and axis: less for what lies far out."""
+    """(K, 3) weight of each block and axis; less for outliers."""
     far = ((z - median(z, axis=0)) ** 2 / variance).max(axis=1)
     return np.minimum(1.0, OUTLIER**2 / np.maximum(far, 1e-9))[:, None] / (variance * (1.0 + ALIKE) / (1.0 - ALIKE))
 
@@ -225,8 +220,8 @@ def _ratio(moment: np.ndarray, information: np.ndarray, sd: float) -> tuple[np.n
 
 
 def estimate(flight: Flight, vehicle: Vehicle, air: Spans, table: Ticks) -> tuple[Ticks, TickOutput]:
-    """The ticks `table` as they count here, and what is left behind on them, in the default estimator's form. Where the flight is too
-    short, or its motion does not answer its outputs, nothing is judged."""
+    """The ticks `table` as used here, and the outputs at them, in the default estimator's form. Where the flight is too short, or its
+    motion does not respond to its outputs, no tick is judged."""
     B = vehicle.effectiveness()
     out, seen = blank(len(table.time), list_hypotheses(B.shape[1])), respond(flight, vehicle, air)
     out.statistic[:], out.detectable[:] = NOTHING, 1.0 / WITHIN_95
@@ -239,7 +234,7 @@ def estimate(flight: Flight, vehicle: Vehicle, air: Spans, table: Ticks) -> tupl
 
 
 def _observed(table: Ticks, air: Spans, since: float) -> Ticks:
-    """Whatever the attitude and the rates, without knocks and thrust; judged from `since` s on."""
+    """The ticks whatever the attitude and rates, without knocks and thrust; judged from `since` s on."""
     mode = np.full(len(table.time), GROUND, np.int32)
     for start, end in air:
         mode[(table.time >= start) & (table.time <= end)] = LEARNING
@@ -250,7 +245,7 @@ def _observed(table: Ticks, air: Spans, since: float) -> Ticks:
 
 
 def _follow(out: TickOutput, known: Blocks, table: Ticks, B: np.ndarray, learn: int) -> None:
-    """Block by block; what is known goes on over landings."""
+    """Examine block by block; known losses carry over landings."""
     weak: list[Weak] = []
     variance = scatter(known)
     for k in range(learn, len(known.end)):
@@ -259,29 +254,29 @@ def _follow(out: TickOutput, known: Blocks, table: Ticks, B: np.ndarray, learn: 
         now = examine(so_far, B, variance, weak, learn)
         out.statistic[first:] = now.statistic
         if now.statistic > 0.0 and first < len(table.time):
-            active = {one.rotor for one in weak if one.end is None}
-            over = [one for one in weak if one.end is None and one.rotor == now.rotor]
-            weak = [one for one in weak if one not in over]
-            weak += [one._replace(end=now.onset) for one in over] or [Weak(now.rotor, now.onset)]
+            active = {fault.rotor for fault in weak if fault.end is None}
+            over = [fault for fault in weak if fault.end is None and fault.rotor == now.rotor]
+            weak = [fault for fault in weak if fault not in over]
+            weak += [fault._replace(end=now.onset) for fault in over] or [Weak(now.rotor, now.onset)]
             age = np.searchsorted(table.command_time, (known.end[k], known.start[now.onset]))
             _announce(out, first, now, active, float(age[0] - age[1]))
             now = examine(so_far, B, variance, weak, learn)
         out.theta[first:], out.detectable[first:] = now.loss, now.most / WITHIN_95
         out.theta_sd[first:] = np.sqrt(now.sd**2 + (CURVE_SD * now.loss * (1.0 - now.loss)) ** 2)
-    for k in np.flatnonzero(table.restart):  # what is still weak at a take-off is said again of that flight
+    for k in np.flatnonzero(table.restart):  # losses that still last at a take-off are announced again for that flight
         if out.active[k, 0].any():
             out.announced[k], out.onsets[k:] = True, np.arange(len(table.time) - k)[:, None]
 
 
 def _announce(out: TickOutput, first: int, now: Look, active: set[int], age: float) -> None:
-    """A rotor fails, or one of the `active` ones works again, `age` ticks before the tick `first`."""
+    """Write that a rotor fails, or that one of the `active` ones works again, `age` ticks before the tick `first`."""
     rows = slice(first, None)
     sets, share = [active ^ {now.rotor}], [now.share[now.rotor]]
-    if now.rotor not in active:  # which other rotor it may have been instead
+    if now.rotor not in active:  # the alternatives to this rotor
         others = [int(i) for i in np.argsort(-now.share) if i != now.rotor and i not in active][: PLACES - 1]
         sets, share = [*sets, *(active | {i} for i in others)], [*share, *now.share[others]]
     out.announced[first], out.best[rows] = True, now.rotor
-    out.probability[rows] = 0.0  # of two at once nothing is asked
+    out.probability[rows] = 0.0  # simultaneous losses of two rotors are not tested
     out.probability[rows, : now.share.size] = now.share
     out.active[rows], out.share[rows] = False, 0.0
     for place, (rotors, p) in enumerate(zip(sets, share)):

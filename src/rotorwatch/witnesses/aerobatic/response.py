@@ -1,10 +1,10 @@
-"""What commands do to the angular acceleration of a vehicle that never hovers, and what of it is missing.
+"""Response of angular acceleration to commands, for a vehicle that never hovers, and the residual torque.
 
     d omega_a / dt = k_a sum_i B_ai T_i + d_a omega_a + c_a omega_b omega_c + trim,       T_i = lag(f(u_i))
 
 k_a: gain [rad/s^2 for the full thrust of a rotor on the longest arm]; d_a: damping; c_a: gyroscopic coupling; B: effectiveness of the
-airframe; f: thrust curve; lag: of first order, the motor's. All are fitted to the flight: rates change in a tenth of a second by what the
-rotors do, trim and air take longer, so only what is faster than a second is fitted.
+airframe; f: thrust curve; lag: first order, the motor's. All are fitted to the flight. Rotors change the rates within a tenth of a second,
+trim and air more slowly, so only what is faster than a second is fitted.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.stats import huber
 
 WINDOW_S = 0.02
-FAST_S = 1.0  # slower than that is trim and air
+FAST_S = 1.0  # slower changes are trim and air
 LAGS_S = (0.01, 0.015, 0.02, 0.03, 0.04, 0.06)
 OTHERS = ((1, 2), (0, 2), (0, 1))
 EDGE_S = 1.0  # after lift-off and before landing: the ground is near
@@ -31,10 +31,9 @@ LEAST = 250  # windows
 class Response(NamedTuple):
     """K windows of 20 ms.
 
-    time (K,) s, of their ends; thrust (K, n): share of full thrust, lagged; missing (K, 3): roll, pitch and yaw torque that the motion
-    lacks [full thrusts of a rotor on the longest arm], with trim; rate (K, 3) rad/s; flies (K,) bool. lag_s: of the motors; gain,
-    damping, coupling (3,).
-    """
+    time (K,) s, of their ends; thrust (K, n): share of full thrust, lagged; missing (K, 3): residual roll, pitch and yaw torque [full
+    thrusts of a rotor on the longest arm], with trim; rate (K, 3) rad/s; flies (K,) bool. lag_s: of the motors; gain, damping, coupling
+    (3,)."""
 
     time: np.ndarray
     thrust: np.ndarray
@@ -48,7 +47,7 @@ class Response(NamedTuple):
 
 
 def respond(flight: Flight, vehicle: Vehicle, air: Spans) -> Response | None:
-    """The response of a flight's angular motion to its outputs; None where it flew too little, or an axis does not answer."""
+    """The response of a flight's angular motion to its outputs; None where it flew too little, or an axis does not respond."""
     thrusts, gyro = motor_thrusts(flight, vehicle), flight.angular_rate()
     known = thrusts.whole
     if known.sum() < LEAST or gyro is None or gyro.whole.sum() < LEAST:
@@ -84,8 +83,8 @@ def _valid(time: np.ndarray, values: np.ndarray, valid: np.ndarray) -> tuple[np.
 
 
 def _lagged(share: np.ndarray, dt: float, lags: Sequence[float]) -> Iterator[np.ndarray]:
-    """Thrusts (N, n) that follow their commands, dt s apart, with each lag of first order: the filter's response at each frequency."""
-    size = 1 << (2 * len(share) - 1).bit_length()  # a prime number of samples takes ten times as long
+    """Thrusts (N, n) that follow commands dt s apart with each first-order lag, by the filter's frequency response."""
+    size = 1 << (2 * len(share) - 1).bit_length()  # a prime length takes ten times as long
     spectrum, turn = np.fft.rfft(share, size, axis=0), 2j * np.pi * np.fft.rfftfreq(size, dt)
     for lag in lags:
         yield np.fft.irfft(spectrum / (1.0 + turn * lag)[:, None], size, axis=0)[: len(share)]
@@ -98,14 +97,14 @@ def _means(x: np.ndarray, edges: np.ndarray) -> np.ndarray:
 
 
 def _smooth(x: np.ndarray) -> np.ndarray:
-    """As `_derivative` smooths the motion: neighbours count half."""
+    """The smoothing that `_derivative` applies to the motion: neighbours count half."""
     out = x.copy()
     out[1:-1] = 0.25 * x[:-2] + 0.5 * x[1:-1] + 0.25 * x[2:]
     return out
 
 
 def _derivative(rate: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Angular acceleration and rate (K, 3) of windows: of rates (N, 3) averaged over a window about each edge."""
+    """Angular acceleration and rate (K, 3) of windows, from rates (N, 3) averaged over a window about each edge."""
     half = max(1, int(median(np.diff(edges))) // 2)
     total = np.concatenate([np.zeros((1, 3)), np.cumsum(rate, axis=0)])
     low, high = np.clip(edges - half, 0, len(rate) - 1), np.clip(edges + half, 1, len(rate))
@@ -123,7 +122,7 @@ def _fast(x: np.ndarray) -> np.ndarray:
 
 
 def _fit(torque: np.ndarray, turning: np.ndarray, motion: np.ndarray, axis: int, flies: np.ndarray):
-    """((gain, damping, coupling), scale of what is left) of one axis."""
+    """((gain, damping, coupling), scale of the residual) of one axis."""
     i, j = OTHERS[axis]
     X = _fast(np.column_stack([torque, motion[:, axis], motion[:, i] * motion[:, j]]))[flies]
     fit = huber.regression(X, _fast(turning)[flies])

@@ -1,10 +1,10 @@
-"""The ESC consistency check: what logged speeds and currents say about a loss of thrust, and about motors that change without one.
+"""The ESC consistency check: logged speeds and currents on a loss of thrust, and on motors that change without one.
 
-telemetry.py    what can be believed of the log's records
-ratios.py       the mathematics: lost speed, lost propeller, current; the cause by their probabilities
-evidence.py     what of it stands in the answer
+telemetry.py    which telemetry records are usable
+ratios.py       the mathematics: loss of speed, loss of the propeller, current; probabilities of the causes
+evidence.py     the form of the result in the answer
 stopped.py      rotors that stopped, or lost their propeller
-watch.py        motors that became slow or hungry without a loss
+watch.py        motors that became slow or draw more current without a loss
 consistency.py  all of that for the events of a flight; without ESC telemetry they stay unchanged
 """
 

@@ -1,7 +1,7 @@
-"""The ESC consistency check: each loss of effectiveness gets its cause, as far as the ESCs of its rotors show it; and motors to look at.
+"""The ESC consistency check: the cause of each loss of effectiveness, as far as ESC telemetry shows it; and motors to inspect.
 
-Before an onset the rotors were healthy and teach the laws of ratios.py; the last seconds of the loss are held against them. This is said
-after the flight: a cause uses what came after the announcement, the announcement itself does not.
+Before an onset the rotors were healthy: the laws of ratios.py are fitted there and compared with the last seconds of the loss. This runs
+after the flight: a cause uses data from after the announcement, the announcement itself does not.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.witnesses.esc import evidence, ratios, stopped, telemetry, watch
 from rotorwatch.witnesses.esc.telemetry import Binned
 
-CLEAR_S = 1.0  # before an onset: it is known no better
-RESPONSE_S = 0.5  # after it: controllers and motors answer
-USED_S = 10.0  # how much of a loss is heard, its last
+CLEAR_S = 1.0  # uncertainty of an onset: left out before it
+RESPONSE_S = 0.5  # after it, while controllers and motors respond
+USED_S = 10.0  # the last part of a loss that is used
 LEARNED_S = 60.0  # of healthy flight, the last before the onset
-TAKE_OFF_S = 2.0  # spool-up and ground effect are no usual flight
-DOWN_S = 1.0  # nor is the last second before the ground
+TAKE_OFF_S = 2.0  # spool-up and ground effect are left out
+DOWN_S = 1.0  # and the last second before touch-down
 NOTABLE_V = 0.3
-LOADED = 0.1  # of its usual current: a rotor that needs less tells nothing by what it draws
+LOADED = 0.1  # of its usual current: below, a rotor's current is no evidence
 
 
 def check(
     flight: Flight, vehicle: Vehicle, air: allocation.Spans, table: Ticks, events: Sequence[Event]
 ) -> tuple[tuple[Event, ...], tuple[str, ...]]:
-    """(events of a flight with the causes that its ESC telemetry shows, and events that it alone shows, in order of announcement; what of
-    the telemetry cannot be used). Events are unchanged where the log has none."""
+    """(events with the causes that ESC telemetry shows, and events that it alone shows, in order of announcement; sentences on unusable
+    telemetry). Events are unchanged where the log has none."""
     events = tuple(events)
     if "esc" not in flight.signals:
         return events, ()
@@ -50,9 +50,9 @@ def check(
     # A loss of known rotors, whose cause is not known yet.
     open_ = [e.means.weakens and not e.alternatives and "cause" not in e.extra for e in events]
     out = [_with_cause(e, bins, calm, healthy, air) if ask else e for e, ask in zip(events, open_)]
-    # Once a rotor is weak the others work elsewhere than where their laws were learned.
-    found, more = watch.examine(bins, calm & healthy.all(axis=1, keepdims=True))
-    return joined(out, found), (*notes, *stopped_notes, *more)
+    # Once a rotor is weak, the others work outside the range in which their laws were fitted.
+    changed, warnings = watch.examine(bins, calm & healthy.all(axis=1, keepdims=True))
+    return joined(out, changed), (*notes, *stopped_notes, *warnings)
 
 
 def _upset(bins: Binned, table: Ticks) -> np.ndarray:
@@ -60,7 +60,7 @@ def _upset(bins: Binned, table: Ticks) -> np.ndarray:
 
 
 def _calm(bins: Binned, table: Ticks, air) -> np.ndarray:
-    """(T, 1) bool: bins of usual flight: no take-off, no touch-down, no tumbling, no contact."""
+    """(T, 1) bool: bins of regular flight: no take-off, no touch-down, no tumbling, no contact."""
     tick = np.clip(np.searchsorted(table.time, bins.time), 0, len(table.time) - 1)
     fine = ~_upset(bins, table)
     if table.contact is not None:
@@ -84,14 +84,14 @@ def _healthy(bins: Binned, events: Sequence[Event]) -> np.ndarray:
 
 
 def _with_cause(event: Event, bins: Binned, calm: np.ndarray, healthy: np.ndarray, air) -> Event:
-    """The event with what its rotors' ESCs say, as it is where they say nothing."""
+    """The event with the evidence of its rotors' ESCs; unchanged where they show nothing."""
     undisturbed = calm[:, 0] & healthy.all(axis=1)
     before = undisturbed & (bins.time < event.onset_s - CLEAR_S)
     before &= np.cumsum(before[::-1])[::-1] <= LEARNED_S / telemetry.BIN_S
     end = event.end_s if event.end_s is not None else next((b for a, b in air if a <= event.onset_s <= b), np.inf)
     after = (bins.time > event.onset_s + RESPONSE_S) & (bins.time < end)
     tumbles = not (after & calm[:, 0]).any()
-    after &= calm[:, 0] | tumbles  # of a vehicle that tumbles at once what there is
+    after &= calm[:, 0] | tumbles  # where the vehicle tumbles at once, the bins there are
     after &= np.cumsum(after[::-1])[::-1] <= USED_S / telemetry.BIN_S
     if before.sum() < ratios.FEWEST or not after.any():
         return event
@@ -108,7 +108,9 @@ def _with_cause(event: Event, bins: Binned, calm: np.ndarray, healthy: np.ndarra
     sentence = "; ".join(in_words(t) for t in entries)
     event = replace(event, reason=f"{event.reason.removesuffix('.')}; {sentence}", extra=extra)
     stands = [t for t in entries if t["thrust_of_speed"] < ratios.STANDS]
-    if len(event.rotors) == 1 and stands:  # what stands pulls nothing, whatever a tumbling vehicle's motion says
+    if (
+        len(event.rotors) == 1 and stands
+    ):  # a stopped rotor gives no thrust, whatever the motion of a tumbling vehicle suggests
         event = replace(event, loss=(1.0,), interval=((stopped.LEAST_LOSS, 1.0),))
     return event
 
@@ -127,7 +129,7 @@ def learn(bins: Binned, before: np.ndarray) -> tuple[ratios.Law, ratios.Law | No
 
 
 def _entry(rotor: int, loss: float, interval: tuple[float, float], seen: ratios.Measured) -> dict:
-    """One rotor's testimony as it stands in the answer."""
+    """The evidence on one rotor, as it appears in the answer."""
     sd = max((interval[1] - interval[0]) / 3.92, 1e-3)
     share = ratios.causes(seen, loss, sd)
     best = max(share, key=lambda cause: share[cause])
@@ -138,7 +140,7 @@ def _entry(rotor: int, loss: float, interval: tuple[float, float], seen: ratios.
 
 
 def in_words(entry: dict) -> str:
-    """What an ESC reports, in words: 'ESC 3: it turns as commanded and draws 20 % less than ..., so the propeller (97 %)'."""
+    """An ESC's evidence in words: 'ESC 3: it turns as commanded and draws 20 % less than ..., so the propeller (97 %)'."""
     share = entry["thrust_of_speed"]
     high = 1.0 - entry["speed_loss_interval"][0]
     if share < ratios.STANDS:
@@ -149,8 +151,8 @@ def in_words(entry: dict) -> str:
         phrases = ["the motor turns as commanded"]
     draws = entry["current_ratio"]
     if draws is not None and abs(draws - 1.0) >= 0.1:
-        more = "more" if draws > 1.0 else "less"
-        phrases.append(f"draws {percent(abs(draws - 1.0))} {more} current than this speed needs")
+        direction = "more" if draws > 1.0 else "less"
+        phrases.append(f"draws {percent(abs(draws - 1.0))} {direction} current than this speed needs")
     drop = entry["supply_drop_V"]
     if drop is not None and drop > NOTABLE_V:
         phrases.append(f"its supply fell {drop:.1f} V below the others'")

@@ -1,4 +1,4 @@
-"""What ESCs say of a loss, as it stands in the answer: the part of the motor, the part of the propeller, and the cause."""
+"""ESC evidence on a loss, in the form of the answer: the part of the motor, the part of the propeller, and the cause."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ def entry(
     current_ratio: float | None = None,
     supply_drop_V: float | None = None,
 ) -> dict:
-    """One rotor in an event's `esc` (docs/json.md). parts: (loss, low, high) of "speed" and "propeller"."""
-    found: dict = {"rotor": rotor, "cause": cause, "causes": dict(causes)}
+    """An entry on one rotor in an event's `esc` (docs/json.md). parts: (loss, low, high) of "speed" and "propeller"."""
+    fields: dict = {"rotor": rotor, "cause": cause, "causes": dict(causes)}
     for part in ("speed", "propeller"):
         loss, low, high = parts[part]
-        found |= {f"{part}_loss": loss, f"{part}_loss_interval": (low, high)}
-    more = {"thrust_of_speed": thrust_of_speed, "current_ratio": current_ratio, "supply_drop_V": supply_drop_V}
-    return found | more
+        fields |= {f"{part}_loss": loss, f"{part}_loss_interval": (low, high)}
+    optional = {"thrust_of_speed": thrust_of_speed, "current_ratio": current_ratio, "supply_drop_V": supply_drop_V}
+    return fields | optional
 
 
 def loss(
@@ -53,8 +53,8 @@ def loss(
     current_ratio: float | None = None,
     source: Source = STANDS,
 ) -> Event:
-    """A loss of effectiveness that an ESC alone shows. size: likeliest, least and largest loss; shares: probability of each cause, in the
-    order of `ratios.PRIOR`; parts: as for `entry`; sentence: what the ESC shows, to follow "says that"."""
+    """A loss of effectiveness that an ESC alone shows. size: most likely, least and largest loss; shares: probability of each cause, in the
+    order of `ratios.PRIOR`; parts: as for `entry`; sentence: the evidence, to follow "says that"."""
     causes = dict(zip(ratios.PRIOR, shares, strict=True))
     cause = max(causes, key=lambda name: causes[name])
     reason = f"the ESC of {rotors([rotor])} shows that {sentence}so the cause is the {CAUSES[cause]}"

@@ -1,5 +1,5 @@
-"""The mathematics of the ESC consistency check: how far a rotor's speed and current are from what its command and the other rotors say, and
-what that means.
+"""The mathematics of the ESC consistency check: deviations of a rotor's speed and current from its command and the other rotors, and the
+causes that they imply.
 
 Thrust T of a propeller goes with its speed squared, T = k W^2, and the current of its motor with a power of the speed (torque goes with
 W^2, power with W^3; M. Drela, First-Order DC Electric Motor Model, MIT 2007). While rotor k is healthy its bins obey
@@ -7,20 +7,20 @@ W^2, power with W^3; M. Drela, First-Order DC Electric Motor Model, MIT 2007). W
     log W_k^2 = a_k + b log f_k + c,        log I_k = alpha_k + beta log W_k + gamma
 
 with f_k the commanded share of full thrust; a_k, alpha_k are the rotor's own; b and beta are common to all (1 and about 3 when the
-autopilot's thrust curve is right); c and gamma are common to all at that moment (battery, air density): the median over the other
-rotors. From that, for a time after an onset,
+autopilot's thrust curve is right); c and gamma are common to all at that moment (battery, air density): the median over the other rotors.
+From that, for a time after an onset,
 
     S = W_k^2 / commanded    1: the rotor turns as commanded     commanded: exp(a_k + b log f_k + c)
-    D = (I_k - expected) / I_healthy      0: it draws what such a speed needs          expected: exp(alpha_k + beta log W_k + gamma)
+    D = (I_k - expected) / I_healthy      0: the current fits the speed                expected: exp(alpha_k + beta log W_k + gamma)
 
-With theta the loss of effectiveness that commands and motion show, 1 - theta = S (1 - loss of the propeller). Causes predict
+With theta the loss of effectiveness by commands and motion, 1 - theta = S (1 - loss of the propeller). The causes predict
 
     propeller       S = 1 (a little more: less load), D = -g theta E,  E = expected / I_healthy: drag goes with thrust, mostly
     motor or ESC    S = 1 - theta, D = 0
     bearing         S = 1 - theta, D well above 0
     unknown         anything
 
-and Bayes' rule with Gaussian likelihoods, whose variances hold the flight's own scatter, gives their probabilities.
+and Bayes' rule with Gaussian likelihoods, whose variances include the flight's own scatter, gives their probabilities.
 """
 
 from __future__ import annotations
@@ -35,26 +35,26 @@ from rotorwatch.base.arrays import median
 PROPELLER, MOTOR, BEARING, UNKNOWN = "propeller", "motor_or_esc", "bearing", "unknown"
 PRIOR = {PROPELLER: 0.4, MOTOR: 0.3, BEARING: 0.15, UNKNOWN: 0.15}
 
-SPEED_POWER = (1.0, 0.3)  # b: mean and standard deviation before the flight is seen; a thrust curve may be wrong
+SPEED_POWER = (1.0, 0.3)  # b: prior mean and sd; the thrust curve may be wrong
 CURRENT_POWER = (2.9, 0.4)  # beta
-# No model is better than this: speed ratio, and difference of currents in healthy currents.
+# Model error: of the speed ratio, and of the current difference in healthy currents.
 MODEL_S, MODEL_D = 0.01, 0.04
 LEAST_POWER_SD = 0.05
-# Share by which W^2 lags behind the commands of a vehicle that tumbles: they swing faster than rotors follow.
+# Relative lag of W^2 behind the commands of a tumbling vehicle, which change faster than rotors follow.
 SWING = 0.3
 FEWEST = 10  # bins that a rotor's healthy part needs
-UNLOADED, UNLOADED_SD = 0.05, 0.05  # share of the lost thrust that a lighter propeller turns faster by, in W^2
-DRAG, DRAG_SD = 0.7, 0.4  # share of lost thrust that is lost drag too
-MOTOR_D_SD = 0.1  # a sick motor may be less efficient
+UNLOADED, UNLOADED_SD = 0.05, 0.05  # speed-up of an unloaded propeller, in W^2, per lost thrust
+DRAG, DRAG_SD = 0.7, 0.4  # lost drag per lost thrust
+MOTOR_D_SD = 0.1  # a failing motor may be less efficient
 BEARING_D, BEARING_D_SD = 0.45, 0.25
 ANY_S, ANY_D = 0.15, 0.6
-THETA_SD = 0.15  # share of the loss by which commands and motion may be off: a thrust curve that is assumed, a flight that is short
+THETA_SD = 0.15  # relative error of the loss by commands and motion: assumed thrust curve, short flight
 STANDS = 0.05
 
 
 class Law(NamedTuple):
-    """log y_k = own_k + power x_k + common, learned from healthy bins. own (n,); power, power_sd; known (n,) bool: rotors it holds for;
-    scatter (n,): standard deviation of a bin about it; memory (n,): correlation of neighbouring bins."""
+    """log y_k = own_k + power x_k + common, fitted to healthy bins. own (n,); power, power_sd; known (n,) bool: rotors with a fit; scatter
+    (n,): standard deviation of a bin about it; memory (n,): correlation of neighbouring bins."""
 
     own: np.ndarray
     power: float
@@ -65,10 +65,9 @@ class Law(NamedTuple):
 
 
 def learn(y: np.ndarray, x: np.ndarray, known: np.ndarray, prior: tuple[float, float]) -> Law:
-    """The law of healthy bins: y, x, known (T, n), known False where there is none; prior: mean and sd of the power.
+    """Fit the law to healthy bins: y, x, known (T, n), known False where there is none; prior: mean and sd of the power.
 
-    The power is learned from changes between neighbouring bins, which slow changes of what is common do not touch.
-    """
+    The power is fitted to changes between neighbouring bins, which slow common changes do not affect."""
     both = known[1:] & known[:-1]
     dy, dx = (np.diff(v, axis=0)[both] for v in (y, x))
     mean, sd = prior
@@ -82,28 +81,27 @@ def learn(y: np.ndarray, x: np.ndarray, known: np.ndarray, prior: tuple[float, f
         power_sd = max(precision**-0.5, LEAST_POWER_SD)
     enough = known.sum(axis=0) >= FEWEST
     level = np.where(known, y - power * x, 0.0)
-    own = np.array([median(level[k, i]) if k.any() else 0.0 for i, k in enumerate(known.T)])
-    law = Law(own, float(power), float(power_sd), enough, np.full(own.size, 0.1), np.zeros(own.size))
+    levels = np.array([median(level[k, i]) if k.any() else 0.0 for i, k in enumerate(known.T)])
+    law = Law(levels, float(power), float(power_sd), enough, np.full(levels.size, 0.1), np.zeros(levels.size))
     rest, there = residual(law, y, x, known)
-    scatter, memory = np.full(own.size, 0.1), np.zeros(own.size)
+    scatter, memory = np.full(levels.size, 0.1), np.zeros(levels.size)
     for k in np.flatnonzero(enough):
         at = there[:, k]
         r = rest[at, k]
         if r.size >= FEWEST:
             r = r - median(r)
-            own[k] += float(median(rest[at, k]))
+            levels[k] += float(median(rest[at, k]))
             spread = max(float(median(np.abs(r)) / 0.6745), 0.3 * float(np.std(r)), 1e-4)
             scatter[k] = spread
             r = np.clip(r, -4.0 * spread, 4.0 * spread)
             memory[k] = np.clip(float(r[1:] @ r[:-1]) / max(float(r @ r), 1e-12), 0.0, 0.95)
-    return Law(own, float(power), float(power_sd), enough, scatter, memory)
+    return Law(levels, float(power), float(power_sd), enough, scatter, memory)
 
 
 def residual(law: Law, y: np.ndarray, x: np.ndarray, known: np.ndarray, healthy: np.ndarray | None = None):
-    """(rest (T, n), there (T, n) bool): y of each rotor less its law and less the median of the other rotors' rest in the same bin.
+    """(rest (T, n), there (T, n) bool): y of each rotor less its law and less the median residual of the other rotors in the same bin.
 
-    healthy (T, n) bool: rotors that may stand for what is common; all where None.
-    """
+    healthy (T, n) bool: rotors used for the common part; all where None."""
     rest = y - law.own - law.power * x
     good = known & law.known
     reference = good if healthy is None else good & healthy
@@ -130,9 +128,8 @@ def _noise(law: Law, k: int, *counts: int) -> float:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Measured:
-    """What a rotor's telemetry says of a time after an onset. speed_ratio: S and its sd. current_change: D and its sd, None without
-    currents. load: E.
-    count: bins. volts: V by which its ESC's supply is below the others', compared with before; None where not measured."""
+    """A rotor's telemetry in a time after an onset. speed_ratio: S and its sd; current_change: D and its sd, None without currents; load:
+    E; count: bins; volts: V by which its supply fell relative to the others', None where not measured."""
 
     speed_ratio: tuple[float, float]
     current_change: tuple[float, float] | None
@@ -144,7 +141,7 @@ class Measured:
 def causes(seen: Measured, theta: float, theta_sd: float) -> dict[str, float]:
     """Probability of each cause of a loss theta (0..1) with standard deviation theta_sd; they sum to 1."""
     S, S_sd = seen.speed_ratio
-    if S < STANDS:  # a rotor that stands has lost all, whatever the motion shows so far
+    if S < STANDS:  # a stopped rotor has lost all thrust, whatever the motion shows so far
         theta = max(theta, 1.0 - S)
     theta_sd = float(np.hypot(theta_sd, THETA_SD * theta))
     means = {
@@ -178,7 +175,7 @@ def gaussian(value: float, mean: float, sd: float) -> float:
 
 
 def parts(seen: Measured, theta: float, theta_sd: float) -> dict[str, tuple[float, float, float]]:
-    """Loss of speed and loss of the propeller, which make theta together, each with its 95 % interval: (loss, low, high), in 0..1."""
+    """Loss of speed and loss of the propeller, which together make theta, each with its 95 % interval: (loss, low, high), in 0..1."""
     S, S_sd = seen.speed_ratio
     speed_share = max(S, 0.05)
     propeller = 1.0 - (1.0 - theta) / speed_share
@@ -200,15 +197,14 @@ def measure(
     healthy: np.ndarray,
     swings: bool = False,
 ) -> Measured | None:
-    """What rotor k (from 0) says of the bins `after`, compared with those `before` (T,) bool; None where there are too few of either.
+    """Telemetry of rotor k (from 0) in the bins `after`, relative to those `before` (T,) bool; None where there are too few of either.
 
-    laws: of speed and of current, learned from `before`; bins: `telemetry.Binned`; healthy (T, n): which rotors may stand for the
-    others; swings: whether the vehicle tumbles in `after`.
-    """
+    laws: of speed and of current, fitted to `before`; bins: `telemetry.Binned`; healthy (T, n): rotors used for the common part; swings:
+    whether the vehicle tumbles in `after`."""
     speed, current = laws
     y, x = log_power(bins), np.log(bins.thrust)
     known = bins.known
-    # A rotor that stands has no logarithm: its rest counts as that of a tiny speed, and S as 0.
+    # The logarithm of a stopped rotor's speed is that of a tiny one, and S is 0.
     rest, there = residual(speed, y, x, known, healthy)
     b, a = before & there[:, k], after & there[:, k]
     if b.sum() < FEWEST or not a.any() or not speed.known[k]:
@@ -230,7 +226,7 @@ def measure(
         return Measured((S, S_sd), None, 1.0, count, volts)
     usual = float(np.mean(bins.current[b2, k]))
     expected = bins.current[:, k] * np.exp(-np.clip(rest[:, k], -12.0, 12.0))
-    # Standing, it needs no current.
+    # A stopped rotor needs no current.
     draws = np.concatenate([(bins.current[a2, k] - expected[a2]), bins.current[stopped, k]]) / usual
     load = float(np.mean(np.concatenate([expected[a2], np.zeros(int(stopped.sum()))])) / usual)
     noise = _noise(current, k, draws.size, int(b2.sum()))
@@ -241,12 +237,12 @@ def measure(
 
 
 def log_power(bins) -> np.ndarray:
-    """(T, n) log W^2; of a rotor that stands that of a speed far below any."""
+    """(T, n) log W^2; of a stopped rotor, that of a speed far below any."""
     return np.log(np.maximum(bins.power, 1e-2))
 
 
 def _reach(x: np.ndarray, a: np.ndarray, b: np.ndarray, k: int) -> float:
-    """How far the law is stretched: change of x of rotor k from b to a, against the other rotors' median change."""
+    """Extrapolation of the law: change of x of rotor k from b to a, relative to the other rotors' median change."""
     change = x[a].mean(axis=0) - x[b].mean(axis=0)
     return float(change[k] - median(np.delete(change, k)))
 

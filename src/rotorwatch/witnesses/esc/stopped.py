@@ -1,10 +1,10 @@
-"""A rotor that stands though it is commanded to turn, or turns without load, until the vehicle is down: seen by its ESC alone.
+"""Rotors that stop though they are commanded to turn, or turn without load, until the vehicle is down: by ESC telemetry alone.
 
-A quadrotor without one rotor tumbles within half a second, and commands and motion of a tumbling vehicle are evidence of nothing. Its ESC
-needs two reports. A dead motor reports speed 0. A motor without its propeller turns, but draws next to nothing: current over speed to
-the power that the propeller's load goes with falls to a fraction of what it was.
+A quadrotor without one rotor tumbles within half a second, and the motion of a tumbling vehicle is no evidence. Its ESC needs two reports.
+A dead motor reports speed 0. A motor without its propeller turns but draws almost no current: current over the speed's power for the
+propeller's load falls to a fraction.
 
-A vehicle that flies on upright with a rotor that is said to stand, and no loss found, has wrong telemetry.
+Where the vehicle flies on upright with a rotor reported as stopped, and no loss was found, the telemetry is wrong.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ USUAL = 0.75
 STANDS = 0.2  # of its usual speed
 COMMANDED = 0.5  # of its usual command
 OTHERS_TURN = 0.4  # of their usual speed
-TURNS, UNLOADED = 0.6, 0.35  # of its usual speed; of the current that such a speed usually takes
+TURNS, UNLOADED = 0.6, 0.35  # of its usual speed; of the usual current at that speed
 REPORTS, UNLOADED_REPORTS, UNLOADED_S = 2, 3, 0.5
 DOWN_S = 0.4  # before the end of the flight: propellers stop in the ground
 FLIES_ON_S = 3.0
@@ -32,7 +32,7 @@ LEAST_LOSS, LEAST_UNLOADED = 0.95, 0.6
 
 
 def find(bins: Binned, events: Sequence[Event], air, upset: np.ndarray) -> tuple[tuple[Event, ...], list[str]]:
-    """(losses of rotors that stand or have no load, warnings). upset (T,) bool: bins in which the vehicle tumbles."""
+    """(losses of rotors that are stopped or have no load, warnings). upset (T,) bool: bins in which the vehicle tumbles."""
     out, warnings = [], []
     for start, end in air:
         inside = (bins.report_time > start) & (bins.report_time < end)
@@ -75,10 +75,9 @@ def find(bins: Binned, events: Sequence[Event], air, upset: np.ndarray) -> tuple
 
 
 def _last(at: np.ndarray, bad: np.ndarray, commanded: np.ndarray, reports: int) -> tuple[int, int, int] | None:
-    """(report before, first report, report with which it is known) of the stretch of bad reports that lasts to the end; None without one.
+    """(report before, first report, report that makes it certain) of the stretch of bad reports that lasts to the end; None without one.
 
-    The rotor must be commanded to turn in `reports` of them. A stretch that ends is a gap of the telemetry.
-    """
+    The rotor must be commanded to turn in `reports` of them. A stretch that ends is a gap of the telemetry."""
     if not bad.any() or bad.all() or not bad[-1]:
         return None
     first = at.size - int(np.argmin(bad[::-1]))
@@ -87,13 +86,13 @@ def _last(at: np.ndarray, bad: np.ndarray, commanded: np.ndarray, reports: int) 
 
 
 def _times(bins: Binned, spell: tuple[int, int, int]) -> tuple[float, float]:
-    """(onset, when it was known) s."""
+    """(onset, time at which it was certain) s."""
     before, first, known = (float(bins.report_time[i]) for i in spell)
     return 0.5 * (before + first), known
 
 
 def _usual(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """(n,) upper quartile of the valid values (m, n): of a flight most of which may be flown without the rotor; 0 without any."""
+    """(n,) upper quartile of the valid values (m, n), as most of a flight may be flown without the rotor; 0 without any."""
     return np.array([np.quantile(v[ok], USUAL) if ok.any() else 0.0 for v, ok in zip(values.T, valid.T)])
 
 

@@ -1,8 +1,8 @@
-"""What can be believed of a flight's ESC telemetry, in bins: frozen, silent, shifted and mixed-up records are found by the commands.
+"""Usable ESC telemetry of a flight, in bins: frozen, silent, shifted and mixed-up records are found by comparison with the commands.
 
-A rotor's command says when its speed must have changed. So telemetry that stands still to the last bit while the command moves is frozen;
-one that follows the commands only when it is shifted in time has another clock; one that follows another rotor's command has the
-wrong number. What never leaves 0 in flight is not connected.
+A rotor's command tells when its speed must have changed. Telemetry that stays the same to the last bit while the command moves is frozen;
+telemetry that follows the commands only with a shift in time has another clock; telemetry that follows another rotor's command has the
+wrong number. A value that never leaves 0 in flight is not connected.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from rotorwatch.flight import Flight, Signal
 from rotorwatch.stats.nonnegative import best_total
 
 BIN_S = 0.5
-LEAST_SHARE = 0.03  # of full thrust: less is no command to compare with
+LEAST_SHARE = 0.03  # of full thrust: smaller commands are not compared
 FROZEN_S, FROZEN_SAMPLES = 2.0, 5
 # Relative change, and steps of the telemetry's resolution, that a command must have changed by.
 FROZEN_CHANGE, FROZEN_STEPS = 0.02, 4.0
 SPEED_POWER, CURRENT_POWER = 0.5, 1.5  # of thrust
-MOSTLY = 0.5  # share of the time in the air of which telemetry must be usable
+MOSTLY = 0.5  # share of the time in the air for which telemetry must be usable
 GRID_S, SHIFT_MOST_S, SHIFT_LEAST_S = 0.1, 5.0, 0.45
-SHIFT_FIT, SHIFT_BETTER = 0.6, 0.2  # correlation that counts, and by how much it must be better
+SHIFT_FIT, SHIFT_BETTER = 0.6, 0.2  # least correlation of a shift, and least gain over none
 ORDER_FIT, ORDER_BETTER, ORDINARY = 0.6, 0.3, 0.25
 
 
@@ -37,8 +37,7 @@ class Binned(NamedTuple):
     current (T, n) [A], current_known; voltage (T, n) [V], voltage_known.
 
     The m reports that bins are made of: report_time (m,), speed (m, n) [rad/s] with speed_known, amps (m, n) [A] with amps_known, commanded
-    (m, n): share of full thrust when they were made. width: of a bin [s].
-    """
+    (m, n): share of full thrust when they were made. width: of a bin [s]."""
 
     time: np.ndarray
     thrust: np.ndarray
@@ -58,7 +57,7 @@ class Binned(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """One quantity of all rotors: values (m, n) with valid (m, n)."""
+    """A quantity of all rotors: values (m, n) with valid (m, n)."""
 
     values: np.ndarray
     valid: np.ndarray
@@ -74,10 +73,9 @@ def quantity(esc: Signal, name: str, rotors_: int) -> Quantity:
 
 
 def read(flight: Flight, thrust: Signal, air: allocation.Spans) -> tuple[Binned | None, list[str]]:
-    """(what can be used, sentences on what cannot); (None, ..) where nothing can, and (None, []) where the log has no telemetry.
+    """(usable telemetry, sentences on the rest); (None, ..) where nothing is usable, and (None, []) where the log has no telemetry.
 
-    thrust: commanded share of full thrust of each rotor, as `allocation.rotor_thrusts` has it. air: ((start, end), ...) s.
-    """
+    thrust: commanded share of full thrust of each rotor, from `allocation.rotor_thrusts`. air: ((start, end), ...) s."""
     if not flight.has("esc") or not air:
         return None, []
     esc, n = flight["esc"], thrust.values.shape[1]
@@ -113,7 +111,7 @@ def read(flight: Flight, thrust: Signal, air: allocation.Spans) -> tuple[Binned 
 
 
 def _reporting(speed: Quantity, inside, notes: list[str]) -> np.ndarray:
-    """(n,) bool: rotors whose speed is reported in the air, and not 0 all along. Says which are not."""
+    """(n,) bool: rotors whose speed is reported in the air, and is not always 0. Adds a note on the others."""
     n = speed.valid.shape[1]
     there = speed.valid[inside].mean(axis=0) > MOSTLY * speed.valid[inside].mean(axis=0).max(initial=0.0)
     there &= speed.valid[inside].any(axis=0)
@@ -133,16 +131,15 @@ def _reporting(speed: Quantity, inside, notes: list[str]) -> np.ndarray:
 
 
 def _ever_above_zero(current: Quantity, inside) -> np.ndarray:
-    """(n,) bool: currents that were not 0 all along, as those of ESCs without a sensor are."""
+    """(n,) bool: currents that were ever above 0; those of ESCs without a sensor never are."""
     return np.array([np.any(current.values[inside & v, k] > 0.0) for k, v in enumerate(current.valid.T)])
 
 
 def frozen(time, what: Quantity, commanded: np.ndarray, power: float, inside) -> np.ndarray:
     """(m, n) bool: samples in a stretch in which a value stays the same to the last bit though the command asks for a change.
 
-    time (m,); commanded (m, n): share of full thrust; power: that the quantity goes with the thrust. A stretch is at least FROZEN_S and
-    FROZEN_SAMPLES long. A value of 0 is a rotor that stands.
-    """
+    time (m,); commanded (m, n): share of full thrust; power: exponent of the quantity's dependence on thrust. A stretch is at least
+    FROZEN_S and FROZEN_SAMPLES long. A value of 0 is a stopped rotor."""
     still = np.zeros(what.valid.shape, bool)
     for k in range(what.valid.shape[1]):
         at = np.flatnonzero(what.valid[:, k] & inside)
@@ -177,7 +174,7 @@ def _note_frozen(time, still: np.ndarray, notes: list[str]) -> None:
 
 
 def _shifted(time, speed: Quantity, usable, thrust: Signal, notes: list[str]) -> np.ndarray | None:
-    """(n,) bool: rotors whose speed follows their command only shifted in time; None where that is unknown. Says by how much."""
+    """(n,) bool: rotors whose speed follows their command only with a shift in time, with a note; None where that is unknown."""
     start, end = max(time[0], thrust.time[0]), min(time[-1], thrust.time[-1])
     grid = np.arange(start, end, GRID_S)
     half = round(SHIFT_MOST_S / GRID_S)
@@ -200,7 +197,7 @@ def _shifted(time, speed: Quantity, usable, thrust: Signal, notes: list[str]) ->
         if fits[best] > SHIFT_FIT and fits[best] > near + SHIFT_BETTER:
             late[k] = True
             by.append(GRID_S * (best - half))
-    # ESCs report over one link: a rotor that alone seems shifted has stopped, or hit the ground.
+    # ESCs report over one link: a single rotor that seems shifted has stopped, or hit the ground.
     if np.count_nonzero(late) < max(2, 0.5 * np.count_nonzero(usable)):
         return None
     if late.any():
@@ -220,8 +217,8 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def _mixed_up(bins: Binned) -> bool:
-    """Whether speeds follow the commands in another order than their numbers say."""
-    # A rotor that stands, or has just stopped, follows no command.
+    """True if speeds follow the commands in another order than that of their numbers."""
+    # A stopped rotor follows no command.
     usual = np.quantile(np.where(bins.known, bins.power, 0.0), 0.75, axis=0)
     fine = (bins.known & (bins.thrust > LEAST_SHARE) & (bins.power > ORDINARY * usual)).all(axis=1)
     if fine.sum() < 20 or bins.known.shape[1] < 3:
@@ -231,9 +228,9 @@ def _mixed_up(bins: Binned) -> bool:
     changes = [np.clip(c, *(s * 5.0 * median(np.abs(c)) for s in (-1.0, 1.0))) for c in changes]
     w, f = (c - c.mean(axis=1, keepdims=True) for c in changes)
     fits = np.array([[_correlation(a, b) for b in f.T] for a in w.T])
-    own = float(np.mean(np.diag(fits)))
+    in_order = float(np.mean(np.diag(fits)))
     best = best_total(fits) / len(fits)
-    return best > ORDER_FIT and best > own + ORDER_BETTER
+    return best > ORDER_FIT and best > in_order + ORDER_BETTER
 
 
 def binned(time, speed: Quantity, current: Quantity, voltage: Quantity, thrust: Signal, air) -> Binned | None:

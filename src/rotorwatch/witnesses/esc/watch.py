@@ -1,14 +1,14 @@
-"""Motors that have become slow or hungry in flight though no loss of thrust was found, and propellers that have become light.
+"""Motors that become slow or draw more current in flight though no loss of thrust was found, and propellers that become light.
 
-A bearing draws more current long before it costs thrust. A propeller that lost its tip draws less at the same speed, and that shows in
-gusts that hide its loss of thrust.
+A bearing draws more current long before it costs thrust. A propeller without its tip draws less at the same speed, which shows in gusts
+that mask its loss of thrust.
 
-The rest of the laws of ratios.py, rotor by rotor, is averaged over blocks of BLOCK_S. A change at block j is the difference of the means
-after and before it, in units of its standard deviation, which the blocks' own changes from one to the next say (a step is in one
-of them only, and a median does not see it). It counts when it is large, lasts, is SIGMAS times what noise makes of it, and
-stands out of the changes of the other rotors at that time: flying fast loads front and rear differently, and that is no motor.
+The residual of the laws of ratios.py is averaged, rotor by rotor, over blocks of BLOCK_S. A change at block j is the difference of the
+means after and before it, in units of its standard deviation, which comes from the changes between successive blocks (a step is in one of
+them only, and does not move their median). It counts when it is large, lasts, is SIGMAS times its noise, and stands out of the changes of
+the other rotors at that time: fast flight loads front and rear differently, and that is no motor fault.
 
-Only changes count. What a sensor was off by at take-off stays off: ESCs' current sensors differ by more than bearings do.
+Only changes count. Offsets at take-off stay: current sensors of ESCs differ by more than bearings do.
 """
 
 from __future__ import annotations
@@ -33,21 +33,20 @@ BLOCK_S = 5.0
 BEFORE, AFTER = 3, 2  # blocks that a change needs on each side
 SIGMAS = 6.0
 STANDS_OUT = 3.0  # times the largest change of any other rotor
-# Least change of the thrust that the speed gives, or of current; standard deviation of a level that wanders for no reason; direction.
+# Least change of thrust by speed, or of current; standard deviation of random drift of the level; direction.
 LEAST = {SLOW: 0.03, HIGH: 0.15, LOW: 0.1}
 DRIFT = {SLOW: 0.004, HIGH: 0.015, LOW: 0.015}
 SIGN = {SLOW: -1.0, HIGH: 1.0, LOW: -1.0}
 HOLDS = 0.5  # share of the change that every block after it must show
-LARGE = 0.25  # share of thrust: so much is a loss, or the telemetry is wrong
-FOLLOWS = 0.5  # of what a current that stays makes of a wrong speed: below that the current follows the speed
+LARGE = 0.25  # share of thrust: a larger change is a loss, or wrong telemetry
+FOLLOWS = 0.5  # of the apparent rise of an unchanged current: below, the current follows the speed
 
 
 def examine(bins: Binned, usable: np.ndarray) -> tuple[tuple[Event, ...], list[str]]:
     """(events of kind SLOW, HIGH, LOW and, where much is lost, LOSS; warnings).
 
-    usable (T, n) bool: bins of usual flight without any loss that commands and motion show. A speed that falls a lot should have shown
-    there: when the current falls with it, two sensors say so, and it is a loss that was missed; else the speed is not believed.
-    """
+    usable (T, n) bool: bins of regular flight without any loss by commands and motion. A large fall of speed should have shown there: where
+    the current falls with it, two sensors agree, and it is a loss that was missed; otherwise the speed is not believed."""
     out, warnings, wrong = [], [], set()
     y, x = ratios.log_power(bins), np.log(bins.thrust)
     turning = bins.known & (bins.power > 0.0)
@@ -86,7 +85,7 @@ def _notice(kind: str, rotor: int, onset: float, announced: float, size: float, 
 
 
 def lost_speed(rotor: int, onset: float, announced: float, size: float, bounds) -> Event:
-    """A loss that speed and current show and commands and motion do not."""
+    """A loss shown by speed and current, but not by commands and motion."""
     sentence = (
         f"since {seconds(onset)} its speed gives {percent(size)} less thrust than commanded, and its current fell with it; commands and "
         "motion alone do not show it; "
@@ -97,23 +96,22 @@ def lost_speed(rotor: int, onset: float, announced: float, size: float, bounds) 
 
 
 def _follows(time, law, k: int, onset: float, announced: float, change: float) -> bool:
-    """Whether the current of rotor k (from 0) fell with its speed at `onset`, by what was known at `announced`; False without currents.
+    """True if the current of rotor k (from 0) fell with its speed at `onset`, by the data up to `announced`; False without currents.
 
-    change: of log W^2. A current that stays the same looks, against the law, like one that rises by -change times half the law's power.
-    """
+    change: of log W^2. By the law, a current that stays the same looks like one that rises by -change times half the law's power."""
     y, x, known, prior = law
     part = time <= announced
-    found = ratios.learn(y[part], x[part], known[part], prior)
-    rest, there = ratios.residual(found, y[part], x[part], known[part])
+    law_of_current = ratios.learn(y[part], x[part], known[part], prior)
+    rest, there = ratios.residual(law_of_current, y[part], x[part], known[part])
     before, after = (there[:, k] & side for side in (time[part] < onset, time[part] > onset))
-    if not found.known[k] or not before.any() or not after.any():
+    if not law_of_current.known[k] or not before.any() or not after.any():
         return False
     rise = float(rest[after, k].mean() - rest[before, k].mean())
-    return abs(rise) < FOLLOWS * 0.5 * found.power * abs(change)
+    return abs(rise) < FOLLOWS * 0.5 * law_of_current.power * abs(change)
 
 
 def probability_of(sigmas: float) -> float:
-    """Probability that a change of so many standard deviations is one, with one change in a thousand flights beforehand."""
+    """Probability that a change of so many standard deviations is real, with a prior of one change in a thousand flights."""
     odds = 1e-3 * np.exp(min(0.5 * sigmas**2, 600.0) - 2.0 * np.log(1.0 + abs(sigmas)))
     return float(odds / (1.0 + odds))
 
@@ -121,13 +119,12 @@ def probability_of(sigmas: float) -> float:
 def changes(time, y, x, known, prior, kind: str) -> list[tuple[int, float, float, float, float]]:
     """(rotor from 1, onset s, announced s, change, sd) of every rotor whose law changed for good, in the direction of `kind`.
 
-    y, x, known (T, n): the law's bins at `time` (T,). Causal: a change is announced at the end of the first block with which it counts.
-    """
+    y, x, known (T, n): the law's bins at `time` (T,). Causal: a change is announced at the end of the first block with which it counts."""
     if not len(time):
         return []
     n, width = y.shape[1], round(BLOCK_S / BIN_S)
     count = len(time) // width
-    found: dict[int, tuple[float, float, float, float]] = {}
+    changed: dict[int, tuple[float, float, float, float]] = {}
     for last in range(BEFORE + AFTER, count + 1):
         part = slice(0, last * width)
         law = ratios.learn(y[part], x[part], known[part], prior)
@@ -135,11 +132,11 @@ def changes(time, y, x, known, prior, kind: str) -> list[tuple[int, float, float
         blocks, full = _blocks(rest, there, width)
         loads, _ = _blocks(x[part], there, width)
         for k in range(n):
-            if k + 1 not in found and (change := _changed(blocks, full, loads, law.power_sd, k, kind)) is not None:
+            if k + 1 not in changed and (change := _changed(blocks, full, loads, law.power_sd, k, kind)) is not None:
                 split, size, sd = change
                 onset = _onset(rest[:, k], there[:, k], split * width, width)
-                found[k + 1] = (float(time[onset]), float(time[last * width - 1]), size, sd)
-    return [(k, *found[k]) for k in sorted(found)]
+                changed[k + 1] = (float(time[onset]), float(time[last * width - 1]), size, sd)
+    return [(k, *changed[k]) for k in sorted(changed)]
 
 
 def _blocks(rest, there, width: int) -> tuple[np.ndarray, np.ndarray]:
@@ -166,8 +163,7 @@ def _onset(rest, there, split: int, width: int) -> int:
 def _changed(blocks, full, loads, power_sd: float, k: int, kind: str) -> tuple[int, float, float] | None:
     """(block at which it changed, change, sd) of rotor k at the end of these blocks; None where it has not.
 
-    loads (m, n): x of the law in each block, whose change stretches it by power_sd.
-    """
+    loads (m, n): x of the law in each block, whose change stretches it by power_sd."""
     at = np.flatnonzero(full[:, k])
     if at.size < BEFORE + AFTER:
         return None

@@ -1,10 +1,10 @@
-"""Healthy flights: learned from, and compared with.
+"""Comparison with healthy flights.
 
-baselines.py      judged before they teach, and held against the flight that they are to judge
-whole_flight.py   damage that was there at take-off, by comparison with them
-population.py     damage that was there at take-off, by what healthy vehicles of any build need
-outputs.py        outputs near their limits, and rotors that work unequally, by what healthy vehicles do
-learned.py        what they say of a vehicle: trim, noise and gains of the default method
+baselines.py      checks healthy flights before they are used, also against the flight that they are compared with
+whole_flight.py   damage present at take-off, by comparison with healthy flights of the build
+population.py     damage present at take-off, by comparison with healthy vehicles of any build
+outputs.py        outputs near their limits, and rotors with unequal load, by comparison with healthy vehicles
+learned.py        trim, noise and gains of a vehicle for the default method
 """
 
 import numpy as np

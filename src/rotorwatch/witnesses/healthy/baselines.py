@@ -1,16 +1,18 @@
-"""Healthy flights are judged before anything is learned from them, and held against the flight that they are to judge.
+"""Checks of healthy flights before anything is learned from them, alone and against the flight under test.
 
 A flight is rejected, with a sentence that names it and the reason, when
 
-* it shows no flight, or is the very flight that is judged, or one that is there already;
+* it shows no flight, or is the very flight under test, or a copy of one already accepted;
 * the default diagnosis, without a baseline, finds something in it;
 * it is of another frame, or logged in other units or at another rate;
-* it cannot be of the same aircraft: its thrust curve rises otherwise at the hover command (SLOPE), or it hovers at another share of full
+* it cannot be of the same aircraft: its thrust curve has another slope at the hover command (SLOPE), or it hovers at another share of
+full
   thrust (HOVER), or a command turns it faster or slower by a factor (GAIN) that the uncertainty of both cannot explain;
-* it hovers unlike the others (`whole_flight.rarity`): of three or more the worst is left out while it is rarer than FALSE_ALARM shared by
-  all of them. Of two that differ nobody can say which is wrong: that is an error.
+* it hovers unlike the others (`whole_flight.rarity`): of three or more, the worst is left out while it is rarer than FALSE_ALARM shared
+by
+  all of them. Of two that differ nothing shows which is wrong: that is an error.
 
-What "the same" is held against: the flight that is judged; without one, the flight that agrees with most others.
+The reference for "the same" is the flight under test; without one, the flight that agrees with most others.
 """
 
 from __future__ import annotations
@@ -44,33 +46,33 @@ HOVER = 1.5
 """Ratio of the shares of full thrust in hover: half the weight again, which no battery and no air makes."""
 GAIN = 2.0
 """Ratio of the angular accelerations by one command: what is learned of it changes by up to 1.7 when a hexa loses a rotor (simulated)."""
-APART_SD = 3.0  # standard deviations by which gains must differ more than that
+APART_SD = 3.0  # standard deviations by which gains must exceed that factor
 AXES = ("roll", "pitch", "yaw")
 Diagnose = Callable[[Flight, Vehicle], Diagnosis]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Candidate:
-    """A flight that is said to be healthy, and what is worked out of it on demand. given: its airframe; None: as its log says."""
+    """A flight given as healthy, with derived data computed on demand. given: its airframe; None: as its log says."""
 
     flight: Flight
     given: Vehicle | None = None
 
     @property
     def name(self) -> str:
-        """What to call it."""
+        """Name for messages."""
         return self.flight.name or "a flight without a name"
 
     @cached_property
     def vehicle(self) -> Vehicle:
-        """Its airframe, with nothing learned. Raises VehicleError."""
+        """Its airframe, without learned parameters. Raises VehicleError."""
         craft = self.given or airframes.identify(self.flight)
         airframes.check(craft, self.flight)
         return replace(craft, identified=None)
 
     @cached_property
     def air(self) -> tuple[tuple[float, float], ...]:
-        """When it was in the air."""
+        """Intervals in the air, ((start, end), ...) s."""
         return airborne(self.flight) if self.flight.has("motors") else ()
 
     @cached_property
@@ -82,7 +84,7 @@ class Candidate:
 
     @cached_property
     def features(self) -> whole_flight.Features:
-        """How it hovered, by its own thrust curve: limits and compensation may have been set anew between flights."""
+        """Its hover, by its own thrust curve: limits and compensation may differ between flights."""
         return whole_flight.features(self.flight, self.vehicle, self.air)
 
     @cached_property
@@ -98,7 +100,7 @@ class Candidate:
 
     @cached_property
     def unusable(self) -> str:
-        """Why nothing can be held against it at all; empty when it shows a flight of a known airframe."""
+        """Reason why nothing can be compared with it; empty when it shows a flight of a known airframe."""
         try:
             if not self.flight.has("motors"):
                 return "it has no motor outputs"
@@ -107,31 +109,30 @@ class Candidate:
             return str(why).rstrip(".")
 
     def flaw(self, diagnose: Diagnose) -> str:
-        """What the default diagnosis finds in it alone, or makes its log doubtful; empty without such, and when it is too short to say.
-        Asked once."""
+        """Finding of the default diagnosis in it alone, or doubt about its log; empty without any, and when it is too short. Cached."""
         if "found" not in self.__dict__:
-            self.__dict__["found"] = self._judged(diagnose)
+            self.__dict__["found"] = self._finding(diagnose)
         return self.__dict__["found"]
 
-    def _judged(self, diagnose: Diagnose) -> str:
+    def _finding(self, diagnose: Diagnose) -> str:
         try:
             assert self.table is not None
-            found = diagnose(self.flight, self.vehicle)
+            diagnosis = diagnose(self.flight, self.vehicle)
             doubts = trust.contradictions(self.flight, self.vehicle, self.air, self.table)
         except RotorwatchError as why:
             return str(why).rstrip(".")
-        # Unlike other builds it may well be: that it is healthy nevertheless is what its owner says.
-        lopsided = {r.note for r in found.rotors if r.status == "suspect"} == {LOPSIDED} and not found.events
-        if found.verdict == "healthy" or lopsided or (found.verdict == "inconclusive" and not doubts):
+        # A difference from other builds is no flaw: the user states that the flight is healthy.
+        lopsided = {r.note for r in diagnosis.rotors if r.status == "suspect"} == {LOPSIDED} and not diagnosis.events
+        if diagnosis.verdict == "healthy" or lopsided or (diagnosis.verdict == "inconclusive" and not doubts):
             return ""
-        return f"on its own it is diagnosed as {found.verdict}, not healthy: {found.reason.rstrip('.')}"
+        return f"on its own it is diagnosed as {diagnosis.verdict}, not healthy: {diagnosis.reason.rstrip('.')}"
 
 
 Given = Flight | Candidate | str | PathLike
 
 
 def several(flights: Given | Iterable[Given]) -> tuple[Given, ...]:
-    """One flight or file given by itself, or many: always a tuple."""
+    """A single flight or file, or many, as a tuple."""
     return (flights,) if isinstance(flights, (Flight, Candidate, str, PathLike)) else tuple(flights)
 
 
@@ -142,26 +143,25 @@ def healthy(
     of: Candidate | None = None,
     progress: Callable | None = None,
 ) -> tuple[tuple[Candidate, ...], tuple[str, ...]]:
-    """The flights that can be learned from, and a sentence for each that was rejected.
+    """The flights that can be learned from, and a sentence for each rejected one.
 
-    diagnose: the default diagnosis, which is to find nothing in them. vehicle: the airframe of all of them; None: as each log says. of:
-    the flight that they are to judge. progress: called with the finished share, 0..1. Raises ConfigError without a flight, LogError for a
-    file that cannot be read, and VehicleError when no flight is left or two that are left contradict one another.
-    """
+    diagnose: the default diagnosis, which must find nothing in them. vehicle: the airframe of all of them; None: as each log says. of: the
+    flight under test. progress: called with the finished share, 0..1. Raises ConfigError without a flight, LogError for a file that cannot
+    be read, and VehicleError when no flight is left or two that are left contradict one another."""
     given = several(flights)
     tell = progress or (lambda share: None)
-    found = [f if isinstance(f, Candidate) else Candidate(_read(f), vehicle) for f in given]
-    if not found:
+    candidates = [f if isinstance(f, Candidate) else Candidate(_read(f), vehicle) for f in given]
+    if not candidates:
         raise ConfigError("Give at least one healthy flight.")
     rejected: list[tuple[str, str]] = []
     accepted: list[Candidate] = []
-    for k, one in enumerate(found):
-        why = one.unusable or _again(one, accepted, of) or one.flaw(diagnose)
+    for k, candidate in enumerate(candidates):
+        why = candidate.unusable or _again(candidate, accepted, of) or candidate.flaw(diagnose)
         if why:
-            rejected.append((one.name, why))
+            rejected.append((candidate.name, why))
         else:
-            accepted.append(one)
-        tell((k + 1) / len(found))
+            accepted.append(candidate)
+        tell((k + 1) / len(candidates))
     accepted = _same_build(accepted, of, rejected)
     accepted = _alike_in_hover(accepted, rejected)
     if not accepted:
@@ -179,30 +179,28 @@ def settle(
     diagnose: Diagnose,
     progress: Callable | None = None,
 ) -> tuple[Vehicle, str, tuple[str, ...]]:
-    """The vehicle that a flight is judged as, what was taken as healthy in words ("none" when nothing was), and warnings.
+    """The vehicle for the diagnosis of a flight, the name of what was taken as healthy ("none" without), and warnings.
 
-    vehicle: asked for, or None: as the log says. baseline: healthy flights, whose `identified` the vehicle then carries; diagnose: as
-    for `healthy`. Raises
-    as `healthy` does, and VehicleError when the vehicle has another number of rotors than the log.
-    """
+    vehicle: requested, or None: as the log says. baseline: healthy flights, whose `identified` the vehicle then carries; diagnose: as for
+    `healthy`. Raises as `healthy` does, and VehicleError when the vehicle has another number of rotors than the log."""
     craft = vehicle or airframes.identify(flight)
     airframes.check(craft, flight)
-    told = _other_frame(flight, vehicle)
+    warnings = _other_frame(flight, vehicle)
     given = several(baseline)
     if given:
         from rotorwatch.witnesses.healthy.learned import learned
 
-        own = Candidate(flight, vehicle)
-        accepted, rejected = healthy(given, diagnose, vehicle, None if own.unusable else own, progress)
+        tested = Candidate(flight, vehicle)
+        accepted, rejected = healthy(given, diagnose, vehicle, None if tested.unusable else tested, progress)
         known = learned(accepted)
         craft = replace(craft, identified=known.identified, assumptions=(*craft.assumptions, *known.assumptions))
         source = f"{len(accepted)} healthy flight{'s' if len(accepted) > 1 else ''} of the same build"
-        return craft, source, (*told, *(f"baseline: {sentence}" for sentence in rejected))
-    return craft, f"vehicle file {craft.name}" if vehicle and craft.identified else "none", told
+        return craft, source, (*warnings, *(f"baseline: {sentence}" for sentence in rejected))
+    return craft, f"vehicle file {craft.name}" if vehicle and craft.identified else "none", warnings
 
 
 def vehicle_of(vehicle: Vehicle | str | PathLike | None) -> Vehicle | None:
-    """A vehicle that may be given as its file. Raises VehicleError, ConfigError."""
+    """The vehicle, read where it is given as a file. Raises VehicleError, ConfigError."""
     from rotorwatch.flight import vehicle_file
 
     return vehicle_file.read(vehicle) if isinstance(vehicle, str | PathLike) else vehicle
@@ -215,23 +213,23 @@ def _read(given) -> Flight:
 
 
 def _other_frame(flight: Flight, vehicle: Vehicle | None) -> tuple[str, ...]:
-    """A warning when the vehicle asked for is not the one that the log names."""
+    """A warning when the requested vehicle is not the one that the log names."""
     if vehicle is None:
         return ()
     try:
-        own = airframes.identify(flight)
+        logged = airframes.identify(flight)
     except RotorwatchError:
         return ()
-    if _same_geometry(own, vehicle):
+    if _same_geometry(logged, vehicle):
         return ()
-    return (f"the log says {own.name}; its rotor positions are taken from the vehicle {vehicle.name}, as requested",)
+    return (f"the log says {logged.name}; its rotor positions are taken from the vehicle {vehicle.name}, as requested",)
 
 
-def _again(one: Candidate, accepted: list[Candidate], of: Candidate | None) -> str:
-    """Whether it is the flight that is judged, or one that is there already: a copy says nothing new."""
+def _again(candidate: Candidate, accepted: list[Candidate], of: Candidate | None) -> str:
+    """Reason why a flight is a copy: of the flight under test, or of one already accepted; empty otherwise."""
 
     def same(other):
-        a, b = one.flight["motors"], other.flight["motors"]
+        a, b = candidate.flight["motors"], other.flight["motors"]
         return np.array_equal(a.time, b.time) and np.array_equal(a.values, b.values)
 
     if of is not None and same(of):
@@ -239,55 +237,57 @@ def _again(one: Candidate, accepted: list[Candidate], of: Candidate | None) -> s
     return next((f"it is the same flight as {other.name}" for other in accepted if same(other)), "")
 
 
-def _same_build(found: list[Candidate], of: Candidate | None, rejected: list[tuple[str, str]]) -> list[Candidate]:
-    """Those of the build of the flight `of`; without it, of the one that agrees with most of the others."""
-    if len(found) < (1 if of else 2):
-        return found
+def _same_build(flights: list[Candidate], of: Candidate | None, rejected: list[tuple[str, str]]) -> list[Candidate]:
+    """The flights of the build of `of`; without it, of the flight that agrees with most of the others."""
+    if len(flights) < (1 if of else 2):
+        return flights
     if of is not None:
-        reference, why = of, [unlike(one, of) for one in found]
+        reference, why = of, [unlike(candidate, of) for candidate in flights]
     else:
-        table = [[unlike(one, other) if one is not other else "" for one in found] for other in found]
+        table = [
+            [unlike(candidate, other) if candidate is not other else "" for candidate in flights] for other in flights
+        ]
         agree = [sum(not why for why in row) for row in table]
         best = int(np.argmax(agree))
         if agree.count(agree[best]) > agree[best]:  # as many flights of another build
             odd = next(k for k, why in enumerate(table[best]) if why)
             raise VehicleError(
-                f"{found[odd].name} and {found[best].name} are not of one build: {table[best][odd]}; give flights of one build only."
+                f"{flights[odd].name} and {flights[best].name} are not of one build: {table[best][odd]}; give flights of one build only."
             )
-        reference, why = found[best], table[best]
-    rejected += [(one.name, f"{w} (compared with {reference.name})") for one, w in zip(found, why) if w]
-    return [one for one, w in zip(found, why) if not w]
+        reference, why = flights[best], table[best]
+    rejected += [(candidate.name, f"{w} (compared with {reference.name})") for candidate, w in zip(flights, why) if w]
+    return [candidate for candidate, w in zip(flights, why) if not w]
 
 
-def _alike_in_hover(found: list[Candidate], rejected: list[tuple[str, str]]) -> list[Candidate]:
-    """Those that hover alike: leave-one-out, the worst first."""
+def _alike_in_hover(flights: list[Candidate], rejected: list[tuple[str, str]]) -> list[Candidate]:
+    """The flights that hover alike: leave-one-out, the worst first."""
     while True:
-        usable = [one for one in found if one.features.usable]
+        usable = [candidate for candidate in flights if candidate.features.usable]
         m = len(usable)
         if m < 2:
-            return found
-        others = [[u.features for u in usable if u is not one] for one in usable]
-        rare = [whole_flight.rarity(one.features, rest) for one, rest in zip(usable, others)]
+            return flights
+        others = [[u.features for u in usable if u is not candidate] for candidate in usable]
+        rare = [whole_flight.rarity(candidate.features, rest) for candidate, rest in zip(usable, others)]
         worst = int(np.argmin(rare))
         if m == 2:
             if min(rare) >= whole_flight.FALSE_FAULT:
-                return found
+                return flights
             raise VehicleError(
                 f"{usable[0].name} and {usable[1].name} hover too differently for two healthy flights of one aircraft, and two cannot show "
                 "which one is not healthy; add a third, or leave one out."
             )
         if rare[worst] >= whole_flight.FALSE_ALARM / m:
-            return found
+            return flights
         odd = usable[worst]
         rejected.append((odd.name, f"its rotors share the load differently than in the {m - 1} other flights"))
-        found = [one for one in found if one is not odd]
+        flights = [candidate for candidate in flights if candidate is not odd]
 
 
 # Can two flights be of one aircraft?
 
 
 def unlike(one: Candidate, other: Candidate) -> str:
-    """Why `one` cannot have been flown by the same aircraft with the same logging as `other`, in words; empty when it can."""
+    """Reason why `one` cannot have been flown by the same aircraft with the same logging as `other`; empty when it can."""
     a, b = one.vehicle, other.vehicle
     if len(a.rotors) != len(b.rotors):
         return f"its frame is {a.name} with {len(a.rotors)} rotors, not {b.name} with {len(b.rotors)}"
@@ -316,7 +316,7 @@ def unlike(one: Candidate, other: Candidate) -> str:
 def _other_gains(one: Candidate, other: Candidate) -> str:
     try:
         (mine, sd), (theirs, their_sd) = one.gains, other.gains
-    except RotorwatchError:  # commands too slow to learn from: said where the flight is judged
+    except RotorwatchError:  # commands too slow to learn from: reported where the flight is diagnosed
         return ""
     mine, theirs = np.maximum(mine, 1e-6), np.maximum(theirs, 1e-6)
     apart = np.abs(np.log(mine / theirs)) - np.log(GAIN) - APART_SD * np.hypot(sd / mine, their_sd / theirs)
@@ -332,10 +332,10 @@ def _same_geometry(a: Vehicle, b: Vehicle) -> bool:
     return len(a.rotors) == len(b.rotors) and np.allclose(a.effectiveness(), b.effectiveness(), atol=0.01)
 
 
-def _hover_command(one: Candidate) -> float:
+def _hover_command(candidate: Candidate) -> float:
     """Median of the outputs in the air, in their unit."""
-    motors = one.flight["motors"]
-    values = motors.values[within(motors.time, one.air) & motors.whole]
+    motors = candidate.flight["motors"]
+    values = motors.values[within(motors.time, candidate.air) & motors.whole]
     return float(median(values)) if values.size else float("nan")
 
 
@@ -352,5 +352,5 @@ def _curve(vehicle: Vehicle) -> str:
 
 
 def _ratio(a: float, b: float) -> float:
-    """Of the larger to the smaller; 1 where one of them is not known."""
+    """Ratio of the larger to the smaller; 1 where one of them is unknown."""
     return max(a, b) / min(a, b) if a > 0 and b > 0 else 1.0

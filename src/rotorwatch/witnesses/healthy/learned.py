@@ -1,4 +1,4 @@
-"""What healthy flights of one build say of it, as its description carries it: how each hovered, and what the default estimator learned."""
+"""Data of a build from its healthy flights, as its description carries them: the hover of each, and the default estimator's parameters."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 
 
 def learned(kept: Sequence[Candidate], dynamics: Callable | None = None) -> Vehicle:
-    """The vehicle of flights that `baselines.healthy` has let pass; as `calibrate` returns it."""
+    """The vehicle of flights that `baselines.healthy` has accepted; as `calibrate` returns it."""
     reference = kept[0].vehicle
     identified = _identified(kept)
-    known = (dynamics or learn)([one.table for one in kept if one.table is not None], reference.effectiveness())
-    if known:
-        identified["dynamics"] = dict(known)
-    names = ", ".join(one.name for one in kept)
+    dynamics_ = (dynamics or learn)([each.table for each in kept if each.table is not None], reference.effectiveness())
+    if dynamics_:
+        identified["dynamics"] = dict(dynamics_)
+    names = ", ".join(each.name for each in kept)
     source = f"{reference.source}; calibrated on {names}" if reference.source else f"calibrated on {names}"
     assumptions = (*reference.assumptions, *_assumptions(kept))
     return replace(reference, identified=identified, source=source, assumptions=tuple(dict.fromkeys(assumptions)))
@@ -32,40 +32,40 @@ def learned(kept: Sequence[Candidate], dynamics: Callable | None = None) -> Vehi
 
 def _identified(kept: Sequence[Candidate]) -> dict:
     """Everything but the dynamics; plain floats and lists."""
-    tables = [one.features for one in kept]
-    found: dict = {
+    tables = [each.features for each in kept]
+    identified: dict = {
         "flights": len(kept),
-        "airborne_s": float(sum(end - start for one in kept for start, end in one.air)),
+        "airborne_s": float(sum(end - start for each in kept for start, end in each.air)),
         "steady_s": float(sum(t.seconds for t in tables)),
     }
     usable = [t for t in tables if t.usable]
     if usable:
         share = np.average([t.share for t in usable], axis=0, weights=[t.seconds for t in usable])
-        found["hover"] = float(share.mean())
-        found["thrust_offset"] = [float(v) for v in share / share.mean() - 1.0]
-    found["whole_flight"] = [t.to_dict() for t in tables]
-    return found
+        identified["hover"] = float(share.mean())
+        identified["thrust_offset"] = [float(v) for v in share / share.mean() - 1.0]
+    identified["whole_flight"] = [t.to_dict() for t in tables]
+    return identified
 
 
 def _assumptions(kept: Sequence[Candidate]) -> list[str]:
-    """Sentences on what calibration takes for granted."""
-    count, tables = len(kept), [one.features for one in kept]
+    """Sentences on the assumptions of a calibration."""
+    count, tables = len(kept), [each.features for each in kept]
     which = f"The {count} calibration flights were" if count > 1 else "The calibration flight was"
-    said = [
+    sentences = [
         f"{which} healthy and of the same build, payload and battery type.",
         "The hover command is the mean of these flights, at their battery voltages.",
     ]
-    said += [
-        f"{one.name} does not hover: only its airframe is used."
-        for one in kept
-        if aerobatic.applies(one.flight, one.table)
+    sentences += [
+        f"{each.name} does not hover: only its airframe is used."
+        for each in kept
+        if aerobatic.applies(each.flight, each.table)
     ]
     short = (t.name or "A calibration flight" for t in tables if not t.usable)
-    said += [f"{name} has too little steady hover for a comparison." for name in short]
+    sentences += [f"{name} has too little steady hover for a comparison." for name in short]
     if sum(t.usable for t in tables) < whole_flight.MANY_FLIGHTS:
-        said.append(
+        sentences.append(
             "With few calibration flights the spread between healthy flights is mostly assumed: "
             f"{100 * whole_flight.CENTRE_SD:.1f} % of an arm length for the centre of mass, "
             f"{100 * whole_flight.THRUST_SD:.0f} % for the thrust that all rotors need together."
         )
-    return said
+    return sentences

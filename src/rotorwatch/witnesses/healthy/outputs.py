@@ -1,18 +1,18 @@
-"""What the outputs show of how a vehicle is built, loaded and set up: how near their limits they are, and how unequally rotors work.
+"""Findings from the outputs on a vehicle's build, load and setup: margins to their limits, and unequal load of the rotors.
 
-Each is one claim with its number, and accuses no rotor. It is measured after take-off, before the landing, and before the first event
-that explains what outputs do (`ledger.undisturbed`); only flights that hover are looked at.
+Each is one claim with its number, and implicates no rotor. It is measured after take-off, before the landing, and before the first event
+that explains the outputs (`ledger.undisturbed`); only flights that hover are examined.
 
     at the limit    outputs within NEAR of their range's end, for LIMIT_S in all, and in one go or for a fifth of the flight
     heavy           hover, upright and level, takes HEAVY_SHARE of full thrust and more, for HEAVY_S
     apart           the balance w of the commands in hover (whole_flight.py) is SHOWS or more in the direction of one rotor, to a share
                     ALIKE of it, and its output is off by APART
-    twisted         it is not, and the mean thrusts of both senses of rotation differ by TWISTED of full thrust
-    exhausted       a rotor was lost, and the vehicle sank though an output was at its limit, for its rotors gave less than its weight
+    twisted         not apart, and the mean thrusts of both senses of rotation differ by TWISTED of full thrust
+    exhausted       a rotor was lost, and the vehicle sank with an output at its limit because its rotors gave less than its weight
 
 A load off the middle takes roll and pitch, a twisted mount yaw, one rotor all three alike; so a load on twisted mounts may look like a
-rotor, and it is said so. Both have to show in each half of the flight: what comes later is no matter of how it was built. What the rotors
-could do without the lost ones is the largest thrust with no moment, and with no moment but yaw (witnesses/attainable.py).
+rotor, and the claim says so. Both have to show in each half of the flight: later changes do not come from the build. The capability of the
+remaining rotors is the largest thrust with no moment, and with no moment but yaw (witnesses/attainable.py).
 
 Sources of the limits. ArduPilot's log analysis (Tools/LogAnalyzer): a throttle above 0.7 that does not climb is too little thrust, and
 motors whose mean outputs differ by 150 us fail. Copter (crash_check.cpp): outputs at their limit and sinking for 1 s are a loss of thrust;
@@ -46,34 +46,34 @@ Hover = tuple[np.ndarray, np.ndarray]  # `whole_flight.steady`
 
 NEAR = 0.05  # of the range
 LIMIT_S = 5.0
-BRIDGED_S, SAMPLE_S = 0.5, 1.0  # a shorter time below the limit is still one go; a sample stands for so long at most
+BRIDGED_S, SAMPLE_S = 0.5, 1.0  # gaps below the limit that are bridged; longest time that a sample covers
 HEAVY_SHARE, HEAVY_S = 0.8, 10.0
-TWISTED = 0.18  # 150 us of the 800 between MOT_SPIN_MIN and MOT_SPIN_MAX are so much thrust, by a usual curve in hover
+TWISTED = 0.18  # 150 us of the 800 between MOT_SPIN_MIN and MOT_SPIN_MAX, as thrust by a usual curve in hover
 APART = 0.05  # of the range
 SHOWS, ALIKE = 0.04, 0.25  # of w, and of that; healthy vehicles scatter by 0.04 in roll and pitch (population.py)
-SAME = 0.05  # columns of the effectiveness that differ by less are each other's contrary
+SAME = 0.05  # tolerance for columns of the effectiveness that are the negative of each other
 LOST, LACKS, SINKS_S, SANK_M = 0.5, 0.05, 1.0, 2.0  # shares of a rotor's thrust and of the weight; s; m
-USUAL_S = 10.0  # before a loss: what hover needed
+USUAL_S = 10.0  # before a loss: the thrust of hover
 
 
 def claims(
     flight: Flight, vehicle: Vehicle, table: Ticks, air: Spans, until: float, events: Sequence[Event]
 ) -> tuple[Event, ...]:
-    """The claims of the flights `air` ((start, end), ...) s, up to `until` s. table: its ticks; events: what is known of the rotors."""
+    """The claims of the flights `air` ((start, end), ...) s, up to `until` s. table: its ticks; events: those of the rotors."""
     calm = tuple(
         (a, min(b, until + BEFORE_LANDING_S)) for a, b in air if min(b - BEFORE_LANDING_S, until) > a + AFTER_TAKE_OFF_S
     )
     if not flight.has("motors"):
         return ()
-    found = []
+    events_ = []
     if calm:
         hover = whole_flight.steady(flight, vehicle, calm)
-        found += [
+        events_ += [
             *at_limit(flight, vehicle, calm),
             *heavy(flight, vehicle, hover),
             *unequal(flight, vehicle, calm, hover),
         ]
-    return (*found, *exhausted(flight, vehicle, table, air, events))
+    return (*events_, *exhausted(flight, vehicle, table, air, events))
 
 
 def _claim(kind: str, start: float, end: float, reason: str, extra: dict) -> Event:
@@ -81,7 +81,7 @@ def _claim(kind: str, start: float, end: float, reason: str, extra: dict) -> Eve
 
 
 class _Outputs(NamedTuple):
-    """time (m,) s; share (m, n) of the range from no to full thrust; lasts (m,): s that a sample stands for."""
+    """time (m,) s; share (m, n) of the range from no to full thrust; lasts (m,): s that a sample covers."""
 
     time: np.ndarray
     share: np.ndarray
@@ -102,13 +102,13 @@ def _motors(who: Sequence[int]) -> str:
 
 
 def _spells(time: np.ndarray, there: np.ndarray) -> list[np.ndarray]:
-    """The times (m,) s at which something is there, in spells: those that a shorter time than BRIDGED_S parts are one."""
+    """The times (m,) s at which a condition holds, in spells; gaps shorter than BRIDGED_S do not separate them."""
     when = time[there]
     return np.split(when, np.flatnonzero(np.diff(when) > BRIDGED_S) + 1) if when.size else []
 
 
 def at_limit(flight: Flight, vehicle: Vehicle, air: Spans) -> list[Event]:
-    """Outputs near their limit, of the motors that were there most."""
+    """Outputs near their limit, of the motors that were there longest."""
     spans = tuple((a + AFTER_TAKE_OFF_S, b - BEFORE_LANDING_S) for a, b in air)
     seen = _outputs(flight, vehicle, spans)
     there = seen.share >= 1.0 - NEAR
@@ -130,7 +130,7 @@ def at_limit(flight: Flight, vehicle: Vehicle, air: Spans) -> list[Event]:
 
 
 def _most(flight: Flight, vehicle: Vehicle, at: np.ndarray) -> np.ndarray:
-    """(k,) the share of full thrust that outputs at their limit give with the battery as it is at times `at`."""
+    """(k,) share of full thrust of outputs at their limit, with the battery's state at times `at`."""
     motors = flight["motors"]
     limit = replace(motors, values=np.full_like(motors.values, vehicle.curve.u_max, dtype=float))
     full = allocation.motor_thrusts(replace(flight, signals={**flight.signals, "motors": limit}), vehicle)
@@ -143,7 +143,7 @@ def _assumed(vehicle: Vehicle) -> str:
 
 
 def heavy(flight: Flight, vehicle: Vehicle, hover: Hover) -> list[Event]:
-    """A vehicle that hovers near full thrust. Where no velocity is logged a climb looks the same, and nothing is told."""
+    """A vehicle that hovers near full thrust. Without a logged velocity a climb looks the same, and there is no claim."""
     if not flight.has("velocity"):
         return []
     time, share = hover
@@ -160,36 +160,37 @@ def heavy(flight: Flight, vehicle: Vehicle, hover: Hover) -> list[Event]:
 
 
 def unequal(flight: Flight, vehicle: Vehicle, air: Spans, hover: Hover) -> list[Event]:
-    """Rotors that have to work unequally since take-off: one of all, or else those of one sense of rotation."""
-    found = whole_flight.features(flight, vehicle, air, hover)
-    if not found.usable or max(found.limited) > whole_flight.LIMITED:
+    """Rotors with unequal load since take-off: a single one, or else those of one sense of rotation."""
+    hovering = whole_flight.features(flight, vehicle, air, hover)
+    if not hovering.usable or max(hovering.limited) > whole_flight.LIMITED:
         return []
     start, B = air[0][0] + AFTER_TAKE_OFF_S, vehicle.effectiveness()
     halves = [median(half, axis=0) for half in np.array_split(hover[1], 2)]
-    one, *both = (_one(B[:3] @ share / share.sum(), B) for share in (np.array(found.share), *halves))
+    one, *both = (_one(B[:3] @ share / share.sum(), B) for share in (np.array(hovering.share), *halves))
     if one is None or any(half is None or half[:2] != one[:2] for half in both):
-        return _twisted(flight, vehicle, np.array(found.share), halves, air, start)
+        return _twisted(flight, vehicle, np.array(hovering.share), halves, air, start)
     rotor, opposite, loss = one
-    share, expo = found.share[rotor], vehicle.curve.expo
-    # What the rotor gives is (1 - loss) of what it is commanded, and what its place in the mixer needs.
-    more = _drive(expo, share) - _drive(expo, (1.0 - loss) * share)
-    if abs(more) < APART:
+    share, expo = hovering.share[rotor], vehicle.curve.expo
+    # The rotor gives (1 - loss) of its command, which is what its place in the mixer needs.
+    excess = _drive(expo, share) - _drive(expo, (1.0 - loss) * share)
+    if abs(excess) < APART:
         return []
-    side, other, than = ("above", "below", "weaker") if more > 0.0 else ("below", "above", "stronger")
+    side, other, than = ("above", "below", "weaker") if excess > 0.0 else ("below", "above", "stronger")
     too = "" if opposite is None else f", or that of motor {opposite + 1} {other} it,"
     reason = (
-        f"since take-off the output of motor {rotor + 1} has been {percent(abs(more))} of its range {side} what its place in the mixer "
+        f"since take-off the output of motor {rotor + 1} has been {percent(abs(excess))} of its range {side} what its place in the mixer "
         f"needs{too}{_assumed(vehicle)}: its ESC end points differ, or its motor or propeller is {than} than the others, unless the load "
         "is off-centre and the mounts are twisted"
     )
     motors = [rotor + 1] if opposite is None else [rotor + 1, opposite + 1]
-    extra = {"motors": motors, "output": round(float(more), 3), "thrust": round(loss, 3)}
+    extra = {"motors": motors, "output": round(float(excess), 3), "thrust": round(loss, 3)}
     return [_claim(STANDS_APART, start, air[-1][1], reason, extra)]
 
 
 def _one(w: np.ndarray, B: np.ndarray) -> tuple[int, int | None, float] | None:
-    """The rotor, from 0, that alone explains the balance w (3,) of a vehicle of effectiveness B (4, n); the one opposite it that would by
-    the contrary, if there is one; and the share of its thrust that it lacks, below 0 has more. None where no rotor does."""
+    """(rotor, opposite, loss): the rotor, from 0, that alone explains the balance w (3,) of a vehicle of effectiveness B (4, n); the
+    opposite one, if any, that explains it with the contrary sign; and the share of thrust that the rotor lacks, negative for an excess.
+    None without such."""
     size = np.einsum("k,kn,n->n", w, B[:3], 1.0 / (B[:3] ** 2).sum(axis=0))
     left = np.abs(w[:, None] - size * B[:3]).max(axis=0)
     best = int(np.argmin(left / np.maximum(np.abs(size), 1e-9)))
@@ -198,9 +199,9 @@ def _one(w: np.ndarray, B: np.ndarray) -> tuple[int, int | None, float] | None:
     contrary = np.flatnonzero(np.abs(B[:3] + B[:3, best, None]).max(axis=0) < SAME)
     if contrary.size and size[best] < 0.0:  # a weak rotor is likelier than a strong one
         best, contrary = int(contrary[0]), np.array([best])
-    n, own = B.shape[1], (np.linalg.pinv(B) @ B)[best, best]
+    n, share = B.shape[1], (np.linalg.pinv(B) @ B)[best, best]
     lacks = n * size[best] / (1.0 - size[best])  # w = B e / (n + e), as in whole_flight.py
-    return best, int(contrary[0]) if contrary.size else None, float(lacks / (1.0 + own * lacks))
+    return best, int(contrary[0]) if contrary.size else None, float(lacks / (1.0 + share * lacks))
 
 
 def _drive(expo: float, thrust: float) -> float:
@@ -213,13 +214,13 @@ def _twisted(
     """share (n,): of full thrust in hover; halves: the same in each half of the flight."""
     spin, lower = (np.array([getattr(r, name) for r in vehicle.rotors], float) for name in ("spin", "lower"))
     if not (spin > 0).any() or not (spin < 0).any() or abs(spin @ lower) > 0.0:
-        return []  # what lower rotors give is assumed, and all of theirs turn one way
+        return []  # the thrust of lower rotors is assumed, and all of them turn one way
     yaw, *both = (float(s[spin > 0].mean() - s[spin < 0].mean()) for s in (share, *halves))
     if min(np.sign(yaw) * one for one in (yaw, *both)) < TWISTED:
         return []
-    more = np.sign(yaw) * spin > 0
-    ratio = float(share[more].mean() / share[~more].mean() - 1.0)
-    harder, others = ([int(k) + 1 for k in np.flatnonzero(side)] for side in (more, ~more))
+    heavier = np.sign(yaw) * spin > 0
+    ratio = float(share[heavier].mean() / share[~heavier].mean() - 1.0)
+    harder, others = ([int(k) + 1 for k in np.flatnonzero(side)] for side in (heavier, ~heavier))
     warns = flight.parameters.get("ATC_RAT_YAW_IMAX")
     limit = f", and ArduPilot itself warns from {percent(0.75 * warns)} on" if warns else ""
     reason = (
@@ -231,9 +232,9 @@ def _twisted(
 
 
 def exhausted(flight: Flight, vehicle: Vehicle, table: Ticks, air: Spans, events: Sequence[Event]) -> list[Event]:
-    """Why a vehicle of more than four rotors sank when it had lost one or more: at most one claim, of the longest fall."""
+    """Sinking of a vehicle of more than four rotors after the loss of one or more: at most one claim, of the longest fall."""
     n = len(vehicle.rotors)
-    # What a rotor gives that follows no command is not among these: it has not lost its thrust.
+    # A rotor that does not follow its command is excluded: it has not lost its thrust.
     gone = [e for e in events if e.means.weakens and max(e.loss, default=0.0) > LOST and "gives" not in e.extra]
     span = next(((a, b) for a, b in air if gone and a <= gone[0].onset_s < b), None)
     if span is None or n < 5 or not flight.has("velocity"):
@@ -283,7 +284,7 @@ def exhausted(flight: Flight, vehicle: Vehicle, table: Ticks, air: Spans, events
 
 
 def _left(gone: Sequence[Event], n: int) -> np.ndarray:
-    """(s, n) what is left of each rotor by each explanation of the first loss, with all that are certain."""
+    """(s, n) remaining effectiveness of each rotor by each explanation of the first loss, with all certain losses."""
     sets = gone[0].explanations
     alive = np.ones((len(sets), n))
     for row, who in zip(alive, sets, strict=True):

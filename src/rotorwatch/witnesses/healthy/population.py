@@ -1,23 +1,22 @@
-"""Was a rotor weak from take-off on? One flight's balance of commands against that of healthy vehicles of any build.
+"""A rotor that is weak from take-off on: one flight's balance of commands against that of healthy vehicles of any build.
 
 Without a healthy flight of the build the balance w = B f / sum f (roll, pitch, yaw; whole_flight.py) is compared with how unequally healthy
 vehicles are commanded. It is a t distribution about 0 with FREEDOM degrees of freedom, of scale CENTRE of an arm length in roll and pitch
 (the centre of mass) and TILT / sqrt(n) in yaw (motors that do not stand upright, each on its own).
 
-Source: 18 real healthy flights of 12 quadrotors (7 with ArduPilot, 3 with PX4, 2 Crazyflies, from public logs; no fault is known of any);
+Source: 18 real healthy flights of 12 quadrotors (7 with ArduPilot, 3 with PX4, 2 Crazyflies, from public logs; none with a known fault);
 maximum likelihood of one mean w for each vehicle: scales 0.040 and 0.10, 6 degrees of freedom. With any one vehicle left out: 0.035 to
-0.045 and 0.09 to 0.11. Of hexas and octas there are none; the scaling of yaw is assumed.
+0.045 and 0.09 to 0.11. There are no hexas or octas among them; the scaling of yaw is assumed.
 
     healthy          w ~ t(0)
-    rotor i weak     w ~ t(B_i e / (n + e)), e = theta / (1 - a theta), theta even between 0 and MOST
+    rotor i weak     w ~ t(B_i e / (n + e)), e = theta / (1 - a theta), theta uniform between 0 and MOST
     centre of mass   w ~ t((x, y, 0)), x and y normal with SHIFT_SD
 
-a is the diagonal of B+ B (B+: pseudoinverse, with the row of thrust): the mixer makes up for B_i e with all rotors, f = 1 + (B+ B)_i e,
-and what rotor i does not give is e = theta f_i. Of a quadrotor a is 1.
+a is the diagonal of B+ B (B+: pseudoinverse, with the row of thrust): the mixer compensates B_i e with all rotors, f = 1 + (B+ B)_i e, and
+rotor i lacks e = theta f_i. Of a quadrotor a is 1.
 
-A weak rotor asks for as much yaw as its column says, a shifted centre for none. Healthy vehicles are trimmed in yaw by as much as a loss
-of a third asks for, so that yaw decides of large losses alone: smaller ones are `ambiguous`, or unseen
-within the bound of a healthy answer.
+A weak rotor asks for as much yaw as its column says, a shifted centre for none. The yaw trim of healthy vehicles reaches that of a loss of
+a third, so yaw discriminates large losses alone: smaller ones are `ambiguous`, or undetected within the bound of a healthy answer.
 """
 
 from __future__ import annotations
@@ -34,20 +33,20 @@ from rotorwatch.witnesses.healthy.whole_flight import CENTRE_RHO_SD, LIMITED, RH
 
 CENTRE, TILT, FREEDOM = 0.04, 0.2, 6.0
 SHIFT_SD = 0.15  # arm lengths: a camera or a battery that hangs out in front
-HEALTHY, ROTOR, SHIFTED = 0.9, 0.05, 0.05  # before anything is seen
+HEALTHY, ROTOR, SHIFTED = 0.9, 0.05, 0.05  # prior probabilities
 MOST = 0.9
 
 
 def judge(flight: Flight, vehicle: Vehicle, air: Sequence[tuple[float, float]], until: float = np.inf) -> dict | None:
-    """What the flight says of damage that was there from take-off, of its steady part before `until` [s]; None where that is too short or
-    where a rotor was at its limit.
+    """Evidence of damage present at take-off, from the steady part of the flight before `until` [s]; None where that is too short or where
+    a rotor was at its limit.
 
-    -> verdict healthy, ambiguous or fault; reason; rotors (1-based, named); loss (n,), interval (n, 2), of a healthy flight with 0 and what
-    could be there in each rotor unseen; causes as in WholeFlight."""
-    found = features(flight, vehicle, [(a, min(b, until)) for a, b in air if a < until])
-    if not found.usable or max(found.limited) > LIMITED:
+    -> verdict healthy, ambiguous or fault; reason; rotors (1-based, named); loss (n,), interval (n, 2), of a healthy flight with 0 and the
+    largest undetected loss of each rotor; causes as in WholeFlight."""
+    hovering = features(flight, vehicle, [(a, min(b, until)) for a, b in air if a < until])
+    if not hovering.usable or max(hovering.limited) > LIMITED:
         return None
-    return weigh(found, vehicle.effectiveness())
+    return weigh(hovering, vehicle.effectiveness())
 
 
 def weigh(found: Features, B: np.ndarray) -> dict:
@@ -58,7 +57,7 @@ def weigh(found: Features, B: np.ndarray) -> dict:
     p_value = student.tail(w, scale, FREEDOM)
     theta = np.linspace(0.0, MOST, 181)[1:]
     shifts = [_weak(B, i, theta) for i in range(n)]
-    # RHO_SD: whole_flight.py, of the yaw that a damaged rotor asks for; without a turning moment of its own it asks for none.
+    # RHO_SD (whole_flight.py): of the yaw of a damaged rotor; a rotor without a yaw moment asks for none.
     likelihood = np.stack([_density(w - at, scale, RHO_SD * at[:, 2]) for at in shifts])
     where, distance, mass = student.centred_grid(SHIFT_SD, 3.0)
     centre = mass @ _density(w - np.pad(where, ((0, 0), (0, 1))), scale, CENTRE_RHO_SD * distance)
@@ -66,7 +65,7 @@ def weigh(found: Features, B: np.ndarray) -> dict:
     rotor = ROTOR / n * likelihood.mean(axis=1)
     total = weight.sum() + rotor.sum()
     probability = rotor / total
-    means, intervals = zip(*(student.mean_and_interval(theta, one) for one in likelihood))
+    means, intervals = zip(*(student.mean_and_interval(theta, likely) for likely in likelihood))
     loss, (low, high) = np.array(means), np.array(intervals).T
     best = int(np.argmax(probability))
     named = [i for i in np.argsort(-probability) if probability[i] > MENTIONED * probability.sum()]
@@ -77,16 +76,14 @@ def weigh(found: Features, B: np.ndarray) -> dict:
     if verdict == "healthy":
         return {"verdict": verdict, "reason": "", "rotors": [], "causes": [], "p_value": p_value, "loss": [0.0] * n,
                 "interval": [[0.0, float(v)] for v in high]}  # fmt: skip
-    said = f"rotor {best + 1} ({100 * loss[best]:.0f} % loss)"
+    suspect = f"rotor {best + 1} ({100 * loss[best]:.0f} % loss)"
     if verdict == "fault":
         named = [best]
-        reason = (
-            f"{said} has needed more command since take-off than in any healthy vehicle, and roll, pitch and yaw agree."
-        )
+        reason = f"{suspect} has needed more command since take-off than in any healthy vehicle, and roll, pitch and yaw agree."
     else:
         others = "".join(f", rotor {i + 1}" for i in named if i != best)
         reason = (
-            f"{said}{others} or an off-centre mass: since take-off the balance of commands has differed from that of healthy "
+            f"{suspect}{others} or an off-centre mass: since take-off the balance of commands has differed from that of healthy "
             "vehicles, and yaw does not distinguish the two."
         )
         low = np.zeros(n)

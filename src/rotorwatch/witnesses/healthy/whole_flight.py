@@ -1,34 +1,38 @@
-"""Was a propeller damaged at take-off already? One flight's balance of commands against healthy flights of the build.
+"""Damage of a propeller at take-off: one flight's balance of commands against healthy flights of the build.
 
 In hover the rotors' thrusts balance weight and torques. A weak rotor needs more command, and the commanded wrench per commanded thrust,
 
     w = B f / sum f      (roll, pitch, yaw),
 
-moves by a vector that names the rotor. What else moves it is modelled:
+moves by a vector that identifies the rotor. Other influences are modelled:
 
-* Wind: rotors in a cross flow pitch and roll the vehicle. The lateral specific force a (what wind pushes with, in g) measures that flow: w
+* Wind: rotors in a cross flow pitch and roll the vehicle. The lateral specific force a (the wind's force, in g) measures that flow: w
   = w0 + s a, one slope s per axis, about the same in all flights of a build. w0 is compared.
 * Between healthy flights of one build roll and pitch repeat to CENTRE_SD of an arm length (the battery lies elsewhere), yaw to TILT_SD /
-  sqrt(n) (motors that do not stand upright, each on its own) and the mean command to THRUST_SD (battery, load). How much a build scatters
-  differs, too: the prior counts like PRIOR_FLIGHTS flights, and the baseline's own scatter updates it (inverse Wishart).
-* Within a flight: the covariance of the mean, from means over blocks on the time scale that shows the largest one.
-* A shifted centre of mass (a battery put in otherwise, a hung weight) moves roll and pitch as a rotor loss does, but not yaw: drag torques
-  balance as the thrusts do. A damaged rotor is commanded more thrust than it gives, and as much more yaw: its own column of B, times rho.
-  rho is 1 when torque falls as thrust does, more for a mere shorter blade, less when damage adds drag.
-* A damaged rotor needs more commanded thrust of all, too; a shifted mass does not, a hung one as much as it weighs. Yaw and thrust together
+  sqrt(n) (motors that do not stand upright, each on its own) and the mean command to THRUST_SD (battery, load). The scatter differs
+  between
+  builds: the prior counts like PRIOR_FLIGHTS flights, and the baseline's own scatter updates it (inverse Wishart).
+* Within a flight: the covariance of the mean, from means over blocks on the time scale that shows the largest one. * A shifted centre of
+mass (the battery in another place, a hung weight) moves roll and pitch as a rotor loss does, but not yaw: drag torques
+  balance as the thrusts do. A damaged rotor is commanded more thrust than it gives, and as much more yaw: its own column of B, times
+  rho.
+  rho is 1 when torque falls as thrust does, more for a merely shorter blade, less when damage adds drag.
+* A damaged rotor needs more commanded thrust of all, too; a shifted mass does not, a hung one as much as it weighs. Yaw and thrust
+together
   decide between them.
-* Battery, a load under the centre, air density move all commands alike and leave w where it was: no test rests on the mean command alone.
+* Battery, a load under the centre, air density move all commands alike and leave w unchanged: no test rests on the mean command alone.
 
-A loss theta of rotor i lacks e = theta f_i; the mixer makes up for it with all rotors, f = f0 + B+ B_i e, so that B f moves by B_i e with e
+A loss theta of rotor i lacks e = theta f_i; the mixer compensates it with all rotors, f = f0 + B+ B_i e, so that B f moves by B_i e with e
 = theta f0_i / (1 - a theta), a = (B+ B)_ii (1 of a quadrotor); of several rotors e = Theta (f0 + (B+ B) e).
 
 Source of the scatter: 37 steady hovers of 6 real quadrotors (ArduPilot, Crazyflie, telemetry; a landing between any two of a vehicle),
 marginal likelihood of the inverse Wishart model. Its logarithm is flat to 0.2 between yaw 0.020 and 0.025 and between 2 and 10 flights;
-with any one vehicle left out 0.008 to 0.011, 0.016 to 0.025 and 4 to 10. The mean command: 5 of these vehicles. Of hexas and octas there
-are none; the scaling of yaw is assumed, as in population.py.
+with any one vehicle left out 0.008 to 0.011, 0.016 to 0.025 and 4 to 10. The mean command: 5 of these vehicles. There are no hexas or octas
+among them; the scaling of yaw is assumed, as in population.py.
+
 Hotelling's test rejects the healthy hypothesis at FALSE_ALARM per flight, shared by two tests: of the mean, and of its change between the
-halves of the flight, as damage at take-off stays and a swinging load does not. Only then explanations are weighed, one of them that nothing
-but scatter is there. The verdict fault needs a rarer flight (FALSE_FAULT) and a rotor that is DAMAGED for sure.
+halves of the flight, as damage at take-off stays and a swinging load does not. Only then explanations are weighed, one of them scatter
+alone. The verdict fault needs a rarer flight (FALSE_FAULT) and a rotor that is certainly DAMAGED.
 """
 
 from __future__ import annotations
@@ -53,38 +57,35 @@ from rotorwatch.stats import multivariate_t as student
 
 AFTER_TAKE_OFF_S, BEFORE_LANDING_S = 3.0, 1.0
 BLOCK_S = 1.0
-SCALES = (1, 2, 4, 8)  # blocks that are averaged to see slow variation
+SCALES = (1, 2, 4, 8)  # blocks averaged to resolve slow variation
 LEAST_BLOCKS = 6
 UPRIGHT = np.cos(np.radians(25.0))
 CLIMB, TURN = 0.35, 0.35  # m/s, rad/s: faster than that is no steady flight
 LIMIT = 0.98  # share of the command range at which a rotor counts as being at its limit
-LIMITED = 0.2  # of the time at its limit: the mean command no longer says what hover needs
+LIMITED = 0.2  # share of the time at its limit beyond which the mean command is not that of hover
 
 CENTRE_SD, TILT_SD, THRUST_SD = 0.011, 0.045, 0.05
-PRIOR_FLIGHTS, MANY_FLIGHTS = 6, 10  # many: from which on a baseline can begin to show how much healthy flights differ
+PRIOR_FLIGHTS, MANY_FLIGHTS = 6, 10  # many: enough for a baseline to show the scatter of healthy flights
 SLOPE_SD, SLOPE_BETWEEN_SD = 2.0, 0.4  # of w per g: any build; flights of one build
 HALVES_SD = 0.01  # change of w between the halves of a healthy flight: motors and batteries warm up
 
 OF_MEAN = 0.8  # of the false alarms are the mean's; the rest the change's between halves
 
-SINGLE, PAIR, CENTRE = 0.45, 0.1, 0.45  # prior of what it is when something is wrong
+SINGLE, PAIR, CENTRE = 0.45, 0.1, 0.45  # prior of the explanations of a difference
 LOSS_MEAN = 0.25  # of the extra command theta / (1 - theta), exponential
 RHO_SD, CENTRE_RHO_SD = 0.3, 0.1  # yaw shift of a damaged rotor: 1 +- RHO_SD; of a weight 0 +- CENTRE_RHO_SD
-WEIGHT_SD = (
-    1.0  # of ln of the mean command, per arm length that a mass shifts the centre: a weight hung from an arm's end
-)
+WEIGHT_SD = 1.0  # of ln of the mean command, per arm length of shift of the centre: a weight hung from an arm's end
 SHIFT_SD = 0.08  # of the centre of mass, arm lengths
 
 
 class Features(NamedTuple):
-    """How one flight hovered. n rotors; axes roll, pitch, yaw; w as in the module docstring.
+    """The hover of one flight. n rotors; axes roll, pitch, yaw; w as in the module docstring.
 
-    share (n,): mean share of full thrust. wrench (3,), force (2,): mean w; mean lateral specific force x, y in g.
-    slope, slope_sd (2,): of w on the force, roll on y and pitch on x, from this flight alone.
-    covariance (3, 3): of the mean w, the slope's part taken out. change (3,), change_covariance (3, 3): the same for
-    second half minus first half. limited (n,): share of the time at the limit. seconds: of steady flight; blocks: how
-    many independent ones it is worth, 0 when too few. voltage: mean of the battery, V, 0 when not logged.
-    """
+    share (n,): mean share of full thrust. wrench (3,), force (2,): mean w; mean lateral specific force x, y in g. slope, slope_sd (2,): of
+    w on the force, roll on y and pitch on x, from this flight alone.
+    covariance (3, 3): of the mean w, without the slope's part. change (3,), change_covariance (3, 3): the same for second half minus first
+    half. limited (n,): share of the time at the limit. seconds: of steady flight; blocks: equivalent number of independent ones, 0 when too
+    few. voltage: mean of the battery, V, 0 when not logged."""
 
     name: str
     share: tuple[float, ...]
@@ -102,7 +103,7 @@ class Features(NamedTuple):
 
     @property
     def usable(self) -> bool:
-        """Enough steady flight to be compared at all."""
+        """True if there is enough steady flight for a comparison."""
         return self.blocks > 0
 
     def to_dict(self) -> dict:
@@ -124,7 +125,7 @@ class Features(NamedTuple):
 
 
 class Cause(NamedTuple):
-    """One explanation. kind: rotors or centre_of_mass. rotors: 1-based; none for the centre of mass."""
+    """An explanation. kind: rotors or centre_of_mass. rotors: 1-based; none for the centre of mass."""
 
     kind: str
     rotors: tuple[int, ...]
@@ -132,17 +133,16 @@ class Cause(NamedTuple):
 
 
 class WholeFlight(NamedTuple):
-    """The judgement.
+    """Result of the comparison with healthy flights.
 
     rotors: 1-based, those damaged (fault) or most likely so if any are (ambiguous).
-    loss (n,), interval (n, 2): per rotor, 95 %. Verdict healthy: loss weighs in that nothing is wrong, and the interval
-    reaches to what could have gone unnoticed; else both suppose that rotors are the cause.
-    causes: what explains the difference, most probable first; empty when there is none. p_value: share of healthy
-    flights that would differ at least so much if they spread as the model assumes; never below FALSE_FAULT, the smallest
-    share that a verdict is built on: neither the assumption nor a handful of flights can vouch for less.
-    shift, shift_sd (3,): of w against the baseline. common: log ratio of the mean
-    command, which battery, payload and air density change too. flights: how many baseline flights were used.
-    """
+    loss (n,), interval (n, 2): per rotor, 95 %. Verdict healthy: loss includes the probability that nothing is wrong, and the interval
+    reaches to the largest undetected loss; otherwise both assume that rotors are the cause.
+    causes: explanations of the difference, most probable first; empty when there is none. p_value: share of healthy flights that would
+    differ at least so much if they spread as the model assumes; never below FALSE_FAULT, the smallest share that a verdict is based on:
+    neither the assumption nor a handful of flights can support less.
+    shift, shift_sd (3,): of w against the baseline. common: log ratio of the mean command, which battery, payload and air density change
+    too. flights: number of baseline flights used."""
 
     verdict: str
     reason: str
@@ -173,11 +173,8 @@ def features(
     airborne: Sequence[tuple[float, float]],
     hover: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Features:
-    """How this flight hovered. airborne: ((start, end), ...) s; hover: its `steady`, where that is known. With too little steady flight it
-    is not `usable`.
-
-    Raises VehicleError when the vehicle has another number of rotors than the log.
-    """
+    """The hover of this flight. airborne: ((start, end), ...) s; hover: its `steady`, where known. With too little steady flight it is not
+    `usable`. Raises VehicleError when the vehicle has another number of rotors than the log."""
     empty = _no_hover(flight.name, len(vehicle.rotors))
     if not flight.has("motors"):
         return empty
@@ -219,7 +216,7 @@ def features(
 
 
 def steady(flight: Flight, vehicle: Vehicle, airborne: Sequence[tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
-    """(k,) starts of the blocks of BLOCK_S in which it hovered, and (k, n) mean shares of full thrust. airborne: as of `features`."""
+    """(k,) starts of the blocks of BLOCK_S of steady hover, and (k, n) mean shares of full thrust. airborne: as of `features`."""
     from rotorwatch.engine.motion.allocation import motor_thrusts
 
     thrust = motor_thrusts(flight, vehicle)
@@ -267,7 +264,7 @@ def _steady(flight: Flight, starts: np.ndarray) -> np.ndarray:
     steady = np.ones(len(starts), bool)
     if flight.has("attitude"):
         q, some = _block_means(flight["attitude"], starts)
-        # A mean of quaternions that turn over vanishes: not steady either.
+        # The mean of quaternions of a flip vanishes: not steady either.
         steady &= ~some | (1.0 - 2.0 * (q[:, 1] ** 2 + q[:, 2] ** 2) > UPRIGHT)
     if flight.has("velocity"):
         v, some = _block_means(flight["velocity"], starts)
@@ -287,7 +284,7 @@ def _lateral_force(flight: Flight, starts: np.ndarray) -> np.ndarray:
 
 
 def of_wind(force: Any, slope: Any) -> np.ndarray:
-    """(..., 3) what wind adds to w at the lateral force (..., 2) and slopes (2,); of their squares, what it adds to the variance."""
+    """(..., 3) wind's part of w at the lateral force (..., 2) and slopes (2,); given their squares, its part of the variance."""
     across = np.asarray(force, float)[..., ::-1] * slope
     return np.concatenate([across, np.zeros((*across.shape[:-1], 1))], axis=-1)
 
@@ -303,7 +300,7 @@ def _wind_fit(w: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray,
     for _ in range(huber.ROUNDS):
         weight, scale = huber.weights(y - level - slope * x, 1e-6)
         level = np.sum(weight * (y - slope * x), axis=0) / np.sum(weight, axis=0)
-        certain = 0.25 / scale**2  # neighbouring blocks are alike: count every fourth
+        certain = 0.25 / scale**2  # neighbouring blocks are correlated: count every fourth
         precision = certain * np.sum(weight * x * x, axis=0) + SLOPE_SD**-2
         slope = certain * np.sum(weight * x * (y - level), axis=0) / precision
         sd = precision**-0.5
@@ -328,12 +325,11 @@ def _covariance_of_mean(rest: np.ndarray) -> np.ndarray:
 
 
 def judge(flight: Features, baseline: Sequence[Features], vehicle: Vehicle) -> WholeFlight:
-    """Is this flight's balance that of the healthy ones, and if not, what explains it?
+    """Compare this flight's balance with healthy ones, and explain a difference.
 
-    baseline: one or more healthy flights of the same build. verdict: healthy; fault (these rotors); ambiguous
-    (something differs: rotors or the centre of mass, or not certain which rotors); inconclusive (too little hover).
-    Raises ConfigError without a baseline or when numbers of rotors differ.
-    """
+    baseline: one or more healthy flights of the same build. verdict: healthy; fault (these rotors); ambiguous (a difference: rotors or the
+    centre of mass, or not certain which rotors); inconclusive (too little hover). Raises ConfigError without a baseline or when numbers of
+    rotors differ."""
     n = len(vehicle.rotors)
     if not baseline:
         raise ConfigError(
@@ -355,7 +351,7 @@ def judge(flight: Features, baseline: Sequence[Features], vehicle: Vehicle) -> W
         loss, interval = _losses([h for h in hypotheses if h.kind == "rotors"], n)
     else:
         loss, _ = _losses(hypotheses, n)
-        # What could have gone unnoticed: the upper end were this rotor, and only this, damaged.
+        # The largest undetected loss: the upper end if only this rotor were damaged.
         alone = (h for h in hypotheses if len(h.rotors) == 1)
         interval = tuple((0.0, student.mean_and_interval(h.theta[:, 0], h.mass)[1][1]) for h in alone)
     wrong = [h for h in hypotheses if h.kind != "healthy"]
@@ -387,19 +383,19 @@ def judge(flight: Features, baseline: Sequence[Features], vehicle: Vehicle) -> W
 
 
 def rarity(flight: Features, others: Sequence[Features]) -> float:
-    """Share of healthy flights of the build that would differ from the others at least so much, under the model alone: no bound is put
-    on it, so it orders flights but is no odds. All flights must be `usable`."""
+    """Share of healthy flights of the build that would differ from the others at least so much, under the model alone: without a lower
+    bound, so it ranks flights but is no probability to quote. All flights must be `usable`."""
     return _p_values(*_difference(flight, others), flight, others)[2]
 
 
 def _p_values(shift, scale, dof, flight: Features, healthy) -> tuple[float, float, float]:
-    """Of the mean, of its change between the halves, and of both (Bonferroni): Hotelling's test. The rest: as `_difference` returns it."""
+    """Hotelling's p-values of the mean, of its change between the halves, and of both (Bonferroni). The rest: as of `_difference`."""
     p_mean, p_change = student.tail(shift[:3], scale[:3, :3], dof), student.tail(*_change(flight, healthy))
     return p_mean, p_change, min(1.0, p_mean / OF_MEAN, p_change / (1.0 - OF_MEAN))
 
 
-def _seldom(p_value: float, flights: int) -> str:
-    """How rare such a flight is, and what that rests on: few flights cannot show how much healthy ones differ."""
+def _rarity_text(p_value: float, flights: int) -> str:
+    """The rarity of such a flight in words, and its basis: few flights cannot show how much healthy ones differ."""
     odds = f"1 in {1.0 / max(p_value, FALSE_FAULT):.0f}"
     odds = f"fewer than {odds}" if p_value < FALSE_FAULT else odds
     few = "one flight cannot show that" if flights == 1 else f"{flights} flights are too few to show that"
@@ -411,7 +407,7 @@ def _explain(causes, suspects, sure, p_mean, p_change, p_value, flight, loss, he
     """Verdict and sentence for a flight that differs."""
     named = " and ".join(f"{r} ({100 * loss[r - 1]:.0f} % loss)" for r in suspects)
     rotors = f"rotor{'s' if len(suspects) > 1 else ''} {named}"
-    seldom = _seldom(p_value, len(healthy))
+    seldom = _rarity_text(p_value, len(healthy))
     if p_mean / OF_MEAN > max(FALSE_ALARM, p_change):
         return "ambiguous", f"the balance of the rotors changed in flight: a moving load, or {rotors}; {seldom}."
     limited = int(np.argmax(flight.limited))
@@ -444,8 +440,8 @@ def prior_covariance(n: int) -> np.ndarray:
 def _difference(flight: Features, healthy) -> tuple[np.ndarray, np.ndarray, float]:
     """Shift of w and ln of the mean command (4,) against the mean of the healthy flights, its t scale matrix (4, 4), degrees of freedom."""
     all_of_them = (flight, *healthy)
-    own = np.square([one.slope_sd for one in all_of_them]) + SLOPE_BETWEEN_SD**2
-    slope, slope_variance = student.weighted_mean(np.array([one.slope for one in all_of_them]), own)
+    variance = np.square([one.slope_sd for one in all_of_them]) + SLOPE_BETWEEN_SD**2
+    slope, slope_variance = student.weighted_mean(np.array([one.slope for one in all_of_them]), variance)
     rows = np.array([[*(one.wrench - of_wind(one.force, slope)), np.log(np.mean(one.share))] for one in all_of_them])
     base, force = rows[1:], np.array([one.force for one in all_of_them])
     scale, dof = student.predictive(base, prior_covariance(len(flight.share)), PRIOR_FLIGHTS)
@@ -468,7 +464,7 @@ def _within(own, others: list) -> np.ndarray:
     return np.array(own) + np.mean(others, axis=0) / len(others)
 
 
-# What explains a difference
+# Explanations of a difference
 
 
 class _Hypothesis(NamedTuple):
@@ -482,19 +478,19 @@ class _Hypothesis(NamedTuple):
 
 
 def _weigh(shift, covariance, dof, share, vehicle) -> list[_Hypothesis]:
-    """All hypotheses for a shift of w and ln of the mean command; share (n,): healthy commands. A priori healthy is as likely as others."""
+    """All hypotheses for a shift of w and ln of the mean command; share (n,): healthy commands. Half of the prior is healthy."""
     B, n = vehicle.effectiveness(), len(vehicle.rotors)
     mixer, balance, thrust = np.linalg.pinv(B) @ B, (B[:3] @ share)[:, None], share.sum()
     none = np.zeros((1, 0))
-    found = [_Hypothesis("healthy", (), float(student.density(shift, covariance, dof)), none, np.ones(1))]
+    hypotheses = [_Hypothesis("healthy", (), float(student.density(shift, covariance, dof)), none, np.ones(1))]
     for count, prior in ((1, SINGLE), (2, PAIR)):
         sets = list(itertools.combinations(range(n), count))
         extra, extra_mass = _loss_grid(count)
         for rotors in sets:
             who = list(rotors)
-            own = share[who][:, None]
-            lacks = extra * own  # (count, g) shares of full thrust
-            theta = lacks / (own + mixer[np.ix_(who, who)].T @ lacks)
+            command = share[who][:, None]
+            lacks = extra * command  # (count, g) shares of full thrust
+            theta = lacks / (command + mixer[np.ix_(who, who)].T @ lacks)
             mass = extra_mass * (theta <= 1.0).all(axis=0)
             total = thrust + lacks.sum(axis=0)
             moved = np.empty((4, len(mass)))
@@ -504,14 +500,14 @@ def _weigh(shift, covariance, dof, share, vehicle) -> list[_Hypothesis]:
             mass *= student.density((shift[:, None] - moved).T, covariance, dof, (0.0, 0.0, yaw, 0.0)) / mass.sum()
             weight = float(mass.sum())
             one_based = tuple(r + 1 for r in rotors)
-            found.append(
+            hypotheses.append(
                 _Hypothesis("rotors", one_based, prior / len(sets) * weight, theta.T, mass / max(weight, 1e-300))
             )
     where, distance, mass = student.centred_grid(SHIFT_SD, 4.0)
     rest = shift - np.pad(where, ((0, 0), (0, 2)))
-    more = (0.0, 0.0, np.square(CENTRE_RHO_SD * distance), np.square(WEIGHT_SD * distance))
-    weight = float(mass @ student.density(rest, covariance, dof, more))
-    return [*found, _Hypothesis("centre_of_mass", (), CENTRE * weight, none, np.ones(1))]
+    extra_variance = (0.0, 0.0, np.square(CENTRE_RHO_SD * distance), np.square(WEIGHT_SD * distance))
+    weight = float(mass @ student.density(rest, covariance, dof, extra_variance))
+    return [*hypotheses, _Hypothesis("centre_of_mass", (), CENTRE * weight, none, np.ones(1))]
 
 
 @functools.cache

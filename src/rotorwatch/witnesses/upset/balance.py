@@ -1,18 +1,18 @@
-"""The balance of torques and of thrust at any attitude: how well does a set of commands explain the motion of a vehicle that tumbles?
+"""The balance of torques and of thrust at any attitude: how well a set of commands explains the motion of a tumbling vehicle.
 
 For each axis a of roll, pitch and yaw, in the body frame,
 
     w_a + b_a = J_a (dr_a/dt + g_a) + D_a r_a + e,        w = B T
 
-w: torque of the thrusts T (n,) that the rotors give (hover thrust of one rotor = 1); r: rates; g: what the gyroscopic terms of a flat body
-add, (q r, -p r, 0) k; J, D, b: inertia, damping and offset, of which signs and sizes of any multirotor are known: inertia is never
-negative, so that motion against the torque speaks against the commands, however wrong the gains may be. For the thrust
+w: torque of the rotors' thrusts T (n,) (hover thrust of one rotor = 1); r: rates; g: gyroscopic terms of a flat body, (q r, -p r, 0) k; J,
+D, b: inertia, damping and offset, with priors on their signs and sizes that hold for any multirotor: inertia is never negative, so that
+motion against the torque contradicts the commands, however wrong the gains may be. For the thrust
 
     sum T - m load = e
 
-with the load factor and the number of hover thrusts m that carry the vehicle. It holds while tumbling as well as in hover, other than the
-small-angle hover physics of `default`. The noise e is that of models: thrust is off by a share, a rotor near its limit gives less (never
-nothing), commands that are logged slowly are snapshots. A share of all ticks says nothing at all (a blow, a damaged sample).
+with the load factor and the number of hover thrusts m that carry the vehicle. It holds while tumbling as well as in hover, unlike the
+small-angle hover physics of `default`. The noise e is model error: thrust is off by a share, a rotor near its limit gives less (never
+zero), slowly logged commands are snapshots. A share of all ticks carries no information (a blow, a damaged sample).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import numpy as np
 from rotorwatch.base.arrays import median
 from rotorwatch.base.physics import G0
 
-# For each rotor: inertia and its scatter in hover thrusts per rad/s^2, as in `default.plant`, but positive for certain.
+# Inertia per rotor and its scatter in hover thrusts per rad/s^2, as in `default.plant`, but always positive.
 # Ratios scatter, not differences: half the usual inertia is as far off as twice of it.
 INERTIA, LIGHTER_SD, HEAVIER_SD, LEAST = (
     np.array([0.006, 0.006, 0.13]),
@@ -37,24 +37,21 @@ FLAT = 0.8  # (Jz - Jy) / Jx of a vehicle that is nearly flat; 1 for a plate
 # Standard deviations: hover thrusts of one rotor; share of each rotor's thrust; of a command that changes, of its step within the tick; of
 # damping and gyroscopic terms; of the whole thrust, which air that flows along the axis changes; of the load factor, by drag.
 FLOOR, THRUST_SHARE, STEP_SHARE, MOTION_SHARE, LOAD_SHARE, LOAD_FLOOR = 0.07, 0.08, 0.35, 0.3, 0.1, 0.1
-BELOW_LIMIT, AT_LIMIT = (
-    0.6,
-    0.95,
-)  # shares of full thrust, from and to which less and less is delivered than was commanded:
-LACKS, LACKS_SD = 0.15, 0.15  # at the limit so much less, hardly more than 40 %, and never the other way
-SPIN_UP_S = 0.05  # a rotor that speeds up turns the vehicle by the torque of its thrust's change in so many seconds
-STRANGE_S = 1.0  # after the onset: the longer a vehicle tumbles, the stranger is the air that its rotors meet
-FALLS_S = 0.4  # the same, of thrust: what falls, or climbs, off meets other air at once
+BELOW_LIMIT, AT_LIMIT = 0.6, 0.95  # shares of full thrust between which ever less of the command is delivered:
+LACKS, LACKS_SD = 0.15, 0.15  # deficit at the limit: hardly more than 40 %, and never negative
+SPIN_UP_S = 0.05  # reaction torque of a rotor that speeds up: that of its thrust's change in this time
+STRANGE_S = 1.0  # after the onset: the inflow of the rotors of a tumbling vehicle becomes ever less regular
+FALLS_S = 0.4  # the same for thrust: a vehicle that falls or climbs meets other inflow at once
 OUTLIERS, OUTLIER_SD = 0.05, 4.0
-ERROR_S = 0.15  # that errors of the model last: ticks that are closer count as so much less
+ERROR_S = 0.15  # correlation time of model errors: closer ticks count less
 TURNS = 12  # of the coordinate descent
-FALLS = 14.0  # m/s: a vehicle that sinks so fast is carried by the air, up to about the whole of its weight
+FALLS = 14.0  # m/s: the air carries up to about the whole weight of a vehicle that sinks this fast
 
 
 class Window(NamedTuple):
     """K ticks: time (K,); thrust (K, n) commanded, in hover thrusts; full (float): a rotor's largest thrust; rate, rate_dot (K, 3); load
-    (K,); torque_ok (K, 3), load_ok (K,) bool; before, after (K, n): commands of the ticks beside; onset: when control began
-    to be lost [s]."""
+    (K,); torque_ok (K, 3), load_ok (K,) bool; before, after (K, n): commands of the adjacent ticks; onset: when control began to be lost
+    [s]."""
 
     time: np.ndarray
     thrust: np.ndarray
@@ -93,12 +90,12 @@ def _near(window: Window) -> np.ndarray:
 
 
 def _step(window: Window) -> float:
-    """Usual time between two ticks [s]; inf of one tick alone."""
+    """Usual time between two ticks [s]; inf for a single tick."""
     return float(median(np.diff(window.time))) if window.time.size > 1 else np.inf
 
 
 def noise_variance(window: Window, B: np.ndarray, air: np.ndarray) -> np.ndarray:
-    """(K, 4) variance of e that depends on commands alone. B (4, n); air (K,): what the air carries."""
+    """(K, 4) variance of e, as far as it depends on commands alone. B (4, n); air (K,): load carried by the air."""
     T = window.thrust
     change = 0.5 * (np.abs(window.after - T) + np.abs(T - window.before))
     each = (THRUST_SHARE * T) ** 2 + (STEP_SHARE * change) ** 2 + (LACKS_SD * _near(window) * T) ** 2
@@ -112,18 +109,17 @@ def noise_variance(window: Window, B: np.ndarray, air: np.ndarray) -> np.ndarray
 
 
 def _air(window: Window) -> np.ndarray:
-    """(K,) load factor that the air carries of a vehicle that falls: as much more or less as this is not known."""
+    """(K,) load factor that the air carries of a falling vehicle; its uncertainty is as large."""
     falls = np.where(window.load_ok & (window.time > window.onset), np.maximum(1.0 - window.load, 0.0), 0.0)
     step = np.diff(window.time, prepend=window.time[0])
     return 0.5 * np.minimum((G0 * np.cumsum(falls * step) / FALLS) ** 2, 1.0)
 
 
 def fit(window: Window, wrench: np.ndarray, B: np.ndarray, offset: Offset) -> Fit:
-    """How well H courses of the wrench (H, K, 4) explain the motion.
+    """Fit of H time series of the wrench (H, K, 4) to the motion.
 
-    Per axis the most probable (J, D, b) by reweighted coordinate descent, of all courses at once; the evidence is the mixture's likelihood
-    there, times the prior.
-    """
+    Per axis the most probable (J, D, b) by reweighted coordinate descent, for all series at once; the evidence is the mixture's likelihood
+    there, times the prior."""
     n = B.shape[1]
     H, K, _ = wrench.shape
     air = _air(window)
@@ -137,7 +133,7 @@ def fit(window: Window, wrench: np.ndarray, B: np.ndarray, offset: Offset) -> Fi
         for side in (LIGHTER_SD, HEAVIER_SD)
     ]
     low = np.concatenate([(n * LEAST)[:, None], np.zeros((3, 1)), np.full((3, 1), -np.inf)], axis=1)
-    # Axis by axis, in front of the courses: the sums over all ticks are products of matrices then.
+    # Axes first: the sums over all ticks are then matrix products.
     X = np.stack([turn.T, r.T, -np.ones((3, K))])  # (3 parameters, 3 axes, K)
     pairs = np.stack([X[i] * X[j] for i in range(3) for j in range(3)], axis=2)  # (3 axes, K, 9)
     each = X.transpose(1, 2, 0)  # (3 axes, K, 3 parameters)

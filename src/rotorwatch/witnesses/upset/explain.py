@@ -1,8 +1,8 @@
-"""What the rotors of a vehicle did around the moment it left control: every explanation at every onset, by the balance (`balance`).
+"""Explanations of a departure from controlled flight by the rotors' behaviour, at every onset, by the balance (`balance`).
 
-Explanations: all rotors gave what was commanded; one of them lost a share theta from a tick on, or gave one thrust whatever it was
-commanded; all of them did alike (battery); something turned the vehicle from outside (a torque that lasts); two outputs went to each
-other's motor; yaw works the wrong way round. Sizes and onsets are summed over a grid, with the prior of each.
+Explanations: all rotors gave what was commanded; one of them lost a share theta from a tick on, or gave a constant thrust whatever its
+command; all of them lost the same share (battery); a lasting external torque; two outputs went to each other's motor; yaw has the wrong
+sign. Sizes and onsets are summed over a grid, with the prior of each.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from rotorwatch.witnesses.upset.balance import Fit, Offset, Window, delivered, f
 SIZES = np.array([0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
 STUCK = np.array(
     [0.5, 0.7, 0.9]
-)  # of full thrust, of a rotor that follows no command any more but gives more than in hover
-CARRIES = 1.5  # hover thrusts: a rotor that still gives so much, turns nothing over
-LIFTS = 2.0  # nats by which the load alone has to speak for such a rotor
-# How often each kind of explanation is met, of vehicles that left control.
+)  # of full thrust, of a rotor that no longer follows its command but gives more than in hover
+CARRIES = 1.5  # hover thrusts: a rotor that still gives this much turns no vehicle over
+LIFTS = 2.0  # nats of evidence for such a rotor that the load alone has to give
+# Frequency of each explanation among vehicles that departed controlled flight.
 PRIOR = {"healthy": 0.4, "rotor": 0.4, "outside": 0.1}
 ORDER = {"healthy": 0.25, "rotor": 0.35, "outside": 0.08, "order": 0.25, "yaw": 0.05}
-# That all rotors fail alike: where the battery's voltage was steady (then none can, but commands that are wrong look so), where it is not
+# All rotors fail alike: where the battery's voltage was steady (then none can, but wrong commands look the same), where it is not
 # logged, where it collapsed.
 COMMON = {False: 1e-12, None: 0.005, True: 0.3}
-EXTERNAL_SD = 1.0  # hover thrusts of one rotor, of a torque from outside that lasts
-CHUNK = 256  # courses that are fitted at once
+EXTERNAL_SD = 1.0  # hover thrusts of one rotor, of a lasting external torque
+CHUNK = 256  # hypotheses fitted at once
 
 
 class Explanation(NamedTuple):
-    """One kind of explanation, summed over sizes and onsets. kind: healthy, rotor, common, outside, order or yaw; rotors (0-based); log:
-    of its evidence with its prior; onset: most probable [s]; size: mean loss, low, high: its 95 % interval; residual (K, 4) of the best;
-    gives: the thrust that the rotor gave whatever it was commanded, in hover thrusts, where that is the likeliest, else 0."""
+    """An explanation, summed over sizes and onsets. kind: healthy, rotor, common, outside, order or yaw; rotors (0-based); log: of its
+    evidence with its prior; onset: most probable [s]; size: mean loss, low, high: its 95 % interval; residual (K, 4) of the best; gives:
+    the constant thrust of the rotor, in hover thrusts, where that is the most likely, else 0."""
 
     kind: str
     rotors: tuple[int, ...]
@@ -52,9 +52,8 @@ def explain(
 ) -> tuple[tuple[Explanation, ...], np.ndarray]:
     """All explanations, the most probable first, and their probabilities.
 
-    B (4, n); onsets: indices of the ticks at which something may have begun; orders: whether outputs may go to the wrong motors (at the
-    first take-off: later it would have shown); sagged: whether the battery's voltage collapsed, None where that is not known.
-    """
+    B (4, n); onsets: indices of the ticks of possible onsets; orders: whether outputs may go to the wrong motors (at the first take-off:
+    later it would have shown); sagged: whether the battery's voltage collapsed, None where that is unknown."""
     n, K = B.shape[1], window.time.size
     T = delivered(window)
     healthy = T @ B.T
@@ -78,7 +77,7 @@ def explain(
                 add("rotor", (i,), k, size, np.where(since, (T * (1.0 - lost)) @ B.T, healthy))
             if size <= 0.9:
                 add("common", (), k, size, np.where(since, (1.0 - size) * healthy, healthy))
-        # At the first take-off outputs that go to the wrong motors look the same, and are met far more often.
+        # At the first take-off outputs on the wrong motors look the same, and are far more frequent.
         for gives in () if orders else STUCK[STUCK * window.full > 1.0] * window.full:
             for i in range(n):
                 other = np.where(np.arange(n) == i, gives, T)
@@ -99,14 +98,14 @@ def explain(
     log = log + np.log([STUCK_WEIGHT if gives else 1.0 for *_, gives in labels])
     residual = np.concatenate([f.residual[:, :, 3] for f in fits])  # (courses, K): of thrust
     lifts = 0.5 * np.sum(residual[0] ** 2 - residual**2, axis=1)
-    # A rotor that gives more than it is commanded lifts the vehicle: where the load does not show that, it does not.
+    # A rotor with more thrust than commanded lifts the vehicle, so the load has to show it.
     log = np.where([bool(gives) for *_, gives in labels] & (lifts < LIFTS), -np.inf, log)
-    found = [
+    explanations = [
         _summed(kind, rotors, prior, labels, log, fits, window) for kind, rotors in dict.fromkeys(x[:2] for x in labels)
     ]
-    found.sort(key=lambda e: -e.log)
-    weight = np.exp(np.array([e.log for e in found]) - found[0].log)
-    return tuple(found), weight / weight.sum()
+    explanations.sort(key=lambda e: -e.log)
+    weight = np.exp(np.array([e.log for e in explanations]) - explanations[0].log)
+    return tuple(explanations), weight / weight.sum()
 
 
 def _summed(kind, rotors, prior, labels, log, fits: list[Fit], window: Window) -> Explanation:

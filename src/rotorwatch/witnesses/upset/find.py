@@ -1,4 +1,4 @@
-"""The loss of control of a flight, its cause, and the rotors that may be to blame; `answer/falls.py` makes events of them."""
+"""The losses of control of a flight, their causes, and the rotors that may be responsible; `answer/falls.py` makes events of them."""
 
 from __future__ import annotations
 
@@ -22,18 +22,15 @@ from rotorwatch.witnesses.upset.balance import INERTIA, Offset, Window
 from rotorwatch.witnesses.upset.explain import Explanation, explain
 from rotorwatch.witnesses.upset.loss_of_control import HIT_S, LossOfControl, held, thrust_axis
 
-BEFORE_S, AFTER_S = 2.0, 3.0  # of the upset that are looked at, at most
-EARLIER_S, LATER_S = 0.7, 0.3  # of its onset at which a cause may have begun
-SHOWS_S = 0.5  # before control is lost: what begins later is no cause
-CALM_S = 0.4  # of flight under control before, from which the offset of the torques is known
+BEFORE_S, AFTER_S = 2.0, 3.0  # of the upset that are used, at most
+EARLIER_S, LATER_S = 0.7, 0.3  # around its onset, in which a cause may have begun
+SHOWS_S = 0.5  # before control is lost: later onsets are no cause
+CALM_S = 0.4  # of controlled flight before, to estimate the offset of the torques
 CALM_SD, UNKNOWN_SD = 0.1, 0.15
-FIRST_S = 3.0  # after lift-off: what is wrong now was wrong on the ground
-STIRS = 2.0, 0.2  # rad/s^2, rad/s: a vehicle that has moved
+FIRST_S = 3.0  # after lift-off: a fault that shows now was present on the ground
+STIRS = 2.0, 0.2  # rad/s^2, rad/s: the vehicle moves
 LIES = 0.15, 1.5  # rad/s, rad/s^2: below both for three ticks, a vehicle that has turned over lies on the ground
-STOPS_S, TURNED_OVER = (
-    0.5,
-    1.0,
-)  # s within which the ground stops it; rad/s that it stops: one that drifts out of control is in the air
+STOPS_S, TURNED_OVER = 0.5, 1.0  # s within which the ground stops it; rad/s that it stops
 PINNED = 3.0  # rad/s: the ranges of gyros end above
 MOST_TICKS = 60
 HOVER_PARAMETERS = ("MOT_THST_HOVER", "MPC_THR_HOVER")
@@ -41,7 +38,7 @@ USUAL_HOVER = 0.35
 
 FITS = 1.7  # standard deviations, root mean square: beyond, even the best explanation does not explain the motion
 TURNED = 1.4  # the same, of torques: the rotors turned the vehicle as commanded
-STRAYS, STRAYS_THRUST = 3.0, 1.5  # standard deviations of torque and of thrust: the motion leaves the commands
+STRAYS, STRAYS_THRUST = 3.0, 1.5  # standard deviations of torque and of thrust: the motion deviates from the commands
 JOINS_S = 0.5  # a departure that began earlier in the residuals is the same
 KNOCK_S = 0.3
 DISARMED_S = 1.0
@@ -55,9 +52,9 @@ TRIM = 0.1  # arm lengths: healthy vehicles are commanded less of roll and pitch
 
 
 class Judged(NamedTuple):
-    """The verdict on one loss of control. cause; explanations with their probabilities, () where the log shows too little; window; onset
-    [s]; evidence: sentences; commanded: until when the log holds commands of each rotor, infinite where up to the onset, None where it
-    never did [s]."""
+    """A loss of control with its cause. explanations with their probabilities, () where the log shows too little; window; onset [s];
+    evidence: sentences; commanded: time up to which the log holds commands of each rotor, infinite where up to the onset, None where never
+    [s]."""
 
     left: LossOfControl
     cause: str
@@ -70,7 +67,7 @@ class Judged(NamedTuple):
 
     @property
     def fell(self) -> bool:
-        """Whether it went on until the vehicle hit the ground."""
+        """True if the loss of control lasted until the vehicle hit the ground."""
         return self.left.ground is not None and self.left.ground - self.onset > HIT_S
 
 
@@ -79,8 +76,8 @@ def judged(
 ) -> tuple[Judged, ...]:
     """Every loss of control of a flight with its cause. air: intervals ((start, end), ...) s in the air. progress: called with the finished
     share, 0..1."""
-    found = (judge(flight, vehicle, air, left) for left in loss_of_control.find(flight, air, progress))
-    return tuple(one._replace(commanded=_commanded(flight, one.onset)) for one in found)
+    verdicts = (judge(flight, vehicle, air, left) for left in loss_of_control.find(flight, air, progress))
+    return tuple(verdict._replace(commanded=_commanded(flight, verdict.onset)) for verdict in verdicts)
 
 
 def _commanded(flight: Flight, onset: float) -> tuple[float | None, ...]:
@@ -120,7 +117,7 @@ def judge(flight: Flight, vehicle: Vehicle, air, left: LossOfControl) -> Judged:
 def _cause(
     flight, vehicle, start: float, left: LossOfControl, found, probability, window: Window, onset: float
 ) -> tuple[str, tuple[str, ...]]:
-    """The cause of a loss of control, and the sentences that speak for it."""
+    """The cause of a loss of control, and the sentences of evidence for it."""
     if left.falls:
         disarmed = any(
             m.kind == "armed" and not m.value and abs(m.time - left.onset) < DISARMED_S for m in flight.messages
@@ -155,7 +152,7 @@ def _cause(
     turned = (
         left.onset - start > FIRST_S and torque.size > 0 and bool((np.sqrt((torque**2).mean(axis=0)) < TURNED).all())
     )
-    # Air may have taken the thrust, too: what the torques say of a rotor has to be nothing without that explanation as well.
+    # Air may have taken the thrust, too: without that explanation, the torques must not implicate a rotor either.
     nobody = best.kind == "common" and rotor < (1.0 - SURE) * float(probability[1:].sum())
     if (best.kind == "healthy" and p > SURE and fits and turned) or (nobody and turned and _level(flight, left, onset)):
         if _shaken(flight, onset):
@@ -168,7 +165,7 @@ def _cause(
 
 
 def _shaken(flight: Flight, onset: float) -> bool:
-    """Did the vehicle shake so hard before it left control that its motion acquits no rotor?"""
+    """True if vibration before the departure was so strong that the motion clears no rotor."""
     if not flight.has("accel"):
         return False
     force = flight["accel"].wholes().between(onset - BEFORE_S, onset - KNOCK_S).values
@@ -176,7 +173,7 @@ def _shaken(flight: Flight, onset: float) -> bool:
 
 
 def _struck(window: Window, B: np.ndarray, onset: float) -> bool:
-    """Did the vehicle turn, as control was lost, as the loss of no two of its rotors could turn it? Sizes as for knocks in flight."""
+    """True if the vehicle turned, as control was lost, in a way that the loss of no two rotors explains. Sizes as for knocks in flight."""
     n, torque = B.shape[1], (window.thrust @ B.T)[:, :3]
     near = np.abs(window.time - onset) <= KNOCK_S
     with_it = np.maximum(np.sign(window.rate_dot) * torque, 0.0)
@@ -191,7 +188,7 @@ def _names(found, probability) -> str:
 
 
 def _level(flight: Flight, left: LossOfControl, onset: float) -> bool:
-    """Did the autopilot believe that the vehicle was upright while it left?"""
+    """True if the autopilot estimated an upright attitude during the departure."""
     if not flight.has("attitude"):
         return False
     q, age = held(flight["attitude"], np.linspace(onset, left.onset, 5))
@@ -199,7 +196,7 @@ def _level(flight: Flight, left: LossOfControl, onset: float) -> bool:
 
 
 def _strays(window: Window, residual: np.ndarray, onset: float) -> float:
-    """When the motion began to leave the commands, of a loss of control that showed at `onset` [s]."""
+    """Onset [s] of the deviation of the motion from the commands, for a loss of control that showed at `onset` [s]."""
     far = (np.abs(residual[:, :3]) > STRAYS).any(axis=1) | (np.abs(residual[:, 3]) > STRAYS_THRUST)
     first = onset
     for k in np.flatnonzero(far & (window.time < onset))[::-1]:
@@ -210,7 +207,7 @@ def _strays(window: Window, residual: np.ndarray, onset: float) -> float:
 
 
 def until_impact(flight: Flight, air, found: Sequence[Judged]) -> tuple[tuple[float, float], ...]:
-    """`loss_of_control.until_impact` for losses of control whose onset has been judged."""
+    """`loss_of_control.until_impact` for losses of control whose onset is known."""
     return loss_of_control.until_impact(
         flight, air, tuple(j.left._replace(onset=min(j.onset, j.left.onset)) for j in found)
     )
@@ -219,9 +216,8 @@ def until_impact(flight: Flight, air, found: Sequence[Judged]) -> tuple[tuple[fl
 def window_of(
     flight: Flight, vehicle: Vehicle, left: LossOfControl, start: float
 ) -> tuple[Window, Offset, np.ndarray, bool, float | None] | None:
-    """The ticks around an upset, the torques' offset before it, indices of the ticks at which its cause may have begun, whether it came
-    with the take-off, and when the vehicle lay on the ground, or None [s]; None where the log shows no commands or rates there. start:
-    of the flight [s]."""
+    """The ticks around an upset, the torques' offset before it, indices of the ticks of possible onsets, whether it came with the take-off,
+    and when the vehicle lay on the ground, or None [s]; None where the log shows no commands or rates there. start: of the flight [s]."""
     first, last = left.onset - BEFORE_S, min(left.lost + AFTER_S, np.inf if left.end is None else left.end)
     if left.impact is not None and left.impact > left.onset + HIT_S:
         last = min(last, left.impact)
@@ -243,7 +239,7 @@ def window_of(
     lies = np.flatnonzero(still[2:] & still[1:-1] & still[:-2])
     turning = np.abs(seen.rate).max(axis=1)
     stopped = last
-    for k in lies:  # and what stopped it was the ground
+    for k in lies:  # and the ground stopped it
         before = np.flatnonzero((seen.time <= seen.time[k]) & (seen.time >= max(seen.time[k] - STOPS_S, left.onset)))
         if before.size and turning[before].max() > TURNED_OVER:
             stopped = float(seen.time[before[np.argmax(turning[before])]])
@@ -254,7 +250,7 @@ def window_of(
         (seen.time >= first) & (seen.time <= last + (how.lag_s if ground is None else 0.0)) & seen.some
     )[:MOST_TICKS]
     commanded = np.flatnonzero(seen.share[inside].max(axis=1, initial=0.0) > loss_of_control.REST)
-    if commanded.size and not left.falls:  # with its motors stopped, a vehicle tumbles on as it likes
+    if commanded.size and not left.falls:  # with its motors stopped, the vehicle's motion shows nothing
         inside = inside[: commanded[-1] + 2]
     if inside.size < 3:
         return None
@@ -278,7 +274,7 @@ def window_of(
 
 
 def _pinned(rate: np.ndarray, rate_dot: np.ndarray) -> np.ndarray:
-    """(K, 3) bool: a gyro at the end of its range, where it tells no acceleration."""
+    """(K, 3) bool: a gyro at the end of its range, where it shows no acceleration."""
     most = np.abs(rate).max(axis=0)
     there = (np.abs(rate) > 0.97 * most) & (np.abs(rate_dot) < STIRS[0]) & (most > PINNED)
     return there & (there.sum(axis=0) >= 4)
@@ -307,7 +303,7 @@ def _hover(flight: Flight, seen: Sensed, vehicle: Vehicle, until: float, at_take
 
 
 def _offset(window: Window, B: np.ndarray, until: float, at_take_off: bool) -> Offset:
-    """Torques that the vehicle is commanded in calm flight before `until` [s]: trim."""
+    """Trim: the torques commanded in calm flight before `until` [s]."""
     calm = np.flatnonzero((window.time < until) & window.torque_ok.all(axis=1))
     if at_take_off or calm.size < 2 or window.time[calm[-1]] - window.time[calm[0]] < CALM_S:
         return Offset(np.zeros(3), np.full(3, UNKNOWN_SD))

@@ -1,7 +1,7 @@
-"""When a vehicle left control: its attitude or rates part from what was wanted, and do not come back; or it falls without thrust.
+"""Loss of control: attitude or rates deviate from the commanded ones and do not return; or the vehicle falls without thrust.
 
-Wanted is what the autopilot asked for: the direction of thrust (attitude_wanted), which aerobatics turn as well, or, where there is none,
-the rates (rates_wanted). Where a log has neither, only a vehicle on its head is out of control.
+Commanded ("wanted") is the autopilot's target: the direction of thrust (attitude_wanted), which aerobatics turn as well, or, without it,
+the rates (rates_wanted). Where a log has neither, only an inverted vehicle counts as out of control.
 """
 
 from __future__ import annotations
@@ -18,52 +18,46 @@ from rotorwatch.base.progress import portion
 from rotorwatch.engine.motion.airborne import commands, output_range
 from rotorwatch.flight import Flight, Signal
 
-# Degrees between the actual direction of thrust and any that was wanted lately, and for how long. Healthy vehicles of public logs,
+# Degrees between the actual direction of thrust and any recent target, and for how long. Healthy vehicles of public logs,
 # aerobatics and gusts of 18 m/s included, stay below 20 degrees, but for half a second of 57 in one manual flight.
 ERROR_DEG, LASTS_S = 40.0, 0.4
-AWAY_DEG, AWAY_S = 20.0, 2.0  # less, for long: of public logs only vehicles that no longer fly as they are asked
-LOST_S = 1.2  # control that is back sooner was not lost: a knock or a hard turn that the vehicle mastered
-TUMBLED_DEG = 100.0  # two samples so far from all that was wanted: it tumbled, however it came to rest
-SPINS = 20.0  # rad/s of yaw, faster than anybody asks for
-ANSWERS_S = 0.6  # within which a vehicle under control has the attitude, or the rates, that were wanted
-BLOCK = 1 << 16  # samples that are compared at a time
+AWAY_DEG, AWAY_S = 20.0, 2.0  # less, for longer: in public logs only vehicles that no longer follow their commands
+LOST_S = 1.2  # control regained sooner was not lost: a knock or a hard turn that the vehicle recovered from
+TUMBLED_DEG = 100.0  # two samples this far from all targets: it tumbled, however it came to rest
+SPINS = 20.0  # rad/s of yaw, faster than anyone commands
+ANSWERS_S = 0.6  # within which a vehicle under control reaches the commanded attitude or rates
+BLOCK = 1 << 16  # samples compared at a time
 Progress = Callable[[float], object] | None
 BACK = np.linspace(0.0, ANSWERS_S, 7)
-TURNS_S, TURNED_RAD = (
-    10.0,
-    0.2,
-)  # within which a vehicle turns to a heading that is wanted; how exactly headings are held
-RATE_ERROR = 6.0  # rad/s of roll or pitch between the wanted and the actual rate
-OVER_DEG = 100.0  # of tilt, which nobody has asked for where nothing says what was wanted
-BACK_DEG, BACK_S = 15.0, 2.0  # closer than that for so long: control has come back
-MASTERED_S = 0.5  # the same, of a turn that is mastered at once, though another follows it: the vehicle was under control between them
-FRESH_S = 0.5  # a wanted attitude that is older is none
-FALLS, FALLS_S = 0.35, 0.25  # load factor [g] below which a vehicle falls, with outputs at rest for so long
-SINKS_M_S, NEARLY_FULL = 4.0, 0.85  # down, at so much of all outputs' range
-REST = 0.015  # share of the range up to which an output is at rest
+TURNS_S, TURNED_RAD = 10.0, 0.2  # within which a vehicle turns to a commanded heading; accuracy of headings
+RATE_ERROR = 6.0  # rad/s of roll or pitch between the commanded and the actual rate
+OVER_DEG = 100.0  # of tilt, for logs without targets
+BACK_DEG, BACK_S = 15.0, 2.0  # closer than this for this long: control has come back
+MASTERED_S = 0.5  # the same, for a quick recovery before another turn: the vehicle was under control between them
+FRESH_S = 0.5  # greatest age of a commanded attitude
+FALLS, FALLS_S = 0.35, 0.25  # load factor [g] below which a vehicle falls, with outputs at idle for this long
+SINKS_M_S, NEARLY_FULL = 4.0, 0.85  # down, with all outputs above this share of their range
+REST = 0.015  # share of the range up to which an output is at idle
 POWERED = 0.1  # share of the range of commands
-HITS_G = 2.0  # g from the side or from above, twice as much from below: no rotor pushes so; the ground does, or another thing
-LEVER_M = 0.05  # m from the axis of a spin that an accelerometer may sit: a spin pushes it outwards, and no blow is needed for that
-# After a blow of the ground a vehicle lies still, for so long, soon; its height does not go on to fall. Where the log ends sooner, the
-# ground is taken for why it ends.
+HITS_G = 2.0  # g from the side or from above, twice as much from below: more than any rotor gives; an impact
+LEVER_M = 0.05  # m of an accelerometer from the axis of a spin: its centripetal force is no blow
+# Soon after an impact on the ground a vehicle lies still for this long; its height does not fall on. Where the log ends sooner, the
+# ground is assumed to have ended it.
 RESTS_RAD_S, BIAS_RAD_S, RESTS_S, RESTS_SOON_S, CUT_S = 0.3, 3.0, 0.5, 5.0, 1.5
 LAG_S, SOON_S, STAYS_S, FALLS_ON_M, DEAD_STILL, STRIKES_G = 0.4, 1.0, 3.0, 1.5, 0.03, 8.0
 GONE_S = 2.0
-HIT_S = 0.2  # a blow so soon after the wanted attitude was left made it leave
-SHORT_S = 3.0  # of a flight that ended in its take-off
+HIT_S = 0.2  # a blow this soon after the onset is its cause
+SHORT_S = 3.0  # length of a flight that ended in its take-off
 LOW_M = 1.5  # above the place of take-off or rest: a blow there is the ground's
-CRASHES_M_S, STOPS_M_S = (
-    5.0,
-    1.0,
-)  # down before a blow, any way after it: no landing, whatever the attitude was believed to be
-FAST_M_S, STAYS_M_S = 2.0, 0.3  # down before a blow, any way after it: a vehicle that fell to the ground
+CRASHES_M_S, STOPS_M_S = 5.0, 1.0  # down before a blow, in any direction after: no landing, whatever the attitude
+FAST_M_S, STAYS_M_S = 2.0, 0.3  # down before a blow, in any direction after it: a fall to the ground
 
 
 class LossOfControl(NamedTuple):
-    """onset: when the vehicle began to leave what was wanted; lost: when that was certain; end: when control came back, else None; impact:
-    the first blow after that, as of the ground or by its own spin, None where none was seen; ground: when it hit the ground, None where
-    that was not seen [all s]. what: in words. falls: outputs came to rest in the air. landed: it
-    had landed before, so that the ground pushed it as well as its rotors."""
+    """onset: when the vehicle began to deviate from its target; lost: when that was certain; end: when control came back, else None;
+    impact: the first blow after that, of the ground or of its own spin, else None; ground: when it hit the ground, None where unknown [all
+    s]. what: in words. falls: outputs went to idle in the air. landed: it had landed before, so that the ground pushed it as well as its
+    rotors."""
 
     onset: float
     lost: float
@@ -82,7 +76,7 @@ def thrust_axis(q: np.ndarray) -> np.ndarray:
 
 
 def without_heading(q: np.ndarray) -> np.ndarray:
-    """Quaternions (n, 4) body to world without their turn about the world's vertical axis: the tilt as seen from the vehicle."""
+    """Quaternions (n, 4) body to world without their rotation about the world's vertical axis: the tilt in the vehicle's heading frame."""
     w, x, y, z = q.T
     c, s = w, -z  # the turn back, but for its length
     size = np.maximum(np.hypot(c, s), 1e-9)
@@ -90,12 +84,12 @@ def without_heading(q: np.ndarray) -> np.ndarray:
 
 
 def held(signal: Signal, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The last sample of all columns before each time, and how old it is [s]; infinitely old where there is none."""
+    """The last sample of all columns before each time, and its age [s]; infinite where there is none."""
     return _held(*known(signal), at)
 
 
 def known(signal: Signal) -> tuple[np.ndarray, np.ndarray]:
-    """Times and values of the samples of which all columns are known."""
+    """Times and values of the samples with all columns valid."""
     whole = signal.wholes()
     return whole.time, whole.values
 
@@ -109,11 +103,10 @@ def _held(time: np.ndarray, values: np.ndarray, at: np.ndarray) -> tuple[np.ndar
 
 
 def attitude_error(flight: Flight, progress: Progress = None) -> tuple[np.ndarray, np.ndarray, str]:
-    """Times (m,) s, angle (m,) in degrees by which the direction of thrust differs from what was wanted, and what that is, in words.
+    """Times (m,) s, angle (m,) in degrees between the actual and the commanded direction of thrust, and a phrase for that quantity.
 
-    NaN where it is not known. A difference of rates counts as the angle that it makes within LASTS_S. Where all are below AWAY_DEG,
-    some may be smaller than is said.
-    """
+    NaN where unknown. A difference of rates counts as the angle that it makes within LASTS_S. Where all are below AWAY_DEG, some may be
+    overestimated."""
     if flight.has("attitude"):
         time, q = known(flight["attitude"])
         angle, words = np.full(time.size, np.nan), "tilted {:.0f} degrees from its setpoint"
@@ -131,11 +124,11 @@ def attitude_error(flight: Flight, progress: Progress = None) -> tuple[np.ndarra
 
 
 def _angle(wanted: Signal, time: np.ndarray, q: np.ndarray, progress: Progress = None) -> np.ndarray:
-    """(m,) degrees between the direction of thrust, of attitudes (m, 4), and the nearest of those wanted in the last ANSWERS_S: a vehicle
-    that follows what it is asked follows it late. NaN where nothing fresh was wanted. A vehicle on its way to another heading that is
-    wanted leans as asked, seen from itself, while that points elsewhere in the world: there the nearer of the two directions counts."""
+    """(m,) degrees between the direction of thrust, of attitudes (m, 4), and the nearest target of the last ANSWERS_S, as a vehicle follows
+    with delay. NaN without a fresh target. A vehicle on its way to another heading leans as commanded in its own frame, while that target
+    points elsewhere in the world: there the nearer of the two directions counts."""
     at, asked = known(wanted)
-    # To know whether it turns takes longest, and makes the angle only less: asked where that may matter.
+    # The check for a turn takes longest, and only reduces the angle: done only where that may matter.
     angle = _blockwise(lambda when, own: _nearest(at, asked, when, own), time, q, progress=portion(progress, 0.0, 0.5))
     if not (angle > AWAY_DEG).any():
         return angle
@@ -147,14 +140,14 @@ def _angle(wanted: Signal, time: np.ndarray, q: np.ndarray, progress: Progress =
 def _blockwise(
     work: Callable[..., np.ndarray], time: np.ndarray, *rows: np.ndarray, progress: Progress = None
 ) -> np.ndarray:
-    """work(time, *rows) of BLOCK times after the other. progress: called with the finished share, 0..1."""
-    found = []
+    """work(time, *rows), in blocks of BLOCK times. progress: called with the finished share, 0..1."""
+    parts = []
     for start in range(0, time.size, BLOCK):
         part = slice(start, start + BLOCK)
-        found.append(work(time[part], *(x[part] for x in rows)))
+        parts.append(work(time[part], *(x[part] for x in rows)))
         if progress:
             progress(min(1.0, part.stop / time.size))
-    return np.concatenate(found) if found else np.zeros(0)
+    return np.concatenate(parts) if parts else np.zeros(0)
 
 
 def _nearest(
@@ -167,8 +160,8 @@ def _nearest(
         was, age = _held(at, asked, time - back)
         cosine = (axis * thrust_axis(was)).sum(axis=1)
         if turns is not None:
-            own = (level * thrust_axis(without_heading(was))).sum(axis=1)
-            cosine = np.where(turns, np.maximum(cosine, own), cosine)
+            in_heading_frame = (level * thrust_axis(without_heading(was))).sum(axis=1)
+            cosine = np.where(turns, np.maximum(cosine, in_heading_frame), cosine)
         least = np.where(age <= FRESH_S, np.maximum(least, cosine), least)
     return np.where(fresh, np.degrees(np.arccos(np.clip(least, -1.0, 1.0))), np.nan)
 
@@ -179,7 +172,7 @@ def heading(q: np.ndarray) -> np.ndarray:
 
 
 def _turns(at: np.ndarray, headings: np.ndarray, time: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """(m,) bool: the heading of attitudes (m, 4) is one of those wanted in the last TURNS_S, or on the way between them."""
+    """(m,) bool: the heading of attitudes (m, 4) is one of the targets of the last TURNS_S, or between them."""
     if not at.size:
         return np.zeros(time.size, bool)
 
@@ -203,14 +196,14 @@ def _known_rates(flight: Flight, time: np.ndarray) -> np.ndarray:
 
 
 def _rate_error(flight: Flight, time: np.ndarray) -> np.ndarray:
-    """(m,) rad/s of roll and pitch between the actual rate and the nearest of those wanted in the last ANSWERS_S."""
+    """(m,) rad/s of roll and pitch between the actual rate and the nearest target of the last ANSWERS_S."""
     rates = held(cast(Signal, flight.angular_rate()), time)[0][:, :2]
     wanted = (held(flight["rates_wanted"], time - back)[0][:, :2] for back in BACK)
     return np.min([np.linalg.norm(rates - was, axis=1) for was in wanted], axis=0)
 
 
 def _spins(flight: Flight, time: np.ndarray) -> np.ndarray:
-    """(m,) bool: the vehicle turns about its vertical axis faster than anybody asks for."""
+    """(m,) bool: the vehicle yaws faster than anyone commands."""
     if (turning := flight.angular_rate()) is None:
         return np.zeros(time.size, bool)
     at, rates = known(turning)
@@ -226,12 +219,12 @@ def find(flight: Flight, air, progress: Progress = None) -> tuple[LossOfControl,
     """The losses of control of a flight, one at most in each of the intervals `air` ((start, end), ...) s in which it was in the air.
     progress: called with the finished share, 0..1."""
     time, angle, words = attitude_error(flight, progress)
-    powered, found = _powered(flight), []
+    powered, losses = _powered(flight), []
     for start, end in _from_the_ground(powered, time, angle, air) or powered:
         spans = [
             _to_the_ground(flight, d, start, end)
             for d in (
-                _leaves(flight, time, angle, words, start, end),
+                _departs(flight, time, angle, words, start, end),
                 _falls(flight, start, end),
                 _sinks(flight, start, end),
                 _strikes(flight, start, end),
@@ -240,8 +233,8 @@ def find(flight: Flight, air, progress: Progress = None) -> tuple[LossOfControl,
         ]
         over = None if spans or not air else _turns_over(flight, powered, start, end)
         if spans or over:
-            found.append(over or min(spans, key=lambda d: d.onset))
-    return tuple(found)
+            losses.append(over or min(spans, key=lambda d: d.onset))
+    return tuple(losses)
 
 
 def _to_the_ground(flight: Flight, d: LossOfControl, start: float, end: float) -> LossOfControl:
@@ -257,7 +250,7 @@ def _to_the_ground(flight: Flight, d: LossOfControl, start: float, end: float) -
 
 
 def _flies_again(flight: Flight, back: float | None, start: float) -> bool:
-    """Whether a vehicle that hit the ground, and is as it was wanted at `back` s, is in the air again, and no wreck that lies there."""
+    """True if a vehicle that hit the ground, and is at its target again at `back` s, is airborne and not a wreck on the ground."""
     if back is None:
         return False
     above = (height(flight, back + later, start) for later in range(6))
@@ -265,8 +258,9 @@ def _flies_again(flight: Flight, back: float | None, start: float) -> bool:
 
 
 def stops(flight: Flight, blow: float, start: float) -> bool:
-    """Whether a blow was the ground's, of a vehicle that took off at `start`: its record ends there; it lies dead still soon after; or it
-    does not go on to fall, and lies still, stays as low as it took off from, or was struck there as nothing in the air strikes [all s]."""
+    """True if a blow was an impact on the ground, of a vehicle that took off at `start`: its record ends there; or it lies still soon
+    after; or it does not fall on, and lies still, stays below the height of take-off, or was hit harder than anything in the air does [all
+    s]."""
     turning = flight.angular_rate()
     last = turning.time[-1] if turning is not None and len(turning) else flight.duration
     if last - blow < CUT_S:
@@ -280,21 +274,23 @@ def stops(flight: Flight, blow: float, start: float) -> bool:
         return True
     if None in above:
         return bool((spread < RESTS_RAD_S).any())
-    then, soon, later = (max(m or 0.0, 0.0) for m in above)  # an estimate of what struck the ground may be below it
+    then, soon, later = (
+        max(m or 0.0, 0.0) for m in above
+    )  # after an impact the estimated height may be below the ground
     if max(then - soon, soon - later) > FALLS_ON_M:
         return False
     return soon < LOW_M and (later < LOW_M or bool((spread < RESTS_RAD_S).any()) or load(flight, blow) > STRIKES_G)
 
 
 def load(flight: Flight, at: float) -> float:
-    """The largest specific force in the tenth of a second after a moment [g]; 0 where none is known."""
+    """The largest specific force in the tenth of a second after a time [g]; 0 where unknown."""
     part = flight["accel"].between(at, at + 0.1).values if flight.has("accel") else np.zeros((0, 3))
     return float(np.linalg.norm(part, axis=1).max(initial=0.0)) / G0
 
 
 def _spreads(time: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """(k,) rad/s, for each window of RESTS_S: by how much angular rates (n, 3) differ in it, whatever the gyro's bias; infinite where they
-    turn faster than a bias is large."""
+    """(k,) rad/s, for each window of RESTS_S: spread of the angular rates (n, 3) in it, independent of the gyro's bias; infinite where they
+    exceed any bias."""
     edges = np.arange(time[0], time[-1] - RESTS_S, 0.5 * RESTS_S) if time.size else np.zeros(0)
     parts = [rates[slice(*np.searchsorted(time, (a, a + RESTS_S)))] for a in edges]
     known = [len(x) > 2 and np.abs(x).max() < BIAS_RAD_S for x in parts]
@@ -304,7 +300,7 @@ def _spreads(time: np.ndarray, rates: np.ndarray) -> np.ndarray:
 def _from_the_ground(
     powered: list[tuple[float, float]], time: np.ndarray, angle: np.ndarray, air
 ) -> tuple[tuple[float, float], ...]:
-    """`air`, from when the motors were first asked for something if the vehicle had left control before it counted as in the air."""
+    """`air`, from the first command to the motors if the vehicle departed before it counted as in the air."""
     if not air:
         return ()
     (start, end), *later = air
@@ -314,7 +310,7 @@ def _from_the_ground(
 
 
 def _powered(flight: Flight) -> list[tuple[float, float]]:
-    """Spans in which the motors of a vehicle that never flew were asked for something: it may have turned over on the ground."""
+    """Spans in which the motors of a vehicle that never flew were commanded: it may have turned over on the ground."""
     if not flight.has("motors"):
         return []
     time, share = commands(flight)
@@ -324,7 +320,7 @@ def _powered(flight: Flight) -> list[tuple[float, float]]:
 
 
 def _turns_over(flight: Flight, powered: list[tuple[float, float]], start: float, end: float) -> LossOfControl | None:
-    """A vehicle on its head after a flight from `start` to `end` s while its motors still push: after a landing, or in its take-off."""
+    """An inverted vehicle after a flight from `start` to `end` s while its motors still push: after a landing, or in its take-off."""
     if not flight.has("attitude"):
         return None
     until = max((b for a, b in powered if a <= end <= b), default=end)
@@ -346,11 +342,11 @@ def _turns_over(flight: Flight, powered: list[tuple[float, float]], start: float
     )
 
 
-def _leaves(flight, time, angle, words, start, end) -> LossOfControl | None:
+def _departs(flight, time, angle, words, start, end) -> LossOfControl | None:
     inside = slice(np.searchsorted(time, start), np.searchsorted(time, end + LASTS_S, side="right"))
     t, a = time[inside], angle[inside]
-    if not (told := np.isfinite(a)).all():
-        t, a = t[told], a[told]
+    if not (known_angle := np.isfinite(a)).all():
+        t, a = t[known_angle], a[known_angle]
     if t.size < 3:
         return None
     out = (a > ERROR_DEG) | _long(t, (a > AWAY_DEG) & (a <= ERROR_DEG))
@@ -360,7 +356,7 @@ def _leaves(flight, time, angle, words, start, end) -> LossOfControl | None:
         onset, back = _began(t, a, int(k)), _back(t, a, int(k))
         impact = hit(flight, onset, end + 30.0 if back is None else back)
         soon = _back(t, a, int(k), MASTERED_S)
-        # A flight that was over as soon as it began may have ended on its side.
+        # A flight that ended at its take-off may have ended on its side.
         last = t[-1] if end - start > SHORT_S else time[np.isfinite(angle)][-1]
         lasts = (last if soon is None else soon) - t[k]
         if impact is not None and _ground(flight, impact, onset, start, end):
@@ -388,7 +384,7 @@ def _long(t: np.ndarray, away: np.ndarray) -> np.ndarray:
 
 
 def _began(t: np.ndarray, a: np.ndarray, k: int) -> float:
-    """When the angle that passes APART_DEG at k began to grow: the last sample that was as close as is usual in this flight."""
+    """Onset of the angle's growth past APART_DEG at k: the last sample at this flight's usual error."""
     calm = a[: max(k - 5, 1)]
     usual = max(2.0, 3.0 * float(median(calm))) if calm.size > 5 else 2.0
     close = np.flatnonzero(a[:k] <= min(usual, 0.5 * ERROR_DEG))
@@ -396,17 +392,17 @@ def _began(t: np.ndarray, a: np.ndarray, k: int) -> float:
 
 
 def _back(t: np.ndarray, a: np.ndarray, k: int, lasts: float = BACK_S) -> float | None:
-    """When control came back: the begin of so many seconds within BACK_DEG; None where the flight ends before."""
+    """Time at which control came back: the begin of `lasts` s within BACK_DEG; None where the flight ends before."""
     length = BLOCK >> 6
     while True:  # mostly soon
-        found = _lasting(t[k : k + length], a[k : k + length] < BACK_DEG, lasts)
-        if found is not None or k + length >= t.size:
-            return None if found is None else float(t[k + found[0]])
+        run = _lasting(t[k : k + length], a[k : k + length] < BACK_DEG, lasts)
+        if run is not None or k + length >= t.size:
+            return None if run is None else float(t[k + run[0]])
         length *= 4
 
 
 def _lasting(time: np.ndarray, so: np.ndarray, seconds: float) -> tuple[int, int] | None:
-    """(first sample, the one that is so much later) of the first samples in a row that are `so` (m,) for so long; None without any."""
+    """(first, last) of the first run of samples for which `so` (m,) holds for that many seconds; None without any."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], so, [False]])))
     first, last = edges[::2], edges[1::2] - 1
     long = np.flatnonzero(time[last] - time[first] >= seconds)
@@ -417,7 +413,7 @@ def _lasting(time: np.ndarray, so: np.ndarray, seconds: float) -> tuple[int, int
 
 
 def _falls(flight: Flight, start: float, end: float) -> LossOfControl | None:
-    """Outputs that come to rest while nothing carries the vehicle."""
+    """Outputs that go to idle while nothing carries the vehicle."""
     if not flight.has("motors", "accel"):
         return None
     motors = _around(flight["motors"], start - 1.0, end + 5.0)
@@ -433,17 +429,17 @@ def _falls(flight: Flight, start: float, end: float) -> LossOfControl | None:
         rest = (share[np.maximum(k, 0)] < REST) & (k >= 0)
         return (np.linalg.norm(force, axis=1) / G0 < FALLS) & rest
 
-    found = _lasting(time, _blockwise(falling, time, force), FALLS_S)
-    if found is None:
+    run = _lasting(time, _blockwise(falling, time, force), FALLS_S)
+    if run is None:
         return None
-    since, when = (float(time[at]) for at in found)
+    since, when = (float(time[at]) for at in run)
     quiet = motors.time[(share < REST) & (motors.time <= when) & (motors.time > since - 1.0)]
     onset = min(since, float(quiet[0])) if quiet.size else since
     return LossOfControl(onset, when, None, hit(flight, when, end + 30.0), "falling without thrust", True)
 
 
 def _sinks(flight: Flight, start: float, end: float) -> LossOfControl | None:
-    """A vehicle that sinks fast, and goes on to, while its rotors are asked for nearly all they have."""
+    """A vehicle that sinks fast and continues to, while its rotors are commanded nearly full thrust."""
     if not flight.has("motors", "velocity", "accel"):
         return None
     velocity = flight["velocity"]
@@ -453,18 +449,18 @@ def _sinks(flight: Flight, start: float, end: float) -> LossOfControl | None:
     share, age = held(replace(motors, values=_shares(flight, motors)), time)
     push, known = held(_around(flight["accel"], start - 1.0, end), time)
     full = (share.mean(axis=1) > NEARLY_FULL) & (age <= FRESH_S) & (-push[:, 2] < G0) & (known <= FRESH_S)
-    found = _lasting(time, full & (down > SINKS_M_S), LASTS_S)
-    if found is None:
+    run = _lasting(time, full & (down > SINKS_M_S), LASTS_S)
+    if run is None:
         return None
-    since, when = (float(time[at]) for at in found)
+    since, when = (float(time[at]) for at in run)
     slow = np.flatnonzero((time < since) & (down < 0.2 * SINKS_M_S))
     onset = float(time[slow[-1]]) if slow.size else since
-    said = f"sinking at {down[time == when][0]:.0f} m/s though nearly full thrust was commanded"
-    return LossOfControl(onset, when, None, hit(flight, when, end + 30.0), said)
+    words = f"sinking at {down[time == when][0]:.0f} m/s though nearly full thrust was commanded"
+    return LossOfControl(onset, when, None, hit(flight, when, end + 30.0), words)
 
 
 def _strikes(flight: Flight, start: float, end: float) -> LossOfControl | None:
-    """A vehicle that strikes the ground faster than anything lands, though its attitude, as it was believed to be, was as wanted."""
+    """A vehicle that hits the ground faster than any landing, though its estimated attitude was at the target."""
     if not flight.has("velocity"):
         return None
     velocity = flight["velocity"].between(start, end + 3.0)
@@ -474,7 +470,7 @@ def _strikes(flight: Flight, start: float, end: float) -> LossOfControl | None:
         before, after = (time > blow - 0.5) & (time <= blow), (time > blow + 0.5) & (time < blow + 2.5)
         struck = down[before].max() if before.any() else 0.0
         if struck > CRASHES_M_S and (np.abs(velocity.values[after]) < STOPS_M_S).all():
-            # It may have been asked to descend before.
+            # It may have been commanded to descend before.
             slow = np.flatnonzero((time < blow - HIT_S) & (down < 0.2 * struck))
             onset = float(time[slow[-1]]) if slow.size else start
             return LossOfControl(onset, blow, None, blow, f"striking the ground at {struck:.0f} m/s")
@@ -483,7 +479,7 @@ def _strikes(flight: Flight, start: float, end: float) -> LossOfControl | None:
 
 
 def _around(signal: Signal, start: float, end: float) -> Signal:
-    """The samples from the last one before `start` [s] up to `end`: what is held in that time. A flight may have many hops."""
+    """The samples from the last one before `start` [s] up to `end`, for holding values in that time. A flight may have many hops."""
     first, stop = np.searchsorted(signal.time, start), np.searchsorted(signal.time, end, side="right")
     return signal.part(slice(max(int(first) - 1, 0), int(stop)))
 
@@ -495,15 +491,15 @@ def _shares(flight: Flight, motors: Signal) -> np.ndarray:
 
 
 def hit(flight: Flight, start: float, end: float, spins: bool = False) -> float | None:
-    """The first time after `start` [s] at which a force acts that no rotor makes; None where there is none, or no accelerometer. spins:
-    less what the vehicle's own spin makes of it."""
+    """First time after `start` [s] with a force that no rotor makes; None where there is none, or no accelerometer. spins: subtract the
+    part of the vehicle's own spin."""
     if not flight.has("accel"):
         return None
     part = flight["accel"].between(start, end)
     turning = flight.angular_rate() if spins else None
     spin = None if turning is None else known(turning.between(start - FRESH_S, end + FRESH_S))
     for first in range(0, len(part), BLOCK):
-        force = part.values[first : first + BLOCK] / G0  # 0 where it is not known
+        force = part.values[first : first + BLOCK] / G0  # 0 where unknown
         most = np.full(len(force), HITS_G)
         if spin is not None:
             rates, age = _held(*spin, part.time[first : first + BLOCK])
@@ -516,7 +512,7 @@ def hit(flight: Flight, start: float, end: float, spins: bool = False) -> float 
 
 def until_impact(flight: Flight, air, left: tuple[LossOfControl, ...]) -> tuple[tuple[float, float], ...]:
     """The intervals `air` ((start, end), ...) s, each cut where the vehicle fell to the ground, or tumbles or spins on out of control for
-    `GONE_S`: what outputs and motion do after that says nothing of how its rotors carry it."""
+    `GONE_S`: outputs and motion after that are no evidence on its rotors."""
     cut = []
     for start, end in air:
         ends = [
@@ -530,7 +526,7 @@ def until_impact(flight: Flight, air, left: tuple[LossOfControl, ...]) -> tuple[
 
 
 def _struck_ground(flight: Flight, start: float, end: float) -> float | None:
-    """When the vehicle came down fast and stayed where it hit, whatever its motors did then; None where it did not."""
+    """Time at which the vehicle came down fast and stayed where it hit, whatever its motors did then; None without such."""
     if not flight.has("velocity"):
         return None
     velocity = flight["velocity"].between(start, end + 2.0)
@@ -549,7 +545,7 @@ def _struck_ground(flight: Flight, start: float, end: float) -> float | None:
 
 
 def height(flight: Flight, at: float, ground: float) -> float | None:
-    """m above where the vehicle was at `ground` [s]; None where it is not logged."""
+    """m above the vehicle's height at time `ground` [s]; None where not logged."""
     if not flight.has("position"):
         return None
     (now, then), age = held(flight["position"], np.array([at, ground]))
@@ -557,13 +553,13 @@ def height(flight: Flight, at: float, ground: float) -> float | None:
 
 
 def low(flight: Flight, at: float, start: float) -> bool:
-    """Is the vehicle, as far as is known, no higher than LOW_M above where it took off?"""
+    """True if the vehicle, as far as is known, is no higher than LOW_M above its place of take-off."""
     above = height(flight, at, start)
     return above is not None and above < LOW_M
 
 
 def _ground(flight, impact, onset, start, end) -> bool:
-    """Did the vehicle leave what was wanted because it touched the ground? Then it is a landing, or tips over after one."""
+    """True if the vehicle deviated because it touched the ground: a landing, or tipping over after one."""
     if impact - onset > HIT_S or end - onset > 3.0:
         return False
     above = height(flight, onset, start)

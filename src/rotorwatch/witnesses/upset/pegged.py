@@ -1,13 +1,13 @@
-"""A rotor that is commanded all it has while the vehicle turns the other way: it gives no thrust, and no learning is needed to see it.
+"""A rotor at full command while the vehicle turns the other way: it gives no thrust, and the finding needs no learning.
 
-A controller that is left with one output at its end, against a turn that goes on, asks that rotor to stop the turn. With b_k the torque of
-rotor k on roll, pitch and yaw, the vehicle turns with
+A controller with one output at its end, against a rotation that continues, asks that rotor to stop it. With b_k the torque of rotor k on
+roll, pitch and yaw, the vehicle turns with
 
     s = omega . b_k / |b_k|
 
-If rotor k gave thrust, s would rise. It is found where output k stands at the upper end of what this flight's outputs reach for `LEAST_S`,
-the torque commanded along b_k is that way, and s is below -AGAINST all the time, on every axis, without rising. A rotor that gives thrust
-whatever it is commanded pushes the same way as a dead opposite one on roll and pitch, but not on yaw, where propellers turn in pairs.
+If rotor k gave thrust, s would rise. It is found where output k stays at the upper end of this flight's outputs for `LEAST_S`, the torque
+commanded along b_k has that sign, and s is below -AGAINST all the time, on every axis, without rising. A rotor stuck at a constant thrust
+pushes the same way as a dead opposite one on roll and pitch, but not on yaw, where propellers turn in pairs.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from rotorwatch.flight.kinds import CONTACT, LOSS
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.witnesses.witness import Events, View
 
-LEAST_S, GAP_S = 0.8, 0.1  # for so long, with such interruptions
-END = 0.97  # of the most that any output reaches in the flight, and at least so much of the range
+LEAST_S, GAP_S = 0.8, 0.1  # least length, and longest gap in it
+END = 0.97  # of the largest output of the flight, and least share of the range
 HIGH = 0.7
-AGAINST, EACH, RISES = 4.0, 0.5, 1.0  # rad/s along the torque, on each of its axes, and by which it may come back
+AGAINST, EACH, RISES = 4.0, 0.5, 1.0  # rad/s along the torque, on each of its axes, and largest recovery
 LEADS = 0.2  # share of the range, more than the others are commanded on average
-GIVES = 0.5  # share of its thrust that such a rotor gives at most
+GIVES = 0.5  # largest remaining share of thrust of such a rotor
 
 
 def find(flight: Flight, vehicle: Vehicle, air: Spans, struck: Sequence[float] = ()) -> tuple[Event, ...]:
-    """The losses of rotors that were commanded all they have while the vehicle turned against them, one a flight. struck: when something
-    struck the vehicle [s]; what follows at once is its doing."""
+    """The losses of rotors at full command while the vehicle turned against them, at most one a flight. struck: times of blows to the
+    vehicle [s]; rotation just after them is their effect."""
     turning = flight.angular_rate()
     if turning is None or not flight.has("motors"):
         return ()
     motors, (low, high) = flight["motors"], output_range(flight)
-    rates, found = turning.wholes(), []
+    rates, losses = turning.wholes(), []
     for start, end in air:
         part = motors.between(start, end + LEAST_S).wholes()
         if len(part) < 5 or len(rates) < 5:
@@ -59,13 +59,13 @@ def find(flight: Flight, vehicle: Vehicle, air: Spans, struck: Sequence[float] =
                     continue
                 if any(0.0 <= begun - t < 1.0 for t in struck):
                     continue
-                found.append(_event(k + 1, begun, float(part.time[last]), float(-s.min())))
+                losses.append(_event(k + 1, begun, float(part.time[last]), float(-s.min())))
                 break
-    return tuple(found[:1])
+    return tuple(losses[:1])
 
 
 def _spells(time: np.ndarray, so: np.ndarray) -> list[tuple[int, int]]:
-    """(first, last) samples of the spells of at least `LEAST_S` in which something holds, but for short interruptions."""
+    """(first, last) samples of the spells of at least `LEAST_S` in which `so` holds, with gaps of up to GAP_S."""
     rows, spells = np.flatnonzero(so), []
     if not rows.size:
         return []
